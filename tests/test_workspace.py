@@ -1,0 +1,107 @@
+"""The repository as a whole: packages, messages, metadata, and the arrows between modules."""
+
+import os
+import shutil
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from importlib.util import find_spec
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+MESSAGES = sorted((ROOT / 'msg_defs' / 'msg').glob('*.msg'))
+NOT_SOURCE = {'.git', '.venv', 'build', 'demo_output', 'dist', 'install', 'log'}
+
+IMPORT_ALL_BUT_ROS = """
+import importlib, pkgutil, sys
+
+ROS = {"rclpy", "mocap_ros_msgs"}
+attempts = []
+
+class NoRos:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ROS:
+            attempts.append(name)
+            raise ImportError(f"{name} must not be imported outside mocap_ros.ros")
+
+def import_all(name):
+    module = importlib.import_module(name)
+    for found in pkgutil.iter_modules(getattr(module, "__path__", ())):
+        if found.name != "__main__" and (name, found.name) != ("mocap_ros", "ros"):
+            import_all(f"{name}.{found.name}")
+
+sys.meta_path.insert(0, NoRos())
+import_all("mocap_ros")
+assert not attempts, attempts
+assert not ROS & sys.modules.keys()
+"""
+
+
+def run_python(code: str, **env: str) -> None:
+    subprocess.run([sys.executable, '-c', code], cwd=ROOT, env={**os.environ, **env}, check=True)
+
+
+def test_only_the_ros_package_imports_ros() -> None:
+    run_python(IMPORT_ALL_BUT_ROS, MPLBACKEND='Agg')
+
+
+def test_both_packages_have_the_same_version() -> None:
+    manifests = ROOT / 'package.xml', ROOT / 'msg_defs' / 'package.xml'
+    versions = {ET.parse(manifest).findtext('version') for manifest in manifests}
+    assert len(versions) == 1
+
+
+@pytest.mark.parametrize('message', MESSAGES, ids=lambda path: path.stem)
+def test_every_message_field_is_commented(message: Path) -> None:
+    lines = ['', *message.read_text(encoding='utf-8').splitlines()]
+    bare = [line for above, line in pairwise(lines) if line and '#' not in line and not above.startswith('#')]
+    assert not bare
+
+
+def test_messages_are_package_data_with_one_home() -> None:
+    assert (ROOT / 'mocap_ros' / 'msg').resolve() == ROOT / 'msg_defs' / 'msg'
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_colcon_builds_both_packages(tmp_path: Path) -> None:
+    tools = Path(sys.executable).parent
+    path = os.pathsep.join([str(tools), os.environ['PATH']])
+    if not shutil.which('colcon', path=path):
+        pytest.skip('colcon is not installed')
+    if not find_spec('rclpy'):
+        pytest.skip('rclpy is not installed')
+
+    workspace = tmp_path / 'workspace'
+    shutil.copytree(ROOT, workspace, symlinks=True, ignore=ignore_what_is_not_source)
+    prefixes = os.environ.get('AMENT_PREFIX_PATH', sys.prefix)
+    env = {**os.environ, 'PATH': path, 'AMENT_PREFIX_PATH': prefixes, 'HOME': str(tmp_path)}
+    build = subprocess.run(
+        ['colcon', 'build'],
+        cwd=workspace,
+        env=env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    assert build.returncode == 0, build.stdout
+
+    install = workspace / 'install'
+    assert os.access(install / 'mocap_ros' / 'lib' / 'mocap_ros' / 'mocap_node', os.X_OK)
+    script = 'source "$0/setup.bash" && exec "$1" -c "$2"'
+    use_install = f"""
+import mocap_ros, mocap_ros_msgs.msg
+from rclpy.serialization import serialize_message
+serialize_message(mocap_ros_msgs.msg.Keypoints2DArray())
+assert all(module.__file__.startswith({str(install)!r}) for module in (mocap_ros, mocap_ros_msgs))
+"""
+    command = ['bash', '-c', script, install, sys.executable, use_install]
+    subprocess.run(command, cwd=tmp_path, env=env, check=True)
+
+
+def ignore_what_is_not_source(folder: str, names: list[str]) -> set[str]:
+    return NOT_SOURCE & set(names) if Path(folder) == ROOT else set()
