@@ -1,0 +1,322 @@
+"""Base poses: the mean human pose and the directions in which poses vary (TPAMI 2016, sections 3.1, 4.1).
+
+A pose is `P = Q0 + sum_l theta_l Q_l` (eq. 1). Body frame: metres, x forward, y left, z up, origin at the
+mean of the joints. Poses are centred and aligned before the principal component analysis, since the camera
+absorbs translation and rotation and a basis that had to explain them as well would waste its components.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.errors import ModelError
+from mocap_ros.skeleton import CMU15, Skeleton, layout
+
+Array = NDArray[np.float64]
+
+FORMAT = 'mocap_ros base poses 1'
+NEGLIGIBLE_STD = 1e-4
+
+STATURE_OVER_BONES = 1.135
+_SPINE = (('pelvis', 'neck'), ('neck', 'head'))
+_LEGS = (('lhip', 'lknee'), ('lknee', 'lankle'), ('rhip', 'rknee'), ('rknee', 'rankle'))
+
+
+@dataclass(frozen=True, eq=False)
+class BasePoses:
+    """A trained linear pose model.
+
+    Attributes:
+        name: motion category it was trained for (`walk`, ..., or `all`).
+        skeleton: joints, in the order of the arrays.
+        mean: (J, 3) m, mean pose Q0.
+        components: (K, J, 3) base poses Q_l, orthonormal, by falling variance, largest entry positive.
+        std: (K,) m, standard deviation of each weight theta_l over the training poses.
+        explained: (K,) share of the variance, cumulative.
+        stature: m, mean stature of the people in the training data.
+        provenance: where the training data came from and how it was used.
+    """
+
+    name: str
+    skeleton: Skeleton
+    mean: Array
+    components: Array
+    std: Array
+    explained: Array
+    stature: float
+    provenance: Mapping[str, object]
+
+    def poses(self, theta: Array) -> Array:
+        """(..., K) weights in m -> (..., J, 3) poses in m, body frame (eq. 1)."""
+        k = theta.shape[-1]
+        flat = theta @ self.components[:k].reshape(k, -1)
+        return flat.reshape(*theta.shape[:-1], *self.mean.shape) + self.mean
+
+    def weights(self, poses: Array) -> Array:
+        """(..., J, 3) centred, aligned poses in m -> (..., K) weights in m, the least-squares ones."""
+        flat = (poses - self.mean).reshape(*poses.shape[:-2], -1)
+        return flat @ self.components.reshape(len(self.components), -1).T
+
+    def truncated(self, k: int) -> BasePoses:
+        """The model with its first `k` base poses, or all if it has fewer."""
+        return replace(self, components=self.components[:k], std=self.std[:k], explained=self.explained[:k])
+
+    def rescaled(self, factor: float) -> BasePoses:
+        """The model of a body `factor` times as large."""
+        return replace(self, mean=self.mean * factor, std=self.std * factor, stature=self.stature * factor)
+
+
+def centred(poses: Array) -> Array:
+    """Poses (..., J, 3) moved so that the mean of the joints is the origin."""
+    return poses - poses.mean(axis=-2, keepdims=True)
+
+
+def rotation_to(poses: Array, target: Array) -> Array:
+    """(..., 3, 3) rotations R with `poses @ R^T` closest to `target` (orthogonal Procrustes)."""
+    u, _, vt = np.linalg.svd(np.swapaxes(target, -1, -2) @ poses)
+    sign = np.ones(u.shape[:-1])
+    sign[..., 2] = np.sign(np.linalg.det(u @ vt))
+    return np.asarray((u * sign[..., None, :]) @ vt)
+
+
+def heading_to(poses: Array, target: Array) -> Array:
+    """(..., 3, 3) rotations about the vertical (z) that bring `poses` closest to `target`."""
+    cross = poses[..., 0] * target[..., 1] - poses[..., 1] * target[..., 0]
+    dot = poses[..., 0] * target[..., 0] + poses[..., 1] * target[..., 1]
+    angle = np.arctan2(cross.sum(-1), dot.sum(-1))
+    c, s, o = np.cos(angle), np.sin(angle), np.zeros_like(angle)
+    rows = [[c, -s, o], [s, c, o], [o, o, o + 1]]
+    return np.stack([np.stack(r, -1) for r in rows], -2)
+
+
+def procrustes_mean(
+    poses: Array, align: Callable[[Array, Array], Array], rounds: int = 50, tolerance: float = 1e-7
+) -> tuple[Array, Array]:
+    """Generalised Procrustes: all poses aligned to their own mean.
+
+    Args:
+        poses: (N, J, 3) centred poses.
+        align: `rotation_to` or `heading_to`.
+        rounds: at most so many passes.
+        tolerance: m, change of the mean that ends it.
+
+    Returns:
+        (J, 3) mean, and the (N, J, 3) aligned poses.
+    """
+    mean = poses[0]
+    for _ in range(rounds):
+        aligned = poses @ np.swapaxes(align(poses, mean), -1, -2)
+        new = aligned.mean(axis=0)
+        moved = np.abs(new - mean).max()
+        mean = new
+        if moved < tolerance:
+            break
+    return mean, aligned
+
+
+def facing_forward(mean: Array, skeleton: Skeleton) -> Array:
+    """(3, 3) rotation about z after which left joints of `mean` lie towards +y and the body faces +x."""
+    left, right = zip(*skeleton.pairs, strict=True)
+    across = (mean[list(left)] - mean[list(right)]).sum(axis=0)
+    angle = np.pi / 2 - np.arctan2(across[1], across[0])
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+
+
+def mirrored(poses: Array, skeleton: Skeleton) -> Array:
+    """Poses (..., J, 3) seen in a mirror: y negated, left and right joints exchanged."""
+    return np.asarray(poses[..., list(skeleton.mirror), :] * [1.0, -1.0, 1.0])
+
+
+def with_bone_lengths(poses: Array, skeleton: Skeleton, factor: Array) -> Array:
+    """Poses (..., J, 3) with every bone stretched, directions kept; `factor` (bones,) as `skeleton.bones`."""
+    by_child = {child: f for (_, child), f in zip(skeleton.bones, factor, strict=True)}
+    out = poses.copy()
+    for parent, child in skeleton.outward():
+        out[..., child, :] = out[..., parent, :] + by_child[child] * (poses[..., child, :] - poses[..., parent, :])
+    return out
+
+
+def stature(poses: Array, skeleton: Skeleton) -> float:
+    """m, mean stature of the owners of poses (..., J, 3), from the lengths of legs, trunk and neck.
+
+    The factor between the two is 1.131 to 1.139 over the subjects of the CMU database.
+    """
+
+    def length(bones: Sequence[tuple[str, str]]) -> float:
+        ends = [(skeleton.index(a), skeleton.index(b)) for a, b in bones]
+        return float(sum(np.linalg.norm(poses[..., i, :] - poses[..., j, :], axis=-1).mean() for i, j in ends))
+
+    return STATURE_OVER_BONES * (length(_LEGS) / 2 + length(_SPINE))
+
+
+def _random_bodies(
+    poses: Array, skeleton: Skeleton, spread: float, count: int, rng: np.random.Generator
+) -> list[Array]:
+    """The same (F, J, 3) motion on `count` other bodies, left and right limbs alike."""
+    names = [skeleton.joints[c] for _, c in skeleton.bones]
+    twins = [min(n, skeleton.joints[skeleton.mirror[skeleton.index(n)]]) for n in names]
+    out = []
+    for _ in range(count):
+        by_name = {n: 1 + spread * rng.standard_normal() for n in sorted(set(twins))}
+        factor = np.array([by_name[t] for t in twins])
+        out.append(with_bone_lengths(poses, skeleton, factor))
+    return out
+
+
+def fit(
+    trials: Sequence[Array],
+    *,
+    name: str = 'all',
+    skeleton: Skeleton = CMU15,
+    components: int = 45,
+    alignment: str = 'rotation',
+    mirror: bool = False,
+    bodies: int = 0,
+    body_spread: float = 0.05,
+    seed: int = 0,
+    provenance: Mapping[str, object] | None = None,
+) -> BasePoses:
+    """Learn base poses from motion capture (TPAMI 2016, section 4.1, with poses aligned first).
+
+    Args:
+        trials: (F_i, J, 3) arrays, metres, z up.
+        name: motion category.
+        skeleton: names and tree of the J joints.
+        components: base poses kept at most; those of negligible variance never are.
+        alignment: `rotation` (generalised Procrustes) or `heading` (rotation about the vertical only).
+        mirror: add the mirror image of every pose.
+        bodies: how many bodies with randomly scaled bones to add to each trial.
+        body_spread: standard deviation of their bone scale factors.
+        seed: of those factors.
+        provenance: recorded in the model.
+
+    Raises:
+        ModelError: no trials, wrong shapes, or numbers that are not finite.
+    """
+    align = {'rotation': rotation_to, 'heading': heading_to}.get(alignment)
+    if align is None:
+        raise ModelError(f'alignment {alignment!r}: expected rotation or heading')
+    if not trials or sum(map(len, trials)) < 2:
+        raise ModelError('training needs at least two poses')
+    for i, trial in enumerate(trials):
+        if trial.ndim != 3 or trial.shape[1:] != (len(skeleton.joints), 3):
+            raise ModelError(f'trial {i} has shape {trial.shape}, expected (frames, {len(skeleton.joints)}, 3)')
+        if not np.isfinite(trial).all():
+            raise ModelError(f'trial {i} holds numbers that are not finite')
+    rng = np.random.default_rng(seed)
+    stacked = [np.asarray(t, float) for t in trials]
+    stacked += [b for t in stacked for b in _random_bodies(t, skeleton, body_spread, bodies, rng)]
+    poses = centred(np.concatenate(stacked))
+    if mirror:
+        poses = np.concatenate([poses, mirrored(poses, skeleton)])
+    mean, aligned = procrustes_mean(poses, align)
+    turn = facing_forward(mean, skeleton)
+    mean, aligned = mean @ turn.T, aligned @ turn.T
+
+    flat = (aligned - mean).reshape(len(aligned), -1)
+    variance, vectors = np.linalg.eigh(flat.T @ flat / len(flat))
+    order = np.argsort(variance)[::-1][:components]
+    order = order[variance[order] > NEGLIGIBLE_STD**2]
+    basis = vectors[:, order].T
+    largest = np.take_along_axis(basis, np.abs(basis).argmax(axis=1)[:, None], axis=1)
+    return BasePoses(
+        name=name,
+        skeleton=skeleton,
+        mean=mean,
+        components=(basis * np.sign(largest)).reshape(-1, *mean.shape),
+        std=np.sqrt(variance[order]),
+        explained=np.cumsum(variance[order]) / variance.sum(),
+        stature=stature(np.concatenate(stacked), skeleton),
+        provenance={
+            'alignment': alignment,
+            'mirror': mirror,
+            'bodies': bodies,
+            'body_spread': body_spread if bodies else 0.0,
+            'seed': seed,
+            'poses': int(sum(map(len, trials))),
+            **(provenance or {}),
+        },
+    )
+
+
+def save(model: BasePoses, path: str | Path | io.BytesIO) -> None:
+    """Write a model as .npz (no pickles); the same model gives the same bytes."""
+    meta = {
+        'format': FORMAT,
+        'name': model.name,
+        'skeleton': model.skeleton.name,
+        'stature': model.stature,
+        'provenance': dict(model.provenance),
+    }
+    arrays = {
+        'mean': model.mean.astype('f4'),
+        'components': model.components.astype('f4'),
+        'std': model.std.astype('f4'),
+        'explained': model.explained.astype('f4'),
+        'meta': np.array(json.dumps(meta, sort_keys=True)),
+    }
+    with zipfile.ZipFile(path, 'w', zipfile.ZIP_DEFLATED) as archive:
+        for key, value in arrays.items():
+            buffer = io.BytesIO()
+            np.lib.format.write_array(buffer, value, allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f'{key}.npy'), buffer.getvalue(), zipfile.ZIP_DEFLATED)
+
+
+def shipped_models() -> tuple[str, ...]:
+    """Names of the models that come with the package."""
+    folder = files('mocap_ros') / 'models'
+    return tuple(sorted(p.name[:-4] for p in folder.iterdir() if p.name.endswith('.npz')))
+
+
+def load_model(name_or_path: str | Path) -> BasePoses:
+    """A shipped model by name, or a trained one by path.
+
+    Raises:
+        ModelError: there is none of that name, or the file is not a base-pose model.
+    """
+    text = str(name_or_path)
+    if text in shipped_models():
+        return from_bytes((files('mocap_ros') / 'models' / f'{text}.npz').read_bytes(), text)
+    path = Path(name_or_path)
+    if not path.is_file():
+        raise ModelError(f'no base-pose model {text!r}: neither a file nor one of {", ".join(shipped_models())}')
+    try:
+        return from_bytes(path.read_bytes(), text)
+    except OSError as error:
+        raise ModelError(f'{text}: {error.strerror}') from None
+
+
+def from_bytes(data: bytes, source: str) -> BasePoses:
+    """A model from the bytes of its file; `source` names it in errors (ModelError)."""
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as z:
+            meta = json.loads(str(z['meta']))
+            arrays = {k: np.asarray(z[k], float) for k in ('mean', 'components', 'std', 'explained')}
+        if meta['format'] != FORMAT:
+            raise ValueError(f'format {meta["format"]!r}, expected {FORMAT!r}')
+        skeleton = layout(meta['skeleton'])
+        model = BasePoses(
+            name=str(meta['name']),
+            skeleton=skeleton,
+            stature=float(meta['stature']),
+            provenance=meta['provenance'],
+            **arrays,
+        )
+        joints, k = len(skeleton.joints), len(model.std)
+        if model.mean.shape != (joints, 3) or model.components.shape != (k, joints, 3) or k < 1:
+            raise ValueError('arrays do not fit each other')
+        if not all(np.isfinite(a).all() for a in arrays.values()) or (model.std <= 0).any():
+            raise ValueError('numbers that are not finite or not positive')
+    except Exception as error:  # any malformed byte ends up here: the file comes from a stranger
+        raise ModelError(f'{source}: not a base-pose model ({error})') from None
+    return model

@@ -1,0 +1,81 @@
+"""Symmetric block-tridiagonal systems with a low-rank correction, solved by one banded Cholesky.
+
+The normal matrix of a sequence has one n x n block a frame on its diagonal, n x n blocks coupling neighbouring
+frames, and, for unknowns shared by all frames of a person (mean bone lengths), minus a matrix of low rank. Many
+people are one such system: the coupling from one to the next is zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+
+Array = NDArray[np.float64]
+
+
+def band_storage(diagonal: Array, below: Array, bandwidth: int) -> Array:
+    """LAPACK's lower band storage (bandwidth + 1, F n), in Fortran order.
+
+    Args:
+        diagonal: (F, n, n) symmetric blocks.
+        below: (F - 1, n, n) block of frame t + 1 (rows) and t (columns).
+        bandwidth: of the whole matrix; at most 2 n - 1.
+    """
+    frames, n, _ = diagonal.shape
+    column = np.zeros((frames, n, 3 * n))
+    column[:, :, :n] = diagonal  # symmetric: row c is column c
+    column[:-1, :, n : 2 * n] = np.swapaxes(below, -1, -2)
+    s0, s1, s2 = column.strides
+    band = as_strided(column, (frames, n, bandwidth + 1), (s0, s1 + s2, s2))
+    return np.ascontiguousarray(band).reshape(frames * n, bandwidth + 1).T
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """Cholesky factor of the banded part, in LAPACK's lower band storage."""
+
+    band: Array
+    frames: int
+
+    def solve(self, right: Array) -> Array:
+        """(F, n, R) right-hand sides -> (F, n, R) solutions."""
+        frames, n, count = right.shape
+        flat = np.asfortranarray(right.reshape(frames * n, count))
+        solution, _ = lapack.dpbtrs(self.band, flat, lower=1, overwrite_b=1)
+        return np.asarray(solution).reshape(frames, n, count)
+
+
+def factor(diagonal: Array, below: Array, bandwidth: int) -> Factor | None:
+    """Factor the banded part, or None where it is not positive definite."""
+    band, info = lapack.dpbtrf(band_storage(diagonal, below, bandwidth), lower=1, overwrite_ab=1)
+    return Factor(band, len(diagonal)) if info == 0 else None
+
+
+def solve_less_low_rank(
+    banded: Factor, right: Array, vectors: Array, strength: Array, starts: NDArray[np.intp]
+) -> Array:
+    """Solve (banded - sum_p strength_p sum_b g_pb g_pb^T) x = right by Woodbury's identity.
+
+    Args:
+        banded: factor of the block-tridiagonal part.
+        right: (F, n).
+        vectors: (F, n, B) the g_pb cut into frames; person p's are those of its own frames.
+        strength: (P,) at least 0.
+        starts: (P,) first frame of each person.
+
+    Returns:
+        (F, n).
+    """
+    solved = banded.solve(np.concatenate([right[..., None], vectors], axis=-1))
+    x, y = solved[..., 0], solved[..., 1:]
+    inner = np.add.reduceat(np.swapaxes(vectors, -1, -2) @ y, starts, axis=0)
+    pull = np.add.reduceat((np.swapaxes(vectors, -1, -2) @ x[..., None])[..., 0], starts, axis=0)
+    eye = np.eye(vectors.shape[-1])
+    # (I / s - V^T B^-1 V)^-1 V^T B^-1 r, multiplied through by s so that s = 0 is allowed
+    weight = np.linalg.solve(eye - strength[:, None, None] * inner, (strength[:, None] * pull)[..., None])
+    counts = np.diff(np.append(starts, len(right)))
+    return np.asarray(x + (y @ np.repeat(weight, counts, axis=0))[..., 0])

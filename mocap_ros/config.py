@@ -1,0 +1,251 @@
+"""Every default of the package, once: ROS parameters, YAML and command-line flags are made from here.
+
+A parameter's outside name is `group.field`, for example `solver.bone_weight`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import textwrap
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, cast, get_type_hints
+
+import yaml
+
+from mocap_ros.errors import ConfigError
+
+Value = bool | int | float | str
+
+
+def _p(
+    default: Value,
+    doc: str,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+    read_only: bool = False,
+) -> Any:
+    return field(
+        default=default,
+        metadata={'doc': doc, 'low': low, 'high': high, 'choices': choices, 'read_only': read_only},
+    )
+
+
+@dataclass(frozen=True)
+class SolverConfig:
+    """The factorisation: weights of its terms and when it stops."""
+
+    components: int = _p(30, 'base poses used, at most those of the model', low=1, high=60)
+    prior_weight: float = _p(
+        3e-4, 'Gaussian prior of the base-pose weights, m^2 per squared standard deviation', low=0.0
+    )
+    bone_weight: float = _p(20.0, 'bone-length variance (beta, eq. 20)', low=0.0)
+    flip_weight: float = _p(0.005, 'm^2 s, change of camera between frames (gamma, eq. 12)', low=0.0)
+    smooth_weight: float = _p(
+        1e-5, 'm^2 s, change of base-pose weights, in standard deviations, between frames', low=0.0
+    )
+    robust_scale: float = _p(
+        0.1, "m, error from which Cauchy's loss discounts a point; 0 for least squares", low=0.0
+    )
+    relative_bones: bool = _p(False, 'bone-length variance relative to the length of each bone')
+    method: str = _p(
+        'joint',
+        'joint: Levenberg-Marquardt over everything at once; alternation: Algorithm 1 of the paper',
+        choices=('joint', 'alternation'),
+    )
+    norm: str = _p(
+        'squared',
+        'of the alternation: squared, or frobenius as printed in the paper (eq. 13 and 21)',
+        choices=('squared', 'frobenius'),
+    )
+    start_window: float = _p(1.0, 's, frames this near share one closed-form start camera', low=0.0, high=60.0)
+    max_iterations: int = _p(60, 'alternations of cameras and weights', low=1, high=10_000)
+    tolerance: float = _p(1e-4, 'relative decrease of the objective that ends it', low=0.0)
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """The sliding window of each person."""
+
+    model: str = _p('all', 'name of a shipped base-pose model, or path of a trained one', read_only=True)
+    window: float = _p(1.0, 's, length of the sliding window', low=0.1, high=20.0)
+    warm_iterations: int = _p(3, 'alternations a new frame costs', low=1, high=1000)
+    fresh_iterations: int = _p(12, 'alternations of a fresh start', low=1, high=1000)
+    fresh_every: float = _p(0.5, 's between fresh starts, kept when they fit better', low=0.0)
+    min_score: float = _p(0.1, 'keypoints scored below count as not seen', low=0.0, high=1.0)
+    min_joints: int = _p(6, 'seen joints that make a frame usable', low=4, high=15)
+    forget_after: float = _p(1.0, 's without detection after which a person is lost', low=0.0, high=60.0)
+    body_height: float = _p(1.70, 'm, stature assumed of people', low=0.3, high=2.6)
+    nominal_focal_length: float = _p(
+        1.0, 'focal length in image widths where no CameraInfo is known', low=0.1, high=20.0
+    )
+
+
+@dataclass(frozen=True)
+class NodeConfig:
+    """Topics and limits of the live node."""
+
+    autostart: bool = _p(True, 'configure and activate by itself', read_only=True)
+    input_type: str = _p(
+        'mocap_ros_msgs/msg/Keypoints2DArray', 'message type of the keypoints topic', read_only=True
+    )
+    image_width: int = _p(0, 'px, where neither the message nor CameraInfo says', low=0, high=100_000)
+    image_height: int = _p(0, 'px, where neither the message nor CameraInfo says', low=0, high=100_000)
+    queue: int = _p(10, 'messages waiting at most; the oldest are passed over', low=1, high=1000)
+    max_people: int = _p(20, 'people in a message; more are refused', low=1, high=1000)
+    max_joints: int = _p(200, 'joints of a person; more are refused', low=4, high=10_000)
+    max_text: int = _p(100, 'characters of an id or a joint name; longer is refused', low=8, high=1000)
+    silence_warning: float = _p(5.0, 's without keypoints after which the node says so', low=0.1)
+    marker_lifetime: float = _p(0.5, 's a marker stays after its last message', low=0.0, high=60.0)
+
+
+@dataclass(frozen=True)
+class RecorderConfig:
+    """Recording to MCAP."""
+
+    enabled: bool = _p(False, 'record from activation on', read_only=True)
+    folder: str = _p('mocap_recordings', 'folder that bags are written into', read_only=True)
+    compression: str = _p('zstd', 'chunk compression', choices=('zstd', 'lz4', 'none'), read_only=True)
+    chunk_bytes: int = _p(65_536, 'bytes at which a chunk is closed', low=1024, high=16_777_216)
+    chunk_seconds: float = _p(0.25, 's after which a chunk is closed', low=0.01, high=10.0)
+
+
+@dataclass(frozen=True)
+class Config:
+    """All parameters, by concern."""
+
+    solver: SolverConfig = SolverConfig()
+    tracker: TrackerConfig = TrackerConfig()
+    node: NodeConfig = NodeConfig()
+    recorder: RecorderConfig = RecorderConfig()
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter as the outside sees it."""
+
+    name: str
+    kind: type
+    default: Value
+    doc: str
+    low: float | None
+    high: float | None
+    choices: tuple[str, ...]
+    read_only: bool
+
+    def check(self, value: object) -> Value:
+        """The value in the parameter's own type.
+
+        Raises:
+            ConfigError: wrong type or outside the range; the message names the parameter.
+        """
+        if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if type(value) is not self.kind:
+            raise ConfigError(f'{self.name} = {value!r}: expected a {self.kind.__name__}')
+        if isinstance(value, str):
+            if self.choices and value not in self.choices:
+                raise ConfigError(f'{self.name} = {value!r}: expected {", ".join(self.choices)}')
+            return value
+        number = float(value)  # type: ignore[arg-type]
+        low = -math.inf if self.low is None else self.low
+        high = math.inf if self.high is None else self.high
+        if not (math.isfinite(number) and low <= number <= high):
+            raise ConfigError(f'{self.name} = {value!r}: expected {low:g} to {high:g}')
+        return value  # type: ignore[return-value]
+
+
+def parameters() -> Iterator[Parameter]:
+    """Every parameter, in the order of the dataclasses."""
+    for group in dataclasses.fields(Config):
+        group_type = type(getattr(Config(), group.name))
+        hints = get_type_hints(group_type)
+        for f in dataclasses.fields(group_type):
+            name = f'{group.name}.{f.name}'
+            yield Parameter(name, hints[f.name], cast(Value, f.default), **f.metadata)
+
+
+def with_values(config: Config, values: Mapping[str, object]) -> Config:
+    """A copy with some parameters changed, by outside name.
+
+    Raises:
+        ConfigError: unknown name, wrong type or value out of range.
+    """
+    known = {p.name: p for p in parameters()}
+    for name, value in values.items():
+        if name not in known:
+            raise ConfigError(f'unknown parameter {name!r}; known: {", ".join(known)}')
+        group_name, field_name = name.split('.')
+        checked = known[name].check(value)
+        group = dataclasses.replace(getattr(config, group_name), **{field_name: checked})
+        config = dataclasses.replace(config, **{group_name: group})
+    return config
+
+
+def values(config: Config) -> dict[str, Value]:
+    """Every parameter's value, by outside name."""
+    groups = dataclasses.asdict(config)
+    return {f'{g}.{name}': v for g, fields in groups.items() for name, v in fields.items()}
+
+
+def from_yaml(text: str, source: str) -> Config:
+    """A configuration from a ROS parameter file (any node name) or a plain nested mapping.
+
+    Raises:
+        ConfigError: not YAML, not a mapping, or a parameter is wrong; names `source`.
+    """
+    try:
+        tree = yaml.safe_load(text) or {}
+    except yaml.YAMLError as error:
+        raise ConfigError(f'{source}: not YAML: {" ".join(str(error).split())}') from None
+    if isinstance(tree, dict) and len(tree) == 1:
+        (only,) = tree.values()
+        if isinstance(only, dict) and 'ros__parameters' in only:
+            tree = only['ros__parameters']
+    if not isinstance(tree, dict):
+        raise ConfigError(f'{source}: expected a mapping of parameters')
+    try:
+        return with_values(Config(), dict(_flatten(tree)))
+    except ConfigError as error:
+        raise ConfigError(f'{source}: {error}') from None
+
+
+def _flatten(tree: Mapping[object, object], prefix: str = '') -> Iterator[tuple[str, object]]:
+    for key, value in tree.items():
+        name = f'{prefix}{key}'
+        if isinstance(value, dict):
+            yield from _flatten(value, name + '.')
+        else:
+            yield name, value
+
+
+def to_yaml(config: Config, node: str = 'mocap_node') -> str:
+    """A commented ROS parameter file holding every parameter."""
+    lines = [
+        '# Every parameter of the node with its default. Made by `mocap-ros config`.',
+        f'{node}:',
+        '  ros__parameters:',
+    ]
+    current = values(config)
+    group = ''
+    for p in parameters():
+        head, _, name = p.name.partition('.')
+        if head != group:
+            group = head
+            lines.append(f'    {group}:')
+        limits = ', '.join(p.choices) or _range(p.low, p.high)
+        comment = p.doc + (f' ({limits})' if limits else '') + (' [read-only]' if p.read_only else '')
+        lines += ['      # ' + line for line in textwrap.wrap(comment, 90)]
+        lines.append(f'      {name}: {yaml.safe_dump(current[p.name]).splitlines()[0]}')
+    return '\n'.join(lines) + '\n'
+
+
+def _range(low: float | None, high: float | None) -> str:
+    if low is None and high is None:
+        return ''
+    if high is None:
+        return f'from {low:g}'
+    return f'{low:g} to {high:g}'

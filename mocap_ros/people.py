@@ -1,0 +1,118 @@
+"""What the tracker is given and what it gives back: one person in one frame, in 2D and in 3D."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Person2D:
+    """Keypoints of one person in one image.
+
+    Attributes:
+        id: name given by the detector, or empty.
+        joints: (J,) joint names, any known to `skeleton.joint_map`.
+        points: (J, 2) px, x right and y down; NaN where not seen.
+        score: (J,) in [0, 1]; 0 where not seen.
+    """
+
+    id: str
+    joints: tuple[str, ...]
+    points: Array
+    score: Array
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera without distortion.
+
+    Attributes:
+        focal: px.
+        center: (cx, cy) px.
+        known: False where the focal length is only nominal.
+    """
+
+    focal: float
+    center: tuple[float, float]
+    known: bool
+
+    @staticmethod
+    def nominal(width: int, height: int, focal_in_widths: float) -> Intrinsics:
+        """A guess from the image size alone."""
+        return Intrinsics(focal_in_widths * width, (width / 2, height / 2), known=False)
+
+    @staticmethod
+    def from_matrix(matrix: Array) -> Intrinsics:
+        """From a (3, 3) camera matrix in px; the focal length is the geometric mean of both.
+
+        Raises:
+            InputError: a number that is not finite, or a focal length that is not positive.
+        """
+        if not np.isfinite(matrix).all() or matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
+            raise InputError(f'focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g} px')
+        focal = float(np.sqrt(matrix[0, 0] * matrix[1, 1]))
+        return Intrinsics(focal, (float(matrix[0, 2]), float(matrix[1, 2])), known=True)
+
+
+class MotionKind(IntEnum):
+    """As in `mocap_ros_msgs/msg/MotionState`."""
+
+    UNKNOWN = 0
+    PERIODIC = 1
+    NON_PERIODIC = 2
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What kind of motion a window holds.
+
+    Attributes:
+        kind: periodic, not, or not known.
+        category: name of the base-pose model used.
+        residual: 2D residual as a fraction of body size; NaN where unknown.
+        cadence: Hz, full cycles; NaN where not periodic.
+    """
+
+    kind: MotionKind
+    category: str
+    residual: float
+    cadence: float
+
+
+@dataclass(frozen=True, eq=False)
+class Person3D:
+    """One reconstructed person in one frame.
+
+    Attributes:
+        id: stable name of the person.
+        joints: (J, 3) m in the camera's optical frame, in the order of `skeleton.CMU15`.
+        std: (J,) m, standard deviation of each joint; NaN where unknown.
+        filled: (J,) True where the joint was not seen and the model filled it in.
+        scale: px/m of the weak-perspective camera.
+        rotation: (3, 3) body to camera.
+        translation: (2,) px, image of the body's origin (mean of its joints).
+        motion: kind of motion of the window.
+        residual: px, RMS reprojection error over the seen joints; NaN where none was.
+        scale_known: True where a real focal length was given.
+        predicted: True where the person was not detected in this frame.
+    """
+
+    id: str
+    joints: Array
+    std: Array
+    filled: NDArray[np.bool_]
+    scale: float
+    rotation: Array
+    translation: Array
+    motion: Motion
+    residual: float
+    scale_known: bool
+    predicted: bool

@@ -1,0 +1,99 @@
+"""What every solver is given and gives back, and where they all begin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.base_poses import BasePoses
+from mocap_ros.camera import Cameras, closed_form
+from mocap_ros.errors import InputError
+
+Array = NDArray[np.float64]
+
+ENOUGH_FOR_A_CAMERA = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Start values: weights (F, K) and cameras, scale in px/m."""
+
+    theta: Array
+    cameras: Cameras
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """One person's image points over some frames.
+
+    Attributes:
+        points: (F, J, 2) px in the order of the model's skeleton; finite, anything where the weight is 0.
+        weight: (F, J) detector scores, 0 where not seen.
+        times: (F,) s, increasing.
+        start: where to begin; None for the mean pose and closed-form cameras.
+        unit: px/m, the constant that makes image errors metres; None for the median start scale. Objectives
+            of one window from several starts compare only under one unit.
+    """
+
+    points: Array
+    weight: Array
+    times: Array
+    start: Start | None = None
+    unit: float | None = None
+
+    def __post_init__(self) -> None:
+        frames, joints = self.weight.shape
+        if self.points.shape != (frames, joints, 2) or self.times.shape != (frames,):
+            raise InputError(
+                f'points {self.points.shape}, weight {self.weight.shape} and times '
+                f'{self.times.shape} do not fit each other'
+            )
+        if not ((self.weight > 0).sum(axis=1) >= ENOUGH_FOR_A_CAMERA).any():
+            raise InputError('no frame has four seen joints: nothing to reconstruct')
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """3D poses and cameras of a sequence.
+
+    Attributes:
+        joints: (F, J, 3) m, camera optical frame's orientation, each pose centred on the mean of its joints.
+        theta: (F, K) m, weights of the base poses.
+        cameras: scale in px/m, rotation body to camera.
+        translation: (F, 2) px, image of the body's origin.
+        residual: (F,) px, RMS reprojection error over the seen joints; NaN where none is.
+        objective: its value at the start and after every step, never rising; m^2.
+        iterations: steps made.
+        converged: False where `max_iterations` ended it.
+    """
+
+    joints: Array
+    theta: Array
+    cameras: Cameras
+    translation: Array
+    residual: Array
+    objective: tuple[float, ...]
+    iterations: int
+    converged: bool
+
+
+def begin(window: Window, model: BasePoses, share: float) -> tuple[Start, float]:
+    """The window's start and unit, or the default ones; `share` s as in `camera.closed_form`."""
+    start = window.start or mean_pose_start(window, model, share)
+    k = len(model.std)
+    return Start(start.theta[:, :k], start.cameras), window.unit or float(np.median(start.cameras.scale))
+
+
+def mean_pose_start(window: Window, model: BasePoses, share: float) -> Start:
+    """The mean pose in every frame, seen by closed-form cameras (TPAMI 2016, section 3.5).
+
+    Frames without enough joints for a camera take the nearest frame's that has them; `share` s as in
+    `camera.closed_form`.
+    """
+    theta = np.zeros((len(window.times), len(model.std)))
+    cameras = closed_form(model.poses(theta), window.points, window.weight, window.times, share)
+    good = np.flatnonzero((window.weight > 0).sum(axis=1) >= ENOUGH_FOR_A_CAMERA)
+    nearest = good[np.abs(window.times[:, None] - window.times[good]).argmin(axis=1)]
+    return Start(theta, Cameras(cameras.scale[nearest], cameras.rotation[nearest]))

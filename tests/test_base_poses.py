@@ -1,0 +1,99 @@
+"""Training recovers a known linear model; files keep it; anything that is not a model is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocap_ros import base_poses as bp
+from mocap_ros.camera import small_rotation
+from mocap_ros.errors import ModelError
+from mocap_ros.skeleton import CMU15
+
+
+def synthetic(rng: np.random.Generator, model: bp.BasePoses, k: int = 3) -> bp.Array:
+    theta = rng.normal(size=(400, k)) * model.std[:k]
+    turn = small_rotation(np.outer(rng.uniform(-3, 3, 400), [0, 0, 1]))
+    return model.poses(theta) @ np.swapaxes(turn, -1, -2) + rng.normal(size=(400, 1, 3))
+
+
+@pytest.mark.parametrize('alignment', ['rotation', 'heading'])
+def test_fit_spans_the_poses_it_was_trained_on(
+    rng: np.random.Generator, walk_model: bp.BasePoses, alignment: str
+) -> None:
+    poses = synthetic(rng, walk_model)
+    model = bp.fit([poses], alignment=alignment)
+    align = bp.rotation_to if alignment == 'rotation' else bp.heading_to
+    body = bp.centred(poses)
+    body = body @ np.swapaxes(align(body, model.mean), -1, -2)
+    assert np.abs(model.poses(model.weights(body)) - body).max() < 1e-3
+    flat = model.components.reshape(len(model.std), -1)
+    assert flat @ flat.T == pytest.approx(np.eye(len(flat)), abs=1e-9)
+    assert (np.diff(model.std) <= 0).all()
+    assert model.explained[2] > 0.99
+
+
+def test_heading_fit_is_the_same_whichever_way_the_walkers_went(
+    rng: np.random.Generator, walk_model: bp.BasePoses
+) -> None:
+    poses = synthetic(rng, walk_model)
+    turned = poses @ small_rotation(np.array([0, 0, 2.0])).T
+    a, b = (bp.fit([p], alignment='heading') for p in (poses, turned))
+    assert a.mean == pytest.approx(b.mean, abs=1e-5)
+    assert a.components[:3] == pytest.approx(b.components[:3], abs=1e-4)
+
+
+def test_stature_and_bone_lengths(walk_model: bp.BasePoses) -> None:
+    assert 1.5 < walk_model.stature < 1.85
+    assert walk_model.rescaled(0.5).stature == pytest.approx(walk_model.stature / 2)
+    longer = bp.with_bone_lengths(walk_model.mean, CMU15, np.full(14, 1.1))
+    assert longer - longer[8] == pytest.approx(1.1 * (walk_model.mean - walk_model.mean[8]))
+
+
+def test_mirrored_training_gives_a_symmetric_mean(rng: np.random.Generator, walk_model: bp.BasePoses) -> None:
+    model = bp.fit([synthetic(rng, walk_model)], alignment='heading', mirror=True)
+    assert model.mean == pytest.approx(bp.mirrored(model.mean, CMU15), abs=2e-3)
+
+
+def test_save_and_load(tmp_path: Path, walk_model: bp.BasePoses) -> None:
+    bp.save(walk_model, tmp_path / 'a.npz')
+    bp.save(walk_model, tmp_path / 'b.npz')
+    assert (tmp_path / 'a.npz').read_bytes() == (tmp_path / 'b.npz').read_bytes()
+    back = bp.load_model(tmp_path / 'a.npz')
+    assert back.components == pytest.approx(walk_model.components, abs=1e-6)
+    assert back.provenance == walk_model.provenance
+
+
+@pytest.mark.parametrize('name', ['walk', 'run', 'jump', 'all'])
+def test_shipped_models_say_where_they_come_from(name: str) -> None:
+    model = bp.load_model(name)
+    assert model.name == name
+    assert len(model.std) >= 30
+    assert 'mocap.cs.cmu.edu' in str(model.provenance['acknowledgement'])
+    assert model.mean[CMU15.index('lshoulder')][1] > 0.1, 'left is +y'
+    assert model.mean[CMU15.index('head')][2] > 0.4, 'up is +z'
+    assert model.mean[CMU15.index('lknee')][0] > model.mean[CMU15.index('lankle')][0], 'front is +x'
+
+
+def test_what_is_no_model_is_refused(tmp_path: Path, rng: np.random.Generator) -> None:
+    path = tmp_path / 'm.npz'
+    for data in (b'', b'PK\x03\x04 not really', rng.bytes(2000)):
+        path.write_bytes(data)
+        with pytest.raises(ModelError, match=r'm\.npz'):
+            bp.load_model(path)
+    np.savez(path, mean=np.array([object()], dtype=object))
+    with pytest.raises(ModelError, match=r'm\.npz'):
+        bp.load_model(path)
+    with pytest.raises(ModelError, match=r"'moonwalk'.*all, jump, run, walk"):
+        bp.load_model('moonwalk')
+
+
+def test_bad_training_data_is_named() -> None:
+    with pytest.raises(ModelError, match='at least two'):
+        bp.fit([])
+    with pytest.raises(ModelError, match=r'trial 1 has shape \(5, 14, 3\)'):
+        bp.fit([np.ones((5, 15, 3)), np.ones((5, 14, 3))])
+    bad = np.ones((5, 15, 3))
+    bad[2, 3, 1] = np.nan
+    with pytest.raises(ModelError, match='trial 0'):
+        bp.fit([bad])
