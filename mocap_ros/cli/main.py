@@ -1,0 +1,53 @@
+"""Entry point of `mocap-ros`.
+
+Exit codes: 0 done; 1 failed, with one line on stderr that says what and where; 2 usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+from mocap_ros.cli import config, demo, evaluate, play, plot, reconstruct, replay, train
+from mocap_ros.errors import MocapError
+
+COMMANDS = (demo, reconstruct, replay, play, plot, evaluate, train, config)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line of all subcommands."""
+    top = argparse.ArgumentParser(
+        prog='mocap-ros', description='People in 3D from one camera and a 2D keypoint detector.'
+    )
+    subparsers = top.add_subparsers(metavar='COMMAND', required=True)
+    for command in COMMANDS:
+        command.add_parser(subparsers)
+    return top
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one subcommand."""
+    args = parser().parse_args(argv)
+    try:
+        return int(args.run(args))
+    except MocapError as error:
+        return _failed(str(error))
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        where = f'{error.filename}: ' if error.filename else ''
+        return _failed(f'{where}{error.strerror or error}')
+    except KeyboardInterrupt:
+        return _failed('interrupted')
+
+
+def _failed(message: str) -> int:
+    print(f'mocap-ros: {" ".join(message.split())}', file=sys.stderr)
+    return 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())

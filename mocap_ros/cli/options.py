@@ -1,0 +1,59 @@
+"""Options that several subcommands share."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TypeVar
+
+import yaml
+from tqdm import tqdm
+
+from mocap_ros.config import Config, from_yaml, with_values
+from mocap_ros.errors import ConfigError
+
+T = TypeVar('T')
+
+
+def add_config_options(parser: argparse.ArgumentParser) -> None:
+    """`--config FILE` and `--set NAME=VALUE`."""
+    parser.add_argument('--config', type=Path, metavar='FILE', help='parameter file (YAML)')
+    parser.add_argument(
+        '--set',
+        action='append',
+        default=[],
+        metavar='NAME=VALUE',
+        help='one parameter, such as solver.components=20 (see `mocap-ros config`); may be repeated',
+    )
+
+
+def config_from(args: argparse.Namespace) -> Config:
+    """The configuration that these options describe.
+
+    Raises:
+        ConfigError: unreadable file, unknown parameter or value out of range.
+    """
+    config = Config()
+    if args.config is not None:
+        try:
+            text = args.config.read_text(encoding='utf-8')
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(f'{args.config}: {getattr(error, "strerror", None) or error}') from None
+        config = from_yaml(text, str(args.config))
+    for assignment in args.set:
+        name, equals, value = assignment.partition('=')
+        if not equals:
+            raise ConfigError(f'--set {assignment}: expected NAME=VALUE')
+        try:
+            parsed = yaml.safe_load(value)
+        except yaml.YAMLError:
+            raise ConfigError(f'--set {assignment}: not a value') from None
+        config = with_values(config, {name: parsed})
+    return config
+
+
+def progress(items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
+    """The items, with a progress bar on a terminal and none in a pipe."""
+    return tqdm(items, desc=description, total=total, disable=not sys.stderr.isatty(), leave=False)

@@ -1,0 +1,55 @@
+"""`mocap-ros plot`: a picture of a sequence file's reconstruction."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mocap_ros import plots
+from mocap_ros.base_poses import load_model
+from mocap_ros.cli.options import add_config_options, config_from
+from mocap_ros.cli.reconstruct import reconstruct_file
+from mocap_ros.io.sequence import load_sequence
+from mocap_ros.skeleton import skeleton_of
+
+
+def add_parser(subparsers: Any) -> None:
+    """Register the subcommand."""
+    p = subparsers.add_parser('plot', help='a picture of a sequence: 2D input and 3D result')
+    p.add_argument('input', type=Path, metavar='SEQUENCE.npz')
+    p.add_argument('-o', '--output', type=Path, metavar='OUT.png', help='default: INPUT.png')
+    p.add_argument('--model', help='base poses: a shipped name or a file (default: tracker.model)')
+    p.add_argument('--poses', type=int, default=8, help='how many frames to show')
+    add_config_options(p)
+    p.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Reconstruct and draw."""
+    config = config_from(args)
+    sequence = load_sequence(args.input)
+    result = reconstruct_file(sequence, load_model(args.model or config.tracker.model), config)
+    truth = None
+    if sequence.truth is not None:
+        names = list(sequence.truth.joint_names)
+        if set(result.skeleton.joints) <= set(names):
+            truth = sequence.truth.joints[:, [names.index(n) for n in result.skeleton.joints]]
+    drawn = plots.Result(
+        times=sequence.timestamps,
+        keypoints=sequence.keypoints,
+        keypoint_skeleton=skeleton_of(sequence.joint_names),
+        joints=result.joints,
+        seen=result.seen,
+        skeleton=result.skeleton,
+        truth=truth,
+    )
+    count = max(1, min(args.poses, len(sequence)))
+    frames = np.linspace(0, len(sequence) - 1, count).round().astype(int).tolist()
+    labels = [f'{sequence.timestamps[f] - sequence.timestamps[0]:.2f} s' for f in frames]
+    output = args.output or args.input.with_suffix('.png')
+    plots.save_figure(plots.poses_figure(drawn, frames, args.input.name, labels), output)
+    print(output)
+    return 0

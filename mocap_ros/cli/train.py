@@ -1,0 +1,77 @@
+"""`mocap-ros train`: base poses from motion capture."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from mocap_ros import base_poses
+from mocap_ros.errors import MocapError
+from mocap_ros.io.mocap import load_trials, select
+
+
+def add_parser(subparsers: Any) -> None:
+    """Register the subcommand."""
+    p = subparsers.add_parser(
+        'train',
+        help='train base poses from motion capture',
+        description='Trains base poses from .npz motion capture ((F, 15, 3) arrays in mm, y up, one key a '
+        'trial, joint names under _joints; a manifest.csv beside it says subjects and categories).',
+    )
+    p.add_argument('data', nargs='+', type=Path, metavar='DATA.npz')
+    p.add_argument('-o', '--output', type=Path, required=True, metavar='MODEL.npz')
+    p.add_argument('--name', help='name of the model (default: the category, or all)')
+    p.add_argument('--manifest', type=Path, metavar='CSV')
+    p.add_argument('--category', action='append', default=[], help='only these; may be repeated')
+    p.add_argument('--subject', action='append', default=[], help='only these; may be repeated')
+    p.add_argument('--without-subject', action='append', default=[], metavar='SUBJECT')
+    p.add_argument('--without-trial', action='append', default=[], metavar='TRIAL')
+    p.add_argument('--components', type=int, default=45, help='base poses kept at most')
+    p.add_argument(
+        '--alignment',
+        choices=['rotation', 'heading'],
+        help='of poses before the analysis (default: heading for a category, rotation for all)',
+    )
+    p.add_argument('--mirror', action=argparse.BooleanOptionalAction, help='add mirror images')
+    p.add_argument('--bodies', type=int, help='added bodies with random bone lengths, a trial')
+    p.add_argument('--source', default='', help='where the data is from, kept in the model')
+    p.add_argument('--acknowledgement', default='', help='what its owner asks for, kept in the model')
+    p.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train and save a model, and say what it holds."""
+    if args.components < 1 or (args.bodies or 0) < 0:
+        raise MocapError('--components must be positive and --bodies not negative')
+    trials = select(
+        [t for path in args.data for t in load_trials(path, args.manifest)],
+        categories=args.category,
+        only_subjects=args.subject,
+        without_subjects=args.without_subject,
+        without_trials=args.without_trial,
+    )
+    if not trials:
+        raise MocapError('no trial is left after the selection')
+    one_category = bool(args.category)
+    model = base_poses.fit(
+        [t.poses for t in trials],
+        name=args.name or '+'.join(args.category) or 'all',
+        components=args.components,
+        alignment=args.alignment or ('heading' if one_category else 'rotation'),
+        mirror=one_category if args.mirror is None else args.mirror,
+        bodies=(2 if one_category else 0) if args.bodies is None else args.bodies,
+        provenance={
+            'data': [path.name for path in args.data],
+            'source': args.source,
+            'acknowledgement': args.acknowledgement,
+            'trials': [t.name for t in trials],
+        },
+    )
+    base_poses.save(model, args.output)
+    ten = model.explained[min(9, len(model.explained) - 1)]
+    print(
+        f'{args.output}: {len(model.std)} base poses from {len(trials)} trials, '
+        f'{sum(len(t.poses) for t in trials)} poses; the first ten hold {ten:.1%} of the variance'
+    )
+    return 0

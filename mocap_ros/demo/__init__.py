@@ -1,0 +1,1 @@
+"""The demo recording: synthetic, generated from trained base poses, with its truth."""

@@ -1,0 +1,1 @@
+"""Files and messages: everything that is read or written."""

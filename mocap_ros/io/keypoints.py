@@ -1,0 +1,58 @@
+"""What every 2D keypoint must fulfil, wherever it comes from: message or file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SCORE_SLACK = 1e-3
+
+
+@dataclass(frozen=True)
+class Fault:
+    """The first keypoint that cannot be used.
+
+    Attributes:
+        field: `x`, `y` or `score`.
+        index: of the keypoint in the scores.
+        what: what is wrong with it.
+    """
+
+    field: str
+    index: tuple[int, ...]
+    what: str
+
+
+def first_fault(points: Array, score: Array) -> Fault | None:
+    """The first infinite coordinate, or score outside [0, 1] by more than `SCORE_SLACK`.
+
+    Args:
+        points: (..., J, 2) px; NaN is no fault.
+        score: (..., J); NaN is no fault.
+    """
+    outside = (score < -SCORE_SLACK) | (score > 1 + SCORE_SLACK)
+    for field, wrong, values in (
+        ('x', np.isinf(points[..., 0]), points[..., 0]),
+        ('y', np.isinf(points[..., 1]), points[..., 1]),
+        ('score', outside, score),
+    ):
+        if wrong.any():
+            index = tuple(int(i) for i in np.argwhere(wrong)[0])
+            expected = 'a score in [0, 1]' if field == 'score' else 'a finite number of px'
+            return Fault(field, index, f'{values[index]:g}, expected {expected}')
+    return None
+
+
+def normalised(points: Array, score: Array) -> tuple[Array, Array]:
+    """The same keypoints with NaN points and score 0 wherever one of them says "not seen".
+
+    Args:
+        points: (..., J, 2) px.
+        score: (..., J) in [0, 1], or NaN.
+    """
+    seen = (score > 0) & np.isfinite(points).all(axis=-1)
+    return np.where(seen[..., None], points, np.nan), np.where(seen, np.minimum(score, 1.0), 0.0)
