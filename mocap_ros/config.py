@@ -51,6 +51,10 @@ class SolverConfig:
         0.1, "m, error from which Cauchy's loss discounts a point; 0 for least squares", low=0.0
     )
     relative_bones: bool = _p(False, 'bone-length variance relative to the length of each bone')
+    harmonics: int = _p(2, 'harmonics of the periodic model', low=1, high=8)
+    paper_sines: bool = _p(
+        False, 'periodic model as in the paper: one sine a base pose with its own frequency (eq. 17)'
+    )
     method: str = _p(
         'joint',
         'joint: Levenberg-Marquardt over everything at once; alternation: Algorithm 1 of the paper',

@@ -317,7 +317,18 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
     state = problem.best_translation(initial_state(problem, starts, s0))
     state = problem.best_translation(state)
     state, history, iterations, converged = _levenberg_marquardt(problem, state, config)
-    return _results(problem, windows, s0, state, history, iterations, converged)
+    return tuple(
+        result(
+            problem,
+            i,
+            window,
+            s0[i],
+            state,
+            [float(h[i]) for h in history[: iterations[i] + 1]],
+            bool(converged[i]),
+        )
+        for i, window in enumerate(windows)
+    )
 
 
 def initial_state(problem: Problem, starts: Sequence[Start], s0: Array) -> State:
@@ -367,34 +378,34 @@ def _levenberg_marquardt(
     return state, history, taken, done
 
 
-def _results(
+def result(
     problem: Problem,
-    windows: Sequence[Window],
-    s0: Array,
+    sequence: int,
+    window: Window,
+    unit: float,
     state: State,
-    history: list[Array],
-    iterations: NDArray[np.intp],
-    converged: NDArray[np.bool_],
-) -> tuple[Reconstruction, ...]:
-    poses = problem.model.poses(state.theta)
-    _, error = problem._residual(state)
-    out = []
-    for i, (window, start, count) in enumerate(zip(windows, problem.starts, problem.counts, strict=True)):
-        own = slice(start, start + count)
-        seen = window.weight > 0
-        px = error[own] * s0[i]
-        with np.errstate(invalid='ignore'):
-            residual = np.sqrt((seen[..., None] * px**2).sum(axis=(1, 2)) / seen.sum(axis=1))
-        out.append(
-            Reconstruction(
-                joints=poses[own] @ np.swapaxes(state.rotation[own], -1, -2),
-                theta=state.theta[own],
-                cameras=Cameras(np.exp(state.log_scale[own]) * s0[i], state.rotation[own]),
-                translation=state.translation[own] * s0[i],
-                residual=residual,
-                objective=tuple(float(h[i]) for h in history[: iterations[i] + 1]),
-                iterations=int(iterations[i]),
-                converged=bool(converged[i]),
-            )
-        )
-    return tuple(out)
+    history: Sequence[float],
+    converged: bool,
+) -> Reconstruction:
+    """The reconstruction of one sequence of a batch, `unit` px/m, `history` its objective from the start on."""
+    start = problem.starts[sequence]
+    own = slice(start, start + problem.counts[sequence])
+    poses = problem.model.poses(state.theta[own])
+    rotation = state.rotation[own]
+    turned = poses @ np.swapaxes(rotation, -1, -2)
+    cameras = Cameras(np.exp(state.log_scale[own]) * unit, rotation)
+    translation = state.translation[own] * unit
+    error = cameras.scale[:, None, None] * turned[..., :2] + translation[:, None] - window.points
+    seen = window.weight > 0
+    with np.errstate(invalid='ignore'):
+        residual = np.sqrt((seen[..., None] * error**2).sum(axis=(1, 2)) / seen.sum(axis=1))
+    return Reconstruction(
+        joints=turned,
+        theta=state.theta[own],
+        cameras=cameras,
+        translation=translation,
+        residual=residual,
+        objective=tuple(history),
+        iterations=len(history) - 1,
+        converged=converged,
+    )

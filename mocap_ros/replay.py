@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,8 +10,8 @@ from mocap_ros.base_poses import shipped_models
 from mocap_ros.config import Config, Value, values, with_values
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.io.bags import Bag, BagMessage, read_run
-from mocap_ros.io.journal import RESET, Entry, Journal, Verdict
-from mocap_ros.io.messages import CAMERA_INFO
+from mocap_ros.io.journal import RESET, Journal, Verdict
+from mocap_ros.io.messages import CAMERA_INFO, OutputMessage
 from mocap_ros.io.recorder import Recorder
 from mocap_ros.pipeline import (
     LATCHED_OUTPUTS,
@@ -81,14 +81,19 @@ def replay(
             if number == 1:
                 _begin(recorder, journal, config, now)
             for entry in run.events.get(number - 1, ()):
-                _repeat(entry, pipeline, journal, now, bag, parameters=not kept)
+                if entry.kind == RESET:
+                    journal.reset(now)
+                    _write(recorder, pipeline.reset(), now)
+                elif not kept:
+                    pipeline.reconfigure(_parameters(pipeline.config, entry.parameters, bag))
+                    journal.parameters(values(pipeline.config), now)
             if number in run.unseen:
                 outcome = pipeline.note_overtaken()
             else:
                 outcome = pipeline.feed(inputs[message.topic], message.raw)
             journal.input(message.topic, message.type, message.raw, (now, now), outcome.verdict, outcome.reason)
             for output in outcome.outputs:
-                recorder.write('/' + output.topic, output.type, output.data, now, now)
+                _write(recorder, output, now)
             if outcome.verdict is not Verdict.ACCEPTED and not first_reason:
                 first_reason = f'{bag.path}: {message.topic}: message {number}: {outcome.reason}'
     return ReplayResult(pipeline.counters, first_reason)
@@ -96,24 +101,16 @@ def replay(
 
 def _begin(recorder: Recorder, journal: Journal, config: Config, now: int) -> None:
     journal.parameters(values(config), now)
-    definition = skeleton_definition()
     for topic, msgtype in LATCHED_OUTPUTS.items():
         recorder.announce('/' + topic, msgtype, latched=True)
-    recorder.write('/' + definition.topic, definition.type, definition.data, now, now)
+    _write(recorder, skeleton_definition(), now)
 
 
-def _repeat(entry: Entry, pipeline: Pipeline, journal: Journal, now: int, bag: Bag, *, parameters: bool) -> None:
-    """Do again what a line of the journal says."""
-    if entry.kind == RESET:
-        pipeline.reset()
-        journal.reset(now)
-    elif parameters:
-        config = _parameters(pipeline.config, dict(entry.parameters), bag)
-        pipeline.reconfigure(config)
-        journal.parameters(values(config), now)
+def _write(recorder: Recorder, output: OutputMessage, now: int) -> None:
+    recorder.write('/' + output.topic, output.type, output.data, now, now)
 
 
-def _parameters(config: Config, recorded: dict[str, Value], bag: Bag) -> Config:
+def _parameters(config: Config, recorded: Mapping[str, Value], bag: Bag) -> Config:
     """The parameters of a recorded run. A bag may name no file: its model must be one of ours."""
     model = recorded.get('tracker.model', config.tracker.model)
     if model not in shipped_models():

@@ -129,7 +129,10 @@ def _draw(sequence: Sequence, joints: Array, filled: NDArray[np.bool_], picture:
     )
     frames = np.searchsorted(sequence.timestamps, SHOWN_SECONDS).tolist()
     labels = [f'{act_at(t)}, {t:.1f} s' for t in SHOWN_SECONDS]
-    title = 'Live 3D reconstruction of the synthetic demo (blue left, red right, grey truth, orange not seen but filled in)'
+    title = (
+        'Live 3D reconstruction of the synthetic demo: '
+        'blue left, red right, grey truth, orange not seen but filled in'
+    )
     plots.save_figure(plots.poses_figure(result, frames, title, labels), picture)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mocap_ros.errors import MocapError
+from mocap_ros.io.samples import samples_of
 
 
 def add_parser(subparsers: Any) -> None:
@@ -28,7 +29,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Play the input and say how much it was."""
     try:
-        from mocap_ros.ros.player import play, samples_of
+        from mocap_ros.ros.player import play
     except ImportError as error:
         raise MocapError(
             f'play needs ROS 2, and there is none for this Python ({error}); `make setup` gets it'

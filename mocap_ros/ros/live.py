@@ -144,7 +144,7 @@ class LiveRun:
         with self._busy:
             while self._waiting:
                 self._finish(self._waiting.popleft(), self._pipeline.note_overtaken())
-            self._publish(self._pipeline.reset())
+            self._emit(self._pipeline.reset())
             self._end_recording()
 
     def put(self, source: Source, raw: bytes, sent_ns: int) -> None:
@@ -159,9 +159,9 @@ class LiveRun:
     def reset(self) -> None:
         """Forget everybody."""
         with self._busy:
-            self._publish(self._pipeline.reset())
             if self._journal is not None:
                 self._recorded(self._journal.reset, self._clock.now_ns())
+            self._emit(self._pipeline.reset())
 
     def reconfigure(self, config: Config) -> None:
         """Go on with other parameters."""
@@ -263,9 +263,17 @@ class LiveRun:
             verdict, reason = outcome.verdict, outcome.reason
             self._recorded(self._journal.input, topic, kind, item.raw, item.times_ns, verdict, reason)
         for output in outcome.outputs:
-            if self._recorder is not None:
-                where, times = self._names[output.topic], (published_ns, published_ns)
-                self._recorded(self._recorder.write, where, output.type, output.data, *times)
+            self._record(output, published_ns)
+
+    def _emit(self, output: OutputMessage) -> None:
+        """Publish and record an output that no input caused."""
+        self._publish(output)
+        self._record(output, self._clock.now_ns())
+
+    def _record(self, output: OutputMessage, published_ns: int) -> None:
+        if self._recorder is not None:
+            topic, times = self._names[output.topic], (published_ns, published_ns)
+            self._recorded(self._recorder.write, topic, output.type, output.data, *times)
 
     def _miss_frame_id(self, topic: str) -> None:
         if not self._frame_id_missed:

@@ -1,0 +1,334 @@
+"""The node as users run it: processes of their own, talking over DDS, ended by signals."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from itertools import count, islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from mocap_ros.demo.scene import make_recording
+from mocap_ros.io import messages
+from mocap_ros.io.bags import Bag
+from mocap_ros.io.messages import Header, decode, encode_keypoints
+from mocap_ros.io.recorder import Recorder
+from mocap_ros.io.samples import sequence_samples
+from mocap_ros.io.sequence import save_sequence
+from mocap_ros.people import Person2D
+from mocap_ros.pipeline import OUTPUTS
+from mocap_ros.replay import replay
+from mocap_ros.skeleton import layout
+
+rclpy = pytest.importorskip('rclpy')
+pytest.importorskip('mocap_ros_msgs')
+
+pytestmark = pytest.mark.ros
+
+PATIENCE = 20.0
+FRAMES = 60
+DOMAINS = count(os.getpid())
+FAST = ['tracker.warm_iterations:=1', 'tracker.fresh_iterations:=3', 'solver.components:=8']
+
+
+class Peer:
+    """A node in this process: sends keypoints, takes the node's outputs as bytes."""
+
+    def __init__(self, domain: int) -> None:
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from rclpy.signals import SignalHandlerOptions
+
+        from mocap_ros.ros.types import message_class
+
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = rclpy.create_node('peer', context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.received: dict[str, list[bytes]] = {}
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.subscriptions = []
+        for topic, msgtype in (*OUTPUTS.items(), ('skeleton_definition', messages.SKELETON_DEFINITION)):
+            self.received[topic] = []
+            qos = QoSProfile(depth=1000) if topic in OUTPUTS else latched
+            take = self.received[topic].append
+            kind = message_class(msgtype)
+            self.subscriptions.append(self.node.create_subscription(kind, topic, take, qos, raw=True))
+        self.keypoints = self.node.create_publisher(message_class(messages.KEYPOINTS), 'keypoints', 10)
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+    def wait(self, what: Callable[[], object]) -> None:
+        end = time.monotonic() + PATIENCE
+        while not what():
+            assert time.monotonic() < end
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def wait_for_the_node(self) -> None:
+        self.wait(lambda: all(s.get_publisher_count() for s in self.subscriptions))
+        self.wait(lambda: self.received['skeleton_definition'])
+
+    def call(self, kind: Any, name: str, **request: object) -> Any:
+        client = self.node.create_client(kind, name)
+        self.wait(client.service_is_ready)
+        future = client.call_async(kind.Request(**request))
+        self.wait(future.done)
+        return future.result()
+
+    def stamps(self, topic: str) -> list[int]:
+        found = []
+        for raw in self.received[topic]:
+            message = decode(raw, OUTPUTS[topic])
+            if topic == 'markers' and message.markers[0].action == 3:  # DELETEALL
+                continue
+            header = message.markers[0].header if topic == 'markers' else message.header
+            found.append(header.stamp.sec * 10**9 + header.stamp.nanosec)
+        return found
+
+
+@pytest.fixture
+def env(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, str]:
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(next(DOMAINS) % 101 + 1))
+    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
+    return dict(os.environ)
+
+
+@pytest.fixture
+def peer(env: dict[str, str]) -> Iterator[Peer]:
+    peer = Peer(int(env['ROS_DOMAIN_ID']))
+    yield peer
+    peer.close()
+
+
+@pytest.fixture
+def start_node(env: dict[str, str], tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*parameters: str) -> subprocess.Popen[str]:
+        options = [word for p in (*FAST, *parameters) for word in ('-p', p)]
+        command = [sys.executable, '-m', 'mocap_ros.ros.node', '--ros-args', *options]
+        process = subprocess.Popen(
+            command, env=env, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def end(process: subprocess.Popen[str], by: signal.Signals) -> list[str]:
+    """End the node; returns what it logged as warnings and errors."""
+    asked = time.monotonic()
+    process.send_signal(by)
+    _, log = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0
+    assert time.monotonic() - asked < 1.5
+    return [line for line in log.splitlines() if not line.startswith('[INFO]')]
+
+
+def mocap_ros(env: dict[str, str], *arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, '-m', 'mocap_ros.cli.main', *map(str, arguments)]
+    return subprocess.run(command, env=env, capture_output=True, text=True, check=False, timeout=60)
+
+
+def joints(skeletons: list[bytes]) -> np.ndarray:
+    people = [decode(raw, messages.SKELETONS).people for raw in skeletons]
+    return np.array([[p.x, p.y, p.z] for frame in people for person in frame for p in person.joints])
+
+
+def test_live_run_is_received_recorded_and_replayed(
+    env: dict[str, str], peer: Peer, start_node: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    sequence = make_recording().sequence()
+    played = tmp_path / 'demo.npz'
+    save_sequence(played, sequence)
+    samples = list(islice(sequence_samples(sequence), FRAMES))
+    with Recorder(tmp_path / 'played', messages_config()) as recorder:
+        for sample in samples:
+            recorder.write('/detections', messages.KEYPOINTS, sample.raw, sample.due_ns, sample.due_ns)
+
+    node = start_node('recorder.enabled:=true', f'recorder.folder:={tmp_path}/bags')
+    peer.wait_for_the_node()
+    started = time.monotonic()
+    player = subprocess.Popen(
+        [sys.executable, '-m', 'mocap_ros.cli.main', 'play', str(tmp_path / 'played')],
+        env=env,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    peer.wait(lambda: all(len(peer.stamps(t)) >= FRAMES for t in OUTPUTS))
+    assert time.monotonic() - started > (FRAMES - 1) / 30
+    out, _ = player.communicate(timeout=PATIENCE)
+    assert out == f'{tmp_path}/played: {FRAMES} messages published on keypoints\n'
+    warnings = end(node, signal.SIGTERM)
+    peer.wait(lambda: decode(peer.received['markers'][-1], messages.MARKERS).markers[0].action == 3)
+
+    assert warnings == []
+    for topic in OUTPUTS:
+        assert peer.stamps(topic) == sequence.stamps_ns[:FRAMES]
+    (definition,) = peer.received['skeleton_definition']
+    assert decode(definition, messages.SKELETON_DEFINITION).name == 'cmu15'
+
+    (bag_folder,) = (tmp_path / 'bags').iterdir()
+    with Bag(bag_folder) as bag:
+        recorded = {t: [m.raw for m in bag.messages(['/' + t])] for t in (*peer.received, 'keypoints')}
+        times = [m.time_ns for m in bag.messages(bag.topics)]
+    assert recorded.pop('keypoints') == [s.raw for s in samples]
+    assert recorded == peer.received
+    assert times == sorted(times)
+    assert abs(times[-1] - time.time_ns()) < 60e9
+    with (bag_folder / f'{bag_folder.name}_0.mcap').open('rb') as file:
+        read: dict[str, list[bytes]] = {}
+        for _, channel, message in make_reader(file).iter_messages():
+            read.setdefault(channel.topic, []).append(message.data)
+            assert message.publish_time <= message.log_time
+    assert {t: read['/' + t] for t in recorded} == recorded
+
+    done = mocap_ros(env, 'replay', bag_folder, '-o', tmp_path / 'again')
+    assert (done.returncode, done.stderr) == (0, '')
+    with Bag(tmp_path / 'again') as again:
+        replayed = [m.raw for m in again.messages(['/skeletons'])]
+    assert len(replayed) == FRAMES
+    np.testing.assert_allclose(joints(replayed), joints(recorded['skeletons']), atol=1e-9, rtol=0)
+
+
+def messages_config() -> Any:
+    from mocap_ros.config import RecorderConfig
+
+    return RecorderConfig()
+
+
+def stamped(seconds: float, **change: Any) -> bytes:
+    """A good message, or one with something changed in its person."""
+    names = layout('coco17').joints
+    points = make_recording().keypoints[0]
+    person = Person2D('', names, np.nan_to_num(points[:, :2]), points[:, 2])
+    raw = encode_keypoints(Header(round(seconds * 1e9), 'camera'), (640, 480), [person])
+    message = decode(raw, messages.KEYPOINTS)
+    for field, value in change.items():
+        setattr(message.people[0], field, value)
+    return messages.encode(message, messages.KEYPOINTS)
+
+
+X = np.arange(17, dtype='f4')
+BAD_STREAM = {
+    stamped(10, x=np.where(X == 3, np.inf, X)): r'people\[0\]\.x\[3\]: inf',
+    stamped(10, score=np.full(17, 1.5, 'f4')): r'people\[0\]\.score\[0\]: 1\.5',
+    stamped(10, score=np.full(17, -1, 'f4')): r'people\[0\]\.score\[0\]: -1',
+    stamped(10, y=X[:5]): r'people\[0\]\.x, y, score: unequal lengths 17, 5, 17',
+    stamped(10, skeleton='coco99'): r"people\[0\]\.skeleton: unknown keypoint layout 'coco99'; known: .*coco17",
+    stamped(10, skeleton='body25'): r"people\[0\]\.skeleton: 'body25' has 25 joints, x has 17",
+    stamped(10)[:-6]: 'not a mocap_ros_msgs/msg/Keypoints2DArray',
+    b'\0\1\0\0rubbish': 'not a mocap_ros_msgs/msg/Keypoints2DArray',
+    stamped(1): 'stamp 1000000000 ns is older than',
+}
+
+
+def test_bad_input_is_said_once_each_and_the_stream_goes_on(
+    peer: Peer, start_node: Callable[..., subprocess.Popen[str]]
+) -> None:
+    import re
+
+    node = start_node()
+    peer.wait_for_the_node()
+    peer.wait(lambda: peer.keypoints.get_subscription_count() == 1)
+    sent = []
+    for i, bad in enumerate(BAD_STREAM):
+        sent.append(20 + i)
+        peer.keypoints.publish(stamped(20 + i))
+        peer.wait(lambda: len(peer.received['skeletons']) == len(sent))
+        peer.keypoints.publish(bad)
+    unseen = stamped(50, x=np.full(17, np.nan, 'f4'))
+    nobody = encode_keypoints(Header(51 * 10**9, 'camera'), (640, 480), [])
+    for last in (unseen, nobody, stamped(52)):
+        peer.keypoints.publish(last)
+    peer.wait(lambda: len(peer.received['skeletons']) == len(sent) + 3)
+    complaints = end(node, signal.SIGINT)
+
+    assert peer.stamps('skeletons') == [s * 10**9 for s in (*sent, 50, 51, 52)]
+    assert len(complaints) == len(BAD_STREAM)
+    for number, (line, reason) in enumerate(zip(complaints, BAD_STREAM.values(), strict=True)):
+        assert re.search(rf': /keypoints: message {2 * number + 2}: {reason}', line), line
+
+
+def test_services_parameters_and_lifecycle(
+    peer: Peer, start_node: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    from lifecycle_msgs.srv import ChangeState
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+    from std_srvs.srv import SetBool, Trigger
+
+    def set_parameter(name: str, value: object) -> Any:
+        request = [Parameter(name, value=value).to_parameter_msg()]
+        return peer.call(SetParameters, 'mocap_node/set_parameters', parameters=request).results[0]
+
+    node = start_node(f'recorder.folder:={tmp_path}/bags', 'node.silence_warning:=0.5')
+    peer.wait_for_the_node()
+    assert set_parameter('tracker.min_score', 0.2).successful
+    assert not set_parameter('tracker.min_score', 1.5).successful
+    assert 'squared, frobenius' in set_parameter('solver.norm', 'none').reason
+    assert not set_parameter('recorder.folder', '/').successful
+
+    assert peer.call(SetBool, 'mocap_node/record', data=True).success
+    assert 'already' in peer.call(SetBool, 'mocap_node/record', data=True).message
+    peer.keypoints.publish(stamped(1))
+    peer.wait(lambda: peer.received['skeletons'])
+    assert peer.call(Trigger, 'mocap_node/reset').success
+    peer.keypoints.publish(stamped(1))
+    peer.wait(lambda: len(peer.received['skeletons']) == 2)
+    done = peer.call(SetBool, 'mocap_node/record', data=False)
+    assert done.success
+    with Bag(done.message) as bag:
+        assert bag.count(['/skeletons']) == 2
+        replay(bag, tmp_path / 'again')
+
+    for transition in (4, 3):  # deactivate, activate
+        request = ChangeState.Request()
+        request.transition.id = transition
+        assert peer.call(ChangeState, 'mocap_node/change_state', transition=request.transition).success
+    peer.keypoints.publish(stamped(1))
+    peer.wait(lambda: len(peer.received['skeletons']) == 3)
+    time.sleep(1.2)
+    (silence,) = {line.partition(']: ')[2] for line in end(node, signal.SIGTERM) if 'no message' in line}
+    assert silence.startswith('no message on /keypoints for 1 s: its publisher sends nothing')
+
+
+@pytest.mark.parametrize(
+    ('parameter', 'reason'),
+    [
+        ('node.input_type:=std_msgs/msg/String', "'std_msgs/msg/String' is not supported; mocap_ros_msgs"),
+        ('tracker.model:=nowhere.npz', "no base-pose model 'nowhere.npz'"),
+        ('tracker.min_score:=2.0', 'tracker.min_score'),
+    ],
+)
+def test_a_node_that_cannot_start_says_why_in_one_line(
+    start_node: Callable[..., subprocess.Popen[str]], parameter: str, reason: str
+) -> None:
+    process = start_node(parameter)
+    _, log = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    assert len(log.splitlines()) == 1
+    assert reason in log
+
+
+def test_playing_to_nobody_fails_in_one_line(env: dict[str, str], tmp_path: Path) -> None:
+    save_sequence(tmp_path / 'demo.npz', make_recording().sequence())
+    done = mocap_ros(env, 'play', tmp_path / 'demo.npz', '--wait', '0.3')
+    assert (done.returncode, done.stderr) == (1, 'mocap-ros: nobody subscribed to /keypoints within 0.3 s\n')

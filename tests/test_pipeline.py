@@ -1,0 +1,267 @@
+"""The pipeline: bytes in, bytes out; live and replay agree; bad input is counted and changes nothing."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mocap_ros.config import Config, with_values
+from mocap_ros.demo.scene import make_recording
+from mocap_ros.errors import FrameDropped, InputError
+from mocap_ros.io import messages
+from mocap_ros.io.bags import Bag
+from mocap_ros.io.messages import Header, OutputMessage, decode, encode_keypoints, new
+from mocap_ros.io.samples import sequence_samples
+from mocap_ros.people import Person2D
+from mocap_ros.pipeline import Pipeline, Source
+from mocap_ros.replay import replay
+from mocap_ros.ros.live import LiveRun
+from mocap_ros.skeleton import layout
+
+CONFIG = with_values(
+    Config(), {'solver.components': 8, 'tracker.warm_iterations': 1, 'tracker.fresh_iterations': 3}
+)
+FRAMES = 25
+NAMES = {
+    t: f'/{t}' for t in ('keypoints', 'camera_info', 'skeletons', 'cameras', 'markers', 'skeleton_definition')
+} | {'journal': '/mocap_node/journal'}
+
+
+@pytest.fixture(scope='module')
+def stream() -> list[bytes]:
+    return [s.raw for s in islice(sequence_samples(make_recording().sequence()), FRAMES)]
+
+
+def camera_info(width: int = 640, height: int = 480, focal: float = 600.0) -> bytes:
+    region = new('sensor_msgs/msg/RegionOfInterest', x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+    stamp = new('builtin_interfaces/msg/Time', sec=0, nanosec=0)
+    message = new(
+        messages.CAMERA_INFO,
+        header=new('std_msgs/msg/Header', stamp=stamp, frame_id='camera'),
+        height=height,
+        width=width,
+        distortion_model='plumb_bob',
+        d=np.zeros(5),
+        k=np.array([focal, 0, width / 2, 0, focal, height / 2, 0, 0, 1]),
+        r=np.eye(3).ravel(),
+        p=np.zeros(12),
+        binning_x=0,
+        binning_y=0,
+        roi=region,
+    )
+    return messages.encode(message, messages.CAMERA_INFO)
+
+
+def skeletons(outputs: tuple[OutputMessage, ...]) -> Any:
+    return decode({o.topic: o for o in outputs}['skeletons'].data, messages.SKELETONS)
+
+
+def test_every_output_has_the_stamp_and_frame_of_its_input(stream: list[bytes]) -> None:
+    pipeline = Pipeline(CONFIG)
+    for raw in stream[:3]:
+        header = messages.decode_keypoints(raw, CONFIG.node).header
+        outputs = pipeline.process(raw)
+        assert [o.topic for o in outputs] == ['skeletons', 'cameras', 'markers']
+        assert {o.stamp_ns for o in outputs} == {header.stamp_ns}
+        by_topic = {o.topic: decode(o.data, o.type) for o in outputs}
+        markers = by_topic.pop('markers').markers
+        headers = [m.header for m in (*by_topic.values(), *markers)]
+        stamps = {h.stamp.sec * 10**9 + h.stamp.nanosec for h in headers}
+        assert stamps == {header.stamp_ns}
+        assert {h.frame_id for h in headers} == {'camera'}
+        assert len(by_topic['skeletons'].people) == len(by_topic['cameras'].cameras) == 1
+    assert pipeline.counters.accepted == 3
+
+
+def test_nobody_is_published_as_nobody(stream: list[bytes]) -> None:
+    pipeline = Pipeline(CONFIG)
+    pipeline.process(stream[0])
+    outputs = pipeline.process(encode_keypoints(Header(10**12, 'camera'), (640, 480), []))
+    assert skeletons(outputs).people == []
+    actions = [m.action for m in decode(outputs[2].data, messages.MARKERS).markers]
+    assert actions == [2, 2]
+
+
+def test_bad_input_is_counted_and_changes_nothing(stream: list[bytes]) -> None:
+    clean, dirty = Pipeline(CONFIG), Pipeline(CONFIG)
+    for i, raw in enumerate(stream[:6]):
+        outputs = dirty.process(raw)
+        assert [o.data for o in clean.process(raw)] == [o.data for o in outputs]
+        with pytest.raises(FrameDropped, match='repeats'):
+            dirty.process(raw)
+        with pytest.raises(InputError, match='not a mocap_ros_msgs'):
+            dirty.process(raw[:50])
+        if i:
+            with pytest.raises(FrameDropped, match='older'):
+                dirty.process(stream[i - 1])
+    counters = dirty.counters
+    assert (counters.accepted, counters.invalid, counters.dropped['stamp']) == (6, 6, 11)
+
+
+def test_one_visible_joint_is_no_crash() -> None:
+    joints = layout('coco17').joints
+    points = np.full((17, 2), np.nan)
+    points[3] = 100
+    person = Person2D('', joints, points, np.where(np.arange(17) == 3, 1.0, 0.0))
+    outputs = Pipeline(CONFIG).process(encode_keypoints(Header(0, 'camera'), (640, 480), [person]))
+    assert skeletons(outputs).people == []
+
+
+def test_image_size_comes_from_message_then_camera_then_parameters(stream: list[bytes]) -> None:
+    sizeless = decode(stream[0], messages.KEYPOINTS)
+    sizeless.image_width = 0
+    raw = messages.encode(sizeless, messages.KEYPOINTS)
+    with pytest.raises(InputError, match=r'node\.image_width'):
+        Pipeline(CONFIG).process(raw)
+
+    sized = replace(CONFIG, node=replace(CONFIG.node, image_width=640, image_height=480))
+    nominal = skeletons(Pipeline(sized).process(raw)).people[0]
+    assert nominal.scale_source == nominal.SCALE_NOMINAL
+
+    pipeline = Pipeline(CONFIG)
+    pipeline.set_camera_info(camera_info())
+    known = skeletons(pipeline.process(raw)).people[0]
+    assert known.scale_source == known.SCALE_KNOWN
+    assert known.joints[0].z == pytest.approx(nominal.joints[0].z * 600 / 640, rel=0.02)
+
+
+def test_a_camera_info_that_does_not_fit_is_refused(stream: list[bytes]) -> None:
+    pipeline = Pipeline(CONFIG)
+    with pytest.raises(InputError, match='not calibrated'):
+        pipeline.set_camera_info(camera_info(focal=0))
+    assert pipeline.camera_info is None
+    pipeline.set_camera_info(camera_info(width=1280))
+    with pytest.raises(InputError, match='640 x 480 px, but CameraInfo is for 1280 x 480 px'):
+        pipeline.process(stream[0])
+
+
+class Log:
+    """Collects what is logged."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def info(self, message: str) -> None:
+        self.lines.append(f'info {message}')
+
+    def warning(self, message: str) -> None:
+        self.lines.append(f'warning {message}')
+
+    def error(self, message: str) -> None:
+        self.lines.append(f'error {message}')
+
+
+class Live:
+    """A live run whose outputs are collected."""
+
+    def __init__(self, config: Config) -> None:
+        self.log = Log()
+        self.published: list[OutputMessage] = []
+        types = {Source.KEYPOINTS: messages.KEYPOINTS, Source.CAMERA_INFO: messages.CAMERA_INFO}
+        self.run = LiveRun(Pipeline(config), types, NAMES, self.published.append, self.log)
+        self.run.start()
+
+    def frames(self) -> int:
+        return sum(o.topic == 'skeletons' for o in self.published)
+
+    def wait_for_frames(self, count: int) -> None:
+        end = time.monotonic() + 20
+        while self.frames() < count:
+            assert time.monotonic() < end
+            time.sleep(0.002)
+
+
+def recorded(bag: Path, topic: str) -> list[bytes]:
+    with Bag(bag) as reader:
+        return [m.raw for m in reader.messages([topic])]
+
+
+def recording(folder: Path, **values: object) -> Config:
+    return with_values(CONFIG, {'recorder.enabled': True, 'recorder.folder': str(folder), **values})
+
+
+def assert_replay_gives_the_same(bag_folder: Path, out: Path) -> None:
+    with Bag(bag_folder) as bag:
+        replay(bag, out)
+    for topic in ('/keypoints', '/camera_info', '/skeletons', '/cameras'):
+        assert recorded(out, topic) == recorded(bag_folder, topic)
+
+
+def test_a_replay_repeats_resets_parameters_and_bad_input(tmp_path: Path, stream: list[bytes]) -> None:
+    live = Live(recording(tmp_path / 'live'))
+    for raw in stream[:8]:
+        live.run.put(Source.KEYPOINTS, raw, 5)
+    live.wait_for_frames(8)
+    live.run.put(Source.CAMERA_INFO, camera_info(), 5)
+    live.run.put(Source.KEYPOINTS, stream[3], 5)
+    live.run.put(Source.KEYPOINTS, stream[8][:60], 5)
+    live.run.put(Source.KEYPOINTS, stream[8], 5)
+    live.wait_for_frames(9)
+    live.run.reset()
+    for raw in stream[5:9]:
+        live.run.put(Source.KEYPOINTS, raw, 5)
+    live.wait_for_frames(13)
+    live.run.reconfigure(recording(tmp_path / 'live', **{'solver.components': 5}))
+    for raw in stream[9:13]:
+        live.run.put(Source.KEYPOINTS, raw, 5)
+    live.wait_for_frames(17)
+    live.run.stop()
+
+    (bag,) = (tmp_path / 'live').iterdir()
+    assert recorded(bag, '/skeletons') == [o.data for o in live.published if o.topic == 'skeletons']
+    assert len(recorded(bag, '/keypoints')) == 19
+    assert_replay_gives_the_same(bag, tmp_path / 'again')
+    complaints = [line for line in live.log.lines if '/keypoints' in line]
+    assert len(complaints) == 2
+    assert complaints[0].startswith('warning /keypoints: message 9: stamp ')
+    assert complaints[1].startswith('error /keypoints: message 10: not a mocap_ros_msgs/msg/Keypoints2DArray')
+
+
+def test_what_comes_too_fast_is_passed_over_counted_and_left_out_of_a_replay(
+    tmp_path: Path, stream: list[bytes]
+) -> None:
+    live = Live(recording(tmp_path / 'live', **{'node.queue': 2}))
+    for raw in stream:
+        live.run.put(Source.KEYPOINTS, raw, 0)
+    newest = messages.decode_keypoints(stream[-1], CONFIG.node).header.stamp_ns
+    end = time.monotonic() + 20
+    while not live.published or live.published[-1].stamp_ns != newest:
+        assert time.monotonic() < end
+        time.sleep(0.002)
+    live.run.stop()
+    assert 2 <= live.frames() < FRAMES
+    assert any('newer messages were waiting' in line for line in live.log.lines)
+
+    (bag,) = (tmp_path / 'live').iterdir()
+    assert recorded(bag, '/keypoints') == stream
+    assert_replay_gives_the_same(bag, tmp_path / 'again')
+
+
+def test_a_recording_that_fails_is_said_once_and_the_stream_goes_on(tmp_path: Path, stream: list[bytes]) -> None:
+    (tmp_path / 'file').write_text('')
+    live = Live(recording(tmp_path / 'file' / 'bags'))
+    live.run.put(Source.KEYPOINTS, stream[0], 0)
+    live.wait_for_frames(1)
+    live.run.stop()
+    errors = [line for line in live.log.lines if line.startswith('error')]
+    assert len(errors) == 1
+    assert errors[0].endswith('Not a directory; nothing is recorded')
+
+
+def test_the_same_complaint_is_not_repeated_for_ever(stream: list[bytes]) -> None:
+    live = Live(CONFIG)
+    for _ in range(120):
+        live.run.put(Source.KEYPOINTS, stream[0][:40], 0)
+        time.sleep(0.001)
+    live.run.put(Source.KEYPOINTS, stream[0], 0)
+    live.wait_for_frames(1)
+    live.run.stop()
+    bad = [line for line in live.log.lines if 'not a mocap' in line]
+    assert len(bad) == 3
+    assert bad[-1].endswith('(for the 100th time)')
