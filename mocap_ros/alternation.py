@@ -230,4 +230,5 @@ def _result(
         objective=tuple(progress.objective),
         iterations=progress.iterations,
         converged=progress.converged,
+        noise=float('nan'),
     )

@@ -40,16 +40,22 @@ class SolverConfig:
 
     components: int = _p(30, 'base poses used, at most those of the model', low=1, high=60)
     prior_weight: float = _p(
-        3e-4, 'Gaussian prior of the base-pose weights, m^2 per squared standard deviation', low=0.0
+        1e-4, 'Gaussian prior of the base-pose weights, m^2 per squared standard deviation', low=0.0
     )
     bone_weight: float = _p(20.0, 'bone-length variance (beta, eq. 20)', low=0.0)
-    flip_weight: float = _p(0.005, 'm^2 s, change of camera between frames (gamma, eq. 12)', low=0.0)
+    flip_weight: float = _p(0.02, 'm^2 s, change of camera between frames (gamma, eq. 12)', low=0.0)
     smooth_weight: float = _p(
-        1e-5, 'm^2 s, change of base-pose weights, in standard deviations, between frames', low=0.0
+        3e-6, 'm^2 s, change of base-pose weights, in standard deviations, between frames', low=0.0
     )
     robust_scale: float = _p(
-        0.1, "m, error from which Cauchy's loss discounts a point; 0 for least squares", low=0.0
+        0.05, "m, error from which Cauchy's loss discounts a point; 0 for least squares", low=0.0
     )
+    adapt_noise: bool = _p(
+        True,
+        'scale the five above with the image noise found in the residual (squared, the last one not); '
+        'as they stand they are for 10 mm. Not in the alternation',
+    )
+    noise_floor: float = _p(0.002, 'm, least noise assumed', low=1e-5, high=1.0)
     relative_bones: bool = _p(False, 'bone-length variance relative to the length of each bone')
     harmonics: int = _p(2, 'harmonics of the periodic model', low=1, high=8)
     paper_sines: bool = _p(

@@ -8,7 +8,9 @@ It minimises the objective of `alternation` with two terms more,
   + mu     sum_tl ((theta_tl - theta_(t-1)l) / sigma_l)^2 / dt  smoothness
   + gamma  sum_t  |M_t - M_(t-1)|^2 / dt                        flip regulariser (eq. 12)
 
-over all frames at once. A frame has K weights, three rotation parameters and a log scale; its translation is
+over all frames at once. All weights but the first are for an image noise of 10 mm; with `adapt_noise` they grow and
+shrink with its variance, which is found from the residual in a few rounds, as the maximum of the posterior demands.
+A frame has K weights, three rotation parameters and a log scale; its translation is
 eliminated. The normal matrix is block tridiagonal, the mean bone lengths are eliminated exactly by a low-rank
 correction, and any number of people and hypotheses are solved as one batch: their sequences stand one after the
 other in the same arrays with no coupling across the seams.
@@ -34,6 +36,12 @@ CAMERA_UNKNOWNS = 4
 DAMPING = (1e-3, 1e-3, 1e8)
 ACCEPTED, REJECTED = 0.2, 10.0
 SHORTEST_STEP = 1e-4
+
+NOISE_REFERENCE = 0.01
+FIRST_NOISE = 0.01
+NOISE_ROUNDS = 3
+NOISE_ROUND_TOLERANCE = 0.3
+FITTED_AWAY = 1.3  # of the residual's variance, for what the unknowns have absorbed
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,25 +93,28 @@ class Problem:
     """A batch of sequences, concatenated; image points in metres at the body (px / s0).
 
     Attributes:
-        image: (N, J, 2); weight: (N, J).
+        image: (N, J, 2).
+        weight: (N, J) detector scores over `level`.
+        level: (N,) variance of the noise over that of the reference.
         starts: (P,) first frame of each sequence.
         counts: (P,) frames of each.
         smooth: (N - 1,) weight of (change of theta / sigma)^2 to the next frame, 0 across a seam.
         flip: (N - 1,) weight of (change of M)^2, 0 across a seam.
         bone_weight: (B,).
-        robust: m, scale of Cauchy's loss; infinite for least squares.
+        robust: (N, 1) m, scale of Cauchy's loss; infinite for least squares.
     """
 
     model: BasePoses
     image: Array
     weight: Array
+    level: Array
     starts: NDArray[np.intp]
     counts: NDArray[np.intp]
     smooth: Array
     flip: Array
     prior: Array
     bone_weight: Array
-    robust: float
+    robust: Array
     parents: NDArray[np.intp]
     children: NDArray[np.intp]
 
@@ -122,16 +133,35 @@ class Problem:
             model=model,
             image=np.concatenate([w.points / s for w, s in zip(windows, s0, strict=True)]),
             weight=np.concatenate([w.weight for w in windows]),
+            level=np.ones(len(times)),
             starts=starts,
             counts=counts,
             smooth=config.smooth_weight * inverse_dt,
             flip=config.flip_weight * inverse_dt,
             prior=config.prior_weight / model.std**2,
             bone_weight=config.bone_weight * relative,
-            robust=config.robust_scale if config.robust_scale > 0 else np.inf,
+            robust=np.full((len(times), 1), config.robust_scale if config.robust_scale > 0 else np.inf),
             parents=parents,
             children=children,
         )
+
+    def under_noise(self, noise: Array) -> Problem:
+        """The same batch with these standard deviations (P,) m of the noise."""
+        ratio = self.per_frame(noise / NOISE_REFERENCE)
+        old = np.sqrt(self.level)
+        return replace(
+            self,
+            weight=self.weight * (self.level / ratio**2)[:, None],
+            level=ratio**2,
+            robust=self.robust * (np.maximum(ratio, 1) / np.maximum(old, 1))[:, None],
+        )
+
+    def noise(self, state: State) -> Array:
+        """(P,) m, standard deviation of a coordinate of a fully trusted point, from the residual."""
+        _, error = self._residual(state)
+        loss = self.level[:, None] * self.weight * self._loss((error**2).sum(axis=-1))
+        seen = np.maximum(self.per_sequence((self.weight > 0).sum(axis=1)), 1)
+        return np.sqrt(FITTED_AWAY * self.per_sequence(loss.sum(axis=1)) / (2 * seen))
 
     def per_sequence(self, per_frame: Array) -> Array:
         """(N, ...) -> (P, ...) sums over the frames of each sequence."""
@@ -148,7 +178,7 @@ class Problem:
         return turned, turned[..., :2] + state.translation[:, None] - self.image
 
     def _loss(self, squared: Array) -> Array:
-        if np.isinf(self.robust):
+        if np.isinf(self.robust[0, 0]):
             return squared
         return np.asarray(self.robust**2 * np.log1p(squared / self.robust**2))
 
@@ -304,7 +334,7 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
         config: weights of the terms.
 
     Returns:
-        One reconstruction a window. The objective of each never rises.
+        One reconstruction a window. The objective of each never rises; it is that of the last round of noise.
 
     Raises:
         InputError: a window without four seen joints in any frame.
@@ -316,7 +346,20 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
     problem = Problem.build(windows, s0, model, config)
     state = problem.best_translation(initial_state(problem, starts, s0))
     state = problem.best_translation(state)
-    state, history, iterations, converged = _levenberg_marquardt(problem, state, config)
+    noise = np.array([max(w.noise or FIRST_NOISE, config.noise_floor) for w in windows])
+    unknown = np.array([w.noise is None for w in windows])
+    spent = 0
+    if config.adapt_noise:
+        problem = problem.under_noise(noise)
+        for _ in range(NOISE_ROUNDS if unknown.any() else 0):
+            rough = replace(config, tolerance=max(NOISE_ROUND_TOLERANCE, config.tolerance))
+            state, history, _, _ = _levenberg_marquardt(problem, state, rough)
+            spent += len(history) - 1
+            found = np.maximum(problem.noise(state), config.noise_floor)
+            noise = np.where(unknown, found, noise)
+            problem = problem.under_noise(noise)
+    rest = replace(config, max_iterations=max(config.max_iterations - spent, 1))
+    state, history, iterations, converged = _levenberg_marquardt(problem, state, rest)
     return tuple(
         result(
             problem,
@@ -408,4 +451,5 @@ def result(
         objective=tuple(history),
         iterations=len(history) - 1,
         converged=converged,
+        noise=float(problem.noise(state)[sequence]),
     )

@@ -93,9 +93,7 @@ class Series:
         )
 
 
-def solve(
-    windows: Sequence[Window], model: BasePoses, config: SolverConfig
-) -> tuple[PeriodicReconstruction, ...]:
+def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> tuple[PeriodicReconstruction, ...]:
     """Reconstruct sequences under the periodic model.
 
     Args:
@@ -118,11 +116,20 @@ def _solve_one(
     rigid = replace(config, smooth_weight=0.0)
     unit = window.unit or float(np.median(begun.cameras.scale))
     problem = Problem.build([window], np.array([unit]), model, rigid)
+    noise = np.maximum(np.array([window.noise or begun.noise]), config.noise_floor)
+    if config.adapt_noise:
+        problem = problem.under_noise(noise)
     series = first_series(begun.theta, window.times, model.std, config)
     start = Start(series.theta(window.times), begun.cameras)
     state = nonperiodic.initial_state(problem, [start], np.array([unit]))
     for _ in range(2):
         state = problem.best_translation(state)
+    if config.adapt_noise and window.noise is None:
+        rough = replace(config, tolerance=nonperiodic.NOISE_ROUND_TOLERANCE)
+        for _ in range(nonperiodic.NOISE_ROUNDS - 1):
+            series, state, _, _ = _levenberg_marquardt(problem, series, state, window.times, rough)
+            noise = np.maximum(problem.noise(state), config.noise_floor)
+            problem = problem.under_noise(noise)
     series, state, history, converged = _levenberg_marquardt(problem, series, state, window.times, config)
     result = nonperiodic.result(problem, 0, window, unit, state, history, converged)
     plain = {f.name: getattr(result, f.name) for f in fields(Reconstruction)}

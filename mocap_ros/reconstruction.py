@@ -35,6 +35,7 @@ class Window:
         start: where to begin; None for the mean pose and closed-form cameras.
         unit: px/m, the constant that makes image errors metres; None for the median start scale. Objectives
             of one window from several starts compare only under one unit.
+        noise: m, standard deviation of a coordinate of a fully trusted point; None to find it.
     """
 
     points: Array
@@ -42,6 +43,7 @@ class Window:
     times: Array
     start: Start | None = None
     unit: float | None = None
+    noise: float | None = None
 
     def __post_init__(self) -> None:
         frames, joints = self.weight.shape
@@ -67,6 +69,8 @@ class Reconstruction:
         objective: its value at the start and after every step, never rising; m^2.
         iterations: steps made.
         converged: False where `max_iterations` ended it.
+        noise: m, standard deviation of a coordinate of a fully trusted point, found from the residual; NaN where
+            not looked for.
     """
 
     joints: Array
@@ -77,6 +81,7 @@ class Reconstruction:
     objective: tuple[float, ...]
     iterations: int
     converged: bool
+    noise: float
 
 
 def begin(window: Window, model: BasePoses, share: float) -> tuple[Start, float]:

@@ -94,7 +94,12 @@ class _Window:
                 np.concatenate([cameras.rotation, np.repeat(cameras.rotation[-1:], missing, axis=0)]),
             ),
         )
-        return replace(plain, start=start, unit=float(np.median(start.cameras.scale)))
+        return replace(
+            plain,
+            start=start,
+            unit=float(np.median(start.cameras.scale)),
+            noise=self.solution.noise,
+        )
 
     def where(self) -> tuple[Array, float]:
         """Image centre and size (RMS radius), px, of the newest frame's seen joints."""

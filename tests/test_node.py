@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,9 +17,11 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from mocap_ros.config import RecorderConfig
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.io import messages
 from mocap_ros.io.bags import Bag
+from mocap_ros.io.markers import DELETE_ALL
 from mocap_ros.io.messages import Header, decode, encode_keypoints
 from mocap_ros.io.recorder import Recorder
 from mocap_ros.io.samples import sequence_samples
@@ -87,11 +90,15 @@ class Peer:
         self.wait(future.done)
         return future.result()
 
+    def cleared(self) -> bool:
+        """Whether the last markers delete everything."""
+        return bool(decode(self.received['markers'][-1], messages.MARKERS).markers[0].action == DELETE_ALL)
+
     def stamps(self, topic: str) -> list[int]:
         found = []
         for raw in self.received[topic]:
             message = decode(raw, OUTPUTS[topic])
-            if topic == 'markers' and message.markers[0].action == 3:  # DELETEALL
+            if topic == 'markers' and message.markers[0].action == DELETE_ALL:
                 continue
             header = message.markers[0].header if topic == 'markers' else message.header
             found.append(header.stamp.sec * 10**9 + header.stamp.nanosec)
@@ -159,11 +166,11 @@ def test_live_run_is_received_recorded_and_replayed(
     played = tmp_path / 'demo.npz'
     save_sequence(played, sequence)
     samples = list(islice(sequence_samples(sequence), FRAMES))
-    with Recorder(tmp_path / 'played', messages_config()) as recorder:
+    with Recorder(tmp_path / 'played', RecorderConfig()) as recorder:
         for sample in samples:
             recorder.write('/detections', messages.KEYPOINTS, sample.raw, sample.due_ns, sample.due_ns)
 
-    node = start_node('recorder.enabled:=true', f'recorder.folder:={tmp_path}/bags')
+    node = start_node('recorder.enabled:=true', f'recorder.folder:={tmp_path}/bags', 'node.silence_warning:=60.0')
     peer.wait_for_the_node()
     started = time.monotonic()
     player = subprocess.Popen(
@@ -172,12 +179,12 @@ def test_live_run_is_received_recorded_and_replayed(
         stdout=subprocess.PIPE,
         text=True,
     )
-    peer.wait(lambda: all(len(peer.stamps(t)) >= FRAMES for t in OUTPUTS))
+    peer.wait(lambda: all(len(peer.received[t]) >= FRAMES for t in OUTPUTS))
     assert time.monotonic() - started > (FRAMES - 1) / 30
     out, _ = player.communicate(timeout=PATIENCE)
     assert out == f'{tmp_path}/played: {FRAMES} messages published on keypoints\n'
     warnings = end(node, signal.SIGTERM)
-    peer.wait(lambda: decode(peer.received['markers'][-1], messages.MARKERS).markers[0].action == 3)
+    peer.wait(peer.cleared)
 
     assert warnings == []
     for topic in OUTPUTS:
@@ -190,6 +197,8 @@ def test_live_run_is_received_recorded_and_replayed(
         recorded = {t: [m.raw for m in bag.messages(['/' + t])] for t in (*peer.received, 'keypoints')}
         times = [m.time_ns for m in bag.messages(bag.topics)]
     assert recorded.pop('keypoints') == [s.raw for s in samples]
+    markers = peer.received['markers']
+    del markers[: len(markers) - FRAMES - 1]  # the recording begins after everything was deleted
     assert recorded == peer.received
     assert times == sorted(times)
     assert abs(times[-1] - time.time_ns()) < 60e9
@@ -206,12 +215,6 @@ def test_live_run_is_received_recorded_and_replayed(
         replayed = [m.raw for m in again.messages(['/skeletons'])]
     assert len(replayed) == FRAMES
     np.testing.assert_allclose(joints(replayed), joints(recorded['skeletons']), atol=1e-9, rtol=0)
-
-
-def messages_config() -> Any:
-    from mocap_ros.config import RecorderConfig
-
-    return RecorderConfig()
 
 
 def stamped(seconds: float, **change: Any) -> bytes:
@@ -243,8 +246,6 @@ BAD_STREAM = {
 def test_bad_input_is_said_once_each_and_the_stream_goes_on(
     peer: Peer, start_node: Callable[..., subprocess.Popen[str]]
 ) -> None:
-    import re
-
     node = start_node()
     peer.wait_for_the_node()
     peer.wait(lambda: peer.keypoints.get_subscription_count() == 1)

@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 ROS_DISTRO = 'kilted'
 NS = 1_000_000_000
+WORD = 4
 
 OWN = 'mocap_ros_msgs/msg/'
 KEYPOINTS = OWN + 'Keypoints2DArray'
@@ -108,8 +109,9 @@ def new(msgtype: str, **values: Any) -> Any:
 
 
 def encode(message: Any, msgtype: str) -> bytes:
-    """A message object as CDR."""
-    return bytes(typestore().serialize_cdr(message, msgtype))
+    """A message object as CDR, padded to whole words as DDS does it: what is recorded is what is received."""
+    raw = bytes(typestore().serialize_cdr(message, msgtype))
+    return raw + bytes(-len(raw) % WORD)
 
 
 def decode(raw: bytes, msgtype: str) -> Any:
