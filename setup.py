@@ -7,7 +7,6 @@ from setuptools import find_packages, setup
 PACKAGE = ET.parse(Path(__file__).with_name('package.xml')).getroot()
 NAME = PACKAGE.findtext('name')
 MAINTAINER = PACKAGE.find('maintainer')
-C3D = ['ezc3d>=1.5,<2']
 
 setup(
     name=NAME,
@@ -40,12 +39,10 @@ setup(
         'tqdm>=4.64,<5',
     ],
     extras_require={
-        'c3d': C3D,
         'test': [
             'pytest>=7.4,<10',
             'hypothesis>=6.90,<7',
             'mcap-ros2-support>=0.5.5,<0.7',
-            *C3D,
         ],
         'dev': [
             'ruff==0.17.*',

@@ -163,8 +163,6 @@ def test_live_run_is_received_recorded_and_replayed(
     env: dict[str, str], peer: Peer, start_node: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
     sequence = make_recording().sequence()
-    played = tmp_path / 'demo.npz'
-    save_sequence(played, sequence)
     samples = list(islice(sequence_samples(sequence), FRAMES))
     with Recorder(tmp_path / 'played', RecorderConfig()) as recorder:
         for sample in samples:
@@ -307,8 +305,8 @@ def test_services_parameters_and_lifecycle(
     peer.keypoints.publish(stamped(1))
     peer.wait(lambda: len(peer.received['skeletons']) == 3)
     time.sleep(1.2)
-    (silence,) = {line.partition(']: ')[2] for line in end(node, signal.SIGTERM) if 'no message' in line}
-    assert silence.startswith('no message on /keypoints for 1 s: its publisher sends nothing')
+    silences = [line for line in end(node, signal.SIGTERM) if 'no message on /keypoints' in line]
+    assert silences[-1].endswith('s: its publisher sends nothing, or its QoS does not fit')
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,20 @@
+"""The whole thing as a newcomer runs it, faster than real time."""
+
+from pathlib import Path
+
+import pytest
+
+from mocap_ros.cli.main import main
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_demo_leaves_a_bag_and_a_picture(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip('rclpy')
+    pytest.importorskip('mocap_ros_msgs')
+    assert main(['demo', '-o', str(tmp_path), '--rate', '2']) == 0
+    said = capfd.readouterr().out
+    assert 'Mean 3D error' in said
+    (metadata,) = tmp_path.glob('*/metadata.yaml')
+    assert list(metadata.parent.glob('*.mcap'))
+    assert (tmp_path / 'demo.png').read_bytes().startswith(b'\x89PNG')
