@@ -8,7 +8,7 @@ share,
 or, with `paper_sines`, the paper's form (eq. 17): one sine a base pose, each with its own omega, no constant. The
 objective is that of `nonperiodic` without smoothness; so are its derivatives by each frame's weights and camera,
 from which the chain rule gives those by the coefficients. In each Levenberg-Marquardt step the cameras, a
-block-tridiagonal system of 4 unknowns a frame, are eliminated, which leaves a dense one of (2 H + 1) K + 1 unknowns.
+block-tridiagonal system of 4 unknowns a frame, are eliminated, which leaves a dense one of (2 H + 1) K + 1.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def _solve_one(
     noise = np.maximum(np.array([window.noise or begun.noise]), config.noise_floor)
     if config.adapt_noise:
         problem = problem.under_noise(noise)
-    series = first_series(begun.theta, window.times, model.std, config)
+    series = first_series(begun.theta, window.times, config)
     start = Start(series.theta(window.times), begun.cameras)
     state = nonperiodic.initial_state(problem, [start], np.array([unit]))
     for _ in range(2):
@@ -137,7 +137,7 @@ def _solve_one(
     return PeriodicReconstruction(**plain, cadence=cadence, series=series)
 
 
-def first_series(theta: Array, times: Array, std: Array, config: SolverConfig) -> Series:
+def first_series(theta: Array, times: Array, config: SolverConfig) -> Series:
     """Series fitted to the weights (F, K) of a non-periodic reconstruction, the best cadence of a scan.
 
     Components count by their variance, that is as they move the body.

@@ -25,6 +25,7 @@ from mocap_ros.io.recorder import Recorder, new_bag_folder
 from mocap_ros.pipeline import LATCHED_OUTPUTS, Outcome, Pipeline, Source, skeleton_definition
 
 KINDS_REMEMBERED = 200
+LAST_SECONDS = 0.3
 
 
 class Logger(Protocol):
@@ -119,7 +120,7 @@ class LiveRun:
         self._waiting: deque[Input] = deque()
         self._wake = threading.Condition()
         self._busy = threading.Lock()
-        self._stopping = False
+        self._end: float | None = None
         self._frame_id_missed = False
         self._recorder: Recorder | None = None
         self._journal: Journal | None = None
@@ -136,9 +137,9 @@ class LiveRun:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread after the frame at hand, delete the markers and finish the recording."""
+        """Do what still waits, for `LAST_SECONDS` at most; delete the markers and finish the recording."""
         with self._wake:
-            self._stopping = True
+            self._end = time.monotonic() + LAST_SECONDS
             self._wake.notify()
         self._thread.join()
         with self._busy:
@@ -224,9 +225,9 @@ class LiveRun:
             config = self._pipeline.config
             with self._wake:
                 idle = not self._wake.wait_for(
-                    lambda: self._waiting or self._stopping, config.recorder.chunk_seconds
+                    lambda: self._waiting or self._end is not None, config.recorder.chunk_seconds
                 )
-                if self._stopping:
+                if self._end is not None and (idle or time.monotonic() > self._end):
                     return
             with self._busy:
                 if idle:
