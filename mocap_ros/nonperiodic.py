@@ -8,12 +8,12 @@ It minimises the objective of `alternation` with two terms more,
   + mu     sum_tl ((theta_tl - theta_(t-1)l) / sigma_l)^2 / dt  smoothness
   + gamma  sum_t  |M_t - M_(t-1)|^2 / dt                        flip regulariser (eq. 12)
 
-over all frames at once. All weights but the first are for an image noise of 10 mm; with `adapt_noise` they grow
-and shrink with its variance, which is found from the residual in a few rounds, as the maximum of the posterior
-demands. A frame has K weights, three rotation parameters and a log scale; its translation is eliminated. The normal
-matrix is block tridiagonal, the mean bone lengths are eliminated exactly by a low-rank correction, and any number of
-people and hypotheses are solved as one batch: their sequences stand one after the other in the same arrays with no
-coupling across the seams.
+over all frames at once. All weights but the first are for an image noise of 10 mm; with `adapt_noise` they
+grow and shrink with its variance, which is found from the residual in a few rounds, as the maximum of the
+posterior demands. A frame has K weights, three rotation parameters and a log scale; its translation is
+eliminated. The normal matrix is block tridiagonal, the mean bone lengths are eliminated exactly by a low-rank
+correction, and any number of people and hypotheses are solved as one batch: their sequences stand one after
+the other in the same arrays with no coupling across the seams.
 """
 
 from __future__ import annotations
