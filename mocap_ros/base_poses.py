@@ -55,6 +55,11 @@ class BasePoses:
     stature: float
     provenance: Mapping[str, object]
 
+    @property
+    def upright(self) -> bool:
+        """True where poses were turned about the vertical only, so that the body frame's z is up in every pose."""
+        return self.provenance.get('alignment') == 'heading'
+
     def poses(self, theta: Array) -> Array:
         """(..., K) weights in m -> (..., J, 3) poses in m, body frame (eq. 1)."""
         k = theta.shape[-1]

@@ -39,20 +39,30 @@ class Factor:
     """Cholesky factor of the banded part, in LAPACK's lower band storage."""
 
     band: Array
-    frames: int
+
+    def forward(self, right: Array) -> Array:
+        """(F, n, R) right-hand sides -> L^-1 times them."""
+        return self._triangular(right, 'N')
+
+    def backward(self, right: Array) -> Array:
+        """(F, n, R) -> L^-T times them."""
+        return self._triangular(right, 'T')
 
     def solve(self, right: Array) -> Array:
         """(F, n, R) right-hand sides -> (F, n, R) solutions."""
+        return self.backward(self.forward(right))
+
+    def _triangular(self, right: Array, trans: str) -> Array:
         frames, n, count = right.shape
         flat = np.asfortranarray(right.reshape(frames * n, count))
-        solution, _ = lapack.dpbtrs(self.band, flat, lower=1, overwrite_b=1)
+        solution, _ = lapack.dtbtrs(self.band, flat, uplo='L', trans=trans, overwrite_b=1)
         return np.asarray(solution).reshape(frames, n, count)
 
 
 def factor(diagonal: Array, below: Array, bandwidth: int) -> Factor | None:
     """Factor the banded part, or None where it is not positive definite."""
     band, info = lapack.dpbtrf(band_storage(diagonal, below, bandwidth), lower=1, overwrite_ab=1)
-    return Factor(band, len(diagonal)) if info == 0 else None
+    return Factor(band) if info == 0 else None
 
 
 def solve_less_low_rank(
@@ -70,12 +80,13 @@ def solve_less_low_rank(
     Returns:
         (F, n).
     """
-    solved = banded.solve(np.concatenate([right[..., None], vectors], axis=-1))
-    x, y = solved[..., 0], solved[..., 1:]
-    inner = np.add.reduceat(np.swapaxes(vectors, -1, -2) @ y, starts, axis=0)
-    pull = np.add.reduceat((np.swapaxes(vectors, -1, -2) @ x[..., None])[..., 0], starts, axis=0)
-    eye = np.eye(vectors.shape[-1])
-    # (I / s - V^T B^-1 V)^-1 V^T B^-1 r, multiplied through by s so that s = 0 is allowed
-    weight = np.linalg.solve(eye - strength[:, None, None] * inner, (strength[:, None] * pull)[..., None])
+    # with B = L L^T, y = L^-1 r and V = L^-1 G: x = L^-T (y + V (I / s - V^T V)^-1 V^T y), times s where s may be 0
+    solved = banded.forward(np.concatenate([right[..., None], vectors], axis=-1))
+    y, v = solved[..., :1], solved[..., 1:]
+    v_transposed = np.swapaxes(v, -1, -2)
+    inner = np.add.reduceat(v_transposed @ v, starts, axis=0)
+    pull = np.add.reduceat(v_transposed @ y, starts, axis=0)
+    s = strength[:, None, None]
+    weight = np.linalg.solve(np.eye(v.shape[-1]) - s * inner, s * pull)
     counts = np.diff(np.append(starts, len(right)))
-    return np.asarray(x + (y @ np.repeat(weight, counts, axis=0))[..., 0])
+    return banded.backward(y + v @ np.repeat(weight, counts, axis=0))[..., 0]

@@ -38,12 +38,17 @@ def _p(
 class SolverConfig:
     """The factorisation: weights of its terms and when it stops."""
 
-    components: int = _p(30, 'base poses used, at most those of the model', low=1, high=60)
+    components: int = _p(40, 'base poses used, at most those of the model', low=1, high=60)
     prior_weight: float = _p(
-        1e-4, 'Gaussian prior of the base-pose weights, m^2 per squared standard deviation', low=0.0
+        5e-5, 'Gaussian prior of the base-pose weights, m^2 per squared standard deviation', low=0.0
     )
-    bone_weight: float = _p(20.0, 'bone-length variance (beta, eq. 20)', low=0.0)
-    flip_weight: float = _p(0.02, 'm^2 s, change of camera between frames (gamma, eq. 12)', low=0.0)
+    bone_weight: float = _p(40.0, 'bone-length variance (beta, eq. 20)', low=0.0)
+    flip_weight: float = _p(0.003, 'm^2 s, change of camera between frames (gamma, eq. 12)', low=0.0)
+    tilt_weight: float = _p(
+        1.0,
+        'm^2 s, the same for the image of the vertical, which only the camera moves; models aligned by heading',
+        low=0.0,
+    )
     smooth_weight: float = _p(
         3e-6, 'm^2 s, change of base-pose weights, in standard deviations, between frames', low=0.0
     )
@@ -52,10 +57,10 @@ class SolverConfig:
     )
     adapt_noise: bool = _p(
         True,
-        'scale the five above with the image noise found in the residual (squared, the last one not); '
+        'scale the six above with the image noise found in the residual (squared, the last one not); '
         'as they stand they are for 10 mm. Not in the alternation',
     )
-    noise_floor: float = _p(0.002, 'm, least noise assumed', low=1e-5, high=1.0)
+    noise_floor: float = _p(0.0005, 'm, least noise assumed', low=1e-5, high=1.0)
     relative_bones: bool = _p(False, 'bone-length variance relative to the length of each bone')
     harmonics: int = _p(2, 'harmonics of the periodic model', low=1, high=8)
     paper_sines: bool = _p(
@@ -73,7 +78,7 @@ class SolverConfig:
     )
     start_window: float = _p(1.0, 's, frames this near share one closed-form start camera', low=0.0, high=60.0)
     max_iterations: int = _p(60, 'alternations of cameras and weights', low=1, high=10_000)
-    tolerance: float = _p(1e-4, 'relative decrease of the objective that ends it', low=0.0)
+    tolerance: float = _p(3e-4, 'relative decrease of the objective that ends it', low=0.0)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ It minimises the objective of `alternation` with two terms more,
   + beta   sum_tb (length_tb - mean_b)^2                        bone lengths (TPAMI 2016, eq. 20)
   + lambda sum_tl (theta_tl / sigma_l)^2                        Gaussian prior of the base poses
   + mu     sum_tl ((theta_tl - theta_(t-1)l) / sigma_l)^2 / dt  smoothness
-  + gamma  sum_t  |M_t - M_(t-1)|^2 / dt                        flip regulariser (eq. 12)
+  + gamma  sum_t  |M_t - M_(t-1)|^2 / dt                        flip regulariser (eq. 12), more for the third column
 
 over all frames at once. All weights but the first are for an image noise of 10 mm; with `adapt_noise` they
 grow and shrink with its variance, which is found from the residual in a few rounds, as the maximum of the
@@ -38,9 +38,10 @@ ACCEPTED, REJECTED = 0.2, 10.0
 SHORTEST_STEP = 1e-4
 
 NOISE_REFERENCE = 0.01
-FIRST_NOISE = 0.01
-NOISE_ROUNDS = 3
-NOISE_ROUND_TOLERANCE = 0.3
+NOISE_SCHEDULE = (0.05, 0.025, 0.012, 0.006, 0.003)
+NOISE_ROUND_TOLERANCE = 0.05
+WORTH_SOLVING = 0.3
+FEWEST_COMPONENTS = 5
 FITTED_AWAY = 1.3  # of the residual's variance, for what the unknowns have absorbed
 
 
@@ -99,7 +100,7 @@ class Problem:
         starts: (P,) first frame of each sequence.
         counts: (P,) frames of each.
         smooth: (N - 1,) weight of (change of theta / sigma)^2 to the next frame, 0 across a seam.
-        flip: (N - 1,) weight of (change of M)^2, 0 across a seam.
+        flip: (N - 1, 3) weight of (change of M)^2 for each column of M, 0 across a seam.
         bone_weight: (B,).
         robust: (N, 1) m, scale of Cauchy's loss; infinite for least squares.
     """
@@ -129,6 +130,7 @@ class Problem:
         parents, children = (np.array(side) for side in zip(*model.skeleton.bones, strict=True))
         lengths = np.linalg.norm(model.mean[children] - model.mean[parents], axis=-1)
         relative = (lengths.mean() / lengths) ** 2 if config.relative_bones else np.ones(len(lengths))
+        tilt = config.tilt_weight if model.upright else 0.0
         return Problem(
             model=model,
             image=np.concatenate([w.points / s for w, s in zip(windows, s0, strict=True)]),
@@ -137,13 +139,17 @@ class Problem:
             starts=starts,
             counts=counts,
             smooth=config.smooth_weight * inverse_dt,
-            flip=config.flip_weight * inverse_dt,
+            flip=inverse_dt[:, None] * (config.flip_weight + np.array([0, 0, tilt])),
             prior=config.prior_weight / model.std**2,
             bone_weight=config.bone_weight * relative,
             robust=np.full((len(times), 1), config.robust_scale if config.robust_scale > 0 else np.inf),
             parents=parents,
             children=children,
         )
+
+    def truncated(self, k: int) -> Problem:
+        """The same batch with the first `k` base poses."""
+        return replace(self, model=self.model.truncated(k), prior=self.prior[:k])
 
     def under_noise(self, noise: Array) -> Problem:
         """The same batch with these standard deviations (P,) m of the noise."""
@@ -203,7 +209,7 @@ class Problem:
         change = (np.diff(state.theta, axis=0) / self.model.std) ** 2
         frame[:-1] += self.smooth * change.sum(axis=1)
         m = np.exp(state.log_scale)[:, None, None] * state.rotation[:, :2]
-        frame[:-1] += self.flip * (np.diff(m, axis=0) ** 2).sum(axis=(1, 2))
+        frame[:-1] += (self.flip * (np.diff(m, axis=0) ** 2).sum(axis=1)).sum(axis=1)
         return self.per_sequence(frame)
 
     def best_translation(self, state: State) -> State:
@@ -294,12 +300,13 @@ class Problem:
         jac = derivative.reshape(len(columns), 6, CAMERA_UNKNOWNS)
         transposed = np.swapaxes(jac, -1, -2)
         m = np.swapaxes(columns[..., :2], 1, 2).reshape(len(columns), 6, 1)
-        stiffness = np.zeros(len(columns))
-        stiffness[:-1] += self.flip
-        stiffness[1:] += self.flip
-        diagonal[:, k:, k:] += stiffness[:, None, None] * (transposed @ jac)
-        below[:, k:, k:] = -self.flip[:, None, None] * (transposed[1:] @ jac[:-1])
-        pull = self.flip[:, None, None] * np.diff(m, axis=0)
+        flip = np.tile(self.flip, 2)[..., None]  # rows of M, then its columns
+        stiffness = np.zeros((len(columns), 6, 1))
+        stiffness[:-1] += flip
+        stiffness[1:] += flip
+        diagonal[:, k:, k:] += transposed @ (stiffness * jac)
+        below[:, k:, k:] = -transposed[1:] @ (flip * jac[:-1])
+        pull = flip * np.diff(m, axis=0)
         gradient[1:, k:] += (transposed[1:] @ pull)[..., 0]
         gradient[:-1, k:] -= (transposed[:-1] @ pull)[..., 0]
 
@@ -346,18 +353,9 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
     problem = Problem.build(windows, s0, model, config)
     state = problem.best_translation(initial_state(problem, starts, s0))
     state = problem.best_translation(state)
-    noise = np.array([max(w.noise or FIRST_NOISE, config.noise_floor) for w in windows])
-    unknown = np.array([w.noise is None for w in windows])
     spent = 0
     if config.adapt_noise:
-        problem = problem.under_noise(noise)
-        for _ in range(NOISE_ROUNDS if unknown.any() else 0):
-            rough = replace(config, tolerance=max(NOISE_ROUND_TOLERANCE, config.tolerance))
-            state, history, _, _ = _levenberg_marquardt(problem, state, rough)
-            spent += len(history) - 1
-            found = np.maximum(problem.noise(state), config.noise_floor)
-            noise = np.where(unknown, found, noise)
-            problem = problem.under_noise(noise)
+        problem, state, spent = _anneal(problem, state, windows, config)
     rest = replace(config, max_iterations=max(config.max_iterations - spent, 1))
     state, history, iterations, converged = _levenberg_marquardt(problem, state, rest)
     return tuple(
@@ -372,6 +370,36 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
         )
         for i, window in enumerate(windows)
     )
+
+
+def _anneal(
+    problem: Problem, state: State, windows: Sequence[Window], config: SolverConfig
+) -> tuple[Problem, State, int]:
+    """Find the noise of each window that does not say it, coming down from a large one.
+
+    Under large noise the prior holds the weights, the cameras settle first, and few local minima are left. Base
+    poses that vary less than the noise are not worth solving for yet.
+
+    Returns:
+        The problem under the noise found, the state, and how many steps it took.
+    """
+    noise = np.array([max(w.noise or NOISE_SCHEDULE[0], config.noise_floor) for w in windows])
+    unknown = np.array([w.noise is None for w in windows])
+    problem = problem.under_noise(noise)
+    if not unknown.any():
+        return problem, state, 0
+    rough = replace(config, tolerance=max(NOISE_ROUND_TOLERANCE, config.tolerance))
+    spent = 0
+    for least in (*NOISE_SCHEDULE[1:], 0.0):
+        k = max(int((problem.model.std >= WORTH_SOLVING * noise.min()).sum()), FEWEST_COMPONENTS)
+        coarse = replace(state, theta=state.theta[:, :k])
+        coarse, history, _, _ = _levenberg_marquardt(problem.truncated(k), coarse, rough)
+        state = replace(coarse, theta=np.concatenate([coarse.theta, state.theta[:, k:]], axis=1))
+        spent += len(history) - 1
+        found = np.maximum(problem.noise(state), max(least, config.noise_floor))
+        noise = np.where(unknown, found, noise)
+        problem = problem.under_noise(noise)
+    return problem, state, spent
 
 
 def initial_state(problem: Problem, starts: Sequence[Start], s0: Array) -> State:

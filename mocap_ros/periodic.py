@@ -126,7 +126,7 @@ def _solve_one(
         state = problem.best_translation(state)
     if config.adapt_noise and window.noise is None:
         rough = replace(config, tolerance=nonperiodic.NOISE_ROUND_TOLERANCE)
-        for _ in range(nonperiodic.NOISE_ROUNDS - 1):
+        for _ in range(2):
             series, state, _, _ = _levenberg_marquardt(problem, series, state, window.times, rough)
             noise = np.maximum(problem.noise(state), config.noise_floor)
             problem = problem.under_noise(noise)

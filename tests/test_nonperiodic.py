@@ -17,6 +17,18 @@ from mocap_ros.nonperiodic import Problem, State
 from mocap_ros.reconstruction import Start, Window, mean_pose_start
 
 
+PLAIN = SolverConfig(
+    components=10,
+    prior_weight=3e-4,
+    bone_weight=20.0,
+    flip_weight=0.005,
+    smooth_weight=0.0,
+    robust_scale=0.0,
+    tilt_weight=0.0,
+    adapt_noise=False,
+)
+
+
 def window(model: BasePoses, frames: int = 30, seed: int = 0, noise: float = 2.0) -> Window:
     """A noisy window with missing points and irregular times."""
     _, _, points, times = scene(model, frames=frames, seed=seed)
@@ -64,7 +76,7 @@ def test_normal_matrix_is_that_of_the_residuals(walk_model: BasePoses, rng: np.r
     What the matrix holds beyond it, the curvature of bones, is positive semidefinite.
     """
     model = walk_model.truncated(4)
-    config = SolverConfig(smooth_weight=1e-3, flip_weight=0.02, robust_scale=0.0)
+    config = SolverConfig(smooth_weight=1e-3, flip_weight=0.02, tilt_weight=0.1, robust_scale=0.0)
     problem, state = problem_and_state(model, config, rng)
     equations = problem.normal_equations(state)
     frames, n = equations.gradient.shape
@@ -77,7 +89,7 @@ def test_normal_matrix_is_that_of_the_residuals(walk_model: BasePoses, rng: np.r
         deviation, _, _ = problem.bones(moved.theta)
         m = np.exp(moved.log_scale)[:, None, None] * moved.rotation[:, :2]
         smooth = np.sqrt(problem.smooth)[:, None] * np.diff(moved.theta, axis=0) / model.std
-        flip = np.sqrt(problem.flip)[:, None, None] * np.diff(m, axis=0)
+        flip = np.sqrt(problem.flip)[:, None] * np.diff(m, axis=0)
         parts = [
             np.sqrt(problem.weight)[..., None] * error,
             np.sqrt(problem.bone_weight) * deviation,
@@ -144,9 +156,7 @@ def test_banded_solution_equals_the_dense_one(rng: np.random.Generator) -> None:
 
 
 def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) -> None:
-    config = SolverConfig(
-        components=10, tolerance=1e-9, max_iterations=3000, smooth_weight=0.0, robust_scale=0.0, adapt_noise=False
-    )
+    config = dataclasses.replace(PLAIN, tolerance=1e-9, max_iterations=3000)
     for seed in range(3):
         w = window(walk_model, seed=seed)
         slow = alternation.reconstruct(w, walk_model, config)
@@ -205,7 +215,7 @@ def test_gross_outliers_are_discounted_by_the_robust_loss(walk_model: BasePoses)
     clean = window(walk_model, noise=0.0)
     bad = clean.points.copy()
     bad[::5, 4] += 80
-    config = SolverConfig(components=6, prior_weight=1e-6)
+    config = dataclasses.replace(PLAIN, components=6, prior_weight=1e-6)
 
     def wrist_error(scale: float) -> float:
         own = dataclasses.replace(config, robust_scale=scale)
