@@ -32,7 +32,7 @@ setup(
     install_requires=[
         'numpy>=1.24,<3',
         'scipy>=1.10,<2',
-        'mcap>=1.1,<2',
+        'mcap>=1.6,<2',
         'rosbags>=0.10.10,<0.12',
         'matplotlib>=3.6,<4',
         'PyYAML>=6.0,<7',

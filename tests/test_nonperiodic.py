@@ -16,7 +16,6 @@ from mocap_ros.config import SolverConfig
 from mocap_ros.nonperiodic import Problem, State
 from mocap_ros.reconstruction import Start, Window, mean_pose_start
 
-
 PLAIN = SolverConfig(
     components=10,
     prior_weight=3e-4,

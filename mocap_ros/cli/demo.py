@@ -88,6 +88,7 @@ def _node(folder: Path, environment: dict[str, str]) -> Iterator[subprocess.Pope
     """The live node as a process of its own, recording; stopped by SIGINT as a user would."""
     command = [sys.executable, '-m', 'mocap_ros.ros.node', '--ros-args', '--log-level', 'warn']
     command += ['-p', 'recorder.enabled:=true', '-p', f'recorder.folder:={folder.resolve()}']
+    command += ['-p', 'qos_overrides./keypoints.subscription.reliability:=reliable']
     node = subprocess.Popen(command, env=environment)
     try:
         yield node

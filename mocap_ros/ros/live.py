@@ -7,6 +7,7 @@ right and none is lost unnoticed while a frame is being solved. The oldest are p
 from __future__ import annotations
 
 import re
+import textwrap
 import threading
 import time
 import traceback
@@ -25,6 +26,7 @@ from mocap_ros.io.recorder import Recorder, new_bag_folder
 from mocap_ros.pipeline import LATCHED_OUTPUTS, Outcome, Pipeline, Source, skeleton_definition
 
 KINDS_REMEMBERED = 200
+LONGEST_LINE = 400
 LAST_SECONDS = 0.3
 
 
@@ -67,11 +69,17 @@ class Complaints:
         times = self._times[kind] = self._times.get(kind, 0) + 1
         if str(times).strip('0') == '1':
             again = f' (for the {times}th time)' if times > 1 else ''
-            line = ' '.join(f'{where}: message {number}: {reason}{again}'.split())
+            line = _one_line(f'{where}: message {number}: {reason}') + again
             if error:
                 self._logger.error(line)
             else:
                 self._logger.warning(line)
+
+
+def _one_line(text: str) -> str:
+    """What strangers may have had a hand in, printable and of bounded length."""
+    printable = ''.join(c if c.isprintable() else ' ' for c in text)
+    return textwrap.shorten(printable, LONGEST_LINE, placeholder=' ...')
 
 
 @dataclass(frozen=True)
@@ -227,7 +235,7 @@ class LiveRun:
                 idle = not self._wake.wait_for(
                     lambda: self._waiting or self._end is not None, config.recorder.chunk_seconds
                 )
-                if self._end is not None and (idle or time.monotonic() > self._end):
+                if self._end is not None and (not self._waiting or time.monotonic() > self._end):
                     return
             with self._busy:
                 if idle:

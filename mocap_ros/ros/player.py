@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterable
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
@@ -14,11 +15,15 @@ from mocap_ros.io.messages import KEYPOINTS
 from mocap_ros.io.samples import Sample
 from mocap_ros.ros.types import message_class
 
-DEPTH = 10
+DEPTH = 1000
+SETTLE_SECONDS = 0.5
 
 
 def play(samples: Iterable[Sample], topic: str = 'keypoints', rate: float = 1.0, wait: float = 10.0) -> int:
     """Publish messages at their own pace, unchanged.
+
+    A best-effort subscriber may learn of this publisher later than the publisher of the subscriber, and misses
+    what is sent in between; hence a short pause before the first message. A reliable one misses nothing.
 
     Args:
         samples: by time.
@@ -43,6 +48,7 @@ def play(samples: Iterable[Sample], topic: str = 'keypoints', rate: float = 1.0,
             if time.monotonic() > end:
                 raise MocapError(f'nobody subscribed to {publisher.topic_name} within {wait:g} s')
             time.sleep(0.02)
+        time.sleep(SETTLE_SECONDS)
         played, start, first_ns = 0, time.monotonic(), 0
         for sample in samples:
             first_ns = first_ns if played else sample.due_ns
@@ -50,6 +56,7 @@ def play(samples: Iterable[Sample], topic: str = 'keypoints', rate: float = 1.0,
             time.sleep(max(delay, 0.0))
             publisher.publish(sample.raw)
             played += 1
+        publisher.wait_for_all_acked(Duration(seconds=1))
         return played
     finally:
         node.destroy_node()
