@@ -80,7 +80,7 @@ def solve_less_low_rank(
     Returns:
         (F, n).
     """
-    # with B = L L^T, y = L^-1 r and V = L^-1 G: x = L^-T (y + V (I / s - V^T V)^-1 V^T y), times s where s may be 0
+    # with B = L L^T, y = L^-1 r and V = L^-1 G: x = L^-T (y + V (I / s - V^T V)^-1 V^T y), s may be 0
     solved = banded.forward(np.concatenate([right[..., None], vectors], axis=-1))
     y, v = solved[..., :1], solved[..., 1:]
     v_transposed = np.swapaxes(v, -1, -2)

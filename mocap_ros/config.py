@@ -76,9 +76,25 @@ class SolverConfig:
         'of the alternation: squared, or frobenius as printed in the paper (eq. 13 and 21)',
         choices=('squared', 'frobenius'),
     )
+    hypotheses: int = _p(
+        1, 'camera starts: closed form, its Necker reversal, then a ring of headings', low=1, high=10
+    )
     start_window: float = _p(1.0, 's, frames this near share one closed-form start camera', low=0.0, high=60.0)
     max_iterations: int = _p(60, 'alternations of cameras and weights', low=1, high=10_000)
     tolerance: float = _p(3e-4, 'relative decrease of the objective that ends it', low=0.0)
+
+
+@dataclass(frozen=True)
+class ClassifierConfig:
+    """Periodic or not: thresholds chosen on CMU walk, run and jump trials (benchmarks/classification.py)."""
+
+    section: float = _p(2.0, 's, length of the sections that are judged', low=0.3, high=20.0)
+    walk_residual: float = _p(0.013, '2D residual of a walk at most, of stature', low=0.0, high=1.0)
+    run_residual: float = _p(0.018, '2D residual of a run at most, of stature', low=0.0, high=1.0)
+    walk_cadence: float = _p(0.55, 'Hz, full cycles of a walk at least', low=0.0, high=5.0)
+    run_cadence: float = _p(1.0, 'Hz, full cycles of a run at least', low=0.0, high=5.0)
+    amplitude: float = _p(0.024, 'RMS movement of a joint at least, of stature', low=0.0, high=1.0)
+    hysteresis: float = _p(1.1, 'factor on every threshold before the answer changes', low=1.0, high=3.0)
 
 
 @dataclass(frozen=True)
@@ -133,6 +149,7 @@ class Config:
     """All parameters, by concern."""
 
     solver: SolverConfig = SolverConfig()
+    classifier: ClassifierConfig = ClassifierConfig()
     tracker: TrackerConfig = TrackerConfig()
     node: NodeConfig = NodeConfig()
     recorder: RecorderConfig = RecorderConfig()

@@ -66,6 +66,6 @@ def reconstruct_sequence(
     if config.solver.method == 'alternation':
         solution = alternation.reconstruct(window, sized, config.solver)
     else:
-        (solution,) = nonperiodic.solve([window], sized, config.solver)
+        (solution,) = nonperiodic.solve_hypotheses([window], sized, config.solver)
     root = root_position(solution.translation, solution.cameras.scale, intrinsics)
     return SequenceResult(solution.joints + root[:, None], weight > 0, model.skeleton, solution)

@@ -8,12 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.base_poses import BasePoses
-from mocap_ros.camera import Cameras, closed_form
+from mocap_ros.camera import Cameras, closed_form, small_rotation
 from mocap_ros.errors import InputError
 
 Array = NDArray[np.float64]
 
 ENOUGH_FOR_A_CAMERA = 4
+REVERSED_DEPTH = np.diag([1.0, 1.0, -1.0])
+REVERSED_BODY = np.diag([-1.0, 1.0, 1.0])
+RING = (45.0, 90.0, 135.0, 180.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +92,26 @@ def begin(window: Window, model: BasePoses, share: float) -> tuple[Start, float]
     start = window.start or mean_pose_start(window, model, share)
     k = len(model.std)
     return Start(start.theta[:, :k], start.cameras), window.unit or float(np.median(start.cameras.scale))
+
+
+def camera_hypotheses(start: Start, count: int) -> list[Start]:
+    """The start, its Necker reversal, and a ring of headings: `count` starts in all.
+
+    A nearly planar body looks the same with its depth reversed, which for a body seen from the front is a turn by
+    half; the ring covers wrong headings of other kinds.
+    """
+    cameras = start.cameras
+    turns = [REVERSED_BODY, *(_turn(sign * step) for step in RING for sign in (1, -1))]
+    rotations = [cameras.rotation] + [
+        REVERSED_DEPTH @ cameras.rotation @ REVERSED_BODY if turn is REVERSED_BODY else cameras.rotation @ turn
+        for turn in turns
+    ]
+    return [Start(start.theta, Cameras(cameras.scale, rotation)) for rotation in rotations[:count]]
+
+
+def _turn(degrees: float) -> Array:
+    """(3, 3) rotation of the body about its vertical."""
+    return small_rotation(np.radians([0.0, 0.0, degrees]))
 
 
 def mean_pose_start(window: Window, model: BasePoses, share: float) -> Start:

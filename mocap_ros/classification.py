@@ -1,0 +1,132 @@
+"""Which motion is it: its category by evidence, and whether it is periodic (TPAMI 2016, section 4.9).
+
+The category is that of the base poses under which the image is likeliest. Judged by the residual alone the
+all-motions model would nearly always win, for it fits anything; the evidence also counts how much each model could
+have fitted (Occam's factor of its Gaussian prior).
+
+A window is periodic where the periodic model of a walk or a run explains the image to within a threshold, as in
+the paper, and does it with a movement of some size and a cadence that legs can have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mocap_ros import nonperiodic, periodic
+from mocap_ros.base_poses import BasePoses
+from mocap_ros.config import ClassifierConfig, SolverConfig
+from mocap_ros.nonperiodic import NOISE_REFERENCE
+from mocap_ros.periodic import PeriodicReconstruction
+from mocap_ros.reconstruction import Reconstruction, Start, Window
+
+PERIODIC_CATEGORIES = ('walk', 'run')
+SEEN_OF_A_POSE = 2 / 3
+LEAST_NOISE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The chosen category.
+
+    Attributes:
+        category: name of the model with the highest evidence.
+        reconstruction: under that model.
+        evidence: minus twice the log evidence of every model, up to a constant; the least is chosen.
+    """
+
+    category: str
+    reconstruction: Reconstruction
+    evidence: Mapping[str, float]
+
+
+def choose_category(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> Choice:
+    """Fit every model and choose by evidence, all judged under the same image noise.
+
+    Args:
+        window: what was seen.
+        models: by name; at least one.
+        config: of the solver.
+    """
+    fits = {name: nonperiodic.solve_hypotheses([window], model, config)[0] for name, model in models.items()}
+    noise = max(LEAST_NOISE, min(fit.noise for fit in fits.values()))
+    judging = replace(config, adapt_noise=True)
+    evidence = {}
+    for name, fit in fits.items():
+        again = replace(window, start=Start(fit.theta, fit.cameras), noise=noise)
+        (judged,) = nonperiodic.solve([again], models[name], judging)
+        model = models[name].truncated(config.components)
+        occam = len(window.times) * np.log1p(SEEN_OF_A_POSE * (model.std / noise) ** 2).sum()
+        evidence[name] = judged.objective[-1] / NOISE_REFERENCE**2 + float(occam)
+    best = min(evidence, key=lambda name: evidence[name])
+    return Choice(best, fits[best], evidence)
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicFit:
+    """How well a periodic motion explains a window.
+
+    Attributes:
+        category: `walk` or `run`, the one that explains more.
+        residual: 2D residual as a fraction of stature.
+        amplitude: RMS movement of a joint about its mean as a fraction of stature.
+        reconstruction: under the periodic model; holds the cadence.
+    """
+
+    category: str
+    residual: float
+    amplitude: float
+    reconstruction: PeriodicReconstruction
+
+
+def fit_periodic(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> PeriodicFit:
+    """The best periodic explanation of a window.
+
+    Args:
+        window: a cycle or more of what was seen.
+        models: by name; those of `PERIODIC_CATEGORIES` are used.
+        config: of the solver.
+    """
+    fits = []
+    for name in PERIODIC_CATEGORIES:
+        if name in models:
+            model = models[name]
+            (result,) = periodic.solve([window], model, config)
+            movement = result.theta - result.theta.mean(axis=0)
+            amplitude = np.sqrt((movement**2).sum(axis=1).mean() / len(model.mean))
+            size = model.stature
+            fits.append(PeriodicFit(name, result.noise / size, float(amplitude) / size, result))
+    return min(fits, key=lambda fit: fit.residual)
+
+
+def is_periodic(fit: PeriodicFit, config: ClassifierConfig, slack: float = 1.0) -> bool:
+    """Whether a fit is good enough; `slack` above 1 loosens every threshold, below 1 tightens it."""
+    walk = fit.category == 'walk'
+    residual = config.walk_residual if walk else config.run_residual
+    cadence = config.walk_cadence if walk else config.run_cadence
+    return (
+        fit.residual <= residual * slack
+        and fit.amplitude >= config.amplitude / slack
+        and fit.reconstruction.cadence >= cadence / slack
+    )
+
+
+@dataclass
+class PeriodicSwitch:
+    """Periodic or not over time, with hysteresis so that the answer does not chatter.
+
+    Attributes:
+        config: thresholds, and how much better or worse than them a fit must be to change the answer.
+        periodic: the answer; not periodic at first.
+    """
+
+    config: ClassifierConfig
+    periodic: bool = False
+
+    def update(self, fit: PeriodicFit) -> bool:
+        """Take the fit of the newest window; returns the answer."""
+        slack = self.config.hysteresis if self.periodic else 1 / self.config.hysteresis
+        self.periodic = is_periodic(fit, self.config, slack)
+        return self.periodic
