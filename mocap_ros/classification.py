@@ -70,7 +70,7 @@ class PeriodicFit:
 
     Attributes:
         category: `walk` or `run`, the one that explains more.
-        residual: 2D residual as a fraction of stature.
+        residual: RMS 2D residual as a fraction of stature.
         amplitude: RMS movement of a joint about its mean as a fraction of stature.
         reconstruction: under the periodic model; holds the cadence.
     """
@@ -96,8 +96,9 @@ def fit_periodic(window: Window, models: Mapping[str, BasePoses], config: Solver
             (result,) = periodic.solve([window], model, config)
             movement = result.theta - result.theta.mean(axis=0)
             amplitude = np.sqrt((movement**2).sum(axis=1).mean() / len(model.mean))
+            residual = np.sqrt(np.nanmean((result.residual / result.cameras.scale) ** 2))
             size = model.stature
-            fits.append(PeriodicFit(name, result.noise / size, float(amplitude) / size, result))
+            fits.append(PeriodicFit(name, float(residual) / size, float(amplitude) / size, result))
     return min(fits, key=lambda fit: fit.residual)
 
 

@@ -6,9 +6,10 @@ A parameter's outside name is `group.field`, for example `solver.bone_weight`.
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast, get_type_hints
 
@@ -40,14 +41,17 @@ class SolverConfig:
 
     components: int = _p(40, 'base poses used, at most those of the model', low=1, high=60)
     prior_weight: float = _p(
-        5e-5, 'Gaussian prior of the base-pose weights, m^2 per squared standard deviation', low=0.0
+        3e-5, 'Gaussian prior of the base-pose weights, m^2 per squared standard deviation', low=0.0
     )
     bone_weight: float = _p(40.0, 'bone-length variance (beta, eq. 20)', low=0.0)
-    flip_weight: float = _p(0.003, 'm^2 s, change of camera between frames (gamma, eq. 12)', low=0.0)
-    tilt_weight: float = _p(
-        1.0,
-        'm^2 s, the same for the image of the vertical, which only the camera moves; models aligned by heading',
+    flip_weight: float = _p(0.02, 'm^2 s, change of camera between frames (gamma, eq. 12)', low=0.0)
+    upright_turn: float = _p(
+        0.05,
+        'factor on flip_weight for models aligned by heading, whose body frame turns with every stride',
         low=0.0,
+    )
+    tilt_weight: float = _p(
+        1.0, 'm^2 s, change of the image of the vertical, which only the camera moves; the same models', low=0.0
     )
     smooth_weight: float = _p(
         3e-6, 'm^2 s, change of base-pose weights, in standard deviations, between frames', low=0.0
@@ -62,7 +66,7 @@ class SolverConfig:
     )
     noise_floor: float = _p(0.0005, 'm, least noise assumed', low=1e-5, high=1.0)
     relative_bones: bool = _p(False, 'bone-length variance relative to the length of each bone')
-    harmonics: int = _p(2, 'harmonics of the periodic model', low=1, high=8)
+    harmonics: int = _p(3, 'harmonics of the periodic model', low=1, high=8)
     paper_sines: bool = _p(
         False, 'periodic model as in the paper: one sine a base pose with its own frequency (eq. 17)'
     )
@@ -89,11 +93,11 @@ class ClassifierConfig:
     """Periodic or not: thresholds chosen on CMU walk, run and jump trials (benchmarks/classification.py)."""
 
     section: float = _p(2.0, 's, length of the sections that are judged', low=0.3, high=20.0)
-    walk_residual: float = _p(0.013, '2D residual of a walk at most, of stature', low=0.0, high=1.0)
-    run_residual: float = _p(0.018, '2D residual of a run at most, of stature', low=0.0, high=1.0)
-    walk_cadence: float = _p(0.55, 'Hz, full cycles of a walk at least', low=0.0, high=5.0)
+    walk_residual: float = _p(0.0135, 'RMS 2D residual of a walk at most, of stature', low=0.0, high=1.0)
+    run_residual: float = _p(0.0205, 'RMS 2D residual of a run at most, of stature', low=0.0, high=1.0)
+    walk_cadence: float = _p(0.6, 'Hz, full cycles of a walk at least', low=0.0, high=5.0)
     run_cadence: float = _p(1.0, 'Hz, full cycles of a run at least', low=0.0, high=5.0)
-    amplitude: float = _p(0.024, 'RMS movement of a joint at least, of stature', low=0.0, high=1.0)
+    amplitude: float = _p(0.028, 'RMS movement of a joint at least, of stature', low=0.0, high=1.0)
     hysteresis: float = _p(1.1, 'factor on every threshold before the answer changes', low=1.0, high=3.0)
 
 
@@ -109,6 +113,9 @@ class TrackerConfig:
     min_score: float = _p(0.1, 'keypoints scored below count as not seen', low=0.0, high=1.0)
     min_joints: int = _p(6, 'seen joints that make a frame usable', low=4, high=15)
     forget_after: float = _p(1.0, 's without detection after which a person is lost', low=0.0, high=60.0)
+    restart_after: float = _p(
+        1.0, 's that stamps must go back for the tracker to start afresh; less is dropped', low=0.0
+    )
     body_height: float = _p(1.70, 'm, stature assumed of people', low=0.3, high=2.6)
     nominal_focal_length: float = _p(
         1.0, 'focal length in image widths where no CameraInfo is known', low=0.1, high=20.0
@@ -209,12 +216,18 @@ def with_values(config: Config, values: Mapping[str, object]) -> Config:
     known = {p.name: p for p in parameters()}
     for name, value in values.items():
         if name not in known:
-            raise ConfigError(f'unknown parameter {name!r}; known: {", ".join(known)}')
+            raise ConfigError(f'unknown parameter {name!r}; {hint(name, known)}')
         group_name, field_name = name.split('.')
         checked = known[name].check(value)
         group = dataclasses.replace(getattr(config, group_name), **{field_name: checked})
         config = dataclasses.replace(config, **{group_name: group})
     return config
+
+
+def hint(name: str, known: Iterable[str]) -> str:
+    """What a name that is no parameter may have been meant for."""
+    close = difflib.get_close_matches(name, list(known), n=1)
+    return f'did you mean {close[0]!r}?' if close else '`mocap-ros config` lists them all'
 
 
 def values(config: Config) -> dict[str, Value]:

@@ -43,7 +43,7 @@ NOISE_SCHEDULE = (0.05, 0.025, 0.012, 0.006, 0.003)
 NOISE_ROUND_TOLERANCE = 0.05
 WORTH_SOLVING = 0.3
 FEWEST_COMPONENTS = 5
-FITTED_AWAY = 1.3  # of the residual's variance, for what the unknowns have absorbed
+LEAST_FREE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,9 @@ class Problem:
         parents, children = (np.array(side) for side in zip(*model.skeleton.bones, strict=True))
         lengths = np.linalg.norm(model.mean[children] - model.mean[parents], axis=-1)
         relative = (lengths.mean() / lengths) ** 2 if config.relative_bones else np.ones(len(lengths))
-        tilt = config.tilt_weight if model.upright else 0.0
+        flip = np.full(3, config.flip_weight)
+        if model.upright:
+            flip = config.upright_turn * flip + np.array([0, 0, config.tilt_weight])
         return Problem(
             model=model,
             image=np.concatenate([w.points / s for w, s in zip(windows, s0, strict=True)]),
@@ -140,7 +142,7 @@ class Problem:
             starts=starts,
             counts=counts,
             smooth=config.smooth_weight * inverse_dt,
-            flip=inverse_dt[:, None] * (config.flip_weight + np.array([0, 0, tilt])),
+            flip=inverse_dt[:, None] * flip,
             prior=config.prior_weight / model.std**2,
             bone_weight=config.bone_weight * relative,
             robust=np.full((len(times), 1), config.robust_scale if config.robust_scale > 0 else np.inf),
@@ -164,11 +166,23 @@ class Problem:
         )
 
     def noise(self, state: State) -> Array:
-        """(P,) m, standard deviation of a coordinate of a fully trusted point, from the residual."""
+        """(P,) m, standard deviation of a coordinate of a fully trusted point, from the residual.
+
+        The sum of squares is shared among the coordinates less those that the unknowns have absorbed.
+        """
         _, error = self._residual(state)
         loss = self.level[:, None] * self.weight * self._loss((error**2).sum(axis=-1))
-        seen = np.maximum(self.per_sequence((self.weight > 0).sum(axis=1)), 1)
-        return np.sqrt(FITTED_AWAY * self.per_sequence(loss.sum(axis=1)) / (2 * seen))
+        coordinates = 2 * self.per_sequence((self.weight > 0).sum(axis=1))
+        free = coordinates - self.per_sequence(self._absorbed(state))
+        return np.sqrt(self.per_sequence(loss.sum(axis=1)) / np.maximum(free, LEAST_FREE * coordinates + 1))
+
+    def _absorbed(self, state: State) -> Array:
+        """(N,) coordinates of a frame that its unknowns fit away, its neighbours held."""
+        whole = self.normal_equations(state).diagonal
+        held = replace(self, weight=np.zeros_like(self.weight)).normal_equations(state).diagonal
+        n = whole.shape[1]
+        kept = np.linalg.solve(whole + 1e-9 * np.eye(n), held)
+        return np.asarray(2 + n - np.einsum('nii->n', kept))
 
     def per_sequence(self, per_frame: Array) -> Array:
         """(N, ...) -> (P, ...) sums over the frames of each sequence."""

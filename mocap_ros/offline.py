@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,8 @@ from numpy.typing import NDArray
 
 from mocap_ros import alternation, nonperiodic
 from mocap_ros.base_poses import BasePoses
-from mocap_ros.config import Config
+from mocap_ros.classification import choose_category
+from mocap_ros.config import Config, SolverConfig
 from mocap_ros.people import Intrinsics
 from mocap_ros.reconstruction import Reconstruction, Window
 from mocap_ros.skeleton import Skeleton, joint_map
@@ -26,12 +28,14 @@ class SequenceResult:
         joints: (F, J, 3) m, camera optical frame, joints of `skeleton`.
         seen: (F, J) True where the joint was seen in the image.
         skeleton: of the joints.
+        category: name of the base poses used.
         solution: cameras, weights and residuals.
     """
 
     joints: Array
     seen: NDArray[np.bool_]
     skeleton: Skeleton
+    category: str
     solution: Reconstruction
 
 
@@ -40,7 +44,7 @@ def reconstruct_sequence(
     joint_names: tuple[str, ...],
     times: Array,
     intrinsics: Intrinsics,
-    model: BasePoses,
+    model: BasePoses | Mapping[str, BasePoses],
     config: Config,
 ) -> SequenceResult:
     """Reconstruct a sequence of one person's keypoints.
@@ -50,7 +54,7 @@ def reconstruct_sequence(
         joint_names: (J,) any names that `skeleton.joint_map` knows.
         times: (F,) s, increasing.
         intrinsics: of the camera.
-        model: base poses.
+        model: base poses, or several by name of which the likeliest are used (`classification`).
         config: of the solver; `tracker.min_score` and `tracker.body_height` apply too.
 
     Raises:
@@ -58,14 +62,24 @@ def reconstruct_sequence(
         InputError: no frame has four seen joints.
     """
     settings = config.tracker
-    sized = model.rescaled(settings.body_height / model.stature)
+    models = {model.name: model} if isinstance(model, BasePoses) else model
+    sized = {name: m.rescaled(settings.body_height / m.stature) for name, m in models.items()}
+    skeleton = next(iter(sized.values())).skeleton
     score = np.where(keypoints[..., 2] >= settings.min_score, keypoints[..., 2], 0.0)
-    points, weight = joint_map(joint_names, model.skeleton).apply(keypoints[..., :2], score)
+    points, weight = joint_map(joint_names, skeleton).apply(keypoints[..., :2], score)
     points = np.where(weight[..., None] > 0, points, 0.0)
     window = Window(points, weight, times)
-    if config.solver.method == 'alternation':
-        solution = alternation.reconstruct(window, sized, config.solver)
-    else:
-        (solution,) = nonperiodic.solve_hypotheses([window], sized, config.solver)
+    category, solution = _solve(window, sized, config.solver)
     root = root_position(solution.translation, solution.cameras.scale, intrinsics)
-    return SequenceResult(solution.joints + root[:, None], weight > 0, model.skeleton, solution)
+    return SequenceResult(solution.joints + root[:, None], weight > 0, skeleton, category, solution)
+
+
+def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> tuple[str, Reconstruction]:
+    if len(models) > 1:
+        choice = choose_category(window, models, config)
+        return choice.category, choice.reconstruction
+    ((name, model),) = models.items()
+    if config.method == 'alternation':
+        return name, alternation.reconstruct(window, model, config)
+    (solution,) = nonperiodic.solve_hypotheses([window], model, config)
+    return name, solution

@@ -12,9 +12,10 @@ from test_alternation import scene
 from mocap_ros import alternation, nonperiodic
 from mocap_ros.base_poses import BasePoses
 from mocap_ros.block_tridiagonal import factor, solve_less_low_rank
+from mocap_ros.camera import Cameras
 from mocap_ros.config import SolverConfig
 from mocap_ros.nonperiodic import Problem, State
-from mocap_ros.reconstruction import Start, Window, mean_pose_start
+from mocap_ros.reconstruction import Reconstruction, Start, Window, mean_pose_start
 
 PLAIN = SolverConfig(
     components=10,
@@ -23,6 +24,7 @@ PLAIN = SolverConfig(
     flip_weight=0.005,
     smooth_weight=0.0,
     robust_scale=0.0,
+    upright_turn=1.0,
     tilt_weight=0.0,
     adapt_noise=False,
 )
@@ -223,3 +225,29 @@ def test_gross_outliers_are_discounted_by_the_robust_loss(walk_model: BasePoses)
         return float(np.linalg.norm(result.joints - good.joints, axis=-1).mean())
 
     assert wrist_error(0.02) < 0.2 * wrist_error(0.0)
+
+
+def test_hypotheses_mend_a_wrong_first_camera(walk_model: BasePoses) -> None:
+    clean = window(walk_model, noise=0.5)
+    start = mean_pose_start(clean, walk_model.truncated(10), 1.0)
+    (right,) = nonperiodic.solve([clean], walk_model, SolverConfig(components=10))
+    half_turn = np.diag([-1.0, -1.0, 1.0])
+    wrong = Start(start.theta, Cameras(start.cameras.scale, start.cameras.rotation @ half_turn))
+    misled = dataclasses.replace(clean, start=wrong, unit=float(np.median(start.cameras.scale)))
+    (one,) = nonperiodic.solve_hypotheses([misled], walk_model, SolverConfig(components=10))
+    (best,) = nonperiodic.solve_hypotheses([misled], walk_model, SolverConfig(components=10, hypotheses=9))
+
+    def apart(result: Reconstruction) -> float:
+        return float(np.linalg.norm(result.joints - right.joints, axis=-1).mean())
+
+    assert apart(one) > 0.05
+    assert apart(best) < 0.01
+
+
+def test_noise_is_found(walk_model: BasePoses) -> None:
+    _, _, points, times = scene(walk_model, frames=60)
+    rng = np.random.default_rng(5)
+    for px in (1.0, 4.0):
+        noisy = Window(points + px * rng.normal(size=points.shape), np.ones(points.shape[:2]), times)
+        (result,) = nonperiodic.solve([noisy], walk_model, SolverConfig(bone_weight=0.0))
+        assert result.noise == pytest.approx(px / 205, rel=0.35)
