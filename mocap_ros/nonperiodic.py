@@ -34,7 +34,8 @@ from mocap_ros.reconstruction import Reconstruction, Start, Window, begin, camer
 Array = NDArray[np.float64]
 
 CAMERA_UNKNOWNS = 4
-DAMPING = (1e-3, 1e-3, 1e8)
+FIRST_DAMPING, WARM_DAMPING = 0.1, 1e-4
+LEAST_DAMPING, MOST_DAMPING = 1e-5, 1e8
 ACCEPTED, REJECTED = 0.2, 10.0
 SHORTEST_STEP = 1e-4
 
@@ -372,7 +373,9 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
     if config.adapt_noise:
         problem, state, spent = _anneal(problem, state, windows, config)
     rest = replace(config, max_iterations=max(config.max_iterations - spent, 1))
-    state, history, iterations, converged = _levenberg_marquardt(problem, state, rest)
+    warm = spent > 0 or all(w.start is not None for w in windows)
+    damping = WARM_DAMPING if warm else FIRST_DAMPING
+    state, history, iterations, converged = _levenberg_marquardt(problem, state, rest, damping)
     return tuple(
         result(
             problem,
@@ -433,12 +436,13 @@ def _anneal(
     if not unknown.any():
         return problem, state, 0
     rough = replace(config, tolerance=max(NOISE_ROUND_TOLERANCE, config.tolerance))
-    spent = 0
+    spent, damping = 0, FIRST_DAMPING
     for least in (*NOISE_SCHEDULE[1:], 0.0):
         k = max(int((problem.model.std >= WORTH_SOLVING * noise.min()).sum()), FEWEST_COMPONENTS)
         coarse = replace(state, theta=state.theta[:, :k])
-        coarse, history, _, _ = _levenberg_marquardt(problem.truncated(k), coarse, rough)
+        coarse, history, _, _ = _levenberg_marquardt(problem.truncated(k), coarse, rough, damping)
         state = replace(coarse, theta=np.concatenate([coarse.theta, state.theta[:, k:]], axis=1))
+        damping = WARM_DAMPING
         spent += len(history) - 1
         found = np.maximum(problem.noise(state), max(least, config.noise_floor))
         noise = np.where(unknown, found, noise)
@@ -460,13 +464,13 @@ def _centroids(image: Array, weight: Array) -> Array:
 
 
 def _levenberg_marquardt(
-    problem: Problem, state: State, config: SolverConfig
+    problem: Problem, state: State, config: SolverConfig, first_damping: float
 ) -> tuple[State, list[Array], NDArray[np.intp], NDArray[np.bool_]]:
     """Each sequence has its own damping and its own end; all of them step together."""
     sequences = len(problem.starts)
     cost = problem.cost(state)
     history = [cost]
-    damping = np.full(sequences, DAMPING[0])
+    damping = np.full(sequences, first_damping)
     done = np.zeros(sequences, bool)
     taken = np.zeros(sequences, int)
     equations = problem.normal_equations(state)
@@ -483,9 +487,9 @@ def _levenberg_marquardt(
         cost = np.where(better, new, cost)
         history.append(cost)
         taken += ~done
-        done |= (better & (gained <= config.tolerance * cost)) | (damping > DAMPING[2])
+        done |= (better & (gained <= config.tolerance * cost)) | (damping > MOST_DAMPING)
         factor_ = np.where(better, ACCEPTED, REJECTED)
-        damping = np.where(done, damping, np.maximum(damping * factor_, DAMPING[1]))
+        damping = np.where(done, damping, np.maximum(damping * factor_, LEAST_DAMPING))
         if done.all():
             break
         if better.any():

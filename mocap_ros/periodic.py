@@ -166,7 +166,7 @@ def _levenberg_marquardt(
 ) -> tuple[Series, State, list[float], bool]:
     cost = float(problem.cost(state)[0])
     history = [cost]
-    damping = nonperiodic.DAMPING[0]
+    damping = nonperiodic.WARM_DAMPING
     system = _Reduced.build(problem.normal_equations(state), series, times, len(times))
     for _ in range(config.max_iterations):
         global_step, camera_step = system.step(damping)
@@ -178,13 +178,13 @@ def _levenberg_marquardt(
         if new < cost:
             gained, cost, series, state = cost - new, new, new_series, tried
             history.append(cost)
-            damping = max(damping * nonperiodic.ACCEPTED, nonperiodic.DAMPING[1])
+            damping = max(damping * nonperiodic.ACCEPTED, nonperiodic.LEAST_DAMPING)
             if gained <= config.tolerance * cost:
                 return series, state, history, True
             system = _Reduced.build(problem.normal_equations(state), series, times, len(times))
         else:
             damping *= nonperiodic.REJECTED
-            if damping > nonperiodic.DAMPING[2]:
+            if damping > nonperiodic.MOST_DAMPING:
                 return series, state, history, True
     return series, state, history, False
 
