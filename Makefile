@@ -72,7 +72,7 @@ models: setup  ## retrain the shipped models from CMU=cmu15_30fps.npz
 	@$(BIN)/python -m mocap_ros.demo '$(CMU)'
 
 colcon: setup  ## build both packages with colcon, into install/
-	@PATH='$(VENV)/bin':"$$PATH" colcon build
+	@PATH='$(VENV)/bin':"$$PATH" colcon --log-level error build
 
 clean:  ## remove all that was made here
 	rm -rf .venv build dist install log demo_output *.egg-info

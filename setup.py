@@ -26,7 +26,7 @@ setup(
     entry_points={
         'console_scripts': [
             'mocap-ros = mocap_ros.cli.main:main',
-            'mocap_node = mocap_ros.ros.node:main',
+            'mocap_node = mocap_ros.ros.main:main',
         ],
     },
     install_requires=[

@@ -1,9 +1,9 @@
 """Periodic or not, on CMU walk, run and jump trials; where the thresholds of ClassifierConfig come from.
 
 Every second of every trial is labelled in `periodic_labels.csv`: `periodic` (walking or running), `other` (jumping,
-standing), or `transition` (starting, stopping, turning, stepping aside; not scored). The labels were made from the true
-motion (speed and height of the body's centre) and looked through by hand. A section of `classifier.section` s about the
-middle of each second is judged by base poses that never saw the subject, with thresholds chosen on other subjects.
+standing), or `transition` (starting, stopping, turning, stepping aside; not scored). The labels were made from the
+true motion, by the speed and height of the body's centre. A section of `classifier.section` s about the middle of
+each second is judged by base poses that never saw the subject, with thresholds chosen on other subjects.
 """
 
 from __future__ import annotations
@@ -153,7 +153,8 @@ def main() -> None:
         accuracy = np.array([balanced(a, true) for a in all_answers(found, thresholds)])
         values = np.array([[getattr(t, n) for n in GRID] for t in thresholds])
         plateau = np.median(values[accuracy >= accuracy.max() - 0.003], axis=0)
-        print('\nMiddle of the best plateau over all subjects: ', dict(zip(GRID, plateau.round(4).tolist(), strict=True)))
+        middle = dict(zip(GRID, plateau.round(4).tolist(), strict=True))
+        print('\nMiddle of the best plateau over all subjects:', middle)
         wrong = {}
         for s, a in zip(found, said, strict=True):
             if a != (s.label == 'periodic'):

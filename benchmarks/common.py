@@ -171,7 +171,7 @@ def trained(
 
 def joint(tests: Sequence[View], model: BasePoses, config: SolverConfig | None = None) -> Sequence[Reconstruction]:
     """The joint solver over all these views as one batch."""
-    return nonperiodic.solve([v.window for v in tests], model, config or SolverConfig())
+    return nonperiodic.solve_hypotheses([v.window for v in tests], model, config or SolverConfig())
 
 
 def alternate(tests: Sequence[View], model: BasePoses, config: SolverConfig) -> Sequence[Reconstruction]:
@@ -186,23 +186,28 @@ def periodically(
     return periodic.solve([v.window for v in tests], model, config or SolverConfig())
 
 
+def changed(**overrides: Any) -> SolverConfig:
+    """The defaults but for these."""
+    return replace(SolverConfig(), **overrides)
+
+
 def paper_config(**overrides: Any) -> SolverConfig:
     """The paper's model: no prior, no smoothness, least squares, a start camera for each frame alone."""
     paper = {
         'method': 'alternation',
+        'adapt_noise': False,
         'components': 6,
         'prior_weight': 0.0,
         'smooth_weight': 0.0,
         'robust_scale': 0.0,
         'start_window': 0.0,
         'flip_weight': 1e-4,
+        'upright_turn': 1.0,
+        'tilt_weight': 0.0,
         'bone_weight': 1.0,
         'max_iterations': 100,
     }
-    settings = {**paper, **overrides}
-    if hasattr(SolverConfig(), 'adapt_noise'):
-        settings.setdefault('adapt_noise', False)
-    return replace(SolverConfig(), **settings)
+    return changed(**{**paper, **overrides})
 
 
 def score(view: View, joints3d: Array, joint_names: Sequence[str], joints: str = 'common') -> dict[str, float]:

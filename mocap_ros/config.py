@@ -226,8 +226,9 @@ def with_values(config: Config, values: Mapping[str, object]) -> Config:
 
 def hint(name: str, known: Iterable[str]) -> str:
     """What a name that is no parameter may have been meant for."""
-    close = difflib.get_close_matches(name, list(known), n=1)
-    return f'did you mean {close[0]!r}?' if close else '`mocap-ros config` lists them all'
+    by_field = {full.rpartition('.')[2]: full for full in known}
+    close = difflib.get_close_matches(name.rpartition('.')[2], by_field, n=1)
+    return f'did you mean {by_field[close[0]]!r}?' if close else '`mocap-ros config` lists them all'
 
 
 def values(config: Config) -> dict[str, Value]:

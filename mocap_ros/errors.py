@@ -27,3 +27,11 @@ class FrameDropped(MocapError):
 
 class RecordingError(MocapError):
     """A recording that cannot be opened, written or finished."""
+
+
+def reader_reason(error: Exception) -> str:
+    """Why an .npz could not be read, in one line and without numpy's advice to trust it."""
+    said = ' '.join(str(error).split())
+    if 'pickle' in said:
+        return 'holds Python objects' if 'Object arrays' in said else 'no .npz file'
+    return said or type(error).__name__

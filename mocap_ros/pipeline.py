@@ -45,7 +45,7 @@ class Outcome:
 
     Attributes:
         verdict: accepted or not.
-        reason: why not; empty where accepted.
+        reason: why not; where accepted, what is worth saying all the same, mostly nothing.
         outputs: to publish and record.
     """
 
@@ -64,7 +64,9 @@ class Counters:
 
 
 class FrameTracker(Protocol):
-    """What the pipeline needs of a tracker."""
+    """What the pipeline needs of a tracker; `went_back` as in `tracker.Tracker`."""
+
+    went_back: float
 
     def update(self, stamp_ns: int, people: tuple[Person2D, ...], intrinsics: Intrinsics) -> tuple[Person3D, ...]:
         """As `tracker.Tracker.update`."""
@@ -110,7 +112,10 @@ class Pipeline:
         """Take any input; never raises for a bad one."""
         try:
             if source is Source.KEYPOINTS:
-                return Outcome(Verdict.ACCEPTED, outputs=self.process(raw))
+                outputs = self.process(raw)
+                back = self._tracker.went_back
+                said = f'time went back by {back:.1f} s: started afresh' if back else ''
+                return Outcome(Verdict.ACCEPTED, said, outputs)
             self.set_camera_info(raw)
         except InputError as error:
             return Outcome(Verdict.INVALID, str(error))
@@ -140,6 +145,8 @@ class Pipeline:
             raise
         except FrameDropped:
             self.counters.dropped['stamp'] += 1
+            if frame.header.stamp_ns == self.header.stamp_ns == 0:
+                raise FrameDropped('header.stamp is not set') from None
             raise
         self.counters.accepted += 1
         self.header = frame.header

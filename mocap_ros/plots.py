@@ -10,6 +10,9 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
 from mocap_ros.skeleton import Skeleton
@@ -95,8 +98,27 @@ def poses_figure(result: Result, frames: Sequence[int], title: str, labels: Sequ
             top.set_ylabel('2D input', fontsize=9)
     if error is not None:
         _draw_error(figure.add_subplot(grid[3, :]), result, error, frames)
-    figure.suptitle(title, fontsize=11, y=0.93)
+    figure.suptitle(title, fontsize=11, y=0.97)
+    figure.legend(
+        handles=_legend(result),
+        loc='upper center',
+        bbox_to_anchor=(0.5, 0.955),
+        ncols=5,
+        fontsize=9,
+        frameon=False,
+    )
     return figure
+
+
+def _legend(result: Result) -> list[Line2D]:
+    """What the colours of the skeletons mean."""
+    bones = {'left': LEFT, 'right': RIGHT, 'middle': MIDDLE}
+    handles = [Line2D([], [], color=colour, linewidth=1.8, label=side) for side, colour in bones.items()]
+    if result.truth is not None:
+        handles.append(Line2D([], [], color=TRUTH, linewidth=4, label='truth'))
+    label = 'not seen, filled in by the model'
+    handles.append(Line2D([], [], linestyle='', marker='o', markersize=4, color=FILLED, label=label))
+    return handles
 
 
 def _draw_input(axes: Any, result: Result, frame: int) -> None:
@@ -131,18 +153,33 @@ def _draw_pose(axes: Any, result: Result, frame: int, view: Any, radius: float) 
 
 
 def _draw_error(axes: Any, result: Result, error: Array, frames: Sequence[int]) -> None:
-    axes.plot(result.times, error, color='black', linewidth=1)
-    for frame in frames:
-        axes.axvline(result.times[frame], color=TRUTH, linewidth=1, zorder=0)
-    missing = (~result.seen).mean(axis=1)
-    axes.fill_between(result.times, 0, missing * np.nanmax(error), color=FILLED, alpha=0.35, linewidth=0)
+    (line,) = axes.plot(result.times, error, color='black', linewidth=1, label='3D error')
+    marks = [axes.axvline(result.times[f], color=TRUTH, linewidth=1, label='frames above') for f in frames]
     axes.set_xlim(result.times[0], result.times[-1])
     axes.set_ylim(0, None)
-    axes.set_xlabel('time, s (orange: share of joints not seen)', fontsize=9)
+    axes.set_xlabel('time, s', fontsize=9)
     axes.set_ylabel('3D error, mm', fontsize=9)
-    axes.tick_params(labelsize=8)
-    for side in ('top', 'right'):
-        axes.spines[side].set_visible(False)
+
+    share = axes.twinx()
+    missing = (~result.seen).mean(axis=1)
+    share.fill_between(result.times, 0, missing, color=FILLED, alpha=0.35, linewidth=0)
+    band = Patch(color=FILLED, alpha=0.35, linewidth=0, label='joints not seen')
+    share.set_ylim(0, 1)
+    share.yaxis.set_major_formatter(PercentFormatter(1.0))
+    share.set_ylabel('joints not seen', fontsize=9)
+    share.legend(
+        handles=[line, band, *marks[:1]],
+        loc='lower left',
+        bbox_to_anchor=(0, 0.97),
+        ncols=3,
+        fontsize=8,
+        frameon=False,
+    )
+    axes.set_zorder(share.get_zorder() + 1)
+    axes.patch.set_visible(False)
+    for each in (axes, share):
+        each.tick_params(labelsize=8)
+        each.spines['top'].set_visible(False)
 
 
 def _error_mm(result: Result) -> Array | None:

@@ -1,11 +1,13 @@
 """Keypoint layouts, the model's skeleton, and the linear maps from one to the other.
 
-Joint names are lower case, `l` or `r` first: `lshoulder`. The reconstruction's own skeleton is `cmu15`;
-a detector's keypoints reach it through `joint_map`, which also derives joints the detector lacks.
+Joint names are lower case, `l` or `r` first: `lshoulder`; `own_names` turns the spellings of others into these.
+The reconstruction's own skeleton is `cmu15`; a detector's keypoints reach it through `joint_map`, which also
+derives joints the detector lacks.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -162,6 +164,45 @@ _LAYOUTS = {
 
 LAYOUT_NAMES = tuple(_LAYOUTS)
 CMU15 = _LAYOUTS['cmu15']
+NAMES_SHOWN = 5
+
+
+_SIDES = {'l': 'l', 'left': 'l', 'r': 'r', 'right': 'r'}
+_SYNONYMS = {'midhip': 'pelvis'}
+
+
+def _spelt(name: str) -> tuple[str, str]:
+    """Side (`l`, `r` or empty) and the rest of a joint name, whatever its case and separators."""
+    words = re.sub(r'([a-z0-9])([A-Z])|([A-Z])([A-Z][a-z])', r'\1\3_\2\4', name).lower()
+    parts = [part for part in re.split(r'[^a-z0-9]+', words) if part]
+    side = next((part for part in parts if part in _SIDES), '')
+    if side:
+        parts.remove(side)
+    return _SIDES.get(side, ''), ''.join(parts)
+
+
+def _own_spellings() -> dict[tuple[str, str], str]:
+    """Every joint name of the layouts by what `_spelt` makes of its spellings."""
+    own = {('', other): joint for other, joint in _SYNONYMS.items()}
+    for skeleton in _LAYOUTS.values():
+        for joint, twin in zip(skeleton.joints, skeleton.mirror, strict=True):
+            side, spelling = _spelt(joint)
+            own[side, spelling] = joint
+            if not side and joint != skeleton.joints[twin]:
+                own[joint[0], spelling[1:]] = joint
+                own |= {('', word + spelling[1:]): joint for word, letter in _SIDES.items() if letter == joint[0]}
+    return own
+
+
+_OWN_SPELLINGS = _own_spellings()
+
+
+def own_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Joint names as this package spells them: `left_shoulder`, `LShoulder` or `l-shoulder` is `lshoulder`.
+
+    Names that are not known stay as they are.
+    """
+    return tuple(_OWN_SPELLINGS.get(_spelt(name), name) for name in names)
 
 
 def layout(name: str) -> Skeleton:
@@ -256,21 +297,32 @@ class JointMap:
         return out, out_score
 
 
+def _useful(target: Skeleton) -> list[str]:
+    """Names of the joints that a map to `target` can use."""
+    derived = [j for joint in target.joints for recipe in _DERIVED.get(joint, ()) for j in recipe.weights]
+    return list(dict.fromkeys([*target.joints, *derived]))
+
+
 @lru_cache(maxsize=64)
 def joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointMap:
-    """The map from joints of these names to `target`: the joint itself, else derived ones.
+    """The map from joints of these names, in any spelling, to `target`: the joint itself, else derived ones.
 
     Raises:
-        SkeletonError: fewer than four of the target's joints can be had.
+        SkeletonError: fewer than four of the target's joints can be had; lists the names that are of use.
     """
+    source = own_names(source)
     if len(set(source)) != len(source):
-        raise SkeletonError(f'joint names repeat: {", ".join(source)}')
+        twice = max(source, key=source.count)
+        raise SkeletonError(f'joint names repeat: {twice}')
     recipes = [
         [r for r in (_Recipe({joint: 1.0}, 1.0), *_DERIVED.get(joint, ())) if all(j in source for j in r.weights)]
         for joint in target.joints
     ]
     if sum(bool(r) for r in recipes) < 4:
-        raise SkeletonError(f'joints {", ".join(source)} give fewer than four of {", ".join(target.joints)}')
+        few = ', '.join(source[:NAMES_SHOWN]) + (', ...' if len(source) > NAMES_SHOWN else '')
+        raise SkeletonError(
+            f'{few or "no names"}: fewer than four joints of the body; known: {", ".join(_useful(target))}'
+        )
     alternatives = max(map(len, recipes))
     weights = np.zeros((alternatives, len(target.joints), len(source)))
     trust = np.zeros(weights.shape[:2])

@@ -118,11 +118,15 @@ class Tracker:
     Args:
         model: base poses.
         config: of solver and tracker.
+
+    Attributes:
+        went_back: s by which the stamp of the last accepted frame went back, so that it started afresh; else 0.
     """
 
     def __init__(self, model: BasePoses, config: Config) -> None:
         self.config = config
         self.model = model.rescaled(config.tracker.body_height / model.stature)
+        self.went_back = 0.0
         self._windows: list[_Window] = []
         self._newest: int | None = None
         self._born = 0
@@ -134,7 +138,7 @@ class Tracker:
         self._born = 0
 
     def update(self, stamp_ns: int, people: Sequence[Person2D], intrinsics: Intrinsics) -> tuple[Person3D, ...]:
-        """One new frame.
+        """One new frame; where its stamp is older than the newest by more than `restart_after`, the first one.
 
         Args:
             stamp_ns: time of the image, ns.
@@ -146,14 +150,19 @@ class Tracker:
             seen joints who are not known from earlier frames are left out.
 
         Raises:
-            FrameDropped: the stamp is not newer than the last one; nothing has changed then.
+            FrameDropped: the stamp repeats the newest or is a little older; nothing has changed then.
             SkeletonError: joints that do not fit the model; nothing has changed then.
         """
-        if self._newest is not None and stamp_ns <= self._newest:
-            what = 'repeats' if stamp_ns == self._newest else 'is older than'
-            raise FrameDropped(f'stamp {stamp_ns} ns {what} the newest accepted, {self._newest} ns')
         settings = self.config.tracker
+        back_ns = 0 if self._newest is None else self._newest - stamp_ns
+        restart = back_ns > settings.restart_after * NS
+        if self._newest is not None and back_ns >= 0 and not restart:
+            what = 'is older than' if back_ns else 'repeats'
+            raise FrameDropped(f'stamp {stamp_ns} ns {what} the newest accepted, {self._newest} ns')
         seen = [(p.id, *to_model_joints(p, settings.min_score)) for p in people]
+        if restart:
+            self.reset()
+        self.went_back = back_ns / NS if restart else 0.0
         self._newest = stamp_ns
         keep = stamp_ns - settings.forget_after * NS
         self._windows = [w for w in self._windows if w.times[-1] >= keep]

@@ -1,17 +1,23 @@
 """The commands, on real files: what they write, and one line for what is wrong."""
 
+import argparse
 import csv
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import shared
 
+from mocap_ros import plots
 from mocap_ros.base_poses import load_model
-from mocap_ros.cli.main import main
+from mocap_ros.cli.main import main, parser
 from mocap_ros.demo.scene import make_recording
-from mocap_ros.io.sequence import load_sequence, save_sequence
+from mocap_ros.errors import InputError
+from mocap_ros.io.sequence import Truth, load_sequence, save_sequence
+from mocap_ros.skeleton import CMU15, layout
 
 
 @pytest.fixture(scope='module')
@@ -37,7 +43,22 @@ def test_evaluate_reports_and_writes_json(recording: Path, tmp_path: Path, capsy
     assert record['mpjpe_mm'] < 80
     assert record['failed_frames'] == 0
     assert {'bone_std_mm', 'residual_px', 'fps', 'seconds', 'e_paper_cm'} <= record.keys()
-    assert 'MPJPE' in capsys.readouterr().out
+    titles, units, row, legend = capsys.readouterr().out.splitlines()
+    assert titles.split()[:2] == ['MPJPE', 'PA-MPJPE']
+    assert {'mm', 'cm', 'px', 'fps', 's'} == set(units.split())
+    assert re.fullmatch(r'demo\.npz( +\d+\.\d+){7} +390 +0 +30 +\d+\.\d', row)
+    assert 'one similarity a frame' in legend
+
+
+def test_evaluate_doubts_a_truth_in_mm(recording: Path, tmp_path: Path, capsys) -> None:
+    sequence = load_sequence(recording)
+    assert sequence.truth is not None
+    truth = Truth(sequence.truth.joints * 1000, sequence.truth.joint_names)
+    save_sequence(tmp_path / 'mm.npz', replace(sequence, truth=truth))
+    for path, doubted in ((recording, ''), (tmp_path / 'mm.npz', 'mm.npz: joints3d: looks like mm; m expected\n')):
+        assert main(['evaluate', str(path), '--set', 'solver.max_iterations=1']) == 0
+        assert capsys.readouterr().err.endswith(doubted)
+        assert doubted or not capsys.readouterr().err
 
 
 @pytest.mark.parametrize('method', ['joint', 'alternation'])
@@ -55,9 +76,43 @@ def test_reconstruct_writes_npz_and_csv(recording: Path, tmp_path: Path, method:
     assert np.array(rows[1][1:], float).reshape(15, 3) == pytest.approx(joints[0], abs=1e-5)
 
 
-def test_plot_draws_a_picture(recording: Path, tmp_path: Path) -> None:
-    assert main(['plot', str(recording), '-o', str(tmp_path / 'p.png'), '--set', 'solver.max_iterations=3']) == 0
-    assert (tmp_path / 'p.png').read_bytes().startswith(b'\x89PNG')
+def test_results_go_into_the_current_folder(recording: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    quick = ['--set', 'solver.max_iterations=3']
+    beside = set(recording.parent.iterdir())
+    assert main(['plot', str(recording), *quick]) == 0
+    assert main(['reconstruct', str(recording), *quick]) == 0
+    assert (tmp_path / 'demo.png').read_bytes().startswith(b'\x89PNG')
+    assert {p.name for p in tmp_path.iterdir()} == {'demo.png', 'demo_3d.npz'}
+    assert set(recording.parent.iterdir()) == beside
+    with pytest.raises(InputError, match=r'demo_3d\.npz: is a result of reconstruct; give the sequence file'):
+        load_sequence('demo_3d.npz')
+
+
+def test_a_picture_says_what_its_colours_and_lines_are(recording: Path) -> None:
+    sequence = load_sequence(recording)
+    assert sequence.truth is not None
+    result = plots.Result(
+        times=sequence.timestamps,
+        keypoints=sequence.keypoints,
+        keypoint_skeleton=layout('coco17'),
+        joints=sequence.truth.joints,
+        seen=np.ones((390, 15), bool),
+        skeleton=CMU15,
+        truth=sequence.truth.joints,
+    )
+    figure = plots.poses_figure(result, [0, 100], 'title', ['a', 'b'])
+    (colours,) = figure.legends
+    assert [t.get_text() for t in colours.get_texts()] == [
+        'left', 'right', 'middle', 'truth', 'not seen, filled in by the model',
+    ]  # fmt: skip
+    (errors, share) = figure.axes[-2:]
+    assert (errors.get_ylabel(), share.get_ylabel()) == ('3D error, mm', 'joints not seen')
+    assert [t.get_text() for t in share.get_legend().get_texts()] == [
+        '3D error',
+        'joints not seen',
+        'frames above',
+    ]
 
 
 def test_evaluate_agrees_with_the_protocol(protocol, tmp_path: Path) -> None:
@@ -90,7 +145,16 @@ def test_train_on_motion_capture(tmp_path: Path, capsys) -> None:
         (['reconstruct', 'nowhere.npz'], 'nowhere.npz'),
         (['reconstruct', 'RECORDING', '-o', 'x.docx'], 'x.docx: can write .npz or .csv'),
         (['reconstruct', 'RECORDING', '--model', 'moonwalk'], "no base-pose model 'moonwalk'"),
-        (['reconstruct', 'RECORDING', '--set', 'solver.speed=1'], "unknown parameter 'solver.speed'"),
+        (
+            ['reconstruct', 'RECORDING', '--set', 'solver.speed=1'],
+            "unknown parameter 'solver.speed'; `mocap-ros config`",
+        ),
+        (
+            ['plot', 'RECORDING', '--set', 'solver.bone_wait=1'],
+            "'solver.bone_wait'; did you mean 'solver.bone_weight'?",
+        ),
+        (['evaluate', 'BAG'], 'bag: is a bag; use replay'),
+        (['replay', 'BAG', '-o', 'bag'], 'bag: exists already; choose another -o'),
         (['reconstruct', 'RECORDING', '-o', '/nowhere/x.npz'], '/nowhere/x.npz'),
         (['evaluate', 'GARBAGE'], 'garbage.npz'),
         (['train', 'GARBAGE', '-o', 'x.npz'], 'garbage.npz'),
@@ -102,11 +166,24 @@ def test_train_on_motion_capture(tmp_path: Path, capsys) -> None:
 def test_failures_are_one_line_on_stderr(recording, tmp_path, monkeypatch, capsys, arguments, message) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'garbage.npz').write_bytes(b'PK\x03\x04 and then nothing of use')
-    known = {'RECORDING': str(recording), 'GARBAGE': 'garbage.npz'}
+    (tmp_path / 'bag').mkdir()
+    (tmp_path / 'bag' / 'metadata.yaml').touch()
+    known = {'RECORDING': str(recording), 'GARBAGE': 'garbage.npz', 'BAG': 'bag'}
     assert main([known.get(a, a) for a in arguments]) == 1
     error = capsys.readouterr().err
     assert error.count('\n') == 1
     assert message in error
+    assert 'pickle' not in error
+
+
+def test_every_option_is_explained_with_its_default() -> None:
+    (commands,) = [a for a in parser()._actions if isinstance(a, argparse._SubParsersAction)]
+    for name, command in commands.choices.items():
+        assert command.description, name
+        for action in command._actions:
+            text = f'{action.help} {command.formatter_class("")._get_help_string(action)}'
+            assert action.help, (name, action.dest)
+            assert action.required or action.dest == 'help' or 'default' in text, (name, action.dest)
 
 
 def test_usage_errors_exit_with_2() -> None:

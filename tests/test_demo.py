@@ -15,6 +15,7 @@ def test_demo_leaves_a_bag_and_a_picture(tmp_path: Path, capfd: pytest.CaptureFi
     assert main(['demo', '-o', str(tmp_path), '--rate', '2']) == 0
     said = capfd.readouterr().out
     assert 'Mean 3D error' in said
+    assert said.endswith('5 frames had no keypoints\n')
     (metadata,) = tmp_path.glob('*/metadata.yaml')
     assert list(metadata.parent.glob('*.mcap'))
     assert (tmp_path / 'demo.png').read_bytes().startswith(b'\x89PNG')

@@ -17,7 +17,7 @@ from mocap_ros.io import messages
 from mocap_ros.io.markers import MarkerMemory
 from mocap_ros.io.messages import Header, decode, decode_keypoints, encode_keypoints
 from mocap_ros.people import Motion, MotionKind, Person2D, Person3D
-from mocap_ros.skeleton import CMU15, layout
+from mocap_ros.skeleton import CMU15, joint_map, layout
 
 LIMITS = NodeConfig()
 HEADER = Header(12_345_678_901, 'camera')
@@ -87,6 +87,7 @@ def put_all(**fields: Any) -> Any:
     return change
 
 
+SHARES = {'x': np.linspace(-0.3, 1.2, 17, dtype='f4'), 'y': np.linspace(0, 1, 17, dtype='f4')}
 BAD = {
     'unequal lengths': (put_all(y=np.zeros(3, 'f4')), r'people\[1\].x, y, score: unequal lengths 17, 3, 17'),
     'unknown layout': (put_all(skeleton='coco99'), r"people\[1\].skeleton: unknown .* 'coco99'; known: .*coco17"),
@@ -98,7 +99,8 @@ BAD = {
         r'people\[1\].joint_names: .* fewer than four',
     ),
     'infinite': (put('x', 4, np.inf), r'people\[1\].x\[4\]: inf'),
-    'score above one': (put('score', 2, 1.2), r'people\[1\].score\[2\]: 1.2'),
+    'score far above one': (put('score', 2, 1.3), r'people\[1\].score\[2\]: 1.3'),
+    'shares of the image': (put_all(**SHARES), r'people\[1\].x, y: looks normalised; px expected'),
     'negative score': (put('score', 2, -1), r'people\[1\].score\[2\]: -1'),
     'same id twice': (put_all(id='a'), "people: id 'a' twice"),
     'long id': (put_all(id='x' * 101), r'people\[1\].id: 101 characters, more than 100'),
@@ -121,8 +123,28 @@ def test_nan_and_slightly_wrong_scores_are_not_bad() -> None:
     assert frame.people[1].score[3] == 0
     frame = decode_keypoints(altered(put('score', 3, np.nan)), LIMITS)
     assert frame.people[1].score[3] == 0
-    frame = decode_keypoints(altered(put('score', 3, 1.0004)), LIMITS)
+    frame = decode_keypoints(altered(put('score', 3, 1.24)), LIMITS)
     assert frame.people[1].score[3] == 1
+
+
+def test_joint_names_hold_in_any_spelling_whatever_the_skeleton_says() -> None:
+    names = [
+        'nose',
+        'Neck',
+        *(f'{side}_{part}' for side in ('left', 'right') for part in ('hip', 'knee', 'ankle')),
+    ]
+    eight = {field: np.arange(8, dtype='f4') / 8 * most for field, most in (('x', 90), ('y', 90), ('score', 1))}
+    frame = decode_keypoints(altered(put_all(skeleton='mine', joint_names=names, **eight)), LIMITS)
+    mapped, _ = joint_map(frame.people[1].joints).apply(frame.people[1].points, frame.people[1].score)
+    np.testing.assert_array_equal(mapped[CMU15.index('rankle')], [eight['x'][7], eight['y'][7]])
+
+
+def test_shares_of_the_image_are_told_from_px_by_what_is_seen() -> None:
+    few = SHARES | {'score': np.where(np.arange(17) < 3, 0.9, 0).astype('f4')}
+    assert decode_keypoints(altered(put_all(**few)), LIMITS).people
+    tiny = decode(altered(put_all(**SHARES)), messages.KEYPOINTS)
+    tiny.image_width = 16
+    assert decode_keypoints(messages.encode(tiny, messages.KEYPOINTS), LIMITS).people
 
 
 def test_too_many_joints_and_bytes_are_refused() -> None:
@@ -228,7 +250,7 @@ def test_rclpy_reads_the_same_and_the_types_are_the_same() -> None:
     pytest.importorskip('rclpy')
     from rclpy.serialization import deserialize_message
 
-    from mocap_ros.ros.types import message_class
+    from mocap_ros.ros.types import interface_class
 
     people = [person_3d('anna'), person_3d('bob')]
     outputs = {
@@ -239,7 +261,7 @@ def test_rclpy_reads_the_same_and_the_types_are_the_same() -> None:
         messages.SKELETON_DEFINITION: messages.encode_skeleton_definition(CMU15),
     }
     for msgtype, raw in outputs.items():
-        ours, theirs = decode(raw, msgtype), deserialize_message(raw, message_class(msgtype))
+        ours, theirs = decode(raw, msgtype), deserialize_message(raw, interface_class(msgtype))
         assert plain(ours) == plain(theirs)
 
 

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import count, islice
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,9 @@ from mocap_ros.io.sequence import save_sequence
 from mocap_ros.people import Person2D
 from mocap_ros.pipeline import OUTPUTS
 from mocap_ros.replay import replay
+from mocap_ros.ros.main import main
+from mocap_ros.ros.types import interface_class
+from mocap_ros.ros.usage import INPUTS, SERVICES
 from mocap_ros.skeleton import layout
 
 rclpy = pytest.importorskip('rclpy')
@@ -51,8 +54,6 @@ class Peer:
         from rclpy.qos import DurabilityPolicy, QoSProfile
         from rclpy.signals import SignalHandlerOptions
 
-        from mocap_ros.ros.types import message_class
-
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node('peer', context=self.context)
@@ -65,9 +66,9 @@ class Peer:
             self.received[topic] = []
             qos = QoSProfile(depth=1000) if topic in OUTPUTS else latched
             take = self.received[topic].append
-            kind = message_class(msgtype)
+            kind = interface_class(msgtype)
             self.subscriptions.append(self.node.create_subscription(kind, topic, take, qos, raw=True))
-        self.keypoints = self.node.create_publisher(message_class(messages.KEYPOINTS), 'keypoints', 10)
+        self.keypoints = self.node.create_publisher(interface_class(messages.KEYPOINTS), 'keypoints', 10)
 
     def close(self) -> None:
         self.executor.shutdown()
@@ -125,9 +126,9 @@ def peer(env: dict[str, str]) -> Iterator[Peer]:
 def start_node(env: dict[str, str], tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     started: list[subprocess.Popen[str]] = []
 
-    def start(*parameters: str) -> subprocess.Popen[str]:
+    def start(*parameters: str, ros: Sequence[str] = ()) -> subprocess.Popen[str]:
         options = [word for p in (*FAST, RELIABLE, *parameters) for word in ('-p', p)]
-        command = [sys.executable, '-m', 'mocap_ros.ros.node', '--ros-args', *options]
+        command = [sys.executable, '-m', 'mocap_ros.ros.main', '--ros-args', *options, *ros]
         process = subprocess.Popen(
             command, env=env, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
@@ -142,12 +143,17 @@ def start_node(env: dict[str, str], tmp_path: Path) -> Iterator[Callable[..., su
 
 def end(process: subprocess.Popen[str], by: signal.Signals) -> list[str]:
     """End the node; returns what it logged as warnings and errors."""
+    return [line for line in all_lines(process, by) if not line.startswith('[INFO]')]
+
+
+def all_lines(process: subprocess.Popen[str], by: signal.Signals) -> list[str]:
+    """End the node; returns all that it logged."""
     asked = time.monotonic()
     process.send_signal(by)
     _, log = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
     assert time.monotonic() - asked < 2.0
-    return [line for line in log.splitlines() if not line.startswith('[INFO]')]
+    return log.splitlines()
 
 
 def mocap_ros(env: dict[str, str], *arguments: object) -> subprocess.CompletedProcess[str]:
@@ -238,7 +244,7 @@ BAD_STREAM = {
     stamped(10, skeleton='body25'): r"people\[0\]\.skeleton: 'body25' has 25 joints, x has 17",
     stamped(10)[:-6]: 'not a mocap_ros_msgs/msg/Keypoints2DArray',
     b'\0\1\0\0rubbish': 'not a mocap_ros_msgs/msg/Keypoints2DArray',
-    stamped(1): 'stamp 1000000000 ns is older than',
+    stamped(27.5): 'stamp 27500000000 ns is older than',
 }
 
 
@@ -303,11 +309,83 @@ def test_services_parameters_and_lifecycle(
         request = ChangeState.Request()
         request.transition.id = transition
         assert peer.call(ChangeState, 'mocap_node/change_state', transition=request.transition).success
+    time.sleep(1.2)
     peer.keypoints.publish(stamped(1))
     peer.wait(lambda: len(peer.received['skeletons']) == 3)
     time.sleep(1.2)
     silences = [line for line in end(node, signal.SIGTERM) if 'no message on /keypoints' in line]
-    assert silences[-1].endswith('s: its publisher sends nothing, or its QoS does not fit')
+    assert silences[-2].endswith('s: its publisher sends nothing, or its QoS does not fit')
+    assert silences[-1].endswith('no message on /keypoints for 1 s')
+
+
+def test_the_node_says_what_it_listens_to_and_which_parameters_it_does_not_know(
+    peer: Peer, start_node: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    (tmp_path / 'p.yaml').write_text('mocap_node: {ros__parameters: {tracker: {windw: 2.0}, queue: 3}}')
+    node = start_node('use_sim_time:=false', 'trackr.model:=walk', ros=['--params-file', f'{tmp_path}/p.yaml'])
+    peer.wait_for_the_node()
+    peer.wait(lambda: peer.keypoints.get_subscription_count() == 1)
+    for second in (1, 2):
+        peer.keypoints.publish(stamped(second))
+    peer.wait(lambda: len(peer.received['skeletons']) == 2)
+    lines = [line.partition('[mocap_node]: ')[2] for line in all_lines(node, signal.SIGINT)]
+
+    unknown, said = lines[:3], lines[3:]
+    assert sorted(unknown) == [
+        "unknown parameter 'queue' has no effect; did you mean 'node.queue'?",
+        "unknown parameter 'tracker.windw' has no effect; did you mean 'tracker.window'?",
+        "unknown parameter 'trackr.model' has no effect; did you mean 'tracker.model'?",
+    ]
+    topics = '/keypoints and /camera_info, publishing /skeletons, /cameras, /markers, /skeleton_definition'
+    assert said == [f'listening on {topics}, model all', '/keypoints: first message accepted']
+
+
+def test_help_tells_arguments_topics_and_the_services_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(['--help'])
+    assert stopped.value.code == 0
+    said = capsys.readouterr().out
+    for word in (
+        '-p tracker.window:=',
+        '--params-file FILE',
+        *OUTPUTS.values(),
+        messages.KEYPOINTS,
+        *SERVICES.values(),
+    ):
+        assert word in said
+    for kind in (*INPUTS.values(), *SERVICES.values()):
+        assert interface_class(kind)
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'code', 'reason'),
+    [
+        (['--ros-args', '--params-file', 'none.yaml'], 1, 'none.yaml'),
+        (['--ros-args', '--params-file', 'bad.yaml'], 1, 'bad.yaml'),
+        (['--ros-args', '--frobnicate'], 1, '--frobnicate'),
+        (['tracker.window:=2.0'], 2, 'unrecognized arguments: tracker.window:=2.0'),
+    ],
+)
+def test_wrong_arguments_are_said_without_a_traceback(
+    env: dict[str, str], tmp_path: Path, arguments: list[str], code: int, reason: str
+) -> None:
+    (tmp_path / 'bad.yaml').write_text('{')
+    command = [sys.executable, '-m', 'mocap_ros.ros.main', *arguments]
+    done = subprocess.run(command, env=env, cwd=tmp_path, capture_output=True, text=True, check=False)
+    *usage, line = done.stderr.splitlines()
+    assert (done.returncode, len(usage)) == (code, code - 1)
+    assert line.startswith('mocap_node: ')
+    assert reason in line
+
+
+def test_without_ros_the_node_says_so_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delitem(sys.modules, 'mocap_ros.ros.node', raising=False)
+    monkeypatch.setitem(sys.modules, 'rclpy', None)
+    assert main([]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith('mocap_node: needs ROS 2')
 
 
 @pytest.mark.parametrize(

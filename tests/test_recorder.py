@@ -143,10 +143,19 @@ def test_a_killed_recording_loses_no_more_than_a_chunk(tmp_path: Path) -> None:
     lost = RecorderConfig().chunk_seconds * 1e9 / STEP + 1
     assert len(read) >= FRAMES - lost
     assert read == [keypoints(i) for i in range(len(read))]
-    with pytest.raises(InputError, match='bag: '):
+    for path in (tmp_path / 'bag', tmp_path / 'bag' / 'bag_0.mcap'):
+        cut_off = f'{path.name}: the recording was cut off, {len(read)} messages are left; not finished'
+        with pytest.raises(InputError, match=cut_off):
+            Bag(path)
+
+
+def test_a_bag_without_metadata_points_to_its_file(tmp_path: Path) -> None:
+    write_bag(tmp_path / 'bag', RecorderConfig())
+    (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    with pytest.raises(InputError, match=r'not finished: no metadata\.yaml; give bag_0\.mcap instead'):
         Bag(tmp_path / 'bag')
-    with pytest.raises(InputError, match=r'bag_0\.mcap: not a bag that can be read'):
-        Bag(tmp_path / 'bag' / 'bag_0.mcap')
+    with Bag(tmp_path / 'bag' / 'bag_0.mcap') as bag:
+        assert bag.count(bag.topics) == FRAMES + 1
 
 
 def test_a_full_disk_is_one_clear_error_and_keeps_what_was_written(tmp_path: Path) -> None:

@@ -58,11 +58,21 @@ def test_only_the_needed_keys_are_needed(tmp_path: Path, sequence: Sequence) -> 
     assert not again.intrinsics(1.2).known
 
 
+def test_joint_names_are_taken_in_any_spelling(tmp_path: Path, sequence: Sequence) -> None:
+    spelt = tuple(n.replace('l', 'left_', 1) if n[0] == 'l' else n.title() for n in JOINTS)
+    truth = Truth(np.ones((FRAMES, 2, 3)), ('Neck', 'pelvis'))
+    save_sequence(tmp_path / 'walk.npz', replace(sequence, joint_names=spelt, truth=truth))
+    again = load_sequence(tmp_path / 'walk.npz')
+    assert again.joint_names == JOINTS
+    assert again.truth is not None
+    assert again.truth.joint_names == ('neck', 'pelvis')
+
+
 def test_not_seen_is_said_in_one_way(tmp_path: Path, sequence: Sequence) -> None:
     sequence.keypoints[0, 0, 2] = np.nan
     sequence.keypoints[0, 1, 0] = np.nan
     sequence.keypoints[0, 2, 2] = 0
-    sequence.keypoints[0, 3, 2] = 1.0005
+    sequence.keypoints[0, 3, 2] = 1.24
     path = tmp_path / 'walk.npz'
     save_sequence(path, sequence)
     person = load_sequence(path).person(0)
@@ -79,7 +89,7 @@ BAD = {
     'missing key': (lambda a: a.pop('keypoints'), 'keypoints: missing'),
     'pickled': (
         lambda a: a.update(keypoints=np.array([None], object)),
-        'keypoints: Object arrays cannot be loaded',
+        'keypoints: holds Python objects$',
     ),
     'text for numbers': (lambda a: a.update(timestamps=np.array(['now'])), 'timestamps: holds <U3'),
     'wrong shape': (
@@ -102,6 +112,14 @@ BAD = {
     'negative score': (
         lambda a: changed(a, 'keypoints', (4, 0, 2), -0.5),
         'keypoints: frame 4: score of nose is -0.5',
+    ),
+    'shares of the image': (
+        lambda a: a['keypoints'].__setitem__((..., slice(2)), a['keypoints'][..., :2] / 512),
+        'keypoints: looks normalised; px expected',
+    ),
+    'a result': (
+        lambda a: a.update(theta=np.zeros(0), residual_px=np.zeros(0)),
+        'is a result of reconstruct; give the sequence file',
     ),
     'repeated stamp': (
         lambda a: changed(a, 'timestamps', 2, 1 / 30),
@@ -150,11 +168,17 @@ def test_bad_files_are_refused(tmp_path: Path, sequence: Sequence) -> None:
     for name, content in broken.items():
         path = tmp_path / name
         path.write_bytes(content)
-        with pytest.raises(InputError, match=f'{name}: not a sequence file'):
+        with pytest.raises(InputError, match=f'{name}: not a sequence file') as caught:
             load_sequence(path)
+        assert 'pickle' not in str(caught.value)
     np.save(tmp_path / 'single.npy', np.zeros(3))
     with pytest.raises(InputError, match=r'single\.npy: not a sequence file'):
         load_sequence(tmp_path / 'single.npy')
+    for bag in (tmp_path / 'bag', tmp_path / 'bag.mcap'):
+        bag.mkdir()
+        (bag / 'bag_0.db3').touch()
+        with pytest.raises(InputError, match=f'{bag.name}: is a bag; use replay'):
+            load_sequence(bag)
     with pytest.raises(InputError, match='No such file'):
         load_sequence(tmp_path / 'none.npz')
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mocap_ros.errors import SkeletonError
-from mocap_ros.skeleton import CMU15, LAYOUT_NAMES, joint_map, layout
+from mocap_ros.skeleton import CMU15, LAYOUT_NAMES, joint_map, layout, own_names
 
 
 @pytest.mark.parametrize('name', LAYOUT_NAMES)
@@ -56,7 +56,29 @@ def test_derived_joints_and_their_fallbacks() -> None:
 
 
 def test_joints_that_cannot_carry_a_body_are_refused() -> None:
-    with pytest.raises(SkeletonError, match='fewer than four'):
+    with pytest.raises(SkeletonError, match=r'fewer than four .*; known: head, neck, lshoulder, .*nose'):
         joint_map(('nose', 'lear', 'rear'))
     with pytest.raises(SkeletonError, match='repeat'):
-        joint_map(('lknee', 'lknee', 'rknee', 'lhip', 'rhip', 'lankle'))
+        joint_map(('lknee', 'left_knee', 'rknee', 'lhip', 'rhip', 'lankle'))
+
+
+@pytest.mark.parametrize('name', LAYOUT_NAMES)
+def test_own_names_are_kept_and_other_spellings_understood(name: str) -> None:
+    joints = layout(name).joints
+    assert own_names(joints) == joints
+    sides = {'l': 'left', 'r': 'right'}
+    pairs = {joints[i] for pair in layout(name).pairs for i in pair if not joints[i].endswith(('_l', '_r'))}
+    for spell in (
+        lambda side, rest: f'{sides[side]}_{rest}',
+        lambda side, rest: f'{sides[side]}-{rest}'.upper(),
+        lambda side, rest: f'{side}_{rest}',
+        lambda side, rest: sides[side].title() + rest.title().replace('_', ''),
+        lambda side, rest: side.upper() + rest.title(),
+    ):
+        assert own_names([spell(j[0], j[1:]) if j in pairs else j for j in joints]) == joints
+
+
+def test_names_of_well_known_detectors() -> None:
+    given = ['leftEyeInner', 'left eye (outer)', 'mouth_left', 'MidHip', 'RBigToe', 'left_foot_index', 'Tail']
+    own = ('leye_inner', 'leye_outer', 'mouth_l', 'pelvis', 'rbigtoe', 'lfoot_index', 'Tail')
+    assert own_names(given) == own

@@ -82,6 +82,24 @@ def test_old_and_repeated_stamps_are_dropped_and_change_nothing(walk_model: Base
         assert (a.joints == b.joints).all()
 
 
+def test_stamps_that_go_far_back_start_it_afresh(walk_model: BasePoses, walk) -> None:
+    _, _, points, _ = walk
+    tracker, fresh = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
+    for frame in range(4):
+        tracker.update(10**10 + frame * STEP_NS, people(points, frame + 20), CAMERA)
+    newest = 10**10 + 3 * STEP_NS
+    with pytest.raises(FrameDropped, match='older'):
+        tracker.update(newest - 10**9, people(points, 0), CAMERA)
+    with pytest.raises(SkeletonError):
+        tracker.update(1, [Person2D('', ('nose',), np.zeros((1, 2)), np.ones(1))], CAMERA)
+    start = newest - 10**9 - 1
+    for frame in range(4):
+        (a,) = tracker.update(start + frame * STEP_NS, people(points, frame), CAMERA)
+        (b,) = fresh.update(start + frame * STEP_NS, people(points, frame), CAMERA)
+        assert (a.joints == b.joints).all()
+        assert tracker.went_back == pytest.approx(0 if frame else 1.0)
+
+
 def test_reset_begins_anew(walk_model: BasePoses, walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)

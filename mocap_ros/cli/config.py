@@ -11,7 +11,12 @@ from mocap_ros.config import to_yaml
 
 def add_parser(subparsers: Any) -> None:
     """Register the subcommand."""
-    p = subparsers.add_parser('config', help='print a parameter file with every parameter')
+    p = subparsers.add_parser(
+        'config',
+        help='print a parameter file with every parameter',
+        description='Prints every parameter with its meaning, range and value as a ROS parameter file, for '
+        '`mocap_node --ros-args --params-file` and `--config`.',
+    )
     add_config_options(p)
     p.set_defaults(run=run)
 

@@ -40,8 +40,10 @@ def add_parser(subparsers: Any) -> None:
         description='Starts the node as its own process, plays the embedded synthetic recording to it over '
         'ROS 2 topics at its own pace, records, and draws the result beside the input and the truth.',
     )
-    p.add_argument('-o', '--output', type=Path, default=Path('demo_output'), metavar='FOLDER')
-    p.add_argument('--rate', type=float, default=1.0, help='times the recorded pace')
+    p.add_argument(
+        '-o', '--output', type=Path, default=Path('demo_output'), metavar='FOLDER', help='for bag and picture'
+    )
+    p.add_argument('--rate', type=float, default=1.0, metavar='FACTOR', help='times the recorded pace')
     p.set_defaults(run=run)
 
 
@@ -86,7 +88,7 @@ def _seconds(recording: Path) -> float:
 @contextlib.contextmanager
 def _node(folder: Path, environment: dict[str, str]) -> Iterator[subprocess.Popen[bytes]]:
     """The live node as a process of its own, recording; stopped by SIGINT as a user would."""
-    command = [sys.executable, '-m', 'mocap_ros.ros.node', '--ros-args', '--log-level', 'warn']
+    command = [sys.executable, '-m', 'mocap_ros.ros.main', '--ros-args', '--log-level', 'warn']
     command += ['-p', 'recorder.enabled:=true', '-p', f'recorder.folder:={folder.resolve()}']
     command += ['-p', 'qos_overrides./keypoints.subscription.reliability:=reliable']
     node = subprocess.Popen(command, env=environment)
@@ -130,10 +132,7 @@ def _draw(sequence: Sequence, joints: Array, filled: NDArray[np.bool_], picture:
     )
     frames = np.searchsorted(sequence.timestamps, SHOWN_SECONDS).tolist()
     labels = [f'{act_at(t)}, {t:.1f} s' for t in SHOWN_SECONDS]
-    title = (
-        'Live 3D reconstruction of the synthetic demo: '
-        'blue left, red right, grey truth, orange not seen but filled in'
-    )
+    title = 'Live 3D reconstruction of the synthetic demo'
     plots.save_figure(plots.poses_figure(result, frames, title, labels), picture)
 
 
@@ -145,9 +144,10 @@ def _report(sequence: Sequence, joints: Array, bag: Path, picture: Path) -> None
     errors = metrics.errors(joints, sequence.truth.joints, fps=30.0)
     if 'mpjpe_mm' not in errors:
         raise MocapError(f'{bag}: no skeletons in it')
+    empty = int((~(sequence.keypoints[..., 2] > 0).any(axis=1)).sum())
     done = errors['frames'] - errors['failed_frames']
     print(
         f'Mean 3D error: {errors["mpjpe_mm"]:.0f} mm (MPJPE, one scale for the sequence), '
         f'{errors["pa_mpjpe_mm"]:.0f} mm after a similarity a frame; '
-        f'{done:.0f} of {errors["frames"]:.0f} frames with a skeleton'
+        f'{done:.0f} of {errors["frames"]:.0f} frames with a skeleton, {empty} frames had no keypoints'
     )

@@ -5,32 +5,43 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_ros import metrics
 from mocap_ros.base_poses import BasePoses, load_model
-from mocap_ros.cli.options import add_config_options, config_from, progress
+from mocap_ros.cli.options import add_config_options, add_sequence_options, config_from, progress
 from mocap_ros.cli.reconstruct import reconstruct_file
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
 from mocap_ros.io.sequence import Sequence, load_sequence
 
+Array = NDArray[np.float64]
+
 COLUMNS = (
-    ('mpjpe_mm', 'MPJPE'),
-    ('pa_mpjpe_mm', 'PA-MPJPE'),
-    ('seq_mpjpe_mm', 'sequence'),
-    ('metric_mpjpe_mm', 'metric'),
-    ('e_paper_cm', 'e, cm'),
-    ('bone_std_mm', 'bone std'),
-    ('residual_px', 'px'),
-    ('frames', 'frames'),
-    ('fps', 'fps'),
-    ('seconds', 's'),
+    ('mpjpe_mm', 'MPJPE', 'mm', '.1f'),
+    ('pa_mpjpe_mm', 'PA-MPJPE', 'mm', '.1f'),
+    ('seq_mpjpe_mm', 'sequence', 'mm', '.1f'),
+    ('metric_mpjpe_mm', 'metric', 'mm', '.1f'),
+    ('e_paper_cm', 'e', 'cm', '.2f'),
+    ('bone_std_mm', 'bone std', 'mm', '.1f'),
+    ('residual_px', 'residual', 'px', '.2f'),
+    ('frames', 'frames', '', '.0f'),
+    ('failed_frames', 'failed', '', '.0f'),
+    ('fps', 'rate', 'fps', '.0f'),
+    ('seconds', 'took', 's', '.1f'),
 )
+LEGEND = (
+    'MPJPE: poses centred, one scale a sequence, no rotation; PA-MPJPE: one similarity a frame; '
+    'sequence: one similarity a sequence; metric: no scale; e: eq. 25 of TPAMI 2016; '
+    'bone std: of bone lengths over time; residual: in the image.'
+)
+LARGEST_PERSON = 10.0
 
 
 def add_parser(subparsers: Any) -> None:
@@ -38,18 +49,16 @@ def add_parser(subparsers: Any) -> None:
     p = subparsers.add_parser(
         'evaluate',
         help='errors of the reconstruction on sequence files with truth',
-        description='Errors in mm. MPJPE: poses centred, one scale a sequence, no rotation; PA-MPJPE: one '
-        'similarity a frame; sequence: one similarity a sequence; metric: no scale; e: eq. 25 of TPAMI 2016.',
+        description=f'Reconstructs sequence files as a whole and compares them with their truth. {LEGEND}',
     )
-    p.add_argument('files', nargs='+', type=Path, metavar='SEQUENCE.npz')
-    p.add_argument('--model', help='base poses: a shipped name or a file (default: tracker.model)')
+    add_sequence_options(p, nargs='+')
     p.add_argument(
         '--joints',
         choices=['common', 'limbs'],
         default='common',
         help='limbs: twelve limb joints, in frames with more than eight of them seen',
     )
-    p.add_argument('--json', type=Path, metavar='FILE', help='also write the records here')
+    p.add_argument('--json', type=Path, metavar='FILE', help='also write all figures here (default: not)')
     add_config_options(p)
     p.set_defaults(run=run)
 
@@ -58,15 +67,19 @@ def run(args: argparse.Namespace) -> int:
     """Evaluate every file and print a table."""
     config = config_from(args)
     model = load_model(args.model or config.tracker.model)
-    records = []
-    for path in progress(args.files, 'evaluate'):
+    records, doubts = [], []
+    for path in progress(args.input, 'evaluate'):
         sequence = load_sequence(path)
         if sequence.truth is None:
             raise InputError(f'{path}: joints3d: missing; without the truth there is nothing to evaluate')
+        if _looks_like_mm(sequence.truth.joints):
+            doubts.append(f'{path}: joints3d: looks like mm; m expected')
         records.append({'file': path.name, **evaluate(sequence, model, config, args.joints == 'limbs')})
     if args.json is not None:
         args.json.write_text(json.dumps(records, indent=1) + '\n', encoding='utf-8')
     print_table(records)
+    for doubt in doubts:
+        print(f'mocap-ros: {doubt}', file=sys.stderr)
     return 0
 
 
@@ -93,15 +106,25 @@ def evaluate(sequence: Sequence, model: BasePoses, config: Config, limbs_only: b
 
 def print_table(records: list[dict[str, Any]]) -> None:
     """A table with one line a sequence, and their mean."""
-    width = max(len(str(r['file'])) for r in records)
-    print(' ' * width, *(f'{title:>9}' for _, title in COLUMNS))
-    for record in records:
-        print(f'{record["file"]:<{width}}', *(_cell(record.get(key)) for key, _ in COLUMNS))
+    rows = list(records)
     if len(records) > 1:
-        values = {k: [r[k] for r in records if k in r] for k, _ in COLUMNS}
-        means = {k: sum(v) / len(v) if v else None for k, v in values.items()}
-        print(f'{"mean":<{width}}', *(_cell(means[key]) for key, _ in COLUMNS))
+        values = {key: [r[key] for r in records if key in r] for key, *_ in COLUMNS}
+        rows.append({'file': 'mean', **{key: sum(v) / len(v) for key, v in values.items() if v}})
+    cells = [
+        ['', *(title for _, title, _, _ in COLUMNS)],
+        ['', *(unit for _, _, unit, _ in COLUMNS)],
+        *(
+            [row['file'], *(format(row[key], form) if key in row else '-' for key, _, _, form in COLUMNS)]
+            for row in rows
+        ),
+    ]
+    first, *others = (max(map(len, column)) for column in zip(*cells, strict=True))
+    for name, *numbers in cells:
+        print(f'{name:<{first}}', *(f'{cell:>{width + 1}}' for cell, width in zip(numbers, others, strict=True)))
+    print(LEGEND)
 
 
-def _cell(value: float | None) -> str:
-    return f'{"-" if value is None else f"{value:.2f}":>9}'
+def _looks_like_mm(truth: Array) -> bool:
+    """Whether people are larger than people are in m; `truth` (F, J, 3)."""
+    whole = truth[np.isfinite(truth).all(axis=(1, 2))]
+    return len(whole) > 0 and bool(np.median(np.ptp(whole, axis=1).max(axis=-1)) > LARGEST_PERSON)

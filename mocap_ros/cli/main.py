@@ -9,6 +9,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from mocap_ros.cli import config, demo, evaluate, play, plot, reconstruct, replay, train
 from mocap_ros.errors import MocapError
@@ -16,11 +17,24 @@ from mocap_ros.errors import MocapError
 COMMANDS = (demo, reconstruct, replay, play, plot, evaluate, train, config)
 
 
+class _HelpWithDefaults(argparse.ArgumentDefaultsHelpFormatter):
+    """Adds the default to the help of every option that has one worth showing."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        shown = action.default not in (None, [], '') and not isinstance(action.default, bool)
+        return super()._get_help_string(action) if shown else action.help
+
+
+class _Parser(argparse.ArgumentParser):
+    """Of the command and of all its subcommands."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options, formatter_class=_HelpWithDefaults)
+
+
 def parser() -> argparse.ArgumentParser:
     """The command line of all subcommands."""
-    top = argparse.ArgumentParser(
-        prog='mocap-ros', description='People in 3D from one camera and a 2D keypoint detector.'
-    )
+    top = _Parser(prog='mocap-ros', description='People in 3D from one camera and a 2D keypoint detector.')
     subparsers = top.add_subparsers(metavar='COMMAND', required=True)
     for command in COMMANDS:
         command.add_parser(subparsers)

@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import yaml
 from tqdm import tqdm
@@ -19,13 +19,23 @@ T = TypeVar('T')
 
 def add_config_options(parser: argparse.ArgumentParser) -> None:
     """`--config FILE` and `--set NAME=VALUE`."""
-    parser.add_argument('--config', type=Path, metavar='FILE', help='parameter file (YAML)')
+    parser.add_argument('--config', type=Path, metavar='FILE', help='parameter file (default: none)')
     parser.add_argument(
         '--set',
         action='append',
         default=[],
         metavar='NAME=VALUE',
-        help='one parameter, such as solver.components=20 (see `mocap-ros config`); may be repeated',
+        help='one parameter, such as solver.components=20; may be repeated (defaults: see `mocap-ros config`)',
+    )
+
+
+def add_sequence_options(parser: argparse.ArgumentParser, **how: Any) -> None:
+    """The sequence file, or several, and `--model`."""
+    parser.add_argument(
+        'input', type=Path, metavar='SEQUENCE.npz', help='sequence file: keypoints of one person over time', **how
+    )
+    parser.add_argument(
+        '--model', metavar='NAME', help='base poses: a shipped name or a file (default: tracker.model)'
     )
 
 

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from mocap_ros.cli.options import progress
 from mocap_ros.errors import MocapError
 from mocap_ros.io.samples import samples_of
 
@@ -19,10 +20,10 @@ def add_parser(subparsers: Any) -> None:
         'on the topic `keypoints`. Stamps stay as they are. Needs ROS 2.',
     )
     p.add_argument('input', type=Path, metavar='IN', help='bag (folder, .mcap, .db3) or .npz')
-    p.add_argument('--rate', type=_positive, default=1.0, help='times faster than recorded')
-    p.add_argument('--topic', metavar='NAME', help='of the keypoints, where a bag has several')
-    p.add_argument('--to', default='keypoints', metavar='NAME', help='topic to publish on (default: keypoints)')
-    p.add_argument('--wait', type=_positive, default=10.0, metavar='S', help='for a subscriber (default: 10 s)')
+    p.add_argument('--rate', type=_positive, default=1.0, metavar='FACTOR', help='times the recorded pace')
+    p.add_argument('--topic', metavar='NAME', help='of the keypoints in the bag (default: the only one there is)')
+    p.add_argument('--to', default='keypoints', metavar='NAME', help='topic to publish on')
+    p.add_argument('--wait', type=_positive, default=10.0, metavar='S', help='s to wait for a subscriber')
     p.set_defaults(run=run)
 
 
@@ -34,7 +35,8 @@ def run(args: argparse.Namespace) -> int:
         raise MocapError(
             f'play needs ROS 2, and there is none for this Python ({error}); `make setup` gets it'
         ) from None
-    played = play(samples_of(args.input, args.topic), args.to, args.rate, args.wait)
+    samples = samples_of(args.input, args.topic, lambda found, total: progress(found, 'play', total))
+    played = play(samples, args.to, args.rate, args.wait)
     print(f'{args.input}: {played} messages published on {args.to}')
     return 0
 

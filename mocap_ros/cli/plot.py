@@ -10,7 +10,7 @@ import numpy as np
 
 from mocap_ros import plots
 from mocap_ros.base_poses import load_model
-from mocap_ros.cli.options import add_config_options, config_from
+from mocap_ros.cli.options import add_config_options, add_sequence_options, config_from
 from mocap_ros.cli.reconstruct import reconstruct_file
 from mocap_ros.io.sequence import load_sequence
 from mocap_ros.skeleton import skeleton_of
@@ -18,11 +18,21 @@ from mocap_ros.skeleton import skeleton_of
 
 def add_parser(subparsers: Any) -> None:
     """Register the subcommand."""
-    p = subparsers.add_parser('plot', help='a picture of a sequence: 2D input and 3D result')
-    p.add_argument('input', type=Path, metavar='SEQUENCE.npz')
-    p.add_argument('-o', '--output', type=Path, metavar='OUT.png', help='default: INPUT.png')
-    p.add_argument('--model', help='base poses: a shipped name or a file (default: tracker.model)')
-    p.add_argument('--poses', type=int, default=8, help='how many frames to show')
+    p = subparsers.add_parser(
+        'plot',
+        help='a picture of a sequence: 2D input and 3D result',
+        description='Reconstructs a sequence file as a whole and draws some frames: the keypoints, the 3D result '
+        'from the camera and from the side, and the error over time where the file holds the truth.',
+    )
+    add_sequence_options(p)
+    p.add_argument(
+        '-o',
+        '--output',
+        type=Path,
+        metavar='OUT.png',
+        help='picture; its ending says the format (default: SEQUENCE.png in this folder)',
+    )
+    p.add_argument('--poses', type=int, default=8, metavar='N', help='how many frames to show')
     add_config_options(p)
     p.set_defaults(run=run)
 
@@ -49,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     count = max(1, min(args.poses, len(sequence)))
     frames = np.linspace(0, len(sequence) - 1, count).round().astype(int).tolist()
     labels = [f'{sequence.timestamps[f] - sequence.timestamps[0]:.2f} s' for f in frames]
-    output = args.output or args.input.with_suffix('.png')
+    output = args.output or Path(f'{args.input.stem}.png')
     plots.save_figure(plots.poses_figure(drawn, frames, args.input.name, labels), output)
     print(output)
     return 0

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mocap_ros.base_poses import BasePoses, load_model
-from mocap_ros.cli.options import add_config_options, config_from
+from mocap_ros.cli.options import add_config_options, add_sequence_options, config_from
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
 from mocap_ros.io.sequence import Sequence, load_sequence
@@ -24,18 +24,19 @@ def add_parser(subparsers: Any) -> None:
     p = subparsers.add_parser(
         'reconstruct',
         help='a whole sequence to 3D, every frame helping the others',
-        description='Reconstructs a sequence file (.npz) as a whole. For bags, use replay.',
+        description='Reconstructs a sequence file (.npz) as a whole. Bags: use replay.',
     )
-    p.add_argument('input', type=Path, metavar='SEQUENCE.npz')
-    p.add_argument('-o', '--output', type=Path, metavar='OUT', help='.npz or .csv; default INPUT_3d.npz')
-    p.add_argument('--model', help='base poses: a shipped name or a file (default: tracker.model)')
+    add_sequence_options(p)
+    p.add_argument(
+        '-o', '--output', type=Path, metavar='OUT', help='.npz or .csv (default: SEQUENCE_3d.npz in this folder)'
+    )
     add_config_options(p)
     p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Reconstruct, save, and say how well the image is explained."""
-    output = args.output or args.input.with_name(f'{args.input.stem}_3d.npz')
+    output = args.output or Path(f'{args.input.stem}_3d.npz')
     if output.suffix not in WRITERS:
         raise InputError(f'{output}: can write {" or ".join(WRITERS)}')
     config = config_from(args)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mocap_ros.cli.options import add_config_options, config_from, progress
+from mocap_ros.errors import RecordingError
 from mocap_ros.io.bags import Bag
 from mocap_ros.replay import replay
 
@@ -23,8 +24,15 @@ def add_parser(subparsers: Any) -> None:
         'parameters it was recorded with, unless --config or --set is given, and gives the same skeletons.',
     )
     p.add_argument('bag', type=Path, metavar='BAG', help='folder, .mcap or .db3')
-    p.add_argument('-o', '--output', type=Path, required=True, metavar='OUTBAG', help='new folder')
-    p.add_argument('--topic', metavar='NAME', help='of the keypoints, where the bag has several')
+    p.add_argument(
+        '-o',
+        '--output',
+        type=Path,
+        required=True,
+        metavar='OUTBAG',
+        help='folder of the new bag, which must not exist',
+    )
+    p.add_argument('--topic', metavar='NAME', help='of the keypoints (default: the only one there is)')
     add_config_options(p)
     p.set_defaults(run=run)
 
@@ -32,6 +40,8 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Replay, and say what became of the messages."""
     config = config_from(args) if args.config is not None or args.set else None
+    if args.output.exists():
+        raise RecordingError(f'{args.output}: exists already; choose another -o')
     start = time.monotonic()
     with Bag(args.bag) as bag:
         result = replay(

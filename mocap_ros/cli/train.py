@@ -19,24 +19,48 @@ def add_parser(subparsers: Any) -> None:
         description='Trains base poses from .npz motion capture ((F, 15, 3) arrays in mm, y up, one key a '
         'trial, joint names under _joints; a manifest.csv beside it says subjects and categories).',
     )
-    p.add_argument('data', nargs='+', type=Path, metavar='DATA.npz')
-    p.add_argument('-o', '--output', type=Path, required=True, metavar='MODEL.npz')
+    p.add_argument('data', nargs='+', type=Path, metavar='DATA.npz', help='motion capture')
+    p.add_argument('-o', '--output', type=Path, required=True, metavar='MODEL.npz', help='model to write')
     p.add_argument('--name', help='name of the model (default: the category, or all)')
-    p.add_argument('--manifest', type=Path, metavar='CSV')
-    p.add_argument('--category', action='append', default=[], help='only these; may be repeated')
-    p.add_argument('--subject', action='append', default=[], help='only these; may be repeated')
-    p.add_argument('--without-subject', action='append', default=[], metavar='SUBJECT')
-    p.add_argument('--without-trial', action='append', default=[], metavar='TRIAL')
-    p.add_argument('--components', type=int, default=45, help='base poses kept at most')
+    p.add_argument(
+        '--manifest',
+        type=Path,
+        metavar='CSV',
+        help='trial, subject, category, interior_glitches (default: manifest.csv beside the data, if there)',
+    )
+    for option, what, kept in (
+        ('--category', 'only trials of this category', 'all'),
+        ('--subject', 'only trials of this subject', 'all'),
+        ('--without-subject', 'no trials of this subject', 'none left out'),
+        ('--without-trial', 'not this trial', 'none left out'),
+    ):
+        p.add_argument(
+            option, action='append', default=[], metavar='NAME', help=f'{what}; may be repeated (default: {kept})'
+        )
+    p.add_argument('--components', type=int, default=45, metavar='N', help='base poses kept at most')
     p.add_argument(
         '--alignment',
         choices=['rotation', 'heading'],
         help='of poses before the analysis (default: heading for a category, rotation for all)',
     )
-    p.add_argument('--mirror', action=argparse.BooleanOptionalAction, help='add mirror images')
-    p.add_argument('--bodies', type=int, help='added bodies with random bone lengths, a trial')
-    p.add_argument('--source', default='', help='where the data is from, kept in the model')
-    p.add_argument('--acknowledgement', default='', help='what its owner asks for, kept in the model')
+    p.add_argument(
+        '--mirror', action=argparse.BooleanOptionalAction, help='add mirror images (default: for a category)'
+    )
+    p.add_argument(
+        '--bodies',
+        type=int,
+        metavar='N',
+        help='added bodies with random bone lengths, a trial (default: 2 for a category, 0 for all)',
+    )
+    p.add_argument(
+        '--source', default='', metavar='TEXT', help='where the data is from, kept in the model (default: empty)'
+    )
+    p.add_argument(
+        '--acknowledgement',
+        default='',
+        metavar='TEXT',
+        help='what its owner asks for, kept in the model (default: empty)',
+    )
     p.set_defaults(run=run)
 
 

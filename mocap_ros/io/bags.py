@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from contextlib import suppress
+from os import SEEK_END
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import IO, TYPE_CHECKING, NamedTuple
 
+from mcap.reader import NonSeekingReader
 from rosbags.rosbag2 import Reader
 
 from mocap_ros.config import Value
@@ -19,6 +21,11 @@ from mocap_ros.io.messages import KEYPOINT_TYPES, typestore
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+
+MAGIC = b'\x89MCAP0\r\n'
+ENDINGS = ('.mcap', '.db3')
+METADATA = 'metadata.yaml'
 
 
 class BagMessage(NamedTuple):
@@ -112,7 +119,42 @@ class Bag:
         if isinstance(error, OSError) and error.strerror:
             return InputError(f'{self.path}: {error.strerror}')
         reason = ' '.join(str(error).split()).rstrip('.') or type(error).__name__
-        return InputError(f'{self.path}: not a bag that can be read: {reason}')
+        return InputError(f'{self.path}: {_unfinished(self.path) or f"not a bag that can be read: {reason}"}')
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path looks like a bag, readable or not."""
+    return path.suffix in ENDINGS or (path / METADATA).is_file() or bool(_files_in(path))
+
+
+def _files_in(folder: Path) -> list[Path]:
+    return sorted(f for f in folder.iterdir() if f.suffix in ENDINGS) if folder.is_dir() else []
+
+
+def _unfinished(path: Path) -> str:
+    """What is left of a recording whose recorder was killed; empty where something else is wrong."""
+    files = _files_in(path)
+    for file in [path] if path.is_file() else files:
+        with file.open('rb') as stream:
+            start = stream.read(len(MAGIC))
+            stream.seek(-min(len(MAGIC), file.stat().st_size), SEEK_END)
+            if start == MAGIC and stream.read() != MAGIC:
+                stream.seek(0)
+                return (
+                    f'the recording was cut off, {_readable_messages(stream)} messages are left; '
+                    'not finished (`mcap recover` makes it whole)'
+                )
+    if files and not (path / METADATA).exists():
+        return f'the recording was not finished: no {METADATA}; give {files[0].name} instead'
+    return ''
+
+
+def _readable_messages(stream: IO[bytes]) -> int:
+    number = 0
+    with suppress(Exception):  # the end is missing
+        for _ in NonSeekingReader(stream).iter_messages(log_time_order=False):
+            number += 1
+    return number
 
 
 class Run(NamedTuple):

@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SCORE_SLACK = 1e-3
+LEAST_SCORE, GREATEST_SCORE = -1e-3, 1.25
+NORMALISED_RANGE = -0.5, 1.5
+SMALLEST_IMAGE = 16
+JUDGED_POINTS = 4
 
 
 @dataclass(frozen=True)
@@ -28,13 +31,15 @@ class Fault:
 
 
 def first_fault(points: Array, score: Array) -> Fault | None:
-    """The first infinite coordinate, or score outside [0, 1] by more than `SCORE_SLACK`.
+    """The first infinite coordinate, or score outside [`LEAST_SCORE`, `GREATEST_SCORE`].
+
+    Some detectors' scores exceed 1 a little; they are clipped.
 
     Args:
         points: (..., J, 2) px; NaN is no fault.
         score: (..., J); NaN is no fault.
     """
-    outside = (score < -SCORE_SLACK) | (score > 1 + SCORE_SLACK)
+    outside = (score < LEAST_SCORE) | (score > GREATEST_SCORE)
     for field, wrong, values in (
         ('x', np.isinf(points[..., 0]), points[..., 0]),
         ('y', np.isinf(points[..., 1]), points[..., 1]),
@@ -47,12 +52,26 @@ def first_fault(points: Array, score: Array) -> Fault | None:
     return None
 
 
-def normalised(points: Array, score: Array) -> tuple[Array, Array]:
+def tidied(points: Array, score: Array) -> tuple[Array, Array]:
     """The same keypoints with NaN points and score 0 wherever one of them says "not seen".
 
     Args:
         points: (..., J, 2) px.
-        score: (..., J) in [0, 1], or NaN.
+        score: (..., J) in [0, 1], a little more, or NaN.
     """
     seen = (score > 0) & np.isfinite(points).all(axis=-1)
     return np.where(seen[..., None], points, np.nan), np.where(seen, np.minimum(score, 1.0), 0.0)
+
+
+def looks_normalised(points: Array, score: Array, image_width: int) -> bool:
+    """Whether coordinates are plainly shares of the image, where px are expected.
+
+    Args:
+        points: (..., J, 2) as `tidied` returns them.
+        score: (..., J) likewise.
+        image_width: px, 0 where unknown.
+    """
+    seen = points[score > 0]
+    low, high = NORMALISED_RANGE
+    tiny = 0 < image_width <= SMALLEST_IMAGE
+    return not tiny and len(seen) >= JUDGED_POINTS and bool(((seen >= low) & (seen <= high)).all())

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError, SkeletonError
-from mocap_ros.io.keypoints import first_fault, normalised
+from mocap_ros.io.keypoints import first_fault, looks_normalised, tidied
 from mocap_ros.people import Intrinsics, Person2D, Person3D
 from mocap_ros.skeleton import CMU15, LAYOUT_NAMES, Skeleton, joint_map, layout
 
@@ -142,7 +142,7 @@ def decode_keypoints(raw: bytes, limits: NodeConfig) -> KeypointsFrame:
     header = _header(message.header, limits)
     if len(message.people) > limits.max_people:
         raise InputError(f'people: {len(message.people)}, more than {limits.max_people}')
-    people = tuple(_person(p, i, limits) for i, p in enumerate(message.people))
+    people = tuple(_person(p, i, message.image_width, limits) for i, p in enumerate(message.people))
     named = [p.id for p in people if p.id]
     if len(set(named)) != len(named):
         raise InputError(f'people: id {max(named, key=named.count)!r} twice')
@@ -171,14 +171,14 @@ def _text(text: str, field: str, limits: NodeConfig) -> str:
     return text
 
 
-def _person(person: Any, index: int, limits: NodeConfig) -> Person2D:
+def _person(person: Any, index: int, image_width: int, limits: NodeConfig) -> Person2D:
     try:
-        return _checked_person(person, limits)
+        return _checked_person(person, image_width, limits)
     except InputError as error:
         raise InputError(f'people[{index}].{error}') from None
 
 
-def _checked_person(person: Any, limits: NodeConfig) -> Person2D:
+def _checked_person(person: Any, image_width: int, limits: NodeConfig) -> Person2D:
     lengths = {f: len(getattr(person, f)) for f in ('x', 'y', 'score')}
     if len(set(lengths.values())) > 1:
         raise InputError(f'x, y, score: unequal lengths {", ".join(map(str, lengths.values()))}')
@@ -191,7 +191,10 @@ def _checked_person(person: Any, limits: NodeConfig) -> Person2D:
     fault = first_fault(points, score)
     if fault:
         raise InputError(f'{fault.field}[{fault.index[0]}]: {fault.what}')
-    return Person2D(_text(person.id, 'id', limits), joints, *normalised(points, score))
+    points, score = tidied(points, score)
+    if looks_normalised(points, score, image_width):
+        raise InputError('x, y: looks normalised; px expected')
+    return Person2D(_text(person.id, 'id', limits), joints, points, score)
 
 
 def _joints(person: Any, count: int, limits: NodeConfig) -> tuple[str, ...]:
@@ -199,18 +202,15 @@ def _joints(person: Any, count: int, limits: NodeConfig) -> tuple[str, ...]:
     name = _text(person.skeleton, 'skeleton', limits)
     if not name and not person.joint_names:
         raise InputError(f'skeleton: empty, and no joint_names; known: {", ".join(LAYOUT_NAMES)}')
-    field, joints = 'joint_names', tuple(_text(n, 'joint_names', limits) for n in person.joint_names)
+    given = tuple(_text(n, 'joint_names', limits) for n in person.joint_names)
+    field, named = ('joint_names', 'there are') if given else ('skeleton', f'{name!r} has')
     try:
-        if name:
-            known = layout(name).joints
-            if not joints:
-                field, joints = 'skeleton', known
+        joints = given or layout(name).joints
         if len(joints) != count:
-            named = f'{name!r} has' if field == 'skeleton' else 'there are'
             raise InputError(f'{field}: {named} {len(joints)} joints, x has {count}')
         joint_map(joints)
     except SkeletonError as error:
-        raise InputError(f'{"skeleton" if name else "joint_names"}: {error}') from None
+        raise InputError(f'{field}: {error}') from None
     return joints
 
 

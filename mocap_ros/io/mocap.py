@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import InputError
-from mocap_ros.skeleton import CMU15
+from mocap_ros.errors import InputError, reader_reason
+from mocap_ros.skeleton import CMU15, own_names
 
 Array = NDArray[np.float64]
 
@@ -51,8 +51,8 @@ def load_trials(path: Path, manifest: Path | None = None) -> list[Trial]:
     try:
         with np.load(path, allow_pickle=False) as archive:
             keys = [k for k in archive.files if not k.startswith('_')]
-            names = [str(n) for n in archive['_joints']] if '_joints' in archive.files else None
-            if names is None or sorted(names) != sorted(CMU15.joints):
+            names = own_names([str(n) for n in archive['_joints']]) if '_joints' in archive.files else ()
+            if sorted(names) != sorted(CMU15.joints):
                 raise InputError(f'{path}: key _joints must name the joints of {CMU15.name}')
             order = [names.index(j) for j in CMU15.joints]
             for key in keys:
@@ -76,7 +76,7 @@ def load_trials(path: Path, manifest: Path | None = None) -> list[Trial]:
     except OSError as error:
         raise InputError(f'{path}: {error.strerror or error}') from None
     except Exception as error:  # zip, npy and JSON readers raise almost anything on garbage
-        raise InputError(f'{path}: not motion capture in .npz form ({error})') from None
+        raise InputError(f'{path}: not motion capture in .npz form ({reader_reason(error)})') from None
     return trials
 
 

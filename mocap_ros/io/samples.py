@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,22 +20,29 @@ class Sample(NamedTuple):
     raw: bytes
 
 
-def samples_of(path: Path, topic: str | None = None) -> Iterator[Sample]:
+Watch = Callable[[Iterable[Sample], int], Iterable[Sample]]
+
+
+def samples_of(
+    path: Path, topic: str | None = None, watch: Watch = lambda samples, _: samples
+) -> Iterator[Sample]:
     """The keypoint messages of a sequence file (.npz) or a bag.
 
     Args:
         path: of the file, or folder of the bag.
         topic: of the keypoints, where a bag has several.
+        watch: wrapped around the samples, of which there are as many as its second argument says.
 
     Raises:
         InputError: the file is neither, or broken.
     """
     if path.suffix == '.npz':
-        yield from sequence_samples(load_sequence(path))
+        sequence = load_sequence(path)
+        yield from watch(sequence_samples(sequence), len(sequence))
         return
     with Bag(path) as bag:
-        for message in bag.messages([bag.keypoints_topic(topic)]):
-            yield Sample(message.time_ns, message.raw)
+        topics = [bag.keypoints_topic(topic)]
+        yield from watch((Sample(m.time_ns, m.raw) for m in bag.messages(topics)), bag.count(topics))
 
 
 def sequence_samples(sequence: Sequence, frame_id: str = CAMERA_FRAME) -> Iterator[Sample]:

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import InputError, SkeletonError
-from mocap_ros.io.keypoints import first_fault, normalised
+from mocap_ros.errors import InputError, SkeletonError, reader_reason
+from mocap_ros.io.bags import is_bag
+from mocap_ros.io.keypoints import first_fault, looks_normalised, tidied
 from mocap_ros.people import Intrinsics, Person2D
-from mocap_ros.skeleton import joint_map
+from mocap_ros.skeleton import joint_map, own_names
 
 Array = NDArray[np.float64]
 
@@ -103,6 +104,8 @@ def load_sequence(path: str | Path) -> Sequence:
     Raises:
         InputError: the file is none, or what it holds cannot be used; names file, key and frame.
     """
+    if is_bag(Path(path)):
+        raise InputError(f'{path}: is a bag; use replay')
     try:
         return _checked(_Arrays(_read(Path(path))))
     except InputError as error:
@@ -119,6 +122,7 @@ KEYS = (
     'joints3d',
     'joints3d_names',
 )
+RESULT_KEYS = {'joints3d', 'theta', 'residual_px'}
 
 
 def _read(path: Path) -> dict[str, NDArray[np.generic]]:
@@ -130,6 +134,8 @@ def _read(path: Path) -> dict[str, NDArray[np.generic]]:
                 raise InputError('not a sequence file (a single array, expected .npz)')
             if sum(i.file_size for i in archive.zip.infolist()) > LARGEST_FILE:
                 raise InputError(f'holds more than {LARGEST_FILE >> 20} MiB')
+            if set(archive.files) >= RESULT_KEYS:
+                raise InputError('is a result of reconstruct; give the sequence file it was made from')
             for key in (k for k in KEYS if k in archive.files):
                 arrays[key] = archive[key]
     except InputError:
@@ -138,7 +144,7 @@ def _read(path: Path) -> dict[str, NDArray[np.generic]]:
         raise InputError(error.strerror or str(error)) from None
     except Exception as error:  # the zip and array readers raise almost anything on garbage
         where = f'{key}: ' if key else 'not a sequence file: '
-        raise InputError(f'{where}{error}') from None
+        raise InputError(f'{where}{reader_reason(error)}') from None
     return arrays
 
 
@@ -163,10 +169,11 @@ class _Arrays:
         return array.astype(np.float64)
 
     def names(self, key: str) -> tuple[str, ...]:
+        """Names of joints, as this package spells them."""
         array = self._get(key)
         if array.dtype.kind != 'U' or array.ndim != 1:
             raise InputError(f'{key}: holds {array.dtype} of shape {array.shape}, expected names')
-        return tuple(str(n) for n in array)
+        return own_names([str(n) for n in array])
 
     def _get(self, key: str) -> NDArray[np.generic]:
         if key not in self.by_key:
@@ -191,7 +198,10 @@ def _checked(arrays: _Arrays) -> Sequence:
     if fault:
         frame, joint = fault.index
         raise InputError(f'keypoints: frame {frame}: {fault.field} of {joint_names[joint]} is {fault.what}')
-    points, score = normalised(raw[..., :2], raw[..., 2])
+    points, score = tidied(raw[..., :2], raw[..., 2])
+    image_size = _image_size(arrays)
+    if looks_normalised(points, score, image_size[0]):
+        raise InputError('keypoints: looks normalised; px expected')
 
     camera_matrix = None
     if 'camera_matrix' in arrays:
@@ -204,7 +214,7 @@ def _checked(arrays: _Arrays) -> Sequence:
         keypoints=np.concatenate([points, score[..., None]], axis=-1),
         joint_names=joint_names,
         timestamps=timestamps,
-        image_size=_image_size(arrays),
+        image_size=image_size,
         camera_matrix=camera_matrix,
         distortion=_finite(arrays, 'distortion') if 'distortion' in arrays else None,
         truth=_truth(arrays, frames) if 'joints3d' in arrays else None,

@@ -129,7 +129,7 @@ class LiveRun:
         self._wake = threading.Condition()
         self._busy = threading.Lock()
         self._end: float | None = None
-        self._frame_id_missed = False
+        self._heard = self._frame_id_missed = False
         self._recorder: Recorder | None = None
         self._journal: Journal | None = None
         self._received = dict.fromkeys(Source, 0)
@@ -262,11 +262,11 @@ class LiveRun:
             self._publish(output)
         published_ns = self._clock.now_ns()
         topic = self._names[item.source.value]
-        if outcome.verdict is not Verdict.ACCEPTED:
+        if outcome.reason:
             invalid = outcome.verdict is Verdict.INVALID
             self._complaints.add(topic, item.number, outcome.reason, error=invalid)
-        elif item.source is Source.KEYPOINTS and not self._pipeline.header.frame_id:
-            self._miss_frame_id(topic)
+        if outcome.verdict is Verdict.ACCEPTED and item.source is Source.KEYPOINTS:
+            self._note_accepted(topic)
         if self._journal is not None:
             kind = self._types[item.source]
             verdict, reason = outcome.verdict, outcome.reason
@@ -284,10 +284,14 @@ class LiveRun:
             topic, times = self._names[output.topic], (published_ns, published_ns)
             self._recorded(self._recorder.write, topic, output.type, output.data, *times)
 
-    def _miss_frame_id(self, topic: str) -> None:
-        if not self._frame_id_missed:
+    def _note_accepted(self, topic: str) -> None:
+        """Say that keypoints are coming, and once that they name no frame."""
+        if not self._heard:
+            self._logger.info(f'{topic}: first message accepted')
+        self._heard = True
+        if not self._pipeline.header.frame_id and not self._frame_id_missed:
             self._logger.warning(f'{topic}: header.frame_id is empty: viewers cannot place the people')
-        self._frame_id_missed = True
+            self._frame_id_missed = True
 
     def _recorded(self, action: Callable[..., None], *arguments: object) -> None:
         """Do something with the bag; where that fails, say so once and go on without."""

@@ -5,11 +5,12 @@ Provisional: distortion of CameraInfo is not undone; only Keypoints2DArray is ta
 
 from __future__ import annotations
 
+import re
 import signal
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import rclpy
@@ -24,7 +25,9 @@ from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.logging import set_logger_level
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import (
     DurabilityPolicy,
@@ -35,14 +38,14 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
-from std_srvs.srv import SetBool, Trigger
 
-from mocap_ros.config import Config, Parameter, parameters, with_values
+from mocap_ros.config import Config, Parameter, hint, parameters, with_values
 from mocap_ros.errors import ConfigError, MocapError, RecordingError
 from mocap_ros.io.messages import CAMERA_INFO, KEYPOINT_TYPES, OutputMessage
 from mocap_ros.pipeline import LATCHED_OUTPUTS, OUTPUTS, Pipeline, Source, skeleton_definition
 from mocap_ros.ros.live import LiveRun
-from mocap_ros.ros.types import message_class
+from mocap_ros.ros.types import interface_class
+from mocap_ros.ros.usage import SERVICES
 
 DEPTH = 10
 INPUT_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -54,6 +57,8 @@ LATCHED_QOS = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 LARGEST_INTEGER = 2**31 - 1
+NAME = 'mocap_node'
+BY_RCLPY = 'qos_overrides.'
 
 
 class MocapNode(LifecycleNode):
@@ -64,7 +69,7 @@ class MocapNode(LifecycleNode):
     """
 
     def __init__(self) -> None:
-        super().__init__('mocap_node')
+        super().__init__(NAME)
         self._pipeline: Pipeline | None = None
         self._run: LiveRun | None = None
         self._outputs: dict[str, Any] = {}
@@ -72,9 +77,10 @@ class MocapNode(LifecycleNode):
         self._served: list[Any] = []
         self._silence_timer: Any = None
         self._last_input = time.monotonic()
-        self._told_silence = False
+        self._heard = self._told_silence = False
         self._told_qos: set[tuple[str, str]] = set()
         self._config = self._declared()
+        self._warn_of_unknown_parameters()
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
 
@@ -91,6 +97,12 @@ class MocapNode(LifecycleNode):
         except ParameterException as error:
             raise ConfigError(str(error)) from None
         return with_values(Config(), given)
+
+    def _warn_of_unknown_parameters(self) -> None:
+        for name in self._parameter_overrides:
+            if not self.has_parameter(name) and not name.startswith(BY_RCLPY):
+                known = [p.name for p in parameters()]
+                self.get_logger().warning(f'unknown parameter {name!r} has no effect; {hint(name, known)}')
 
     def _check_parameters(self, changed: list[RosParameter[Any]]) -> SetParametersResult:
         try:
@@ -163,19 +175,19 @@ class MocapNode(LifecycleNode):
         if input_type not in KEYPOINT_TYPES:
             supported = ', '.join(KEYPOINT_TYPES)
             raise ConfigError(f'node.input_type {input_type!r} is not supported; {supported} is')
-        message_class(input_type)
+        interface_class(input_type)
         self._pipeline = Pipeline(self._config)
         for topics, qos in ((OUTPUTS, OUTPUT_QOS), (LATCHED_OUTPUTS, LATCHED_QOS)):
             for topic, msgtype in topics.items():
                 self._outputs[topic] = self._advertise(topic, msgtype, qos)
+        answers = {'~/reset': self._on_reset, '~/record': self._on_record}
         self._served = [
-            self.create_service(Trigger, '~/reset', self._on_reset),
-            self.create_service(SetBool, '~/record', self._on_record),
+            self.create_service(interface_class(kind), name, answers[name]) for name, kind in SERVICES.items()
         ]
 
     def _advertise(self, topic: str, msgtype: str, qos: QoSProfile) -> Any:
         return self.create_lifecycle_publisher(
-            message_class(msgtype),
+            interface_class(msgtype),
             topic,
             qos,
             event_callbacks=PublisherEventCallbacks(
@@ -198,9 +210,16 @@ class MocapNode(LifecycleNode):
         self._run.start()
         self._inputs = [self._subscribe(source, msgtype) for source, msgtype in types.items()]
         self._last_input = time.monotonic()
-        self._told_silence = False
+        self._heard = self._told_silence = False
+        self._tell_topics(names)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._silence_timer = self.create_timer(0.5, self._check_silence, clock=steady)
+
+    def _tell_topics(self, names: Mapping[str, str]) -> None:
+        """Say what is listened to and published, under the names it has."""
+        heard = ' and '.join(names[source.value] for source in Source)
+        said = ', '.join(names[topic] for topic in (*OUTPUTS, *LATCHED_OUTPUTS))
+        self.get_logger().info(f'listening on {heard}, publishing {said}, model {self._config.tracker.model}')
 
     def _subscribe(self, source: Source, msgtype: str) -> Any:
         run = self._run
@@ -210,10 +229,10 @@ class MocapNode(LifecycleNode):
             run.put(source, raw, info['source_timestamp'])
             if source is Source.KEYPOINTS:
                 self._last_input = time.monotonic()
-                self._told_silence = False
+                self._heard, self._told_silence = True, False
 
         return self.create_subscription(
-            message_class(msgtype),
+            interface_class(msgtype),
             source.value,
             take,
             INPUT_QOS,
@@ -247,7 +266,7 @@ class MocapNode(LifecycleNode):
     def _publish(self, output: OutputMessage) -> None:
         self._outputs[output.topic].publish(output.data)
 
-    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_reset(self, _: Any, response: Any) -> Any:
         if self._run is None:
             response.message = 'the node is not active'
         else:
@@ -255,7 +274,7 @@ class MocapNode(LifecycleNode):
             response.success = True
         return response
 
-    def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+    def _on_record(self, request: Any, response: Any) -> Any:
         if self._run is None:
             response.message = 'the node is not active'
             return response
@@ -275,10 +294,11 @@ class MocapNode(LifecycleNode):
             return
         self._told_silence = True
         topic = self.resolve_topic_name(Source.KEYPOINTS.value)
-        self.get_logger().warning(f'no message on {topic} for {silent:.0f} s: {self._why(topic)}')
+        why = '' if self._heard else f': {self._why(topic)}'
+        self.get_logger().warning(f'no message on {topic} for {silent:.0f} s{why}')
 
     def _why(self, topic: str) -> str:
-        """What may be the cause of a topic's silence."""
+        """What may be the cause of a topic's silence from the start."""
         wanted = self._config.node.input_type
         publishers = self.get_publishers_info_by_topic(topic)
         others = {p.topic_type for p in publishers} - {wanted}
@@ -321,32 +341,45 @@ def _descriptor(p: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM; returns 1 where it cannot start."""
+def run(arguments: Sequence[str]) -> bool:
+    """Run the node until SIGINT or SIGTERM.
+
+    Args:
+        arguments: of the command line, for rclpy.
+
+    Returns:
+        Whether it could start; the node has said why where it could not.
+
+    Raises:
+        ConfigError: wrong arguments or parameters.
+    """
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
+    _initialise(arguments)
+    executor = SingleThreadedExecutor()
     try:
         node = MocapNode()
-    except MocapError as error:
-        print(f'mocap_node: {error}', file=sys.stderr)
-        rclpy.shutdown()
-        return 1
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    try:
-        if node.config.node.autostart and not node.start():
-            return 1
-        while not stop.is_set():
-            executor.spin_once(timeout_sec=0.1)
+        executor.add_node(node)
+        try:
+            if node.config.node.autostart and not node.start():
+                return False
+            while not stop.is_set():
+                executor.spin_once(timeout_sec=0.1)
+        finally:
+            node.close()
+            executor.shutdown()
+            node.destroy_node()
     finally:
-        node.close()
-        executor.shutdown()
-        node.destroy_node()
         rclpy.shutdown()
-    return 0
+    return True
 
 
-if __name__ == '__main__':
-    sys.exit(main())
+def _initialise(arguments: Sequence[str]) -> None:
+    set_logger_level('rcl', LoggingSeverity.FATAL)
+    try:
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        said = re.sub(r', at \S+:\d+', '', str(error).removeprefix('failed to initialize rcl: '))
+        raise ConfigError(f'ROS does not take these arguments: {said}') from None
+    set_logger_level('rcl', LoggingSeverity.UNSET)

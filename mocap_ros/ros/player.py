@@ -13,7 +13,7 @@ from rclpy.signals import SignalHandlerOptions
 from mocap_ros.errors import MocapError
 from mocap_ros.io.messages import KEYPOINTS
 from mocap_ros.io.samples import Sample
-from mocap_ros.ros.types import message_class
+from mocap_ros.ros.types import interface_class
 
 DEPTH = 1000
 SETTLE_SECONDS = 0.5
@@ -42,7 +42,7 @@ def play(samples: Iterable[Sample], topic: str = 'keypoints', rate: float = 1.0,
     node = rclpy.create_node('mocap_player', context=context)
     try:
         qos = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE)
-        publisher = node.create_publisher(message_class(KEYPOINTS), topic, qos)
+        publisher = node.create_publisher(interface_class(KEYPOINTS), topic, qos)
         end = time.monotonic() + wait
         while not publisher.get_subscription_count():
             if time.monotonic() > end:

@@ -1,4 +1,4 @@
-"""Message classes of rclpy by name, found at run time."""
+"""Message and service classes of rclpy by name, found at run time."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 from mocap_ros.errors import ConfigError
 
 
-def message_class(msgtype: str) -> Any:
-    """The class of a type such as `sensor_msgs/msg/CameraInfo`.
+def interface_class(kind: str) -> Any:
+    """The class of a type such as `sensor_msgs/msg/CameraInfo` or `std_srvs/srv/Trigger`.
 
     Raises:
-        ConfigError: its package is not installed, or has no such message.
+        ConfigError: its package is not installed, or has no such type.
     """
-    package, _, name = msgtype.partition('/msg/')
+    module, _, name = kind.rpartition('/')
     try:
-        return getattr(import_module(f'{package}.msg'), name)
+        return getattr(import_module(module.replace('/', '.')), name)
     except (ImportError, AttributeError) as error:
-        raise ConfigError(f'message type {msgtype} is not installed ({error})') from None
+        raise ConfigError(f'type {kind} is not installed ({error})') from None

@@ -1,0 +1,1 @@
+"""What `paper.py` and `solvers.py` run, by theme."""

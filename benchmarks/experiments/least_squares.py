@@ -1,0 +1,226 @@
+"""The objective of the joint solver as a residual vector with a sparse Jacobian, for SciPy's `least_squares`.
+
+Unknowns of a frame: weights in standard deviations, rotation vector from the start rotation, log scale,
+translation; then one mean length a bone. The mean lengths being unknowns keeps the Jacobian sparse; at their
+optimum, the mean over the frames, the sum of squares is the objective of `mocap_ros.nonperiodic`.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.sparse import coo_array, csr_array
+
+from mocap_ros.camera import cross_matrix, small_rotation
+from mocap_ros.nonperiodic import Problem, State
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Progress:
+    """Objective and seconds at every point the optimiser accepted, or with differences, looked at."""
+
+    cost: list[float] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class SparseProblem:
+    """One sequence."""
+
+    problem: Problem
+    start: State
+
+    @property
+    def frames(self) -> int:
+        return len(self.start.theta)
+
+    @property
+    def width(self) -> int:
+        return len(self.problem.model.std) + 6
+
+    def pack(self, state: State) -> Array:
+        """The unknowns at a state that shares the start's rotations."""
+        parts = [
+            state.theta / self.problem.model.std,
+            np.zeros((self.frames, 3)),
+            state.log_scale[:, None],
+            state.translation,
+        ]
+        _, _, length = self.problem.bones(state.theta)
+        return np.concatenate([np.concatenate(parts, axis=1).ravel(), length.mean(axis=0)])
+
+    def unpack(self, x: Array) -> tuple[State, Array, Array]:
+        """State, rotation vectors (F, 3) and mean bone lengths (B,)."""
+        each = x[: self.frames * self.width].reshape(self.frames, self.width)
+        k = self.width - 6
+        vector = each[:, k : k + 3]
+        state = State(
+            each[:, :k] * self.problem.model.std,
+            small_rotation(vector) @ self.start.rotation,
+            each[:, k + 3],
+            each[:, k + 4 :],
+        )
+        return state, vector, x[self.frames * self.width :]
+
+    def _data_rows(self, error: Array) -> tuple[Array, Array]:
+        """(F, J) factors g with |g error|^2 the robust loss, and (F, J) their derivatives by |error|^2."""
+        p = self.problem
+        squared = (error**2).sum(axis=-1)
+        scale = p.robust**2 + np.zeros_like(squared)
+        with np.errstate(divide='ignore', invalid='ignore'):
+            u = squared / scale
+            ratio = np.where(u > 1e-6, np.log1p(u) / u, 1 - u / 2)
+            slope = np.where(u > 1e-6, (1 / (1 + u) - ratio) / u, -0.5 + 2 * u / 3) / scale
+        factor = np.sqrt(ratio)
+        return factor, slope / (2 * factor)
+
+    def _root_flip(self) -> Array:
+        """(F - 1, 3), one a column of M."""
+        flip = self.problem.flip.reshape(self.frames - 1, -1)
+        return np.sqrt(np.broadcast_to(flip, (self.frames - 1, 3)))
+
+    def residuals(self, x: Array) -> Array:
+        p = self.problem
+        state, _, means = self.unpack(x)
+        _, error = p._residual(state)
+        factor, _ = self._data_rows(error)
+        _, _, length = p.bones(state.theta)
+        m = np.exp(state.log_scale)[:, None, None] * state.rotation[:, :2]
+        rows = [
+            (np.sqrt(p.weight) * factor)[..., None] * error,
+            np.sqrt(p.bone_weight) * (length - means),
+            np.sqrt(p.prior) * state.theta,
+            np.sqrt(p.smooth)[:, None] * np.diff(state.theta, axis=0) / p.model.std,
+            self._root_flip()[:, None] * np.diff(m, axis=0),
+        ]
+        return np.concatenate([r.ravel() for r in rows])
+
+    def jacobian(self, x: Array) -> csr_array:
+        p = self.problem
+        state, vector, _ = self.unpack(x)
+        frames, k = state.theta.shape
+        turn = _left_jacobian(vector)
+        turned, error = p._residual(state)
+        factor, slope = self._data_rows(error)
+        root = np.sqrt(p.weight)
+
+        m = np.exp(state.log_scale)[:, None, None] * state.rotation[:, :2]
+        basis = np.moveaxis(p.model.components * p.model.std[:, None, None], 0, -1)
+        raw = np.zeros((frames, len(basis), 2, self.width))
+        raw[..., :k] = np.einsum('fic,jck->fjik', m, basis)
+        raw[..., k : k + 3] = (-cross_matrix(turned) @ turn[:, None])[..., :2, :]
+        raw[..., k + 3] = turned[..., :2]
+        raw[..., k + 4 :] = np.eye(2)
+        along = (error[..., None] * raw).sum(axis=2, keepdims=True)
+        data = factor[..., None, None] * raw + 2 * (slope[..., None] * error)[..., None] * along
+        blocks = _Blocks(frames * self.width + len(p.bone_weight))
+        own = np.arange(frames * self.width).reshape(frames, self.width)
+        blocks.add((root[..., None, None] * data).reshape(frames, -1, self.width), own)
+
+        _, unit, _ = p.bones(state.theta)
+        direction = basis[p.children] - basis[p.parents]
+        bones = np.sqrt(p.bone_weight)[:, None] * np.einsum('fbc,bck->fbk', unit, direction)
+        mean_columns = frames * self.width + np.arange(len(p.bone_weight))
+        blocks.add_bones(bones, own[:, :k], -np.sqrt(p.bone_weight), mean_columns)
+
+        blocks.add_diagonal(np.broadcast_to(np.sqrt(p.prior) * p.model.std, (frames, k)), own[:, :k])
+        smooth = np.broadcast_to(np.sqrt(p.smooth)[:, None], (frames - 1, k))
+        blocks.add_difference(smooth, own[:, :k])
+
+        rows = np.exp(state.log_scale)[:, None, None] * state.rotation
+        columns = np.swapaxes(rows, -1, -2)  # (F, 3, 3): column c of M, then the third row
+        camera = np.zeros((frames, 3, 2, 4))
+        camera[..., :3] = (-cross_matrix(columns) @ turn[:, None])[..., :2, :]
+        camera[..., 3] = columns[..., :2]
+        camera = np.swapaxes(camera, 1, 2).reshape(frames, 6, 4)
+        root_flip = np.tile(self._root_flip(), 2)[..., None]
+        both = np.concatenate([-root_flip * camera[:-1], root_flip * camera[1:]], axis=-1)
+        columns_of = own[:, k : k + 4]
+        blocks.add(both, np.concatenate([columns_of[:-1], columns_of[1:]], axis=1))
+        return blocks.matrix()
+
+    def solve(self, differences: bool = False, **options: Any) -> tuple[State, Progress, int]:
+        """The optimum, the way there, and the number of Jacobians; `differences`: a 2-point Jacobian."""
+        progress = Progress()
+        begun = time.perf_counter()
+
+        def note(squares: float) -> None:
+            progress.cost.append(squares)
+            progress.seconds.append(time.perf_counter() - begun)
+
+        def residuals(x: Array) -> Array:
+            rows = self.residuals(x)
+            note(float(rows @ rows))
+            return rows
+
+        def jacobian(x: Array) -> csr_array:
+            note(float((self.residuals(x) ** 2).sum()))
+            return self.jacobian(x)
+
+        x0 = self.pack(self.start)
+        if differences:
+            pattern = self.jacobian(x0 + 1e-3) != 0
+            found = least_squares(residuals, x0, '2-point', jac_sparsity=pattern, method='trf', **options)
+        else:
+            found = least_squares(self.residuals, x0, jacobian, method='trf', **options)
+        note(2 * float(found.cost))
+        return self.unpack(found.x)[0], progress, int(found.njev)
+
+
+def _left_jacobian(vector: Array) -> Array:
+    """(..., 3, 3) with exp(v + dv) = exp(J dv) exp(v) to first order."""
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    k = cross_matrix(vector)
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, angle)
+    a = np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(safe)) / safe**2)
+    b = np.where(small, 1 / 6 - angle**2 / 120, (safe - np.sin(safe)) / safe**3)
+    return np.eye(3) + a * k + b * (k @ k)
+
+
+class _Blocks:
+    """Collects rows of a sparse matrix."""
+
+    def __init__(self, columns: int) -> None:
+        self.columns = columns
+        self.rows = 0
+        self.parts: list[tuple[Array, NDArray[np.intp], NDArray[np.intp]]] = []
+
+    def _append(self, values: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> None:
+        self.parts.append((values.ravel(), rows.ravel(), columns.ravel()))
+
+    def add(self, blocks: Array, columns: NDArray[np.intp]) -> None:
+        """Dense blocks (F, R, C), each in its own rows and in `columns` (F, C)."""
+        frames, rows, _ = blocks.shape
+        index = self.rows + np.arange(frames * rows).reshape(frames, rows, 1)
+        self._append(blocks, np.broadcast_to(index, blocks.shape), np.broadcast_to(columns[:, None], blocks.shape))
+        self.rows += frames * rows
+
+    def add_bones(
+        self, blocks: Array, columns: NDArray[np.intp], of_mean: Array, mean_columns: NDArray[np.intp]
+    ) -> None:
+        frames, bones, _ = blocks.shape
+        index = self.rows + np.arange(frames * bones).reshape(frames, bones)
+        self._append(np.broadcast_to(of_mean, index.shape), index, np.broadcast_to(mean_columns, index.shape))
+        self.add(blocks, columns)
+
+    def add_diagonal(self, values: Array, columns: NDArray[np.intp]) -> None:
+        self._append(values, self.rows + np.arange(values.size), columns)
+        self.rows += values.size
+
+    def add_difference(self, values: Array, columns: NDArray[np.intp]) -> None:
+        index = self.rows + np.arange(values.size)
+        self._append(-values, index, columns[:-1])
+        self._append(values, index, columns[1:])
+        self.rows += values.size
+
+    def matrix(self) -> csr_array:
+        values, rows, columns = (np.concatenate(part) for part in zip(*self.parts, strict=True))
+        return coo_array((values, (rows, columns)), shape=(self.rows, self.columns)).tocsr()

@@ -1,0 +1,101 @@
+"""A section of the report: text, tables and figures of one experiment."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from common import table
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+IMAGES = Path('img/paper')
+
+WALK, RUN, JUMP, PERIODIC, TRUTH, PLAIN = '#0072b2', '#d55e00', '#009e73', '#aa4499', '#b0b0b0', '#444444'
+CATEGORY_COLOURS = {'walk': WALK, 'run': RUN, 'jump': JUMP, 'periodic': PERIODIC}
+
+mpl.rcParams.update(
+    {
+        'font.size': 9,
+        'axes.titlesize': 9,
+        'axes.spines.top': False,
+        'axes.spines.right': False,
+        'axes.grid': True,
+        'grid.color': '#e4e4e4',
+        'grid.linewidth': 0.6,
+        'lines.linewidth': 1.4,
+        'lines.markersize': 3.5,
+        'legend.frameon': False,
+        'legend.fontsize': 8,
+    }
+)
+
+
+class Section:
+    """What one experiment has to say."""
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self.blocks: list[str] = []
+        self.figures: dict[str, Figure] = {}
+        self.data: dict[str, Any] = {}
+
+    def text(self, paragraph: str) -> None:
+        self.blocks.append(' '.join(paragraph.split()))
+
+    def table(self, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+        self.blocks.append(table(header, rows))
+
+    def figure(self, name: str, figure: Figure, alternative: str) -> None:
+        self.figures[name] = figure
+        self.blocks.append(f'![{alternative}]({(IMAGES / name).as_posix()}.png)')
+
+    def markdown(self) -> str:
+        return '\n\n'.join([f'## {self.title}', *self.blocks])
+
+    def plain(self) -> str:
+        """For a terminal: no pictures."""
+        return '\n\n'.join([f'## {self.title}', *(b for b in self.blocks if not b.startswith('!['))])
+
+    def save_figures(self, folder: Path) -> None:
+        (folder / IMAGES).mkdir(parents=True, exist_ok=True)
+        for name, figure in self.figures.items():
+            figure.savefig(folder / IMAGES / f'{name}.png', metadata={'Software': None})
+
+
+def panels(
+    columns: int, width: float = 7.4, height: float = 2.7, rows: int = 1, **options: Any
+) -> tuple[Figure, Any]:
+    """A figure and its axes, (columns,) or (rows, columns)."""
+    figure = Figure(figsize=(width, height), dpi=110, layout='constrained')
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, squeeze=False, **options)
+    return figure, axes[0] if rows == 1 else axes
+
+
+def label(axes: Any, x: str, y: str, title: str = '') -> None:
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    axes.set_title(title, loc='left')
+
+
+def write_report(path: Path, head: str, sections: dict[str, Section], order: Sequence[str]) -> None:
+    """The report with these sections new and the others as they were in the file."""
+    known = read_sections(path)
+    known |= {name: section.markdown() for name, section in sections.items()}
+    parts = [head.strip()] + [f'<!-- {name} -->\n\n{known[name]}' for name in order if name in known]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text('\n\n'.join(parts) + '\n', encoding='utf-8')
+    for section in sections.values():
+        section.save_figures(path.parent)
+
+
+def read_sections(path: Path) -> dict[str, str]:
+    """Name -> text of the sections in a report written before."""
+    if not path.is_file():
+        return {}
+    parts = re.split(r'^<!-- (\S+) -->$', path.read_text(encoding='utf-8'), flags=re.MULTILINE)
+    return {name: text.strip() for name, text in zip(parts[1::2], parts[2::2], strict=True)}

@@ -1,0 +1,363 @@
+"""The joint solver against Algorithm 1 and against scipy.optimize.least_squares, and its time and memory.
+
+All comparisons of one row start from the same state and minimise the same objective.
+"""
+
+from __future__ import annotations
+
+import common
+
+# isort: split
+import gc
+import tracemalloc
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from experiments.least_squares import Progress, SparseProblem
+
+from mocap_ros import alternation, nonperiodic
+from mocap_ros.base_poses import BasePoses
+from mocap_ros.config import SolverConfig
+from mocap_ros.nonperiodic import Problem, State
+from mocap_ros.reconstruction import Reconstruction, Start, Window, begin
+
+CLOSE = 1e-4
+TARGET_COMPONENTS = 30
+EXACT = {'tolerance': 1e-10, 'max_iterations': 500}
+SCIPY = {
+    'analytic sparse Jacobian': {'x_scale': 'jac', 'tr_solver': 'lsmr'},
+    'analytic sparse Jacobian, x_scale 1': {'x_scale': 1.0, 'tr_solver': 'lsmr'},
+    '2-point Jacobian, sparsity given': {'x_scale': 'jac', 'tr_solver': 'lsmr', 'differences': True},
+}
+TOLERANCES = {'ftol': 1e-8, 'xtol': 1e-8, 'gtol': 1e-8, 'max_nfev': 200}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A sequence of at most 120 frames and the model it is solved with."""
+
+    label: str
+    trial: str
+    heading: float
+    category: str
+    options: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def model(self) -> BasePoses:
+        return common.trained(self.category, without_subjects=(self.trial[:2],))
+
+    @property
+    def window(self) -> Window:
+        return common.views(self.trial, [self.heading], **dict(self.options))[0].window
+
+
+WALK = Case('walk 16_32, 45 degrees', '16_32', 45, 'walk')
+CASES = (
+    WALK,
+    Case('walk 16_32, frontal', '16_32', 0, 'walk'),
+    Case(
+        'walk 16_32, 45 degrees, 2 % noise, 5 % missing', '16_32', 45, 'walk', (('noise', 0.02), ('missing', 0.05))
+    ),
+    Case('run 35_17, 45 degrees', '35_17', 45, 'run'),
+    Case('jump 13_11, 45 degrees, all-motions model', '13_11', 45, ''),
+)
+
+
+def fixed(case: Case, config: SolverConfig) -> tuple[Window, Problem, State]:
+    """The case with start and unit settled, so that every solver sees one objective; and its start."""
+    model = case.model.truncated(config.components)
+    window = case.window
+    start, unit = begin(window, model, config.start_window)
+    window = replace(window, start=start, unit=unit)
+    problem = Problem.build([window], np.array([unit]), model, config)
+    state = nonperiodic.initial_state(problem, [start], np.array([unit]))
+    return window, problem, problem.best_translation(problem.best_translation(state))
+
+
+def state_of(result: Reconstruction, unit: float) -> State:
+    cameras = result.cameras
+    return State(result.theta, cameras.rotation, np.log(cameras.scale / unit), result.translation / unit)
+
+
+def check_same_objective(problem: Problem, state: State, result: Reconstruction, unit: float) -> None:
+    """The residual vector's square is the solver's objective, at the start, elsewhere and at the solution."""
+    elsewhere = state.moved(
+        0.05 * np.random.default_rng(0).standard_normal((len(state.theta), len(problem.model.std) + 4))
+    )
+    for at in (state, elsewhere, state_of(result, unit)):
+        sparse = SparseProblem(problem, at)
+        squares = float((sparse.residuals(sparse.pack(at)) ** 2).sum())
+        if not np.isclose(squares, problem.cost(at)[0], rtol=1e-9):
+            raise AssertionError(f'objectives differ: {squares} and {problem.cost(at)[0]}')
+    if not np.isclose(result.objective[-1], problem.cost(state_of(result, unit))[0], rtol=1e-9):
+        raise AssertionError('the solver reports another objective than its solution has')
+    if not np.isclose(result.objective[0], problem.cost(state)[0], rtol=1e-9):
+        raise AssertionError('the solver starts elsewhere')
+    if np.any(np.diff(result.objective) > 0):
+        raise AssertionError('the objective rose')
+
+
+def first_within(costs: Sequence[float], best: float) -> int | None:
+    """Index of the first cost within `CLOSE` of `best`."""
+    near = np.flatnonzero(np.asarray(costs) <= best * (1 + CLOSE))
+    return int(near[0]) if len(near) else None
+
+
+def against_scipy(case: Case, settings: Sequence[str], repeats: int) -> dict[str, Any]:
+    config = common.changed(components=TARGET_COMPONENTS, adapt_noise=False)
+    model = case.model
+    window, problem, state = fixed(case, config)
+    (exact,) = nonperiodic.solve([window], model, replace(config, **EXACT))
+    unit = float(window.unit or 1.0)
+    check_same_objective(problem, state, exact, unit)
+    record: dict[str, Any] = {
+        'case': case.label,
+        'frames': len(window.times),
+        'joint optimum': exact.objective[-1],
+        'iterations': first_within(exact.objective, exact.objective[-1]),
+        'scipy': {},
+    }
+    stopped = replace(config, tolerance=0.0, max_iterations=max(record['iterations'] or 0, 1))
+    record['seconds'] = common.timed(lambda: nonperiodic.solve([window], model, stopped), repeats)[1]
+    for name in settings:
+        _, progress, jacobians = SparseProblem(problem, state).solve(**SCIPY[name], **TOLERANCES)
+        way = _reached(progress, jacobians)
+        way['joint iterations'] = first_within(exact.objective, way['optimum'])
+        way['times faster'] = way['seconds'] / record['seconds']
+        record['scipy'][name] = way
+    return record
+
+
+def _reached(progress: Progress, jacobians: int) -> dict[str, Any]:
+    at = first_within(progress.cost, progress.cost[-1]) or 0
+    return {
+        'optimum': progress.cost[-1],
+        'iterations': jacobians,
+        'seconds': progress.seconds[at],
+        'seconds in all': progress.seconds[-1],
+    }
+
+
+def against_alternation(case: Case, components: int, prior: bool, repeats: int) -> dict[str, Any]:
+    """Both solvers to the end, terms beyond the paper off, but for the prior, which both have, if asked."""
+    paper = common.paper_config(components=components, start_window=1.0, bone_weight=SolverConfig().bone_weight)
+    if prior:
+        paper = replace(paper, prior_weight=SolverConfig().prior_weight)
+    exact = replace(paper, tolerance=1e-7, max_iterations=3000)
+    model, window = case.model.truncated(components), case.window
+    start, unit = begin(window, model, paper.start_window)
+    window = replace(window, start=start, unit=unit)
+    plain, plain_seconds = common.timed(lambda: alternation.reconstruct(window, model, exact))
+    (jointly,), joint_seconds = common.timed(lambda: nonperiodic.solve([window], model, exact), repeats)
+    end = replace(window, start=Start(plain.theta, plain.cameras))
+    (onwards,) = nonperiodic.solve([end], model, replace(exact, max_iterations=1))
+    for theirs, ours in ((plain.objective[0], jointly.objective[0]), (plain.objective[-1], onwards.objective[0])):
+        if not np.isclose(theirs, ours, rtol=1e-6):
+            raise AssertionError(f'objectives differ: {theirs} and {ours}')
+    return {
+        'case': case.label,
+        'components': components,
+        'prior': prior,
+        'alternation': {
+            'seconds': plain_seconds,
+            'iterations': plain.iterations,
+            'objective': plain.objective[-1],
+        },
+        'joint': {'seconds': joint_seconds, 'iterations': jointly.iterations, 'objective': jointly.objective[-1]},
+    }
+
+
+def milliseconds(
+    windows: Sequence[Window], model: BasePoses, config: SolverConfig, repeats: int
+) -> dict[str, Any]:
+    found, seconds = common.timed(lambda: nonperiodic.solve(windows, model, config), repeats)
+    return {'ms': seconds * 1e3, 'iterations': float(np.mean([r.iterations for r in found]))}
+
+
+def long_window(frames: int) -> Window:
+    return common.views('09_12', [45], frames=frames)[0].window
+
+
+def sizes(quick: bool) -> dict[str, list[dict[str, Any]]]:
+    """Time against number of frames, base poses and people."""
+    model = common.trained('walk', without_subjects=('09',))
+    config = SolverConfig()
+    repeats = 2 if quick else 5
+    out: dict[str, list[dict[str, Any]]] = {'frames': [], 'components': [], 'people': []}
+    for frames in (30, 120, 480) if quick else (15, 30, 60, 120, 240, 480):
+        out['frames'].append({'frames': frames, **milliseconds([long_window(frames)], model, config, repeats)})
+    for k in (6, 15, 30) if quick else (4, 6, 10, 15, 20, 30, 40):
+        out['components'].append(
+            {'K': k, **milliseconds([long_window(120)], model, replace(config, components=k), repeats)}
+        )
+    for people in (1, 4, 16) if quick else (1, 2, 4, 8, 16, 32):
+        headings = np.arange(people) * 360 / people
+        windows = [v.window for v in common.views('09_12', headings, frames=30)]
+        out['people'].append({'people': people, **milliseconds(windows, model, config, repeats)})
+    return out
+
+
+def peak_mib(action: Callable[[], object]) -> float:
+    gc.collect()
+    tracemalloc.start()
+    action()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak / 2**20
+
+
+def memory(quick: bool) -> list[tuple[str, float]]:
+    config = SolverConfig()
+    model = common.trained('walk', without_subjects=('09',))
+    people = [v.window for v in common.views('09_12', range(0, 360, 23)[:16], frames=30)]
+    rows = [
+        ('joint, 120 frames', peak_mib(lambda: nonperiodic.solve([long_window(120)], model, config))),
+        ('joint, 480 frames', peak_mib(lambda: nonperiodic.solve([long_window(480)], model, config))),
+        ('joint, 16 people of 30 frames', peak_mib(lambda: nonperiodic.solve(people, model, config))),
+    ]
+    few = replace(common.paper_config(components=30), max_iterations=2)
+    rows.append(
+        ('alternation, 120 frames', peak_mib(lambda: alternation.reconstruct(long_window(120), model, few)))
+    )
+    _, problem, state = fixed(WALK, common.changed(adapt_noise=False))
+    limits = {**TOLERANCES, 'max_nfev': 3 if quick else 10}
+    analytic = SCIPY['analytic sparse Jacobian']
+    rows.append(('SciPy, 120 frames', peak_mib(lambda: SparseProblem(problem, state).solve(**analytic, **limits))))
+    return rows
+
+
+def print_scipy(records: Sequence[dict[str, Any]]) -> None:
+    print('\n## Joint solver and scipy.optimize.least_squares (trf, lsmr) on one objective from one start\n')
+    print(
+        f'K = {TARGET_COMPONENTS}, everything on, image noise held at 10 mm: adapting it changes the objective.\n'
+    )
+    rows = [
+        [
+            f'{r["case"]}, {r["frames"]} frames',
+            name,
+            f'{r["joint optimum"] / way["optimum"]:.4f}',
+            r['iterations'],
+            'another minimum' if way['joint iterations'] is None else way['joint iterations'],
+            way['iterations'],
+            f'{r["seconds"] * 1e3:.0f}',
+            f'{way["seconds"] * 1e3:.0f}',
+            f'{way["times faster"]:.0f}',
+        ]
+        for r in records
+        for name, way in r['scipy'].items()
+    ]
+    header = [
+        'case', 'SciPy with', 'joint / its optimum', 'joint: iterations to own optimum', 'to its optimum',
+        'its iterations in all', 'joint, ms', 'its ms', 'times faster',
+    ]  # fmt: skip
+    print(common.table(header, rows))
+    print(
+        f'\n"To the optimum" is to within {CLOSE:g} of it; times are those of each solver to its own. SciPy '
+        'solves for translations and mean bone lengths too, which keeps its Jacobian sparse; objectives are '
+        'checked to be equal at equal states.'
+    )
+
+
+def print_alternation(records: Sequence[dict[str, Any]]) -> None:
+    print('\n## Joint solver and Algorithm 1, terms beyond the paper off, to convergence\n')
+    rows = []
+    for r in records:
+        a, j = r['alternation'], r['joint']
+        rows.append(
+            [
+                r['case'],
+                r['components'],
+                'yes' if r['prior'] else 'no',
+                f'{j["objective"] / a["objective"]:.4f}',
+                j['iterations'],
+                a['iterations'],
+                f'{j["seconds"] * 1e3:.0f}',
+                f'{a["seconds"] * 1e3:.0f}',
+                f'{a["seconds"] / j["seconds"]:.0f}',
+            ]
+        )
+    header = ['case', 'K', 'prior', 'joint / alternation objective', 'joint iterations', 'alternations']
+    print(common.table([*header, 'joint, ms', 'alternation, ms', 'times faster'], rows))
+
+
+def print_targets(one_start_ms: float, records: Sequence[dict[str, Any]]) -> None:
+    iterations = max(r['iterations'] for r in records)
+    print('\n## Targets\n')
+    rows = [
+        [
+            f'120 frames, K = {TARGET_COMPONENTS}, everything on, one start',
+            f'{one_start_ms:.0f} ms',
+            '30 ms',
+            one_start_ms <= 30,
+        ],
+        [f'iterations to within {CLOSE:g} of the optimum', f'at most {iterations}', '15', iterations <= 15],
+        *_times_faster(records),
+    ]
+    print(common.table(['case', 'measured', 'reach', 'verdict'], [[*r[:3], _verdict(r[3])] for r in rows]))
+
+
+def _times_faster(records: Sequence[dict[str, Any]]) -> list[list[Any]]:
+    rows = []
+    for name in records[0]['scipy']:
+        ratios = [r['scipy'][name]['times faster'] for r in records]
+        measured = f'{min(ratios):.0f} to {max(ratios):.0f} times faster'
+        rows.append([f'SciPy, {name}', measured, '50', min(ratios) >= 50])
+    return rows
+
+
+def _verdict(reached: bool) -> str:
+    return 'reached' if reached else 'not reached'
+
+
+def main() -> None:
+    args = common.arguments(__doc__)
+    repeats = 3 if args.quick else 9
+    machine = common.machine()
+    print(f'# Solvers\n\n{machine}')
+
+    one = {}
+    for k in (SolverConfig().components, TARGET_COMPONENTS):
+        one[k] = milliseconds([WALK.window], WALK.model, common.changed(components=k), repeats * 3)['ms']
+        print(f'\n120 frames, K = {k}, everything on, one start: {one[k]:.0f} ms')
+    reference = common.reference_seconds()
+    print(f'\nReference kernel in the same run: {reference * 1e3:.0f} ms')
+    names = list(SCIPY)[:1] if args.quick else list(SCIPY)
+    scipy_cases = CASES[:3:2] if args.quick else CASES
+    by_scipy = [against_scipy(c, names, repeats) for c in common.progress(scipy_cases, 'SciPy')]
+    print_scipy(by_scipy)
+    variants = [(6, False)] if args.quick else [(6, False), (30, True)]
+    some = CASES[:1] if args.quick else CASES
+    todo = [(c, k, prior) for c in some for k, prior in variants]
+    by_alternation = [against_alternation(*t, repeats) for t in common.progress(todo, 'alternation')]
+    print_alternation(by_alternation)
+    by_size = sizes(args.quick)
+    for name, records in by_size.items():
+        print(f'\n## Time against {name}\n')
+        print(
+            common.table(
+                list(records[0]),
+                [[f'{v:.1f}' if isinstance(v, float) else v for v in r.values()] for r in records],
+            )
+        )
+    by_memory = memory(args.quick)
+    print('\n## Peak memory\n')
+    print(common.table(['solver', 'MiB'], [[n, f'{m:.1f}'] for n, m in by_memory]))
+    print_targets(one[TARGET_COMPONENTS], by_scipy)
+    common.write_json(
+        args.json,
+        {
+            'machine': machine,
+            'reference_s': reference,
+            'one_start_120_frames_ms': {f'K = {k}': ms for k, ms in one.items()},
+            'scipy': by_scipy,
+            'alternation': by_alternation,
+            'sizes': by_size,
+            'memory_mib': dict(by_memory),
+        },
+    )
+
+
+if __name__ == '__main__':
+    main()
