@@ -1,6 +1,6 @@
 """Periodic or not, on CMU walk, run and jump trials; where the thresholds of ClassifierConfig come from.
 
-Every second of every trial is labelled in `periodic_labels.csv`: `periodic` (walking or running), `other` (jumping,
+Every second of each trial is labelled in `periodic_labels.csv`: `periodic` (walking, running), `other` (jumping,
 standing), or `transition` (starting, stopping, turning, stepping aside; not scored). The labels were made from the
 true motion, by the speed and height of the body's centre. A section of `classifier.section` s about the middle of
 each second is judged by base poses that never saw the subject, with thresholds chosen on other subjects.

@@ -7,6 +7,7 @@ import json
 import math
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros import metrics
-from mocap_ros.base_poses import BasePoses, load_model
-from mocap_ros.cli.options import add_config_options, add_sequence_options, config_from, progress
+from mocap_ros.base_poses import BasePoses
+from mocap_ros.cli.options import add_config_options, add_sequence_options, config_from, models_from, progress
 from mocap_ros.cli.reconstruct import reconstruct_file
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
@@ -66,7 +67,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Evaluate every file and print a table."""
     config = config_from(args)
-    model = load_model(args.model or config.tracker.model)
+    models = models_from(args, config)
     records, doubts = [], []
     for path in progress(args.input, 'evaluate'):
         sequence = load_sequence(path)
@@ -74,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(f'{path}: joints3d: missing; without the truth there is nothing to evaluate')
         if _looks_like_mm(sequence.truth.joints):
             doubts.append(f'{path}: joints3d: looks like mm; m expected')
-        records.append({'file': path.name, **evaluate(sequence, model, config, args.joints == 'limbs')})
+        records.append({'file': path.name, **evaluate(sequence, models, config, args.joints == 'limbs')})
     if args.json is not None:
         args.json.write_text(json.dumps(records, indent=1) + '\n', encoding='utf-8')
     print_table(records)
@@ -83,13 +84,15 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def evaluate(sequence: Sequence, model: BasePoses, config: Config, limbs_only: bool) -> dict[str, float]:
+def evaluate(
+    sequence: Sequence, models: Mapping[str, BasePoses], config: Config, limbs_only: bool
+) -> dict[str, float]:
     """The record of one sequence: all errors of `metrics.errors`, and what the solver says of itself."""
     truth = sequence.truth
     if truth is None:
         raise InputError('joints3d: missing')
     begun = time.perf_counter()
-    result = reconstruct_file(sequence, model, config)
+    result = reconstruct_file(sequence, models, config)
     seconds = time.perf_counter() - begun
     mine, theirs = metrics.common_joints(result.skeleton.joints, truth.joint_names, limbs_only)
     score = sequence.keypoints[..., 2]

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import yaml
 from tqdm import tqdm
 
+from mocap_ros.base_poses import BasePoses, load_model, shipped_models
 from mocap_ros.config import Config, from_yaml, with_values
 from mocap_ros.errors import ConfigError
 
@@ -35,8 +36,20 @@ def add_sequence_options(parser: argparse.ArgumentParser, **how: Any) -> None:
         'input', type=Path, metavar='SEQUENCE.npz', help='sequence file: keypoints of one person over time', **how
     )
     parser.add_argument(
-        '--model', metavar='NAME', help='base poses: a shipped name or a file (default: tracker.model)'
+        '--model',
+        metavar='NAME',
+        help='base poses: a shipped name, a file, or auto for the likeliest (default: tracker.model)',
     )
+
+
+def models_from(args: argparse.Namespace, config: Config) -> dict[str, BasePoses]:
+    """The base poses of `--model`, by name; all shipped ones for `auto`.
+
+    Raises:
+        ModelError: there are none of that name.
+    """
+    name = args.model or config.tracker.model
+    return {n: load_model(n) for n in (shipped_models() if name == 'auto' else (name,))}
 
 
 def config_from(args: argparse.Namespace) -> Config:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from mocap_ros import plots
-from mocap_ros.base_poses import load_model
-from mocap_ros.cli.options import add_config_options, add_sequence_options, config_from
+from mocap_ros.cli.options import add_config_options, add_sequence_options, config_from, models_from
 from mocap_ros.cli.reconstruct import reconstruct_file
 from mocap_ros.io.sequence import load_sequence
 from mocap_ros.skeleton import skeleton_of
@@ -41,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     """Reconstruct and draw."""
     config = config_from(args)
     sequence = load_sequence(args.input)
-    result = reconstruct_file(sequence, load_model(args.model or config.tracker.model), config)
+    result = reconstruct_file(sequence, models_from(args, config), config)
     truth = None
     if sequence.truth is not None:
         names = list(sequence.truth.joint_names)

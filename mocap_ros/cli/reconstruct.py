@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import csv
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mocap_ros.base_poses import BasePoses, load_model
-from mocap_ros.cli.options import add_config_options, add_sequence_options, config_from
+from mocap_ros.base_poses import BasePoses
+from mocap_ros.cli.options import add_config_options, add_sequence_options, config_from, models_from
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
 from mocap_ros.io.sequence import Sequence, load_sequence
@@ -41,25 +42,25 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f'{output}: can write {" or ".join(WRITERS)}')
     config = config_from(args)
     sequence = load_sequence(args.input)
-    result = reconstruct_file(sequence, load_model(args.model or config.tracker.model), config)
+    result = reconstruct_file(sequence, models_from(args, config), config)
     (_write_npz if output.suffix == '.npz' else _write_csv)(output, sequence, result)
     solution = result.solution
     print(
-        f'{output}: {len(sequence)} frames, {len(result.skeleton.joints)} joints, residual '
+        f'{output}: {len(sequence)} frames, base poses {result.category}, residual '
         f'{np.nanmean(solution.residual):.2f} px, {solution.iterations} iterations'
         + ('' if solution.converged else ' (not converged)')
     )
     return 0
 
 
-def reconstruct_file(sequence: Sequence, model: BasePoses, config: Config) -> SequenceResult:
+def reconstruct_file(sequence: Sequence, models: Mapping[str, BasePoses], config: Config) -> SequenceResult:
     """The reconstruction of a sequence file's content."""
     return reconstruct_sequence(
         sequence.keypoints,
         sequence.joint_names,
         sequence.timestamps,
         sequence.intrinsics(config.tracker.nominal_focal_length),
-        model,
+        models,
         config,
     )
 
