@@ -81,7 +81,7 @@ class SolverConfig:
         choices=('squared', 'frobenius'),
     )
     hypotheses: int = _p(
-        1, 'camera starts: closed form, its Necker reversal, then a ring of headings', low=1, high=10
+        2, 'camera starts: closed form, its Necker reversal, then a ring of headings', low=1, high=10
     )
     start_window: float = _p(1.0, 's, frames this near share one closed-form start camera', low=0.0, high=60.0)
     max_iterations: int = _p(60, 'alternations of cameras and weights', low=1, high=10_000)

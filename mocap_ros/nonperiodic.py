@@ -395,8 +395,8 @@ def solve_hypotheses(
 ) -> tuple[Reconstruction, ...]:
     """As `solve`, each window from `config.hypotheses` camera starts, all one batch; the likeliest result of each.
 
-    Measured on CMU walking and running this gains nothing over one start, since noise is annealed; it is for other
-    motion and for data so poor that the first camera is wrong.
+    With base poses of the right category this gains nothing over one start; the all-motions model needs the Necker
+    reversal for people seen from the front or from behind (docs/solvers.md).
     """
     if config.hypotheses == 1:
         return solve(windows, model, config)

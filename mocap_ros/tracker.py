@@ -19,7 +19,7 @@ from mocap_ros.base_poses import BasePoses
 from mocap_ros.camera import Cameras
 from mocap_ros.config import Config
 from mocap_ros.errors import FrameDropped
-from mocap_ros.nonperiodic import solve
+from mocap_ros.nonperiodic import solve, solve_hypotheses
 from mocap_ros.people import Intrinsics, Motion, MotionKind, Person2D, Person3D
 from mocap_ros.reconstruction import Reconstruction, Start, Window
 from mocap_ros.skeleton import joint_map
@@ -223,13 +223,13 @@ class Tracker:
         due = [w for w in windows if w.solution is None or w.times[-1] - w.fresh_at >= settings.fresh_every * NS]
         fresh = [(w, replace(w.warm(), start=None)) for w in due]
         best: dict[str, Reconstruction] = {}
-        for batch, iterations in ((started, settings.warm_iterations), (fresh, settings.fresh_iterations)):
-            if not batch:
-                continue
+        for batch, iterations, how in (
+            (started, settings.warm_iterations, solve),
+            (fresh, settings.fresh_iterations, solve_hypotheses),
+        ):
             limited = replace(solver, max_iterations=iterations)
-            for (window, _), solution in zip(
-                batch, solve([b for _, b in batch], self.model, limited), strict=True
-            ):
+            solutions = how([b for _, b in batch], self.model, limited) if batch else ()
+            for (window, _), solution in zip(batch, solutions, strict=True):
                 rival = best.get(window.id)
                 if rival is None or solution.objective[-1] < rival.objective[-1]:
                     best[window.id] = solution
