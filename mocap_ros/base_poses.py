@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import ModelError
+from mocap_ros.errors import ModelError, reader_reason
 from mocap_ros.skeleton import CMU15, Skeleton, layout
 
 Array = NDArray[np.float64]
@@ -323,5 +323,5 @@ def from_bytes(data: bytes, source: str) -> BasePoses:
         if not all(np.isfinite(a).all() for a in arrays.values()) or (model.std <= 0).any():
             raise ValueError('numbers that are not finite or not positive')
     except Exception as error:  # any malformed byte ends up here: the file comes from a stranger
-        raise ModelError(f'{source}: not a base-pose model ({error})') from None
+        raise ModelError(f'{source}: not a base-pose model ({reader_reason(error)})') from None
     return model

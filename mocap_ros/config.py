@@ -41,7 +41,12 @@ class SolverConfig:
 
     components: int = _p(40, 'base poses used, at most those of the model', low=1, high=60)
     prior_weight: float = _p(
-        3e-5, 'Gaussian prior of the base-pose weights, m^2 per squared standard deviation', low=0.0
+        1e-4, 'Gaussian prior of the base-pose weights, m^2 per squared standard deviation', low=0.0
+    )
+    upright_prior: float = _p(
+        0.3,
+        'factor on prior_weight for models aligned by heading: people differ more than one category shows',
+        low=0.0,
     )
     bone_weight: float = _p(40.0, 'bone-length variance (beta, eq. 20)', low=0.0)
     flip_weight: float = _p(0.02, 'm^2 s, change of camera between frames (gamma, eq. 12)', low=0.0)
@@ -107,7 +112,7 @@ class TrackerConfig:
 
     model: str = _p('all', 'name of a shipped base-pose model, or path of a trained one', read_only=True)
     window: float = _p(1.0, 's, length of the sliding window', low=0.1, high=20.0)
-    warm_iterations: int = _p(3, 'alternations a new frame costs', low=1, high=1000)
+    warm_iterations: int = _p(5, 'alternations a new frame costs', low=1, high=1000)
     fresh_iterations: int = _p(12, 'alternations of a fresh start', low=1, high=1000)
     fresh_every: float = _p(0.5, 's between fresh starts, kept when they fit better', low=0.0)
     min_score: float = _p(0.1, 'keypoints scored below count as not seen', low=0.0, high=1.0)

@@ -132,9 +132,10 @@ class Problem:
         parents, children = (np.array(side) for side in zip(*model.skeleton.bones, strict=True))
         lengths = np.linalg.norm(model.mean[children] - model.mean[parents], axis=-1)
         relative = (lengths.mean() / lengths) ** 2 if config.relative_bones else np.ones(len(lengths))
-        flip = np.full(3, config.flip_weight)
+        flip, prior = np.full(3, config.flip_weight), config.prior_weight
         if model.upright:
             flip = config.upright_turn * flip + np.array([0, 0, config.tilt_weight])
+            prior *= config.upright_prior
         return Problem(
             model=model,
             image=np.concatenate([w.points / s for w, s in zip(windows, s0, strict=True)]),
@@ -144,7 +145,7 @@ class Problem:
             counts=counts,
             smooth=config.smooth_weight * inverse_dt,
             flip=inverse_dt[:, None] * flip,
-            prior=config.prior_weight / model.std**2,
+            prior=prior / model.std**2,
             bone_weight=config.bone_weight * relative,
             robust=np.full((len(times), 1), config.robust_scale if config.robust_scale > 0 else np.inf),
             parents=parents,

@@ -25,6 +25,7 @@ PLAIN = SolverConfig(
     smooth_weight=0.0,
     robust_scale=0.0,
     upright_turn=1.0,
+    upright_prior=1.0,
     tilt_weight=0.0,
     adapt_noise=False,
 )
