@@ -112,9 +112,10 @@ class TrackerConfig:
 
     model: str = _p('all', 'name of a shipped base-pose model, or path of a trained one', read_only=True)
     window: float = _p(1.0, 's, length of the sliding window', low=0.1, high=20.0)
+    components: int = _p(25, 'base poses used live, at most solver.components', low=1, high=60)
     warm_iterations: int = _p(5, 'alternations a new frame costs', low=1, high=1000)
-    fresh_iterations: int = _p(12, 'alternations of a fresh start', low=1, high=1000)
-    fresh_every: float = _p(0.5, 's between fresh starts, kept when they fit better', low=0.0)
+    fresh_iterations: int = _p(8, 'alternations of a fresh start', low=1, high=1000)
+    fresh_every: float = _p(1.0, 's between fresh starts, kept when they fit better', low=0.0)
     min_score: float = _p(0.1, 'keypoints scored below count as not seen', low=0.0, high=1.0)
     min_joints: int = _p(6, 'seen joints that make a frame usable', low=4, high=15)
     forget_after: float = _p(1.0, 's without detection after which a person is lost', low=0.0, high=60.0)

@@ -219,6 +219,7 @@ class Tracker:
     def _solve(self, windows: Sequence[_Window]) -> list[Reconstruction]:
         """Everybody's reconstruction as one batch: warm from the last one, now and then also from scratch."""
         settings, solver = self.config.tracker, self.config.solver
+        components = min(settings.components, solver.components)
         started = [(w, w.warm()) for w in windows if w.solution is not None]
         due = [w for w in windows if w.solution is None or w.times[-1] - w.fresh_at >= settings.fresh_every * NS]
         fresh = [(w, replace(w.warm(), start=None)) for w in due]
@@ -227,7 +228,7 @@ class Tracker:
             (started, settings.warm_iterations, solve),
             (fresh, settings.fresh_iterations, solve_hypotheses),
         ):
-            limited = replace(solver, max_iterations=iterations)
+            limited = replace(solver, max_iterations=iterations, components=components)
             solutions = how([b for _, b in batch], self.model, limited) if batch else ()
             for (window, _), solution in zip(batch, solutions, strict=True):
                 rival = best.get(window.id)

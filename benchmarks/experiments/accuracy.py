@@ -75,14 +75,16 @@ def table_1(quick: bool) -> Section:
                 'joint': _row(best_of(tests, ours, {0.0: _with_beta(0.0)})),
             }
             rows['best'] = {
-                'paper': _row(best_of(tests, paper, {b: paper_config(bone_weight=b) for b in betas})),
+                'paper': _row(
+                    best_of(tests, paper, {b: paper_config(bone_weight=b, tolerance=2e-4) for b in betas})
+                ),
                 'joint': _row(best_of(tests, ours, {b: _with_beta(b) for b in (*betas, defaults.bone_weight)})),
             }
             rows['joint solver as it comes'] = {
                 'joint': _row(best_of(tests, ours, {defaults.bone_weight: defaults}))
             }
             if not own:
-                many = {b: paper_config(bone_weight=b, components=15) for b in betas}
+                many = {b: paper_config(bone_weight=b, components=15, tolerance=2e-4) for b in betas}
                 rows['np all'] = {
                     'paper': _row(best_of(tests, everything, many)),
                     'joint': _row(best_of(tests, everything, {defaults.bone_weight: defaults})),
@@ -124,12 +126,12 @@ def _print_table_1(section: Section, cells: dict[str, Any], headings: int) -> No
         KTH are not to be had."""
     )
     section.text(
-        """Algorithm 1 is the paper's: alternation, squared norms, K = 6 (periodic: K = 4, one sine a base pose;
+        f"""Algorithm 1 is the paper's: alternation, squared norms, K = 6 (periodic: K = 4, one sine a base pose;
         np all: K = 15), no prior, no smoothness, a start camera a frame, the regulariser beta the best of a
-        grid. The joint solver is the project's, all its terms on (K = 30; periodic with a shared fundamental).
-        The tested trial is never trained on. "own": trained on the other trials of this subject and category
-        (the paper does so at least in its section 4.9); "category": on those of all subjects; "np all": on all
-        motions of all subjects."""
+        grid. The joint solver is the project's, all its terms on (K = {SolverConfig().components}; periodic with
+        a shared fundamental). The tested trial is never trained on. "own": trained on the other trials of this
+        subject and category (the paper does so at least in its section 4.9); "category": on those of all
+        subjects; "np all": on all motions of all subjects."""
     )
     rows: list[Sequence[object]] = []
     for key, by_row in cells.items():
@@ -170,7 +172,7 @@ def _cell_mm(entry: tuple[list[dict[str, float]], str] | None) -> str | None:
 def number_of_base_poses(quick: bool) -> Section:
     """Figures 8 and 9."""
     section = Section('Number of base poses (figures 8 and 9)')
-    counts = (2, 6) if quick else (2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40)
+    counts = (2, 6) if quick else (2, 4, 6, 8, 10, 15, 20, 30, 40)
     trials = {**TABLE_TRIALS, 'periodic': '35_02'}
     curves: dict[str, dict[str, list[tuple[float, float]]]] = {'Algorithm 1': {}, 'project': {}}
     for category, trial in trials.items():
@@ -232,9 +234,7 @@ def _errors(tests: Sequence[View], found: Sequence[Reconstruction], model: BaseP
 def bone_regulariser(quick: bool) -> Section:
     """Figures 7 and 10."""
     section = Section('Bone-length regulariser (figures 7 and 10)')
-    betas = (
-        (0.0, 1.0, 30.0) if quick else (0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1e3, 1e4)
-    )
+    betas = (0.0, 1.0) if quick else (0.0, 0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 40.0, 100.0, 1e3, 1e4)
     trials = {'walk': '07_01', 'run': '09_01', 'jump': '13_32', 'walk 35/01': '35_01'}
     curves: dict[str, dict[str, list[tuple[float, float]]]] = {'Algorithm 1': {}, 'joint': {}}
     for name, trial in trials.items():

@@ -128,7 +128,7 @@ def unknown_category(
         rows.append(
             [
                 f'{trial}, subject left out, category unknown (chosen by evidence: {named})',
-                f'{value:.1f} mm',
+                f'{value:.2f} mm',
                 f'{goal:g} mm',
                 verdict(value <= goal),
             ]
@@ -144,8 +144,8 @@ def moving_cameras(section: Section, angles: Sequence[int], fixed: dict[str, flo
     return [
         [
             f'the same five, camera orbiting at 30 degrees/s and shaken by 5 degrees: {_each(means)}',
-            f'mean {overall:.1f} mm',
-            f'no worse than fixed ({before:.1f})',
+            f'mean {overall:.2f} mm',
+            f'no worse than fixed ({before:.2f})',
             verdict(bool(overall <= before)),
         ]
     ]
