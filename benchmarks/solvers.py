@@ -26,12 +26,12 @@ from mocap_ros.reconstruction import Reconstruction, Start, Window, begin
 CLOSE = 1e-4
 TARGET_COMPONENTS = 30
 EXACT = {'tolerance': 1e-10, 'max_iterations': 500}
-SCIPY = {
+SCIPY: dict[str, dict[str, Any]] = {
     'analytic sparse Jacobian': {'x_scale': 'jac', 'tr_solver': 'lsmr'},
     'analytic sparse Jacobian, x_scale 1': {'x_scale': 1.0, 'tr_solver': 'lsmr'},
     '2-point Jacobian, sparsity given': {'x_scale': 'jac', 'tr_solver': 'lsmr', 'differences': True},
 }
-TOLERANCES = {'ftol': 1e-8, 'xtol': 1e-8, 'gtol': 1e-8, 'max_nfev': 200}
+TOLERANCES: dict[str, Any] = {'ftol': 1e-8, 'xtol': 1e-8, 'gtol': 1e-8, 'max_nfev': 200}
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from mocap_ros.config import SolverConfig
 from mocap_ros.reconstruction import Reconstruction
 
 TABLE_TRIALS = {'walk': '35_02', 'run': '35_17', 'jump': '13_11'}
-PRINTED = {
+PRINTED: dict[str, dict[str, float | None]] = {
     'periodic': {'walk': 0.784, 'run': 0.968, 'jump': None},
     'np (beta = 0)': {'walk': 0.295, 'run': 0.661, 'jump': 1.226},
     'best': {'walk': 0.183, 'run': 0.523, 'jump': 1.090},
@@ -208,7 +208,7 @@ def number_of_base_poses(quick: bool) -> Section:
         'K of the least 3D error: '
         + '; '.join(f'{s}: ' + ', '.join(f'{c} {k}' for c, k in by.items()) for s, by in least.items())
         + '. The paper: best between 4 and 10, six on its test data; more make the 3D error worse and the 2D '
-        'error better. With the Gaussian prior more base poses do no harm.'
+        'error better.'
     )
     figure, axes = panels(2, rows=2, height=4.6, sharex=True, sharey='row')
     for column, by_category in enumerate(curves.values()):

@@ -93,7 +93,7 @@ def half_steps(view: View, model: BasePoses, config: SolverConfig, steps: int) -
     start, unit = begin(view.window, model, config.start_window)
     one = replace(config, max_iterations=1, tolerance=0.0)
     flip = config.flip_weight / np.diff(view.window.times)
-    errors = []
+    errors: list[float] = []
     for _ in range(steps):
         cameras = start.cameras
         scaled = Cameras(cameras.scale / unit, cameras.rotation)
