@@ -69,8 +69,8 @@ def convergence(quick: bool) -> Section:
     section.table(['iterations', *map(str, range(steps + 1))], rows)
     steps_taken = np.diff(np.array(curves['Algorithm 1']), axis=1)
     section.text(
-        f"""The 2D error of Algorithm 1 rose in {(steps_taken > 1e-3).sum()} of {steps_taken.size} half steps, by at
-        most {max(steps_taken.max(), 0):.2f} mm. The paper saw no rise."""
+        f"""The 2D error of Algorithm 1 rose in {(steps_taken > 1e-3).sum()} of {steps_taken.size} half steps, by
+        at most {max(steps_taken.max(), 0):.2f} mm. The paper saw no rise."""
     )
     figure, axes = panels(3, sharey=True)
     for ax, (name, colour) in zip(axes, zip(curves, (WALK, RUN, PERIODIC), strict=True), strict=True):
