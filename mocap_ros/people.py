@@ -12,6 +12,8 @@ from mocap_ros.errors import InputError
 
 Array = NDArray[np.float64]
 
+LARGEST_PX = 1e6
+
 
 @dataclass(frozen=True, eq=False)
 class Person2D:
@@ -54,10 +56,13 @@ class Intrinsics:
         """From a (3, 3) camera matrix in px; the focal length is the geometric mean of both.
 
         Raises:
-            InputError: a number that is not finite, or a focal length that is not positive.
+            InputError: a focal length outside 1 to `LARGEST_PX`, or a principal point beyond it.
         """
-        if not np.isfinite(matrix).all() or matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
+        focal_lengths, centre = matrix[[0, 1], [0, 1]], matrix[:2, 2]
+        if not ((focal_lengths >= 1) & (focal_lengths <= LARGEST_PX)).all():
             raise InputError(f'focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g} px')
+        if not (np.abs(centre) <= LARGEST_PX).all():
+            raise InputError(f'principal point {centre[0]:g}, {centre[1]:g} px')
         focal = float(np.sqrt(matrix[0, 0] * matrix[1, 1]))
         return Intrinsics(focal, (float(matrix[0, 2]), float(matrix[1, 2])), known=True)
 

@@ -16,9 +16,10 @@ from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import FrameDropped, InputError
 from mocap_ros.io import messages
 from mocap_ros.io.bags import Bag
+from mocap_ros.io.keypoints import first_fault
 from mocap_ros.io.messages import Header, OutputMessage, decode, encode_keypoints, new
 from mocap_ros.io.samples import sequence_samples
-from mocap_ros.people import Person2D
+from mocap_ros.people import Intrinsics, Person2D
 from mocap_ros.pipeline import Pipeline, Source
 from mocap_ros.replay import replay
 from mocap_ros.ros.live import LiveRun
@@ -288,3 +289,20 @@ def test_the_same_complaint_is_not_repeated_for_ever(stream: list[bytes]) -> Non
     bad = [line for line in live.log.lines if 'not a mocap' in line]
     assert len(bad) == 3
     assert bad[-1].endswith('(for the 100th time)')
+
+
+@pytest.mark.parametrize('entry', [(0, 0, 1e200), (0, 0, 1e-200), (0, 2, 1e308), (1, 2, float('nan'))])
+def test_cameras_that_cannot_be_are_refused(entry: tuple[int, int, float]) -> None:
+    matrix = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
+    matrix[entry[0], entry[1]] = entry[2]
+    with pytest.raises(InputError, match=r'focal lengths|principal point'):
+        Intrinsics.from_matrix(matrix)
+
+
+def test_a_point_far_outside_any_image_is_a_fault() -> None:
+    points = np.full((5, 2), 100.0)
+    assert first_fault(points, np.ones(5)) is None
+    points[3, 1] = 1e10
+    fault = first_fault(points, np.ones(5))
+    assert fault is not None
+    assert (fault.field, fault.index) == ('y', (3,))

@@ -36,7 +36,7 @@ def targets(quick: bool) -> Section:
         one with its defaults."""
     )
     rows: list[Sequence[object]] = []
-    rows += same_subject(section, headings(quick))
+    rows += same_subject(section, headings(quick), SAME[:1] if quick else SAME)
     fixed, fixed_rows = unseen_subject(section, headings(quick))
     rows += fixed_rows
     rows += unknown_category(section, headings(quick), UNKNOWN[:1] if quick else UNKNOWN)
@@ -58,9 +58,11 @@ def measured(tests: Sequence[View], model: Any) -> list[dict[str, float]]:
     return records
 
 
-def same_subject(section: Section, angles: Sequence[int]) -> list[Sequence[object]]:
+def same_subject(
+    section: Section, angles: Sequence[int], trials: Sequence[tuple[str, str, float]]
+) -> list[Sequence[object]]:
     rows: list[Sequence[object]] = []
-    for trial, category, goal in SAME:
+    for trial, category, goal in trials:
         subject = trial[:2]
         tests = common.views(trial, angles)
         own = measured(tests, common.trained(category, only_subjects=(subject,), without_trials=(trial,)))

@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 LEAST_SCORE, GREATEST_SCORE = -1e-3, 1.25
 NORMALISED_RANGE = -0.5, 1.5
 SMALLEST_IMAGE = 16
+FARTHEST_POINT = 1e6
 JUDGED_POINTS = 4
 
 
@@ -31,7 +32,7 @@ class Fault:
 
 
 def first_fault(points: Array, score: Array) -> Fault | None:
-    """The first infinite coordinate, or score outside [`LEAST_SCORE`, `GREATEST_SCORE`].
+    """The first coordinate beyond `FARTHEST_POINT`, or score outside [`LEAST_SCORE`, `GREATEST_SCORE`].
 
     Some detectors' scores exceed 1 a little; they are clipped.
 
@@ -41,8 +42,8 @@ def first_fault(points: Array, score: Array) -> Fault | None:
     """
     outside = (score < LEAST_SCORE) | (score > GREATEST_SCORE)
     for field, wrong, values in (
-        ('x', np.isinf(points[..., 0]), points[..., 0]),
-        ('y', np.isinf(points[..., 1]), points[..., 1]),
+        ('x', np.abs(points[..., 0]) > FARTHEST_POINT, points[..., 0]),
+        ('y', np.abs(points[..., 1]) > FARTHEST_POINT, points[..., 1]),
         ('score', outside, score),
     ):
         if wrong.any():
