@@ -21,9 +21,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from mocap_ros.base_poses import BasePoses
 from mocap_ros.block_tridiagonal import factor, solve_less_low_rank
@@ -40,11 +42,13 @@ ACCEPTED, REJECTED = 0.2, 10.0
 SHORTEST_STEP = 1e-4
 
 NOISE_REFERENCE = 0.01
-NOISE_SCHEDULE = (0.05, 0.025, 0.012, 0.006, 0.003)
+COARSE_NOISE, FINE_NOISE = (0.05, 0.025, 0.012), (0.006, 0.003)
+COARSE_STEP = 0.1
 NOISE_ROUND_TOLERANCE = 0.05
 WORTH_SOLVING = 0.3
 FEWEST_COMPONENTS = 5
 LEAST_FREE = 0.05
+FRAMES_FOR_NOISE = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +70,19 @@ class State:
             self.translation,
         )
 
+    def take(self, frames: NDArray[np.intp]) -> State:
+        """The state of these frames."""
+        return State(self.theta[frames], self.rotation[frames], self.log_scale[frames], self.translation[frames])
+
+    def truncated(self, k: int) -> State:
+        """The state without the weights after the first `k`."""
+        return replace(self, theta=self.theta[:, :k])
+
+    def with_first(self, other: State) -> State:
+        """The other state, its missing weights from this one."""
+        k = other.theta.shape[1]
+        return replace(other, theta=np.concatenate([other.theta, self.theta[:, k:]], axis=1))
+
     def where(self, take: NDArray[np.bool_], other: State) -> State:
         """This state in the frames where `take` (N,), the other elsewhere."""
         return State(
@@ -82,13 +99,23 @@ class NormalEquations:
 
     Attributes:
         diagonal: (N, n, n); below: (N - 1, n, n); gradient: (N, n), halved like the matrix.
+        data: (N, n, n) the reprojection's part of `diagonal`.
         bones: (N, n, B) gradients of the bone lengths times the root of their weights.
     """
 
+    data: Array
     diagonal: Array
     below: Array
     gradient: Array
     bones: Array
+
+    def frozen(self, frames: NDArray[np.bool_], old: NormalEquations) -> NormalEquations:
+        """These with the old matrices in the given frames (N,), all or none of a sequence."""
+        if frames.any():
+            for new, before in ((self.data, old.data), (self.diagonal, old.diagonal)):
+                new[frames] = before[frames]
+            self.below[frames[:-1]] = old.below[frames[:-1]]
+        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +126,7 @@ class Problem:
         image: (N, J, 2).
         weight: (N, J) detector scores over `level`.
         level: (N,) variance of the noise over that of the reference.
+        times: (N,) s.
         starts: (P,) first frame of each sequence.
         counts: (P,) frames of each.
         smooth: (N - 1,) weight of (change of theta / sigma)^2 to the next frame, 0 across a seam.
@@ -111,6 +139,7 @@ class Problem:
     image: Array
     weight: Array
     level: Array
+    times: Array
     starts: NDArray[np.intp]
     counts: NDArray[np.intp]
     smooth: Array
@@ -141,6 +170,7 @@ class Problem:
             image=np.concatenate([w.points / s for w, s in zip(windows, s0, strict=True)]),
             weight=np.concatenate([w.weight for w in windows]),
             level=np.ones(len(times)),
+            times=times,
             starts=starts,
             counts=counts,
             smooth=config.smooth_weight * inverse_dt,
@@ -156,6 +186,33 @@ class Problem:
         """The same batch with the first `k` base poses."""
         return replace(self, model=self.model.truncated(k), prior=self.prior[:k])
 
+    def thinned(self, step: float) -> tuple[Problem, NDArray[np.intp]]:
+        """The best seen frame of each `step` s, coupled as much for its data as all frames are; and its index."""
+        sequence = np.repeat(np.arange(len(self.starts)), self.counts)
+        part = np.floor((self.times - self.times[self.starts][sequence]) / step + 1e-6)
+        order = np.lexsort((-self.weight.sum(axis=1), part, sequence))
+        new = np.diff(part[order], prepend=-1) != 0
+        new[self.starts] = True
+        kept = np.sort(order[new])
+        counts = np.bincount(sequence[kept], minlength=len(self.starts))
+        before, after = kept[:-1], kept[1:]
+        old, now = (np.maximum(self.times[to] - self.times[before], SHORTEST_STEP) for to in (before + 1, after))
+        share = (counts / self.counts)[sequence[before]]
+        ratio = np.where(sequence[before] == sequence[after], share * old / now, 0.0)
+        few = replace(
+            self,
+            image=self.image[kept],
+            weight=self.weight[kept],
+            level=self.level[kept],
+            times=self.times[kept],
+            starts=np.cumsum(counts) - counts,
+            counts=counts,
+            smooth=self.smooth[before] * ratio,
+            flip=self.flip[before] * ratio[:, None],
+            robust=self.robust[kept],
+        )
+        return few, kept
+
     def under_noise(self, noise: Array) -> Problem:
         """The same batch with these standard deviations (P,) m of the noise."""
         ratio = self.per_frame(noise / NOISE_REFERENCE)
@@ -167,32 +224,36 @@ class Problem:
             robust=self.robust * (np.maximum(ratio, 1) / np.maximum(old, 1))[:, None],
         )
 
-    def noise(self, state: State) -> Array:
+    def noise(self, state: State, equations: NormalEquations | None = None) -> Array:
         """(P,) m, standard deviation of a coordinate of a fully trusted point, from the residual.
 
-        The sum of squares is shared among the coordinates less those that the unknowns have absorbed.
+        The sum of squares is shared among the coordinates less those that the unknowns have absorbed, their
+        neighbours held; `equations` may be those of a state nearby.
         """
+        equations = equations or self.normal_equations(state)
         _, error = self._residual(state)
         loss = self.level[:, None] * self.weight * self._loss((error**2).sum(axis=-1))
         coordinates = 2 * self.per_sequence((self.weight > 0).sum(axis=1))
-        free = coordinates - self.per_sequence(self._absorbed(state))
-        return np.sqrt(self.per_sequence(loss.sum(axis=1)) / np.maximum(free, LEAST_FREE * coordinates + 1))
+        free = np.maximum(coordinates - self._absorbed(equations), LEAST_FREE * coordinates + 1)
+        return np.sqrt(self.per_sequence(loss.sum(axis=1)) / free)
 
-    def _absorbed(self, state: State) -> Array:
-        """(N,) coordinates of a frame that its unknowns fit away, its neighbours held."""
-        whole = self.normal_equations(state).diagonal
-        held = replace(self, weight=np.zeros_like(self.weight)).normal_equations(state).diagonal
-        n = whole.shape[1]
-        kept = np.linalg.solve(whole + 1e-9 * np.eye(n), held)
-        return np.asarray(2 + n - np.einsum('nii->n', kept))
+    def _absorbed(self, equations: NormalEquations) -> Array:
+        """(P,) coordinates that the unknowns fit away, from some frames of each sequence."""
+        stride = -(-self.counts // FRAMES_FOR_NOISE)
+        number = np.arange(len(self.level)) - self.per_frame(self.starts)
+        some = np.flatnonzero(number % self.per_frame(stride) == 0)
+        taken = -(-self.counts // stride)
+        whole = equations.diagonal[some] + 1e-9 * np.eye(equations.diagonal.shape[1])
+        absorbed = 2 + np.einsum('nii->n', np.linalg.solve(whole, equations.data[some]))
+        return np.add.reduceat(absorbed, np.cumsum(taken) - taken) * (self.counts / taken)
 
     def per_sequence(self, per_frame: Array) -> Array:
         """(N, ...) -> (P, ...) sums over the frames of each sequence."""
         return np.asarray(np.add.reduceat(per_frame, self.starts, axis=0))
 
-    def per_frame(self, per_sequence: Array) -> Array:
+    def per_frame(self, per_sequence: NDArray[Any]) -> NDArray[Any]:
         """(P, ...) -> (N, ...), each sequence's value for all its frames."""
-        return np.repeat(per_sequence, self.counts, axis=0)
+        return np.asarray(np.repeat(per_sequence, self.counts, axis=0))
 
     def _residual(self, state: State) -> tuple[Array, Array]:
         """(N, J, 3) scaled poses in the camera frame and (N, J, 2) reprojection errors, m."""
@@ -218,7 +279,16 @@ class Problem:
 
     def cost(self, state: State) -> Array:
         """(P,) value of the objective, m^2."""
-        _, error = self._residual(state)
+        return self._cost(state, self._residual(state)[1])
+
+    def settled(self, state: State) -> tuple[State, Array]:
+        """`best_translation` and the `cost` there."""
+        error = self._residual(state)[1]
+        shift = self._shift(error)
+        moved = replace(state, translation=state.translation + shift)
+        return moved, self._cost(moved, error + shift[:, None])
+
+    def _cost(self, state: State, error: Array) -> Array:
         frame = (self.weight * self._loss((error**2).sum(axis=-1))).sum(axis=1)
         deviation, _, _ = self.bones(state.theta)
         frame += (self.bone_weight * deviation**2).sum(axis=1)
@@ -231,10 +301,12 @@ class Problem:
 
     def best_translation(self, state: State) -> State:
         """The state with each frame's translation at its weighted optimum (a step of the robust fit)."""
-        _, error = self._residual(state)
+        return replace(state, translation=state.translation + self._shift(self._residual(state)[1]))
+
+    def _shift(self, error: Array) -> Array:
         w = self._robust_weight((error**2).sum(axis=-1))
         total = np.maximum(w.sum(axis=1), 1e-12)[:, None]
-        return replace(state, translation=state.translation - (w[..., None] * error).sum(axis=1) / total)
+        return np.asarray(-(w[..., None] * error).sum(axis=1) / total)
 
     def normal_equations(self, state: State) -> NormalEquations:
         """Everything of the second order that the step needs."""
@@ -244,56 +316,51 @@ class Problem:
         joints = w.shape[1]
         n = k + CAMERA_UNKNOWNS
 
-        # rows: x of all joints, y of all joints, then the bones
-        jac = np.empty((frames, 2 * joints + len(self.parents), n))
         m = np.exp(state.log_scale)[:, None, None] * state.rotation[:, :2]
         basis = np.moveaxis(self.model.components, 0, -1)  # (J, 3, K)
         flat = np.swapaxes(basis, 0, 1).reshape(3, -1)
-        data = jac[:, : 2 * joints].reshape(frames, 2, joints, n)
-        data[..., :k] = (m.reshape(-1, 3) @ flat).reshape(frames, 2, joints, k)
-        _fill_camera_columns(data[..., k:], turned)
+        jac = np.empty((frames, 2, joints, n))
+        jac[..., :k] = (m.reshape(-1, 3) @ flat).reshape(frames, 2, joints, k)
+        _fill_camera_columns(jac[..., k:], turned)
         residual = np.swapaxes(error, 1, 2)  # (N, 2, J)
 
-        total = np.maximum(w.sum(axis=1), 1e-12)
-        column_sums = (w[:, None, None] @ data)[:, :, 0]  # (N, 2, n)
-        error_sums = (w[:, None] * residual).sum(axis=2)  # (N, 2)
+        # the best translation makes everything relative to its weighted mean
+        share = (w / np.maximum(w.sum(axis=1), 1e-12)[:, None])[:, None]
         root = np.sqrt(w)[:, None]
-        weighted_residual = (root * residual).reshape(frames, -1)
-        data *= root[..., None]
+        jac -= share[:, :, None] @ jac
+        jac *= root[..., None]
+        residual = root * (residual - (share * residual).sum(axis=2, keepdims=True))
+        jac = jac.reshape(frames, 2 * joints, n)
+        transposed = np.swapaxes(jac, -1, -2)
+        of_data = transposed @ jac
 
         deviation, unit, length = self.bones(state.theta)
         direction = basis[self.children] - basis[self.parents]  # (B, 3, K)
-        bone_jac = np.swapaxes(np.swapaxes(unit, 0, 1) @ direction, 0, 1)  # (N, B, K)
-        bone_root = np.sqrt(self.bone_weight)[:, None]
-        jac[:, 2 * joints :, :k] = bone_root * bone_jac
-        jac[:, 2 * joints :, k:] = 0.0
+        bone_jac = np.ascontiguousarray(np.swapaxes(np.swapaxes(unit, 0, 1) @ direction, 0, 1))  # (N, B, K)
+        bones = np.zeros((frames, n, len(direction)))
+        bones[:, :k] = np.swapaxes(bone_jac * np.sqrt(self.bone_weight)[:, None], -1, -2)
 
-        transposed = np.swapaxes(jac, -1, -2)
-        diagonal = transposed @ jac
-        diagonal[:, :k, :k] += self._bone_curvature(deviation / length, bone_jac, direction)
-        scaled_sums = column_sums / np.sqrt(total)[:, None, None]
-        diagonal -= np.swapaxes(scaled_sums, -1, -2) @ scaled_sums
-        rows = np.concatenate([weighted_residual, bone_root[:, 0] * deviation], axis=1)
-        gradient = (transposed @ rows[..., None])[..., 0]
-        gradient -= (np.swapaxes(column_sums, -1, -2) @ (error_sums / total[:, None])[..., None])[..., 0]
-
+        gradient = (transposed @ residual.reshape(frames, -1, 1))[..., 0]
+        gradient += (bones @ (np.sqrt(self.bone_weight) * deviation)[..., None])[..., 0]
+        diagonal = of_data.copy()
+        diagonal[:, :k, :k] += self._bone_hessian(deviation / length, bone_jac, direction)
         below = np.zeros((frames - 1, n, n))
         self._add_prior_and_smoothness(state, diagonal, below, gradient)
         self._add_flip(state, diagonal, below, gradient)
-        return NormalEquations(diagonal, below, gradient, transposed[..., 2 * joints :])
+        return NormalEquations(of_data, diagonal, below, gradient, bones)
 
-    def _bone_curvature(self, excess: Array, bone_jac: Array, direction: Array) -> Array:
-        """(N, K, K) second derivatives of the lengths of bones that are too long, times their excess.
+    def _bone_hessian(self, excess: Array, bone_jac: Array, direction: Array) -> Array:
+        """(N, K, K) of Gauss-Newton, with the second derivatives of bones that are too long times their excess.
 
-        Gauss-Newton leaves them out and then needs several times the steps. Those of bones too short are negative
+        Gauss-Newton leaves those out and then needs several times the steps. Those of bones too short are negative
         and stay out, so that the matrix remains positive definite.
         """
         frames, _, k = bone_jac.shape
         weight = self.bone_weight * np.maximum(excess, 0)
         squares = (np.swapaxes(direction, -1, -2) @ direction).reshape(len(direction), -1)
         across = (weight @ squares).reshape(frames, k, k)
-        along = np.swapaxes(bone_jac * weight[..., None], -1, -2) @ bone_jac
-        return np.asarray(across - along)
+        along = np.swapaxes(bone_jac * (self.bone_weight - weight)[..., None], -1, -2) @ bone_jac
+        return np.asarray(across + along)
 
     def _add_prior_and_smoothness(self, state: State, diagonal: Array, below: Array, gradient: Array) -> None:
         k = state.theta.shape[1]
@@ -370,25 +437,14 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
     problem = Problem.build(windows, s0, model, config)
     state = problem.best_translation(initial_state(problem, starts, s0))
     state = problem.best_translation(state)
-    spent = 0
+    damping = FIRST_DAMPING
     if config.adapt_noise:
-        problem, state, spent = _anneal(problem, state, windows, config)
-    rest = replace(config, max_iterations=max(config.max_iterations - spent, 1))
-    warm = spent > 0 or all(w.start is not None for w in windows)
-    damping = WARM_DAMPING if warm else FIRST_DAMPING
-    state, history, iterations, converged = _levenberg_marquardt(problem, state, rest, damping)
-    return tuple(
-        result(
-            problem,
-            i,
-            window,
-            s0[i],
-            state,
-            [float(h[i]) for h in history[: iterations[i] + 1]],
-            bool(converged[i]),
-        )
-        for i, window in enumerate(windows)
-    )
+        problem, state = _anneal(problem, state, windows, config)
+        damping = WARM_DAMPING
+    elif all(w.start is not None for w in windows):
+        damping = WARM_DAMPING
+    descent = _levenberg_marquardt(problem, state, config, damping)
+    return results(problem, windows, s0, descent)
 
 
 def solve_hypotheses(
@@ -422,33 +478,63 @@ def misfit(result: Reconstruction, window: Window, config: SolverConfig) -> floa
 
 def _anneal(
     problem: Problem, state: State, windows: Sequence[Window], config: SolverConfig
-) -> tuple[Problem, State, int]:
+) -> tuple[Problem, State]:
     """Find the noise of each window that does not say it, coming down from a large one.
 
     Under large noise the prior holds the weights, the cameras settle first, and few local minima are left. Base
-    poses that vary less than the noise are not worth solving for yet.
+    poses that vary less than the noise are not worth solving for yet, nor are all frames.
 
     Returns:
-        The problem under the noise found, the state, and how many steps it took.
+        The problem under the noise found, and the state.
     """
-    noise = np.array([max(w.noise or NOISE_SCHEDULE[0], config.noise_floor) for w in windows])
+    noise = np.array([max(w.noise or COARSE_NOISE[0], config.noise_floor) for w in windows])
     unknown = np.array([w.noise is None for w in windows])
-    problem = problem.under_noise(noise)
     if not unknown.any():
-        return problem, state, 0
+        return problem.under_noise(noise), state
+
+    def found(least: float, descent: Descent) -> Array:
+        new = problem_.noise(descent.state, descent.equations)
+        return np.where(unknown, np.maximum(new, max(least, config.noise_floor)), noise)
+
     rough = replace(config, tolerance=max(NOISE_ROUND_TOLERANCE, config.tolerance))
-    spent, damping = 0, FIRST_DAMPING
-    for least in (*NOISE_SCHEDULE[1:], 0.0):
-        k = max(int((problem.model.std >= WORTH_SOLVING * noise.min()).sum()), FEWEST_COMPONENTS)
-        coarse = replace(state, theta=state.theta[:, :k])
-        coarse, history, _, _ = _levenberg_marquardt(problem.truncated(k), coarse, rough, damping)
-        state = replace(coarse, theta=np.concatenate([coarse.theta, state.theta[:, k:]], axis=1))
+    few, kept = problem.thinned(COARSE_STEP)
+    coarse = state.take(kept)
+    damping = FIRST_DAMPING
+    for level, least in zip(COARSE_NOISE, (*COARSE_NOISE[1:], FINE_NOISE[0]), strict=True):
+        k = max(int((problem.model.std >= WORTH_SOLVING * level).sum()), FEWEST_COMPONENTS)
+        problem_ = few.under_noise(noise).truncated(k)
+        descent = _levenberg_marquardt(problem_, coarse.truncated(k), rough, damping)
+        coarse = coarse.with_first(descent.state)
+        noise = found(least, descent)
         damping = WARM_DAMPING
-        spent += len(history) - 1
-        found = np.maximum(problem.noise(state), max(least, config.noise_floor))
-        noise = np.where(unknown, found, noise)
-        problem = problem.under_noise(noise)
-    return problem, state, spent
+    state = problem.best_translation(spread(coarse, kept, problem))
+    for least in (*FINE_NOISE[1:], 0.0):
+        problem_ = problem.under_noise(noise)
+        descent = _levenberg_marquardt(problem_, state, rough, damping)
+        state = descent.state
+        noise = found(least, descent)
+    return problem.under_noise(noise), state
+
+
+def spread(coarse: State, kept: NDArray[np.intp], problem: Problem) -> State:
+    """The state of all frames of `problem` from that of the frames `kept`, interpolated in time."""
+    sequence = np.repeat(np.arange(len(problem.starts)), problem.counts)
+    every = np.arange(len(sequence))
+    after = np.minimum(np.searchsorted(kept, every), len(kept) - 1)
+    before = np.maximum(np.searchsorted(kept, every, side='right') - 1, 0)
+    own = sequence[kept]
+    before = np.where(own[before] == sequence, before, after)
+    after = np.where(own[after] == sequence, after, before)
+    t, t0, t1 = problem.times, problem.times[kept[before]], problem.times[kept[after]]
+    f = np.clip((t - t0) / np.maximum(t1 - t0, SHORTEST_STEP), 0.0, 1.0)
+    first, last = coarse.take(before), coarse.take(after)
+    turn = Rotation.from_matrix(last.rotation @ np.swapaxes(first.rotation, -1, -2)).as_rotvec()
+    return State(
+        first.theta + f[:, None] * (last.theta - first.theta),
+        small_rotation(f[:, None] * turn) @ first.rotation,
+        first.log_scale + f * (last.log_scale - first.log_scale),
+        first.translation + f[:, None] * (last.translation - first.translation),
+    )
 
 
 def initial_state(problem: Problem, starts: Sequence[Start], s0: Array) -> State:
@@ -464,9 +550,24 @@ def _centroids(image: Array, weight: Array) -> Array:
     return np.asarray((weight[..., None] * image).sum(axis=1) / total)
 
 
-def _levenberg_marquardt(
-    problem: Problem, state: State, config: SolverConfig, first_damping: float
-) -> tuple[State, list[Array], NDArray[np.intp], NDArray[np.bool_]]:
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Where Levenberg-Marquardt ended.
+
+    Attributes:
+        equations: of the last state but one, or of the last.
+        objective: (P,) after each step, the start first.
+        iterations: (P,) steps of each sequence; converged: (P,).
+    """
+
+    state: State
+    equations: NormalEquations
+    objective: list[Array]
+    iterations: NDArray[np.intp]
+    converged: NDArray[np.bool_]
+
+
+def _levenberg_marquardt(problem: Problem, state: State, config: SolverConfig, first_damping: float) -> Descent:
     """Each sequence has its own damping and its own end; all of them step together."""
     sequences = len(problem.starts)
     cost = problem.cost(state)
@@ -475,13 +576,15 @@ def _levenberg_marquardt(
     done = np.zeros(sequences, bool)
     taken = np.zeros(sequences, int)
     equations = problem.normal_equations(state)
+    stale = False
     for _ in range(config.max_iterations):
+        if stale:
+            equations, stale = problem.normal_equations(state).frozen(problem.per_frame(done), equations), False
         step = problem.step(equations, damping)
         if step is None:
             damping = np.where(done, damping, damping * REJECTED)
             continue
-        tried = problem.best_translation(state.moved(step))
-        new = problem.cost(tried)
+        tried, new = problem.settled(state.moved(step))
         better = ~done & (new < cost)
         gained = np.where(better, cost - new, 0.0)
         state = tried.where(np.repeat(better, problem.counts), state)
@@ -493,9 +596,28 @@ def _levenberg_marquardt(
         damping = np.where(done, damping, np.maximum(damping * factor_, LEAST_DAMPING))
         if done.all():
             break
-        if better.any():
-            equations = problem.normal_equations(state)
-    return state, history, taken, done
+        stale = bool(better.any())
+    return Descent(state, equations, history, taken, done)
+
+
+def results(
+    problem: Problem, windows: Sequence[Window], units: Array, descent: Descent
+) -> tuple[Reconstruction, ...]:
+    """The reconstruction of each sequence of a batch; units (P,) px/m."""
+    noise = problem.noise(descent.state, descent.equations)
+    return tuple(
+        result(
+            problem,
+            i,
+            window,
+            units[i],
+            descent.state,
+            [float(h[i]) for h in descent.objective[: descent.iterations[i] + 1]],
+            bool(descent.converged[i]),
+            float(noise[i]),
+        )
+        for i, window in enumerate(windows)
+    )
 
 
 def result(
@@ -506,6 +628,7 @@ def result(
     state: State,
     history: Sequence[float],
     converged: bool,
+    noise: float | None = None,
 ) -> Reconstruction:
     """The reconstruction of one sequence of a batch, `unit` px/m, `history` its objective from the start on."""
     start = problem.starts[sequence]
@@ -528,5 +651,5 @@ def result(
         objective=tuple(history),
         iterations=len(history) - 1,
         converged=converged,
-        noise=float(problem.noise(state)[sequence]),
+        noise=float(problem.noise(state)[sequence]) if noise is None else noise,
     )
