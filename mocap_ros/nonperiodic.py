@@ -1,14 +1,17 @@
 """The non-periodic model solved jointly: cameras and base-pose weights in one Levenberg-Marquardt.
 
-It minimises the objective of `alternation` with two terms more,
+It minimises the objective of `alternation` with four terms more,
 
     sum_tj w_tj rho(|s_t R_t[:2] P_tj + t_t - x_tj|^2 / s0^2)   reprojection; rho = Cauchy's loss, or none
   + beta   sum_tb (length_tb - mean_b)^2                        bone lengths (TPAMI 2016, eq. 20)
   + lambda sum_tl (theta_tl / sigma_l)^2                        Gaussian prior of the base poses
   + mu     sum_tl ((theta_tl - theta_(t-1)l) / sigma_l)^2 / dt  smoothness
-  + gamma  sum_t  |M_t - M_(t-1)|^2 / dt                        flip regulariser (eq. 12), more for column 3
+  + gamma  sum_t  |M_t - M_(t-1)|^2 / dt                        flip regulariser (eq. 12)
+  + tau    sum_t  |R_t z - R_(t-1) z|^2 / dt                    tilt: the image of the vertical turns slowly
+  + sigma  sum_t  (log s_t - log s_(t-1))^2 / dt                people come nearer slowly
 
-over all frames at once. All weights but the first are for an image noise of 10 mm; with `adapt_noise` they
+over all frames at once. Where the focal length f is known the projection is a perspective one,
+(s_t R_t[:2] P_tj + t_t) / (1 + s_t R_t[2] P_tj / f). All weights but the first are for an image noise of 10 mm; with `adapt_noise` they
 grow and shrink with its variance, which is found from the residual in a few rounds, as the maximum of the
 posterior demands. A frame has K weights, three rotation parameters and a log scale; its translation is
 eliminated. The normal matrix is block tridiagonal, the mean bone lengths are eliminated exactly by a low-rank
@@ -40,6 +43,7 @@ FIRST_DAMPING, WARM_DAMPING = 0.1, 1e-4
 LEAST_DAMPING, MOST_DAMPING = 1e-5, 1e8
 ACCEPTED, REJECTED = 0.2, 10.0
 SHORTEST_STEP = 1e-4
+NEAREST = 0.1
 
 NOISE_REFERENCE = 0.01
 COARSE_NOISE, FINE_NOISE = (0.05, 0.025, 0.012), (0.006, 0.003)
@@ -130,9 +134,12 @@ class Problem:
         starts: (P,) first frame of each sequence.
         counts: (P,) frames of each.
         smooth: (N - 1,) weight of (change of theta / sigma)^2 to the next frame, 0 across a seam.
-        flip: (N - 1, 3) weight of (change of M)^2 for each column of M, 0 across a seam.
+        flip: (N - 1,) weight of (change of M)^2, 0 across a seam.
+        tilt: (N - 1,) weight of (change of the first two rows of R's third column)^2, 0 across a seam.
+        approach: (N - 1,) weight of (change of log scale)^2, 0 across a seam.
         bone_weight: (B,).
         robust: (N, 1) m, scale of Cauchy's loss; infinite for least squares.
+        focal: (N, 1) m at the body; infinite for weak perspective.
     """
 
     model: BasePoses
@@ -144,9 +151,12 @@ class Problem:
     counts: NDArray[np.intp]
     smooth: Array
     flip: Array
+    tilt: Array
+    approach: Array
     prior: Array
     bone_weight: Array
     robust: Array
+    focal: Array
     parents: NDArray[np.intp]
     children: NDArray[np.intp]
 
@@ -161,10 +171,9 @@ class Problem:
         parents, children = (np.array(side) for side in zip(*model.skeleton.bones, strict=True))
         lengths = np.linalg.norm(model.mean[children] - model.mean[parents], axis=-1)
         relative = (lengths.mean() / lengths) ** 2 if config.relative_bones else np.ones(len(lengths))
-        flip, prior = np.full(3, config.flip_weight), config.prior_weight
+        flip, tilt, prior = config.flip_weight, 0.0, config.prior_weight
         if model.upright:
-            flip = config.upright_turn * flip + np.array([0, 0, config.tilt_weight])
-            prior *= config.upright_prior
+            flip, tilt, prior = config.upright_turn * flip, config.tilt_weight, config.upright_prior * prior
         return Problem(
             model=model,
             image=np.concatenate([w.points / s for w, s in zip(windows, s0, strict=True)]),
@@ -174,10 +183,13 @@ class Problem:
             starts=starts,
             counts=counts,
             smooth=config.smooth_weight * inverse_dt,
-            flip=inverse_dt[:, None] * flip,
+            flip=flip * inverse_dt,
+            tilt=tilt * inverse_dt,
+            approach=config.scale_weight * inverse_dt,
             prior=prior / model.std**2,
             bone_weight=config.bone_weight * relative,
             robust=np.full((len(times), 1), config.robust_scale if config.robust_scale > 0 else np.inf),
+            focal=np.repeat([w.focal / s for w, s in zip(windows, s0, strict=True)], counts)[:, None],
             parents=parents,
             children=children,
         )
@@ -208,8 +220,11 @@ class Problem:
             starts=np.cumsum(counts) - counts,
             counts=counts,
             smooth=self.smooth[before] * ratio,
-            flip=self.flip[before] * ratio[:, None],
+            flip=self.flip[before] * ratio,
+            tilt=self.tilt[before] * ratio,
+            approach=self.approach[before] * ratio,
             robust=self.robust[kept],
+            focal=self.focal[kept],
         )
         return few, kept
 
@@ -259,7 +274,12 @@ class Problem:
         """(N, J, 3) scaled poses in the camera frame and (N, J, 2) reprojection errors, m."""
         poses = self.model.poses(state.theta)
         turned = np.exp(state.log_scale)[:, None, None] * (poses @ np.swapaxes(state.rotation, -1, -2))
-        return turned, turned[..., :2] + state.translation[:, None] - self.image
+        image = (turned[..., :2] + state.translation[:, None]) / self._depth(turned)[..., None]
+        return turned, image - self.image
+
+    def _depth(self, turned: Array) -> Array:
+        """(N, J) depth of a joint over that of the body's origin."""
+        return np.asarray(np.maximum(1 + turned[..., 2] / self.focal, NEAREST))
 
     def _loss(self, squared: Array) -> Array:
         if np.isinf(self.robust[0, 0]):
@@ -283,10 +303,11 @@ class Problem:
 
     def settled(self, state: State) -> tuple[State, Array]:
         """`best_translation` and the `cost` there."""
-        error = self._residual(state)[1]
-        shift = self._shift(error)
+        turned, error = self._residual(state)
+        depth = self._depth(turned)
+        shift = self._shift(error, depth)
         moved = replace(state, translation=state.translation + shift)
-        return moved, self._cost(moved, error + shift[:, None])
+        return moved, self._cost(moved, error + shift[:, None] / depth[..., None])
 
     def _cost(self, state: State, error: Array) -> Array:
         frame = (self.weight * self._loss((error**2).sum(axis=-1))).sum(axis=1)
@@ -296,16 +317,19 @@ class Problem:
         change = (np.diff(state.theta, axis=0) / self.model.std) ** 2
         frame[:-1] += self.smooth * change.sum(axis=1)
         m = np.exp(state.log_scale)[:, None, None] * state.rotation[:, :2]
-        frame[:-1] += (self.flip * (np.diff(m, axis=0) ** 2).sum(axis=1)).sum(axis=1)
+        frame[:-1] += self.flip * (np.diff(m, axis=0) ** 2).sum(axis=(1, 2))
+        frame[:-1] += self.tilt * (np.diff(state.rotation[:, :2, 2], axis=0) ** 2).sum(axis=1)
+        frame[:-1] += self.approach * np.diff(state.log_scale) ** 2
         return self.per_sequence(frame)
 
     def best_translation(self, state: State) -> State:
         """The state with each frame's translation at its weighted optimum (a step of the robust fit)."""
-        return replace(state, translation=state.translation + self._shift(self._residual(state)[1]))
+        turned, error = self._residual(state)
+        return replace(state, translation=state.translation + self._shift(error, self._depth(turned)))
 
-    def _shift(self, error: Array) -> Array:
-        w = self._robust_weight((error**2).sum(axis=-1))
-        total = np.maximum(w.sum(axis=1), 1e-12)[:, None]
+    def _shift(self, error: Array, depth: Array) -> Array:
+        w = self._robust_weight((error**2).sum(axis=-1)) / depth
+        total = np.maximum((w / depth).sum(axis=1), 1e-12)[:, None]
         return np.asarray(-(w[..., None] * error).sum(axis=1) / total)
 
     def normal_equations(self, state: State) -> NormalEquations:
@@ -316,15 +340,13 @@ class Problem:
         joints = w.shape[1]
         n = k + CAMERA_UNKNOWNS
 
-        m = np.exp(state.log_scale)[:, None, None] * state.rotation[:, :2]
         basis = np.moveaxis(self.model.components, 0, -1)  # (J, 3, K)
-        flat = np.swapaxes(basis, 0, 1).reshape(3, -1)
-        jac = np.empty((frames, 2, joints, n))
-        jac[..., :k] = (m.reshape(-1, 3) @ flat).reshape(frames, 2, joints, k)
-        _fill_camera_columns(jac[..., k:], turned)
-        residual = np.swapaxes(error, 1, 2)  # (N, 2, J)
+        jac = self._projection_jacobian(state, turned, basis)  # (N, 2, J, n), times each joint's depth
+        depth = self._depth(turned)
+        residual = np.swapaxes(depth[..., None] * error, 1, 2)  # (N, 2, J)
 
         # the best translation makes everything relative to its weighted mean
+        w = w / depth**2
         share = (w / np.maximum(w.sum(axis=1), 1e-12)[:, None])[:, None]
         root = np.sqrt(w)[:, None]
         jac -= share[:, :, None] @ jac
@@ -346,8 +368,27 @@ class Problem:
         diagonal[:, :k, :k] += self._bone_hessian(deviation / length, bone_jac, direction)
         below = np.zeros((frames - 1, n, n))
         self._add_prior_and_smoothness(state, diagonal, below, gradient)
-        self._add_flip(state, diagonal, below, gradient)
+        self._add_camera_terms(state, diagonal, below, gradient)
         return NormalEquations(of_data, diagonal, below, gradient, bones)
+
+    def _projection_jacobian(self, state: State, turned: Array, basis: Array) -> Array:
+        """(N, 2, J, n) derivatives of the image points, times each joint's `_depth`; basis (J, 3, K)."""
+        frames, k = state.theta.shape
+        joints = len(basis)
+        perspective = bool(np.isfinite(self.focal).any())
+        rows = 3 if perspective else 2
+        m = np.exp(state.log_scale)[:, None, None] * state.rotation[:, :rows]
+        flat = np.swapaxes(basis, 0, 1).reshape(3, -1)
+        jac = np.empty((frames, rows, joints, k + CAMERA_UNKNOWNS))
+        jac[..., :k] = (m.reshape(-1, 3) @ flat).reshape(frames, rows, joints, k)
+        _fill_camera_columns(jac[..., k:], turned)
+        if not perspective:
+            return jac
+        jac[:, 2, :, k:] = 0.0
+        jac[:, 2, :, k], jac[:, 2, :, k + 1], jac[:, 2, :, k + 3] = turned[..., 1], -turned[..., 0], turned[..., 2]
+        image = (turned[..., :2] + state.translation[:, None]) / self._depth(turned)[..., None]
+        inward = np.swapaxes(image / self.focal[..., None], 1, 2)[..., None]
+        return np.asarray(jac[:, :2] - inward * jac[:, 2:])
 
     def _bone_hessian(self, excess: Array, bone_jac: Array, direction: Array) -> Array:
         """(N, K, K) of Gauss-Newton, with the second derivatives of bones that are too long times their excess.
@@ -376,21 +417,26 @@ class Problem:
         gradient[1:, :k] += pull
         gradient[:-1, :k] -= pull
 
-    def _add_flip(self, state: State, diagonal: Array, below: Array, gradient: Array) -> None:
-        k = state.theta.shape[1]
-        columns = np.swapaxes(np.exp(state.log_scale)[:, None, None] * state.rotation, -1, -2)
-        derivative = np.empty((len(columns), 2, 3, CAMERA_UNKNOWNS))
-        _fill_camera_columns(derivative, columns)
-        jac = derivative.reshape(len(columns), 6, CAMERA_UNKNOWNS)
+    def _add_camera_terms(self, state: State, diagonal: Array, below: Array, gradient: Array) -> None:
+        """Flip regulariser, tilt and approach, each a weighted change from frame to frame."""
+        frames, k = state.theta.shape
+        columns = np.swapaxes(state.rotation, -1, -2)
+        scaled = np.exp(state.log_scale)[:, None, None] * columns
+        of_columns = np.concatenate([scaled, columns[:, 2:]], axis=1)
+        jac = np.zeros((frames, 9, CAMERA_UNKNOWNS))
+        _fill_camera_columns(jac[:, :8].reshape(frames, 2, 4, CAMERA_UNKNOWNS), of_columns)
+        jac[:, [3, 7], 3] = 0.0
+        jac[:, 8, 3] = 1.0
+        value = np.concatenate([of_columns[..., 0], of_columns[..., 1], state.log_scale[:, None]], axis=1)
+        in_turn = [*[self.flip] * 3, self.tilt] * 2
+        weight = np.stack([*in_turn, self.approach], axis=-1)[..., None]
         transposed = np.swapaxes(jac, -1, -2)
-        m = np.swapaxes(columns[..., :2], 1, 2).reshape(len(columns), 6, 1)
-        flip = np.tile(self.flip, 2)[..., None]  # rows of M, then its columns
-        stiffness = np.zeros((len(columns), 6, 1))
-        stiffness[:-1] += flip
-        stiffness[1:] += flip
+        stiffness = np.zeros((frames, 9, 1))
+        stiffness[:-1] += weight
+        stiffness[1:] += weight
         diagonal[:, k:, k:] += transposed @ (stiffness * jac)
-        below[:, k:, k:] = -transposed[1:] @ (flip * jac[:-1])
-        pull = flip * np.diff(m, axis=0)
+        below[:, k:, k:] = -transposed[1:] @ (weight * jac[:-1])
+        pull = weight * np.diff(value, axis=0)[..., None]
         gradient[1:, k:] += (transposed[1:] @ pull)[..., 0]
         gradient[:-1, k:] -= (transposed[:-1] @ pull)[..., 0]
 
@@ -638,7 +684,8 @@ def result(
     turned = poses @ np.swapaxes(rotation, -1, -2)
     cameras = Cameras(np.exp(state.log_scale[own]) * unit, rotation)
     translation = state.translation[own] * unit
-    error = cameras.scale[:, None, None] * turned[..., :2] + translation[:, None] - window.points
+    depth = np.maximum(1 + cameras.scale[:, None] * turned[..., 2] / window.focal, NEAREST)[..., None]
+    error = (cameras.scale[:, None, None] * turned[..., :2] + translation[:, None]) / depth - window.points
     seen = window.weight > 0
     with np.errstate(invalid='ignore'):
         residual = np.sqrt((seen[..., None] * error**2).sum(axis=(1, 2)) / seen.sum(axis=1))

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros import alternation, nonperiodic
-from mocap_ros.base_poses import BasePoses
+from mocap_ros.base_poses import BasePoses, stature
 from mocap_ros.classification import choose_category
 from mocap_ros.config import Config, SolverConfig
 from mocap_ros.people import Intrinsics
+from mocap_ros.perspective import View
 from mocap_ros.reconstruction import Reconstruction, Window
 from mocap_ros.skeleton import Skeleton, joint_map
-from mocap_ros.tracker import root_position
 
 Array = NDArray[np.float64]
+
+FACING = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +32,8 @@ class SequenceResult:
         seen: (F, J) True where the joint was seen in the image.
         skeleton: of the joints.
         category: name of the base poses used.
-        solution: cameras, weights and residuals.
+        solution: cameras, weights and residuals, in virtual cameras that look at the person (`perspective.View`) and
+            before the body was made `tracker.body_height` tall.
     """
 
     joints: Array
@@ -68,10 +72,14 @@ def reconstruct_sequence(
     score = np.where(keypoints[..., 2] >= settings.min_score, keypoints[..., 2], 0.0)
     points, weight = joint_map(joint_names, skeleton).apply(keypoints[..., :2], score)
     points = np.where(weight[..., None] > 0, points, 0.0)
-    window = Window(points, weight, times)
+    rays = intrinsics.rays(points)
+    view = View.of(rays, weight, times, FACING, intrinsics)
+    focal = intrinsics.focal if intrinsics.known and settings.perspective else math.inf
+    window = Window(np.where(weight[..., None] > 0, view.image(rays), 0.0), weight, times, focal=focal)
     category, solution = _solve(window, sized, config.solver)
-    root = root_position(solution.translation, solution.cameras.scale, intrinsics)
-    return SequenceResult(solution.joints + root[:, None], weight > 0, skeleton, category, solution)
+    joints = view.to_camera(solution.joints) + view.roots(solution.cameras, solution.translation)[:, None]
+    joints *= settings.body_height / stature(solution.joints, skeleton)
+    return SequenceResult(joints, weight > 0, skeleton, category, solution)
 
 
 def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> tuple[str, Reconstruction]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +40,7 @@ class Window:
         unit: px/m, the constant that makes image errors metres; None for the median start scale. Objectives
             of one window from several starts compare only under one unit.
         noise: m, standard deviation of a coordinate of a fully trusted point; None to find it.
+        focal: px, of a camera that looks at the person, points relative to its axis; infinite for weak perspective.
     """
 
     points: Array
@@ -47,6 +49,7 @@ class Window:
     start: Start | None = None
     unit: float | None = None
     noise: float | None = None
+    focal: float = math.inf
 
     def __post_init__(self) -> None:
         frames, joints = self.weight.shape

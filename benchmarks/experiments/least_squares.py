@@ -81,11 +81,6 @@ class SparseProblem:
         factor = np.sqrt(ratio)
         return factor, slope / (2 * factor)
 
-    def _root_flip(self) -> Array:
-        """(F - 1, 3), one a column of M."""
-        flip = self.problem.flip.reshape(self.frames - 1, -1)
-        return np.sqrt(np.broadcast_to(flip, (self.frames - 1, 3)))
-
     def residuals(self, x: Array) -> Array:
         p = self.problem
         state, _, means = self.unpack(x)
@@ -98,7 +93,9 @@ class SparseProblem:
             np.sqrt(p.bone_weight) * (length - means),
             np.sqrt(p.prior) * state.theta,
             np.sqrt(p.smooth)[:, None] * np.diff(state.theta, axis=0) / p.model.std,
-            self._root_flip()[:, None] * np.diff(m, axis=0),
+            np.sqrt(p.flip)[:, None, None] * np.diff(m, axis=0),
+            np.sqrt(p.tilt)[:, None] * np.diff(state.rotation[:, :2, 2], axis=0),
+            np.sqrt(p.approach) * np.diff(state.log_scale),
         ]
         return np.concatenate([r.ravel() for r in rows])
 
@@ -134,14 +131,17 @@ class SparseProblem:
         smooth = np.broadcast_to(np.sqrt(p.smooth)[:, None], (frames - 1, k))
         blocks.add_difference(smooth, own[:, :k])
 
-        rows = np.exp(state.log_scale)[:, None, None] * state.rotation
-        columns = np.swapaxes(rows, -1, -2)  # (F, 3, 3): column c of M, then the third row
-        camera = np.zeros((frames, 3, 2, 4))
-        camera[..., :3] = (-cross_matrix(columns) @ turn[:, None])[..., :2, :]
-        camera[..., 3] = columns[..., :2]
-        camera = np.swapaxes(camera, 1, 2).reshape(frames, 6, 4)
-        root_flip = np.tile(self._root_flip(), 2)[..., None]
+        columns = np.swapaxes(state.rotation, -1, -2)
+        scaled = np.exp(state.log_scale)[:, None, None] * columns
+        of_columns = np.concatenate([scaled, columns[:, 2:]], axis=1)  # columns of M, then the third of R
+        camera = np.zeros((frames, 4, 2, 4))
+        camera[..., :3] = (-cross_matrix(of_columns) @ turn[:, None])[..., :2, :]
+        camera[:, :3, :, 3] = scaled[..., :2]
+        camera = np.swapaxes(camera, 1, 2).reshape(frames, 8, 4)
+        weight = np.stack([p.flip, p.flip, p.flip, p.tilt], axis=-1)
+        root_flip = np.tile(np.sqrt(weight), 2)[..., None]
         both = np.concatenate([-root_flip * camera[:-1], root_flip * camera[1:]], axis=-1)
+        blocks.add_difference(np.sqrt(p.approach)[:, None], own[:, k + 3 : k + 4])
         columns_of = own[:, k : k + 4]
         blocks.add(both, np.concatenate([columns_of[:-1], columns_of[1:]], axis=1))
         return blocks.matrix()

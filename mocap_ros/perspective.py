@@ -1,0 +1,99 @@
+"""From weak perspective to perspective (METHOD of the docs: docs/tracker.md).
+
+Weak perspective is good near the optical axis and at a distance. So a person is first seen by a virtual camera that
+looks at them, a rotation of the real one; then each image point is multiplied by 1 + z / Z, where z is how much
+farther than the body's origin, at depth Z, the joint was in the last solution. At the fixed point the
+weak-perspective solver's answer is that of the perspective projection.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.camera import Cameras
+from mocap_ros.people import Intrinsics
+
+Array = NDArray[np.float64]
+
+NEAREST_JOINT = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Virtual cameras that look at one person, one a frame.
+
+    Attributes:
+        turn: (F, 3, 3) rotation from the real camera's optical frame to the virtual one's.
+        intrinsics: of the real camera; the virtual ones have its focal length and no principal point.
+    """
+
+    turn: Array
+    intrinsics: Intrinsics
+
+    @staticmethod
+    def of(rays: Array, weight: Array, times: Array, smoothing: float, intrinsics: Intrinsics) -> View:
+        """Cameras that look at the middle of the seen joints.
+
+        Args:
+            rays: (F, J, 2) as of `Intrinsics.rays`; anything where the weight is 0.
+            weight: (F, J).
+            times: (F,) s, increasing.
+            smoothing: s over which the direction is averaged, so that it does not jump with what is seen.
+            intrinsics: of the real camera.
+        """
+        total = weight.sum(axis=1)
+        middle = (weight[..., None] * rays).sum(axis=1) / np.maximum(total, 1e-12)[:, None]
+        near = np.exp(-0.5 * ((times[:, None] - times) / (smoothing / 2)) ** 2) * (total > 0) + 1e-12 * (total > 0)
+        return View(facing(near @ middle / near.sum(axis=1, keepdims=True)), intrinsics)
+
+    def image(self, rays: Array) -> Array:
+        """(F, J, 2) rays of the real camera -> px in the virtual ones, from their axes."""
+        directions = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1) @ np.swapaxes(self.turn, -1, -2)
+        return np.asarray(self.intrinsics.focal * directions[..., :2] / np.maximum(directions[..., 2:], 0.05))
+
+    def roots(self, cameras: Cameras, translation: Array) -> Array:
+        """(F, 3) m, the body's origin in the real camera's optical frame; translation (F, 2) px, virtual."""
+        focal = self.intrinsics.focal
+        depth = focal / cameras.scale[:, None]
+        virtual = np.concatenate([translation / focal * depth, depth], axis=-1)
+        return np.asarray((virtual[:, None] @ self.turn)[:, 0])
+
+    def to_camera(self, vectors: Array) -> Array:
+        """(F, J, 3) in the virtual cameras' frames -> in the real one's."""
+        return np.asarray(vectors @ self.turn)
+
+    def rotations(self, cameras: Cameras) -> Array:
+        """(F, 3, 3) body to the real camera."""
+        return np.asarray(np.swapaxes(self.turn, -1, -2) @ cameras.rotation)
+
+    def turned(self, rotation: Array) -> Array:
+        """(F, 3, 3) body to the virtual cameras, from body to the real one."""
+        return np.asarray(self.turn @ rotation)
+
+
+def facing(direction: Array) -> Array:
+    """(F, 3, 3) least rotations that bring the rays (F, 2) (x / z, y / z) to the optical axis."""
+    axis = np.concatenate([direction, np.ones_like(direction[..., :1])], axis=-1)
+    x, y, z = np.moveaxis(axis / np.linalg.norm(axis, axis=-1, keepdims=True), -1, 0)
+    share = 1 / (1 + z)
+    rows = [
+        [1 - x * x * share, -x * y * share, -x],
+        [-x * y * share, 1 - y * y * share, -y],
+        [x, y, z],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def depth_ratio(joints: Array, scale: Array, focal: float) -> Array:
+    """(F, J) depth of each joint over that of the body's origin, 1 + z / Z.
+
+    Args:
+        joints: (F, J, 3) m about the origin, virtual camera's frame.
+        scale: (F,) px/m.
+        focal: px.
+    """
+    depth = focal / scale[:, None]
+    return np.asarray(np.maximum(depth + joints[..., 2], NEAREST_JOINT * np.minimum(depth, 1.0)) / depth)
