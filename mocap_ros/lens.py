@@ -1,7 +1,7 @@
 """Lens distortion: from where a point is seen to where a pinhole camera would see it.
 
-The models are those of `sensor_msgs/CameraInfo`: `plumb_bob` (k1 k2 p1 p2 k3), `rational_polynomial` (and k4 k5 k6) and
-`equidistant` (k1 k2 k3 k4, fisheye). Points are normalised: (u - cx) / fx, (v - cy) / fy.
+The models are those of `sensor_msgs/CameraInfo`: `plumb_bob` (k1 k2 p1 p2 k3), `rational_polynomial` (the same and
+k4 k5 k6) and `equidistant` (k1 k2 k3 k4, fisheye). Points are normalised: (u - cx) / fx, (v - cy) / fy.
 """
 
 from __future__ import annotations
@@ -92,3 +92,6 @@ class Distortion:
         k1, k2, k3, k4 = self.coefficients
         a2 = angle * angle
         return np.asarray(angle * (1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4)))))
+
+
+NO_DISTORTION = Distortion()

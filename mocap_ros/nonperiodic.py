@@ -11,12 +11,12 @@ It minimises the objective of `alternation` with four terms more,
   + sigma  sum_t  (log s_t - log s_(t-1))^2 / dt                people come nearer slowly
 
 over all frames at once. Where the focal length f is known the projection is a perspective one,
-(s_t R_t[:2] P_tj + t_t) / (1 + s_t R_t[2] P_tj / f). All weights but the first are for an image noise of 10 mm; with `adapt_noise` they
-grow and shrink with its variance, which is found from the residual in a few rounds, as the maximum of the
-posterior demands. A frame has K weights, three rotation parameters and a log scale; its translation is
-eliminated. The normal matrix is block tridiagonal, the mean bone lengths are eliminated exactly by a low-rank
-correction, and any number of people and hypotheses are solved as one batch: their sequences stand one after
-the other in the same arrays with no coupling across the seams.
+(s_t R_t[:2] P_tj + t_t) / (1 + s_t R_t[2] P_tj / f). All weights but the first are for an image noise of 10 mm; with
+`adapt_noise` they grow and shrink with its variance, which is found from the residual in a few rounds, as the
+maximum of the posterior demands. A frame has K weights, three rotation parameters and a log scale; its translation
+is eliminated. The normal matrix is block tridiagonal, the mean bone lengths are eliminated exactly by a low-rank
+correction, and any number of people and hypotheses are solved as one batch: their sequences stand one after the
+other in the same arrays with no coupling across the seams.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,8 +32,8 @@ class SequenceResult:
         seen: (F, J) True where the joint was seen in the image.
         skeleton: of the joints.
         category: name of the base poses used.
-        solution: cameras, weights and residuals, in virtual cameras that look at the person (`perspective.View`) and
-            before the body was made `tracker.body_height` tall.
+        solution: weights, cameras and residuals in the image of virtual cameras (`perspective.View`) and before the
+            body was made `tracker.body_height` tall.
     """
 
     joints: Array

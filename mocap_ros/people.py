@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
-from mocap_ros.lens import Distortion
+from mocap_ros.lens import NO_DISTORTION, Distortion
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class Intrinsics:
     center: tuple[float, float]
     known: bool
     aspect: float = 1.0
-    distortion: Distortion = Distortion()
+    distortion: Distortion = NO_DISTORTION
 
     def rays(self, points: Array) -> Array:
         """(..., 2) px -> (..., 2) x / z and y / z of the ray through each point, distortion undone."""
@@ -68,7 +68,7 @@ class Intrinsics:
         return Intrinsics(focal_in_widths * width, (width / 2, height / 2), known=False)
 
     @staticmethod
-    def from_matrix(matrix: Array, distortion: Distortion = Distortion()) -> Intrinsics:
+    def from_matrix(matrix: Array, distortion: Distortion = NO_DISTORTION) -> Intrinsics:
         """From a (3, 3) camera matrix in px and the distortion of the lens.
 
         Raises:

@@ -1,9 +1,7 @@
-"""From weak perspective to perspective (METHOD of the docs: docs/tracker.md).
+"""Virtual cameras that look at a person: rotations of the real one.
 
-Weak perspective is good near the optical axis and at a distance. So a person is first seen by a virtual camera that
-looks at them, a rotation of the real one; then each image point is multiplied by 1 + z / Z, where z is how much
-farther than the body's origin, at depth Z, the joint was in the last solution. At the fixed point the
-weak-perspective solver's answer is that of the perspective projection.
+Weak perspective is good near the optical axis only, so the solvers, which start from it, work in the image of a
+camera turned towards the person, and their answer is turned back.
 """
 
 from __future__ import annotations
@@ -17,8 +15,6 @@ from mocap_ros.camera import Cameras
 from mocap_ros.people import Intrinsics
 
 Array = NDArray[np.float64]
-
-NEAREST_JOINT = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +65,6 @@ class View:
         """(F, 3, 3) body to the real camera."""
         return np.asarray(np.swapaxes(self.turn, -1, -2) @ cameras.rotation)
 
-    def turned(self, rotation: Array) -> Array:
-        """(F, 3, 3) body to the virtual cameras, from body to the real one."""
-        return np.asarray(self.turn @ rotation)
-
 
 def facing(direction: Array) -> Array:
     """(F, 3, 3) least rotations that bring the rays (F, 2) (x / z, y / z) to the optical axis."""
@@ -85,15 +77,3 @@ def facing(direction: Array) -> Array:
         [x, y, z],
     ]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def depth_ratio(joints: Array, scale: Array, focal: float) -> Array:
-    """(F, J) depth of each joint over that of the body's origin, 1 + z / Z.
-
-    Args:
-        joints: (F, J, 3) m about the origin, virtual camera's frame.
-        scale: (F,) px/m.
-        focal: px.
-    """
-    depth = focal / scale[:, None]
-    return np.asarray(np.maximum(depth + joints[..., 2], NEAREST_JOINT * np.minimum(depth, 1.0)) / depth)

@@ -28,6 +28,7 @@ PLAIN = SolverConfig(
     upright_turn=1.0,
     upright_prior=1.0,
     tilt_weight=0.0,
+    scale_weight=0.0,
     adapt_noise=False,
 )
 
