@@ -18,10 +18,11 @@ import common
 import numpy as np
 
 from mocap_ros.classification import PeriodicFit, PeriodicSwitch, fit_periodic, is_periodic
-from mocap_ros.config import ClassifierConfig
+from mocap_ros.config import ClassifierConfig, TrackerConfig
 from mocap_ros.reconstruction import Window
 
 LABELS = Path(__file__).with_name('periodic_labels.csv')
+SOLVER = common.changed(components=TrackerConfig().components)
 HEADINGS = (45, 250)
 NOISE = 0.01
 QUICK_TRIALS = ('35_02', '35_17', '07_04', '09_01', '13_11', '16_01', '02_04')
@@ -74,7 +75,7 @@ def sections(chosen: dict[str, list[str]]) -> list[Section]:
         for view in common.views(name, HEADINGS, frames=len(trial.poses), noise=NOISE):
             for second, label in enumerate(seconds):
                 window = cut(view.window, second + 0.5, length)
-                fit = fit_periodic(window, models_without(trial.subject), common.SolverConfig())
+                fit = fit_periodic(window, models_without(trial.subject), SOLVER)
                 out.append(Section(name, trial.subject, trial.category, label, fit))
     return out
 
@@ -125,7 +126,7 @@ def splice() -> str:
     rows = []
     for end in np.arange(1.0, ends[-1] + 0.01, 0.25):
         window = cut(view.window, end - 0.5, 1.0)
-        fit = fit_periodic(window, models_without('35'), common.SolverConfig())
+        fit = fit_periodic(window, models_without('35'), SOLVER)
         answer = 'periodic' if switch.update(fit) else 'other'
         truth = 'run' if end - 0.5 < ends[0] or end - 0.5 > ends[1] else 'jump'
         rows.append((f'{end - 0.5:.2f}', truth, f'{fit.residual:.4f}', fit.category, answer))

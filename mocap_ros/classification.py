@@ -18,6 +18,8 @@ import numpy as np
 from mocap_ros import nonperiodic, periodic
 from mocap_ros.base_poses import BasePoses
 from mocap_ros.config import ClassifierConfig, SolverConfig
+from mocap_ros.errors import InputError
+from mocap_ros.harmonic import Series
 from mocap_ros.nonperiodic import NOISE_REFERENCE
 from mocap_ros.periodic import PeriodicReconstruction
 from mocap_ros.reconstruction import Reconstruction, Start, Window
@@ -25,6 +27,8 @@ from mocap_ros.reconstruction import Reconstruction, Start, Window
 PERIODIC_CATEGORIES = ('walk', 'run')
 SEEN_OF_A_POSE = 2 / 3
 LEAST_NOISE = 0.01
+MOST_NOISE = 0.03
+RESIDUAL_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,16 +56,30 @@ def choose_category(window: Window, models: Mapping[str, BasePoses], config: Sol
     """
     fits = {name: nonperiodic.solve_hypotheses([window], model, config)[0] for name, model in models.items()}
     noise = max(LEAST_NOISE, min(fit.noise for fit in fits.values()))
-    judging = replace(config, adapt_noise=True)
-    evidence = {}
-    for name, fit in fits.items():
-        again = replace(window, start=Start(fit.theta, fit.cameras), noise=noise)
-        (judged,) = nonperiodic.solve([again], models[name], judging)
-        model = models[name].truncated(config.components)
-        occam = len(window.times) * np.log1p(SEEN_OF_A_POSE * (model.std / noise) ** 2).sum()
-        evidence[name] = judged.objective[-1] / NOISE_REFERENCE**2 + float(occam)
+    evidence = {
+        name: log_evidence(replace(window, start=Start(fit.theta, fit.cameras)), models[name], noise, config)[0]
+        for name, fit in fits.items()
+    }
     best = min(evidence, key=lambda name: evidence[name])
     return Choice(best, fits[best], evidence)
+
+
+def log_evidence(
+    window: Window, model: BasePoses, noise: float, config: SolverConfig
+) -> tuple[float, Reconstruction]:
+    """Minus twice the log evidence of a model, up to a constant, and the reconstruction it is that of.
+
+    Args:
+        window: what was seen; its start is where to begin.
+        model: base poses.
+        noise: m, of the image points, the same for all models that are compared; at least `LEAST_NOISE` counts.
+        config: of the solver.
+    """
+    noise = max(noise, LEAST_NOISE)
+    model = model.truncated(config.components)
+    (judged,) = nonperiodic.solve([replace(window, noise=noise)], model, replace(config, adapt_noise=True))
+    occam = len(window.times) * np.log1p(SEEN_OF_A_POSE * (model.std / noise) ** 2).sum()
+    return judged.objective[-1] / NOISE_REFERENCE**2 + float(occam), judged
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,34 +89,55 @@ class PeriodicFit:
     Attributes:
         category: `walk` or `run`, the one that explains more.
         residual: RMS 2D residual as a fraction of stature.
+        excess: what of it the image noise does not explain, where that is known.
         amplitude: RMS movement of a joint about its mean as a fraction of stature.
         reconstruction: under the periodic model; holds the cadence.
     """
 
     category: str
     residual: float
+    excess: float
     amplitude: float
     reconstruction: PeriodicReconstruction
 
 
-def fit_periodic(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> PeriodicFit:
+def fit_periodic(
+    window: Window,
+    models: Mapping[str, BasePoses],
+    config: SolverConfig,
+    begun: Reconstruction | None = None,
+    series: Mapping[str, Series] | None = None,
+) -> PeriodicFit:
     """The best periodic explanation of a window.
 
     Args:
         window: a cycle or more of what was seen.
         models: by name; those of `PERIODIC_CATEGORIES` are used.
         config: of the solver.
+        begun: the window's reconstruction under any model, to start from; None makes one for each model.
+        series: by name, where the motion was before, as in `periodic.solve`.
+
+    Raises:
+        InputError: none of `models` is periodic, or the window is not what it should be.
     """
+    known = series or {}
+    config = replace(config, tolerance=max(config.tolerance, RESIDUAL_TOLERANCE))
     fits = []
     for name in PERIODIC_CATEGORIES:
         if name in models:
             model = models[name]
-            (result,) = periodic.solve([window], model, config)
+            (result,) = periodic.solve([window], model, config, [begun], [known.get(name)])
             movement = result.theta - result.theta.mean(axis=0)
             amplitude = np.sqrt((movement**2).sum(axis=1).mean() / len(model.mean))
             residual = np.sqrt(np.nanmean((result.residual / result.cameras.scale) ** 2))
             size = model.stature
-            fits.append(PeriodicFit(name, float(residual) / size, float(amplitude) / size, result))
+            noise = 0.0 if begun is None or np.isnan(begun.noise) else min(begun.noise, MOST_NOISE)
+            excess = np.sqrt(max(residual**2 - 2 * noise**2, 0.0))
+            fits.append(
+                PeriodicFit(name, float(residual) / size, float(excess) / size, float(amplitude) / size, result)
+            )
+    if not fits:
+        raise InputError(f'no model of {" or ".join(PERIODIC_CATEGORIES)} to fit')
     return min(fits, key=lambda fit: fit.residual)
 
 
@@ -108,7 +147,7 @@ def is_periodic(fit: PeriodicFit, config: ClassifierConfig, slack: float = 1.0) 
     residual = config.walk_residual if walk else config.run_residual
     cadence = config.walk_cadence if walk else config.run_cadence
     return (
-        fit.residual <= residual * slack
+        fit.excess <= residual * slack
         and fit.amplitude >= config.amplitude / slack
         and fit.reconstruction.cadence >= cadence / slack
     )

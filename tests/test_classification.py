@@ -63,7 +63,7 @@ def test_switch_has_hysteresis() -> None:
         cadence: float = 0.9
 
     def at(share: float) -> PeriodicFit:
-        return PeriodicFit('walk', share * config.walk_residual, 2 * config.amplitude, Result())  # type: ignore[arg-type]
+        return PeriodicFit('walk', 9.9, share * config.walk_residual, 2 * config.amplitude, Result())  # type: ignore[arg-type]
 
     switch = PeriodicSwitch(config)
     answers = [switch.update(at(s)) for s in (1.5, 1.02, 0.98, 0.85, 0.98, 1.05, 1.2, 1.05)]
