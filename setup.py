@@ -39,7 +39,10 @@ setup(
         'tqdm>=4.64,<5',
     ],
     extras_require={
+        'c3d': ['ezc3d>=1.6,<2'],
+        'train': ['torch>=2.2,<3'],
         'test': [
+            'ezc3d>=1.6,<2',
             'pytest>=7.4,<10',
             'hypothesis>=6.90,<7',
             'mcap-ros2-support>=0.5.5,<0.7',

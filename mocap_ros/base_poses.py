@@ -18,13 +18,24 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros import npz
 from mocap_ros.errors import ModelError, reader_reason
 from mocap_ros.skeleton import CMU15, Skeleton, layout
 
 Array = NDArray[np.float64]
 
+AUTO = 'auto'
+LIFTER = 'lifter'
+
 FORMAT = 'mocap_ros base poses 1'
 NEGLIGIBLE_STD = 1e-4
+
+LARGEST_MODEL = 16 << 20
+LONGEST_NAME = 100
+STATURES = 0.3, 3.0
+FARTHEST_JOINT = 3.0
+STDS = 1e-6, 10.0
+ORTHONORMAL = 1e-2
 
 STATURE_OVER_BONES = 1.135
 _SPINE = (('pelvis', 'neck'), ('neck', 'head'))
@@ -178,6 +189,20 @@ def _random_bodies(
     return out
 
 
+def _check_trial(trial: Array, skeleton: Skeleton, label: object) -> None:
+    if trial.ndim != 3 or trial.shape[1:] != (len(skeleton.joints), 3):
+        raise ModelError(f'trial {label} has shape {trial.shape}, expected (frames, {len(skeleton.joints)}, 3)')
+    if not np.isfinite(trial).all():
+        raise ModelError(f'trial {label} holds numbers that are not finite')
+    low, high = STATURES
+    if len(trial) and np.abs(trial - trial[:, :1]).max() > 2 * high:
+        raise ModelError(f'trial {label}: joints more than {2 * high:g} m apart; m expected')
+    if len(trial) and not low <= stature(trial, skeleton) <= high:
+        raise ModelError(
+            f'trial {label}: a body {stature(trial, skeleton):.3g} m tall, expected {low} to {high} m'
+        )
+
+
 def fit(
     trials: Sequence[Array],
     *,
@@ -190,6 +215,7 @@ def fit(
     body_spread: float = 0.05,
     seed: int = 0,
     provenance: Mapping[str, object] | None = None,
+    labels: Sequence[str] = (),
 ) -> BasePoses:
     """Learn base poses from motion capture (TPAMI 2016, section 4.1, with poses aligned first).
 
@@ -204,9 +230,11 @@ def fit(
         body_spread: standard deviation of their bone scale factors.
         seed: of those factors.
         provenance: recorded in the model.
+        labels: names of the trials, for errors; numbers by default.
 
     Raises:
-        ModelError: no trials, wrong shapes, or numbers that are not finite.
+        ModelError: no trials, wrong shapes, numbers that are not finite, poses that are no people in m, or that
+            do not vary.
     """
     align = {'rotation': rotation_to, 'heading': heading_to}.get(alignment)
     if align is None:
@@ -214,10 +242,7 @@ def fit(
     if not trials or sum(map(len, trials)) < 2:
         raise ModelError('training needs at least two poses')
     for i, trial in enumerate(trials):
-        if trial.ndim != 3 or trial.shape[1:] != (len(skeleton.joints), 3):
-            raise ModelError(f'trial {i} has shape {trial.shape}, expected (frames, {len(skeleton.joints)}, 3)')
-        if not np.isfinite(trial).all():
-            raise ModelError(f'trial {i} holds numbers that are not finite')
+        _check_trial(trial, skeleton, labels[i] if labels else i)
     rng = np.random.default_rng(seed)
     stacked = [np.asarray(t, float) for t in trials]
     stacked += [b for t in stacked for b in _random_bodies(t, skeleton, body_spread, bodies, rng)]
@@ -232,6 +257,8 @@ def fit(
     variance, vectors = np.linalg.eigh(flat.T @ flat / len(flat))
     order = np.argsort(variance)[::-1][:components]
     order = order[variance[order] > NEGLIGIBLE_STD**2]
+    if not len(order):
+        raise ModelError('the poses do not vary: nothing to learn')
     basis = vectors[:, order].T
     largest = np.take_along_axis(basis, np.abs(basis).argmax(axis=1)[:, None], axis=1)
     return BasePoses(
@@ -280,7 +307,8 @@ def save(model: BasePoses, path: str | Path | io.BytesIO) -> None:
 def shipped_models() -> tuple[str, ...]:
     """Names of the models that come with the package."""
     folder = files('mocap_ros') / 'models'
-    return tuple(sorted(p.name[:-4] for p in folder.iterdir() if p.name.endswith('.npz')))
+    names = (p.name.removesuffix('.npz') for p in folder.iterdir() if p.name.endswith('.npz'))
+    return tuple(sorted(n for n in names if n != LIFTER))
 
 
 def load_model(name_or_path: str | Path) -> BasePoses:
@@ -296,32 +324,73 @@ def load_model(name_or_path: str | Path) -> BasePoses:
     if not path.is_file():
         raise ModelError(f'no base-pose model {text!r}: neither a file nor one of {", ".join(shipped_models())}')
     try:
-        return from_bytes(path.read_bytes(), text)
+        with path.open('rb') as file:
+            return from_bytes(file.read(LARGEST_MODEL + 1), text)
     except OSError as error:
         raise ModelError(f'{text}: {error.strerror}') from None
+
+
+def load_models(name: str) -> dict[str, BasePoses]:
+    """The model of that name or path, or for `auto` all shipped ones, by name.
+
+    Raises:
+        ModelError: as `load_model`.
+    """
+    return {n: load_model(n) for n in (shipped_models() if name == AUTO else (name,))}
 
 
 def from_bytes(data: bytes, source: str) -> BasePoses:
     """A model from the bytes of its file; `source` names it in errors (ModelError)."""
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as z:
-            meta = json.loads(str(z['meta']))
-            arrays = {k: np.asarray(z[k], float) for k in ('mean', 'components', 'std', 'explained')}
+        if len(data) > LARGEST_MODEL:
+            raise ValueError(f'larger than {LARGEST_MODEL >> 20} MiB')
+        with npz.opened(io.BytesIO(data), LARGEST_MODEL) as archive:
+            meta = json.loads(str(archive['meta']))
+            arrays = {k: _numbers(archive[k], k) for k in ('mean', 'components', 'std', 'explained')}
         if meta['format'] != FORMAT:
             raise ValueError(f'format {meta["format"]!r}, expected {FORMAT!r}')
-        skeleton = layout(meta['skeleton'])
         model = BasePoses(
-            name=str(meta['name']),
-            skeleton=skeleton,
+            name=meta['name'],
+            skeleton=layout(meta['skeleton']),
             stature=float(meta['stature']),
             provenance=meta['provenance'],
             **arrays,
         )
-        joints, k = len(skeleton.joints), len(model.std)
-        if model.mean.shape != (joints, 3) or model.components.shape != (k, joints, 3) or k < 1:
-            raise ValueError('arrays do not fit each other')
-        if not all(np.isfinite(a).all() for a in arrays.values()) or (model.std <= 0).any():
-            raise ValueError('numbers that are not finite or not positive')
+        _check_model(model)
+    except KeyError as error:
+        raise ModelError(f'{source}: not a base-pose model (no {str(error.args[0]).split()[0]})') from None
     except Exception as error:  # any malformed byte ends up here: the file comes from a stranger
         raise ModelError(f'{source}: not a base-pose model ({reader_reason(error)})') from None
     return model
+
+
+def _numbers(array: NDArray[np.generic], key: str) -> Array:
+    if array.dtype.kind != 'f':
+        raise ValueError(f'{key}: holds {array.dtype}, expected floating point')
+    numbers = array.astype(np.float64)
+    if not np.isfinite(numbers).all():
+        raise ValueError(f'{key}: numbers that are not finite')
+    return numbers
+
+
+def _check_model(model: BasePoses) -> None:
+    """Refuse what no training makes (ValueError)."""
+    joints, k = len(CMU15.joints), len(model.components)
+    shapes = {'mean': (joints, 3), 'components': (k, joints, 3), 'std': (k,), 'explained': (k,)}
+    for key, shape in shapes.items():
+        if getattr(model, key).shape != shape or not k:
+            raise ValueError(f'{key}: shape {getattr(model, key).shape}, expected {shape}')
+    flat = model.components.reshape(k, -1)
+    low, high = STATURES
+    for fine, what in (
+        (model.skeleton == CMU15, f'skeleton: {model.skeleton.name}, expected {CMU15.name}'),
+        (isinstance(model.name, str) and len(model.name) <= LONGEST_NAME, 'name: no short text'),
+        (isinstance(model.provenance, dict), 'provenance: no mapping'),
+        (low <= model.stature <= high, f'stature: {model.stature:g}, expected {low} to {high} m'),
+        ((np.abs(model.mean) <= FARTHEST_JOINT).all(), f'mean: a joint beyond {FARTHEST_JOINT:g} m'),
+        (((model.std >= STDS[0]) & (model.std <= STDS[1])).all(), 'std: outside {:g} to {:g} m'.format(*STDS)),
+        ((np.diff(model.std) <= ORTHONORMAL * model.std[:-1]).all(), 'std: not falling'),
+        (np.abs(flat @ flat.T - np.eye(k)).max() <= ORTHONORMAL, 'components: not orthonormal'),
+    ):
+        if not fine:
+            raise ValueError(what)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
+from mocap_ros.errors import InputError
 from mocap_ros.skeleton import Skeleton
 
 Array = NDArray[np.float64]
@@ -98,7 +100,7 @@ def poses_figure(result: Result, frames: Sequence[int], title: str, labels: Sequ
             top.set_ylabel('2D input', fontsize=9)
     if error is not None:
         _draw_error(figure.add_subplot(grid[3, :]), result, error, frames)
-    figure.suptitle(title, fontsize=11, y=0.97)
+    figure.suptitle(title, fontsize=11, y=0.97, parse_math=False)
     figure.legend(
         handles=_legend(result),
         loc='upper center',
@@ -129,7 +131,7 @@ def _draw_input(axes: Any, result: Result, frame: int) -> None:
     seen = points[np.isfinite(points).all(axis=1)]
     if len(seen):
         centre = (seen.min(axis=0) + seen.max(axis=0)) / 2
-        half = np.ptp(seen, axis=0).max() * 0.6
+        half = max(np.ptp(seen, axis=0).max(), 1.0) * 0.6
         axes.set_xlim(centre[0] - half, centre[0] + half)
         axes.set_ylim(centre[1] + half, centre[1] - half)
     else:
@@ -155,7 +157,8 @@ def _draw_pose(axes: Any, result: Result, frame: int, view: Any, radius: float) 
 def _draw_error(axes: Any, result: Result, error: Array, frames: Sequence[int]) -> None:
     (line,) = axes.plot(result.times, error, color='black', linewidth=1, label='3D error')
     marks = [axes.axvline(result.times[f], color=TRUTH, linewidth=1, label='frames above') for f in frames]
-    axes.set_xlim(result.times[0], result.times[-1])
+    if len(result.times) > 1:
+        axes.set_xlim(result.times[0], result.times[-1])
     axes.set_ylim(0, None)
     axes.set_xlabel('time, s', fontsize=9)
     axes.set_ylabel('3D error, mm', fontsize=9)
@@ -204,6 +207,25 @@ def _bare(axes: Any) -> None:
         spine.set_visible(False)
 
 
+def check_ending(path: Path) -> None:
+    """Refuse a path whose ending is no format of pictures.
+
+    Raises:
+        InputError: it is none; lists them.
+    """
+    known = sorted(FigureCanvasAgg.get_supported_filetypes())
+    if path.suffix.removeprefix('.').lower() not in known:
+        raise InputError(f'{path}: no picture; can write {", ".join("." + ending for ending in known)}')
+
+
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure; the ending of `path` chooses the format."""
-    figure.savefig(path, bbox_inches='tight', facecolor='white')
+    """Write a figure; the ending of `path` chooses the format.
+
+    Raises:
+        InputError: it is no format of pictures.
+        OSError: it cannot be written.
+    """
+    check_ending(path)
+    with warnings.catch_warnings():
+        warnings.filterwarnings('ignore', 'Glyph .* missing from', UserWarning)  # file names in any script
+        figure.savefig(path, bbox_inches='tight', facecolor='white')

@@ -1,9 +1,17 @@
 """Training recovers a known linear model; files keep it; anything that is not a model is refused."""
 
+import contextlib
+import io
+import json
+import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mocap_ros import base_poses as bp
 from mocap_ros.camera import small_rotation
@@ -88,12 +96,81 @@ def test_what_is_no_model_is_refused(tmp_path: Path, rng: np.random.Generator) -
         bp.load_model('moonwalk')
 
 
-def test_bad_training_data_is_named() -> None:
-    with pytest.raises(ModelError, match='at least two'):
-        bp.fit([])
-    with pytest.raises(ModelError, match=r'trial 1 has shape \(5, 14, 3\)'):
-        bp.fit([np.ones((5, 15, 3)), np.ones((5, 14, 3))])
-    bad = np.ones((5, 15, 3))
+def test_bad_training_data_is_named(walk_model: bp.BasePoses) -> None:
+    def bodies(count: int) -> bp.Array:
+        return np.repeat(walk_model.mean[None], count, axis=0)
+
+    bad = bodies(5)
     bad[2, 3, 1] = np.nan
-    with pytest.raises(ModelError, match='trial 0'):
-        bp.fit([bad])
+    for trials, message in (
+        ([], 'at least two'),
+        ([bodies(1)], 'at least two'),
+        ([bodies(5), bodies(5)[:, :14]], r'trial b has shape \(5, 14, 3\)'),
+        ([bad], 'trial a holds numbers that are not finite'),
+        ([bodies(5)], 'the poses do not vary'),
+        ([bodies(5), bodies(5) * 0], 'trial b: a body 0 m tall, expected 0.3 to 3.0 m'),
+        ([bodies(5) * 1000], 'trial a: joints more than 6 m apart; m expected'),
+        ([bodies(5) * 1e160], 'trial a: joints more than 6 m apart'),
+    ):
+        with pytest.raises(ModelError, match=message):
+            bp.fit(trials, labels=['a', 'b'][: len(trials)])
+
+
+def model_bytes(model: bp.BasePoses, meta: dict[str, Any], **arrays: Any) -> bytes:
+    """A model's file with some of its content replaced."""
+    buffer = io.BytesIO()
+    bp.save(model, buffer)
+    with np.load(io.BytesIO(buffer.getvalue())) as archive:
+        content = dict(archive)
+    content['meta'] = np.array(json.dumps(json.loads(str(content['meta'])) | meta))
+    out = io.BytesIO()
+    np.savez_compressed(out, **{**content, **arrays})
+    return out.getvalue()
+
+
+BAD_MODELS: dict[str, tuple[dict[str, Any], Callable[[bp.BasePoses], dict[str, Any]], str]] = {
+    'format': ({'format': 'x'}, lambda _: {}, "format 'x'"),
+    'provenance': ({'provenance': [1]}, lambda _: {}, 'provenance: no mapping'),
+    'name': ({'name': 'x' * 101}, lambda _: {}, 'name: no short text'),
+    'stature': ({'stature': 170}, lambda _: {}, 'stature: 170, expected'),
+    'stature of nobody': ({'stature': math.nan}, lambda _: {}, 'stature: nan'),
+    'stature as text': ({'stature': 'tall'}, lambda _: {}, 'could not convert'),
+    'skeleton': ({'skeleton': 'coco17'}, lambda _: {}, 'skeleton: coco17, expected cmu15'),
+    'unknown skeleton': ({'skeleton': 3}, lambda _: {}, 'unknown keypoint layout 3'),
+    'mean': ({}, lambda m: {'mean': m.mean * 1000}, 'mean: a joint beyond 3 m'),
+    'shape': ({}, lambda m: {'mean': m.mean[:14]}, r'mean: shape \(14, 3\), expected \(15, 3\)'),
+    'fewer': ({}, lambda m: {'std': m.std[:3]}, r'std: shape \(3,\), expected'),
+    'none': ({}, lambda m: {'std': m.std[:0], 'components': m.components[:0], 'explained': m.std[:0]}, 'shape'),
+    'zero': ({}, lambda m: {'std': m.std * 0}, 'std: outside'),
+    'infinite': ({}, lambda m: {'std': m.std / 0.0}, 'std: numbers that are not finite'),
+    'rising': ({}, lambda m: {'std': m.std[::-1]}, 'std: not falling'),
+    'long': ({}, lambda m: {'components': m.components * 2}, 'components: not orthonormal'),
+    'oblique': (
+        {},
+        lambda m: {'components': m.components[:1].repeat(len(m.std), 0)},
+        'components: not orthonormal',
+    ),
+    'integers': ({}, lambda m: {'mean': m.mean.astype(int)}, 'mean: holds int64'),
+    'objects': ({}, lambda m: {'mean': m.mean.astype(object)}, 'holds Python objects'),
+    'bomb': ({}, lambda _: {'more': np.zeros(1 << 22)}, 'holds more than 16 MiB'),
+}
+
+
+@pytest.mark.parametrize('case', BAD_MODELS)
+def test_models_are_checked_in_full(walk_model: bp.BasePoses, case: str) -> None:
+    meta, arrays, message = BAD_MODELS[case]
+    with np.errstate(divide='ignore'):
+        data = model_bytes(walk_model, meta, **arrays(walk_model))
+    with pytest.raises(ModelError, match=rf'm\.npz: not a base-pose model \(.*{message}') as caught:
+        bp.from_bytes(data, 'm.npz')
+    assert 'pickle' not in str(caught.value)
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_a_mangled_model_is_read_or_refused(walk_model: bp.BasePoses, data: st.DataObject) -> None:
+    content = bytearray(model_bytes(walk_model, {}))
+    for _ in range(data.draw(st.integers(1, 4))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    with contextlib.suppress(ModelError):
+        assert bp.from_bytes(bytes(content), 'm.npz').skeleton == CMU15

@@ -85,7 +85,7 @@ def test_results_go_into_the_current_folder(recording: Path, tmp_path: Path, mon
     assert (tmp_path / 'demo.png').read_bytes().startswith(b'\x89PNG')
     assert {p.name for p in tmp_path.iterdir()} == {'demo.png', 'demo_3d.npz'}
     assert set(recording.parent.iterdir()) == beside
-    with pytest.raises(InputError, match=r'demo_3d\.npz: is a result of reconstruct; give the sequence file'):
+    with pytest.raises(InputError, match=r'demo_3d\.npz: not a sequence file: a result of reconstruct; give'):
         load_sequence('demo_3d.npz')
 
 
@@ -143,7 +143,7 @@ def test_train_on_motion_capture(tmp_path: Path, capsys) -> None:
     ('arguments', 'message'),
     [
         (['reconstruct', 'nowhere.npz'], 'nowhere.npz'),
-        (['reconstruct', 'RECORDING', '-o', 'x.docx'], 'x.docx: can write .npz or .csv'),
+        (['reconstruct', 'RECORDING', '-o', 'x.docx'], 'x.docx: can write .npz, .csv, .mcap, .bvh, .trc'),
         (['reconstruct', 'RECORDING', '--model', 'moonwalk'], "no base-pose model 'moonwalk'"),
         (
             ['reconstruct', 'RECORDING', '--set', 'solver.speed=1'],
@@ -153,7 +153,7 @@ def test_train_on_motion_capture(tmp_path: Path, capsys) -> None:
             ['plot', 'RECORDING', '--set', 'solver.bone_wait=1'],
             "'solver.bone_wait'; did you mean 'solver.bone_weight'?",
         ),
-        (['evaluate', 'BAG'], 'bag: is a bag; use replay'),
+        (['evaluate', 'BAG'], 'bag: is a bag, expected a sequence file'),
         (['replay', 'BAG', '-o', 'bag'], 'bag: exists already; choose another -o'),
         (['reconstruct', 'RECORDING', '-o', '/nowhere/x.npz'], '/nowhere/x.npz'),
         (['evaluate', 'GARBAGE'], 'garbage.npz'),
@@ -161,6 +161,21 @@ def test_train_on_motion_capture(tmp_path: Path, capsys) -> None:
         (['train', 'RECORDING', '-o', 'x.npz'], '_joints'),
         (['replay', 'nowhere', '-o', 'x'], 'nowhere'),
         (['config', '--config', 'nowhere.yaml'], 'nowhere.yaml'),
+        (['config', '--config', 'FOLDER'], 'folder: Is a directory'),
+        (['config', '--config', 'BOMB'], 'bomb.yaml: not YAML: line 2: aliases are not allowed'),
+        (['config', '--set', f'solver.components=1{"0" * 400}'], 'expected 1 to 60'),
+        (
+            ['config', '--set', f'solver.components={"[" * 9999}'],
+            '--set solver.components: not YAML: nested too deep',
+        ),
+        (['reconstruct', 'FOLDER'], 'folder: no *_keypoints.json in it'),
+        (['reconstruct', 'RECORDING', '--fps', '30'], 'demo.npz: a sequence file; --person'),
+        (['evaluate', 'FOLDER'], 'folder: Is a directory'),
+        (['train', 'FOLDER', '-o', 'x.npz'], 'folder: no .amc, .bvh, .c3d in it'),
+        (['plot', 'RECORDING', '-o', 'x.xyz'], 'x.xyz: no picture; can write'),
+        (['plot', 'RECORDING', '-o', 'picture'], 'picture: no picture; can write'),
+        (['train', 'TRIALS', '--manifest', 'LATIN', '-o', 'x.npz'], 'latin.csv: not UTF-8 at byte 14'),
+        (['train', 'TRIALS', '-o', 'x.npz'], 'trial 1_1: a body 0 m tall'),
     ],
 )
 def test_failures_are_one_line_on_stderr(recording, tmp_path, monkeypatch, capsys, arguments, message) -> None:
@@ -168,12 +183,100 @@ def test_failures_are_one_line_on_stderr(recording, tmp_path, monkeypatch, capsy
     (tmp_path / 'garbage.npz').write_bytes(b'PK\x03\x04 and then nothing of use')
     (tmp_path / 'bag').mkdir()
     (tmp_path / 'bag' / 'metadata.yaml').touch()
-    known = {'RECORDING': str(recording), 'GARBAGE': 'garbage.npz', 'BAG': 'bag'}
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'bomb.yaml').write_text('a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]')
+    (tmp_path / 'latin.csv').write_bytes(b'trial,subject\n\xff')
+    np.savez(tmp_path / 'trials.npz', **{'_joints': np.array(CMU15.joints), '1_1': np.zeros((9, 15, 3))})
+    known = {
+        'RECORDING': str(recording),
+        'GARBAGE': 'garbage.npz',
+        'BAG': 'bag',
+        'FOLDER': 'folder',
+        'BOMB': 'bomb.yaml',
+        'LATIN': 'latin.csv',
+        'TRIALS': 'trials.npz',
+    }
     assert main([known.get(a, a) for a in arguments]) == 1
     error = capsys.readouterr().err
     assert error.count('\n') == 1
     assert message in error
     assert 'pickle' not in error
+
+
+QUICK = ('--model', 'walk', '--set', 'solver.max_iterations=2')
+
+
+@pytest.fixture
+def short(recording: Path, tmp_path: Path) -> Path:
+    """Twenty frames, in a file whose name would be mathematics."""
+    whole = load_sequence(recording)
+    assert whole.truth is not None
+    truth = Truth(whole.truth.joints[:20], whole.truth.joint_names)
+    path = tmp_path / '$x^{_$.npz'
+    save_sequence(
+        path, replace(whole, keypoints=whole.keypoints[:20], timestamps=whole.timestamps[:20], truth=truth)
+    )
+    return path
+
+
+@pytest.mark.skipif(not Path('/dev/full').exists(), reason='no /dev/full here')
+@pytest.mark.parametrize('ending', ['.npz', '.csv', '.bvh', '.trc', '.png', '.json'])
+def test_a_full_disk_is_told_with_the_file(short: Path, tmp_path: Path, capsys, ending: str) -> None:
+    out = tmp_path / f'full{ending}'
+    out.symlink_to('/dev/full')
+    command = {'.png': ['plot', '-o'], '.json': ['evaluate', '--json']}.get(ending, ['reconstruct', '-o'])
+    assert main([command[0], str(short), command[1], str(out), *QUICK]) == 1
+    assert capsys.readouterr().err == f'mocap-ros: {out}: cannot be written: No space left on device\n'
+
+
+@pytest.mark.filterwarnings('error')
+def test_any_file_name_may_be_the_title_of_a_picture(short: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(['plot', str(short), '--poses', '2', *QUICK]) == 0
+    assert (tmp_path / '$x^{_$.png').stat().st_size > 1000
+
+
+@pytest.mark.filterwarnings('error')
+def test_truth_may_be_known_in_part(short: Path, tmp_path: Path, capsys) -> None:
+    whole = load_sequence(short)
+    assert whole.truth is not None
+    out = tmp_path / 'e.json'
+
+    def evaluated(change: object) -> int:
+        joints = whole.truth.joints.copy()
+        joints[change] = np.nan
+        save_sequence(tmp_path / 't.npz', replace(whole, truth=Truth(joints, whole.truth.joint_names)))
+        return main(['evaluate', str(tmp_path / 't.npz'), '--json', str(out), *QUICK])
+
+    for change, joints, frames in (((slice(5), 3), 15, 15), ((slice(None), 3), 14, 20)):
+        assert evaluated(change) == 0
+        (record,) = json.loads(out.read_text())
+        assert (record['joints'], record['frames']) == (joints, frames)
+        assert record['mpjpe_mm'] < 500
+    assert evaluated(slice(None)) == 1
+    assert 't.npz: joints3d: no joint is known in any frame' in capsys.readouterr().err
+    save_sequence(tmp_path / 'f.npz', replace(whole, truth=Truth(whole.truth.joints, tuple('abcdefghijklmno'))))
+    assert main(['evaluate', str(tmp_path / 'f.npz'), *QUICK]) == 1
+    assert 'f.npz: only 0 joints in common' in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('ending', ['.npz', '.mcap', '.bvh', '.trc', '.png'])
+@pytest.mark.parametrize('case', ['one frame', 'one point', 'one line', 'still'])
+def test_degenerate_keypoints_give_no_warnings(short: Path, tmp_path: Path, case: str, ending: str) -> None:
+    whole = replace(load_sequence(short), truth=None)
+    keypoints = whole.keypoints.copy()
+    if case == 'one point':
+        keypoints[..., :2] = 100
+    elif case == 'one line':
+        keypoints[..., 1] = 100
+    elif case == 'still':
+        keypoints[:] = keypoints[0]
+    frames = 1 if case == 'one frame' else 20
+    path = tmp_path / 'd.npz'
+    save_sequence(path, replace(whole, keypoints=keypoints[:frames], timestamps=whole.timestamps[:frames]))
+    command = 'plot' if ending == '.png' else 'reconstruct'
+    assert main([command, str(path), '-o', str(tmp_path / f'o{ending}'), *QUICK]) == 0
 
 
 def test_every_option_is_explained_with_its_default() -> None:

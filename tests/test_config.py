@@ -29,6 +29,9 @@ def test_yaml_round_trip() -> None:
     assert from_yaml(to_yaml(config), 'x') == config
     assert from_yaml('solver: {components: 7}', 'x').solver.components == 7
     assert from_yaml('', 'x') == Config()
+    for path in ('long ' * 50, 'a\nb', '\x85 \u2028 \x1f' + '\U00010000' * 7, "it's: #", ''):
+        named = with_values(Config(), {'tracker.model': path})
+        assert from_yaml(to_yaml(named), 'x') == named
 
 
 @pytest.mark.parametrize(
@@ -42,11 +45,32 @@ def test_yaml_round_trip() -> None:
         ('[1, 2]', 'expected a mapping'),
         ('{', r'f\.yaml: not YAML'),
         ('!!python/object/apply:os.system [true]', 'not YAML'),
+        ('{a: ' * 2000, r'f\.yaml: not YAML: nested too deep'),
+        ('a: &a [1]\nb: *a', r'f\.yaml: not YAML: line 2: aliases are not allowed'),
+        ('solver: {components: 3}\nsolver: {}', r"line 2: 'solver' twice"),
+        ('1: 2', 'line 1: a key that is no text'),
+        ('[1]: 2', 'line 1: a key that is no text'),
+        ('solver: {components: 2001-99-99}', 'not YAML: month'),
+        ('false', 'expected a mapping'),
+        (f'solver: {{components: 1{"0" * 400}}}', r'solver\.components = 10+\.\.\.: expected 1 to 60'),
+        (f'solver: {{bone_weight: 1{"0" * 400}}}', r'solver\.bone_weight = 10+\.\.\.: expected 0 to inf'),
+        (f'solver: {{components: 0x{"f" * 5000}}}', r'solver\.components = a huge value'),
     ],
 )
 def test_bad_files_say_what_and_where(text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         from_yaml(text, 'f.yaml')
+
+
+yaml_like = st.text('ab:{}[]&*!- \n\'"|>?%@1.,#~x', max_size=30)
+
+
+@given(st.one_of(st.text(max_size=30), yaml_like))
+def test_any_text_is_a_configuration_or_refused_by_name(text: str) -> None:
+    try:
+        assert from_yaml(text, 'f.yaml') == Config()
+    except ConfigError as error:
+        assert str(error).startswith('f.yaml: ')  # noqa: PT017
 
 
 @given(st.sampled_from(sorted(values(Config()))), st.one_of(st.none(), st.integers(), st.floats(), st.text()))

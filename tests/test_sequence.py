@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,14 @@ def test_only_the_needed_keys_are_needed(tmp_path: Path, sequence: Sequence) -> 
     assert again.truth is None
     assert again.intrinsics(1.2).focal == pytest.approx(768)
     assert not again.intrinsics(1.2).known
+
+
+def test_the_lens_is_undone(tmp_path: Path, sequence: Sequence) -> None:
+    for count in (4, 5, 8):
+        save_sequence(tmp_path / 'walk.npz', replace(sequence, distortion=np.full(count, 0.01)))
+        camera = load_sequence(tmp_path / 'walk.npz').intrinsics(1.2)
+        assert camera.known
+        assert camera.distortion.coefficients == (0.01,) * count
 
 
 def test_joint_names_are_taken_in_any_spelling(tmp_path: Path, sequence: Sequence) -> None:
@@ -119,7 +128,7 @@ BAD = {
     ),
     'a result': (
         lambda a: a.update(theta=np.zeros(0), residual_px=np.zeros(0)),
-        'is a result of reconstruct; give the sequence file',
+        'not a sequence file: a result of reconstruct; give the sequence file',
     ),
     'repeated stamp': (
         lambda a: changed(a, 'timestamps', 2, 1 / 30),
@@ -136,6 +145,14 @@ BAD = {
     'no frames': (lambda a: a.update(timestamps=np.zeros(0)), 'timestamps: no frames'),
     'no image': (lambda a: changed(a, 'image_size', 1, 0), 'image_size: 640 x 0 px'),
     'no camera': (lambda a: changed(a, 'camera_matrix', (0, 0), 0), 'camera_matrix: focal length'),
+    'lens of three numbers': (
+        lambda a: a.update(distortion=np.ones(3)),
+        'distortion: plumb_bob takes 4 or 5 coefficients, not 3',
+    ),
+    'truth far away': (
+        lambda a: changed(a, 'joints3d', (3, 1, 2), 3e38),
+        r'joints3d: frame 3: pelvis is more than 1e\+06 m away',
+    ),
     'truth of other frames': (
         lambda a: a.update(joints3d=a['joints3d'][:2]),
         r'joints3d: shape \(2, 2, 3\)',
@@ -177,10 +194,18 @@ def test_bad_files_are_refused(tmp_path: Path, sequence: Sequence) -> None:
     for bag in (tmp_path / 'bag', tmp_path / 'bag.mcap'):
         bag.mkdir()
         (bag / 'bag_0.db3').touch()
-        with pytest.raises(InputError, match=f'{bag.name}: is a bag; use replay'):
+        with pytest.raises(InputError, match=f'{bag.name}: is a bag, expected a sequence file'):
             load_sequence(bag)
     with pytest.raises(InputError, match='No such file'):
         load_sequence(tmp_path / 'none.npz')
+    (tmp_path / 'folder').mkdir()
+    with pytest.raises(InputError, match='folder: Is a directory'):
+        load_sequence(tmp_path / 'folder')
+    with zipfile.ZipFile(tmp_path / 'bomb.npz', 'w', zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for n in range(65):
+            archive.writestr(f'{n}.npy', bytes(1 << 24))
+    with pytest.raises(InputError, match=r'bomb\.npz: not a sequence file: holds more than 1024 MiB'):
+        load_sequence(tmp_path / 'bomb.npz')
 
 
 def test_real_files_load() -> None:

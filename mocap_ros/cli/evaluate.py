@@ -16,10 +16,18 @@ from numpy.typing import NDArray
 
 from mocap_ros import metrics
 from mocap_ros.base_poses import BasePoses
-from mocap_ros.cli.options import add_config_options, add_sequence_options, config_from, models_from, progress
+from mocap_ros.cli.options import (
+    about,
+    add_config_options,
+    add_model_option,
+    config_from,
+    models_from,
+    progress,
+)
 from mocap_ros.cli.reconstruct import reconstruct_file
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
+from mocap_ros.io.files import writing
 from mocap_ros.io.sequence import Sequence, load_sequence
 
 Array = NDArray[np.float64]
@@ -42,7 +50,7 @@ LEGEND = (
     'sequence: one similarity a sequence; metric: no scale; e: eq. 25 of TPAMI 2016; '
     'bone std: of bone lengths over time; residual: in the image.'
 )
-LARGEST_PERSON = 10.0
+SMALLEST_PERSON, LARGEST_PERSON = 0.01, 10.0
 
 
 def add_parser(subparsers: Any) -> None:
@@ -52,7 +60,8 @@ def add_parser(subparsers: Any) -> None:
         help='errors of the reconstruction on sequence files with truth',
         description=f'Reconstructs sequence files as a whole and compares them with their truth. {LEGEND}',
     )
-    add_sequence_options(p, nargs='+')
+    p.add_argument('input', type=Path, nargs='+', metavar='SEQUENCE.npz', help='sequence file with joints3d')
+    add_model_option(p)
     p.add_argument(
         '--joints',
         choices=['common', 'limbs'],
@@ -73,11 +82,14 @@ def run(args: argparse.Namespace) -> int:
         sequence = load_sequence(path)
         if sequence.truth is None:
             raise InputError(f'{path}: joints3d: missing; without the truth there is nothing to evaluate')
-        if _looks_like_mm(sequence.truth.joints):
+        if _size(sequence.truth.joints) > LARGEST_PERSON:
             doubts.append(f'{path}: joints3d: looks like mm; m expected')
-        records.append({'file': path.name, **evaluate(sequence, models, config, args.joints == 'limbs')})
+        with about(path):
+            record = evaluate(sequence, models, config, args.joints == 'limbs')
+        records.append({'file': path.name, **record})
     if args.json is not None:
-        args.json.write_text(json.dumps(records, indent=1) + '\n', encoding='utf-8')
+        with writing(args.json):
+            args.json.write_text(_as_json(records), encoding='utf-8')
     print_table(records)
     for doubt in doubts:
         print(f'mocap-ros: {doubt}', file=sys.stderr)
@@ -87,16 +99,31 @@ def run(args: argparse.Namespace) -> int:
 def evaluate(
     sequence: Sequence, models: Mapping[str, BasePoses], config: Config, limbs_only: bool
 ) -> dict[str, float]:
-    """The record of one sequence: all errors of `metrics.errors`, and what the solver says of itself."""
+    """The record of one sequence: all errors of `metrics.errors`, and what the solver says of itself.
+
+    Joints of the truth that are known in no frame are left out, then frames in which one is not known.
+
+    Raises:
+        InputError: nothing is left to compare.
+    """
     truth = sequence.truth
     if truth is None:
         raise InputError('joints3d: missing')
+    known = np.asarray(np.isfinite(truth.joints).all(axis=-1))
+    if not known.any():
+        raise InputError('joints3d: no joint is known in any frame')
     begun = time.perf_counter()
     result = reconstruct_file(sequence, models, config)
     seconds = time.perf_counter() - begun
-    mine, theirs = metrics.common_joints(result.skeleton.joints, truth.joint_names, limbs_only)
-    score = sequence.keypoints[..., 2]
-    frames = metrics.well_seen(sequence.joint_names, score) if limbs_only else None
+    names = tuple(n if known[:, i].any() else '' for i, n in enumerate(truth.joint_names))
+    mine, theirs = metrics.common_joints(result.skeleton.joints, names, limbs_only)
+    frames = np.asarray(known[:, theirs].all(axis=1))
+    if limbs_only:
+        frames &= metrics.well_seen(sequence.joint_names, sequence.keypoints[..., 2])
+    if frames.any() and _size(truth.joints[frames][:, theirs]) < SMALLEST_PERSON:
+        raise InputError('joints3d: all joints at one place')
+    if not frames.any():
+        raise InputError('joints3d: no frame in which all joints are known' + ' and most are seen' * limbs_only)
     fps = 1 / float(np.median(np.diff(sequence.timestamps))) if len(sequence) > 1 else math.nan
     return {
         **metrics.errors(result.joints[:, mine], truth.joints[:, theirs], fps, frames),
@@ -127,7 +154,16 @@ def print_table(records: list[dict[str, Any]]) -> None:
     print(LEGEND)
 
 
-def _looks_like_mm(truth: Array) -> bool:
-    """Whether people are larger than people are in m; `truth` (F, J, 3)."""
+def _as_json(records: list[dict[str, Any]]) -> str:
+    """Numbers that are not finite, which JSON does not know, become null."""
+    finite = [
+        {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in record.items()}
+        for record in records
+    ]
+    return json.dumps(finite, indent=1, allow_nan=False) + '\n'
+
+
+def _size(truth: Array) -> float:
+    """Longest side of the box around a person; `truth` (F, J, 3), 0 where no frame is whole."""
     whole = truth[np.isfinite(truth).all(axis=(1, 2))]
-    return len(whole) > 0 and bool(np.median(np.ptp(whole, axis=1).max(axis=-1)) > LARGEST_PERSON)
+    return float(np.median(np.ptp(whole, axis=1).max(axis=-1))) if len(whole) else 0.0

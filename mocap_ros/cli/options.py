@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
-import yaml
+import numpy as np
 from tqdm import tqdm
 
-from mocap_ros.base_poses import BasePoses, load_model, shipped_models
-from mocap_ros.config import Config, from_yaml, with_values
-from mocap_ros.errors import ConfigError
+from mocap_ros.base_poses import BasePoses, load_models
+from mocap_ros.config import Config, from_yaml, load_yaml, shown, with_values
+from mocap_ros.errors import ConfigError, InputError, MocapError
+from mocap_ros.io.detections import Video
+from mocap_ros.io.files import read_text
+from mocap_ros.io.inputs import load_input
+from mocap_ros.io.sequence import LARGEST_IMAGE, Sequence
+from mocap_ros.skeleton import LAYOUT_NAMES
 
 T = TypeVar('T')
+
+LARGEST_CONFIG = 1 << 20
+LONGEST_SIZE = 20
 
 
 def add_config_options(parser: argparse.ArgumentParser) -> None:
@@ -30,16 +40,86 @@ def add_config_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_sequence_options(parser: argparse.ArgumentParser, **how: Any) -> None:
-    """The sequence file, or several, and `--model`."""
-    parser.add_argument(
-        'input', type=Path, metavar='SEQUENCE.npz', help='sequence file: keypoints of one person over time', **how
-    )
+def add_model_option(parser: argparse.ArgumentParser) -> None:
+    """`--model`."""
     parser.add_argument(
         '--model',
         metavar='NAME',
         help='base poses: a shipped name, a file, or auto for the likeliest (default: tracker.model)',
     )
+
+
+def add_input_options(parser: argparse.ArgumentParser) -> None:
+    """Whatever holds keypoints, and what it may not say itself."""
+    parser.add_argument(
+        'input',
+        type=Path,
+        metavar='IN',
+        help='sequence file (.npz), bag, folder of OpenPose JSON, or COCO keypoints (.json)',
+    )
+    parser.add_argument('--person', metavar='ID', help='whom, of several people (default: the one seen most)')
+    parser.add_argument(
+        '--topic', metavar='NAME', help='of the keypoints in a bag (default: the only one there is)'
+    )
+    parser.add_argument(
+        '--fps', type=positive, metavar='N', help='frames a second of the video; needed for JSON (default: none)'
+    )
+    parser.add_argument(
+        '--image-size',
+        type=_image_size,
+        metavar='WxH',
+        help='px, for JSON that does not say it (default: a usual size that holds all points)',
+    )
+    parser.add_argument(
+        '--layout',
+        choices=LAYOUT_NAMES,
+        help='of the keypoints in JSON (default: by their number)',
+    )
+
+
+def input_from(args: argparse.Namespace, config: Config) -> Sequence:
+    """The sequence that `add_input_options` describe; says on stderr whom it shows and what was assumed.
+
+    Raises:
+        InputError: it cannot be used; names the place.
+    """
+    video = Video(args.fps, args.image_size, args.layout or '')
+    sequence, lines = load_input(args.input, video, config.node, args.person, args.topic)
+    for line in lines:
+        print(f'mocap-ros: {line}', file=sys.stderr)
+    return sequence
+
+
+def name_of(path: Path) -> str:
+    """What files made from this input are called."""
+    return path.stem or path.resolve().stem
+
+
+@contextmanager
+def about(path: Path) -> Iterator[None]:
+    """Around the work on one file: errors name it, also where the numbers give no solution."""
+    try:
+        yield
+    except MocapError as error:
+        raise type(error)(f'{path}: {error}') from None
+    except np.linalg.LinAlgError as error:
+        raise InputError(f'{path}: the reconstruction failed ({error})') from None
+
+
+def positive(text: str) -> float:
+    """A positive, finite number, for argparse."""
+    value = float(text)
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f'{text} is not positive')
+    return value
+
+
+def _image_size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition('x')
+    fine = width.isdecimal() and height.isdecimal() and len(text) < LONGEST_SIZE
+    if not (fine and 0 < int(width) <= LARGEST_IMAGE and 0 < int(height) <= LARGEST_IMAGE):
+        raise argparse.ArgumentTypeError(f'{text!r}: expected such as 1920x1080')
+    return int(width), int(height)
 
 
 def models_from(args: argparse.Namespace, config: Config) -> dict[str, BasePoses]:
@@ -49,31 +129,24 @@ def models_from(args: argparse.Namespace, config: Config) -> dict[str, BasePoses
         ModelError: there are none of that name.
     """
     name = args.model or config.tracker.model
-    return {n: load_model(n) for n in (shipped_models() if name == 'auto' else (name,))}
+    return load_models(name)
 
 
 def config_from(args: argparse.Namespace) -> Config:
     """The configuration that these options describe.
 
     Raises:
-        ConfigError: unreadable file, unknown parameter or value out of range.
+        InputError: the file cannot be read.
+        ConfigError: unknown parameter or value out of range.
     """
     config = Config()
     if args.config is not None:
-        try:
-            text = args.config.read_text(encoding='utf-8')
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(f'{args.config}: {getattr(error, "strerror", None) or error}') from None
-        config = from_yaml(text, str(args.config))
+        config = from_yaml(read_text(args.config, largest=LARGEST_CONFIG), str(args.config))
     for assignment in args.set:
         name, equals, value = assignment.partition('=')
         if not equals:
-            raise ConfigError(f'--set {assignment}: expected NAME=VALUE')
-        try:
-            parsed = yaml.safe_load(value)
-        except yaml.YAMLError:
-            raise ConfigError(f'--set {assignment}: not a value') from None
-        config = with_values(config, {name: parsed})
+            raise ConfigError(f'--set {shown(assignment)}: expected NAME=VALUE')
+        config = with_values(config, {name: load_yaml(value, f'--set {name}')})
     return config
 
 

@@ -1,4 +1,4 @@
-"""`mocap-ros plot`: a picture of a sequence file's reconstruction."""
+"""`mocap-ros plot`: a picture of a reconstruction."""
 
 from __future__ import annotations
 
@@ -9,10 +9,21 @@ from typing import Any
 import numpy as np
 
 from mocap_ros import plots
-from mocap_ros.cli.options import add_config_options, add_sequence_options, config_from, models_from
+from mocap_ros.cli.options import (
+    about,
+    add_config_options,
+    add_input_options,
+    add_model_option,
+    config_from,
+    input_from,
+    models_from,
+    name_of,
+)
 from mocap_ros.cli.reconstruct import reconstruct_file
-from mocap_ros.io.sequence import load_sequence
+from mocap_ros.io.files import writing
 from mocap_ros.skeleton import skeleton_of
+
+MOST_POSES = 30
 
 
 def add_parser(subparsers: Any) -> None:
@@ -20,27 +31,32 @@ def add_parser(subparsers: Any) -> None:
     p = subparsers.add_parser(
         'plot',
         help='a picture of a sequence: 2D input and 3D result',
-        description='Reconstructs a sequence file as a whole and draws some frames: the keypoints, the 3D result '
+        description='Reconstructs what `reconstruct` takes and draws some frames: the keypoints, the 3D result '
         'from the camera and from the side, and the error over time where the file holds the truth.',
     )
-    add_sequence_options(p)
+    add_input_options(p)
     p.add_argument(
         '-o',
         '--output',
         type=Path,
         metavar='OUT.png',
-        help='picture; its ending says the format (default: SEQUENCE.png in this folder)',
+        help='picture; its ending says the format (default: IN.png in this folder)',
     )
-    p.add_argument('--poses', type=int, default=8, metavar='N', help='how many frames to show')
+    p.add_argument('--poses', type=int, default=8, metavar='N', help=f'frames to show, 1 to {MOST_POSES}')
+    add_model_option(p)
     add_config_options(p)
     p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Reconstruct and draw."""
+    output = args.output or Path(f'{name_of(args.input)}.png')
+    plots.check_ending(output)
     config = config_from(args)
-    sequence = load_sequence(args.input)
-    result = reconstruct_file(sequence, models_from(args, config), config)
+    models = models_from(args, config)
+    sequence = input_from(args, config)
+    with about(args.input):
+        result = reconstruct_file(sequence, models, config)
     truth = None
     if sequence.truth is not None:
         names = list(sequence.truth.joint_names)
@@ -55,10 +71,11 @@ def run(args: argparse.Namespace) -> int:
         skeleton=result.skeleton,
         truth=truth,
     )
-    count = max(1, min(args.poses, len(sequence)))
+    count = max(1, min(args.poses, len(sequence), MOST_POSES))
     frames = np.linspace(0, len(sequence) - 1, count).round().astype(int).tolist()
     labels = [f'{sequence.timestamps[f] - sequence.timestamps[0]:.2f} s' for f in frames]
-    output = args.output or Path(f'{args.input.stem}.png')
-    plots.save_figure(plots.poses_figure(drawn, frames, args.input.name, labels), output)
+    figure = plots.poses_figure(drawn, frames, args.input.name, labels)
+    with writing(output):
+        plots.save_figure(figure, output)
     print(output)
     return 0

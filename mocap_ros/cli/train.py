@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from mocap_ros import base_poses
+from mocap_ros.cli.options import positive, progress
 from mocap_ros.errors import MocapError
-from mocap_ros.io.mocap import load_trials, select
+from mocap_ros.io.files import writing
+from mocap_ros.io.mocap import Source, load_trials, select
+from mocap_ros.io.rigs import UNITS, load_markers
 
 
 def add_parser(subparsers: Any) -> None:
@@ -16,11 +19,27 @@ def add_parser(subparsers: Any) -> None:
     p = subparsers.add_parser(
         'train',
         help='train base poses from motion capture',
-        description='Trains base poses from .npz motion capture ((F, 15, 3) arrays in mm, y up, one key a '
-        'trial, joint names under _joints; a manifest.csv beside it says subjects and categories).',
+        description='Trains base poses from motion capture: folders or files of ASF/AMC, BVH and C3D, or .npz '
+        '((F, 15, 3) arrays in mm, y up, one key a trial, joint names under _joints). A manifest.csv beside them '
+        'says subjects and categories; else the category of a file is the name of its folder.',
     )
-    p.add_argument('data', nargs='+', type=Path, metavar='DATA.npz', help='motion capture')
+    p.add_argument('data', nargs='+', type=Path, metavar='DATA', help='folder, .amc, .bvh, .c3d or .npz')
     p.add_argument('-o', '--output', type=Path, required=True, metavar='MODEL.npz', help='model to write')
+    p.add_argument(
+        '--markers',
+        type=Path,
+        metavar='YAML',
+        help='joint of the model: the joints or markers whose mean it is (default: those of known rigs)',
+    )
+    p.add_argument(
+        '--unit',
+        type=positive,
+        metavar='M',
+        help=f'unit of length in m (default: as the file says, or what suits people: {", ".join(UNITS)})',
+    )
+    p.add_argument(
+        '--every', type=int, default=1, metavar='N', help='take every Nth frame, such as 4 of 120 a second'
+    )
     p.add_argument('--name', help='name of the model (default: the category, or all)')
     p.add_argument(
         '--manifest',
@@ -66,10 +85,12 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train and save a model, and say what it holds."""
-    if args.components < 1 or (args.bodies or 0) < 0:
-        raise MocapError('--components must be positive and --bodies not negative')
+    if min(args.components, args.every) < 1 or (args.bodies or 0) < 0:
+        raise MocapError('--components and --every must be positive and --bodies not negative')
+    markers = None if args.markers is None else load_markers(args.markers)
+    source = Source(args.manifest, markers, args.unit, args.every)
     trials = select(
-        [t for path in args.data for t in load_trials(path, args.manifest)],
+        [t for path in args.data for t in load_trials(path, source, lambda files: progress(files, 'read'))],
         categories=args.category,
         only_subjects=args.subject,
         without_subjects=args.without_subject,
@@ -80,6 +101,7 @@ def run(args: argparse.Namespace) -> int:
     one_category = bool(args.category)
     model = base_poses.fit(
         [t.poses for t in trials],
+        labels=[t.name for t in trials],
         name=args.name or '+'.join(args.category) or 'all',
         components=args.components,
         alignment=args.alignment or ('heading' if one_category else 'rotation'),
@@ -92,7 +114,8 @@ def run(args: argparse.Namespace) -> int:
             'trials': [t.name for t in trials],
         },
     )
-    base_poses.save(model, args.output)
+    with writing(args.output):
+        base_poses.save(model, args.output)
     ten = model.explained[min(9, len(model.explained) - 1)]
     print(
         f'{args.output}: {len(model.std)} base poses from {len(trials)} trials, '

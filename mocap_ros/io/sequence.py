@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros import npz
 from mocap_ros.errors import InputError, SkeletonError, reader_reason
 from mocap_ros.io.bags import is_bag
 from mocap_ros.io.keypoints import first_fault, looks_normalised, tidied
+from mocap_ros.lens import Distortion
 from mocap_ros.people import Intrinsics, Person2D
 from mocap_ros.skeleton import joint_map, own_names
 
@@ -21,6 +23,8 @@ NS = 1_000_000_000
 LARGEST_FILE = 1 << 30
 LONGEST_SECONDS = 2.0**31
 LARGEST_IMAGE = 100_000
+FARTHEST_JOINT = 1e6
+MOST_OF_PLUMB_BOB = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +52,10 @@ class Sequence:
         camera_matrix: (3, 3) px, or None where the camera is unknown.
         distortion: coefficients as OpenCV orders them, or None.
         truth: 3D joints of the same frames, or None.
+        person_id: who it is, or empty.
+        frame_id: the camera's optical frame, or empty.
+        recorded_ns: (F,) the timestamps in ns, where they are known more exactly than in s.
+        calibration: of the camera, where it came otherwise than as matrix and distortion.
     """
 
     keypoints: Array
@@ -57,6 +65,10 @@ class Sequence:
     camera_matrix: Array | None = None
     distortion: Array | None = None
     truth: Truth | None = None
+    person_id: str = ''
+    frame_id: str = ''
+    recorded_ns: tuple[int, ...] = ()
+    calibration: Intrinsics | None = None
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -65,7 +77,7 @@ class Sequence:
     @property
     def stamps_ns(self) -> list[int]:
         """(F,) timestamps in ns."""
-        return [round(float(t) * NS) for t in self.timestamps]
+        return list(self.recorded_ns) or [round(float(t) * NS) for t in self.timestamps]
 
     def person(self, frame: int, person_id: str = '') -> Person2D:
         """The person in one frame, under this name."""
@@ -74,8 +86,10 @@ class Sequence:
 
     def intrinsics(self, focal_in_widths: float) -> Intrinsics:
         """The camera's, or nominal ones of this focal length (image widths) where it is unknown."""
+        if self.calibration is not None:
+            return self.calibration
         if self.camera_matrix is not None:
-            return Intrinsics.from_matrix(self.camera_matrix)
+            return Intrinsics.from_matrix(self.camera_matrix, _lens(self.distortion))
         return Intrinsics.nominal(*self.image_size, focal_in_widths)
 
 
@@ -105,7 +119,7 @@ def load_sequence(path: str | Path) -> Sequence:
         InputError: the file is none, or what it holds cannot be used; names file, key and frame.
     """
     if is_bag(Path(path)):
-        raise InputError(f'{path}: is a bag; use replay')
+        raise InputError(f'{path}: is a bag, expected a sequence file (.npz)')
     try:
         return _checked(_Arrays(_read(Path(path))))
     except InputError as error:
@@ -129,17 +143,13 @@ def _read(path: Path) -> dict[str, NDArray[np.generic]]:
     arrays = {}
     key = ''
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile) or archive.zip is None:
-                raise InputError('not a sequence file (a single array, expected .npz)')
-            if sum(i.file_size for i in archive.zip.infolist()) > LARGEST_FILE:
-                raise InputError(f'holds more than {LARGEST_FILE >> 20} MiB')
+        with npz.opened(path, LARGEST_FILE) as archive:
             if set(archive.files) >= RESULT_KEYS:
-                raise InputError('is a result of reconstruct; give the sequence file it was made from')
+                raise InputError('a result of reconstruct; give the sequence file it was made from')
             for key in (k for k in KEYS if k in archive.files):
                 arrays[key] = archive[key]
-    except InputError:
-        raise
+    except InputError as error:
+        raise InputError(f'not a sequence file: {error}') from None
     except OSError as error:
         raise InputError(error.strerror or str(error)) from None
     except Exception as error:  # the zip and array readers raise almost anything on garbage
@@ -216,7 +226,7 @@ def _checked(arrays: _Arrays) -> Sequence:
         timestamps=timestamps,
         image_size=image_size,
         camera_matrix=camera_matrix,
-        distortion=_finite(arrays, 'distortion') if 'distortion' in arrays else None,
+        distortion=_distortion(arrays) if 'distortion' in arrays else None,
         truth=_truth(arrays, frames) if 'joints3d' in arrays else None,
     )
 
@@ -240,18 +250,24 @@ def _image_size(arrays: _Arrays) -> tuple[int, int]:
     return int(size[0]), int(size[1])
 
 
-def _finite(arrays: _Arrays, key: str) -> Array:
-    values = arrays.numbers(key, (None,))
-    if not np.isfinite(values).all():
-        raise InputError(f'{key}: a number that is not finite')
+def _distortion(arrays: _Arrays) -> Array:
+    values = arrays.numbers('distortion', (None,))
+    _lens(values)
     return values
+
+
+def _lens(distortion: Array | None) -> Distortion:
+    """From coefficients as OpenCV orders them: k1 k2 p1 p2, and k3, and k4 k5 k6."""
+    coefficients = () if distortion is None else tuple(distortion.tolist())
+    model = 'plumb_bob' if len(coefficients) <= MOST_OF_PLUMB_BOB else 'rational_polynomial'
+    return Distortion.named(model, coefficients)
 
 
 def _truth(arrays: _Arrays, frames: int) -> Truth:
     names = arrays.names('joints3d_names')
     joints = arrays.numbers('joints3d', (frames, len(names), 3))
-    infinite = np.isinf(joints)
-    if infinite.any():
-        frame = int(np.argwhere(infinite)[0, 0])
-        raise InputError(f'joints3d: frame {frame}: an infinite coordinate')
+    beyond = np.abs(joints) > FARTHEST_JOINT
+    if beyond.any():
+        frame, joint, _ = np.argwhere(beyond)[0]
+        raise InputError(f'joints3d: frame {frame}: {names[joint]} is more than {FARTHEST_JOINT:g} m away')
     return Truth(joints, names)

@@ -1,0 +1,38 @@
+"""TRC files, the marker files of OpenSim."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MM = 1000.0
+HEADINGS = 'DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames'
+
+
+def save_trc(path: Path, names: Sequence[str], joints: Array, fps: float) -> None:
+    """Write a file in mm.
+
+    Args:
+        path: of the file.
+        names: (J,) of the markers.
+        joints: (F, J, 3) m, y up.
+        fps: frames a second.
+    """
+    frames = len(joints)
+    numbers = range(1, len(names) + 1)
+    lines = [
+        f'PathFileType\t4\t(X/Y/Z)\t{path.name}',
+        HEADINGS,
+        f'{fps:.6g}\t{fps:.6g}\t{frames}\t{len(names)}\tmm\t{fps:.6g}\t1\t{frames}',
+        'Frame#\tTime\t' + '\t\t\t'.join(names) + '\t\t',
+        '\t\t' + '\t'.join(f'X{n}\tY{n}\tZ{n}' for n in numbers),
+        '',
+    ]
+    for frame, row in enumerate(joints.reshape(frames, -1) * MM):
+        lines.append(f'{frame + 1}\t{frame / fps:.6f}\t' + '\t'.join(f'{value:.4f}' for value in row))
+    path.write_text('\n'.join(lines) + '\n', encoding='utf-8')
