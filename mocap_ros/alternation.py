@@ -231,4 +231,5 @@ def _result(
         iterations=progress.iterations,
         converged=progress.converged,
         noise=float('nan'),
+        spread=np.full(poses.shape[1], np.nan),
     )

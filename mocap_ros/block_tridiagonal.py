@@ -48,6 +48,13 @@ class Factor:
         """(F, n, R) -> L^-T times them."""
         return self._triangular(right, 'T')
 
+    def diagonal_block(self, frames: NDArray[np.intp], n: int) -> Array:
+        """(P, n, n) blocks of L of these frames (P,)."""
+        row, column = np.tril_indices(n)
+        out = np.zeros((len(frames), n, n))
+        out[:, row, column] = self.band[row - column, frames[:, None] * n + column]
+        return out
+
     def solve(self, right: Array) -> Array:
         """(F, n, R) right-hand sides -> (F, n, R) solutions."""
         return self.backward(self.forward(right))

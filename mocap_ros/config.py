@@ -19,6 +19,8 @@ from mocap_ros.errors import ConfigError
 
 Value = bool | int | float | str
 
+LONGEST_SHOWN = 60
+
 
 def _p(
     default: Value,
@@ -44,20 +46,21 @@ class SolverConfig:
         1e-4, 'Gaussian prior of the base-pose weights, m^2 per squared standard deviation', low=0.0
     )
     upright_prior: float = _p(
-        0.3,
+        0.25,
         'factor on prior_weight for models aligned by heading: people differ more than one category shows',
         low=0.0,
     )
-    bone_weight: float = _p(40.0, 'bone-length variance (beta, eq. 20)', low=0.0)
+    bone_weight: float = _p(60.0, 'bone-length variance (beta, eq. 20)', low=0.0)
     flip_weight: float = _p(0.02, 'm^2 s, change of camera between frames (gamma, eq. 12)', low=0.0)
     upright_turn: float = _p(
-        0.05,
+        0.025,
         'factor on flip_weight for models aligned by heading, whose body frame turns with every stride',
         low=0.0,
     )
     tilt_weight: float = _p(
         1.0, 'm^2 s, change of the image of the vertical, which only the camera moves; the same models', low=0.0
     )
+    scale_weight: float = _p(0.02, 'm^2 s, change of the log of the scale of the camera between frames', low=0.0)
     smooth_weight: float = _p(
         3e-6, 'm^2 s, change of base-pose weights, in standard deviations, between frames', low=0.0
     )
@@ -72,6 +75,15 @@ class SolverConfig:
     noise_floor: float = _p(0.0005, 'm, least noise assumed', low=1e-5, high=1.0)
     relative_bones: bool = _p(False, 'bone-length variance relative to the length of each bone')
     harmonics: int = _p(3, 'harmonics of the periodic model', low=1, high=8)
+    gait_prior: float = _p(
+        1.0,
+        'factor on prior_weight for the coefficients of the periodic model, of which a window has one set',
+        low=0.0,
+    )
+    drift_weight: float = _p(
+        0.001, 'm^2 s, change of camera between frames in the periodic model, which turns the body apart', low=0.0
+    )
+    steady_weight: float = _p(0.0003, 'm^2 s^3, change of the velocity of the camera, periodic model', low=0.0)
     paper_sines: bool = _p(
         False, 'periodic model as in the paper: one sine a base pose with its own frequency (eq. 17)'
     )
@@ -98,11 +110,12 @@ class ClassifierConfig:
     """Periodic or not: thresholds chosen on CMU walk, run and jump trials (benchmarks/classification.py)."""
 
     section: float = _p(2.0, 's, length of the sections that are judged', low=0.3, high=20.0)
-    walk_residual: float = _p(0.0135, 'RMS 2D residual of a walk at most, of stature', low=0.0, high=1.0)
-    run_residual: float = _p(0.0205, 'RMS 2D residual of a run at most, of stature', low=0.0, high=1.0)
-    walk_cadence: float = _p(0.6, 'Hz, full cycles of a walk at least', low=0.0, high=5.0)
+    walk_residual: float = _p(0.0175, 'RMS 2D residual of a walk at most, of stature', low=0.0, high=1.0)
+    run_residual: float = _p(0.021, 'RMS 2D residual of a run at most, of stature', low=0.0, high=1.0)
+    walk_cadence: float = _p(0.5, 'Hz, full cycles of a walk at least', low=0.0, high=5.0)
     run_cadence: float = _p(1.0, 'Hz, full cycles of a run at least', low=0.0, high=5.0)
-    amplitude: float = _p(0.028, 'RMS movement of a joint at least, of stature', low=0.0, high=1.0)
+    amplitude: float = _p(0.03, 'RMS movement of a joint at least, of stature', low=0.0, high=1.0)
+    components: int = _p(25, 'base poses of the periodic model', low=1, high=60)
     hysteresis: float = _p(1.1, 'factor on every threshold before the answer changes', low=1.0, high=3.0)
 
 
@@ -110,19 +123,31 @@ class ClassifierConfig:
 class TrackerConfig:
     """The sliding window of each person."""
 
-    model: str = _p('all', 'name of a shipped base-pose model, or path of a trained one', read_only=True)
-    window: float = _p(1.0, 's, length of the sliding window', low=0.1, high=20.0)
-    components: int = _p(25, 'base poses used live, at most solver.components', low=1, high=60)
-    warm_iterations: int = _p(5, 'alternations a new frame costs', low=1, high=1000)
-    fresh_iterations: int = _p(8, 'alternations of a fresh start', low=1, high=1000)
-    fresh_every: float = _p(1.0, 's between fresh starts, kept when they fit better', low=0.0)
+    model: str = _p(
+        'auto',
+        'name of a shipped base-pose model, path of a trained one, or auto: each person has the likeliest shipped one',
+        read_only=True,
+    )
+    window: float = _p(2.0, 's, length of the sliding window', low=0.1, high=20.0)
+    components: int = _p(40, 'base poses used live, at most solver.components', low=1, high=60)
+    refine: float = _p(0.4, 's, newest part of the window that a new frame changes', low=0.0, high=20.0)
+    iterations: int = _p(3, 'steps of the solver that a new frame costs', low=1, high=100)
+    challenge_every: float = _p(
+        0.5, 's between fresh starts of a person, under each model in turn, taken over when likelier', low=0.05
+    )
+    lag: float = _p(0.0, 's that the output stays behind the newest frame', low=0.0, high=5.0)
+    undo_swaps: bool = _p(True, 'recognise left and right swapped by the detector, and undo it')
     min_score: float = _p(0.1, 'keypoints scored below count as not seen', low=0.0, high=1.0)
     min_joints: int = _p(6, 'seen joints that make a frame usable', low=4, high=15)
     forget_after: float = _p(1.0, 's without detection after which a person is lost', low=0.0, high=60.0)
+    predict_for: float = _p(
+        0.5, 's without detection through which a person is predicted, and flagged so', low=0.0, high=10.0
+    )
     restart_after: float = _p(
         1.0, 's that stamps must go back for the tracker to start afresh; less is dropped', low=0.0
     )
     body_height: float = _p(1.70, 'm, stature assumed of people', low=0.3, high=2.6)
+    perspective: bool = _p(True, 'solve for the true perspective projection where CameraInfo is known')
     nominal_focal_length: float = _p(
         1.0, 'focal length in image widths where no CameraInfo is known', low=0.1, high=20.0
     )
@@ -134,15 +159,28 @@ class NodeConfig:
 
     autostart: bool = _p(True, 'configure and activate by itself', read_only=True)
     input_type: str = _p(
-        'mocap_ros_msgs/msg/Keypoints2DArray', 'message type of the keypoints topic', read_only=True
+        'mocap_ros_msgs/msg/Keypoints2DArray',
+        'message type of the keypoints: this one, yolo_msgs/msg/DetectionArray, hri_msgs/msg/Skeleton2D '
+        '(a topic for each body, as /humans/bodies/tracked tells), zed_msgs/msg/ObjectsStamped or '
+        'openpose_ros2_msgs/msg/PoseKeyPointsList',
+        read_only=True,
+    )
+    rectified_input: bool = _p(
+        False, "keypoints are those of the rectified image: CameraInfo's distortion is not undone", read_only=True
     )
     image_width: int = _p(0, 'px, where neither the message nor CameraInfo says', low=0, high=100_000)
     image_height: int = _p(0, 'px, where neither the message nor CameraInfo says', low=0, high=100_000)
-    queue: int = _p(10, 'messages waiting at most; the oldest are passed over', low=1, high=1000)
+    queue: int = _p(
+        10, 'messages waiting at most; with more, all but the newest are passed over', low=1, high=1000
+    )
     max_people: int = _p(20, 'people in a message; more are refused', low=1, high=1000)
     max_joints: int = _p(200, 'joints of a person; more are refused', low=4, high=10_000)
     max_text: int = _p(100, 'characters of an id or a joint name; longer is refused', low=8, high=1000)
     silence_warning: float = _p(5.0, 's without keypoints after which the node says so', low=0.1)
+    publish_tf: bool = _p(
+        False, 'people as frames on /tf, where CameraInfo gives a true scale', read_only=True
+    )
+    frame_prefix: str = _p('', 'before the names of these frames, for several cameras', read_only=True)
     marker_lifetime: float = _p(0.5, 's a marker stays after its last message', low=0.0, high=60.0)
 
 
@@ -150,11 +188,19 @@ class NodeConfig:
 class RecorderConfig:
     """Recording to MCAP."""
 
-    enabled: bool = _p(False, 'record from activation on', read_only=True)
+    enabled: bool = _p(False, 'record while the node is active; may be switched at any time')
     folder: str = _p('mocap_recordings', 'folder that bags are written into', read_only=True)
     compression: str = _p('zstd', 'chunk compression', choices=('zstd', 'lz4', 'none'), read_only=True)
     chunk_bytes: int = _p(65_536, 'bytes at which a chunk is closed', low=1024, high=16_777_216)
     chunk_seconds: float = _p(0.25, 's after which a chunk is closed', low=0.01, high=10.0)
+    split_mb: int = _p(0, 'MB at which a bag goes on in a new file; 0: never', low=0, high=1_000_000)
+    split_seconds: float = _p(0.0, 's after which a bag goes on in a new file; 0: never', low=0.0)
+    min_free_mb: int = _p(
+        200, 'MB; with less disk space left a recording is finished, and none is begun', low=0, high=1_000_000
+    )
+    backlog: int = _p(
+        1000, 'inputs waiting for the disk at most; further ones are counted, not recorded', low=1, high=100_000
+    )
 
 
 @dataclass(frozen=True)
@@ -187,20 +233,34 @@ class Parameter:
         Raises:
             ConfigError: wrong type or outside the range; the message names the parameter.
         """
-        if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
-        if type(value) is not self.kind:
-            raise ConfigError(f'{self.name} = {value!r}: expected a {self.kind.__name__}')
-        if isinstance(value, str):
-            if self.choices and value not in self.choices:
-                raise ConfigError(f'{self.name} = {value!r}: expected {", ".join(self.choices)}')
-            return value
-        number = float(value)  # type: ignore[arg-type]
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        number = _as_float(value) if is_number else math.nan
+        if type(value) is not self.kind and not (self.kind is float and is_number):
+            raise ConfigError(f'{self.name} = {shown(value)}: expected a {self.kind.__name__}')
+        if isinstance(value, str) and self.choices and value not in self.choices:
+            raise ConfigError(f'{self.name} = {shown(value)}: expected {", ".join(self.choices)}')
         low = -math.inf if self.low is None else self.low
         high = math.inf if self.high is None else self.high
-        if not (math.isfinite(number) and low <= number <= high):
-            raise ConfigError(f'{self.name} = {value!r}: expected {low:g} to {high:g}')
-        return value  # type: ignore[return-value]
+        if is_number and not (math.isfinite(number) and low <= number <= high):
+            raise ConfigError(f'{self.name} = {shown(value)}: expected {low:g} to {high:g}')
+        return number if self.kind is float else cast(Value, value)
+
+
+def _as_float(value: Any) -> float:
+    """The number, infinite where it is too large."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
+def shown(value: object) -> str:
+    """A value as an error shows it: on one line, and not all of it where it is long."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # integers of thousands of digits; what is nested too deep
+        return 'a huge value'
+    return text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + '...'
 
 
 def parameters() -> Iterator[Parameter]:
@@ -222,7 +282,7 @@ def with_values(config: Config, values: Mapping[str, object]) -> Config:
     known = {p.name: p for p in parameters()}
     for name, value in values.items():
         if name not in known:
-            raise ConfigError(f'unknown parameter {name!r}; {hint(name, known)}')
+            raise ConfigError(f'unknown parameter {shown(name)}; {hint(name, known)}')
         group_name, field_name = name.split('.')
         checked = known[name].check(value)
         group = dataclasses.replace(getattr(config, group_name), **{field_name: checked})
@@ -243,16 +303,55 @@ def values(config: Config) -> dict[str, Value]:
     return {f'{g}.{name}': v for g, fields in groups.items() for name, v in fields.items()}
 
 
+class _Loader(yaml.SafeLoader):
+    """No aliases, which can make a small file huge, and no key twice."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """As in the base class."""
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            raise yaml.MarkedYAMLError(problem='aliases are not allowed', problem_mark=mark)
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        """As in the base class."""
+        seen = set()
+        for key, _ in node.value:
+            name = key.value if key.tag == 'tag:yaml.org,2002:str' else None
+            if name is None or name in seen:
+                what = 'a key that is no text' if name is None else f'{shown(name)} twice'
+                raise yaml.MarkedYAMLError(problem=what, problem_mark=key.start_mark)
+            seen.add(name)
+        return super().construct_mapping(node, deep)
+
+
+def load_yaml(text: str, source: str) -> Any:
+    """The content of a YAML text without aliases; keys are text, each there once.
+
+    Raises:
+        ConfigError: it is none; names `source`.
+    """
+    try:
+        return yaml.load(text, _Loader)  # noqa: S506, a SafeLoader
+    except yaml.MarkedYAMLError as error:
+        line = f'line {error.problem_mark.line + 1}: ' if error.problem_mark else ''
+        raise ConfigError(f'{source}: not YAML: {line}{error.problem}') from None
+    except yaml.YAMLError as error:
+        raise ConfigError(f'{source}: not YAML: {" ".join(str(error).split())}') from None
+    except RecursionError:
+        raise ConfigError(f'{source}: not YAML: nested too deep') from None
+    except ValueError as error:  # numbers and dates that Python refuses
+        raise ConfigError(f'{source}: not YAML: {error}') from None
+
+
 def from_yaml(text: str, source: str) -> Config:
     """A configuration from a ROS parameter file (any node name) or a plain nested mapping.
 
     Raises:
-        ConfigError: not YAML, not a mapping, or a parameter is wrong; names `source`.
+        ConfigError: not YAML as `load_yaml` wants it, not a mapping, or a parameter is wrong; names `source`.
     """
-    try:
-        tree = yaml.safe_load(text) or {}
-    except yaml.YAMLError as error:
-        raise ConfigError(f'{source}: not YAML: {" ".join(str(error).split())}') from None
+    tree = load_yaml(text, source)
+    tree = {} if tree is None else tree
     if isinstance(tree, dict) and len(tree) == 1:
         (only,) = tree.values()
         if isinstance(only, dict) and 'ros__parameters' in only:
@@ -291,8 +390,14 @@ def to_yaml(config: Config, node: str = 'mocap_node') -> str:
         limits = ', '.join(p.choices) or _range(p.low, p.high)
         comment = p.doc + (f' ({limits})' if limits else '') + (' [read-only]' if p.read_only else '')
         lines += ['      # ' + line for line in textwrap.wrap(comment, 90)]
-        lines.append(f'      {name}: {yaml.safe_dump(current[p.name]).splitlines()[0]}')
+        lines.append(f'      {name}: {_scalar(current[p.name])}')
     return '\n'.join(lines) + '\n'
+
+
+def _scalar(value: Value) -> str:
+    """A value as YAML, on one line."""
+    style = '"' if isinstance(value, str) and not value.isprintable() else None
+    return yaml.safe_dump(value, default_style=style, width=math.inf).split('\n')[0]
 
 
 def _range(low: float | None, high: float | None) -> str:

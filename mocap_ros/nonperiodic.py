@@ -11,8 +11,8 @@ It minimises the objective of `alternation` with four terms more,
   + sigma  sum_t  (log s_t - log s_(t-1))^2 / dt                people come nearer slowly
 
 over all frames at once. Where the focal length f is known the projection is a perspective one,
-(s_t R_t[:2] P_tj + t_t) / (1 + s_t R_t[2] P_tj / f). All weights but the first are for an image noise of 10 mm; with
-`adapt_noise` they grow and shrink with its variance, which is found from the residual in a few rounds, as the
+(s_t R_t[:2] P_tj + t_t) / (1 + s_t R_t[2] P_tj / f). All weights but the first are for an image noise of 10 mm;
+with `adapt_noise` they grow and shrink with its variance, which is found from the residual in a few rounds, as the
 maximum of the posterior demands. A frame has K weights, three rotation parameters and a log scale; its translation
 is eliminated. The normal matrix is block tridiagonal, the mean bone lengths are eliminated exactly by a low-rank
 correction, and any number of people and hypotheses are solved as one batch: their sequences stand one after the
@@ -31,18 +31,19 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.base_poses import BasePoses
-from mocap_ros.block_tridiagonal import factor, solve_less_low_rank
-from mocap_ros.camera import Cameras, small_rotation
+from mocap_ros.block_tridiagonal import Factor, factor, solve_less_low_rank
+from mocap_ros.camera import Cameras, cross_matrix, small_rotation
 from mocap_ros.config import SolverConfig
 from mocap_ros.reconstruction import Reconstruction, Start, Window, begin, camera_hypotheses
 
 Array = NDArray[np.float64]
 
 CAMERA_UNKNOWNS = 4
-FIRST_DAMPING, WARM_DAMPING = 0.1, 1e-4
+FIRST_DAMPING, WARM_DAMPING = 0.1, 1e-2
 LEAST_DAMPING, MOST_DAMPING = 1e-5, 1e8
 ACCEPTED, REJECTED = 0.2, 10.0
 SHORTEST_STEP = 1e-4
+HOLD = 1e9
 NEAREST = 0.1
 
 NOISE_REFERENCE = 0.01
@@ -140,6 +141,8 @@ class Problem:
         bone_weight: (B,).
         robust: (N, 1) m, scale of Cauchy's loss; infinite for least squares.
         focal: (N, 1) m at the body; infinite for weak perspective.
+        held: (N,) True for frames that keep their start.
+        older_bones: (P, B) m, mean bone lengths of `older` (P,) frames before each sequence.
     """
 
     model: BasePoses
@@ -157,6 +160,9 @@ class Problem:
     bone_weight: Array
     robust: Array
     focal: Array
+    held: NDArray[np.bool_]
+    older_bones: Array
+    older: NDArray[np.intp]
     parents: NDArray[np.intp]
     children: NDArray[np.intp]
 
@@ -190,6 +196,9 @@ class Problem:
             bone_weight=config.bone_weight * relative,
             robust=np.full((len(times), 1), config.robust_scale if config.robust_scale > 0 else np.inf),
             focal=np.repeat([w.focal / s for w, s in zip(windows, s0, strict=True)], counts)[:, None],
+            held=np.concatenate([np.arange(len(w.times)) < w.held for w in windows]),
+            older_bones=np.array([lengths if w.older is None else w.older.bone_lengths for w in windows]),
+            older=np.array([0 if w.older is None else w.older.frames for w in windows]),
             parents=parents,
             children=children,
         )
@@ -225,6 +234,7 @@ class Problem:
             approach=self.approach[before] * ratio,
             robust=self.robust[kept],
             focal=self.focal[kept],
+            held=self.held[kept],
         )
         return few, kept
 
@@ -294,8 +304,13 @@ class Problem:
         poses = self.model.poses(theta)
         vector = poses[:, self.children] - poses[:, self.parents]
         length = np.maximum(np.linalg.norm(vector, axis=-1), 1e-9)
-        mean = self.per_sequence(length) / self.counts[:, None]
+        mean = self._mean_lengths(length)
         return length - self.per_frame(mean), vector / length[..., None], length
+
+    def _mean_lengths(self, length: Array) -> Array:
+        """(P, B) over a sequence's frames and the older ones."""
+        total = self.per_sequence(length) + self.older[:, None] * self.older_bones
+        return np.asarray(total / (self.counts + self.older)[:, None])
 
     def cost(self, state: State) -> Array:
         """(P,) value of the objective, m^2."""
@@ -311,7 +326,7 @@ class Problem:
 
     def _cost(self, state: State, error: Array) -> Array:
         frame = (self.weight * self._loss((error**2).sum(axis=-1))).sum(axis=1)
-        deviation, _, _ = self.bones(state.theta)
+        deviation, _, length = self.bones(state.theta)
         frame += (self.bone_weight * deviation**2).sum(axis=1)
         frame += (self.prior * state.theta**2).sum(axis=1)
         change = (np.diff(state.theta, axis=0) / self.model.std) ** 2
@@ -320,7 +335,8 @@ class Problem:
         frame[:-1] += self.flip * (np.diff(m, axis=0) ** 2).sum(axis=(1, 2))
         frame[:-1] += self.tilt * (np.diff(state.rotation[:, :2, 2], axis=0) ** 2).sum(axis=1)
         frame[:-1] += self.approach * np.diff(state.log_scale) ** 2
-        return self.per_sequence(frame)
+        of_older = (self.bone_weight * (self._mean_lengths(length) - self.older_bones) ** 2).sum(axis=1)
+        return self.per_sequence(frame) + self.older * of_older
 
     def best_translation(self, state: State) -> State:
         """The state with each frame's translation at its weighted optimum (a step of the robust fit)."""
@@ -440,17 +456,39 @@ class Problem:
         gradient[1:, k:] += (transposed[1:] @ pull)[..., 0]
         gradient[:-1, k:] -= (transposed[:-1] @ pull)[..., 0]
 
-    def step(self, equations: NormalEquations, damping: Array) -> Array | None:
-        """(N, n) Levenberg-Marquardt step with (P,) relative damping; None where it cannot be had."""
+    def step(self, equations: NormalEquations, damping: Array) -> tuple[Array, Factor] | None:
+        """Levenberg-Marquardt with (P,) relative damping.
+
+        Returns:
+            (N, n) step, and the factored matrix without the bones' correction; None where it cannot be had.
+        """
         diagonal = equations.diagonal.copy()
         on_diagonal = np.einsum('nii->ni', diagonal)
         on_diagonal *= 1 + self.per_frame(damping)[:, None]
         on_diagonal += 1e-12
+        on_diagonal[self.held] += HOLD
         n = diagonal.shape[1]
         banded = factor(diagonal, equations.below, n + CAMERA_UNKNOWNS - 1)
         if banded is None:
             return None
-        return -solve_less_low_rank(banded, equations.gradient, equations.bones, 1 / self.counts, self.starts)
+        strength = 1 / (self.counts + self.older)
+        return -solve_less_low_rank(banded, equations.gradient, equations.bones, strength, self.starts), banded
+
+    def spread(self, state: State, banded: Factor) -> Array:
+        """(P, J) m, posterior standard deviation of each sequence's last joints about the body's origin.
+
+        A Cholesky factor's last block is that of the marginal distribution of the last unknowns.
+        """
+        last = self.starts + self.counts - 1
+        inverse = np.linalg.inv(banded.diagonal_block(last, state.theta.shape[1] + CAMERA_UNKNOWNS))
+        rotation = state.rotation[last]
+        basis = np.swapaxes(self.model.components, 0, 1)  # (J, K, 3)
+        by_theta = np.swapaxes(basis @ np.swapaxes(rotation, -1, -2)[:, None], -1, -2)
+        turned = self.model.poses(state.theta[last]) @ np.swapaxes(rotation, -1, -2)
+        by_camera = np.concatenate([-cross_matrix(turned), np.zeros((*turned.shape, 1))], axis=-1)
+        jac = np.concatenate([by_theta, by_camera], axis=-1)  # (P, J, 3, n)
+        sides = jac @ np.swapaxes(inverse, -1, -2)[:, None]
+        return np.asarray(NOISE_REFERENCE * np.sqrt((sides**2).sum(axis=(-2, -1))))
 
 
 def _fill_camera_columns(out: Array, points: Array) -> None:
@@ -553,16 +591,18 @@ def _anneal(
         coarse = coarse.with_first(descent.state)
         noise = found(least, descent)
         damping = WARM_DAMPING
-    state = problem.best_translation(spread(coarse, kept, problem))
+    state = problem.best_translation(interpolated(coarse, kept, problem))
     for least in (*FINE_NOISE[1:], 0.0):
         problem_ = problem.under_noise(noise)
         descent = _levenberg_marquardt(problem_, state, rough, damping)
-        state = descent.state
+        state, before = descent.state, noise
         noise = found(least, descent)
+        if np.array_equal(noise, before):
+            break
     return problem.under_noise(noise), state
 
 
-def spread(coarse: State, kept: NDArray[np.intp], problem: Problem) -> State:
+def interpolated(coarse: State, kept: NDArray[np.intp], problem: Problem) -> State:
     """The state of all frames of `problem` from that of the frames `kept`, interpolated in time."""
     sequence = np.repeat(np.arange(len(problem.starts)), problem.counts)
     every = np.arange(len(sequence))
@@ -601,13 +641,14 @@ class Descent:
     """Where Levenberg-Marquardt ended.
 
     Attributes:
-        equations: of the last state but one, or of the last.
+        equations: of the last state but one, or of the last; banded: their factored matrix.
         objective: (P,) after each step, the start first.
         iterations: (P,) steps of each sequence; converged: (P,).
     """
 
     state: State
     equations: NormalEquations
+    banded: Factor | None
     objective: list[Array]
     iterations: NDArray[np.intp]
     converged: NDArray[np.bool_]
@@ -623,13 +664,15 @@ def _levenberg_marquardt(problem: Problem, state: State, config: SolverConfig, f
     taken = np.zeros(sequences, int)
     equations = problem.normal_equations(state)
     stale = False
+    banded = None
     for _ in range(config.max_iterations):
         if stale:
             equations, stale = problem.normal_equations(state).frozen(problem.per_frame(done), equations), False
-        step = problem.step(equations, damping)
-        if step is None:
+        solved = problem.step(equations, damping)
+        if solved is None:
             damping = np.where(done, damping, damping * REJECTED)
             continue
+        step, banded = solved
         tried, new = problem.settled(state.moved(step))
         better = ~done & (new < cost)
         gained = np.where(better, cost - new, 0.0)
@@ -643,7 +686,7 @@ def _levenberg_marquardt(problem: Problem, state: State, config: SolverConfig, f
         if done.all():
             break
         stale = bool(better.any())
-    return Descent(state, equations, history, taken, done)
+    return Descent(state, equations, banded, history, taken, done)
 
 
 def results(
@@ -651,6 +694,7 @@ def results(
 ) -> tuple[Reconstruction, ...]:
     """The reconstruction of each sequence of a batch; units (P,) px/m."""
     noise = problem.noise(descent.state, descent.equations)
+    spread = None if descent.banded is None else problem.spread(descent.state, descent.banded)
     return tuple(
         result(
             problem,
@@ -661,6 +705,7 @@ def results(
             [float(h[i]) for h in descent.objective[: descent.iterations[i] + 1]],
             bool(descent.converged[i]),
             float(noise[i]),
+            None if spread is None else spread[i],
         )
         for i, window in enumerate(windows)
     )
@@ -675,6 +720,7 @@ def result(
     history: Sequence[float],
     converged: bool,
     noise: float | None = None,
+    spread: Array | None = None,
 ) -> Reconstruction:
     """The reconstruction of one sequence of a batch, `unit` px/m, `history` its objective from the start on."""
     start = problem.starts[sequence]
@@ -699,4 +745,5 @@ def result(
         iterations=len(history) - 1,
         converged=converged,
         noise=float(problem.noise(state)[sequence]) if noise is None else noise,
+        spread=np.full(turned.shape[1], np.nan) if spread is None else spread,
     )

@@ -32,7 +32,7 @@ class SequenceResult:
         seen: (F, J) True where the joint was seen in the image.
         skeleton: of the joints.
         category: name of the base poses used.
-        solution: weights, cameras and residuals in the image of virtual cameras (`perspective.View`) and before the
+        solution: weights, cameras and residuals in the image of virtual cameras (`perspective.View`), before the
             body was made `tracker.body_height` tall.
     """
 

@@ -29,6 +29,14 @@ class Start:
 
 
 @dataclass(frozen=True, eq=False)
+class Older:
+    """What is known of the frames before a window: how many, and their mean bone lengths (B,) m."""
+
+    frames: int
+    bone_lengths: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Window:
     """One person's image points over some frames.
 
@@ -41,6 +49,8 @@ class Window:
             of one window from several starts compare only under one unit.
         noise: m, standard deviation of a coordinate of a fully trusted point; None to find it.
         focal: px, of a camera that looks at the person, points relative to its axis; infinite for weak perspective.
+        held: so many frames at the beginning keep their start, which `start` must give.
+        older: frames before these, or None.
     """
 
     points: Array
@@ -50,6 +60,8 @@ class Window:
     unit: float | None = None
     noise: float | None = None
     focal: float = math.inf
+    held: int = 0
+    older: Older | None = None
 
     def __post_init__(self) -> None:
         frames, joints = self.weight.shape
@@ -77,6 +89,8 @@ class Reconstruction:
         converged: False where `max_iterations` ended it.
         noise: m, standard deviation of a coordinate of a fully trusted point, found from the residual; NaN where
             not looked for.
+        spread: (J,) m, posterior standard deviation (root of the trace of the covariance) of each joint of the last
+            frame about the body's origin; NaN where not computed.
     """
 
     joints: Array
@@ -88,6 +102,7 @@ class Reconstruction:
     iterations: int
     converged: bool
     noise: float
+    spread: Array
 
 
 def begin(window: Window, model: BasePoses, share: float) -> tuple[Start, float]:

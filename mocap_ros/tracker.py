@@ -1,33 +1,48 @@
 """The tracker: a sliding window for each person, and a reconstruction of it at every new frame.
 
-Pure: no ROS, no clock, no files. Its state depends only on the frames it accepted, in their order, so a
-replay of those frames gives the same people.
+Pure: no ROS, no clock, no files. Its state depends only on the frames it accepted, in their order, so a replay of
+those frames gives the same people.
 
-Provisional: motion is not classified yet (`MotionKind.UNKNOWN`); a person who is not detected is not predicted.
+A new frame changes the newest part of each window in a few steps of the joint solver, everybody in one batch. Now
+and then a person's window is solved afresh, under one of the models in turn, from a few of its frames; if that
+explains the image better, it is taken over. So wrong cameras and changes of motion are found.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+import copy
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
+from mocap_ros.association import associate, extent
 from mocap_ros.base_poses import BasePoses
-from mocap_ros.camera import Cameras
 from mocap_ros.config import Config
 from mocap_ros.errors import FrameDropped
-from mocap_ros.nonperiodic import solve, solve_hypotheses
-from mocap_ros.people import Intrinsics, Motion, MotionKind, Person2D, Person3D
-from mocap_ros.reconstruction import Reconstruction, Start, Window
+from mocap_ros.examination import Examiner
+from mocap_ros.nonperiodic import solve
+from mocap_ros.people import Intrinsics, Person2D, Person3D
 from mocap_ros.skeleton import joint_map
+from mocap_ros.swaps import SwapFilter
+from mocap_ros.track import NS, Track
+from mocap_ros.uncertainty import joint_std
 
 Array = NDArray[np.float64]
+Snapshot = Mapping[str, Any]
 
-NS = 1_000_000_000
-FARTHEST_MATCH = 1.0
+FIRST_CHALLENGE = 0.1
+CHALLENGE_GROWTH = 0.2
+ALARM = 1.3
+YOUNG = 1.0
+EXAMINATION_GAP = 0.1
+MOTION_EVERY = 0.5
+EXTENT_LEAST = 1e-4
+PREDICTED_SPEED_STD = 0.5
+UNKNOWN_CAMERA = Intrinsics(1.0, (0.0, 0.0), known=False)
 
 
 def to_model_joints(person: Person2D, min_score: float) -> tuple[Array, Array]:
@@ -41,101 +56,61 @@ def to_model_joints(person: Person2D, min_score: float) -> tuple[Array, Array]:
     return np.where(trust[:, None] > 0, points, 0.0), trust
 
 
-def root_position(translation: Array, scale: Array, intrinsics: Intrinsics) -> Array:
-    """(..., 3) m, the body's origin in the camera's optical frame: depth = focal length / scale.
+@dataclass(frozen=True, eq=False)
+class _Detection:
+    """A person of the message: rays (J, 2) and weights (J,) of the model's joints."""
 
-    Args:
-        translation: (..., 2) px, image of the body's origin.
-        scale: (...,) px/m.
-        intrinsics: of the camera.
-    """
-    depth = intrinsics.focal / scale
-    ray = (translation - np.array(intrinsics.center)) / intrinsics.focal
-    return np.concatenate([ray * depth[..., None], depth[..., None]], axis=-1)
-
-
-@dataclass(eq=False)
-class _Window:
-    """The recent frames of one person and the last solution."""
-
-    id: str
     given_id: str
-    times: list[int] = field(default_factory=list)
-    points: list[Array] = field(default_factory=list)
-    weight: list[Array] = field(default_factory=list)
-    solution: Reconstruction | None = None
-    fresh_at: int = 0
-
-    def push(self, stamp_ns: int, points: Array, weight: Array, length: float) -> None:
-        self.times.append(stamp_ns)
-        self.points.append(points)
-        self.weight.append(weight)
-        gone = sum(t < stamp_ns - length * NS for t in self.times)
-        del self.times[:gone], self.points[:gone], self.weight[:gone]
-        if self.solution is not None:
-            self.solution = replace(
-                self.solution,
-                theta=self.solution.theta[gone:],
-                cameras=Cameras(self.solution.cameras.scale[gone:], self.solution.cameras.rotation[gone:]),
-            )
-
-    def warm(self) -> Window:
-        """The window as a solver wants it, starting from the last solution with its newest frame repeated."""
-        stamps = np.array(self.times)
-        plain = Window(np.array(self.points), np.array(self.weight), (stamps - stamps[0]) / NS)
-        if self.solution is None or not len(self.solution.theta):
-            return plain
-        theta, cameras = self.solution.theta, self.solution.cameras
-        missing = len(stamps) - len(theta)
-        start = Start(
-            np.concatenate([theta, np.repeat(theta[-1:], missing, axis=0)]),
-            Cameras(
-                np.concatenate([cameras.scale, np.repeat(cameras.scale[-1:], missing)]),
-                np.concatenate([cameras.rotation, np.repeat(cameras.rotation[-1:], missing, axis=0)]),
-            ),
-        )
-        return replace(
-            plain,
-            start=start,
-            unit=float(np.median(start.cameras.scale)),
-            noise=self.solution.noise,
-        )
-
-    def where(self) -> tuple[Array, float]:
-        """Image centre and size (RMS radius), px, of the newest frame's seen joints."""
-        return _extent(self.points[-1], self.weight[-1])
-
-
-def _extent(points: Array, weight: Array) -> tuple[Array, float]:
-    seen = points[weight > 0]
-    centre = seen.mean(axis=0)
-    return centre, float(np.sqrt(((seen - centre) ** 2).sum(axis=1).mean())) + 1e-6
+    rays: Array
+    weight: Array
 
 
 class Tracker:
     """Turns 2D keypoints, frame by frame, into 3D people.
 
     Args:
-        model: base poses.
+        models: base poses, or several by name of which each person has the likeliest.
         config: of solver and tracker.
 
     Attributes:
         went_back: s by which the stamp of the last accepted frame went back, so that it started afresh; else 0.
+        output_ns: stamp of the frame whose people `update` last returned; with `lag`, an older one.
+        swapped_frames: frames of people so far whose left and right were put right.
     """
 
-    def __init__(self, model: BasePoses, config: Config) -> None:
+    def __init__(self, models: BasePoses | Mapping[str, BasePoses], config: Config) -> None:
+        by_name = {models.name: models} if isinstance(models, BasePoses) else models
+        height = config.tracker.body_height
+        components = min(config.tracker.components, config.solver.components)
         self.config = config
-        self.model = model.rescaled(config.tracker.body_height / model.stature)
+        self.models = {n: m.rescaled(height / m.stature).truncated(components) for n, m in by_name.items()}
+        self._examiner = Examiner(self.models, config)
+        self._examined = 0
         self.went_back = 0.0
-        self._windows: list[_Window] = []
+        self.output_ns = 0
+        self.swapped_frames = 0
+        self._tracks: list[Track] = []
         self._newest: int | None = None
         self._born = 0
+        self._camera = UNKNOWN_CAMERA
 
     def reset(self) -> None:
         """Forget everybody and every stamp."""
-        self._windows = []
+        self._tracks = []
         self._newest = None
+        self._examined = 0
         self._born = 0
+        self._camera = UNKNOWN_CAMERA
+
+    def snapshot(self) -> Snapshot:
+        """Everything it knows, for `restore`; later updates do not change it."""
+        keep = ('_tracks', '_newest', '_examined', '_born', '_camera', 'went_back', 'output_ns', 'swapped_frames')
+        tracks = [copy.copy(t) for t in self._tracks]
+        return {**{name: getattr(self, name) for name in keep}, '_tracks': tracks}
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Back to where a `snapshot` was taken, by a tracker with the same models and configuration."""
+        self.__dict__.update({**snapshot, '_tracks': [copy.copy(t) for t in snapshot['_tracks']]})
 
     def update(self, stamp_ns: int, people: Sequence[Person2D], intrinsics: Intrinsics) -> tuple[Person3D, ...]:
         """One new frame; where its stamp is older than the newest by more than `restart_after`, the first one.
@@ -146,8 +121,8 @@ class Tracker:
             intrinsics: of the camera.
 
         Returns:
-            Everyone reconstructed in this frame, in the order of `people`; people with fewer than `min_joints`
-            seen joints who are not known from earlier frames are left out.
+            Everyone reconstructed in this frame, in the order of `people`, then those who are predicted because
+            they were not detected, or with fewer than `min_joints` joints.
 
         Raises:
             FrameDropped: the stamp repeats the newest or is a little older; nothing has changed then.
@@ -159,103 +134,193 @@ class Tracker:
         if self._newest is not None and back_ns >= 0 and not restart:
             what = 'is older than' if back_ns else 'repeats'
             raise FrameDropped(f'stamp {stamp_ns} ns {what} the newest accepted, {self._newest} ns')
-        seen = [(p.id, *to_model_joints(p, settings.min_score)) for p in people]
+        detections = [self._detection(p, intrinsics) for p in people]
         if restart:
             self.reset()
         self.went_back = back_ns / NS if restart else 0.0
         self._newest = stamp_ns
+        self._see_through(intrinsics)
         keep = stamp_ns - settings.forget_after * NS
-        self._windows = [w for w in self._windows if w.times[-1] >= keep]
+        self._tracks = [t for t in self._tracks if t.stamps[-1] >= keep]
 
-        tracked = [
-            (window, points, weight)
-            for window, (_, points, weight) in zip(self._associate(seen), seen, strict=True)
-            if window is not None
+        seen = self._associated(stamp_ns, detections)
+        for track, detection in seen:
+            before = track.swapped
+            track.push(stamp_ns, detection.rays, detection.weight, settings.window)
+            self.swapped_frames += track.swapped - before
+        tracks = [track for track, _ in seen]
+        self._begin([t for t in tracks if not t.solved])
+        self._refine([t for t in tracks if len(t.theta) < len(t.stamps)])
+        self._examine(tracks, stamp_ns)
+        return self._output(stamp_ns, tracks)
+
+    def _detection(self, person: Person2D, intrinsics: Intrinsics) -> _Detection:
+        points, weight = to_model_joints(person, self.config.tracker.min_score)
+        rays = np.where(weight[:, None] > 0, intrinsics.rays(points), 0.0)
+        return _Detection(person.id, rays, weight)
+
+    def _see_through(self, intrinsics: Intrinsics) -> None:
+        """Carry the windows over to another camera's intrinsics, if they have changed."""
+        old, self._camera = self._camera, intrinsics
+        if old in (UNKNOWN_CAMERA, intrinsics):
+            return
+        for track in self._tracks:
+            ones = np.ones_like(track.rays[..., :1])
+            track.rays = intrinsics.rays(old.project(np.concatenate([track.rays, ones], axis=-1)))
+            depth = track.roots[:, 2:] * intrinsics.focal / old.focal
+            rays = intrinsics.rays(old.project(track.roots))
+            track.roots = np.concatenate([rays * depth, depth], axis=-1)
+
+    def _usable(self, detection: _Detection) -> bool:
+        """Enough joints, and not all in one place."""
+        if (detection.weight > 0).sum() < self.config.tracker.min_joints:
+            return False
+        return extent(detection.rays, detection.weight)[1] > EXTENT_LEAST
+
+    def _associated(self, stamp: int, detections: Sequence[_Detection]) -> list[tuple[Track, _Detection]]:
+        """The track of each usable detection: by the detector's id, else by position and size, else new."""
+        usable = [d for d in detections if self._usable(d)]
+        named = {t.given_id: t for t in self._tracks if t.given_id}
+        free = [t for t in self._tracks if not t.given_id]
+        nameless = [d for d in usable if not d.given_id]
+        match = associate([t.expected(stamp) for t in free], [extent(d.rays, d.weight) for d in nameless])
+        found = {id(d): free[m] for d, m in zip(nameless, match, strict=True) if m is not None}
+        return [
+            (found.get(id(d)) or (named.pop(d.given_id, None) if d.given_id else None) or self._new(stamp, d), d)
+            for d in usable
         ]
-        for window, points, weight in tracked:
-            window.push(stamp_ns, points, weight, settings.window)
-        windows = [window for window, _, _ in tracked]
-        return tuple(
-            self._person(window, solution, intrinsics)
-            for window, solution in zip(windows, self._solve(windows), strict=True)
-        )
 
-    def _associate(self, seen: Sequence[tuple[str, Array, Array]]) -> list[_Window | None]:
-        """The window of each detection: by the detector's id, else by position and size, else new."""
-        enough = [(weight > 0).sum() >= self.config.tracker.min_joints for _, _, weight in seen]
-        found: list[_Window | None] = [None] * len(seen)
-        by_id = {w.given_id: w for w in self._windows if w.given_id}
-        for i, (given, _, _) in enumerate(seen):
-            if given and enough[i]:
-                found[i] = by_id.pop(given, None) or self._new_window(given)
-        nameless = [i for i, (given, _, _) in enumerate(seen) if not given and enough[i]]
-        free = [w for w in self._windows if not w.given_id]
-        if nameless and free:
-            distance = np.empty((len(nameless), len(free)))
-            for row, i in enumerate(nameless):
-                centre, size = _extent(seen[i][1], seen[i][2])
-                for column, window in enumerate(free):
-                    old_centre, old_size = window.where()
-                    apart = np.linalg.norm(centre - old_centre) / max(size, old_size)
-                    distance[row, column] = apart + abs(np.log(size / old_size))
-            for row, column in zip(*linear_sum_assignment(distance), strict=True):
-                if distance[row, column] < FARTHEST_MATCH:
-                    found[nameless[row]] = free[column]
-        for i in nameless:
-            if found[i] is None:
-                found[i] = self._new_window('')
-        return found
-
-    def _new_window(self, given_id: str) -> _Window:
-        name = given_id
-        taken = {w.id for w in self._windows}
+    def _new(self, stamp: int, detection: _Detection) -> Track:
+        name = detection.given_id
+        taken = {t.id for t in self._tracks}
         while not name or name in taken:
             self._born += 1
             name = f'person_{self._born}'
-        window = _Window(name, given_id)
-        self._windows.append(window)
-        return window
+        mirror = next(iter(self.models.values())).skeleton.mirror
+        swaps = SwapFilter(np.array(mirror), enabled=self.config.tracker.undo_swaps)
+        track = Track(name, detection.given_id, stamp, swaps)
+        self._tracks.append(track)
+        return track
 
-    def _solve(self, windows: Sequence[_Window]) -> list[Reconstruction]:
-        """Everybody's reconstruction as one batch: warm from the last one, now and then also from scratch."""
-        settings, solver = self.config.tracker, self.config.solver
-        components = min(settings.components, solver.components)
-        started = [(w, w.warm()) for w in windows if w.solution is not None]
-        due = [w for w in windows if w.solution is None or w.times[-1] - w.fresh_at >= settings.fresh_every * NS]
-        fresh = [(w, replace(w.warm(), start=None)) for w in due]
-        best: dict[str, Reconstruction] = {}
-        for batch, iterations, how in (
-            (started, settings.warm_iterations, solve),
-            (fresh, settings.fresh_iterations, solve_hypotheses),
-        ):
-            limited = replace(solver, max_iterations=iterations, components=components)
-            solutions = how([b for _, b in batch], self.model, limited) if batch else ()
-            for (window, _), solution in zip(batch, solutions, strict=True):
-                rival = best.get(window.id)
-                if rival is None or solution.objective[-1] < rival.objective[-1]:
-                    best[window.id] = solution
-        for window in due:
-            window.fresh_at = window.times[-1]
-        for window in windows:
-            window.solution = best[window.id]
-        return [best[window.id] for window in windows]
+    def _begin(self, tracks: Sequence[Track]) -> None:
+        """A first solution under the likeliest model."""
+        for track in tracks:
+            self._examiner.start_afresh(track, self._camera, self.models)
+            track.challenge_at = track.stamps[-1] + round(FIRST_CHALLENGE * NS)
 
-    def _person(self, window: _Window, solution: Reconstruction, intrinsics: Intrinsics) -> Person3D:
-        scale = solution.cameras.scale[-1:]
-        root = root_position(solution.translation[-1:], scale, intrinsics)[0]
-        joints = len(self.model.mean)
-        size = _extent(solution.joints[-1, :, :2], np.ones(joints))[1] * scale[0]
-        residual = float(np.sqrt(np.nanmean(solution.residual**2)))
+    def _refine(self, tracks: Sequence[Track]) -> None:
+        """A few steps for the newest frames, from the last solution; people of one model as one batch."""
+        settings = self.config.tracker
+        limited = replace(self.config.solver, max_iterations=settings.iterations)
+        for name, model in self.models.items():
+            own = [t for t in tracks if t.model == name]
+            batch = []
+            for track in own:
+                first = int(np.searchsorted(track.stamps, track.stamps[-1] - settings.refine * NS))
+                first = min(first, len(track.theta))
+                held = 1 if first > 0 else 0
+                frames = np.arange(first - held, len(track.stamps))
+                batch.append((frames, held, self._examiner.window(track, self._camera, frames, held)))
+            solutions = solve([w for _, _, w in batch], model, limited) if batch else ()
+            for track, (frames, held, _), solution in zip(own, batch, solutions, strict=True):
+                track.take(solution, frames, held, self._camera)
+                track.resize(model)
+
+    def _examine(self, tracks: Sequence[Track], stamp: int) -> None:
+        """One question about one person, and none too soon after the last."""
+        for track in tracks:
+            if track.noise > ALARM * track.calm_noise:
+                track.hurry, track.calm_noise, track.challenge_at = len(self.models), math.inf, stamp
+        if stamp < self._examined + EXAMINATION_GAP * NS:
+            return
+        due = [(t.challenge_at, False, t) for t in tracks if t.stamps[-1] > t.born]
+        due += [(t.motion_at, True, t) for t in tracks]
+        due = [d for d in due if d[0] <= stamp]
+        if not due:
+            return
+        self._examined = stamp
+        _, motion, track = min(due, key=lambda d: d[0])
+        if motion:
+            track.motion_at = stamp + round(MOTION_EVERY * NS)
+            self._examiner.motion(track, self._camera)
+        else:
+            self._challenge(track, stamp)
+
+    def _challenge(self, track: Track, stamp: int) -> None:
+        """Another model for the same poses, and every few times, or in a hurry, a fresh start."""
+        names = list(self.models)
+        name = names[track.challenges % len(names)]
+        track.challenges += 1
+        age = (stamp - track.born) / NS
+        wait = min(max(FIRST_CHALLENGE, CHALLENGE_GROWTH * age), self.config.tracker.challenge_every)
+        if track.hurry or age < YOUNG or name == track.model:
+            self._examiner.start_afresh(track, self._camera, [name])
+        else:
+            self._examiner.compare(track, self._camera, [name])
+        if track.hurry:
+            track.hurry -= 1
+            wait = min(wait, FIRST_CHALLENGE)
+        if not track.hurry and track.challenges % len(names) == 0:
+            track.calm_noise = track.noise
+        track.challenge_at = stamp + round(wait * NS)
+
+    def _output(self, stamp: int, seen: Iterable[Track]) -> tuple[Person3D, ...]:
+        settings = self.config.tracker
+        seen = list(seen)
+        missing = [
+            t
+            for t in self._tracks
+            if t.solved and t not in seen and stamp - t.stamps[-1] <= settings.predict_for * NS
+        ]
+        if settings.lag == 0:
+            self.output_ns = stamp
+            return tuple(
+                [self._person(t, len(t.stamps) - 1) for t in seen] + [self._predicted(t, stamp) for t in missing]
+            )
+        known = sorted({s for t in self._tracks for s in t.stamps if s <= stamp - settings.lag * NS})
+        if not known:
+            self.output_ns = stamp
+            return ()
+        self.output_ns = known[-1]
+        return tuple(self._person(t, t.stamps.index(known[-1])) for t in self._tracks if known[-1] in t.stamps)
+
+    def _person(self, track: Track, frame: int) -> Person3D:
+        model = self.models[track.model]
+        size = 1 / track.size_ratio
+        rotation, root = track.rotation[frame], track.roots[frame] * size
+        _, weight = track.labelled()
+        filled = weight[frame] == 0
+        joints = model.poses(track.theta[frame]) @ rotation.T * size + root
         return Person3D(
-            id=window.id,
-            joints=solution.joints[-1] + root,
-            std=np.full(joints, np.nan),
-            filled=window.weight[-1] == 0,
-            scale=float(scale[0]),
-            rotation=solution.cameras.rotation[-1],
-            translation=solution.translation[-1],
-            motion=Motion(MotionKind.UNKNOWN, self.model.name, residual / size, float('nan')),
-            residual=float(solution.residual[-1]),
-            scale_known=intrinsics.known,
+            id=track.id,
+            joints=joints,
+            std=joint_std(track.spread * size, filled),
+            filled=filled,
+            scale=float(self._camera.focal / root[2]),
+            rotation=rotation,
+            translation=self._camera.project(root),
+            motion=replace(track.motion, category=track.model, residual=track.residual),
+            residual=track.frame_residual,
+            scale_known=self._camera.known,
             predicted=False,
+        )
+
+    def _predicted(self, track: Track, stamp: int) -> Person3D:
+        """The last state, moved on with its velocity."""
+        age = (stamp - track.stamps[-1]) / NS
+        last = self._person(track, len(track.stamps) - 1)
+        moved = track.velocity() * age / track.size_ratio
+        root = track.roots[-1] / track.size_ratio + moved
+        joints = last.joints + moved
+        if root[2] < joints[:, 2].max() - root[2] + 0.1:
+            joints, root = last.joints, track.roots[-1] / track.size_ratio
+        return replace(
+            last,
+            joints=joints,
+            std=np.sqrt(last.std**2 + (PREDICTED_SPEED_STD * age) ** 2),
+            filled=np.ones_like(last.filled),
+            scale=float(self._camera.focal / root[2]),
+            translation=self._camera.project(root),
+            residual=float('nan'),
+            predicted=True,
         )

@@ -9,6 +9,7 @@ from test_alternation import scene
 from mocap_ros.base_poses import BasePoses
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import FrameDropped, SkeletonError
+from mocap_ros.lens import Distortion
 from mocap_ros.people import Intrinsics, Person2D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.tracker import Tracker
@@ -109,14 +110,82 @@ def test_reset_begins_anew(walk_model: BasePoses, walk) -> None:
     assert all((a == b).all() for a, b in zip(first, again, strict=True))
 
 
-def test_nobody_is_a_normal_state_and_the_lost_are_forgotten(walk_model: BasePoses, walk) -> None:
+def test_nobody_is_a_normal_state_and_the_lost_are_predicted_then_forgotten(walk_model: BasePoses, walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     assert tracker.update(0, [], CAMERA) == ()
-    assert tracker.update(1 * STEP_NS, people(points, 0), CAMERA)[0].id == 'person_1'
-    assert tracker.update(2 * STEP_NS, [], CAMERA) == ()
-    assert tracker.update(3 * STEP_NS, people(points, 1), CAMERA)[0].id == 'person_1'
+    for frame in range(12):
+        (last,) = tracker.update((frame + 1) * STEP_NS, people(points + np.array([3.0 * frame, 0]), frame), CAMERA)
+    (gone,) = tracker.update(14 * STEP_NS, [], CAMERA)
+    assert (gone.id, gone.predicted, gone.filled.all(), last.predicted) == ('person_1', True, True, False)
+    assert gone.joints[:, 0].mean() > last.joints[:, 0].mean() + 0.01
+    assert (gone.std > last.std).all()
+    few = people(points, 12)
+    few[0].score[3:] = 0
+    assert tracker.update(15 * STEP_NS, few, CAMERA)[0].predicted
+    assert tracker.update(40 * STEP_NS, [], CAMERA) == ()
+    back = tracker.update(41 * STEP_NS, people(points + [36.0, 0], 13), CAMERA)
+    assert [(p.id, p.predicted) for p in back] == [('person_1', False)]
     assert tracker.update(200 * STEP_NS, people(points, 2), CAMERA)[0].id == 'person_2'
+
+
+def test_a_snapshot_restored_goes_on_as_if_nothing_had_happened(walk_model: BasePoses, walk) -> None:
+    _, _, points, _ = walk
+    tracker = Tracker(walk_model, CONFIG)
+    for frame in range(10):
+        tracker.update(frame * STEP_NS, people(points, frame, ('a', '')), CAMERA)
+    snapshot = tracker.snapshot()
+    on = [tracker.update(f * STEP_NS, people(points, f, ('a', '')), CAMERA) for f in range(10, 25)]
+    for other in (tracker, Tracker(walk_model, CONFIG)):
+        other.restore(snapshot)
+        again = [other.update(f * STEP_NS, people(points, f, ('a', '')), CAMERA) for f in range(10, 25)]
+        assert all(
+            (p.joints == q.joints).all() for x, y in zip(on, again, strict=True) for p, q in zip(x, y, strict=True)
+        )
+
+
+def test_swapped_frames_are_undone_and_counted(walk_model: BasePoses) -> None:
+    _, _, points, _ = scene(walk_model, frames=60)
+    mirror = np.array(CMU15.mirror)
+    swapped = np.isin(np.arange(60), [20, 21, 22, 23, 40, 41])
+    plain, disturbed = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
+    for frame in range(60):
+        (a,) = plain.update(frame * STEP_NS, people(points, frame), CAMERA)
+        seen = points[:, mirror] if swapped[frame] else points
+        (b,) = disturbed.update(frame * STEP_NS, people(seen, frame), CAMERA)
+        assert (a.joints == b.joints).all(), frame
+    assert (plain.swapped_frames, disturbed.swapped_frames) == (0, 6)
+
+
+def test_the_output_stays_behind_by_the_lag(walk_model: BasePoses, walk) -> None:
+    _, _, points, _ = walk
+    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.09}))
+    for frame in range(20):
+        out = tracker.update(frame * STEP_NS, people(points, frame), CAMERA)
+        assert len(out) == (1 if frame >= 3 else 0)
+        if out:
+            assert tracker.output_ns == (frame - 3) * STEP_NS
+
+
+def test_people_in_one_place_are_nobody(walk_model: BasePoses) -> None:
+    tracker = Tracker(walk_model, CONFIG)
+    dot = Person2D('', CMU15.joints, np.full((15, 2), 100.0), np.ones(15))
+    assert tracker.update(0, [dot], CAMERA) == ()
+
+
+@pytest.mark.parametrize('lens', [Distortion(), Distortion('plumb_bob', (-0.2, 0.05, 0.001, -0.002, 0.0))])
+def test_a_person_near_and_off_the_axis_is_where_they_are(walk_model: BasePoses, lens: Distortion) -> None:
+    theta, cameras, _, _ = scene(walk_model, frames=45)
+    camera = Intrinsics(500.0, (320.0, 240.0), known=True, distortion=lens)
+    size = CONFIG.tracker.body_height / walk_model.stature
+    tracker = Tracker(walk_model, CONFIG)
+    for frame in range(45):
+        joints = walk_model.poses(theta[frame]) @ cameras.rotation[frame].T * size
+        joints = joints + [0.5 + 0.01 * frame, 0.1, 3.0]
+        seen = [Person2D('', CMU15.joints, camera.project(joints), np.ones(15))]
+        (person,) = tracker.update(frame * STEP_NS, seen, camera)
+    assert np.linalg.norm(person.joints - joints, axis=-1).mean() < 0.12
+    assert camera.project(person.joints) == pytest.approx(seen[0].points, abs=8)
 
 
 def test_hidden_joints_are_filled_and_flagged(walk_model: BasePoses, walk) -> None:

@@ -1,0 +1,183 @@
+"""What is asked of a track now and then: is it another motion, is the camera wrong, is the motion periodic?
+
+Each question costs as much as several frames, so the tracker asks few of them at a time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.base_poses import BasePoses
+from mocap_ros.camera import Cameras
+from mocap_ros.classification import LEAST_NOISE, PERIODIC_CATEGORIES, PeriodicSwitch, fit_periodic, log_evidence
+from mocap_ros.config import Config
+from mocap_ros.errors import InputError
+from mocap_ros.nonperiodic import solve, solve_hypotheses
+from mocap_ros.people import Intrinsics, Motion, MotionKind
+from mocap_ros.reconstruction import Reconstruction, Start, Window
+from mocap_ros.track import NS, Track
+
+Array = NDArray[np.float64]
+
+FRESH_ITERATIONS, FRESH_COMPONENTS = 5, 20
+JUDGING_ITERATIONS = 4
+ADOPT_ITERATIONS = 3
+MODEL_MARGIN = 10.0
+THIN_STEP, THIN_SPAN = 0.1, 1.0
+MOTION_STEP, MOTION_ITERATIONS = 1 / 15, 12
+FULL_SECTION = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """An explanation of some frames: a model and where to begin with it."""
+
+    model: str
+    start: Start
+    noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class Examiner:
+    """Asks with these models, by name."""
+
+    models: Mapping[str, BasePoses]
+    config: Config
+
+    def focal(self, camera: Intrinsics) -> float:
+        """px, as the solvers are to know it: only a real one makes a perspective projection."""
+        return camera.focal if camera.known and self.config.tracker.perspective else math.inf
+
+    def window(self, track: Track, camera: Intrinsics, frames: NDArray[np.intp], held: int = 0) -> Window:
+        """These frames of a track, the first `held` of them fixed."""
+        model = self.models[track.model] if track.model else next(iter(self.models.values()))
+        return track.window(camera, self.focal(camera), frames, held, model)
+
+    def start_afresh(self, track: Track, camera: Intrinsics, names: Iterable[str]) -> None:
+        """Solve from scratch under these models, and take the likeliest over if it beats what there is."""
+        frames = track.spaced(THIN_STEP, THIN_SPAN) if track.solved else np.arange(len(track.stamps))
+        window = self.window(track, camera, frames)
+        fresh = replace(window, start=None, unit=None, noise=None)
+        solver = replace(
+            self.config.solver,
+            max_iterations=FRESH_ITERATIONS,
+            components=FRESH_COMPONENTS,
+            noise_floor=LEAST_NOISE,
+        )
+        rivals = []
+        for name in names:
+            (fit,) = solve_hypotheses([fresh], self.models[name], solver)
+            rest = len(self.models[name].std) - fit.theta.shape[1]
+            theta = np.pad(fit.theta, [(0, 0), (0, max(rest, 0))])
+            rivals.append(Rival(name, Start(theta, fit.cameras), fit.noise))
+        self._compete(track, camera, frames, window, rivals)
+
+    def compare(self, track: Track, camera: Intrinsics, names: Iterable[str]) -> None:
+        """Explain the same 3D poses by these models, and take the likeliest over if it beats the one in use."""
+        frames = track.spaced(THIN_STEP, THIN_SPAN)
+        window = self.window(track, camera, frames)
+        rivals = []
+        for name in names:
+            if name != track.model and window.start is not None:
+                rotation, theta = track.reposed(self.models[track.model], self.models[name], frames)
+                start = Start(theta, Cameras(window.start.cameras.scale, track.turn() @ rotation))
+                rivals.append(Rival(name, start, track.noise))
+        self._compete(track, camera, frames, window, rivals)
+
+    def _compete(
+        self, track: Track, camera: Intrinsics, frames: NDArray[np.intp], window: Window, rivals: list[Rival]
+    ) -> None:
+        """The likeliest of these and of the track's own solution becomes the track's.
+
+        All are judged under the same image noise; another model than the one in use must be likelier by a margin,
+        so that the choice does not chatter.
+        """
+        if window.start is not None:
+            rivals = [*rivals, Rival(track.model, window.start, track.noise)]
+        noise = min(r.noise for r in rivals)
+        unit = float(np.median(rivals[-1].start.cameras.scale))
+        solver = replace(self.config.solver, max_iterations=JUDGING_ITERATIONS)
+        judged = [
+            log_evidence(replace(window, start=r.start, unit=unit), self.models[r.model], noise, solver)
+            for r in rivals
+        ]
+        evidence = [
+            e + MODEL_MARGIN * (track.solved and r.model != track.model)
+            for r, (e, _) in zip(rivals, judged, strict=True)
+        ]
+        best = int(np.argmin(evidence))
+        if track.solved and best == len(rivals) - 1:
+            return
+        model = self.models[rivals[best].model]
+        if frames[0] > 0:
+            track.repose(self.models[track.model], model)
+        track.model = rivals[best].model
+        track.adopt(judged[best][1], frames, camera)
+        if len(frames) < len(track.stamps):
+            every = np.arange(len(track.stamps))
+            limited = replace(self.config.solver, max_iterations=ADOPT_ITERATIONS)
+            (whole,) = solve([self.window(track, camera, every)], self.models[track.model], limited)
+            track.take(whole, every, 0, camera)
+        track.resize(self.models[track.model])
+
+    def motion(self, track: Track, camera: Intrinsics) -> None:
+        """Judge whether the newest section of the window is periodic."""
+        settings = self.config.classifier
+        names = [n for n in PERIODIC_CATEGORIES if n in self.models]
+        length = (track.stamps[-1] - track.stamps[0]) / NS
+        if not names or length < FULL_SECTION * min(settings.section, self.config.tracker.window):
+            return
+        was = track.motion.kind is MotionKind.PERIODIC
+        switch = PeriodicSwitch(settings, was)
+        likely = [track.periodic_model, track.model, *names]
+        first = next(n for n in likely if n in names)
+        others = [n for n in names if n != first]
+        turn = track.motions % 2 if not was and track.model not in names else 0
+        for name in [first, *others][turn : turn + 1] + ([*others] if was else []):
+            answer = self._periodic(track, camera, name, switch)
+            if answer is not None:
+                track.motion, track.periodic_model = answer, name
+                break
+        else:
+            track.motion = Motion(MotionKind.NON_PERIODIC, track.model, track.residual, math.nan)
+            track.periodic_model = ''
+        track.motions += 1
+
+    def _periodic(self, track: Track, camera: Intrinsics, name: str, switch: PeriodicSwitch) -> Motion | None:
+        """The motion as this model's periodic form explains it, or None where it does not."""
+        frames = track.spaced(MOTION_STEP, self.config.classifier.section)
+        window = self.window(track, camera, frames)
+        if window.start is None:
+            return None
+        plain = replace(window, start=None, unit=None, noise=None)
+        solver = replace(
+            self.config.solver, components=self.config.classifier.components, max_iterations=MOTION_ITERATIONS
+        )
+        try:
+            fit = fit_periodic(plain, {name: self.models[name]}, solver, self._begun(track, window))
+        except InputError:
+            return None
+        trial = replace(switch)
+        if not trial.update(fit):
+            return None
+        return Motion(MotionKind.PERIODIC, name, fit.residual, fit.reconstruction.cadence)
+
+    def _begun(self, track: Track, window: Window) -> Reconstruction:
+        """The track's solution as the start of another solver."""
+        start = window.start
+        if start is None:
+            raise InputError('nothing was solved yet')
+        model = self.models[track.model]
+        joints = model.poses(start.theta) @ np.swapaxes(start.cameras.rotation, -1, -2)
+        shown = start.cameras.scale[:, None, None] * joints[..., :2]
+        total = np.maximum(window.weight.sum(axis=1), 1e-12)[:, None]
+        translation = (window.weight[..., None] * (window.points - shown)).sum(axis=1) / total
+        return Reconstruction(
+            joints, start.theta, start.cameras, translation, np.zeros(len(joints)), (0.0,), 0, True, track.noise,
+            np.full(joints.shape[1], np.nan),
+        )  # fmt: skip
