@@ -20,7 +20,7 @@ from experiments.least_squares import Progress, SparseProblem
 from mocap_ros import alternation, nonperiodic
 from mocap_ros.base_poses import BasePoses
 from mocap_ros.config import SolverConfig
-from mocap_ros.nonperiodic import Problem, State
+from mocap_ros.objective import Problem, State, initial_state
 from mocap_ros.reconstruction import Reconstruction, Start, Window, begin
 
 CLOSE = 1e-4
@@ -72,7 +72,7 @@ def fixed(case: Case, config: SolverConfig) -> tuple[Window, Problem, State]:
     start, unit = begin(window, model, config.start_window)
     window = replace(window, start=start, unit=unit)
     problem = Problem.build([window], np.array([unit]), model, config)
-    state = nonperiodic.initial_state(problem, [start], np.array([unit]))
+    state = initial_state(problem, [start], np.array([unit]))
     return window, problem, problem.best_translation(problem.best_translation(state))
 
 

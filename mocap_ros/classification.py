@@ -20,7 +20,7 @@ from mocap_ros.base_poses import BasePoses
 from mocap_ros.config import ClassifierConfig, SolverConfig
 from mocap_ros.errors import InputError
 from mocap_ros.harmonic import Series
-from mocap_ros.nonperiodic import NOISE_REFERENCE
+from mocap_ros.objective import NOISE_REFERENCE
 from mocap_ros.periodic import PeriodicReconstruction
 from mocap_ros.reconstruction import Reconstruction, Start, Window
 

@@ -125,7 +125,7 @@ class TrackerConfig:
 
     model: str = _p(
         'auto',
-        'name of a shipped base-pose model, path of a trained one, or auto: each person has the likeliest shipped one',
+        'name of a shipped base-pose model, path of a trained one, or auto: each person has the likeliest shipped',
         read_only=True,
     )
     window: float = _p(2.0, 's, length of the sliding window', low=0.1, high=20.0)

@@ -36,7 +36,7 @@ from mocap_ros.camera import Cameras
 from mocap_ros.config import SolverConfig
 from mocap_ros.errors import InputError
 from mocap_ros.harmonic import Series, first_series
-from mocap_ros.nonperiodic import State
+from mocap_ros.objective import NOISE_REFERENCE, State, initial_state
 from mocap_ros.periodic_objective import Objective, Reduced, about_vertical
 from mocap_ros.reconstruction import Reconstruction, Start, Window
 
@@ -167,7 +167,7 @@ def _fit(
         objective = objective.under_noise(noise)
     searches = []
     for series in _first_guesses(start.theta, window.times, last, noise, config):
-        cameras = nonperiodic.initial_state(objective.problem, [start], np.array([unit]))
+        cameras = initial_state(objective.problem, [start], np.array([unit]))
         cameras = replace(cameras, rotation=cameras.rotation @ about_vertical(-series.heading(window.times)))
         for _ in range(2):
             cameras = objective.best_translation(series, cameras)
@@ -226,7 +226,7 @@ class _Search:
 
     def evidence(self) -> float:
         """Minus twice the log evidence, cameras integrated over (Laplace, a step ago), up to a constant."""
-        return self.history[-1] / nonperiodic.NOISE_REFERENCE**2 + self.equations.volume()
+        return self.history[-1] / NOISE_REFERENCE**2 + self.equations.volume()
 
     def run(self, tolerance: float) -> bool:
         """Descend until a step gains less than this share of the cost; whether it came to that."""

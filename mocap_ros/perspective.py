@@ -43,7 +43,7 @@ class View:
         total = weight.sum(axis=1)
         middle = (weight[..., None] * rays).sum(axis=1) / np.maximum(total, 1e-12)[:, None]
         near = np.exp(-0.5 * ((times[:, None] - times) / (smoothing / 2)) ** 2) * (total > 0) + 1e-12 * (total > 0)
-        return View(facing(near @ middle / near.sum(axis=1, keepdims=True)), intrinsics)
+        return View(facing(near @ middle / np.maximum(near.sum(axis=1, keepdims=True), 1e-300)), intrinsics)
 
     def image(self, rays: Array) -> Array:
         """(F, J, 2) rays of the real camera -> px in the virtual ones, from their axes."""

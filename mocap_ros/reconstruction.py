@@ -48,7 +48,7 @@ class Window:
         unit: px/m, the constant that makes image errors metres; None for the median start scale. Objectives
             of one window from several starts compare only under one unit.
         noise: m, standard deviation of a coordinate of a fully trusted point; None to find it.
-        focal: px, of a camera that looks at the person, points relative to its axis; infinite for weak perspective.
+        focal: px, of a camera that looks at the person, points relative to its axis; infinite: weak perspective.
         held: so many frames at the beginning keep their start, which `start` must give.
         older: frames before these, or None.
     """
@@ -89,8 +89,8 @@ class Reconstruction:
         converged: False where `max_iterations` ended it.
         noise: m, standard deviation of a coordinate of a fully trusted point, found from the residual; NaN where
             not looked for.
-        spread: (J,) m, posterior standard deviation (root of the trace of the covariance) of each joint of the last
-            frame about the body's origin; NaN where not computed.
+        spread: (J,) m, posterior standard deviation (root of the trace of the covariance) of each joint of the
+            last frame about the body's origin; NaN where not computed.
     """
 
     joints: Array

@@ -1,8 +1,8 @@
 """Left and right swapped by the detector: recognised by how limbs move, and undone.
 
 A hidden Markov chain with two states, labels right or swapped, decoded by Viterbi's algorithm. Each of the two
-histories that survive carries the image points as it has relabelled them and predicts the next from their motion; a
-frame's cost is how far its points, under either labelling, are from that prediction. So a later frame may change
+histories that survive carries the image points as it has relabelled them and predicts the next from their motion;
+a frame's cost is how far its points, under either labelling, are from that prediction. So a later frame may change
 the verdict on earlier ones, as far back as the window reaches.
 """
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SEEN, FILLED = (1.35, 0.020), (1.65, 0.015)
+SEEN, FILLED = (1.35, 0.024), (1.85, 0.018)
 
 
 def joint_std(spread: Array, filled: NDArray[np.bool_]) -> Array:

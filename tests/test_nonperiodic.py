@@ -15,7 +15,7 @@ from mocap_ros.base_poses import BasePoses
 from mocap_ros.block_tridiagonal import factor, solve_less_low_rank
 from mocap_ros.camera import Cameras
 from mocap_ros.config import SolverConfig
-from mocap_ros.nonperiodic import Problem, State
+from mocap_ros.objective import Problem, State, initial_state
 from mocap_ros.reconstruction import Reconstruction, Start, Window, mean_pose_start
 
 PLAIN = SolverConfig(
@@ -51,7 +51,7 @@ def problem_and_state(
     starts = [mean_pose_start(w, model, 1.0) for w in windows]
     s0 = np.array([np.median(s.cameras.scale) for s in starts])
     problem = Problem.build(windows, s0, model, config)
-    state = nonperiodic.initial_state(problem, starts, s0)
+    state = initial_state(problem, starts, s0)
     state = state.moved(0.03 * rng.normal(size=(12, len(model.std) + 4)))
     for _ in range(100):
         state = problem.best_translation(state)

@@ -14,6 +14,7 @@ from mocap_ros.camera import Cameras, small_rotation
 from mocap_ros.config import SolverConfig
 from mocap_ros.errors import InputError
 from mocap_ros.harmonic import Series
+from mocap_ros.objective import initial_state
 from mocap_ros.periodic_objective import Objective, Reduced, roughness
 from mocap_ros.reconstruction import Start, Window
 
@@ -70,7 +71,7 @@ def test_gradient_and_matrix_agree_with_finite_differences(walk_model: BasePoses
         0.05 * rng.normal(size=(rows, 5)), np.broadcast_to(omega, (5,)).copy(), sines, float(times.mean())
     )
     start = Start(series.theta(times), cameras)
-    base = nonperiodic.initial_state(objective.problem, [start], np.array([200.0]))
+    base = initial_state(objective.problem, [start], np.array([200.0]))
     jolt = np.concatenate([np.zeros_like(base.theta), 0.05 * rng.normal(size=(12, 4))], axis=1)
     base = base.moved(jolt)
 

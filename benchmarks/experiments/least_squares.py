@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from scipy.sparse import coo_array, csr_array
 
 from mocap_ros.camera import cross_matrix, small_rotation
-from mocap_ros.nonperiodic import Problem, State
+from mocap_ros.objective import Problem, State
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,503 @@
+"""The objective of the joint solver, its derivatives, and the linear system of a step.
+
+That of `alternation` with four terms more,
+
+    sum_tj w_tj rho(|s_t R_t[:2] P_tj + t_t - x_tj|^2 / s0^2)   reprojection; rho = Cauchy's loss, or none
+  + beta   sum_tb (length_tb - mean_b)^2                        bone lengths (TPAMI 2016, eq. 20)
+  + lambda sum_tl (theta_tl / sigma_l)^2                        Gaussian prior of the base poses
+  + mu     sum_tl ((theta_tl - theta_(t-1)l) / sigma_l)^2 / dt  smoothness
+  + gamma  sum_t  |M_t - M_(t-1)|^2 / dt                        flip regulariser (eq. 12)
+  + tau    sum_t  |R_t z - R_(t-1) z|^2 / dt                    tilt: the image of the vertical turns slowly
+  + sigma  sum_t  (log s_t - log s_(t-1))^2 / dt                people come nearer slowly
+
+over all frames at once. Where the focal length f is known the projection is a perspective one,
+(s_t R_t[:2] P_tj + t_t) / (1 + s_t R_t[2] P_tj / f). All weights but the first are for an image noise of 10 mm;
+with `adapt_noise` they grow and shrink with its variance, which is found from the residual in a few rounds, as the
+maximum of the posterior demands. A frame has K weights, three rotation parameters and a log scale; its translation
+is eliminated. The normal matrix is block tridiagonal, the mean bone lengths are eliminated exactly by a low-rank
+correction, and any number of people and hypotheses are solved as one batch: their sequences stand one after the
+other in the same arrays with no coupling across the seams.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.base_poses import BasePoses
+from mocap_ros.block_tridiagonal import Factor, factor, solve_less_low_rank
+from mocap_ros.camera import cross_matrix, small_rotation
+from mocap_ros.config import SolverConfig
+from mocap_ros.reconstruction import Start, Window
+
+Array = NDArray[np.float64]
+
+CAMERA_UNKNOWNS = 4
+SHORTEST_STEP = 1e-4
+HOLD = 1e9
+NEAREST = 0.1
+
+NOISE_REFERENCE = 0.01
+LEAST_FREE = 0.05
+FRAMES_FOR_NOISE = 16
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Unknowns of all frames: weights (N, K), rotation (N, 3, 3), log scale (N,), translation (N, 2)."""
+
+    theta: Array
+    rotation: Array
+    log_scale: Array
+    translation: Array
+
+    def moved(self, step: Array) -> State:
+        """The state after a step (N, K + 4) of weights, rotation vector and log scale."""
+        k = self.theta.shape[1]
+        return State(
+            self.theta + step[:, :k],
+            small_rotation(step[:, k : k + 3]) @ self.rotation,
+            self.log_scale + np.clip(step[:, k + 3], -1, 1),
+            self.translation,
+        )
+
+    def take(self, frames: NDArray[np.intp]) -> State:
+        """The state of these frames."""
+        return State(self.theta[frames], self.rotation[frames], self.log_scale[frames], self.translation[frames])
+
+    def truncated(self, k: int) -> State:
+        """The state without the weights after the first `k`."""
+        return replace(self, theta=self.theta[:, :k])
+
+    def with_first(self, other: State) -> State:
+        """The other state, its missing weights from this one."""
+        k = other.theta.shape[1]
+        return replace(other, theta=np.concatenate([other.theta, self.theta[:, k:]], axis=1))
+
+    def where(self, take: NDArray[np.bool_], other: State) -> State:
+        """This state in the frames where `take` (N,), the other elsewhere."""
+        return State(
+            np.where(take[:, None], self.theta, other.theta),
+            np.where(take[:, None, None], self.rotation, other.rotation),
+            np.where(take, self.log_scale, other.log_scale),
+            np.where(take[:, None], self.translation, other.translation),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Gauss-Newton's equations of a batch, the translations eliminated.
+
+    Attributes:
+        diagonal: (N, n, n); below: (N - 1, n, n); gradient: (N, n), halved like the matrix.
+        data: (N, n, n) the reprojection's part of `diagonal`.
+        bones: (N, n, B) gradients of the bone lengths times the root of their weights.
+    """
+
+    data: Array
+    diagonal: Array
+    below: Array
+    gradient: Array
+    bones: Array
+
+    def frozen(self, frames: NDArray[np.bool_], old: NormalEquations) -> NormalEquations:
+        """These with the old matrices in the given frames (N,), all or none of a sequence."""
+        if frames.any():
+            for new, before in ((self.data, old.data), (self.diagonal, old.diagonal)):
+                new[frames] = before[frames]
+            self.below[frames[:-1]] = old.below[frames[:-1]]
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A batch of sequences, concatenated; image points in metres at the body (px / s0).
+
+    Attributes:
+        image: (N, J, 2).
+        weight: (N, J) detector scores over `level`.
+        level: (N,) variance of the noise over that of the reference.
+        times: (N,) s.
+        starts: (P,) first frame of each sequence.
+        counts: (P,) frames of each.
+        smooth: (N - 1,) weight of (change of theta / sigma)^2 to the next frame, 0 across a seam.
+        flip: (N - 1,) weight of (change of M)^2, 0 across a seam.
+        tilt: (N - 1,) weight of (change of the first two rows of R's third column)^2, 0 across a seam.
+        approach: (N - 1,) weight of (change of log scale)^2, 0 across a seam.
+        bone_weight: (B,).
+        robust: (N, 1) m, scale of Cauchy's loss; infinite for least squares.
+        focal: (N, 1) m at the body; infinite for weak perspective.
+        held: (N,) True for frames that keep their start.
+        older_bones: (P, B) m, mean bone lengths of `older` (P,) frames before each sequence.
+    """
+
+    model: BasePoses
+    image: Array
+    weight: Array
+    level: Array
+    times: Array
+    starts: NDArray[np.intp]
+    counts: NDArray[np.intp]
+    smooth: Array
+    flip: Array
+    tilt: Array
+    approach: Array
+    prior: Array
+    bone_weight: Array
+    robust: Array
+    focal: Array
+    held: NDArray[np.bool_]
+    older_bones: Array
+    older: NDArray[np.intp]
+    parents: NDArray[np.intp]
+    children: NDArray[np.intp]
+
+    @staticmethod
+    def build(windows: Sequence[Window], s0: Array, model: BasePoses, config: SolverConfig) -> Problem:
+        """The batch of these windows, each divided by its own `s0` (P,) px/m."""
+        counts = np.array([len(w.times) for w in windows])
+        starts = np.cumsum(counts) - counts
+        times = np.concatenate([w.times for w in windows])
+        inverse_dt = 1 / np.maximum(np.diff(times), SHORTEST_STEP)
+        inverse_dt[starts[1:] - 1] = 0.0
+        parents, children = (np.array(side) for side in zip(*model.skeleton.bones, strict=True))
+        lengths = np.linalg.norm(model.mean[children] - model.mean[parents], axis=-1)
+        relative = (lengths.mean() / lengths) ** 2 if config.relative_bones else np.ones(len(lengths))
+        flip, tilt, prior = config.flip_weight, 0.0, config.prior_weight
+        if model.upright:
+            flip, tilt, prior = config.upright_turn * flip, config.tilt_weight, config.upright_prior * prior
+        return Problem(
+            model=model,
+            image=np.concatenate([w.points / s for w, s in zip(windows, s0, strict=True)]),
+            weight=np.concatenate([w.weight for w in windows]),
+            level=np.ones(len(times)),
+            times=times,
+            starts=starts,
+            counts=counts,
+            smooth=config.smooth_weight * inverse_dt,
+            flip=flip * inverse_dt,
+            tilt=tilt * inverse_dt,
+            approach=config.scale_weight * inverse_dt,
+            prior=prior / model.std**2,
+            bone_weight=config.bone_weight * relative,
+            robust=np.full((len(times), 1), config.robust_scale if config.robust_scale > 0 else np.inf),
+            focal=np.repeat([w.focal / s for w, s in zip(windows, s0, strict=True)], counts)[:, None],
+            held=np.concatenate([np.arange(len(w.times)) < w.held for w in windows]),
+            older_bones=np.array([lengths if w.older is None else w.older.bone_lengths for w in windows]),
+            older=np.array([0 if w.older is None else w.older.frames for w in windows]),
+            parents=parents,
+            children=children,
+        )
+
+    def truncated(self, k: int) -> Problem:
+        """The same batch with the first `k` base poses."""
+        return replace(self, model=self.model.truncated(k), prior=self.prior[:k])
+
+    def thinned(self, step: float) -> tuple[Problem, NDArray[np.intp]]:
+        """The best seen frame of each `step` s, coupled as much for its data as all frames are; and its index."""
+        sequence = np.repeat(np.arange(len(self.starts)), self.counts)
+        part = np.floor((self.times - self.times[self.starts][sequence]) / step + 1e-6)
+        order = np.lexsort((-self.weight.sum(axis=1), part, sequence))
+        new = np.diff(part[order], prepend=-1) != 0
+        new[self.starts] = True
+        kept = np.sort(order[new])
+        counts = np.bincount(sequence[kept], minlength=len(self.starts))
+        before, after = kept[:-1], kept[1:]
+        old, now = (np.maximum(self.times[to] - self.times[before], SHORTEST_STEP) for to in (before + 1, after))
+        share = (counts / self.counts)[sequence[before]]
+        ratio = np.where(sequence[before] == sequence[after], share * old / now, 0.0)
+        few = replace(
+            self,
+            image=self.image[kept],
+            weight=self.weight[kept],
+            level=self.level[kept],
+            times=self.times[kept],
+            starts=np.cumsum(counts) - counts,
+            counts=counts,
+            smooth=self.smooth[before] * ratio,
+            flip=self.flip[before] * ratio,
+            tilt=self.tilt[before] * ratio,
+            approach=self.approach[before] * ratio,
+            robust=self.robust[kept],
+            focal=self.focal[kept],
+            held=self.held[kept],
+        )
+        return few, kept
+
+    def under_noise(self, noise: Array) -> Problem:
+        """The same batch with these standard deviations (P,) m of the noise."""
+        ratio = self.per_frame(noise / NOISE_REFERENCE)
+        old = np.sqrt(self.level)
+        return replace(
+            self,
+            weight=self.weight * (self.level / ratio**2)[:, None],
+            level=ratio**2,
+            robust=self.robust * (np.maximum(ratio, 1) / np.maximum(old, 1))[:, None],
+        )
+
+    def noise(self, state: State, equations: NormalEquations | None = None) -> Array:
+        """(P,) m, standard deviation of a coordinate of a fully trusted point, from the residual.
+
+        The sum of squares is shared among the coordinates less those that the unknowns have absorbed, their
+        neighbours held; `equations` may be those of a state nearby.
+        """
+        equations = equations or self.normal_equations(state)
+        _, error = self._residual(state)
+        loss = self.level[:, None] * self.weight * self._loss((error**2).sum(axis=-1))
+        coordinates = 2 * self.per_sequence((self.weight > 0).sum(axis=1))
+        free = np.maximum(coordinates - self._absorbed(equations), LEAST_FREE * coordinates + 1)
+        return np.sqrt(self.per_sequence(loss.sum(axis=1)) / free)
+
+    def _absorbed(self, equations: NormalEquations) -> Array:
+        """(P,) coordinates that the unknowns fit away, from some frames of each sequence."""
+        stride = -(-self.counts // FRAMES_FOR_NOISE)
+        number = np.arange(len(self.level)) - self.per_frame(self.starts)
+        some = np.flatnonzero(number % self.per_frame(stride) == 0)
+        taken = -(-self.counts // stride)
+        whole = equations.diagonal[some] + 1e-9 * np.eye(equations.diagonal.shape[1])
+        absorbed = 2 + np.einsum('nii->n', np.linalg.solve(whole, equations.data[some]))
+        return np.add.reduceat(absorbed, np.cumsum(taken) - taken) * (self.counts / taken)
+
+    def per_sequence(self, per_frame: Array) -> Array:
+        """(N, ...) -> (P, ...) sums over the frames of each sequence."""
+        return np.asarray(np.add.reduceat(per_frame, self.starts, axis=0))
+
+    def per_frame(self, per_sequence: NDArray[Any]) -> NDArray[Any]:
+        """(P, ...) -> (N, ...), each sequence's value for all its frames."""
+        return np.asarray(np.repeat(per_sequence, self.counts, axis=0))
+
+    def _residual(self, state: State) -> tuple[Array, Array]:
+        """(N, J, 3) scaled poses in the camera frame and (N, J, 2) reprojection errors, m."""
+        poses = self.model.poses(state.theta)
+        turned = np.exp(state.log_scale)[:, None, None] * (poses @ np.swapaxes(state.rotation, -1, -2))
+        image = (turned[..., :2] + state.translation[:, None]) / self._depth(turned)[..., None]
+        return turned, image - self.image
+
+    def _depth(self, turned: Array) -> Array:
+        """(N, J) depth of a joint over that of the body's origin."""
+        return np.asarray(np.maximum(1 + turned[..., 2] / self.focal, NEAREST))
+
+    def _loss(self, squared: Array) -> Array:
+        if np.isinf(self.robust[0, 0]):
+            return squared
+        return np.asarray(self.robust**2 * np.log1p(squared / self.robust**2))
+
+    def _robust_weight(self, squared: Array) -> Array:
+        return np.asarray(self.weight / (1 + squared / self.robust**2))
+
+    def bones(self, theta: Array) -> tuple[Array, Array, Array]:
+        """(N, B) lengths less their sequence's mean, (N, B, 3) unit vectors, (N, B) lengths; m."""
+        poses = self.model.poses(theta)
+        vector = poses[:, self.children] - poses[:, self.parents]
+        length = np.maximum(np.linalg.norm(vector, axis=-1), 1e-9)
+        mean = self._mean_lengths(length)
+        return length - self.per_frame(mean), vector / length[..., None], length
+
+    def _mean_lengths(self, length: Array) -> Array:
+        """(P, B) over a sequence's frames and the older ones."""
+        total = self.per_sequence(length) + self.older[:, None] * self.older_bones
+        return np.asarray(total / (self.counts + self.older)[:, None])
+
+    def cost(self, state: State) -> Array:
+        """(P,) value of the objective, m^2."""
+        return self._cost(state, self._residual(state)[1])
+
+    def settled(self, state: State) -> tuple[State, Array]:
+        """`best_translation` and the `cost` there."""
+        turned, error = self._residual(state)
+        depth = self._depth(turned)
+        shift = self._shift(error, depth)
+        moved = replace(state, translation=state.translation + shift)
+        return moved, self._cost(moved, error + shift[:, None] / depth[..., None])
+
+    def _cost(self, state: State, error: Array) -> Array:
+        frame = (self.weight * self._loss((error**2).sum(axis=-1))).sum(axis=1)
+        deviation, _, length = self.bones(state.theta)
+        frame += (self.bone_weight * deviation**2).sum(axis=1)
+        frame += (self.prior * state.theta**2).sum(axis=1)
+        change = (np.diff(state.theta, axis=0) / self.model.std) ** 2
+        frame[:-1] += self.smooth * change.sum(axis=1)
+        m = np.exp(state.log_scale)[:, None, None] * state.rotation[:, :2]
+        frame[:-1] += self.flip * (np.diff(m, axis=0) ** 2).sum(axis=(1, 2))
+        frame[:-1] += self.tilt * (np.diff(state.rotation[:, :2, 2], axis=0) ** 2).sum(axis=1)
+        frame[:-1] += self.approach * np.diff(state.log_scale) ** 2
+        of_older = (self.bone_weight * (self._mean_lengths(length) - self.older_bones) ** 2).sum(axis=1)
+        return self.per_sequence(frame) + self.older * of_older
+
+    def best_translation(self, state: State) -> State:
+        """The state with each frame's translation at its weighted optimum (a step of the robust fit)."""
+        turned, error = self._residual(state)
+        return replace(state, translation=state.translation + self._shift(error, self._depth(turned)))
+
+    def _shift(self, error: Array, depth: Array) -> Array:
+        w = self._robust_weight((error**2).sum(axis=-1)) / depth
+        total = np.maximum((w / depth).sum(axis=1), 1e-12)[:, None]
+        return np.asarray(-(w[..., None] * error).sum(axis=1) / total)
+
+    def normal_equations(self, state: State) -> NormalEquations:
+        """Everything of the second order that the step needs."""
+        frames, k = state.theta.shape
+        turned, error = self._residual(state)
+        w = self._robust_weight((error**2).sum(axis=-1))
+        joints = w.shape[1]
+        n = k + CAMERA_UNKNOWNS
+
+        basis = np.moveaxis(self.model.components, 0, -1)  # (J, 3, K)
+        jac = self._projection_jacobian(state, turned, basis)  # (N, 2, J, n), times each joint's depth
+        depth = self._depth(turned)
+        residual = np.swapaxes(depth[..., None] * error, 1, 2)  # (N, 2, J)
+
+        # the best translation makes everything relative to its weighted mean
+        w = w / depth**2
+        share = (w / np.maximum(w.sum(axis=1), 1e-12)[:, None])[:, None]
+        root = np.sqrt(w)[:, None]
+        jac -= share[:, :, None] @ jac
+        jac *= root[..., None]
+        residual = root * (residual - (share * residual).sum(axis=2, keepdims=True))
+        jac = jac.reshape(frames, 2 * joints, n)
+        transposed = np.swapaxes(jac, -1, -2)
+        of_data = transposed @ jac
+
+        deviation, unit, length = self.bones(state.theta)
+        direction = basis[self.children] - basis[self.parents]  # (B, 3, K)
+        bone_jac = np.ascontiguousarray(np.swapaxes(np.swapaxes(unit, 0, 1) @ direction, 0, 1))  # (N, B, K)
+        bones = np.zeros((frames, n, len(direction)))
+        bones[:, :k] = np.swapaxes(bone_jac * np.sqrt(self.bone_weight)[:, None], -1, -2)
+
+        gradient = (transposed @ residual.reshape(frames, -1, 1))[..., 0]
+        gradient += (bones @ (np.sqrt(self.bone_weight) * deviation)[..., None])[..., 0]
+        diagonal = of_data.copy()
+        diagonal[:, :k, :k] += self._bone_hessian(deviation / length, bone_jac, direction)
+        below = np.zeros((frames - 1, n, n))
+        self._add_prior_and_smoothness(state, diagonal, below, gradient)
+        self._add_camera_terms(state, diagonal, below, gradient)
+        return NormalEquations(of_data, diagonal, below, gradient, bones)
+
+    def _projection_jacobian(self, state: State, turned: Array, basis: Array) -> Array:
+        """(N, 2, J, n) derivatives of the image points, times each joint's `_depth`; basis (J, 3, K)."""
+        frames, k = state.theta.shape
+        joints = len(basis)
+        perspective = bool(np.isfinite(self.focal).any())
+        rows = 3 if perspective else 2
+        m = np.exp(state.log_scale)[:, None, None] * state.rotation[:, :rows]
+        flat = np.swapaxes(basis, 0, 1).reshape(3, -1)
+        jac = np.empty((frames, rows, joints, k + CAMERA_UNKNOWNS))
+        jac[..., :k] = (m.reshape(-1, 3) @ flat).reshape(frames, rows, joints, k)
+        _fill_camera_columns(jac[..., k:], turned)
+        if not perspective:
+            return jac
+        jac[:, 2, :, k:] = 0.0
+        jac[:, 2, :, k], jac[:, 2, :, k + 1], jac[:, 2, :, k + 3] = turned[..., 1], -turned[..., 0], turned[..., 2]
+        image = (turned[..., :2] + state.translation[:, None]) / self._depth(turned)[..., None]
+        inward = np.swapaxes(image / self.focal[..., None], 1, 2)[..., None]
+        return np.asarray(jac[:, :2] - inward * jac[:, 2:])
+
+    def _bone_hessian(self, excess: Array, bone_jac: Array, direction: Array) -> Array:
+        """(N, K, K) of Gauss-Newton, with the second derivatives of bones that are too long times their excess.
+
+        Gauss-Newton leaves those out and then needs several times the steps. Those of bones too short are negative
+        and stay out, so that the matrix remains positive definite.
+        """
+        frames, _, k = bone_jac.shape
+        weight = self.bone_weight * np.maximum(excess, 0)
+        squares = (np.swapaxes(direction, -1, -2) @ direction).reshape(len(direction), -1)
+        across = (weight @ squares).reshape(frames, k, k)
+        along = np.swapaxes(bone_jac * (self.bone_weight - weight)[..., None], -1, -2) @ bone_jac
+        return np.asarray(across + along)
+
+    def _add_prior_and_smoothness(self, state: State, diagonal: Array, below: Array, gradient: Array) -> None:
+        k = state.theta.shape[1]
+        inverse_variance = 1 / self.model.std**2
+        stiffness = np.zeros(len(state.theta))
+        stiffness[:-1] += self.smooth
+        stiffness[1:] += self.smooth
+        on_diagonal = np.einsum('nii->ni', diagonal)
+        on_diagonal[:, :k] += self.prior + stiffness[:, None] * inverse_variance
+        np.einsum('nii->ni', below)[:, :k] = -self.smooth[:, None] * inverse_variance
+        pull = self.smooth[:, None] * np.diff(state.theta, axis=0) * inverse_variance
+        gradient[:, :k] += self.prior * state.theta
+        gradient[1:, :k] += pull
+        gradient[:-1, :k] -= pull
+
+    def _add_camera_terms(self, state: State, diagonal: Array, below: Array, gradient: Array) -> None:
+        """Flip regulariser, tilt and approach, each a weighted change from frame to frame."""
+        frames, k = state.theta.shape
+        columns = np.swapaxes(state.rotation, -1, -2)
+        scaled = np.exp(state.log_scale)[:, None, None] * columns
+        of_columns = np.concatenate([scaled, columns[:, 2:]], axis=1)
+        jac = np.zeros((frames, 9, CAMERA_UNKNOWNS))
+        _fill_camera_columns(jac[:, :8].reshape(frames, 2, 4, CAMERA_UNKNOWNS), of_columns)
+        jac[:, [3, 7], 3] = 0.0
+        jac[:, 8, 3] = 1.0
+        value = np.concatenate([of_columns[..., 0], of_columns[..., 1], state.log_scale[:, None]], axis=1)
+        in_turn = [*[self.flip] * 3, self.tilt] * 2
+        weight = np.stack([*in_turn, self.approach], axis=-1)[..., None]
+        transposed = np.swapaxes(jac, -1, -2)
+        stiffness = np.zeros((frames, 9, 1))
+        stiffness[:-1] += weight
+        stiffness[1:] += weight
+        diagonal[:, k:, k:] += transposed @ (stiffness * jac)
+        below[:, k:, k:] = -transposed[1:] @ (weight * jac[:-1])
+        pull = weight * np.diff(value, axis=0)[..., None]
+        gradient[1:, k:] += (transposed[1:] @ pull)[..., 0]
+        gradient[:-1, k:] -= (transposed[:-1] @ pull)[..., 0]
+
+    def step(self, equations: NormalEquations, damping: Array) -> tuple[Array, Factor] | None:
+        """Levenberg-Marquardt with (P,) relative damping.
+
+        Returns:
+            (N, n) step, and the factored matrix without the bones' correction; None where it cannot be had.
+        """
+        diagonal = equations.diagonal.copy()
+        on_diagonal = np.einsum('nii->ni', diagonal)
+        on_diagonal *= 1 + self.per_frame(damping)[:, None]
+        on_diagonal += 1e-12
+        on_diagonal[self.held] += HOLD
+        n = diagonal.shape[1]
+        banded = factor(diagonal, equations.below, n + CAMERA_UNKNOWNS - 1)
+        if banded is None:
+            return None
+        strength = 1 / (self.counts + self.older)
+        return -solve_less_low_rank(banded, equations.gradient, equations.bones, strength, self.starts), banded
+
+    def spread(self, state: State, banded: Factor) -> Array:
+        """(P, J) m, posterior standard deviation of each sequence's last joints about the body's origin.
+
+        A Cholesky factor's last block is that of the marginal distribution of the last unknowns.
+        """
+        last = self.starts + self.counts - 1
+        inverse = np.linalg.inv(banded.diagonal_block(last, state.theta.shape[1] + CAMERA_UNKNOWNS))
+        rotation = state.rotation[last]
+        basis = np.swapaxes(self.model.components, 0, 1)  # (J, K, 3)
+        by_theta = np.swapaxes(basis @ np.swapaxes(rotation, -1, -2)[:, None], -1, -2)
+        turned = self.model.poses(state.theta[last]) @ np.swapaxes(rotation, -1, -2)
+        by_camera = np.concatenate([-cross_matrix(turned), np.zeros((*turned.shape, 1))], axis=-1)
+        jac = np.concatenate([by_theta, by_camera], axis=-1)  # (P, J, 3, n)
+        sides = jac @ np.swapaxes(inverse, -1, -2)[:, None]
+        return np.asarray(NOISE_REFERENCE * np.sqrt((sides**2).sum(axis=(-2, -1))))
+
+
+def _fill_camera_columns(out: Array, points: Array) -> None:
+    """Derivatives of points (N, J, 3) in x and y by rotation vector and log scale, to (N, 2, J, 4)."""
+    x, y, z = points[..., 0], points[..., 1], points[..., 2]
+    out[:, 0, :, 0], out[:, 1, :, 0] = 0.0, -z
+    out[:, 0, :, 1], out[:, 1, :, 1] = z, 0.0
+    out[:, 0, :, 2], out[:, 1, :, 2] = -y, x
+    out[:, 0, :, 3], out[:, 1, :, 3] = x, y
+
+
+def initial_state(problem: Problem, starts: Sequence[Start], s0: Array) -> State:
+    """The batch's state at these starts, translations at the centroids of the image points."""
+    theta = np.concatenate([s.theta for s in starts])
+    rotation = np.concatenate([s.cameras.rotation for s in starts])
+    scale = np.concatenate([s.cameras.scale / one for s, one in zip(starts, s0, strict=True)])
+    return State(theta, rotation, np.log(scale), _centroids(problem.image, problem.weight))
+
+
+def _centroids(image: Array, weight: Array) -> Array:
+    total = np.maximum(weight.sum(axis=1), 1e-12)[:, None]
+    return np.asarray((weight[..., None] * image).sum(axis=1) / total)
