@@ -101,6 +101,7 @@ class SolverConfig:
         2, 'camera starts: closed form, its Necker reversal, then a ring of headings', low=1, high=10
     )
     start_window: float = _p(1.0, 's, frames this near share one closed-form start camera', low=0.0, high=60.0)
+    upright_hypotheses: int = _p(1, 'the same for models aligned by heading', low=1, high=10)
     max_iterations: int = _p(60, 'alternations of cameras and weights', low=1, high=10_000)
     tolerance: float = _p(3e-4, 'relative decrease of the objective that ends it', low=0.0)
 

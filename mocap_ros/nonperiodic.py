@@ -32,7 +32,7 @@ from mocap_ros.reconstruction import Reconstruction, Window, begin, camera_hypot
 
 Array = NDArray[np.float64]
 
-FIRST_DAMPING, WARM_DAMPING = 0.1, 1e-2
+FIRST_DAMPING, NEXT_DAMPING, WARM_DAMPING = 0.1, 1e-4, 1e-2
 LEAST_DAMPING, MOST_DAMPING = 1e-5, 1e8
 ACCEPTED, REJECTED = 0.2, 10.0
 
@@ -67,8 +67,8 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
     damping = FIRST_DAMPING
     if config.adapt_noise:
         problem, state = _anneal(problem, state, windows, config)
-        damping = WARM_DAMPING
-    elif all(w.start is not None for w in windows):
+        damping = NEXT_DAMPING
+    if all(w.start is not None and (w.noise is not None or not config.adapt_noise) for w in windows):
         damping = WARM_DAMPING
     descent = _levenberg_marquardt(problem, state, config, damping)
     return results(problem, windows, s0, descent)
@@ -77,20 +77,21 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
 def solve_hypotheses(
     windows: Sequence[Window], model: BasePoses, config: SolverConfig
 ) -> tuple[Reconstruction, ...]:
-    """As `solve`, each window from `config.hypotheses` camera starts, all one batch; the likeliest result of each.
+    """As `solve`, each window from several camera starts, all one batch; the likeliest result of each.
 
-    With base poses of the right category this gains nothing over one start; the all-motions model needs the Necker
-    reversal for people seen from the front or from behind (docs/solvers.md).
+    There are `config.hypotheses` starts, or `config.upright_hypotheses` for a model aligned by heading: with base
+    poses of the right category more than one gains nothing, but the all-motions model needs the Necker reversal for
+    people seen from the front or from behind (docs/solvers.md).
     """
-    if config.hypotheses == 1:
+    count = config.upright_hypotheses if model.upright else config.hypotheses
+    if count == 1:
         return solve(windows, model, config)
     batch = []
     for window in windows:
         start, unit = begin(window, model.truncated(config.components), config.start_window)
-        tried = camera_hypotheses(start, config.hypotheses)
-        batch += [replace(window, start=s, unit=unit) for s in tried]
-    results = solve(batch, model, config)
-    groups = [results[i : i + config.hypotheses] for i in range(0, len(results), config.hypotheses)]
+        batch += [replace(window, start=s, unit=unit) for s in camera_hypotheses(start, count)]
+    found = solve(batch, model, config)
+    groups = [found[i : i + count] for i in range(0, len(found), count)]
     return tuple(min(group, key=lambda r: misfit(r, w, config)) for group, w in zip(groups, windows, strict=True))
 
 
@@ -133,7 +134,7 @@ def _anneal(
         descent = _levenberg_marquardt(problem_, coarse.truncated(k), rough, damping)
         coarse = coarse.with_first(descent.state)
         noise = found(least, descent)
-        damping = WARM_DAMPING
+        damping = NEXT_DAMPING
     state = problem.best_translation(interpolated(coarse, kept, problem))
     for least in (*FINE_NOISE[1:], 0.0):
         problem_ = problem.under_noise(noise)

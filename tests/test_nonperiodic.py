@@ -254,7 +254,7 @@ def test_hypotheses_mend_a_wrong_first_camera(walk_model: BasePoses) -> None:
     wrong = Start(start.theta, Cameras(start.cameras.scale, start.cameras.rotation @ half_turn))
     misled = dataclasses.replace(clean, start=wrong, unit=float(np.median(start.cameras.scale)))
     (one,) = nonperiodic.solve_hypotheses([misled], walk_model, SolverConfig(components=10, hypotheses=1))
-    (best,) = nonperiodic.solve_hypotheses([misled], walk_model, SolverConfig(components=10, hypotheses=9))
+    (best,) = nonperiodic.solve_hypotheses([misled], walk_model, SolverConfig(components=10, upright_hypotheses=9))
 
     def apart(result: Reconstruction) -> float:
         return float(np.linalg.norm(result.joints - right.joints, axis=-1).mean())
