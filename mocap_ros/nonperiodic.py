@@ -80,7 +80,7 @@ def solve_hypotheses(
     """As `solve`, each window from several camera starts, all one batch; the likeliest result of each.
 
     There are `config.hypotheses` starts, or `config.upright_hypotheses` for a model aligned by heading: with base
-    poses of the right category more than one gains nothing, but the all-motions model needs the Necker reversal for
+    poses of the right category more than one gains nothing; the all-motions model needs the Necker reversal for
     people seen from the front or from behind (docs/solvers.md).
     """
     count = config.upright_hypotheses if model.upright else config.hypotheses
