@@ -17,6 +17,7 @@ from mocap_ros.people import Intrinsics
 from mocap_ros.perspective import View
 from mocap_ros.reconstruction import Reconstruction, Window
 from mocap_ros.skeleton import Skeleton, joint_map
+from mocap_ros.swaps import swapped_frames
 
 Array = NDArray[np.float64]
 
@@ -72,6 +73,11 @@ def reconstruct_sequence(
     score = np.where(keypoints[..., 2] >= settings.min_score, keypoints[..., 2], 0.0)
     points, weight = joint_map(joint_names, skeleton).apply(keypoints[..., :2], score)
     points = np.where(weight[..., None] > 0, points, 0.0)
+    if settings.undo_swaps:
+        mirror = np.array(skeleton.mirror)
+        swapped = swapped_frames(times, points, weight, mirror)
+        points = np.where(swapped[:, None, None], points[:, mirror], points)
+        weight = np.where(swapped[:, None], weight[:, mirror], weight)
     rays = intrinsics.rays(points)
     view = View.of(rays, weight, times, FACING, intrinsics)
     focal = intrinsics.focal if intrinsics.known and settings.perspective else math.inf

@@ -135,3 +135,16 @@ class SwapFilter:
         if self.histories is None:
             return ()
         return min(self.histories, key=lambda h: h.cost).swapped
+
+
+def swapped_frames(times: Array, points: Array, weight: Array, mirror: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """(F,) whether left and right are swapped; times (F,) s, points (F, J, 2), weight (F, J) of a sequence."""
+    chain = SwapFilter(mirror)
+    out = np.zeros(len(times), bool)
+    seen = np.flatnonzero((weight > 0).sum(axis=1) > 1)
+    for frame in seen:
+        own = points[frame][weight[frame] > 0]
+        size = float(np.sqrt(((own - own.mean(axis=0)) ** 2).sum(axis=1).mean()))
+        chain = chain.update(float(times[frame]), points[frame], weight[frame], max(size, 1e-9))
+    out[seen] = chain.verdict
+    return out

@@ -22,3 +22,15 @@ def test_the_likeliest_of_several_models_is_used() -> None:
     alone = reconstruct_sequence(keypoints, CMU15.joints, times, CAMERA, models['walk'], CONFIG)
     assert (alone.joints == several.joints).all()
     assert alone.joints[..., 2].mean() > 1
+
+
+def test_swapped_frames_are_undone() -> None:
+    model = load_model('walk')
+    _, _, points, times = scene(model)
+    keypoints = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=-1)
+    disturbed = keypoints.copy()
+    disturbed[10:14] = keypoints[10:14][:, list(CMU15.mirror)]
+    whole, mended = (
+        reconstruct_sequence(k, CMU15.joints, times, CAMERA, model, CONFIG) for k in (keypoints, disturbed)
+    )
+    assert (whole.joints == mended.joints).all()
