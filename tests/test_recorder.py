@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import subprocess
 import sys
-from contextlib import suppress
+import threading
+import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from mcap.exceptions import McapError
-from mcap.reader import NonSeekingReader, make_reader
+from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
@@ -20,10 +23,14 @@ from rosbags.rosbag2 import Reader
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.io import messages
+from mocap_ros.io.background import BackgroundRecorder
 from mocap_ros.io.bags import Bag
-from mocap_ros.io.journal import Entry, Journal, Verdict, decode_entry, encode_entry
+from mocap_ros.io.journal import Entry, Journal, Verdict, decode_entry, encode_entry, read_run
+from mocap_ros.io.mcap_file import Attachment
+from mocap_ros.io.mcap_scan import MAGIC
 from mocap_ros.io.messages import Header, encode_keypoints, typestore
 from mocap_ros.io.recorder import Recorder, new_bag_folder
+from mocap_ros.io.recovery import recover
 from mocap_ros.people import Person2D
 from mocap_ros.skeleton import CMU15, layout
 
@@ -125,70 +132,189 @@ def test_a_bag_of_ours_is_read_back(recorded: tuple[Path, list[Message]]) -> Non
     assert {m.type for m in read} == {messages.KEYPOINTS}
 
 
+def run_elsewhere(code: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """In a process of its own, which has this module's names."""
+    command = [sys.executable, '-c', 'from tests.test_recorder import *\n' + code, *map(str, arguments)]
+    root = Path(__file__).parents[1]
+    return subprocess.run(command, cwd=root, check=False, capture_output=True, text=True)
+
+
 def test_a_killed_recording_loses_no_more_than_a_chunk(tmp_path: Path) -> None:
-    code = (
-        'import os, sys; from pathlib import Path; from tests.test_recorder import *\n'
+    run_elsewhere(
         'recorder = Recorder(Path(sys.argv[1]), RecorderConfig())\n'
         'for i in range(FRAMES):\n'
         "    recorder.write('/keypoints', messages.KEYPOINTS, keypoints(i), START + i * STEP, START)\n"
-        'os.kill(os.getpid(), 9)\n'
+        'os.kill(os.getpid(), 9)\n',
+        tmp_path / 'bag',
     )
-    root = Path(__file__).parents[1]
-    subprocess.run([sys.executable, '-c', code, str(tmp_path / 'bag')], cwd=root, check=False)
-    with (tmp_path / 'bag' / 'bag_0.mcap').open('rb') as file:
-        reader = NonSeekingReader(file)
-        read = []
-        with suppress(McapError):  # the end is missing
-            read.extend(m.data for _, _, m in reader.iter_messages(log_time_order=False))
-    lost = RecorderConfig().chunk_seconds * 1e9 / STEP + 1
-    assert len(read) >= FRAMES - lost
-    assert read == [keypoints(i) for i in range(len(read))]
-    for path in (tmp_path / 'bag', tmp_path / 'bag' / 'bag_0.mcap'):
-        cut_off = f'{path.name}: the recording was cut off, {len(read)} messages are left; not finished'
-        with pytest.raises(InputError, match=cut_off):
+    bag, lost = tmp_path / 'bag', RecorderConfig().chunk_seconds * 1e9 / STEP + 1
+    for path in (bag, bag / 'bag_0.mcap'):
+        with pytest.raises(
+            InputError, match=rf'{path.name}: the recording was cut off .*`mocap-ros recover {path}`'
+        ):
             Bag(path)
+        found = recover(path, tmp_path / f'{path.name}_whole')
+        with Bag(tmp_path / f'{path.name}_whole') as whole:
+            read = [m.raw for m in whole.messages(['/keypoints'])]
+        assert FRAMES - lost <= len(read) == found.messages['/keypoints']
+        assert read == [keypoints(i) for i in range(len(read))]
 
 
-def test_a_bag_without_metadata_points_to_its_file(tmp_path: Path) -> None:
+def test_a_bag_without_metadata_points_to_recover(tmp_path: Path) -> None:
     write_bag(tmp_path / 'bag', RecorderConfig())
     (tmp_path / 'bag' / 'metadata.yaml').unlink()
-    with pytest.raises(InputError, match=r'not finished: no metadata\.yaml; give bag_0\.mcap instead'):
+    with pytest.raises(InputError, match=r'not finished: no metadata\.yaml; `mocap-ros recover'):
         Bag(tmp_path / 'bag')
     with Bag(tmp_path / 'bag' / 'bag_0.mcap') as bag:
         assert bag.count(bag.topics) == FRAMES + 1
 
 
-def test_a_full_disk_is_one_clear_error_and_keeps_what_was_written(tmp_path: Path) -> None:
-    code = (
-        'import resource, signal, sys; from pathlib import Path; from tests.test_recorder import *\n'
-        'signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n'
-        'resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000))\n'
-        "recorder = Recorder(Path(sys.argv[1]), RecorderConfig(compression='none'))\n"
-        'try:\n'
-        '    for i in range(1000):\n'
-        "        recorder.write('/keypoints', messages.KEYPOINTS, keypoints(i), START + i * STEP, START)\n"
-        'except RecordingError as error:\n'
-        '    print(error)\n'
-        'recorder.close()\n'
-        'try:\n'
-        "    recorder.write('/keypoints', messages.KEYPOINTS, b'', START, START)\n"
-        'except RecordingError as error:\n'
-        '    print(error)\n'
-    )
+@pytest.mark.parametrize('limit', [20_000, 30_000, 30_500, 31_000])
+def test_a_full_disk_is_one_clear_error_and_the_bag_is_whole(tmp_path: Path, limit: int) -> None:
+    """What fits is read by everybody, even though there is no room for index and metadata.yaml."""
     bag = tmp_path / 'bag'
-    done = subprocess.run(
-        [sys.executable, '-c', code, str(bag)],
-        cwd=Path(__file__).parents[1],
-        check=True,
-        capture_output=True,
-        text=True,
+    done = run_elsewhere(
+        'import resource, signal\n'
+        'signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n'
+        'resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))\n'
+        "recorder = Recorder(Path(sys.argv[1]), RecorderConfig(compression='none'))\n"
+        'for attempt in range(2):\n'
+        '    try:\n'
+        '        for i in range(1000):\n'
+        "            recorder.write('/keypoints', messages.KEYPOINTS, keypoints(i), START + i * STEP, START)\n"
+        '    except RecordingError as error:\n'
+        '        print(error)\n'
+        'recorder.close()\n',
+        bag,
+        limit,
     )
-    assert done.stdout.splitlines() == [
-        f'{bag}/bag_0.mcap: File too large',
-        f'{bag}/bag_0.mcap: the recording is closed',
-    ]
+    assert done.stdout.splitlines() == [f'{bag}: File too large', f'{bag}: the recording is closed']
     assert done.stderr == ''
-    assert (bag / 'bag_0.mcap').stat().st_size > 20_000
+    if (bag / 'bag_0.mcap').read_bytes().endswith(MAGIC):
+        with Bag(bag) as whole:
+            read = [m.raw for m in whole.messages(['/keypoints'])]
+        with (bag / 'bag_0.mcap').open('rb') as file:
+            reader = make_reader(file, validate_crcs=True)
+            assert [m.data for _, _, m in reader.iter_messages()] == read
+    else:  # not even the index found room
+        recover(bag, tmp_path / 'whole')
+        with Bag(tmp_path / 'whole') as whole:
+            read = [m.raw for m in whole.messages(['/keypoints'])]
+    assert len(read) * 340 > limit - 5000
+    assert read == [keypoints(i) for i in range(len(read))]
+
+
+def record(recorder: Recorder, frames: int) -> None:
+    for i in range(frames):
+        recorder.write('/keypoints', messages.KEYPOINTS, keypoints(i), START + i * STEP, START)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason='mounts a small disk')
+def test_a_really_full_disk(tmp_path: Path) -> None:
+    disk = tmp_path / 'disk'
+    disk.mkdir()
+    if subprocess.run(['mount', '-t', 'tmpfs', '-o', 'size=64k', 'tmpfs', disk], check=False).returncode:
+        pytest.skip('cannot mount')
+    try:
+        recorder = Recorder(disk / 'bag', RecorderConfig(min_free_mb=0))
+        with pytest.raises(RecordingError, match='bag: No space left on device'):
+            record(recorder, 1000)
+        recover(disk / 'bag', tmp_path / 'whole')
+        with Bag(tmp_path / 'whole') as whole:
+            read = [m.raw for m in whole.messages(['/keypoints'])]
+        assert len(read) > 150
+        assert read == [keypoints(i) for i in range(len(read))]
+    finally:
+        subprocess.run(['umount', '-l', disk], check=True)
+
+
+def test_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    left = iter([300_000_000, 250_000_000, 199_000_000])
+    monkeypatch.setattr('shutil.disk_usage', lambda _: SimpleNamespace(free=next(left)))
+    recorder = Recorder(tmp_path / 'bag', RecorderConfig())
+    recorder.write('/keypoints', messages.KEYPOINTS, keypoints(0), START, START)
+    recorder.flush()
+    recorder.write('/keypoints', messages.KEYPOINTS, keypoints(1), START, START)
+    with pytest.raises(
+        RecordingError, match=r'bag: 199 MB left on the disk, less than recorder\.min_free_mb \(200\)'
+    ):
+        recorder.flush()
+    with Bag(tmp_path / 'bag') as bag:
+        assert bag.count(['/keypoints']) == 2
+    left = iter([1])
+    with pytest.raises(RecordingError, match='0 MB left'):
+        Recorder(tmp_path / 'other', RecorderConfig())
+    assert not (tmp_path / 'other').exists()
+
+
+@pytest.mark.parametrize('by', [{'split_seconds': 0.5}, {'split_mb': 1, 'compression': 'none'}])
+def test_a_bag_goes_on_in_further_files(tmp_path: Path, by: dict[str, Any]) -> None:
+    data = [keypoints(i) + bytes(40_000 if 'split_mb' in by else 0) for i in range(FRAMES)]
+    attachment = Attachment('mocap_ros.yaml', 'application/yaml', b'a: 1')
+    with Recorder(tmp_path / 'bag', RecorderConfig(**by), [attachment]) as recorder:
+        recorder.announce('/skeleton_definition', messages.SKELETON_DEFINITION, latched=True)
+        recorder.write('/skeleton_definition', messages.SKELETON_DEFINITION, DEFINITION, START, START)
+        for i, one in enumerate(data):
+            recorder.write('/keypoints', messages.KEYPOINTS, one, START + i * STEP, START)
+
+    files = sorted((tmp_path / 'bag').glob('*.mcap'))
+    assert [f.name for f in files] == [f'bag_{n}.mcap' for n in range(len(files))]
+    assert len(files) in (3, 4)
+    with Reader(tmp_path / 'bag') as reader:
+        read = [(c.topic, bytes(raw)) for c, _, raw in reader.messages()]
+        assert [raw for topic, raw in read if topic == '/keypoints'] == data
+        assert reader.message_count == len(read) == FRAMES + len(files)
+    described = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+    assert described['relative_file_paths'] == [f.name for f in files]
+    for file, said in zip(files, described['files'], strict=True):
+        with file.open('rb') as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            first = next(iter(reader.iter_messages()))
+            assert (first[1].topic, first[2].data) == ('/skeleton_definition', DEFINITION)
+            assert [a.data for a in reader.iter_attachments()] == [b'a: 1']
+            statistics = reader.get_summary().statistics
+        assert statistics.message_count == said['message_count']
+        assert statistics.message_start_time == said['starting_time']['nanoseconds_since_epoch']
+        duration = statistics.message_end_time - statistics.message_start_time
+        assert duration == said['duration']['nanoseconds']
+
+
+def test_a_removed_folder_is_noticed(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / 'bag', RecorderConfig())
+    recorder.write('/keypoints', messages.KEYPOINTS, keypoints(0), START, START)
+    shutil.rmtree(tmp_path / 'bag')
+    with pytest.raises(RecordingError, match=r'bag_0\.mcap: removed or moved while it was written'):
+        recorder.flush()
+    recorder.close()
+    assert not (tmp_path / 'bag').exists()
+
+
+def test_a_slow_disk_holds_nobody_up_and_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    go_on = threading.Event()
+    write = Recorder.write
+    monkeypatch.setattr(Recorder, 'write', lambda *a: go_on.wait() and write(*a))
+    background = BackgroundRecorder(tmp_path / 'bag', RecorderConfig(backlog=5))
+    journal = Journal('/mocap_node/journal')
+    begun, taken = time.monotonic(), 0
+    for i in range(20):
+        records = journal.input(
+            '/keypoints', messages.KEYPOINTS, keypoints(i), (START + i, START), Verdict.ACCEPTED
+        )
+        if background.put(records):
+            taken += 1
+        else:
+            journal.take_back()
+    assert time.monotonic() - begun < 1
+    assert taken in (5, 6)
+    go_on.set()
+    while not background.put([]):
+        time.sleep(0.01)
+    records = journal.input('/keypoints', messages.KEYPOINTS, keypoints(20), (START + 20, START), Verdict.ACCEPTED)
+    assert background.put(records)
+    background.close()
+    with Bag(tmp_path / 'bag') as bag:
+        assert read_run(bag).lost == 20 - taken
+        assert bag.count(['/keypoints']) == taken + 1
 
 
 def test_unwritable_and_existing_folders_are_refused(tmp_path: Path) -> None:
@@ -255,10 +381,13 @@ def test_journal_entries_round_trip(tmp_path: Path) -> None:
     ):
         assert decode_entry(encode_entry(entry)) == entry
     with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        journal = Journal(recorder, '/mocap_node/journal')
-        journal.input('/keypoints', messages.KEYPOINTS, keypoints(0), (START, START), Verdict.ACCEPTED)
-        journal.reset(START + 1)
-        journal.input('/keypoints', messages.KEYPOINTS, b'bad', (START + 2, START), Verdict.INVALID, 'bad')
+        journal = Journal('/mocap_node/journal')
+        for record in (
+            *journal.input('/keypoints', messages.KEYPOINTS, keypoints(0), (START, START), Verdict.ACCEPTED),
+            journal.reset(START + 1),
+            *journal.input('/keypoints', messages.KEYPOINTS, b'bad', (START + 2, START), Verdict.INVALID, 'bad'),
+        ):
+            recorder.write(*record)
     with Bag(tmp_path / 'bag') as bag:
         lines = [decode_entry(m.raw) for m in bag.messages(['/mocap_node/journal'])]
     assert [(e.kind, e.number, e.verdict.name) for e in lines] == [

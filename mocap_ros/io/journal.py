@@ -7,8 +7,10 @@ diagnostic_msgs/DiagnosticStatus for each input and for whatever else changed th
     input        reason, or empty     OK, WARN, ERROR or STALE      input: number of the input
     reset        empty                OK                            input: number of the last input before it
     parameters   empty                OK                            the same, and every parameter as JSON
+    lost         empty                OK                            the same; lost: inputs not recorded here
 
-Inputs are counted from 1 over all input topics, in the order of their log times.
+Inputs are counted from 1 over all input topics, in the order of their log times. Inputs are lost where the disk is
+too slow; they went to the tracker all the same.
 """
 
 from __future__ import annotations
@@ -17,16 +19,18 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import NamedTuple
 
 from mocap_ros.config import Value
 from mocap_ros.errors import InputError
+from mocap_ros.io.bags import Bag
 from mocap_ros.io.messages import decode, encode, new
-from mocap_ros.io.recorder import Recorder
+from mocap_ros.io.recorder import Record
 
 JOURNAL = 'diagnostic_msgs/msg/DiagnosticStatus'
 KEY_VALUE = 'diagnostic_msgs/msg/KeyValue'
 
-INPUT, RESET, PARAMETERS = 'input', 'reset', 'parameters'
+INPUT, RESET, PARAMETERS, LOST = 'input', 'reset', 'parameters', 'lost'
 
 
 class Verdict(IntEnum):
@@ -43,11 +47,11 @@ class Entry:
     """One line of the journal.
 
     Attributes:
-        kind: `input`, `reset` or `parameters`.
+        kind: `input`, `reset`, `parameters` or `lost`.
         number: of the input, or of the last input before.
         verdict: on the input.
         reason: why it was not accepted.
-        parameters: values by name.
+        parameters: values by name; of `lost`, how many.
         topic: of the input.
     """
 
@@ -90,17 +94,15 @@ def decode_entry(raw: bytes) -> Entry:
 
 
 class Journal:
-    """Writes a run into a bag.
+    """What to record of a run.
 
     Args:
-        recorder: of the bag; closed by the owner of the journal.
         topic: absolute name of the journal.
     """
 
-    def __init__(self, recorder: Recorder, topic: str) -> None:
-        self._recorder = recorder
+    def __init__(self, topic: str) -> None:
         self._topic = topic
-        self._inputs = 0
+        self._inputs = self._lost = self._told = 0
 
     def input(
         self,
@@ -110,8 +112,8 @@ class Journal:
         times_ns: tuple[int, int],
         verdict: Verdict,
         reason: str = '',
-    ) -> None:
-        """Record an input and what became of it.
+    ) -> list[Record]:
+        """An input and what became of it.
 
         Args:
             topic: absolute name.
@@ -120,22 +122,73 @@ class Journal:
             times_ns: of receipt, and at which the sender sent it.
             verdict: what became of it.
             reason: why it was not accepted.
-
-        Raises:
-            RecordingError: the disk is full or fails.
         """
+        lost = Entry(LOST, self._inputs, parameters={LOST: self._lost})
+        before = [self._record(lost, times_ns[0])] if self._lost else []
+        self._told, self._lost = self._lost, 0
         self._inputs += 1
-        self._recorder.write(topic, msgtype, raw, *times_ns)
-        self._write(Entry(INPUT, self._inputs, verdict, reason, topic), times_ns[0])
+        entry = Entry(INPUT, self._inputs, verdict, reason, topic)
+        return [*before, Record(topic, msgtype, raw, *times_ns), self._record(entry, times_ns[0])]
 
-    def reset(self, log_time_ns: int) -> None:
-        """Record that the tracker was reset."""
-        self._write(Entry(RESET, self._inputs), log_time_ns)
+    def take_back(self) -> None:
+        """The last input could not be recorded; the next one says so."""
+        self._inputs -= 1
+        self._lost = self._told + 1
 
-    def parameters(self, values: Mapping[str, Value], log_time_ns: int) -> None:
-        """Record the parameters from here on."""
-        self._write(Entry(PARAMETERS, self._inputs, parameters=values), log_time_ns)
+    def reset(self, log_time_ns: int) -> Record:
+        """The tracker was reset."""
+        return self._record(Entry(RESET, self._inputs), log_time_ns)
 
-    def _write(self, entry: Entry, log_time_ns: int) -> None:
-        data = encode_entry(entry)
-        self._recorder.write(self._topic, JOURNAL, data, log_time_ns, log_time_ns)
+    def parameters(self, values: Mapping[str, Value], log_time_ns: int) -> Record:
+        """The parameters from here on; they are repeated in each file of the bag."""
+        entry = Entry(PARAMETERS, self._inputs, parameters=values)
+        return self._record(entry, log_time_ns)._replace(repeat=PARAMETERS)
+
+    def _record(self, entry: Entry, log_time_ns: int) -> Record:
+        return Record(self._topic, JOURNAL, encode_entry(entry), log_time_ns, log_time_ns)
+
+
+class Run(NamedTuple):
+    """What the journal of a recorded run says; inputs are numbered from 1 as they are in the bag.
+
+    Attributes:
+        parameters: at the beginning, by name; empty where there is no journal.
+        unseen: numbers of the inputs that never reached the tracker.
+        events: resets and changes of parameters, by the number of the input before them.
+        lost: how many inputs the tracker saw that are not in the bag.
+    """
+
+    parameters: dict[str, Value]
+    unseen: set[int]
+    events: dict[int, list[Entry]]
+    lost: int
+
+
+def read_run(bag: Bag) -> Run:
+    """What happened in the run that this bag recorded; an empty run where it has no journal.
+
+    Raises:
+        InputError: the bag is broken.
+    """
+    topics = [t for t in bag.of_type([JOURNAL]) if t.endswith('/journal')]
+    run = Run({}, set(), {}, 0)
+    before = -1  # inputs in earlier files, where this is a later file of a bag that was split
+    waiting: list[Entry] = []
+    for message in bag.messages(topics):
+        entry = decode_entry(message.raw)
+        if entry.kind == LOST:
+            run = run._replace(lost=run.lost + int(entry.parameters.get(LOST, 0)))
+        elif entry.kind == INPUT:
+            if before < 0:
+                before = entry.number - 1
+            if entry.verdict is Verdict.OVERTAKEN:
+                run.unseen.add(entry.number - before)
+        else:
+            waiting.append(entry)
+    for entry in waiting:
+        number = max(entry.number - max(before, 0), 0)
+        if entry.kind == PARAMETERS and not number and not run.parameters:
+            run.parameters.update(entry.parameters)
+        else:
+            run.events.setdefault(number, []).append(entry)
+    return run

@@ -1,37 +1,40 @@
 """Writing bags: MCAP files that rosbag2 and every MCAP reader accept.
 
-A bag is a folder holding `<name>_0.mcap` and `metadata.yaml`. Chunks are closed by size and by time, so that a
-killed process loses no more than the last one.
+A bag is a folder holding `<name>_0.mcap`, further files where it is split, and `metadata.yaml`. Chunks are closed
+by size and by time, so that a killed process loses no more than the last one.
 """
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
-from functools import cache
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
-
-import yaml
-from mcap.writer import CompressionType, Writer
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import RecordingError
-from mocap_ros.io.messages import NS, ROS_DISTRO, typestore
+from mocap_ros.io.mcap_file import Attachment, McapFile
+from mocap_ros.io.messages import NS
+from mocap_ros.io.rosbag2 import METADATA, Span, Topic, dump, information, known_topic
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-METADATA_VERSION = 9
-COMPRESSION = {
-    'zstd': CompressionType.ZSTD,
-    'lz4': CompressionType.LZ4,
-    'none': CompressionType.NONE,
-}
-UNLIMITED = {'sec': 9223372036, 'nsec': 854775807}
+MB = 1_000_000
+
+
+class Record(NamedTuple):
+    """A message to write; the fields are the arguments of `Recorder.write`."""
+
+    topic: str
+    type: str
+    data: bytes
+    log_time_ns: int
+    publish_time_ns: int
+    repeat: str = ''
 
 
 def new_bag_folder(root: Path, time_ns: int) -> Path:
@@ -40,21 +43,16 @@ def new_bag_folder(root: Path, time_ns: int) -> Path:
     Args:
         root: the recording folder.
         time_ns: since the epoch.
+
+    Raises:
+        RecordingError: it cannot be looked at.
     """
     name = datetime.fromtimestamp(time_ns // NS, timezone.utc).strftime('mocap_%Y%m%dT%H%M%SZ')
     candidates = (root / (name + (f'_{n}' if n else '')) for n in count())
-    return next(path for path in candidates if not path.exists())
-
-
-@dataclass
-class _Channel:
-    """What is known of one recorded topic."""
-
-    number: int
-    type: str
-    hash: str
-    qos: list[dict[str, Any]]
-    messages: int = field(default=0)
+    try:
+        return next(path for path in candidates if not path.exists())
+    except OSError as error:
+        raise RecordingError(f'{root}: {error.strerror}') from None
 
 
 class Recorder:
@@ -62,29 +60,34 @@ class Recorder:
 
     Args:
         folder: of the new bag; its parents are made where they are missing.
-        config: compression, and when a chunk is closed.
+        config: compression, when a chunk is closed, when a new file is begun, how much of the disk is left free.
+        attachments: to put into each file.
+        name: what the names of the files begin with; by default the folder's.
 
     Raises:
-        RecordingError: the folder exists or cannot be written.
+        RecordingError: the folder exists or cannot be written, or too little disk space is left.
     """
 
-    def __init__(self, folder: Path, config: RecorderConfig) -> None:
+    def __init__(
+        self, folder: Path, config: RecorderConfig, attachments: Sequence[Attachment] = (), name: str = ''
+    ) -> None:
         self.folder = folder
-        self.path = folder / f'{folder.name}_0.mcap'
+        self._name = name or folder.name
         self._config = config
-        self._channels: dict[str, _Channel] = {}
-        self._first_ns = self._last_ns = self._chunk_ns = -1
-        self._stream: BinaryIO | None = None
-        self._writer: Writer | None = None
+        self._attachments = attachments
+        self._topics: dict[str, Topic] = {}
+        self._repeated: dict[tuple[str, str], Record] = {}
+        self._finished: dict[str, Span] = {}
+        self._chunk_ns = -1
+        self._file: McapFile | None = None
         with self._disk():
             folder.mkdir(parents=True)
-            self._stream = self.path.open('xb')
-            self._writer = Writer(
-                self._stream,
-                chunk_size=config.chunk_bytes,
-                compression=COMPRESSION[config.compression],
-            )
-            self._writer.start('ros2', 'mocap_ros')
+            try:
+                self._check_space()
+            except RecordingError:
+                folder.rmdir()
+                raise
+            self._file = self._new_file()
 
     def __enter__(self) -> Self:
         return self
@@ -98,25 +101,48 @@ class Recorder:
         Raises:
             RecordingError: unknown message type, another type than before, or a failing disk.
         """
-        if topic in self._channels:
-            if self._channels[topic].type != msgtype:
-                known = self._channels[topic].type
-                raise RecordingError(f'{self.path}: topic {topic} is {known}, not {msgtype}')
-            return
-        writer = self._open_writer
-        definition, type_hash = _definition(msgtype)
-        qos = [_qos(latched)]
-        with self._disk():
-            schema = writer.register_schema(msgtype, 'ros2msg', definition.encode())
-            number = writer.register_channel(
-                topic,
-                'cdr',
-                schema,
-                {'offered_qos_profiles': _dump(qos), 'topic_type_hash': type_hash},
-            )
-        self._channels[topic] = _Channel(number, msgtype, type_hash, qos)
+        known = self._topics.get(topic)
+        if known is None:
+            self.add(known_topic(topic, msgtype, latched=latched))
+        elif known.type != msgtype:
+            raise RecordingError(f'{self.folder}: topic {topic} is {known.type}, not {msgtype}')
 
-    def write(self, topic: str, msgtype: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
+    def add(self, topic: Topic) -> None:
+        """Make a topic of any type known.
+
+        The last message of a latched topic is repeated at the beginning of each further file.
+
+        Raises:
+            RecordingError: the disk is full or fails, or the bag is closed.
+        """
+        file = self._open_file
+        with self._disk():
+            file.add(topic)
+        self._topics[topic.name] = topic
+
+    def attach(self, attachment: Attachment, time_ns: int) -> None:
+        """Add a file to the file that is being written.
+
+        Raises:
+            RecordingError: the disk is full or fails, or the bag is closed.
+        """
+        file = self._open_file
+        with self._disk():
+            file.attach([attachment], time_ns)
+
+    def note(self, name: str, values: Mapping[str, str]) -> None:
+        """Add a metadata record to the file that is being written.
+
+        Raises:
+            RecordingError: the disk is full or fails, or the bag is closed.
+        """
+        file = self._open_file
+        with self._disk():
+            file.note(name, values)
+
+    def write(
+        self, topic: str, msgtype: str, data: bytes, log_time_ns: int, publish_time_ns: int, repeat: str = ''
+    ) -> None:
         """Append a message.
 
         Args:
@@ -125,33 +151,37 @@ class Recorder:
             data: CDR.
             log_time_ns: time of receipt; of outputs, of their publication.
             publish_time_ns: time at which the sender sent it.
+            repeat: where not empty, the last message of this topic with this word is repeated at the beginning of
+                each further file.
 
         Raises:
             RecordingError: the disk is full or fails, or the bag is closed.
         """
-        writer = self._open_writer
-        self.announce(topic, msgtype)
-        channel = self._channels[topic]
+        if topic not in self._topics or self._topics[topic].type != msgtype:
+            self.announce(topic, msgtype)
         with self._disk():
-            writer.add_message(channel.number, log_time_ns, data, publish_time_ns)
-        channel.messages += 1
-        self._first_ns = log_time_ns if self._first_ns < 0 else min(self._first_ns, log_time_ns)
-        self._last_ns = max(self._last_ns, log_time_ns)
+            file = self._file_for(log_time_ns)
+            file.write(topic, data, log_time_ns, publish_time_ns)
+        if repeat or self._topics[topic].latched:
+            self._repeated[topic, repeat] = Record(topic, msgtype, data, log_time_ns, publish_time_ns, repeat)
         if self._chunk_ns < 0:
             self._chunk_ns = log_time_ns
-        elif log_time_ns - self._chunk_ns >= self._config.chunk_seconds * NS:
+        elif abs(log_time_ns - self._chunk_ns) >= self._config.chunk_seconds * NS:
             self.flush()
 
     def flush(self) -> None:
-        """Close the chunk and hand it to the operating system.
+        """Close the chunk and hand it to the operating system; see whether disk and folder are still there.
 
         Raises:
-            RecordingError: the disk is full or fails.
+            RecordingError: the disk is full, or nearly, or fails, or the folder is gone; the recording is over.
         """
         self._chunk_ns = -1
-        writer = self._open_writer
+        file = self._open_file
         with self._disk():
-            writer.flush()  # type: ignore[no-untyped-call]
+            if not file.in_place:
+                raise FileNotFoundError(0, 'removed or moved while it was written', file.path)
+            file.flush()
+            self._check_space()
 
     def close(self) -> None:
         """Finish the bag; nothing happens the second time.
@@ -159,107 +189,86 @@ class Recorder:
         Raises:
             RecordingError: the disk is full or fails.
         """
-        if self._writer is None or self._stream is None:
+        if self._file is None:
             return
-        information = self._information()
         with self._disk():
-            self._writer.add_metadata('rosbag2', {'serialized_metadata': _dump(information)})
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._stream.close()
-            self._stream = self._writer = None
-            unfinished = self.folder / 'metadata.yaml.tmp'
-            content = _dump({'rosbag2_bagfile_information': information})
-            unfinished.write_text(content, encoding='utf-8')
-            unfinished.replace(self.folder / 'metadata.yaml')
+            self._finish_file(self._file)
+            self._write_metadata()
+
+    def remove(self) -> None:
+        """Take back a bag without messages."""
+        self.close()
+        shutil.rmtree(self.folder)
 
     @property
-    def _open_writer(self) -> Writer:
-        if self._writer is None:
-            raise RecordingError(f'{self.path}: the recording is closed')
-        return self._writer
+    def topics(self) -> Mapping[str, Topic]:
+        """Those known so far, by name."""
+        return self._topics
 
-    @contextlib.contextmanager
+    @property
+    def _open_file(self) -> McapFile:
+        if self._file is None:
+            raise RecordingError(f'{self.folder}: the recording is closed')
+        return self._file
+
+    def _new_file(self) -> McapFile:
+        return McapFile(self.folder / f'{self._name}_{len(self._finished)}.mcap', self._config)
+
+    def _file_for(self, log_time_ns: int) -> McapFile:
+        """The open file, or the next one where that is full; a new one begins with what is repeated."""
+        file, config = self._open_file, self._config
+        seconds = (log_time_ns - file.span.first_ns) / NS
+        if file.span.first_ns < 0:
+            file.attach(self._attachments, log_time_ns)
+        elif (config.split_mb and file.size >= config.split_mb * MB) or 0 < config.split_seconds <= seconds:
+            self._finish_file(file)
+            file = self._file = self._new_file()
+            for topic in self._topics.values():
+                file.add(topic)
+            file.attach(self._attachments, log_time_ns)
+            for r in self._repeated.values():
+                file.write(r.topic, r.data, log_time_ns, r.publish_time_ns)
+        return file
+
+    def _finish_file(self, file: McapFile) -> None:
+        file.finish(self._describe)
+        self._finished[file.path.name] = file.span
+        self._file = None
+
+    def _describe(self, file: McapFile) -> dict[str, Any]:
+        return information(self._topics.values(), {file.path.name: file.span})
+
+    def _write_metadata(self) -> None:
+        content = {'rosbag2_bagfile_information': information(self._topics.values(), self._finished)}
+        unfinished = self.folder / f'{METADATA}.tmp'
+        unfinished.write_text(dump(content), encoding='utf-8')
+        unfinished.replace(self.folder / METADATA)
+
+    def _check_space(self) -> None:
+        free = shutil.disk_usage(self.folder).free
+        if free < self._config.min_free_mb * MB:
+            self.close()
+            raise RecordingError(
+                f'{self.folder}: {free // MB} MB left on the disk, '
+                f'less than recorder.min_free_mb ({self._config.min_free_mb})'
+            )
+
+    @contextmanager
     def _disk(self) -> Iterator[None]:
         """Give the recording up where the disk fails."""
         try:
             yield
         except OSError as error:
-            self._abandon()
-            where = error.filename or self.path
+            self._rescue()
+            where = error.filename or self.folder
             raise RecordingError(f'{where}: {error.strerror or error}') from None
 
-    def _abandon(self) -> None:
-        """Let go of the file after a failure; what reached it stays readable."""
-        stream, self._stream, self._writer = self._stream, None, None
-        if stream is not None:
-            with contextlib.suppress(OSError):
-                stream.close()
-
-    def _information(self) -> dict[str, Any]:
-        """The content of metadata.yaml."""
-        total = sum(c.messages for c in self._channels.values())
-        span = {
-            'starting_time': {'nanoseconds_since_epoch': max(self._first_ns, 0)},
-            'duration': {'nanoseconds': self._last_ns - self._first_ns},
-            'message_count': total,
-        }
-        return {
-            'version': METADATA_VERSION,
-            'storage_identifier': 'mcap',
-            **span,
-            'topics_with_message_count': [
-                {
-                    'topic_metadata': {
-                        'name': topic,
-                        'type': channel.type,
-                        'serialization_format': 'cdr',
-                        'offered_qos_profiles': channel.qos,
-                        'type_description_hash': channel.hash,
-                    },
-                    'message_count': channel.messages,
-                }
-                for topic, channel in self._channels.items()
-            ],
-            'compression_format': '',
-            'compression_mode': '',
-            'relative_file_paths': [self.path.name],
-            'files': [{'path': self.path.name, **span}],
-            'custom_data': None,
-            'ros_distro': ROS_DISTRO,
-        }
-
-
-@cache
-def _definition(msgtype: str) -> tuple[str, str]:
-    """Full text of a message type with all it uses, and its hash."""
-    store = typestore()
-    if msgtype not in store.types:
-        raise RecordingError(f'message type {msgtype} is not known and cannot be recorded')
-    text, _ = store.generate_msgdef(msgtype, ros_version=2)
-    return text, store.hash_rihs01(msgtype)
-
-
-def _qos(latched: bool) -> dict[str, Any]:
-    return {
-        'history': 'keep_last',
-        'depth': 1 if latched else 10,
-        'reliability': 'reliable',
-        'durability': 'transient_local' if latched else 'volatile',
-        'deadline': dict(UNLIMITED),
-        'lifespan': dict(UNLIMITED),
-        'liveliness': 'automatic',
-        'liveliness_lease_duration': dict(UNLIMITED),
-        'avoid_ros_namespace_conventions': False,
-    }
-
-
-def _dump(content: Any) -> str:
-    return yaml.dump(content, Dumper=_PlainDumper, sort_keys=False)
-
-
-class _PlainDumper(yaml.SafeDumper):
-    """No anchors and aliases, which other readers of metadata.yaml stumble over."""
-
-    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002
-        """Always."""
-        return True
+    def _rescue(self) -> None:
+        """Finish the bag with what has reached the disk, as far as the disk lets us."""
+        file, self._file = self._file, None
+        with suppress(OSError):
+            if file is not None:
+                file.rescue(self._describe)
+                self._finished[file.path.name] = file.span
+            if self._finished:
+                self._write_metadata()
