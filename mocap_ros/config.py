@@ -178,9 +178,7 @@ class NodeConfig:
     max_joints: int = _p(200, 'joints of a person; more are refused', low=4, high=10_000)
     max_text: int = _p(100, 'characters of an id or a joint name; longer is refused', low=8, high=1000)
     silence_warning: float = _p(5.0, 's without keypoints after which the node says so', low=0.1)
-    publish_tf: bool = _p(
-        False, 'people as frames on /tf, where CameraInfo gives a true scale', read_only=True
-    )
+    publish_tf: bool = _p(False, 'people as frames on /tf, where CameraInfo gives a true scale', read_only=True)
     frame_prefix: str = _p('', 'before the names of these frames, for several cameras', read_only=True)
     marker_lifetime: float = _p(0.5, 's a marker stays after its last message', low=0.0, high=60.0)
 

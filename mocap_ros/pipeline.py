@@ -5,21 +5,27 @@ Pure but for the tracker's state: no ROS, no clock, no files.
 
 from __future__ import annotations
 
+import traceback
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
 
 import numpy as np
 
-from mocap_ros.base_poses import BasePoses, load_model
+from mocap_ros.base_poses import BasePoses, load_models
+from mocap_ros.bodies import BodyGroups
 from mocap_ros.config import Config
-from mocap_ros.errors import FrameDropped, InputError, SkeletonError
+from mocap_ros.errors import ConfigError, FrameDropped, InputError, SkeletonError
 from mocap_ros.io import messages
+from mocap_ros.io.foreign import decode_body, decode_frame, decode_ids
+from mocap_ros.io.foreign_types import BODY, BODY_IDS
 from mocap_ros.io.journal import Verdict
 from mocap_ros.io.markers import MarkerMemory
-from mocap_ros.io.messages import CameraInfo, Header, KeypointsFrame, OutputMessage
+from mocap_ros.io.messages import CAMERA_INFO, KEYPOINT_TYPES, CameraInfo, Header, KeypointsFrame, OutputMessage
+from mocap_ros.io.points import encode_points
+from mocap_ros.io.transforms import TRANSFORMS, encode_transforms
 from mocap_ros.people import Intrinsics, Person2D, Person3D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.tracker import Tracker
@@ -28,15 +34,51 @@ OUTPUTS = {
     'skeletons': messages.SKELETONS,
     'cameras': messages.CAMERAS,
     'markers': messages.MARKERS,
+    'points': messages.POINTS,
 }
+TF_OUTPUT = {'/tf': TRANSFORMS}
+FAULTS_BEFORE_RESET = 3
+OVERTAKEN = (
+    'passed over, newer messages were waiting: the node falls behind; lower tracker.components, '
+    'tracker.iterations or tracker.refine, send fewer frames or people, or use a faster core'
+)
 LATCHED_OUTPUTS = {'skeleton_definition': messages.SKELETON_DEFINITION}
 
 
 class Source(Enum):
-    """What an input is; the value is the relative name of its topic."""
+    """What an input is; the value is the name of its topic, and of bodies, what their topics begin with."""
 
     KEYPOINTS = 'keypoints'
     CAMERA_INFO = 'camera_info'
+    TRACKED = '/humans/bodies/tracked'
+    BODY = '/humans/bodies'
+
+
+PEOPLE_SOURCES = (Source.KEYPOINTS, Source.TRACKED, Source.BODY)
+
+
+def input_types(keypoints: str) -> dict[Source, str]:
+    """Every input and its type, where keypoints come as messages of that type.
+
+    Raises:
+        ConfigError: they cannot.
+    """
+    if keypoints == BODY:
+        return {Source.TRACKED: BODY_IDS, Source.BODY: BODY, Source.CAMERA_INFO: CAMERA_INFO}
+    if keypoints not in KEYPOINT_TYPES:
+        known = ', '.join((*KEYPOINT_TYPES, BODY))
+        raise ConfigError(f'node.input_type {keypoints!r} is not supported; {known} are')
+    return {Source.KEYPOINTS: keypoints, Source.CAMERA_INFO: CAMERA_INFO}
+
+
+def body_topic(tracked: str, body: str) -> str:
+    """Where the keypoints of a body come, beside the topic that says who is tracked."""
+    return f'{tracked.rpartition("/")[0]}/{body}/skeleton2d'
+
+
+def body_of(topic: str) -> str:
+    """The body whose keypoints come there."""
+    return topic.rpartition('/')[0].rpartition('/')[2]
 
 
 @dataclass(frozen=True)
@@ -47,11 +89,13 @@ class Outcome:
         verdict: accepted or not.
         reason: why not; where accepted, what is worth saying all the same, mostly nothing.
         outputs: to publish and record.
+        fault: traceback of an error of ours, mostly empty.
     """
 
     verdict: Verdict
     reason: str = ''
     outputs: tuple[OutputMessage, ...] = ()
+    fault: str = ''
 
 
 @dataclass
@@ -64,12 +108,16 @@ class Counters:
 
 
 class FrameTracker(Protocol):
-    """What the pipeline needs of a tracker; `went_back` as in `tracker.Tracker`."""
+    """What the pipeline needs of a tracker; attributes as in `tracker.Tracker`."""
 
     went_back: float
+    output_ns: int
 
     def update(self, stamp_ns: int, people: tuple[Person2D, ...], intrinsics: Intrinsics) -> tuple[Person3D, ...]:
         """As `tracker.Tracker.update`."""
+
+    def examine(self) -> None:
+        """As `tracker.Tracker.examine`."""
 
     def reset(self) -> None:
         """Forget everything."""
@@ -80,13 +128,15 @@ class Pipeline:
 
     Args:
         config: of tracker, solver and node.
-        model: base poses; by default the one that the configuration names.
+        models: base poses by name; by default those that the configuration names.
         make_tracker: what tracks.
 
     Attributes:
+        models: base poses in use, by name.
         counters: what became of the inputs, for as long as the pipeline lives.
         camera_info: the CameraInfo message in use, or None.
         header: of the last accepted frame.
+        people: who was in the last frame that was put out.
 
     Raises:
         ModelError: the model cannot be had.
@@ -95,36 +145,78 @@ class Pipeline:
     def __init__(
         self,
         config: Config,
-        model: BasePoses | None = None,
-        make_tracker: Callable[[BasePoses, Config], FrameTracker] = Tracker,
+        models: Mapping[str, BasePoses] | None = None,
+        make_tracker: Callable[[Mapping[str, BasePoses], Config], FrameTracker] = Tracker,
     ) -> None:
         self.config = config
         self.counters = Counters()
         self.camera_info: bytes | None = None
         self._camera: CameraInfo | None = None
-        self._model = model or load_model(config.tracker.model)
+        self.models = models or load_models(config.tracker.model)
         self._make_tracker = make_tracker
-        self._tracker = make_tracker(self._model, config)
+        self._tracker = make_tracker(self.models, config)
         self._markers = MarkerMemory()
+        self._bodies = BodyGroups()
+        self._faults = 0
         self.header = Header(0, '')
+        self.people: tuple[Person3D, ...] = ()
 
-    def feed(self, source: Source, raw: bytes) -> Outcome:
-        """Take any input; never raises for a bad one."""
+    @property
+    def swapped_frames(self) -> int:
+        """Frames of people so far whose left and right were put right."""
+        return int(getattr(self._tracker, 'swapped_frames', 0))
+
+    def feed(self, source: Source, raw: bytes, topic: str = '') -> Outcome:
+        """Take any input; never raises, neither for a bad one nor for an error of ours.
+
+        Args:
+            source: what it is.
+            raw: CDR.
+            topic: on which it came; of use for bodies only, which it names.
+        """
         try:
+            outcome = self._taken(source, raw, topic)
+            self._faults = 0
+        except Exception as error:
+            self.counters.dropped['internal error'] += 1
+            self._faults += 1
+            if self._faults == FAULTS_BEFORE_RESET:
+                self._tracker.reset()
+            reason = f'internal error: {type(error).__name__}: {error}'
+            return Outcome(Verdict.DROPPED, reason, fault=traceback.format_exc())
+        return outcome
+
+    def idle(self) -> str:
+        """What the next input would have to wait for otherwise: to be called when the outputs of `feed` are out.
+
+        Returns:
+            The traceback of an error of ours, mostly empty.
+        """
+        try:
+            self._tracker.examine()
+        except Exception:
+            return traceback.format_exc()
+        return ''
+
+    def _taken(self, source: Source, raw: bytes, topic: str) -> Outcome:
+        try:
+            if source is Source.CAMERA_INFO:
+                self.set_camera_info(raw)
+                return Outcome(Verdict.ACCEPTED)
             if source is Source.KEYPOINTS:
                 outputs = self.process(raw)
-                back = self._tracker.went_back
-                said = f'time went back by {back:.1f} s: started afresh' if back else ''
-                return Outcome(Verdict.ACCEPTED, said, outputs)
-            self.set_camera_info(raw)
+            else:
+                outputs = self._gathered(source, raw, body_of(topic))
         except InputError as error:
             return Outcome(Verdict.INVALID, str(error))
         except FrameDropped as error:
             return Outcome(Verdict.DROPPED, str(error))
-        return Outcome(Verdict.ACCEPTED)
+        back = self._tracker.went_back if outputs else 0.0
+        said = f'time went back by {back:.1f} s: started afresh' if back else ''
+        return Outcome(Verdict.ACCEPTED, said, outputs)
 
     def process(self, raw: bytes) -> tuple[OutputMessage, ...]:
-        """Take a Keypoints2DArray.
+        """Take a message of everyone in an image, of the type that the configuration names.
 
         Args:
             raw: CDR.
@@ -136,21 +228,48 @@ class Pipeline:
             InputError: the message cannot be used; names the field.
             FrameDropped: the tracker does not accept its stamp.
         """
+        return self._counted(
+            lambda: [decode_frame(raw, self.config.node.input_type, self.config.node, self._image_size())]
+        )
+
+    def _gathered(self, source: Source, raw: bytes, body: str) -> tuple[OutputMessage, ...]:
+        """Take one of the messages by which bodies come one by one."""
+        limits, size = self.config.node, self._image_size()
+
+        def frames() -> list[KeypointsFrame]:
+            if source is Source.TRACKED:
+                return self._bodies.track(*decode_ids(raw, limits), size)
+            return self._bodies.add(*decode_body(raw, body, size, limits), size, self.config.tracker.restart_after)
+
+        return self._counted(frames)
+
+    def _counted(self, frames: Callable[[], list[KeypointsFrame]]) -> tuple[OutputMessage, ...]:
+        """Everything there is to put out about some frames; counts the message they come from."""
+        outputs: list[OutputMessage] = []
+        before = self.header
         try:
-            frame = messages.decode_keypoints(raw, self.config.node)
-            intrinsics = self._intrinsics(frame)
-            people = self._tracked(frame, intrinsics)
+            for frame in frames():
+                before = frame.header
+                people = self._tracked(frame, self._intrinsics(frame))
+                outputs += self._outputs(Header(self._tracker.output_ns, frame.header.frame_id), people)
+                self.header, self.people = frame.header, people
         except InputError:
             self.counters.invalid += 1
             raise
         except FrameDropped:
             self.counters.dropped['stamp'] += 1
-            if frame.header.stamp_ns == self.header.stamp_ns == 0:
+            if before.stamp_ns == self.header.stamp_ns == 0:
                 raise FrameDropped('header.stamp is not set') from None
             raise
         self.counters.accepted += 1
-        self.header = frame.header
-        return self._outputs(frame.header, people)
+        return tuple(outputs)
+
+    def _image_size(self) -> tuple[int, int]:
+        """Of messages that do not say it; px, 0 where unknown."""
+        camera, node = self._camera, self.config.node
+        if camera is not None and camera.width and camera.height:
+            return camera.width, camera.height
+        return (node.image_width, node.image_height) if node.image_width and node.image_height else (0, 0)
 
     def set_camera_info(self, raw: bytes) -> None:
         """Take a sensor_msgs/CameraInfo, which holds for the frames after it.
@@ -159,7 +278,7 @@ class Pipeline:
             InputError: it cannot be used.
         """
         try:
-            self._camera = messages.decode_camera_info(raw)
+            self._camera = messages.decode_camera_info(raw, rectified=self.config.node.rectified_input)
         except InputError:
             self.counters.invalid += 1
             raise
@@ -168,11 +287,13 @@ class Pipeline:
     def note_overtaken(self) -> Outcome:
         """Count an input that was not taken because newer ones were waiting."""
         self.counters.dropped['overtaken'] += 1
-        return Outcome(Verdict.OVERTAKEN, 'newer messages were waiting')
+        return Outcome(Verdict.OVERTAKEN, OVERTAKEN)
 
     def reset(self) -> OutputMessage:
         """Forget everybody; returns the message that deletes all markers."""
         self._tracker.reset()
+        self._bodies.reset()
+        self.people = ()
         cleared = self._markers.clear(self.header)
         return OutputMessage('markers', messages.MARKERS, self.header.stamp_ns, cleared)
 
@@ -181,7 +302,7 @@ class Pipeline:
         old, self.config = self.config, config
         if (old.solver, old.tracker) == (config.solver, config.tracker):
             return False
-        self._tracker = self._make_tracker(self._model, config)
+        self._tracker = self._make_tracker(self.models, config)
         return True
 
     def _intrinsics(self, frame: KeypointsFrame) -> Intrinsics:
@@ -214,12 +335,18 @@ class Pipeline:
             raise InputError(f'people: the reconstruction failed ({error})') from None
 
     def _outputs(self, header: Header, people: tuple[Person3D, ...]) -> tuple[OutputMessage, ...]:
+        node = self.config.node
         data = {
             'skeletons': messages.encode_skeletons(header, people),
             'cameras': messages.encode_cameras(header, people),
-            'markers': self._markers.update(header, people, self.config.node.marker_lifetime),
+            'markers': self._markers.update(header, people, node.marker_lifetime),
+            'points': encode_points(header, people),
         }
-        return tuple(OutputMessage(t, OUTPUTS[t], header.stamp_ns, data[t]) for t in OUTPUTS)
+        types = OUTPUTS
+        if node.publish_tf:
+            types = OUTPUTS | TF_OUTPUT
+            data['/tf'] = encode_transforms(header, people, node.frame_prefix)
+        return tuple(OutputMessage(t, types[t], header.stamp_ns, data[t]) for t in data)
 
 
 def skeleton_definition() -> OutputMessage:

@@ -2,28 +2,52 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from mocap_ros.base_poses import shipped_models
-from mocap_ros.config import Config, Value, values, with_values
-from mocap_ros.errors import ConfigError, InputError
-from mocap_ros.io.bags import Bag, BagMessage, read_run
-from mocap_ros.io.journal import RESET, Journal, Verdict
-from mocap_ros.io.messages import CAMERA_INFO, OutputMessage
+from mocap_ros.base_poses import AUTO, shipped_models
+from mocap_ros.config import Config, RecorderConfig, Value, values, with_values
+from mocap_ros.errors import ConfigError, InputError, RecordingError
+from mocap_ros.io.bags import ENDINGS, Bag, BagMessage
+from mocap_ros.io.foreign_types import BODY, BODY_IDS
+from mocap_ros.io.journal import RESET, Journal, Verdict, read_run
+from mocap_ros.io.messages import KEYPOINT_TYPES, OutputMessage
 from mocap_ros.io.recorder import Recorder
+from mocap_ros.io.rosbag2 import METADATA
 from mocap_ros.pipeline import (
     LATCHED_OUTPUTS,
     Counters,
+    Outcome,
     Pipeline,
     Source,
+    body_of,
+    body_topic,
     skeleton_definition,
 )
+from mocap_ros.provenance import attachments
 
 JOURNAL_TOPIC = '/mocap_replay/journal'
+INPUT_TYPE = 'node.input_type'
+PARTIAL = '.partial'
 
 Watch = Callable[[Iterable[BagMessage], int], Iterable[BagMessage]]
+
+
+@dataclass(frozen=True)
+class ReplayOptions:
+    """How to replay.
+
+    Attributes:
+        config: parameters; None for those of the recorded run.
+        topic: of the keypoints, where the bag has several; of ROS4HRI bodies, the one that says who is tracked.
+        camera_info: topic of the CameraInfo, where the bag has several.
+    """
+
+    config: Config | None = None
+    topic: str | None = None
+    camera_info: str | None = None
 
 
 @dataclass(frozen=True)
@@ -33,87 +57,171 @@ class ReplayResult:
     Attributes:
         counters: what became of the keypoint messages.
         first_reason: why the first message that was not accepted was not; empty where all were.
+        lost: inputs that the recorded run saw, but which were not recorded; results may differ behind them.
+        faults: tracebacks of errors of ours, each once.
     """
 
     counters: Counters
     first_reason: str
+    lost: int = 0
+    faults: tuple[str, ...] = ()
 
 
 def replay(
     bag: Bag,
     out: Path,
-    config: Config | None = None,
-    topic: str | None = None,
+    options: ReplayOptions | None = None,
     watch: Watch = lambda messages, _: messages,
 ) -> ReplayResult:
     """Run a bag's inputs through a new pipeline and record them and the outputs in another bag.
 
     Inputs keep their log times, and outputs have those of the inputs that caused them. Where the bag records
     a run of ours, its resets and changes of parameters are made again at the same places, and inputs that
-    never reached the tracker are left out.
+    never reached the tracker are left out. The same bag and parameters give the same outputs. The new bag
+    is called `<out>.partial` until it is complete.
 
     Args:
-        bag: rosbag2.
+        bag: of ROS 2 or ROS 1.
         out: folder of the new bag.
-        config: parameters; by default those of the recorded run.
-        topic: of the keypoints, where the bag has several.
+        options: parameters and topics.
         watch: wrapped around the messages, of which there are as many as its second argument says.
 
     Raises:
         InputError: the bag cannot be used.
-        RecordingError: the new bag cannot be written.
+        RecordingError: the new bag exists or cannot be written.
     """
-    inputs = {bag.keypoints_topic(topic): Source.KEYPOINTS}
-    cameras = bag.of_type([CAMERA_INFO])
-    if len(cameras) > 1:
-        raise InputError(f'{bag.path}: several CameraInfo topics: {", ".join(cameras)}')
-    inputs.update(dict.fromkeys(cameras, Source.CAMERA_INFO))
-
-    run = read_run(bag)
-    kept = config is not None
-    config = _parameters(Config(), run.parameters, bag) if config is None else config
-    pipeline = Pipeline(config)
-    first_reason = ''
-    with Recorder(out, config.recorder) as recorder:
-        journal = Journal(recorder, JOURNAL_TOPIC)
-        for number, message in enumerate(watch(bag.messages(inputs), bag.count(inputs)), 1):
-            now = message.time_ns
-            if number == 1:
-                _begin(recorder, journal, config, now)
-            for entry in run.events.get(number - 1, ()):
-                if entry.kind == RESET:
-                    journal.reset(now)
-                    _write(recorder, pipeline.reset(), now)
-                elif not kept:
-                    pipeline.reconfigure(_parameters(pipeline.config, entry.parameters, bag))
-                    journal.parameters(values(pipeline.config), now)
-            if number in run.unseen:
-                outcome = pipeline.note_overtaken()
-            else:
-                outcome = pipeline.feed(inputs[message.topic], message.raw)
-            journal.input(message.topic, message.type, message.raw, (now, now), outcome.verdict, outcome.reason)
-            for output in outcome.outputs:
-                _write(recorder, output, now)
-            if outcome.verdict is not Verdict.ACCEPTED and not first_reason:
-                first_reason = f'{bag.path}: {message.topic}: message {number}: {outcome.reason}'
-    return ReplayResult(pipeline.counters, first_reason)
+    if out.exists():
+        raise RecordingError(f'{out}: exists already')
+    partial = _partial(out)
+    if partial.exists():
+        raise RecordingError(f'{partial}: left by an interrupted replay; --resume does it again, or remove it')
+    result = _Replay(bag, options or ReplayOptions()).run(partial, out.name, watch)
+    try:
+        partial.rename(out)
+    except OSError as error:
+        raise RecordingError(f'{out}: {error.strerror}') from None
+    return result
 
 
-def _begin(recorder: Recorder, journal: Journal, config: Config, now: int) -> None:
-    journal.parameters(values(config), now)
-    for topic, msgtype in LATCHED_OUTPUTS.items():
-        recorder.announce('/' + topic, msgtype, latched=True)
-    _write(recorder, skeleton_definition(), now)
+def remove_partial(out: Path) -> None:
+    """Remove what an interrupted replay to `out` has left.
+
+    Raises:
+        RecordingError: it is no bag, or cannot be removed.
+    """
+    partial = _partial(out)
+    if not partial.exists():
+        return
+    strange = [f.name for f in partial.iterdir() if f.suffix not in ENDINGS and not f.name.startswith(METADATA)]
+    if strange:
+        raise RecordingError(f'{partial}: not what a replay leaves: {strange[0]}')
+    try:
+        shutil.rmtree(partial)
+    except OSError as error:
+        raise RecordingError(f'{partial}: {error.strerror}') from None
 
 
-def _write(recorder: Recorder, output: OutputMessage, now: int) -> None:
-    recorder.write('/' + output.topic, output.type, output.data, now, now)
+def _partial(out: Path) -> Path:
+    return out.with_name(out.name + PARTIAL)
+
+
+class _Replay:
+    """One replay."""
+
+    def __init__(self, bag: Bag, options: ReplayOptions) -> None:
+        self._bag = bag
+        self._inputs = people_topics(bag, options.topic)
+        first, *_ = self._inputs
+        camera_info = bag.camera_info_topic(first, options.camera_info)
+        if camera_info is not None:
+            self._inputs[camera_info] = Source.CAMERA_INFO
+        kind = bag.topics[first] if self._inputs[first] is Source.KEYPOINTS else BODY
+        self._recorded_run = read_run(bag)
+        self._follow = options.config is None
+        config = options.config
+        if config is None:
+            config = _parameters(Config(), self._recorded_run.parameters, bag)
+        config = with_values(config, {INPUT_TYPE: kind})
+        self._recorder_config = RecorderConfig() if self._follow else config.recorder
+        self._pipeline = Pipeline(config)
+        self._journal = Journal(JOURNAL_TOPIC)
+        self._first_reason = ''
+        self._faults: dict[str, str] = {}
+
+    def run(self, folder: Path, name: str, watch: Watch) -> ReplayResult:
+        bag, pipeline = self._bag, self._pipeline
+        made_with = attachments(pipeline.config, pipeline.models)
+        with Recorder(folder, self._recorder_config, made_with, name) as self._recorder:
+            for number, message in enumerate(watch(bag.messages(self._inputs), bag.count(self._inputs)), 1):
+                if number == 1:
+                    self._begin(message.time_ns)
+                self._repeat_events(number - 1, message.time_ns)
+                if number in self._recorded_run.unseen:
+                    outcome = pipeline.note_overtaken()
+                else:
+                    outcome = pipeline.feed(self._inputs[message.topic], message.raw, message.topic)
+                self._finish(number, message, outcome)
+                if fault := pipeline.idle():
+                    self._faults.setdefault(fault, fault)
+        lost = self._recorded_run.lost
+        return ReplayResult(pipeline.counters, self._first_reason, lost, tuple(self._faults.values()))
+
+    def _begin(self, now: int) -> None:
+        for topic, msgtype in LATCHED_OUTPUTS.items():
+            self._recorder.announce('/' + topic, msgtype, latched=True)
+        self._recorder.write(*self._journal.parameters(values(self._pipeline.config), now))
+        self._write(skeleton_definition(), now)
+
+    def _repeat_events(self, number: int, now: int) -> None:
+        """Do what was done in the recorded run behind this input."""
+        for entry in self._recorded_run.events.get(number, ()):
+            if entry.kind == RESET:
+                self._recorder.write(*self._journal.reset(now))
+                self._write(self._pipeline.reset(), now)
+            elif self._follow:
+                self._pipeline.reconfigure(_parameters(self._pipeline.config, entry.parameters, self._bag))
+                self._recorder.write(*self._journal.parameters(values(self._pipeline.config), now))
+
+    def _finish(self, number: int, message: BagMessage, outcome: Outcome) -> None:
+        now, verdict, reason = message.time_ns, outcome.verdict, outcome.reason
+        for record in self._journal.input(message.topic, message.type, message.raw, (now, now), verdict, reason):
+            self._recorder.write(*record)
+        for output in outcome.outputs:
+            self._write(output, now)
+        if outcome.verdict is not Verdict.ACCEPTED and not self._first_reason:
+            self._first_reason = f'{self._bag.path}: {message.topic}: message {number}: {reason}'
+        if outcome.fault:
+            self._faults.setdefault(reason, outcome.fault)
+
+    def _write(self, output: OutputMessage, now: int) -> None:
+        self._recorder.write('/' + output.topic.lstrip('/'), output.type, output.data, now, now)
+
+
+def people_topics(bag: Bag, name: str | None = None) -> dict[str, Source]:
+    """The topics of 2D keypoints and what each is: one of everybody, or ROS4HRI's with one for each body.
+
+    Args:
+        bag: to look into.
+        name: of the topic, where there are several; of bodies, the one that says who is tracked.
+
+    Raises:
+        InputError: there is none, or more than one.
+    """
+    tracked = [t for t in bag.of_type([BODY_IDS]) if name in (None, t) and t.endswith('/bodies/tracked')]
+    bodies = [t for t in bag.of_type([BODY]) if t.endswith('/skeleton2d')]
+    if not bodies or (name is not None and name not in tracked) or bag.of_type(KEYPOINT_TYPES):
+        return {bag.keypoints_topic(name): Source.KEYPOINTS}
+    if len(tracked) > 1:
+        raise InputError(f'{bag.path}: several topics of tracked bodies, choose one: {", ".join(tracked)}')
+    beside = tracked[0].rpartition('/')[0] if tracked else bodies[0].rpartition('/')[0].rpartition('/')[0]
+    mine = [t for t in bodies if t == body_topic(f'{beside}/tracked', body_of(t))]
+    return dict.fromkeys(tracked, Source.TRACKED) | dict.fromkeys(mine, Source.BODY)
 
 
 def _parameters(config: Config, recorded: Mapping[str, Value], bag: Bag) -> Config:
     """The parameters of a recorded run. A bag may name no file: its model must be one of ours."""
     model = recorded.get('tracker.model', config.tracker.model)
-    if model not in shipped_models():
+    if model not in (AUTO, *shipped_models()):
         raise InputError(
             f'{bag.path}: recorded with the model {model!r}, which does not come with the package; '
             'give the parameters by --config or --set'
@@ -121,4 +229,6 @@ def _parameters(config: Config, recorded: Mapping[str, Value], bag: Bag) -> Conf
     try:
         return with_values(config, recorded)
     except ConfigError as error:
-        raise InputError(f'{bag.path}: recorded parameters: {error}') from None
+        raise InputError(
+            f'{bag.path}: recorded by another version ({error}); give the parameters by --config or --set'
+        ) from None

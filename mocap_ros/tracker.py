@@ -93,6 +93,7 @@ class Tracker:
         self._newest: int | None = None
         self._born = 0
         self._camera = UNKNOWN_CAMERA
+        self._pending: list[str] = []
 
     def reset(self) -> None:
         """Forget everybody and every stamp."""
@@ -101,10 +102,21 @@ class Tracker:
         self._examined = 0
         self._born = 0
         self._camera = UNKNOWN_CAMERA
+        self._pending = []
 
     def snapshot(self) -> Snapshot:
         """Everything it knows, for `restore`; later updates do not change it."""
-        keep = ('_tracks', '_newest', '_examined', '_born', '_camera', 'went_back', 'output_ns', 'swapped_frames')
+        keep = (
+            '_tracks',
+            '_newest',
+            '_examined',
+            '_pending',
+            '_born',
+            '_camera',
+            'went_back',
+            'output_ns',
+            'swapped_frames',
+        )
         tracks = [copy.copy(t) for t in self._tracks]
         return {**{name: getattr(self, name) for name in keep}, '_tracks': tracks}
 
@@ -135,6 +147,7 @@ class Tracker:
             what = 'is older than' if back_ns else 'repeats'
             raise FrameDropped(f'stamp {stamp_ns} ns {what} the newest accepted, {self._newest} ns')
         detections = [self._detection(p, intrinsics) for p in people]
+        self.examine()
         if restart:
             self.reset()
         self.went_back = back_ns / NS if restart else 0.0
@@ -151,8 +164,17 @@ class Tracker:
         tracks = [track for track, _ in seen]
         self._begin([t for t in tracks if not t.solved])
         self._refine([t for t in tracks if len(t.theta) < len(t.stamps)])
-        self._examine(tracks, stamp_ns)
+        self._pending = [t.id for t in tracks]
         return self._output(stamp_ns, tracks)
+
+    def examine(self) -> None:
+        """Ask what there is to ask about the last frame's people, if that was not done yet.
+
+        The next `update` would do it first; a caller who has time before then saves that frame the wait.
+        """
+        pending, self._pending = set(self._pending), []
+        if pending and self._newest is not None:
+            self._ask([t for t in self._tracks if t.id in pending], self._newest)
 
     def _detection(self, person: Person2D, intrinsics: Intrinsics) -> _Detection:
         points, weight = to_model_joints(person, self.config.tracker.min_score)
@@ -226,7 +248,7 @@ class Tracker:
                 track.take(solution, frames, held, self._camera)
                 track.resize(model)
 
-    def _examine(self, tracks: Sequence[Track], stamp: int) -> None:
+    def _ask(self, tracks: Sequence[Track], stamp: int) -> None:
         """One question about one person, and none too soon after the last."""
         for track in tracks:
             if track.noise > ALARM * track.calm_noise:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,8 +15,10 @@ from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
+import foreign_packages
 import numpy as np
 import pytest
+from camera_infos import camera_info
 from mcap.reader import make_reader
 
 from mocap_ros.config import RecorderConfig
@@ -24,6 +28,7 @@ from mocap_ros.io.bags import Bag
 from mocap_ros.io.markers import DELETE_ALL
 from mocap_ros.io.messages import Header, decode, encode_keypoints
 from mocap_ros.io.recorder import Recorder
+from mocap_ros.io.rosbag2 import known_topic
 from mocap_ros.io.samples import sequence_samples
 from mocap_ros.io.sequence import save_sequence
 from mocap_ros.people import Person2D
@@ -32,7 +37,7 @@ from mocap_ros.replay import replay
 from mocap_ros.ros.main import main
 from mocap_ros.ros.types import interface_class
 from mocap_ros.ros.usage import INPUTS, SERVICES
-from mocap_ros.skeleton import layout
+from mocap_ros.skeleton import CMU15, layout
 
 rclpy = pytest.importorskip('rclpy')
 pytest.importorskip('mocap_ros_msgs')
@@ -43,7 +48,8 @@ PATIENCE = 20.0
 FRAMES = 60
 DOMAINS = count(os.getpid())
 RELIABLE = 'qos_overrides./keypoints.subscription.reliability:=reliable'  # or the first ones may be missed
-FAST = ['tracker.warm_iterations:=1', 'tracker.fresh_iterations:=3', 'solver.components:=8']
+STATE_AFTER = {'configured': 'unconfigured', 'activated': 'inactive'}
+FAST = ['tracker.model:=walk', 'tracker.iterations:=1', 'tracker.components:=8']
 
 
 class Peer:
@@ -175,7 +181,8 @@ def test_live_run_is_received_recorded_and_replayed(
         for sample in samples:
             recorder.write('/detections', messages.KEYPOINTS, sample.raw, sample.due_ns, sample.due_ns)
 
-    node = start_node('recorder.enabled:=true', f'recorder.folder:={tmp_path}/bags', 'node.silence_warning:=60.0')
+    patient = ('node.silence_warning:=60.0', 'node.queue:=100')  # the machine may be busy
+    node = start_node('recorder.enabled:=true', f'recorder.folder:={tmp_path}/bags', *patient)
     peer.wait_for_the_node()
     started = time.monotonic()
     player = subprocess.Popen(
@@ -336,8 +343,10 @@ def test_the_node_says_what_it_listens_to_and_which_parameters_it_does_not_know(
         "unknown parameter 'tracker.windw' has no effect; did you mean 'tracker.window'?",
         "unknown parameter 'trackr.model' has no effect; did you mean 'tracker.model'?",
     ]
-    topics = '/keypoints and /camera_info, publishing /skeletons, /cameras, /markers, /skeleton_definition'
-    assert said == [f'listening on {topics}, model all', '/keypoints: first message accepted']
+    topics = (
+        '/keypoints and /camera_info, publishing /skeletons, /cameras, /markers, /points, /skeleton_definition'
+    )
+    assert said == [f'listening on {topics}, model walk', '/keypoints: first message accepted']
 
 
 def test_help_tells_arguments_topics_and_the_services_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
@@ -388,25 +397,428 @@ def test_without_ros_the_node_says_so_in_one_line(
     assert line.startswith('mocap_node: needs ROS 2')
 
 
-@pytest.mark.parametrize(
-    ('parameter', 'reason'),
-    [
-        ('node.input_type:=std_msgs/msg/String', "'std_msgs/msg/String' is not supported; mocap_ros_msgs"),
-        ('tracker.model:=nowhere.npz', "no base-pose model 'nowhere.npz'"),
-        ('tracker.min_score:=2.0', 'tracker.min_score'),
-    ],
-)
-def test_a_node_that_cannot_start_says_why_in_one_line(
-    start_node: Callable[..., subprocess.Popen[str]], parameter: str, reason: str
-) -> None:
-    process = start_node(parameter)
+def test_a_parameter_out_of_range_is_one_line(start_node: Callable[..., subprocess.Popen[str]]) -> None:
+    process = start_node('tracker.min_score:=2.0')
     _, log = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
-    assert len(log.splitlines()) == 1
-    assert reason in log
+    (line,) = log.splitlines()
+    assert 'tracker.min_score' in line
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'reason'),
+    [
+        (['node.input_type:=std_msgs/msg/String'], r"'std_msgs/msg/String' is not supported; .* not configured"),
+        (['tracker.model:=broken.npz'], r'broken\.npz: not a base-pose model .*; the node is not configured'),
+        (['qos_overrides./camera_info.subscription.reliability:=rubbish'], r'; the node is not activated'),
+        (['recorder.enabled:=true', f'recorder.folder:={"x" * 300}'], r'File name too long; nothing is recorded'),
+    ],
+)
+def test_a_node_that_cannot_start_says_why_in_one_line_and_lives(
+    peer: Peer,
+    start_node: Callable[..., subprocess.Popen[str]],
+    tmp_path: Path,
+    parameters: list[str],
+    reason: str,
+) -> None:
+    from lifecycle_msgs.srv import GetState
+
+    (tmp_path / 'broken.npz').write_bytes(b'PK\3\4 no model')
+    process = start_node(*parameters)
+    state = peer.call(GetState, 'mocap_node/get_state').current_state.label
+    line, *more = end(process, signal.SIGTERM)
+    assert (state, more) == (STATE_AFTER.get(reason.rpartition('not ')[2], 'active'), [])
+    assert re.search(reason, line)
+
+
+def test_recording_by_parameter_and_a_folder_that_is_removed(
+    peer: Peer, start_node: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+    from std_srvs.srv import SetBool
+
+    def switch(on: bool) -> None:
+        request = [Parameter('recorder.enabled', value=on).to_parameter_msg()]
+        answer = peer.call(SetParameters, 'mocap_node/set_parameters', parameters=request)
+        assert answer.results[0].successful
+
+    node = start_node(f'recorder.folder:={tmp_path}/bags')
+    peer.wait_for_the_node()
+    peer.wait(lambda: peer.keypoints.get_subscription_count() == 1)
+    switch(True)
+    peer.keypoints.publish(stamped(1))
+    peer.wait(lambda: peer.received['skeletons'])
+    switch(False)
+    (first,) = (tmp_path / 'bags').iterdir()
+    with Bag(first) as bag:
+        assert bag.count(['/keypoints']) == 1
+        assert [q.history.name for q in bag.qos['/keypoints']] == ['UNKNOWN']  # as discovery tells it
+
+    assert not peer.call(SetBool, 'mocap_node/record', data=False).success
+    switch(True)
+    peer.wait(lambda: len(list((tmp_path / 'bags').iterdir())) == 2)
+    (second,) = set((tmp_path / 'bags').iterdir()) - {first}
+    shutil.rmtree(second)
+    time.sleep(0.8)
+    assert not peer.call(SetBool, 'mocap_node/record', data=False).success
+    peer.keypoints.publish(stamped(2))
+    peer.wait(lambda: len(peer.received['skeletons']) == 2)
+    (line,) = end(node, signal.SIGTERM)
+    assert re.search(r'removed or moved while it was written; recording ends here', line)
+
+
+@pytest.mark.parametrize('program', ['mocap_ros.ros.main', 'mocap_ros.cli.main'])
+def test_an_interrupt_while_it_starts_is_no_traceback(env: dict[str, str], program: str) -> None:
+    code = (
+        'import _thread, builtins, sys; real = builtins.__import__\n'
+        'def slow(name, *rest):\n'
+        "    if name.startswith('mocap_ros.io'): _thread.interrupt_main()\n"
+        '    return real(name, *rest)\n'
+        f'from {program} import main\n'
+        "builtins.__import__ = slow; sys.exit(main(['replay', 'x', '-o', 'y']))"
+    )
+    done = subprocess.run([sys.executable, '-c', code], env=env, capture_output=True, text=True, check=False)
+    assert 'Traceback' not in done.stderr
 
 
 def test_playing_to_nobody_fails_in_one_line(env: dict[str, str], tmp_path: Path) -> None:
     save_sequence(tmp_path / 'demo.npz', make_recording().sequence())
     done = mocap_ros(env, 'play', tmp_path / 'demo.npz', '--wait', '0.3')
     assert (done.returncode, done.stderr) == (1, 'mocap-ros: nobody subscribed to /keypoints within 0.3 s\n')
+
+
+def test_playing_everything_in_a_loop_with_its_clock_and_qos(
+    env: dict[str, str], peer: Peer, tmp_path: Path
+) -> None:
+    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+    bag, start = tmp_path / 'bag', 5 * 10**9
+    best_effort = known_topic('/keypoints', messages.KEYPOINTS).qos[0] | {'reliability': 'best_effort'}
+    definition = messages.encode_skeleton_definition(CMU15)
+    with Recorder(bag, RecorderConfig()) as recorder:
+        recorder.add(known_topic('/keypoints', messages.KEYPOINTS, qos=[best_effort]))
+        recorder.announce('/skeleton_definition', messages.SKELETON_DEFINITION, latched=True)
+        recorder.write('/skeleton_definition', messages.SKELETON_DEFINITION, definition, start, start)
+        for i in range(10):
+            recorder.write('/keypoints', messages.KEYPOINTS, stamped(i), start + i * 10**8, start)
+
+    received: list[bytes] = []
+    times: list[Any] = []
+    qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+    for kind, topic, take in (
+        ('rosgraph_msgs/msg/Clock', '/clock', times.append),
+        (messages.KEYPOINTS, '/keypoints', received.append),
+    ):
+        raw = topic == '/keypoints'
+        peer.subscriptions.append(peer.node.create_subscription(interface_class(kind), topic, take, qos, raw=raw))
+    command = [
+        sys.executable,
+        '-m',
+        'mocap_ros.cli.main',
+        'play',
+        bag,
+        '--all',
+        '--loop',
+        '--clock',
+        '--rate',
+        '2',
+    ]
+    player = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    peer.wait(lambda: len(received) > 25 and len({t.clock.nanosec for t in times}) > 10)
+    offered = peer.node.get_publishers_info_by_topic('/keypoints')
+    reliability = {p.qos_profile.reliability for p in offered if p.node_name == 'mocap_player'}
+    (latched,) = peer.node.get_publishers_info_by_topic('/skeleton_definition')
+    player.send_signal(signal.SIGINT)
+    out, err = player.communicate(timeout=PATIENCE)
+
+    assert (player.returncode, err) == (0, '')
+    assert re.search(r'\d+ messages published on /keypoints, /skeleton_definition\n', out)
+    assert reliability == {ReliabilityPolicy.BEST_EFFORT}
+    assert latched.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert peer.received['skeleton_definition'][0] == definition
+    assert {stamped(i) for i in range(10)} >= set(received)
+    told = [t.clock.sec + t.clock.nanosec / 1e9 for t in times]
+    assert min(told) >= 5.0
+    assert max(told) <= 5.9
+    assert len(set(told)) > 10
+
+
+SENDER = """
+import json, sys, time
+import rclpy
+from rclpy.qos import QoSProfile
+from hri_msgs.msg import IdsList, NormalizedPointOfInterest2D, Skeleton2D
+from yolo_msgs.msg import Detection, DetectionArray, KeyPoint2D
+from tf2_msgs.msg import TFMessage
+
+kind, frames = sys.argv[1], json.loads(sys.stdin.read())
+rclpy.init()
+node = rclpy.create_node('detector')
+seen_tf = []
+node.create_subscription(TFMessage, '/tf', seen_tf.append, 1000)
+
+def wait(what):
+    end = time.monotonic() + 15
+    while not what():
+        assert time.monotonic() < end
+        rclpy.spin_once(node, timeout_sec=0.02)
+
+def stamped(message, stamp):
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
+    message.header.frame_id = 'camera'
+    return message
+
+if kind == 'yolo':
+    publisher = node.create_publisher(DetectionArray, 'keypoints', 100)
+    wait(publisher.get_subscription_count)
+    for stamp, people in frames:
+        array = stamped(DetectionArray(), stamp)
+        for name, points in people.items():
+            detection = Detection(id=name)
+            for i, (x, y, score) in enumerate(points):
+                if score > 0:
+                    keypoint = KeyPoint2D(id=i + 1, score=score)
+                    keypoint.point.x, keypoint.point.y = x, y
+                    detection.keypoints.data.append(keypoint)
+            array.detections.append(detection)
+        publisher.publish(array)
+else:
+    tracked = node.create_publisher(IdsList, '/humans/bodies/tracked', 100)
+    wait(tracked.get_subscription_count)
+    bodies = {}
+    for stamp, people in frames:
+        for name in people.keys() - bodies.keys():
+            tracked.publish(stamped(IdsList(ids=list(people)), stamp - 1))
+            bodies[name] = node.create_publisher(Skeleton2D, f'/humans/bodies/{name}/skeleton2d', 100)
+            wait(bodies[name].get_subscription_count)
+        for name in bodies.keys() - people.keys():
+            tracked.publish(stamped(IdsList(ids=list(people)), stamp - 1))
+            wait(lambda: not bodies[name].get_subscription_count())
+            node.destroy_publisher(bodies.pop(name))
+        for name, points in people.items():
+            message = stamped(Skeleton2D(), stamp)
+            for place, (x, y, score) in zip(message.skeleton, points):
+                place.x, place.y, place.c = x, y, score
+            bodies[name].publish(message)
+        time.sleep(0.03)
+if 'tf' in sys.argv:
+    wait(lambda: len(seen_tf) >= len(frames))
+    print(json.dumps([[(t.header.frame_id, t.child_frame_id) for t in m.transforms] for m in seen_tf]))
+time.sleep(0.3)
+node.destroy_node()
+rclpy.shutdown()
+"""
+
+
+@pytest.fixture(scope='module')
+def foreign() -> None:
+    foreign_packages.build()
+
+
+def send(env: dict[str, str], kind: str, frames: list[Any], *more: str) -> str:
+    done = subprocess.run(
+        [sys.executable, '-c', SENDER, kind, *more],
+        env=foreign_packages.environment(env),
+        input=json.dumps(frames),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def coco_people(frame: int, *names: str) -> dict[str, list[list[float]]]:
+    points = make_recording().keypoints[frame].astype(float)
+    return {
+        name: [[x + 100 * i, y, s] if s > 0 else [0.0, 0.0, 0.0] for x, y, s in points.tolist()]
+        for i, name in enumerate(names)
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures('foreign')
+def test_yolo_over_dds_with_frames_on_tf(
+    env: dict[str, str], peer: Peer, start_node: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    env.update(foreign_packages.environment(env))
+    node = start_node(
+        'node.input_type:=yolo_msgs/msg/DetectionArray',
+        'node.publish_tf:=true',
+        'node.frame_prefix:=left_',
+        'node.silence_warning:=60.0',
+        'recorder.enabled:=true',
+        f'recorder.folder:={tmp_path}/bags',
+    )
+    peer.wait_for_the_node()
+    info = peer.node.create_publisher(interface_class(messages.CAMERA_INFO), 'camera_info', 1)
+    peer.wait(info.get_subscription_count)
+    time.sleep(0.3)
+    info.publish(camera_info())
+    time.sleep(0.3)
+    frames = [[(f + 1) * 10**8, coco_people(f, 'anna', 'b/ob')] for f in range(8)]
+    told = json.loads(send(env, 'yolo', frames, 'tf'))
+    peer.wait(lambda: len(peer.received['skeletons']) == len(frames))
+    assert end(node, signal.SIGTERM) == []
+    for raw in peer.received['skeletons']:
+        assert [p.id for p in decode(raw, messages.SKELETONS).people] == ['anna', 'b/ob']
+    parents = {tuple(t) for m in told for t in m}
+    assert ('camera', 'left_body_anna') in parents
+    assert ('left_body_b_ob', 'left_l_shoulder_b_ob') in parents
+    (bag_folder,) = (tmp_path / 'bags').iterdir()
+    with Bag(bag_folder) as bag:
+        assert bag.topics['/keypoints'] == 'yolo_msgs/msg/DetectionArray'
+        assert bag.count(['/tf']) == len(frames)
+        replay(bag, tmp_path / 'again')
+    with Bag(tmp_path / 'again') as again:
+        replayed = [m.raw for m in again.messages(['/skeletons'])]
+    np.testing.assert_allclose(joints(replayed), joints(peer.received['skeletons']), atol=1e-9, rtol=0)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures('foreign')
+def test_bodies_of_ros4hri_come_and_go_over_dds(
+    env: dict[str, str], peer: Peer, start_node: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    env.update(foreign_packages.environment(env))
+    node = start_node(
+        'node.input_type:=hri_msgs/msg/Skeleton2D',
+        'node.image_width:=640',
+        'node.image_height:=480',
+        'recorder.enabled:=true',
+        f'recorder.folder:={tmp_path}/bags',
+    )
+    peer.wait_for_the_node()
+    names = [['b1'], ['b1', 'b2'], ['b1', 'b2'], ['b2']]
+    order = [layout('coco17').joints.index(j) if j != 'neck' else -1 for j in layout('hri18').joints]
+    frames = []
+    for i, present in enumerate(names):
+        people = {
+            n: [[p[j][0] / 640, p[j][1] / 480, p[j][2]] if j >= 0 else [0.0, 0.0, 0.0] for j in order]
+            for n, p in coco_people(i, *present).items()
+        }
+        frames.append([(i + 1) * 10**8, people])
+    send(env, 'hri', frames)
+    peer.wait(lambda: len(peer.received['skeletons']) >= len(frames))
+    assert [line for line in end(node, signal.SIGTERM) if 'no message' not in line] == []
+    seen = [
+        [p.id for p in decode(raw, messages.SKELETONS).people if not p.predicted]
+        for raw in peer.received['skeletons']
+    ]
+    assert seen == names
+    (bag_folder,) = (tmp_path / 'bags').iterdir()
+    with Bag(bag_folder) as bag:
+        replay(bag, tmp_path / 'again')
+    with Bag(tmp_path / 'again') as again:
+        replayed = [m.raw for m in again.messages(['/skeletons'])]
+    np.testing.assert_allclose(joints(replayed), joints(peer.received['skeletons']), atol=1e-9, rtol=0)
+
+
+def test_diagnostics_say_how_the_node_is_doing(
+    peer: Peer, start_node: Callable[..., subprocess.Popen[str]]
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    told: list[Any] = []
+    peer.subscriptions.append(peer.node.create_subscription(DiagnosticArray, '/diagnostics', told.append, 10))
+    node = start_node()
+    peer.wait_for_the_node()
+    peer.wait(lambda: peer.keypoints.get_subscription_count() == 1)
+    peer.keypoints.publish(stamped(1))
+    peer.keypoints.publish(stamped(1))
+    peer.keypoints.publish(stamped(2)[:50])
+    peer.wait(lambda: told and 'invalid in the last second' in told[-1].status[0].message)
+    said = {v.key: v.value for v in told[-1].status[0].values}
+    assert told[-1].status[0].name == '/mocap_node'
+    assert (said['accepted'], said['invalid'], said['dropped: stamp'], said['people']) == ('1', '1', '1', '1')
+    assert float(said['solve time p99 (ms)']) > 0
+    assert said['recorder'] == 'off'
+    end(node, signal.SIGTERM)
+
+
+@pytest.mark.slow
+def test_ended_at_any_moment_the_bag_is_whole(
+    peer: Peer, start_node: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(0)
+    for trial in range(4):
+        folder = tmp_path / f'bags{trial}'
+        node = start_node('recorder.enabled:=true', f'recorder.folder:={folder}')
+        peer.wait(lambda: peer.keypoints.get_subscription_count() == 1)
+        stop = time.monotonic() + rng.uniform(0, 0.8)
+        frame = 0
+        while time.monotonic() < stop:
+            frame += 1
+            peer.keypoints.publish(stamped(frame / 30))
+            time.sleep(0.01)
+        asked = time.monotonic()
+        node.send_signal(signal.SIGTERM if trial % 2 else signal.SIGINT)
+        assert node.wait(PATIENCE) == 0
+        assert time.monotonic() - asked < 2.0  # 1 s where nothing else is running
+        for bag_folder in folder.iterdir():
+            with Bag(bag_folder) as bag:
+                assert bag.count(['/skeletons']) <= bag.count(['/keypoints']) <= frame
+        peer.wait(lambda: peer.keypoints.get_subscription_count() == 0)
+
+
+@pytest.mark.slow
+def test_lifecycle_again_and_again_leaks_nothing(
+    peer: Peer, start_node: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    from lifecycle_msgs.srv import ChangeState
+
+    def change(transition: int) -> None:
+        request = ChangeState.Request()
+        request.transition.id = transition
+        assert peer.call(ChangeState, 'mocap_node/change_state', transition=request.transition).success
+
+    def held() -> tuple[int, int]:
+        status = Path(f'/proc/{node.pid}/status').read_text()
+        threads = int(re.search(r'Threads:\s+(\d+)', status)[1])  # type: ignore[index]
+        return threads, len(list(Path(f'/proc/{node.pid}/fd').iterdir()))
+
+    node = start_node('recorder.enabled:=true', f'recorder.folder:={tmp_path}/bags')
+    peer.wait_for_the_node()
+    before = after = (0, 0)
+    for round_number in range(6):
+        for transition in (4, 2, 1, 3):  # deactivate, clean up, configure, activate
+            change(transition)
+        peer.wait(lambda: peer.keypoints.get_subscription_count() == 1)
+        peer.keypoints.publish(stamped(round_number + 1))
+        peer.wait(lambda: len(peer.received['skeletons']) == round_number + 1)  # noqa: B023
+        after = held()
+        before = before if round_number else after
+    assert after[0] <= before[0]
+    assert after[1] <= before[1] + 1
+    assert [line for line in end(node, signal.SIGTERM) if 'no message' not in line] == []
+
+
+def test_the_recipe_of_the_documentation_runs(
+    env: dict[str, str], peer: Peer, start_node: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    from sensor_msgs.msg import Image
+
+    text = (Path(__file__).parents[1] / 'docs' / 'detectors.md').read_text()
+    (recipe,) = re.findall(r'<!-- recipe:.*?-->\n```python\n(.*?)```', text, re.DOTALL)
+    (tmp_path / 'detector.py').write_text(recipe)
+    node = start_node()
+    detector = subprocess.Popen([sys.executable, str(tmp_path / 'detector.py')], env=env)
+    try:
+        peer.wait_for_the_node()
+        images = peer.node.create_publisher(Image, 'image', 10)
+        peer.wait(images.get_subscription_count)
+        image = Image(width=640, height=480)
+        image.header.frame_id = 'camera'
+        while not peer.received['skeletons']:
+            image.header.stamp.sec += 1
+            images.publish(image)
+            peer.executor.spin_once(timeout_sec=0.2)
+            assert image.header.stamp.sec < 100
+    finally:
+        detector.kill()
+        detector.wait()
+    (person,) = decode(peer.received['skeletons'][-1], messages.SKELETONS).people
+    assert len(person.joints) == 15
+    end(node, signal.SIGTERM)

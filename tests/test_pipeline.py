@@ -10,53 +10,40 @@ from typing import Any
 
 import numpy as np
 import pytest
+from camera_infos import camera_info
+from scipy.spatial.transform import Rotation
 
 from mocap_ros.config import Config, with_values
 from mocap_ros.demo.scene import make_recording
-from mocap_ros.errors import FrameDropped, InputError
+from mocap_ros.errors import FrameDropped, InputError, RecordingError
 from mocap_ros.io import messages
 from mocap_ros.io.bags import Bag
+from mocap_ros.io.journal import JOURNAL
 from mocap_ros.io.keypoints import first_fault
-from mocap_ros.io.messages import Header, OutputMessage, decode, encode_keypoints, new
+from mocap_ros.io.markers import MarkerMemory
+from mocap_ros.io.mcap_file import McapFile
+from mocap_ros.io.messages import Header, OutputMessage, decode, encode_keypoints
+from mocap_ros.io.points import POINT
 from mocap_ros.io.samples import sequence_samples
+from mocap_ros.io.transforms import rep155_name
+from mocap_ros.lens import Distortion
 from mocap_ros.people import Intrinsics, Person2D
-from mocap_ros.pipeline import Pipeline, Source
+from mocap_ros.pipeline import OUTPUTS, Pipeline, Source
 from mocap_ros.replay import replay
-from mocap_ros.ros.live import LiveRun
-from mocap_ros.skeleton import layout
+from mocap_ros.ros.live import Complaints, LiveRun
+from mocap_ros.skeleton import CMU15, layout
+from mocap_ros.tracker import Tracker
 
-CONFIG = with_values(
-    Config(), {'solver.components': 8, 'tracker.warm_iterations': 1, 'tracker.fresh_iterations': 3}
-)
+CONFIG = with_values(Config(), {'tracker.model': 'walk', 'tracker.components': 8, 'tracker.iterations': 1})
 FRAMES = 25
-NAMES = {
-    t: f'/{t}' for t in ('keypoints', 'camera_info', 'skeletons', 'cameras', 'markers', 'skeleton_definition')
-} | {'journal': '/mocap_node/journal'}
+NAMES = {t: f'/{t}' for t in ('keypoints', 'camera_info', *OUTPUTS, 'skeleton_definition')} | {
+    'journal': '/mocap_node/journal'
+}
 
 
 @pytest.fixture(scope='module')
 def stream() -> list[bytes]:
     return [s.raw for s in islice(sequence_samples(make_recording().sequence()), FRAMES)]
-
-
-def camera_info(width: int = 640, height: int = 480, focal: float = 600.0) -> bytes:
-    region = new('sensor_msgs/msg/RegionOfInterest', x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
-    stamp = new('builtin_interfaces/msg/Time', sec=0, nanosec=0)
-    message = new(
-        messages.CAMERA_INFO,
-        header=new('std_msgs/msg/Header', stamp=stamp, frame_id='camera'),
-        height=height,
-        width=width,
-        distortion_model='plumb_bob',
-        d=np.zeros(5),
-        k=np.array([focal, 0, width / 2, 0, focal, height / 2, 0, 0, 1]),
-        r=np.eye(3).ravel(),
-        p=np.zeros(12),
-        binning_x=0,
-        binning_y=0,
-        roi=region,
-    )
-    return messages.encode(message, messages.CAMERA_INFO)
 
 
 def skeletons(outputs: tuple[OutputMessage, ...]) -> Any:
@@ -68,7 +55,7 @@ def test_every_output_has_the_stamp_and_frame_of_its_input(stream: list[bytes]) 
     for raw in stream[:3]:
         header = messages.decode_keypoints(raw, CONFIG.node).header
         outputs = pipeline.process(raw)
-        assert [o.topic for o in outputs] == ['skeletons', 'cameras', 'markers']
+        assert [o.topic for o in outputs] == ['skeletons', 'cameras', 'markers', 'points']
         assert {o.stamp_ns for o in outputs} == {header.stamp_ns}
         by_topic = {o.topic: decode(o.data, o.type) for o in outputs}
         markers = by_topic.pop('markers').markers
@@ -129,7 +116,7 @@ def test_image_size_comes_from_message_then_camera_then_parameters(stream: list[
     pipeline.set_camera_info(camera_info())
     known = skeletons(pipeline.process(raw)).people[0]
     assert known.scale_source == known.SCALE_KNOWN
-    assert known.joints[0].z == pytest.approx(nominal.joints[0].z * 600 / 640, rel=0.02)
+    assert known.joints[0].z == pytest.approx(nominal.joints[0].z * 600 / 640, rel=0.05)
 
 
 def test_a_camera_info_that_does_not_fit_is_refused(stream: list[bytes]) -> None:
@@ -161,11 +148,11 @@ class Log:
 class Live:
     """A live run whose outputs are collected."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, tracker: Any = Tracker) -> None:
         self.log = Log()
         self.published: list[OutputMessage] = []
         types = {Source.KEYPOINTS: messages.KEYPOINTS, Source.CAMERA_INFO: messages.CAMERA_INFO}
-        self.run = LiveRun(Pipeline(config), types, NAMES, self.published.append, self.log)
+        self.run = LiveRun(Pipeline(config, None, tracker), types, NAMES, self.published.append, self.log)
         self.run.start()
 
     def frames(self) -> int:
@@ -208,7 +195,7 @@ def test_a_replay_repeats_resets_parameters_and_bad_input(tmp_path: Path, stream
     for raw in stream[5:9]:
         live.run.put(Source.KEYPOINTS, raw, 5)
     live.wait_for_frames(13)
-    live.run.reconfigure(recording(tmp_path / 'live', **{'solver.components': 5}))
+    live.run.reconfigure(recording(tmp_path / 'live', **{'tracker.components': 5}))
     for raw in stream[9:13]:
         live.run.put(Source.KEYPOINTS, raw, 5)
     live.wait_for_frames(17)
@@ -259,7 +246,7 @@ def test_what_comes_too_fast_is_passed_over_counted_and_left_out_of_a_replay(
         assert time.monotonic() < end
         time.sleep(0.002)
     live.run.stop()
-    assert 2 <= live.frames() < FRAMES
+    assert 1 <= live.frames() < FRAMES
     assert any('newer messages were waiting' in line for line in live.log.lines)
 
     (bag,) = (tmp_path / 'live').iterdir()
@@ -291,6 +278,91 @@ def test_the_same_complaint_is_not_repeated_for_ever(stream: list[bytes]) -> Non
     assert bad[-1].endswith('(for the 100th time)')
 
 
+def test_strangers_cannot_flood_the_log() -> None:
+    log = Log()
+    complaints = Complaints(log)
+    for i in range(1000):
+        complaints.add('/keypoints', i, f"people[0].skeleton: unknown keypoint layout 'x{chr(500 + i)}'; known: a")
+    assert len(log.lines) == 4
+    for i in range(1000):
+        complaints.add('/keypoints', i, f'nobody quotes {chr(500 + i)}')
+    assert len(log.lines) < 40
+    complaints.add('/camera_info', 1, 'something else')
+    assert log.lines[-1].startswith('error /camera_info: message 1')
+
+
+class Faulty:
+    """A tracker with a fault: it fails at every third frame, and at all from the ninth to the next reset."""
+
+    went_back = 0.0
+    output_ns = 0
+
+    def __init__(self, *_: object) -> None:
+        self.frames = 0
+
+    def update(self, *_: object) -> tuple[()]:
+        self.frames += 1
+        if self.frames % 3 == 0 or self.frames > 8:
+            raise ZeroDivisionError('a fault of ours')
+        return ()
+
+    def examine(self) -> None: ...
+
+    def reset(self) -> None:
+        self.frames = 0
+
+
+def test_a_fault_of_ours_costs_its_frame_and_is_told_once(tmp_path: Path, stream: list[bytes]) -> None:
+    live = Live(recording(tmp_path / 'live', **{'node.queue': 100}), Faulty)
+    for raw in stream[:14]:
+        live.run.put(Source.KEYPOINTS, raw, 5)
+    live.wait_for_frames(8)  # 1, 2, 4, 5, 7, 8 and after the reset two more
+    live.run.stop()
+    assert [line.count('Traceback') for line in live.log.lines].count(1) == 1
+    dropped = [line for line in live.log.lines if 'internal error: ZeroDivisionError: a fault of ours' in line]
+    assert len(dropped) == 1
+    (bag,) = (tmp_path / 'live').iterdir()
+    with Bag(bag) as opened:
+        verdicts = [decode(m.raw, JOURNAL).level for m in opened.messages(['/mocap_node/journal'])]
+    assert verdicts[1:] == [0, 0, 1, 0, 0, 1, 0, 0, 1, 1, 1, 0, 0, 1]
+
+
+def test_a_fault_outside_the_tracker_does_not_silence_the_node(
+    stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = Live(CONFIG)
+    publish = live.published.append
+
+    def fail_once(_: OutputMessage) -> None:
+        monkeypatch.setattr(live.run, '_publish', publish)
+        raise RuntimeError('no middleware')
+
+    monkeypatch.setattr(live.run, '_publish', fail_once)
+    for raw in stream[:3]:
+        live.run.put(Source.KEYPOINTS, raw, 5)
+    live.wait_for_frames(2)
+    live.run.stop()
+    assert sum('RuntimeError: no middleware' in line for line in live.log.lines) == 1
+
+
+def test_a_recording_that_cannot_be_finished_is_no_success(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = Live(recording(tmp_path / 'live'))
+    live.run.put(Source.KEYPOINTS, stream[0], 5)
+    live.wait_for_frames(1)
+
+    def fail(*_: object) -> None:
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(McapFile, 'finish', fail)
+    with pytest.raises(RecordingError, match='No space left'):
+        live.run.end_recording()
+    assert live.run.end_recording() is None
+    live.run.stop()
+    assert sum('No space left' in line for line in live.log.lines) == 1
+
+
 @pytest.mark.parametrize('entry', [(0, 0, 1e200), (0, 0, 1e-200), (0, 2, 1e308), (1, 2, float('nan'))])
 def test_cameras_that_cannot_be_are_refused(entry: tuple[int, int, float]) -> None:
     matrix = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
@@ -306,3 +378,106 @@ def test_a_point_far_outside_any_image_is_a_fault() -> None:
     fault = first_fault(points, np.ones(5))
     assert fault is not None
     assert (fault.field, fault.index) == ('y', (3,))
+
+
+LENSES = {
+    'plumb_bob': (-0.28, 0.07, 0.001, -0.002, 0.0),
+    'equidistant': (-0.02, 0.004, -0.001, 0.0002),
+}
+
+
+@pytest.mark.parametrize('model', LENSES)
+def test_the_lens_of_camera_info_is_undone(model: str, stream: list[bytes]) -> None:
+    focal, lens = 600.0, LENSES[model]
+    raw = camera_info(focal=focal, model=model, d=lens)
+    camera = messages.decode_camera_info(raw).intrinsics
+    assert camera.distortion == Distortion(model, lens)
+    pinhole = Intrinsics(focal, (320.0, 240.0), known=True)
+    bent, straight = [], []
+    for message in stream[:5]:
+        frame = messages.decode_keypoints(message, CONFIG.node)
+        (person,) = frame.people
+        seen = camera.distortion.distort(pinhole.rays(person.points)) * focal + np.array(pinhole.center)
+        distorted = replace(person, points=seen)
+        bent.append(encode_keypoints(frame.header, (640, 480), [distorted]))
+        straight.append(encode_keypoints(frame.header, (640, 480), [person]))
+
+    def joints(inputs: list[bytes], info: bytes, **values: object) -> np.ndarray:
+        pipeline = Pipeline(with_values(CONFIG, values))
+        pipeline.set_camera_info(info)
+        people = [skeletons(pipeline.process(raw)).people for raw in inputs]
+        return np.array([[p.x, p.y, p.z] for frame in people for person in frame for p in person.joints])
+
+    expected = joints(straight, camera_info(focal=focal))
+    np.testing.assert_allclose(joints(bent, raw), expected, atol=2e-3)
+    rectified = {'node.rectified_input': True}
+    np.testing.assert_array_equal(joints(straight, raw, **rectified), expected)
+    projection = (300.0, 0, 320.0, 0, 0, 300.0, 240.0, 0, 0, 0, 1.0, 0)
+    other = joints(straight, camera_info(model=model, d=lens, p=projection), **rectified)
+    assert other[0, 2] == pytest.approx(expected[0, 2] / 2, rel=0.05)
+
+
+def test_a_lens_that_is_not_known_is_said() -> None:
+    pipeline = Pipeline(CONFIG)
+    outcome = pipeline.feed(Source.CAMERA_INFO, camera_info(model='fov', d=(0.9,)))
+    assert (outcome.verdict.name, outcome.reason.startswith("distortion model 'fov': expected plumb_bob")) == (
+        'INVALID',
+        True,
+    )
+
+
+def test_points_hold_every_joint(stream: list[bytes]) -> None:
+    pipeline = Pipeline(CONFIG)
+    outputs = {o.topic: o for o in pipeline.process(stream[0])}
+    cloud = decode(outputs['points'].data, messages.POINTS)
+    read = np.frombuffer(cloud.data.tobytes(), POINT)
+    (person,) = skeletons(tuple(outputs.values())).people
+    assert (cloud.width, cloud.height, cloud.header.frame_id) == (15, 1, 'camera')
+    assert [(f.name, f.offset) for f in cloud.fields] == [(n, POINT.fields[n][1]) for n in POINT.names]
+    np.testing.assert_allclose(read['x'], [j.x for j in person.joints], rtol=1e-6)
+    np.testing.assert_array_equal(read['joint'], np.arange(15))
+    np.testing.assert_array_equal(read['filled'], person.filled)
+
+
+def test_frames_need_a_true_scale_and_lie_in_the_body(stream: list[bytes]) -> None:
+    pipeline = Pipeline(with_values(CONFIG, {'node.publish_tf': True, 'node.frame_prefix': 'cam1_'}))
+
+    def transforms(raw: bytes) -> dict[str, Any]:
+        (tf,) = (o for o in pipeline.process(raw) if o.topic == '/tf')
+        return {t.child_frame_id: t for t in decode(tf.data, tf.type).transforms}
+
+    assert transforms(stream[0]) == {}
+    pipeline.set_camera_info(camera_info())
+    found = transforms(stream[1])
+    person = pipeline.people[0]
+    assert len(found) == 15
+    body = found[f'cam1_body_{person.id}']
+    assert body.header.frame_id == 'camera'
+    q, t = body.transform.rotation, body.transform.translation
+    turn = Rotation.from_quat([q.x, q.y, q.z, q.w])
+    for joint in ('lshoulder', 'head', 'rankle'):
+        frame = found[f'cam1_{rep155_name(joint)}_{person.id}']
+        assert frame.header.frame_id == f'cam1_body_{person.id}'
+        inside = frame.transform.translation
+        place = turn.apply([inside.x, inside.y, inside.z]) + [t.x, t.y, t.z]
+        np.testing.assert_allclose(place, person.joints[CMU15.index(joint)], atol=1e-9)
+    assert found[f'cam1_head_{person.id}'].transform.translation.z > 0.4  # up
+    assert found[f'cam1_l_hip_{person.id}'].transform.translation.y > 0.04  # left
+    toes = person.joints[CMU15.index('neck')] - person.joints[CMU15.index('pelvis')]
+    np.testing.assert_allclose(turn.apply([0, 0, 1]), toes / np.linalg.norm(toes), atol=1e-9)
+
+
+def test_the_predicted_are_drawn_unlike_the_filled_in(stream: list[bytes]) -> None:
+    memory = MarkerMemory()
+    pipeline = Pipeline(CONFIG)
+    pipeline.process(stream[0])
+    (person,) = pipeline.people
+    looks = {}
+    for name, change in {
+        'seen': {'filled': np.zeros(15, bool)},
+        'filled': {'filled': np.ones(15, bool)},
+        'predicted': {'filled': np.ones(15, bool), 'predicted': True},
+    }.items():
+        raw = memory.update(Header(1, 'camera'), [replace(person, **change)], 0.5)
+        looks[name] = repr(decode(raw, messages.MARKERS).markers[0].colors[0])
+    assert len(set(looks.values())) == 3

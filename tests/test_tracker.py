@@ -219,3 +219,13 @@ def test_whatever_keypoints_come_the_tracker_lives(walk_model: BasePoses, data) 
         for person in tracker.update(frame * STEP_NS, seen, CAMERA):
             assert np.isfinite(person.joints).all()
             assert person.rotation @ person.rotation.T == pytest.approx(np.eye(3), abs=1e-6)
+
+
+def test_questions_asked_early_change_nothing(walk_model: BasePoses, walk) -> None:
+    _, _, points, _ = walk
+    lazy, eager = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
+    for frame in range(30):
+        (a,) = lazy.update(frame * STEP_NS, people(points, frame), CAMERA)
+        (b,) = eager.update(frame * STEP_NS, people(points, frame), CAMERA)
+        eager.examine()
+        assert (a.joints == b.joints).all()

@@ -28,7 +28,12 @@ class NoRos:
             raise ImportError(f"{name} must not be imported outside mocap_ros.ros")
 
 def import_all(name):
-    module = importlib.import_module(name)
+    try:
+        module = importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name != "torch":  # optional, for training
+            raise
+        return
     for found in pkgutil.iter_modules(getattr(module, "__path__", ())):
         if found.name != "__main__" and (name, found.name) != ("mocap_ros", "ros"):
             import_all(f"{name}.{found.name}")

@@ -1,7 +1,8 @@
 """Markers that draw the people: spheres at the joints and lines along the bones.
 
 One SPHERE_LIST (ns `joints`) and one LINE_LIST (ns `bones`) a person, since a marker for each joint costs ten
-times as much. Joints that were not seen, and bones that end in one, are pale and see-through.
+times as much. Joints that were not seen, and bones that end in one, are pale and see-through; who was not detected
+and is predicted is grey all over.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ SPHERE_LIST, LINE_LIST = 7, 5
 ADD, DELETE, DELETE_ALL = 0, 2, 3
 JOINT_DIAMETER = 0.06
 BONE_WIDTH = 0.025
-SEEN_ALPHA, FILLED_ALPHA = 1.0, 0.35
+SEEN, FILLED, PREDICTED = (0.75, 1.0), (0.3, 0.35), (0.0, 0.35)  # saturation and opacity
 GOLDEN_RATIO = 0.618034
 SHAPES = (('joints', SPHERE_LIST, JOINT_DIAMETER), ('bones', LINE_LIST, BONE_WIDTH))
 
@@ -69,7 +70,7 @@ def _drawn(header: Any, person: Person3D, number: int, lifetime: float) -> list[
         'joints': (person.joints, filled),
         'bones': (person.joints[bones.ravel()], np.repeat(filled[bones].any(axis=1), 2)),
     }
-    color = _colors(number)
+    seen, hidden = (_color(number, look) for look in (SEEN, PREDICTED if person.predicted else FILLED))
     markers = []
     for ns, shape, size in SHAPES:
         positions, pale = looks[ns]
@@ -79,23 +80,19 @@ def _drawn(header: Any, person: Person3D, number: int, lifetime: float) -> list[
         if shape == SPHERE_LIST:  # viewers warn of lines that have a height
             marker.scale.y = marker.scale.z = size
         marker.points = new_points(positions)
-        marker.colors = [color[bool(p)] for p in pale]
-        marker.color = color[False]
+        marker.colors = [hidden if p else seen for p in pale]
+        marker.color = seen
         seconds, nanoseconds = divmod(round(lifetime * NS), NS)
         marker.lifetime = new('builtin_interfaces/msg/Duration', sec=seconds, nanosec=nanoseconds)
         markers.append(marker)
     return markers
 
 
-def _colors(number: int) -> tuple[Any, Any]:
-    """The colours of a person's seen and of their filled joints; hues far apart for neighbouring numbers."""
-    hue = (0.58 + number * GOLDEN_RATIO) % 1
-    looks = ((0.75, SEEN_ALPHA), (0.3, FILLED_ALPHA))
-    seen, filled = (
-        new('std_msgs/msg/ColorRGBA', **dict(zip('rgb', colorsys.hsv_to_rgb(hue, s, 0.95), strict=True)), a=a)
-        for s, a in looks
-    )
-    return seen, filled
+def _color(number: int, look: tuple[float, float]) -> Any:
+    """Of a person; hues far apart for neighbouring numbers."""
+    saturation, alpha = look
+    rgb = colorsys.hsv_to_rgb((0.58 + number * GOLDEN_RATIO) % 1, saturation, 0.95)
+    return new('std_msgs/msg/ColorRGBA', **dict(zip('rgb', rgb, strict=True)), a=alpha)
 
 
 def _marker(header: Any, ns: str, number: int, action: int) -> Any:

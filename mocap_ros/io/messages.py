@@ -19,7 +19,9 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError, SkeletonError
+from mocap_ros.io.foreign_types import DEFINITIONS, OPENPOSE, YOLO, ZED
 from mocap_ros.io.keypoints import first_fault, looks_normalised, tidied
+from mocap_ros.lens import Distortion
 from mocap_ros.people import Intrinsics, Person2D, Person3D
 from mocap_ros.skeleton import CMU15, LAYOUT_NAMES, Skeleton, joint_map, layout
 
@@ -37,7 +39,9 @@ SKELETON_DEFINITION = OWN + 'SkeletonDefinition'
 MARKERS = 'visualization_msgs/msg/MarkerArray'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 
-KEYPOINT_TYPES = (KEYPOINTS,)
+POINTS = 'sensor_msgs/msg/PointCloud2'
+
+KEYPOINT_TYPES = (KEYPOINTS, YOLO, ZED, OPENPOSE)
 
 
 class Header(NamedTuple):
@@ -92,9 +96,11 @@ class CameraInfo:
 
 @lru_cache(maxsize=1)
 def typestore() -> Typestore:
-    """The standard messages of ROS 2 and those of mocap_ros_msgs."""
+    """The standard messages of ROS 2, those of mocap_ros_msgs, and the foreign ones that are taken as input."""
     store = get_typestore(Stores.ROS2_KILTED)
     own: dict[str, Any] = {}
+    for name, text in DEFINITIONS.items():
+        own.update(get_types_from_msg(text, name))
     for definition in (files('mocap_ros') / 'msg').iterdir():
         if definition.name.endswith('.msg'):
             text = definition.read_text(encoding='utf-8')
@@ -139,14 +145,32 @@ def decode_keypoints(raw: bytes, limits: NodeConfig) -> KeypointsFrame:
     """
     _check_size(raw, limits)
     message = decode(raw, KEYPOINTS)
-    header = _header(message.header, limits)
-    if len(message.people) > limits.max_people:
-        raise InputError(f'people: {len(message.people)}, more than {limits.max_people}')
+    header = checked_header(message.header, limits)
+    check_count('people', len(message.people), limits)
     people = tuple(_person(p, i, message.image_width, limits) for i, p in enumerate(message.people))
+    check_ids('people', people)
+    return KeypointsFrame(header, message.image_width, message.image_height, people)
+
+
+def check_count(field: str, count: int, limits: NodeConfig) -> None:
+    """Refuse too many people.
+
+    Raises:
+        InputError: names the field.
+    """
+    if count > limits.max_people:
+        raise InputError(f'{field}: {count}, more than {limits.max_people}')
+
+
+def check_ids(field: str, people: Sequence[Person2D]) -> None:
+    """Refuse an id that two people have.
+
+    Raises:
+        InputError: names the field and the id.
+    """
     named = [p.id for p in people if p.id]
     if len(set(named)) != len(named):
-        raise InputError(f'people: id {max(named, key=named.count)!r} twice')
-    return KeypointsFrame(header, message.image_width, message.image_height, people)
+        raise InputError(f'{field}: id {max(named, key=named.count)!r} twice')
 
 
 def _check_size(raw: bytes, limits: NodeConfig) -> None:
@@ -158,14 +182,24 @@ def _check_size(raw: bytes, limits: NodeConfig) -> None:
         raise InputError(f'{len(raw)} bytes, more than the limits allow ({largest})')
 
 
-def _header(header: Any, limits: NodeConfig) -> Header:
+def checked_header(header: Any, limits: NodeConfig) -> Header:
+    """A std_msgs/Header, checked.
+
+    Raises:
+        InputError: a stamp that is no time, or a frame_id that is too long.
+    """
     seconds, nanoseconds = header.stamp.sec, header.stamp.nanosec
     if seconds < 0 or nanoseconds >= NS:
         raise InputError(f'header.stamp: {seconds} s {nanoseconds} ns is no time')
-    return Header(seconds * NS + nanoseconds, _text(header.frame_id, 'header.frame_id', limits))
+    return Header(seconds * NS + nanoseconds, checked_text(header.frame_id, 'header.frame_id', limits))
 
 
-def _text(text: str, field: str, limits: NodeConfig) -> str:
+def checked_text(text: str, field: str, limits: NodeConfig) -> str:
+    """The text, where it is not too long.
+
+    Raises:
+        InputError: it is; names the field.
+    """
     if len(text) > limits.max_text:
         raise InputError(f'{field}: {len(text)} characters, more than {limits.max_text}')
     return text
@@ -188,21 +222,37 @@ def _checked_person(person: Any, image_width: int, limits: NodeConfig) -> Person
     joints = _joints(person, count, limits)
     points = np.stack([person.x, person.y], axis=-1).astype(np.float64)
     score = np.asarray(person.score, np.float64)
+    return checked_person(checked_text(person.id, 'id', limits), joints, points, score, image_width)
+
+
+def checked_person(name: str, joints: tuple[str, ...], points: Array, score: Array, image_width: int) -> Person2D:
+    """A person whose keypoints have been looked at, wherever they come from.
+
+    Args:
+        name: the detector's, or empty.
+        joints: (J,) names.
+        points: (J, 2) px.
+        score: (J,).
+        image_width: px, 0 where unknown.
+
+    Raises:
+        InputError: names the field and the joint.
+    """
     fault = first_fault(points, score)
     if fault:
         raise InputError(f'{fault.field}[{fault.index[0]}]: {fault.what}')
     points, score = tidied(points, score)
     if looks_normalised(points, score, image_width):
         raise InputError('x, y: looks normalised; px expected')
-    return Person2D(_text(person.id, 'id', limits), joints, points, score)
+    return Person2D(name, joints, points, score)
 
 
 def _joints(person: Any, count: int, limits: NodeConfig) -> tuple[str, ...]:
     """Names of the joints of a message's person."""
-    name = _text(person.skeleton, 'skeleton', limits)
+    name = checked_text(person.skeleton, 'skeleton', limits)
     if not name and not person.joint_names:
         raise InputError(f'skeleton: empty, and no joint_names; known: {", ".join(LAYOUT_NAMES)}')
-    given = tuple(_text(n, 'joint_names', limits) for n in person.joint_names)
+    given = tuple(checked_text(n, 'joint_names', limits) for n in person.joint_names)
     field, named = ('joint_names', 'there are') if given else ('skeleton', f'{name!r} has')
     try:
         joints = given or layout(name).joints
@@ -245,20 +295,28 @@ def _new_person(person: Person2D) -> Any:
     )
 
 
-def decode_camera_info(raw: bytes) -> CameraInfo:
+def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
     """Image size and intrinsics of a sensor_msgs/CameraInfo.
 
-    Provisional: distortion is not undone yet.
+    Args:
+        raw: CDR.
+        rectified: whether keypoints are those of the rectified image: P holds then (K where P is not set), and the
+            lens has no distortion.
 
     Raises:
-        InputError: not a CameraInfo, or its matrix K is not set.
+        InputError: not a CameraInfo, its matrix is not set, or its distortion model is not known.
     """
     message = decode(raw, CAMERA_INFO)
-    matrix = np.asarray(message.k, np.float64).reshape(3, 3)
+    field, matrix = 'k', np.asarray(message.k, np.float64).reshape(3, 3)
+    if rectified and message.p[0]:
+        field, matrix = 'p', np.asarray(message.p, np.float64).reshape(3, 4)[:, :3]
+    lens = Distortion()
+    if not rectified:
+        lens = Distortion.named(message.distortion_model, tuple(map(float, message.d)))
     try:
-        intrinsics = Intrinsics.from_matrix(matrix)
+        intrinsics = Intrinsics.from_matrix(matrix, lens)
     except InputError as error:
-        raise InputError(f'k: {error}; the camera is not calibrated') from None
+        raise InputError(f'{field}: {error}; the camera is not calibrated') from None
     return CameraInfo(message.width, message.height, intrinsics)
 
 

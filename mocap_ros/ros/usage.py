@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
-from mocap_ros.io.messages import CAMERA_INFO, KEYPOINTS
-from mocap_ros.pipeline import LATCHED_OUTPUTS, OUTPUTS, Source
+from mocap_ros.io.foreign_types import BODY
+from mocap_ros.io.messages import CAMERA_INFO, KEYPOINT_TYPES, KEYPOINTS
+from mocap_ros.pipeline import LATCHED_OUTPUTS, OUTPUTS, TF_OUTPUT, Source
 
 SERVICES = {'~/reset': 'std_srvs/srv/Trigger', '~/record': 'std_srvs/srv/SetBool'}
 INPUTS = {Source.KEYPOINTS.value: KEYPOINTS, Source.CAMERA_INFO.value: CAMERA_INFO}
@@ -38,12 +39,14 @@ def _epilog() -> str:
     sections = {
         'after --ros-args': {
             '-p tracker.window:=2.0': 'a parameter; may be repeated',
+            '-p node.input_type:=TYPE': f'another type of keypoints: {", ".join((*KEYPOINT_TYPES[1:], BODY))}',
             '--params-file FILE': 'parameters from a file; `mocap-ros config > FILE` makes one with all of them',
             '-r keypoints:=/camera/keypoints': 'another name for a topic; may be repeated',
             '--log-level warn': 'say less',
         },
         'topics taken': INPUTS,
-        'topics published': OUTPUTS | LATCHED_OUTPUTS,
+        'topics published': OUTPUTS | LATCHED_OUTPUTS | {'/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray'},
+        'with -p node.publish_tf:=true': TF_OUTPUT,
         'services': SERVICES,
     }
     lines = []
