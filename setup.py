@@ -21,7 +21,8 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
-        (f'share/{NAME}/config', glob('config/*.yaml')),
+        (f'share/{NAME}/config', glob('config/mocap_ros.*')),
+        (f'share/{NAME}/launch', glob('config/launch/*.launch.py')),
     ],
     entry_points={
         'console_scripts': [
@@ -33,7 +34,7 @@ setup(
         'numpy>=1.24,<3',
         'scipy>=1.10,<2',
         'mcap>=1.6,<2',
-        'rosbags>=0.10.10,<0.12',
+        'rosbags>=0.11.9,<0.12',
         'matplotlib>=3.6,<4',
         'PyYAML>=6.0,<7',
         'tqdm>=4.64,<5',

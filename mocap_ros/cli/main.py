@@ -11,10 +11,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from mocap_ros.cli import config, demo, evaluate, play, plot, reconstruct, replay, train
 from mocap_ros.errors import MocapError
-
-COMMANDS = (demo, reconstruct, replay, play, plot, evaluate, train, config)
 
 
 class _HelpWithDefaults(argparse.ArgumentDefaultsHelpFormatter):
@@ -34,17 +31,19 @@ class _Parser(argparse.ArgumentParser):
 
 def parser() -> argparse.ArgumentParser:
     """The command line of all subcommands."""
+    from mocap_ros.cli import config, demo, evaluate, play, plot, reconstruct, recover, replay, train, train_lifter
+
     top = _Parser(prog='mocap-ros', description='People in 3D from one camera and a 2D keypoint detector.')
     subparsers = top.add_subparsers(metavar='COMMAND', required=True)
-    for command in COMMANDS:
+    for command in (demo, reconstruct, replay, play, recover, plot, evaluate, train, train_lifter, config):
         command.add_parser(subparsers)
     return top
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one subcommand."""
-    args = parser().parse_args(argv)
     try:
+        args = parser().parse_args(argv)
         return int(args.run(args))
     except MocapError as error:
         return _failed(str(error))

@@ -1,0 +1,280 @@
+"""From 2D joints to a 3D pose by a small network: a start and a prior for the factorisation.
+
+The network (Martinez et al., "A simple yet effective baseline for 3D human pose estimation", ICCV 2017, here with
+a history and its own uncertainty) sees a person's last 0.8 s at fixed times before the newest frame (`SLOTS`), to
+which frames of any rate are interpolated, and gives the newest pose in the camera's frame. Image points enter
+relative to the centre of each frame and in units of the window's mean distance from it; poses leave in that unit,
+so that translation and scale are the caller's. Inference is NumPy alone.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros import npz
+from mocap_ros.errors import ModelError, reader_reason
+from mocap_ros.skeleton import CMU15
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
+FORMAT = 'mocap_ros lifter 1'
+LARGEST_LIFTER = 64 << 20
+
+SLOTS = np.array([0, 1, 2, 3, 4, 6, 8, 10, 13, 16, 20, 24]) / 30
+LONGEST_BRIDGE = 0.15
+SAME_TIME = 0.004
+FARTHEST = 5.0
+FARTHEST_POINT = 1e12
+ANGULAR_UNIT = 0.1
+LOG_SPREADS = -7.0, 1.0
+JOINTS = len(CMU15.joints)
+MIRROR = list(CMU15.mirror)
+FEATURES = 3 * JOINTS * len(SLOTS) + 1
+OUTPUTS = 5 * JOINTS
+FEWEST_SEEN = 3
+SMALLEST_SIZE = 1e-9
+SIZE_TIME = 0.25
+BONES_OVER_STATURE = 2.36
+
+
+@dataclass(frozen=True, eq=False)
+class Lifted:
+    """3D poses of frames, camera optical frame's axes (x right, y down, z forward).
+
+    Attributes:
+        joints: (N, J, 3), each pose about the mean of its joints, in the unit of the image points at that depth;
+            NaN where too little was seen.
+        spread: (N, J, 3) standard deviations of the coordinates, same unit; those of x and y are one.
+    """
+
+    joints: Array
+    spread: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Lifter:
+    """The network, its batch norms folded into its layers.
+
+    Attributes:
+        layers: (in, out) weights and (out,) biases: the first, pairs that each make a residual block, the last.
+        provenance: what it was trained on and how.
+    """
+
+    layers: tuple[tuple[Array32, Array32], ...]
+    provenance: Mapping[str, object]
+
+    def lift(self, points: Array, weight: Array, focal: float = float('inf'), *, mirrored: bool = True) -> Lifted:
+        """Lift the newest of each history.
+
+        Args:
+            points: (N, T, J, 2) image points at the times `SLOTS` before the newest, joints as `skeleton.CMU15`;
+                any unit, anything where the weight is 0.
+            weight: (N, T, J) detector scores in [0, 1], 0 where not seen.
+            focal: of the camera in the same unit, which looks at the person; infinite if unknown.
+            mirrored: lift the mirror image as well and take the mean, which is better and takes longer.
+        """
+        features, newest, size = featured(points, weight, focal)
+        known = (features[:, 2 : 3 * JOINTS : 3] > 0).sum(axis=1) >= FEWEST_SEEN
+        if mirrored:
+            features = np.concatenate([features, mirror_features(features)])
+        out = self.forward(features)
+        joints = out[:, : 3 * JOINTS].reshape(-1, JOINTS, 3).astype(float)
+        log_spread = out[:, 3 * JOINTS :].reshape(-1, JOINTS, 2).astype(float)
+        if mirrored:
+            count = len(newest)
+            joints = (joints[:count] + joints[count:, MIRROR] * [-1, 1, 1]) / 2
+            log_spread = (log_spread[:count] + log_spread[count:, MIRROR]) / 2
+        joints[..., :2] += newest
+        joints -= joints.mean(axis=1, keepdims=True)
+        spread = np.exp(np.clip(log_spread, *LOG_SPREADS))
+        unit = np.where(known, size, np.nan)[:, None, None]
+        return Lifted(joints * unit, spread[..., [0, 0, 1]] * unit)
+
+    def forward(self, features: Array32) -> Array32:
+        """(N, FEATURES) -> (N, OUTPUTS): pose less the newest points, and logs of the spreads."""
+        (first, bias), *hidden, (last, end) = self.layers
+        x = np.maximum(features @ first + bias, 0)
+        for (a, b), (c, d) in zip(hidden[::2], hidden[1::2], strict=True):
+            x = x + np.maximum(np.maximum(x @ a + b, 0) @ c + d, 0)
+        return np.asarray(x @ last + end)
+
+    def lift_sequence(
+        self, points: Array, weight: Array, times: Array, focal: float = float('inf'), *, mirrored: bool = True
+    ) -> Lifted:
+        """Lift every frame of a sequence, each from itself and those before it.
+
+        Args:
+            points: (F, J, 2), anything where the weight is 0.
+            weight: (F, J).
+            times: (F,) s, increasing.
+            focal: as in `lift`.
+            mirrored: as in `lift`.
+        """
+        return self.lift(*histories(points, weight, times, np.arange(len(times))), focal, mirrored=mirrored)
+
+
+def metric(lifted: Lifted, times: Array, height: float) -> Lifted:
+    """Poses of a sequence in m, on the assumption that the person is `height` m tall.
+
+    The image of somebody who comes nearer grows; what does not are the bones. So each frame is scaled by the
+    lengths of its bones, averaged over about `SIZE_TIME` s before and after.
+
+    Args:
+        lifted: poses of one person, in px.
+        times: (N,) s.
+        height: m.
+    """
+    parents, children = (list(side) for side in zip(*CMU15.bones, strict=True))
+    bones = np.linalg.norm(lifted.joints[:, children] - lifted.joints[:, parents], axis=-1).sum(axis=1)
+    known = np.isfinite(bones)
+    near = np.exp(-0.5 * ((times[:, None] - times[known]) / SIZE_TIME) ** 2) + SMALLEST_SIZE
+    size = np.exp(near @ np.log(np.maximum(bones[known], SMALLEST_SIZE)) / near.sum(axis=1))
+    factor = (BONES_OVER_STATURE * height / size)[:, None, None]
+    return Lifted(lifted.joints * factor, lifted.spread * factor)
+
+
+def histories(points: Array, weight: Array, times: Array, frames: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Points (N, T, J, 2) and weights (N, T, J) at `SLOTS` before some frames of a sequence.
+
+    A joint is interpolated between neighbouring frames no more than `LONGEST_BRIDGE` s apart that both have it.
+
+    Args:
+        points: (F, J, 2), anything where the weight is 0.
+        weight: (F, J).
+        times: (F,) s, increasing.
+        frames: (N,) indices.
+    """
+    weight = np.where(weight > 0, weight, 0.0)
+    points = np.where(weight[..., None] > 0, points, 0.0)
+    wanted = times[frames][:, None] - SLOTS
+    after = np.minimum(times.searchsorted(wanted - SAME_TIME), frames[:, None])
+    before = np.maximum(after - 1, 0)
+    late, early = times[after] - wanted, wanted - times[before]
+    share = early / np.maximum(late + early, SAME_TIME)
+    share[late <= SAME_TIME] = 1.0
+    share[np.abs(early) <= SAME_TIME] = 0.0
+    exact = (share == 0) | (share == 1)
+    fine = exact | ((share > 0) & (share < 1) & (late + early <= LONGEST_BRIDGE))
+    share = share[..., None]
+    w0, w1 = weight[before], weight[after]
+    seen = fine[..., None] & ((w0 > 0) | (share == 1)) & ((w1 > 0) | (share == 0))
+    mixed = np.where(seen, (1 - share) * w0 + share * w1, 0.0)
+    share = share[..., None]
+    between = (1 - share) * points[before] + share * points[after]
+    return np.where(seen[..., None], between, 0.0), mixed
+
+
+def featured(
+    points: Array | Array32, weight: Array | Array32, focal: float | Array = float('inf')
+) -> tuple[Array32, Array, Array]:
+    """What the network is given.
+
+    Args:
+        points: (N, T, J, 2) as in `Lifter.lift`.
+        weight: (N, T, J) as there.
+        focal: as there, one or (N,).
+
+    Returns:
+        (N, FEATURES) features; (N, J, 2) newest points as the network sees them, 0 where not seen; (N,) the unit
+        of these, in that of the points.
+    """
+    weight = np.where((np.abs(points) < FARTHEST_POINT).all(axis=-1) & (weight > 0), np.minimum(weight, 1), 0)
+    seen = weight > 0
+    clean = np.where(seen[..., None], points, 0)
+    total = np.maximum(weight.sum(axis=-1, keepdims=True), SMALLEST_SIZE)
+    centre = np.einsum('ntj,ntjd->ntd', weight, clean) / total
+    centred = np.where(seen[..., None], clean - centre[:, :, None], 0)
+    distance = np.sqrt(np.einsum('ntjd,ntjd->ntj', centred, centred))
+    size = (weight * distance).sum(axis=(1, 2)) / np.maximum(weight.sum(axis=(1, 2)), SMALLEST_SIZE)
+    size = np.where(size > 0, size, 1.0)
+    relative = np.clip(centred / size[:, None, None, None], -FARTHEST, FARTHEST)
+    features = np.empty((len(points), FEATURES), np.float32)
+    block = features[:, :-1].reshape(*weight.shape, 3)
+    block[..., :2] = relative
+    block[..., 2] = weight
+    features[:, -1] = np.minimum(size / focal / ANGULAR_UNIT, FARTHEST)
+    return features, relative[:, 0], size
+
+
+def mirror_features(features: Array32) -> Array32:
+    """The features of the person in a mirror."""
+    out = np.empty_like(features)
+    block = features[:, :-1].reshape(len(features), -1, JOINTS, 3)
+    out[:, :-1] = (block[:, :, MIRROR] * np.array([-1, 1, 1], np.float32)).reshape(len(features), -1)
+    out[:, -1] = features[:, -1]
+    return out
+
+
+def save(lifter: Lifter, path: str | Path | io.BytesIO) -> None:
+    """Write as .npz (no pickles), weights in half precision; the same lifter gives the same bytes."""
+    arrays = {f'w{i}': weights.astype('f2') for i, (weights, _) in enumerate(lifter.layers)}
+    arrays |= {f'b{i}': bias.astype('f2') for i, (_, bias) in enumerate(lifter.layers)}
+    meta = {'format': FORMAT, 'slots': SLOTS.tolist(), 'provenance': dict(lifter.provenance)}
+    with zipfile.ZipFile(path, 'w', zipfile.ZIP_DEFLATED) as archive:
+        for key, value in {**arrays, 'meta': np.array(json.dumps(meta, sort_keys=True))}.items():
+            buffer = io.BytesIO()
+            np.lib.format.write_array(buffer, value, allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f'{key}.npy'), buffer.getvalue(), zipfile.ZIP_DEFLATED)
+
+
+@cache
+def shipped() -> Lifter:
+    """The lifter that comes with the package."""
+    return from_bytes((files('mocap_ros') / 'models' / 'lifter.npz').read_bytes(), 'lifter')
+
+
+def load(path: str | Path) -> Lifter:
+    """A trained lifter.
+
+    Raises:
+        ModelError: no such file, or it is not a lifter.
+    """
+    try:
+        with Path(path).open('rb') as file:
+            return from_bytes(file.read(LARGEST_LIFTER + 1), str(path))
+    except OSError as error:
+        raise ModelError(f'{path}: {error.strerror}') from None
+
+
+def from_bytes(data: bytes, source: str) -> Lifter:
+    """A lifter from the bytes of its file; `source` names it in errors (ModelError)."""
+    try:
+        with npz.opened(io.BytesIO(data), LARGEST_LIFTER) as archive:
+            meta = json.loads(str(archive['meta']))
+            if meta['format'] != FORMAT or not np.allclose(meta['slots'], SLOTS):
+                raise ValueError(f'format {meta["format"]!r}, expected {FORMAT!r}')
+            count = (len(archive.files) - 1) // 2
+            layers = tuple(
+                (np.ascontiguousarray(archive[f'w{i}'], np.float32), np.asarray(archive[f'b{i}'], np.float32))
+                for i in range(count)
+            )
+        _check(layers)
+        return Lifter(layers, meta['provenance'])
+    except KeyError as error:
+        raise ModelError(f'{source}: not a lifter (no {str(error.args[0]).split()[0]})') from None
+    except Exception as error:  # any malformed byte ends up here: the file comes from a stranger
+        raise ModelError(f'{source}: not a lifter ({reader_reason(error)})') from None
+
+
+def _check(layers: Sequence[tuple[Array32, Array32]]) -> None:
+    """Refuse what no training makes (ValueError)."""
+    if len(layers) < 2 or len(layers) % 2:
+        raise ValueError(f'{len(layers)} layers')
+    width = layers[0][0].shape[-1]
+    sizes = [FEATURES, *[width] * (len(layers) - 1), OUTPUTS]
+    for i, (weights, bias) in enumerate(layers):
+        if weights.shape != (sizes[i], sizes[i + 1]) or bias.shape != (sizes[i + 1],):
+            raise ValueError(f'layer {i}: shapes {weights.shape}, {bias.shape}')
+        if not (np.isfinite(weights).all() and np.isfinite(bias).all()):
+            raise ValueError(f'layer {i}: numbers that are not finite')
