@@ -42,6 +42,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one subcommand."""
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # before NumPy is imported: the matrices are small
     try:
         args = parser().parse_args(argv)
         return int(args.run(args))

@@ -20,11 +20,13 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
+    # before NumPy is imported: matrices are small, more threads only wait for each other
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+
     # imported here, where a SIGINT meanwhile is no traceback
     from mocap_ros.errors import MocapError
     from mocap_ros.ros.usage import parser, without_ros_arguments
 
-    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # matrices are small: more threads only wait for each other
     parser().parse_args(without_ros_arguments(arguments))
     try:
         from mocap_ros.ros.node import run
