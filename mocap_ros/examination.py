@@ -19,6 +19,7 @@ from mocap_ros.config import Config
 from mocap_ros.errors import InputError
 from mocap_ros.nonperiodic import solve, solve_hypotheses
 from mocap_ros.people import Intrinsics, Motion, MotionKind
+from mocap_ros.perspective import solver_focal
 from mocap_ros.reconstruction import Reconstruction, Start, Window
 from mocap_ros.track import NS, Track
 
@@ -49,14 +50,10 @@ class Examiner:
     models: Mapping[str, BasePoses]
     config: Config
 
-    def focal(self, camera: Intrinsics) -> float:
-        """px, as the solvers are to know it: only a real one makes a perspective projection."""
-        return camera.focal if camera.known and self.config.tracker.perspective else math.inf
-
     def window(self, track: Track, camera: Intrinsics, frames: NDArray[np.intp], held: int = 0) -> Window:
         """These frames of a track, the first `held` of them fixed."""
         model = self.models[track.model] if track.model else next(iter(self.models.values()))
-        return track.window(camera, self.focal(camera), frames, held, model)
+        return track.window(camera, solver_focal(camera, self.config.tracker.perspective), frames, held, model)
 
     def start_afresh(self, track: Track, camera: Intrinsics, names: Iterable[str]) -> None:
         """Solve from scratch under these models, and take the likeliest over if it beats what there is."""
@@ -85,7 +82,7 @@ class Examiner:
         for name in names:
             if name != track.model and window.start is not None:
                 rotation, theta = track.reposed(self.models[track.model], self.models[name], frames)
-                start = Start(theta, Cameras(window.start.cameras.scale, track.turn() @ rotation))
+                start = Start(theta, Cameras(window.start.cameras.scale, track.view(camera).turn @ rotation))
                 rivals.append(Rival(name, start, track.noise))
         self._compete(track, camera, frames, window, rivals)
 

@@ -105,6 +105,4 @@ def errors(
 
 def bone_std_mm(poses: Array, skeleton: Skeleton) -> float:
     """Standard deviation over time of bone lengths, mean over the bones, mm; `poses` (F, J, 3) m."""
-    parents, children = (list(side) for side in zip(*skeleton.bones, strict=True))
-    length = np.linalg.norm(poses[:, children] - poses[:, parents], axis=-1)
-    return float(np.nanstd(length, axis=0).mean() * 1e3)
+    return float(np.nanstd(skeleton.bone_lengths(poses), axis=0).mean() * 1e3)

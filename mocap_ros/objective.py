@@ -165,7 +165,7 @@ class Problem:
         inverse_dt = 1 / np.maximum(np.diff(times), SHORTEST_STEP)
         inverse_dt[starts[1:] - 1] = 0.0
         parents, children = (np.array(side) for side in zip(*model.skeleton.bones, strict=True))
-        lengths = np.linalg.norm(model.mean[children] - model.mean[parents], axis=-1)
+        lengths = model.skeleton.bone_lengths(model.mean)
         relative = (lengths.mean() / lengths) ** 2 if config.relative_bones else np.ones(len(lengths))
         flip, tilt, prior = config.flip_weight, 0.0, config.prior_weight
         if model.upright:

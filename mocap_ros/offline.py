@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,7 +13,7 @@ from mocap_ros.base_poses import BasePoses, stature
 from mocap_ros.classification import choose_category
 from mocap_ros.config import Config, SolverConfig
 from mocap_ros.people import Intrinsics
-from mocap_ros.perspective import View
+from mocap_ros.perspective import View, solver_focal
 from mocap_ros.reconstruction import Reconstruction, Window
 from mocap_ros.skeleton import Skeleton, joint_map
 from mocap_ros.swaps import swapped_frames
@@ -80,7 +79,7 @@ def reconstruct_sequence(
         weight = np.where(swapped[:, None], weight[:, mirror], weight)
     rays = intrinsics.rays(points)
     view = View.of(rays, weight, times, FACING, intrinsics)
-    focal = intrinsics.focal if intrinsics.known and settings.perspective else math.inf
+    focal = solver_focal(intrinsics, settings.perspective)
     window = Window(np.where(weight[..., None] > 0, view.image(rays), 0.0), weight, times, focal=focal)
     category, solution = _solve(window, sized, config.solver)
     joints = view.to_camera(solution.joints) + view.roots(solution.cameras, solution.translation)[:, None]

@@ -6,6 +6,7 @@ camera turned towards the person, and their answer is turned back.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,10 +20,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Virtual cameras that look at one person, one a frame.
+    """Virtual cameras that look at one person, one a frame or one for all.
 
     Attributes:
-        turn: (F, 3, 3) rotation from the real camera's optical frame to the virtual one's.
+        turn: (F, 3, 3) or (3, 3) rotation from the real camera's optical frame to the virtual one's.
         intrinsics: of the real camera; the virtual ones have its focal length and no principal point.
     """
 
@@ -64,6 +65,11 @@ class View:
     def rotations(self, cameras: Cameras) -> Array:
         """(F, 3, 3) body to the real camera."""
         return np.asarray(np.swapaxes(self.turn, -1, -2) @ cameras.rotation)
+
+
+def solver_focal(intrinsics: Intrinsics, perspective: bool) -> float:
+    """px, as the solvers are to know it: only a real one makes a perspective projection, where that is wanted."""
+    return intrinsics.focal if intrinsics.known and perspective else math.inf
 
 
 def facing(direction: Array) -> Array:

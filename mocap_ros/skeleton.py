@@ -39,6 +39,11 @@ class Skeleton:
         """(parent, child) of every bone, in joint order."""
         return tuple((p, c) for c, p in enumerate(self.parents) if p >= 0)
 
+    def bone_lengths(self, poses: Array) -> Array:
+        """(..., J, 3) -> (..., B) in the same unit, in the order of `bones`."""
+        parents, children = (list(side) for side in zip(*self.bones, strict=True))
+        return np.asarray(np.linalg.norm(poses[..., children, :] - poses[..., parents, :], axis=-1))
+
     @cached_property
     def mirror(self) -> tuple[int, ...]:
         """Permutation that exchanges left and right joints."""

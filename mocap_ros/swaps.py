@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.association import extent
+
 Array = NDArray[np.float64]
 
 ENTER, LEAVE = 0.01, 0.15
@@ -143,8 +145,7 @@ def swapped_frames(times: Array, points: Array, weight: Array, mirror: NDArray[n
     out = np.zeros(len(times), bool)
     seen = np.flatnonzero((weight > 0).sum(axis=1) > 1)
     for frame in seen:
-        own = points[frame][weight[frame] > 0]
-        size = float(np.sqrt(((own - own.mean(axis=0)) ** 2).sum(axis=1).mean()))
-        chain = chain.update(float(times[frame]), points[frame], weight[frame], max(size, 1e-9))
+        _, size = extent(points[frame], weight[frame])
+        chain = chain.update(float(times[frame]), points[frame], weight[frame], size)
     out[seen] = chain.verdict
     return out

@@ -13,7 +13,7 @@ from mocap_ros.association import extent
 from mocap_ros.base_poses import BasePoses, rotation_to, stature
 from mocap_ros.camera import Cameras, small_rotation
 from mocap_ros.people import Intrinsics, Motion, MotionKind
-from mocap_ros.perspective import facing
+from mocap_ros.perspective import View, facing
 from mocap_ros.reconstruction import Older, Reconstruction, Start, Window
 from mocap_ros.swaps import SwapFilter
 
@@ -121,11 +121,11 @@ class Track:
                 centre = centre + (centre - there) * min(age, VELOCITY_SPAN) / span
         return centre, size, age
 
-    def turn(self) -> Array:
-        """(3, 3) to a virtual camera that looks at the person, one for the whole window."""
+    def view(self, intrinsics: Intrinsics) -> View:
+        """A virtual camera that looks at the person, one for the whole window."""
         rays, weight = self.labelled()
         total = max(weight.sum(), 1e-12)
-        return np.asarray(facing(((weight[..., None] * rays).sum(axis=(0, 1)) / total)[None])[0])
+        return View(facing((weight[..., None] * rays).sum(axis=(0, 1)) / total), intrinsics)
 
     def window(
         self, intrinsics: Intrinsics, focal: float, frames: NDArray[np.intp], held: int, model: BasePoses
@@ -139,21 +139,20 @@ class Track:
             held: so many of them are to stay as they are.
             model: the base poses of the solution so far.
         """
-        turn = self.turn()
+        view = self.view(intrinsics)
         rays, weight = self.labelled()
         rays, weight = rays[frames], weight[frames]
-        seen = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1) @ turn.T
-        points = intrinsics.focal * seen[..., :2] / np.maximum(seen[..., 2:], 0.05)
+        points = view.image(rays)
         times = np.array([self.stamps[f] - self.stamps[0] for f in frames]) / NS
         plain = Window(np.where(weight[..., None] > 0, points, 0.0), weight, times, focal=focal)
         if not self.solved:
             return plain
-        start = self.start(turn, intrinsics, frames)
+        start = self.start(view, frames)
         older = None
         if held:
             first = int(frames[0])
             if first > 0:
-                lengths = bone_lengths(model, self.theta[:first])
+                lengths = model.skeleton.bone_lengths(model.poses(self.theta[:first]))
                 older = Older(first, lengths.mean(axis=0))
         return Window(
             plain.points,
@@ -167,7 +166,7 @@ class Track:
             older,
         )
 
-    def start(self, turn: Array, intrinsics: Intrinsics, frames: NDArray[np.intp]) -> Start:
+    def start(self, view: View, frames: NDArray[np.intp]) -> Start:
         """The solution so far in these frames, in the virtual camera; a new frame goes on from the last two."""
         known = np.minimum(frames, len(self.theta) - 1)
         theta, rotation, roots = self.theta[known], self.rotation[known], self.roots[known]
@@ -181,15 +180,13 @@ class Track:
             turned = Rotation.from_matrix(self.rotation[-1] @ self.rotation[-2].T).as_rotvec()
             on = small_rotation(share * turned) @ rotation[new]
             rotation = np.concatenate([rotation[~new], on])
-        roots = roots @ turn.T
-        scale = intrinsics.focal / np.maximum(roots[:, 2], 1e-3)
-        return Start(theta, Cameras(scale, turn @ rotation))
+        depth = (roots @ view.turn.T)[:, 2]
+        scale = view.intrinsics.focal / np.maximum(depth, 1e-3)
+        return Start(theta, Cameras(scale, view.turn @ rotation))
 
     def take(self, solution: Reconstruction, frames: NDArray[np.intp], held: int, intrinsics: Intrinsics) -> None:
         """Replace the state of these frames by a solution of the `window` made of them, the held ones excepted."""
-        turn = self.turn()
-        depth = intrinsics.focal / solution.cameras.scale[:, None]
-        virtual = np.concatenate([solution.translation / intrinsics.focal * depth, depth], axis=-1)
+        view = self.view(intrinsics)
         count = len(self.stamps)
 
         def put(old: Array, new: Array) -> Array:
@@ -201,18 +198,16 @@ class Track:
             return out
 
         self.theta = put(self.theta, solution.theta)
-        self.rotation = put(self.rotation, turn.T @ solution.cameras.rotation)
-        self.roots = put(self.roots, virtual @ turn)
+        self.rotation = put(self.rotation, view.rotations(solution.cameras))
+        self.roots = put(self.roots, view.roots(solution.cameras, solution.translation))
         self._note(solution)
         blend = math.exp(-len(frames) / count) if held else 0.0
         self.noise = math.sqrt(blend * self.noise**2 + (1 - blend) * solution.noise**2)
 
     def adopt(self, solution: Reconstruction, frames: NDArray[np.intp], intrinsics: Intrinsics) -> None:
         """Take over a solution of these frames, the newest one of them, interpolated to all since the first."""
-        turn = self.turn()
-        depth = intrinsics.focal / solution.cameras.scale[:, None]
-        roots = np.concatenate([solution.translation / intrinsics.focal * depth, depth], axis=-1) @ turn
-        rotation = turn.T @ solution.cameras.rotation
+        view = self.view(intrinsics)
+        roots, rotation = view.roots(solution.cameras, solution.translation), view.rotations(solution.cameras)
         stamps = np.array(self.stamps)
         times, known = (stamps - stamps[0]) / NS, (stamps[frames] - stamps[0]) / NS
         inside = times >= known[0]
@@ -276,13 +271,6 @@ class Track:
             return np.zeros(3)
         t = t - t.mean()
         return np.asarray(t @ self.roots[recent] / (t @ t))
-
-
-def bone_lengths(model: BasePoses, theta: Array) -> Array:
-    """(F, B) m."""
-    poses = model.poses(theta)
-    parents, children = (list(side) for side in zip(*model.skeleton.bones, strict=True))
-    return np.asarray(np.linalg.norm(poses[:, children] - poses[:, parents], axis=-1))
 
 
 def _interpolated(times: Array, known: Array, values: Array) -> Array:

@@ -85,24 +85,19 @@ class Tracker:
         self.config = config
         self.models = {n: m.rescaled(height / m.stature).truncated(components) for n, m in by_name.items()}
         self._examiner = Examiner(self.models, config)
-        self._examined = 0
         self.went_back = 0.0
         self.output_ns = 0
         self.swapped_frames = 0
-        self._tracks: list[Track] = []
-        self._newest: int | None = None
-        self._born = 0
-        self._camera = UNKNOWN_CAMERA
-        self._pending: list[str] = []
+        self.reset()
 
     def reset(self) -> None:
         """Forget everybody and every stamp."""
-        self._tracks = []
-        self._newest = None
+        self._tracks: list[Track] = []
+        self._newest: int | None = None
         self._examined = 0
         self._born = 0
         self._camera = UNKNOWN_CAMERA
-        self._pending = []
+        self._pending: list[str] = []
 
     def snapshot(self) -> Snapshot:
         """Everything it knows, for `restore`; later updates do not change it."""
