@@ -3,17 +3,18 @@
 Import it before numpy: it limits the linear algebra to one thread. Nothing happens when it is run.
 """
 
+# ruff: noqa: E402
 from __future__ import annotations
 
-import os
+from mocap_ros import process
 
-os.environ['OMP_NUM_THREADS'] = '1'
-os.environ['OPENBLAS_NUM_THREADS'] = '1'
-os.environ['MKL_NUM_THREADS'] = '1'
+process.prepare()
 
+# isort: split
 import argparse
 import importlib.util
 import json
+import os
 import platform
 import sys
 import time

@@ -15,13 +15,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from common import View
-from experiments import lifted_solver
 
 from mocap_ros import lifter
 from mocap_ros.base_poses import BasePoses, load_model
@@ -117,7 +116,7 @@ def on_detections(model: Lifter, cameras: Sequence[int], solved: bool) -> list[d
                 if solved and name.endswith('True'):
                     config = SolverConfig()
                     (plain,) = solve_hypotheses([test.window], base_poses(), config)
-                    (both,) = lifted_solver.solve([test.window], [out], base_poses(), config)
+                    (both,) = solve_hypotheses([replace(test.window, lifted=out)], base_poses(), config)
                     found |= {'factorisation': test.score(plain.joints), 'both': test.score(both.joints)}
                 if detector == 'mediapipe' and name.endswith('False'):
                     found['MediaPipe'] = test.peer()
@@ -222,7 +221,8 @@ def with_solver(model: Lifter, quick: bool) -> list[dict[str, object]]:
             poses, config = base_poses(HELD_OUT), SolverConfig()
             out = lifted(model, windows)
             plain = solve_hypotheses(windows, poses, config)
-            both, seconds = common.timed(partial(lifted_solver.solve, windows, out, poses, config))
+            lifted_windows = [replace(w, lifted=o) for w, o in zip(windows, out, strict=True)]
+            both, seconds = common.timed(partial(solve_hypotheses, lifted_windows, poses, config))
             methods = {
                 'network': [in_metres(o, w) for o, w in zip(out, windows, strict=True)],
                 'factorisation': [r.joints for r in plain],

@@ -25,6 +25,7 @@ from mocap_ros.skeleton import CMU15, Skeleton, layout
 Array = NDArray[np.float64]
 
 AUTO = 'auto'
+ALL_MOTIONS = 'all'
 LIFTER = 'lifter'
 
 FORMAT = 'mocap_ros base poses 1'
@@ -167,12 +168,10 @@ def stature(poses: Array, skeleton: Skeleton) -> float:
 
     The factor between the two is 1.131 to 1.139 over the subjects of the CMU database.
     """
-
-    def length(bones: Sequence[tuple[str, str]]) -> float:
-        ends = [(skeleton.index(a), skeleton.index(b)) for a, b in bones]
-        return float(sum(np.linalg.norm(poses[..., i, :] - poses[..., j, :], axis=-1).mean() for i, j in ends))
-
-    return STATURE_OVER_BONES * (length(_LEGS) / 2 + length(_SPINE))
+    parents, children = zip(*[(skeleton.index(a), skeleton.index(b)) for a, b in (*_LEGS, *_SPINE)], strict=True)
+    lengths = np.linalg.norm(poses[..., children, :] - poses[..., parents, :], axis=-1)
+    mean = lengths.reshape(-1, len(parents)).mean(axis=0)
+    return float(STATURE_OVER_BONES * (mean[: len(_LEGS)].sum() / 2 + mean[len(_LEGS) :].sum()))
 
 
 def _random_bodies(

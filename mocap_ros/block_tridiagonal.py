@@ -1,8 +1,8 @@
 """Symmetric block-tridiagonal systems with a low-rank correction, solved by one banded Cholesky.
 
-The normal matrix of a sequence has one n x n block a frame on its diagonal, n x n blocks coupling neighbouring
-frames, and, for unknowns shared by all frames of a person (mean bone lengths), minus a matrix of low rank. Many
-people are one such system: the coupling from one to the next is zero.
+The normal matrix of a sequence has one n x n block a frame on its diagonal; blocks coupling neighbouring frames,
+diagonal but for their last c x c; and, for unknowns shared by all frames of a person (mean bone lengths), minus a
+matrix of low rank. Many people are one such system: the coupling from one to the next is zero.
 """
 
 from __future__ import annotations
@@ -17,21 +17,46 @@ from scipy.linalg import lapack
 Array = NDArray[np.float64]
 
 
-def band_storage(diagonal: Array, below: Array, bandwidth: int) -> Array:
-    """LAPACK's lower band storage (bandwidth + 1, F n), in Fortran order.
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """Blocks of frame t + 1 (rows) and t (columns).
 
-    Args:
-        diagonal: (F, n, n) symmetric blocks.
-        below: (F - 1, n, n) block of frame t + 1 (rows) and t (columns).
-        bandwidth: of the whole matrix; at most 2 n - 1.
+    Attributes:
+        diagonal: (F - 1, n) of the blocks.
+        corner: (F - 1, c, c) their last rows and columns, whose diagonals count as well.
     """
+
+    diagonal: Array
+    corner: Array
+
+    @property
+    def bandwidth(self) -> int:
+        """Of the whole matrix."""
+        return self.diagonal.shape[1] + self.corner.shape[1] - 1
+
+    def dense(self) -> Array:
+        """(F - 1, n, n) the blocks written out."""
+        frames, n = self.diagonal.shape
+        out = np.zeros((frames, n, n))
+        np.einsum('nii->ni', out)[:] = self.diagonal
+        c = self.corner.shape[1]
+        out[:, n - c :, n - c :] += self.corner
+        return out
+
+
+def band_storage(diagonal: Array, coupling: Coupling) -> Array:
+    """LAPACK's lower band storage (bandwidth + 1, F n), in Fortran order; diagonal (F, n, n), symmetric."""
     frames, n, _ = diagonal.shape
-    column = np.zeros((frames, n, 3 * n))
-    column[:, :, :n] = diagonal  # symmetric: row c is column c
-    column[:-1, :, n : 2 * n] = np.swapaxes(below, -1, -2)
+    c = coupling.corner.shape[1]
+    column = np.zeros((frames, n, 2 * n + c))
+    column[:, :, :n] = diagonal  # symmetric: row i is column i
     s0, s1, s2 = column.strides
-    band = as_strided(column, (frames, n, bandwidth + 1), (s0, s1 + s2, s2))
-    return np.ascontiguousarray(band).reshape(frames * n, bandwidth + 1).T
+    band = np.ascontiguousarray(as_strided(column, (frames, n, n + c), (s0, s1 + s2, s2)))
+    band[:-1, :, n] = coupling.diagonal
+    for i in range(c):
+        for j in range(c):
+            band[:-1, n - c + j, n + i - j] += coupling.corner[:, i, j]
+    return band.reshape(frames * n, n + c).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +91,9 @@ class Factor:
         return np.asarray(solution).reshape(frames, n, count)
 
 
-def factor(diagonal: Array, below: Array, bandwidth: int) -> Factor | None:
-    """Factor the banded part, or None where it is not positive definite."""
-    band, info = lapack.dpbtrf(band_storage(diagonal, below, bandwidth), lower=1, overwrite_ab=1)
+def factor(diagonal: Array, coupling: Coupling) -> Factor | None:
+    """Factor the banded part, or None where it is not positive definite; diagonal (F, n, n)."""
+    band, info = lapack.dpbtrf(band_storage(diagonal, coupling), lower=1, overwrite_ab=1)
     return Factor(band) if info == 0 else None
 
 

@@ -105,10 +105,20 @@ def small_rotation(vector: Array) -> Array:
 
 def cross_matrix(v: Array) -> Array:
     """(..., 3) -> (..., 3, 3) with `cross_matrix(v) @ x == cross(v, x)`."""
-    o = np.zeros_like(v[..., 0])
-    x, y, z = v[..., 0], v[..., 1], v[..., 2]
-    rows = [[o, -z, y], [z, o, -x], [-y, x, o]]
-    return np.stack([np.stack(r, -1) for r in rows], -2)
+    out = np.zeros((*v.shape, 3))
+    for row, column, axis in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
+        out[..., row, column] = v[..., axis]
+        out[..., column, row] = -v[..., axis]
+    return out
+
+
+def rotation_vector(rotation: Array) -> Array:
+    """(..., 3, 3) rotations by less than half a turn -> (..., 3) rad; the inverse of `small_rotation`."""
+    twice = np.swapaxes(rotation, -1, -2) - rotation
+    axis = -0.5 * np.stack([twice[..., 2, 1], twice[..., 0, 2], twice[..., 1, 0]], axis=-1)
+    sine = np.linalg.norm(axis, axis=-1)
+    angle = np.arctan2(sine, (np.einsum('...ii->...', rotation) - 1) / 2)
+    return np.asarray(axis * (np.maximum(angle, 1e-12) / np.maximum(sine, 1e-12))[..., None])
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,6 +42,17 @@ class SolverConfig:
     """The factorisation: weights of its terms and when it stops."""
 
     components: int = _p(40, 'base poses used, at most those of the model', low=1, high=60)
+    prior: str = _p(
+        'learned',
+        'of motion that is not periodic: learned (the shipped lifter beside the base poses), pca (the base poses '
+        'alone, as in the paper), or the path of a lifter made by train-lifter',
+        read_only=True,
+    )
+    lifted_weight: float = _p(2e-4, 'm^2, lifted poses, per squared standard deviation of theirs', low=0.0)
+    lifted_robust: float = _p(3.0, "standard deviations from which Cauchy's loss discounts a joint", low=0.1)
+    lifted_prior: float = _p(0.3, 'factor on prior_weight beside lifted poses', low=0.0)
+    lifted_turn: float = _p(0.25, 'factor on flip_weight beside lifted poses', low=0.0)
+    lifted_smooth: float = _p(5.0, 'factor on smooth_weight beside lifted poses', low=0.0)
     prior_weight: float = _p(
         1e-4, 'Gaussian prior of the base-pose weights, m^2 per squared standard deviation', low=0.0
     )
@@ -131,8 +142,8 @@ class TrackerConfig:
     )
     window: float = _p(2.0, 's, length of the sliding window', low=0.1, high=20.0)
     components: int = _p(40, 'base poses used live, at most solver.components', low=1, high=60)
-    refine: float = _p(0.4, 's, newest part of the window that a new frame changes', low=0.0, high=20.0)
-    iterations: int = _p(3, 'steps of the solver that a new frame costs', low=1, high=100)
+    refine: float = _p(0.15, 's, newest part of the window that a new frame changes', low=0.0, high=20.0)
+    iterations: int = _p(2, 'steps of the solver that a new frame costs', low=1, high=100)
     challenge_every: float = _p(
         0.5, 's between fresh starts of a person, under each model in turn, taken over when likelier', low=0.05
     )
@@ -203,6 +214,30 @@ class RecorderConfig:
 
 
 @dataclass(frozen=True)
+class KeyframesConfig:
+    """Long sequences by keyframes (Loy et al. 2004)."""
+
+    alpha: float = _p(
+        0.95, 'share of the frames that keyframes represent or leave to interpolation', low=0.0, high=1.0
+    )
+    gap: float = _p(
+        0.2, 's, frames between well-represented ones less than this apart are interpolated (T)', low=0.0
+    )
+    beta: float = _p(0.18, 'torso lengths, poses nearer than this count as the same', low=0.0)
+    largest: int = _p(
+        3600, 'frames in one distance matrix; longer sequences go section by section', low=2, high=20_000
+    )
+    poses: str = _p(
+        'solver',
+        'what 3D key poses are made by: solver (as whole sequences are) or lifter (alone; faster)',
+        choices=('solver', 'lifter'),
+    )
+    step: float = _p(0.2, 'of the gradient descent to the image (lambda)', low=0.0, high=0.5)
+    smoothing: float = _p(0.04, 's, width of the low-pass filter after each of its steps', low=0.0, high=1.0)
+    iterations: int = _p(40, 'of its steps, at most', low=0, high=10_000)
+
+
+@dataclass(frozen=True)
 class Config:
     """All parameters, by concern."""
 
@@ -211,6 +246,7 @@ class Config:
     tracker: TrackerConfig = TrackerConfig()
     node: NodeConfig = NodeConfig()
     recorder: RecorderConfig = RecorderConfig()
+    keyframes: KeyframesConfig = KeyframesConfig()
 
 
 @dataclass(frozen=True)

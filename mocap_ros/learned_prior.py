@@ -8,6 +8,7 @@ never insists. x and y of seen joints count too: the network has smoothed them o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,15 +16,14 @@ from numpy.typing import NDArray
 
 from mocap_ros.base_poses import BasePoses, rotation_to
 from mocap_ros.camera import Cameras, cross_matrix
+from mocap_ros.config import SolverConfig
+from mocap_ros.errors import InputError
 from mocap_ros.lifter import Lifted
 from mocap_ros.reconstruction import Start, Window
 
 Array = NDArray[np.float64]
 
-LIFTED_WEIGHT = 1.5e-4
-PCA_SHARE, SMOOTH_SHARE = 0.3, 10.0
 ROUNDS = 6
-ROBUST = 3.0
 LEAST_SPREAD = 0.01
 
 
@@ -41,26 +41,30 @@ class LiftedTerm:
     joints: Array
     precision: Array
     weight: float
-    robust: float = ROBUST
+    robust: float
 
     @staticmethod
-    def of(lifted: Lifted, unit: float, weight: float) -> LiftedTerm:
-        """The term of a sequence.
+    def of(windows: Sequence[Window], units: Array, config: SolverConfig) -> LiftedTerm | None:
+        """The term of a batch of sequences, one after the other; None where none was lifted.
 
         Args:
-            lifted: its poses in px; frames may be NaN.
-            unit: px/m, as in `Window`.
-            weight: m^2.
-        """
-        known = np.isfinite(lifted.joints)
-        precision = np.where(known, 1 / np.maximum(lifted.spread / unit, LEAST_SPREAD) ** 2, 0.0)
-        return LiftedTerm(np.where(known, lifted.joints / unit, 0.0), np.nan_to_num(precision), weight)
+            windows: all lifted or none; frames may be NaN.
+            units: (P,) px/m, as in `Window`.
+            config: weight and robustness of the term.
 
-    @staticmethod
-    def joined(terms: list[LiftedTerm]) -> LiftedTerm:
-        """Those of several sequences, one after the other."""
-        joints, precision = (np.concatenate([getattr(t, k) for t in terms]) for k in ('joints', 'precision'))
-        return replace(terms[0], joints=joints, precision=precision)
+        Raises:
+            InputError: some were lifted and some were not.
+        """
+        given = [w.lifted for w in windows if w.lifted is not None]
+        if not given:
+            return None
+        if len(given) < len(windows):
+            raise InputError('some windows of the batch have lifted poses and some have not')
+        joints = np.concatenate([x.joints / unit for x, unit in zip(given, units, strict=True)])
+        spread = np.concatenate([x.spread / unit for x, unit in zip(given, units, strict=True)])
+        known = np.isfinite(joints)
+        precision = np.where(known, 1 / np.maximum(np.where(known, spread, 1.0), LEAST_SPREAD) ** 2, 0.0)
+        return LiftedTerm(np.where(known, joints, 0.0), precision, config.lifted_weight, config.lifted_robust)
 
     def take(self, frames: NDArray[np.intp]) -> LiftedTerm:
         """The term of these frames alone."""
@@ -99,7 +103,7 @@ class LiftedTerm:
         return residual.reshape(frames, -1), jac.reshape(frames, 3 * joints, k + 4)
 
 
-def lifted_start(lifted: Lifted, window: Window, model: BasePoses) -> Start:
+def lifted_start(lifted: Lifted, window: Window, model: BasePoses) -> Start | None:
     """The base poses and cameras nearest to the lifted poses, frame by frame.
 
     Weights and cameras are found in turn: rotation and scale by Procrustes' analysis, weights by least squares
@@ -109,8 +113,13 @@ def lifted_start(lifted: Lifted, window: Window, model: BasePoses) -> Start:
         lifted: (F, J, 3) poses in px.
         window: the same frames.
         model: base poses, metric.
+
+    Returns:
+        None where no frame was lifted.
     """
     good = np.flatnonzero(np.isfinite(lifted.joints).all(axis=(1, 2)))
+    if not len(good):
+        return None
     joints, spread = lifted.joints[good], lifted.spread[good]
     k = len(model.std)
     flat = model.components.reshape(k, -1).T

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from mocap_ros import npz
 from mocap_ros.errors import ModelError, reader_reason
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import CMU15, Skeleton
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -60,6 +60,19 @@ class Lifted:
 
     joints: Array
     spread: Array
+
+    def take(self, frames: NDArray[np.intp] | slice) -> Lifted:
+        """Those of these frames."""
+        return Lifted(self.joints[frames], self.spread[frames])
+
+    def times(self, factor: float) -> Lifted:
+        """The same in another unit."""
+        return Lifted(self.joints * factor, self.spread * factor)
+
+
+def joined(parts: Sequence[Lifted]) -> Lifted:
+    """Frames of all parts, one after the other."""
+    return Lifted(np.concatenate([p.joints for p in parts]), np.concatenate([p.spread for p in parts]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,6 +245,19 @@ def save(lifter: Lifter, path: str | Path | io.BytesIO) -> None:
 def shipped() -> Lifter:
     """The lifter that comes with the package."""
     return from_bytes((files('mocap_ros') / 'models' / 'lifter.npz').read_bytes(), 'lifter')
+
+
+def for_prior(name: str, skeleton: Skeleton) -> Lifter | None:
+    """The lifter that `solver.prior` names: the shipped one for `learned`, none for `pca`, else that of a file.
+
+    Lifters know the joints of `skeleton.CMU15` only; base poses of another `skeleton` go without.
+
+    Raises:
+        ModelError: no such file, or it is not a lifter.
+    """
+    if name == 'pca' or skeleton.joints != CMU15.joints:
+        return None
+    return shipped() if name == 'learned' else load(name)
 
 
 def load(path: str | Path) -> Lifter:

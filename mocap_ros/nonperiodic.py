@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from mocap_ros.base_poses import BasePoses
 from mocap_ros.block_tridiagonal import Factor
-from mocap_ros.camera import Cameras, small_rotation
+from mocap_ros.camera import Cameras, rotation_vector, small_rotation
 from mocap_ros.config import SolverConfig
+from mocap_ros.learned_prior import lifted_start
 from mocap_ros.objective import (
     NEAREST,
     NOISE_REFERENCE,
@@ -47,7 +47,8 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
     """Reconstruct many sequences as one batch.
 
     Args:
-        windows: the sequences, each with its own start or None (mean pose and closed-form cameras).
+        windows: the sequences, each with its own start or None (the lifted poses, or where there are none the mean
+            pose and closed-form cameras).
         model: base poses, metric.
         config: weights of the terms.
 
@@ -55,9 +56,11 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
         One reconstruction a window. The objective of each never rises; it is that of the last round of noise.
 
     Raises:
-        InputError: a window without four seen joints in any frame.
+        InputError: a window without four seen joints in any frame, or only some of the windows lifted.
     """
     model = model.truncated(config.components)
+    warm = all(w.start is not None and (w.noise is not None or not config.adapt_noise) for w in windows)
+    windows = [from_lifted(w, model) for w in windows]
     begun = [begin(w, model, config.start_window) for w in windows]
     starts = [start for start, _ in begun]
     s0 = np.array([unit for _, unit in begun])
@@ -68,7 +71,7 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
     if config.adapt_noise:
         problem, state = _anneal(problem, state, windows, config)
         damping = NEXT_DAMPING
-    if all(w.start is not None and (w.noise is not None or not config.adapt_noise) for w in windows):
+    if warm:
         damping = WARM_DAMPING
     descent = _levenberg_marquardt(problem, state, config, damping)
     return results(problem, windows, s0, descent)
@@ -81,18 +84,27 @@ def solve_hypotheses(
 
     There are `config.hypotheses` starts, or `config.upright_hypotheses` for a model aligned by heading: with base
     poses of the right category more than one gains nothing; the all-motions model needs the Necker reversal for
-    people seen from the front or from behind (docs/solvers.md).
+    people seen from the front or from behind (docs/solvers.md). Lifted poses are a start that needs no others.
     """
     count = config.upright_hypotheses if model.upright else config.hypotheses
+    if all(w.lifted is not None for w in windows):
+        count = 1
     if count == 1:
         return solve(windows, model, config)
-    batch = []
+    batch: list[Window] = []
     for window in windows:
         start, unit = begin(window, model.truncated(config.components), config.start_window)
         batch += [replace(window, start=s, unit=unit) for s in camera_hypotheses(start, count)]
     found = solve(batch, model, config)
     groups = [found[i : i + count] for i in range(0, len(found), count)]
     return tuple(min(group, key=lambda r: misfit(r, w, config)) for group, w in zip(groups, windows, strict=True))
+
+
+def from_lifted(window: Window, model: BasePoses) -> Window:
+    """The window with a start from its lifted poses, if it has these and no start."""
+    if window.start is not None or window.lifted is None:
+        return window
+    return replace(window, start=lifted_start(window.lifted, window, model))
 
 
 def misfit(result: Reconstruction, window: Window, config: SolverConfig) -> float:
@@ -158,7 +170,7 @@ def interpolated(coarse: State, kept: NDArray[np.intp], problem: Problem) -> Sta
     t, t0, t1 = problem.times, problem.times[kept[before]], problem.times[kept[after]]
     f = np.clip((t - t0) / np.maximum(t1 - t0, SHORTEST_STEP), 0.0, 1.0)
     first, last = coarse.take(before), coarse.take(after)
-    turn = Rotation.from_matrix(last.rotation @ np.swapaxes(first.rotation, -1, -2)).as_rotvec()
+    turn = rotation_vector(last.rotation @ np.swapaxes(first.rotation, -1, -2))
     return State(
         first.theta + f[:, None] * (last.theta - first.theta),
         small_rotation(f[:, None] * turn) @ first.rotation,

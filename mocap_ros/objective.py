@@ -1,6 +1,6 @@
 """The objective of the joint solver, its derivatives, and the linear system of a step.
 
-That of `alternation` with four terms more,
+That of `alternation` with some terms more,
 
     sum_tj w_tj rho(|s_t R_t[:2] P_tj + t_t - x_tj|^2 / s0^2)   reprojection; rho = Cauchy's loss, or none
   + beta   sum_tb (length_tb - mean_b)^2                        bone lengths (TPAMI 2016, eq. 20)
@@ -9,6 +9,7 @@ That of `alternation` with four terms more,
   + gamma  sum_t  |M_t - M_(t-1)|^2 / dt                        flip regulariser (eq. 12)
   + tau    sum_t  |R_t z - R_(t-1) z|^2 / dt                    tilt: the image of the vertical turns slowly
   + sigma  sum_t  (log s_t - log s_(t-1))^2 / dt                people come nearer slowly
+  + omega  sum_tj rho(|s_t R_t P_tj - lifted_tj|^2 / spread^2)  learned prior (`learned_prior`), where there is one
 
 over all frames at once. Where the focal length f is known the projection is a perspective one,
 (s_t R_t[:2] P_tj + t_t) / (1 + s_t R_t[2] P_tj / f). All weights but the first are for an image noise of 10 mm;
@@ -29,9 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.base_poses import BasePoses
-from mocap_ros.block_tridiagonal import Factor, factor, solve_less_low_rank
+from mocap_ros.block_tridiagonal import Coupling, Factor, factor, solve_less_low_rank
 from mocap_ros.camera import cross_matrix, small_rotation
 from mocap_ros.config import SolverConfig
+from mocap_ros.learned_prior import LiftedTerm
 from mocap_ros.reconstruction import Start, Window
 
 Array = NDArray[np.float64]
@@ -43,7 +45,7 @@ NEAREST = 0.1
 
 NOISE_REFERENCE = 0.01
 LEAST_FREE = 0.05
-FRAMES_FOR_NOISE = 16
+FRAMES_FOR_NOISE, LESS_OFTEN = 3, 15
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,14 +95,15 @@ class NormalEquations:
     """Gauss-Newton's equations of a batch, the translations eliminated.
 
     Attributes:
-        diagonal: (N, n, n); below: (N - 1, n, n); gradient: (N, n), halved like the matrix.
-        data: (N, n, n) the reprojection's part of `diagonal`.
+        diagonal: (N, n, n) blocks of the frames; coupling: those between them.
+        gradient: (N, n), halved like the matrix.
+        data: (N, 2 J, n) Jacobian of the reprojection, weighted.
         bones: (N, n, B) gradients of the bone lengths times the root of their weights.
     """
 
     data: Array
     diagonal: Array
-    below: Array
+    coupling: Coupling
     gradient: Array
     bones: Array
 
@@ -109,7 +112,8 @@ class NormalEquations:
         if frames.any():
             for new, before in ((self.data, old.data), (self.diagonal, old.diagonal)):
                 new[frames] = before[frames]
-            self.below[frames[:-1]] = old.below[frames[:-1]]
+            for new, before in zip(vars(self.coupling).values(), vars(old.coupling).values(), strict=True):
+                new[frames[:-1]] = before[frames[:-1]]
         return self
 
 
@@ -133,6 +137,7 @@ class Problem:
         focal: (N, 1) m at the body; infinite for weak perspective.
         held: (N,) True for frames that keep their start.
         older_bones: (P, B) m, mean bone lengths of `older` (P,) frames before each sequence.
+        lifted: the learned prior's term, or None.
     """
 
     model: BasePoses
@@ -153,6 +158,7 @@ class Problem:
     held: NDArray[np.bool_]
     older_bones: Array
     older: NDArray[np.intp]
+    lifted: LiftedTerm | None
     parents: NDArray[np.intp]
     children: NDArray[np.intp]
 
@@ -170,6 +176,10 @@ class Problem:
         flip, tilt, prior = config.flip_weight, 0.0, config.prior_weight
         if model.upright:
             flip, tilt, prior = config.upright_turn * flip, config.tilt_weight, config.upright_prior * prior
+        lifted, smooth = LiftedTerm.of(windows, s0, config), config.smooth_weight
+        if lifted is not None:
+            prior, smooth = config.lifted_prior * prior, config.lifted_smooth * smooth
+            flip = config.lifted_turn * flip
         return Problem(
             model=model,
             image=np.concatenate([w.points / s for w, s in zip(windows, s0, strict=True)]),
@@ -178,7 +188,7 @@ class Problem:
             times=times,
             starts=starts,
             counts=counts,
-            smooth=config.smooth_weight * inverse_dt,
+            smooth=smooth * inverse_dt,
             flip=flip * inverse_dt,
             tilt=tilt * inverse_dt,
             approach=config.scale_weight * inverse_dt,
@@ -189,6 +199,7 @@ class Problem:
             held=np.concatenate([np.arange(len(w.times)) < w.held for w in windows]),
             older_bones=np.array([lengths if w.older is None else w.older.bone_lengths for w in windows]),
             older=np.array([0 if w.older is None else w.older.frames for w in windows]),
+            lifted=lifted,
             parents=parents,
             children=children,
         )
@@ -225,6 +236,7 @@ class Problem:
             robust=self.robust[kept],
             focal=self.focal[kept],
             held=self.held[kept],
+            lifted=None if self.lifted is None else self.lifted.take(kept),
         )
         return few, kept
 
@@ -254,12 +266,13 @@ class Problem:
 
     def _absorbed(self, equations: NormalEquations) -> Array:
         """(P,) coordinates that the unknowns fit away, from some frames of each sequence."""
-        stride = -(-self.counts // FRAMES_FOR_NOISE)
+        stride = -(-self.counts // (FRAMES_FOR_NOISE + self.counts // LESS_OFTEN))
         number = np.arange(len(self.level)) - self.per_frame(self.starts)
         some = np.flatnonzero(number % self.per_frame(stride) == 0)
         taken = -(-self.counts // stride)
         whole = equations.diagonal[some] + 1e-9 * np.eye(equations.diagonal.shape[1])
-        absorbed = 2 + np.einsum('nii->n', np.linalg.solve(whole, equations.data[some]))
+        data = np.swapaxes(equations.data[some], -1, -2)
+        absorbed = 2 + (data * np.linalg.solve(whole, data)).sum(axis=(1, 2))
         return np.add.reduceat(absorbed, np.cumsum(taken) - taken) * (self.counts / taken)
 
     def per_sequence(self, per_frame: Array) -> Array:
@@ -304,7 +317,7 @@ class Problem:
 
     def cost(self, state: State) -> Array:
         """(P,) value of the objective, m^2."""
-        return self._cost(state, self._residual(state)[1])
+        return self._cost(state, *self._residual(state))
 
     def settled(self, state: State) -> tuple[State, Array]:
         """`best_translation` and the `cost` there."""
@@ -312,10 +325,12 @@ class Problem:
         depth = self._depth(turned)
         shift = self._shift(error, depth)
         moved = replace(state, translation=state.translation + shift)
-        return moved, self._cost(moved, error + shift[:, None] / depth[..., None])
+        return moved, self._cost(moved, turned, error + shift[:, None] / depth[..., None])
 
-    def _cost(self, state: State, error: Array) -> Array:
+    def _cost(self, state: State, turned: Array, error: Array) -> Array:
         frame = (self.weight * self._loss((error**2).sum(axis=-1))).sum(axis=1)
+        if self.lifted is not None:
+            frame += self.lifted.cost(turned)
         deviation, _, length = self.bones(state.theta)
         frame += (self.bone_weight * deviation**2).sum(axis=1)
         frame += (self.prior * state.theta**2).sum(axis=1)
@@ -342,11 +357,41 @@ class Problem:
         """Everything of the second order that the step needs."""
         frames, k = state.theta.shape
         turned, error = self._residual(state)
-        w = self._robust_weight((error**2).sum(axis=-1))
-        joints = w.shape[1]
         n = k + CAMERA_UNKNOWNS
-
         basis = np.moveaxis(self.model.components, 0, -1)  # (J, 3, K)
+        residual, data = self._data_rows(state, turned, error, basis)
+
+        deviation, unit, length = self.bones(state.theta)
+        direction = basis[self.children] - basis[self.parents]  # (B, 3, K)
+        bone_jac = np.swapaxes(np.swapaxes(unit, 0, 1) @ direction, 0, 1)  # (N, B, K)
+        bones = np.zeros((frames, n, len(direction)))
+        bones[:, :k] = np.swapaxes(bone_jac * np.sqrt(self.bone_weight)[:, None], -1, -2)
+
+        # Gauss-Newton leaves out the second derivatives of bones and then needs several times the steps; those of
+        # bones too long are put in, those of bones too short would be negative
+        curved = self.bone_weight * np.maximum(deviation / length, 0)
+        along = np.zeros((frames, len(direction), n))
+        along[..., :k] = bone_jac * np.sqrt(self.bone_weight - curved)[..., None]
+        rows, residuals = [data, along], [residual, np.zeros_like(curved)]
+        if self.lifted is not None:
+            scaled = np.exp(state.log_scale)[:, None, None] * state.rotation
+            for part, new in zip((residuals, rows), self.lifted.rows(turned, scaled, basis), strict=True):
+                part.append(new)
+        jac = np.concatenate(rows, axis=1)
+        transposed = np.swapaxes(jac, -1, -2)
+        diagonal = transposed @ jac
+        squares = (np.swapaxes(direction, -1, -2) @ direction).reshape(len(direction), -1)
+        diagonal[:, :k, :k] += (curved @ squares).reshape(frames, k, k)
+        gradient = (transposed @ np.concatenate(residuals, axis=1)[..., None])[..., 0]
+        gradient += (bones @ (np.sqrt(self.bone_weight) * deviation)[..., None])[..., 0]
+        across = self._add_prior_and_smoothness(state, diagonal, gradient)
+        corner = self._add_camera_terms(state, diagonal, gradient)
+        return NormalEquations(data, diagonal, Coupling(across, corner), gradient, bones)
+
+    def _data_rows(self, state: State, turned: Array, error: Array, basis: Array) -> tuple[Array, Array]:
+        """(N, 2 J) reprojection errors and (N, 2 J, n) their derivatives, weighted, translations eliminated."""
+        frames, joints = error.shape[:2]
+        w = self._robust_weight((error**2).sum(axis=-1))
         jac = self._projection_jacobian(state, turned, basis)  # (N, 2, J, n), times each joint's depth
         depth = self._depth(turned)
         residual = np.swapaxes(depth[..., None] * error, 1, 2)  # (N, 2, J)
@@ -358,24 +403,7 @@ class Problem:
         jac -= share[:, :, None] @ jac
         jac *= root[..., None]
         residual = root * (residual - (share * residual).sum(axis=2, keepdims=True))
-        jac = jac.reshape(frames, 2 * joints, n)
-        transposed = np.swapaxes(jac, -1, -2)
-        of_data = transposed @ jac
-
-        deviation, unit, length = self.bones(state.theta)
-        direction = basis[self.children] - basis[self.parents]  # (B, 3, K)
-        bone_jac = np.ascontiguousarray(np.swapaxes(np.swapaxes(unit, 0, 1) @ direction, 0, 1))  # (N, B, K)
-        bones = np.zeros((frames, n, len(direction)))
-        bones[:, :k] = np.swapaxes(bone_jac * np.sqrt(self.bone_weight)[:, None], -1, -2)
-
-        gradient = (transposed @ residual.reshape(frames, -1, 1))[..., 0]
-        gradient += (bones @ (np.sqrt(self.bone_weight) * deviation)[..., None])[..., 0]
-        diagonal = of_data.copy()
-        diagonal[:, :k, :k] += self._bone_hessian(deviation / length, bone_jac, direction)
-        below = np.zeros((frames - 1, n, n))
-        self._add_prior_and_smoothness(state, diagonal, below, gradient)
-        self._add_camera_terms(state, diagonal, below, gradient)
-        return NormalEquations(of_data, diagonal, below, gradient, bones)
+        return residual.reshape(frames, -1), jac.reshape(frames, 2 * joints, -1)
 
     def _projection_jacobian(self, state: State, turned: Array, basis: Array) -> Array:
         """(N, 2, J, n) derivatives of the image points, times each joint's `_depth`; basis (J, 3, K)."""
@@ -396,20 +424,8 @@ class Problem:
         inward = np.swapaxes(image / self.focal[..., None], 1, 2)[..., None]
         return np.asarray(jac[:, :2] - inward * jac[:, 2:])
 
-    def _bone_hessian(self, excess: Array, bone_jac: Array, direction: Array) -> Array:
-        """(N, K, K) of Gauss-Newton, with the second derivatives of bones that are too long times their excess.
-
-        Gauss-Newton leaves those out and then needs several times the steps. Those of bones too short are negative
-        and stay out, so that the matrix remains positive definite.
-        """
-        frames, _, k = bone_jac.shape
-        weight = self.bone_weight * np.maximum(excess, 0)
-        squares = (np.swapaxes(direction, -1, -2) @ direction).reshape(len(direction), -1)
-        across = (weight @ squares).reshape(frames, k, k)
-        along = np.swapaxes(bone_jac * (self.bone_weight - weight)[..., None], -1, -2) @ bone_jac
-        return np.asarray(across + along)
-
-    def _add_prior_and_smoothness(self, state: State, diagonal: Array, below: Array, gradient: Array) -> None:
+    def _add_prior_and_smoothness(self, state: State, diagonal: Array, gradient: Array) -> Array:
+        """Add both terms; returns (N - 1, n), the diagonals of their coupling."""
         k = state.theta.shape[1]
         inverse_variance = 1 / self.model.std**2
         stiffness = np.zeros(len(state.theta))
@@ -417,14 +433,16 @@ class Problem:
         stiffness[1:] += self.smooth
         on_diagonal = np.einsum('nii->ni', diagonal)
         on_diagonal[:, :k] += self.prior + stiffness[:, None] * inverse_variance
-        np.einsum('nii->ni', below)[:, :k] = -self.smooth[:, None] * inverse_variance
+        across = np.zeros((len(self.smooth), diagonal.shape[1]))
+        across[:, :k] = -self.smooth[:, None] * inverse_variance
         pull = self.smooth[:, None] * np.diff(state.theta, axis=0) * inverse_variance
         gradient[:, :k] += self.prior * state.theta
         gradient[1:, :k] += pull
         gradient[:-1, :k] -= pull
+        return across
 
-    def _add_camera_terms(self, state: State, diagonal: Array, below: Array, gradient: Array) -> None:
-        """Flip regulariser, tilt and approach, each a weighted change from frame to frame."""
+    def _add_camera_terms(self, state: State, diagonal: Array, gradient: Array) -> Array:
+        """Add flip regulariser, tilt and approach, weighted changes; returns (N - 1, 4, 4), their coupling."""
         frames, k = state.theta.shape
         columns = np.swapaxes(state.rotation, -1, -2)
         scaled = np.exp(state.log_scale)[:, None, None] * columns
@@ -441,10 +459,11 @@ class Problem:
         stiffness[:-1] += weight
         stiffness[1:] += weight
         diagonal[:, k:, k:] += transposed @ (stiffness * jac)
-        below[:, k:, k:] = -transposed[1:] @ (weight * jac[:-1])
+        corner = -transposed[1:] @ (weight * jac[:-1])
         pull = weight * np.diff(value, axis=0)[..., None]
         gradient[1:, k:] += (transposed[1:] @ pull)[..., 0]
         gradient[:-1, k:] -= (transposed[:-1] @ pull)[..., 0]
+        return np.asarray(corner)
 
     def step(self, equations: NormalEquations, damping: Array) -> tuple[Array, Factor] | None:
         """Levenberg-Marquardt with (P,) relative damping.
@@ -457,8 +476,7 @@ class Problem:
         on_diagonal *= 1 + self.per_frame(damping)[:, None]
         on_diagonal += 1e-12
         on_diagonal[self.held] += HOLD
-        n = diagonal.shape[1]
-        banded = factor(diagonal, equations.below, n + CAMERA_UNKNOWNS - 1)
+        banded = factor(diagonal, equations.coupling)
         if banded is None:
             return None
         strength = 1 / (self.counts + self.older)

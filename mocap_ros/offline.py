@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros import alternation, nonperiodic
-from mocap_ros.base_poses import BasePoses, stature
+from mocap_ros.base_poses import ALL_MOTIONS, BasePoses, stature
 from mocap_ros.classification import choose_category
 from mocap_ros.config import Config, SolverConfig
+from mocap_ros.lifter import for_prior
 from mocap_ros.people import Intrinsics
 from mocap_ros.perspective import View, solver_focal
 from mocap_ros.reconstruction import Reconstruction, Window
@@ -58,12 +59,14 @@ def reconstruct_sequence(
         joint_names: (J,) any names that `skeleton.joint_map` knows.
         times: (F,) s, increasing.
         intrinsics: of the camera.
-        model: base poses, or several by name of which the likeliest are used (`classification`).
+        model: base poses, or several by name: the likeliest are used (`classification`), or with a learned prior
+            those of all motions, if they are among them.
         config: of the solver; `tracker.min_score` and `tracker.body_height` apply too.
 
     Raises:
         SkeletonError: too few of the model's joints can be had from these names.
         InputError: no frame has four seen joints.
+        ModelError: the lifter that `solver.prior` names cannot be had.
     """
     settings = config.tracker
     models = {model.name: model} if isinstance(model, BasePoses) else model
@@ -81,6 +84,12 @@ def reconstruct_sequence(
     view = View.of(rays, weight, times, FACING, intrinsics)
     focal = solver_focal(intrinsics, settings.perspective)
     window = Window(np.where(weight[..., None] > 0, view.image(rays), 0.0), weight, times, focal=focal)
+    lifter = for_prior(config.solver.prior, skeleton) if config.solver.method == 'joint' else None
+    if lifter is not None:
+        lifted = lifter.lift_sequence(window.points, weight, times, focal)
+        window = replace(window, lifted=lifted)
+        if ALL_MOTIONS in sized:
+            sized = {ALL_MOTIONS: sized[ALL_MOTIONS]}
     category, solution = _solve(window, sized, config.solver)
     joints = view.to_camera(solution.joints) + view.roots(solution.cameras, solution.translation)[:, None]
     joints *= settings.body_height / stature(solution.joints, skeleton)

@@ -77,9 +77,9 @@ def facing(direction: Array) -> Array:
     axis = np.concatenate([direction, np.ones_like(direction[..., :1])], axis=-1)
     x, y, z = np.moveaxis(axis / np.linalg.norm(axis, axis=-1, keepdims=True), -1, 0)
     share = 1 / (1 + z)
-    rows = [
-        [1 - x * x * share, -x * y * share, -x],
-        [-x * y * share, 1 - y * y * share, -y],
-        [x, y, z],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    out = np.empty((*axis.shape, 3))
+    out[..., 0, 0], out[..., 1, 1] = 1 - x * x * share, 1 - y * y * share
+    out[..., 0, 1] = out[..., 1, 0] = -x * y * share
+    out[..., 0, 2], out[..., 1, 2] = -x, -y
+    out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = x, y, z
+    return out

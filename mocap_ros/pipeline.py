@@ -7,24 +7,22 @@ from __future__ import annotations
 
 import traceback
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from typing import Protocol
 
 import numpy as np
 
 from mocap_ros.base_poses import BasePoses, load_models
-from mocap_ros.bodies import BodyGroups
+from mocap_ros.bodies import NO_STAMP, PeopleReader
 from mocap_ros.config import Config
-from mocap_ros.errors import ConfigError, FrameDropped, InputError, SkeletonError
+from mocap_ros.errors import FrameDropped, InputError, SkeletonError
 from mocap_ros.io import messages
-from mocap_ros.io.foreign import decode_body, decode_frame, decode_ids
-from mocap_ros.io.foreign_types import BODY, BODY_IDS
 from mocap_ros.io.journal import Verdict
 from mocap_ros.io.markers import MarkerMemory
-from mocap_ros.io.messages import CAMERA_INFO, KEYPOINT_TYPES, CameraInfo, Header, KeypointsFrame, OutputMessage
+from mocap_ros.io.messages import CameraInfo, Header, KeypointsFrame, OutputMessage
 from mocap_ros.io.points import encode_points
+from mocap_ros.io.sources import PEOPLE_SOURCES, Source
 from mocap_ros.io.transforms import TRANSFORMS, encode_transforms
 from mocap_ros.people import Intrinsics, Person2D, Person3D
 from mocap_ros.skeleton import CMU15
@@ -45,50 +43,14 @@ OVERTAKEN = (
 LATCHED_OUTPUTS = {'skeleton_definition': messages.SKELETON_DEFINITION}
 
 
-class Source(Enum):
-    """What an input is; the value is the name of its topic, and of bodies, what their topics begin with."""
-
-    KEYPOINTS = 'keypoints'
-    CAMERA_INFO = 'camera_info'
-    TRACKED = '/humans/bodies/tracked'
-    BODY = '/humans/bodies'
-
-
-PEOPLE_SOURCES = (Source.KEYPOINTS, Source.TRACKED, Source.BODY)
-
-
-def input_types(keypoints: str) -> dict[Source, str]:
-    """Every input and its type, where keypoints come as messages of that type.
-
-    Raises:
-        ConfigError: they cannot.
-    """
-    if keypoints == BODY:
-        return {Source.TRACKED: BODY_IDS, Source.BODY: BODY, Source.CAMERA_INFO: CAMERA_INFO}
-    if keypoints not in KEYPOINT_TYPES:
-        known = ', '.join((*KEYPOINT_TYPES, BODY))
-        raise ConfigError(f'node.input_type {keypoints!r} is not supported; {known} are')
-    return {Source.KEYPOINTS: keypoints, Source.CAMERA_INFO: CAMERA_INFO}
-
-
-def body_topic(tracked: str, body: str) -> str:
-    """Where the keypoints of a body come, beside the topic that says who is tracked."""
-    return f'{tracked.rpartition("/")[0]}/{body}/skeleton2d'
-
-
-def body_of(topic: str) -> str:
-    """The body whose keypoints come there."""
-    return topic.rpartition('/')[0].rpartition('/')[2]
-
-
 @dataclass(frozen=True)
 class Outcome:
-    """What became of an input.
+    """What became of an input: of a message, or of one of the images that it completes.
 
     Attributes:
-        verdict: accepted or not.
+        verdict: accepted or not; of several images the worst.
         reason: why not; where accepted, what is worth saying all the same, mostly nothing.
-        outputs: to publish and record.
+        outputs: to publish and record, of every image that was accepted.
         fault: traceback of an error of ours, mostly empty.
     """
 
@@ -96,6 +58,26 @@ class Outcome:
     reason: str = ''
     outputs: tuple[OutputMessage, ...] = ()
     fault: str = ''
+
+
+def _refusal(error: Exception) -> Outcome:
+    """Of a message or an image that was not accepted because of this."""
+    if isinstance(error, InputError):
+        return Outcome(Verdict.INVALID, str(error))
+    if isinstance(error, FrameDropped):
+        return Outcome(Verdict.DROPPED, str(error))
+    reason = f'internal error: {type(error).__name__}: {error}'
+    return Outcome(Verdict.DROPPED, reason, fault=''.join(traceback.format_exception(error)))
+
+
+def _together(outcomes: Sequence[Outcome]) -> Outcome:
+    """Of a message that completed several images, or one."""
+    return Outcome(
+        max(o.verdict for o in outcomes),
+        '; '.join(o.reason for o in outcomes if o.reason),
+        tuple(output for o in outcomes for output in o.outputs),
+        '\n'.join(o.fault for o in outcomes if o.fault),
+    )
 
 
 @dataclass
@@ -156,7 +138,7 @@ class Pipeline:
         self._make_tracker = make_tracker
         self._tracker = make_tracker(self.models, config)
         self._markers = MarkerMemory()
-        self._bodies = BodyGroups()
+        self._reader = PeopleReader()
         self._faults = 0
         self.header = Header(0, '')
         self.people: tuple[Person3D, ...] = ()
@@ -175,15 +157,13 @@ class Pipeline:
             topic: on which it came; of use for bodies only, which it names.
         """
         try:
-            outcome = self._taken(source, raw, topic)
-            self._faults = 0
+            frames = self._frames(source, raw, topic)
         except Exception as error:
-            self.counters.dropped['internal error'] += 1
-            self._faults += 1
-            if self._faults == FAULTS_BEFORE_RESET:
-                self._tracker.reset()
-            reason = f'internal error: {type(error).__name__}: {error}'
-            return Outcome(Verdict.DROPPED, reason, fault=traceback.format_exc())
+            outcomes = [_refusal(error)]
+        else:
+            outcomes = [self._processed(frame) for frame in frames] or [Outcome(Verdict.ACCEPTED)]
+        outcome = _together(outcomes)
+        self._count(source, outcome)
         return outcome
 
     def idle(self) -> str:
@@ -198,78 +178,48 @@ class Pipeline:
             return traceback.format_exc()
         return ''
 
-    def _taken(self, source: Source, raw: bytes, topic: str) -> Outcome:
-        try:
-            if source is Source.CAMERA_INFO:
-                self.set_camera_info(raw)
-                return Outcome(Verdict.ACCEPTED)
-            if source is Source.KEYPOINTS:
-                outputs = self.process(raw)
-            else:
-                outputs = self._gathered(source, raw, body_of(topic))
-        except InputError as error:
-            return Outcome(Verdict.INVALID, str(error))
-        except FrameDropped as error:
-            return Outcome(Verdict.DROPPED, str(error))
-        back = self._tracker.went_back if outputs else 0.0
-        said = f'time went back by {back:.1f} s: started afresh' if back else ''
-        return Outcome(Verdict.ACCEPTED, said, outputs)
-
-    def process(self, raw: bytes) -> tuple[OutputMessage, ...]:
-        """Take a message of everyone in an image, of the type that the configuration names.
-
-        Args:
-            raw: CDR.
-
-        Returns:
-            One message for each of `OUTPUTS`.
+    def _frames(self, source: Source, raw: bytes, topic: str) -> list[KeypointsFrame]:
+        """The images that a message completes.
 
         Raises:
             InputError: the message cannot be used; names the field.
-            FrameDropped: the tracker does not accept its stamp.
+            FrameDropped: its image was complete already.
         """
-        return self._counted(
-            lambda: [decode_frame(raw, self.config.node.input_type, self.config.node, self._image_size())]
+        if source is Source.CAMERA_INFO:
+            self.set_camera_info(raw)
+            return []
+        node = self.config.node
+        size = messages.image_size(self._camera, node)
+        return self._reader.read(source, raw, topic, node, size, self.config.tracker.restart_after)
+
+    def _processed(self, frame: KeypointsFrame) -> Outcome:
+        """Track the people of an image; where that is accepted, one message for each of `OUTPUTS`."""
+        try:
+            people = self._tracked(frame, self._intrinsics(frame))
+            outputs = self._outputs(Header(self._tracker.output_ns, frame.header.frame_id), people)
+        except Exception as error:
+            if isinstance(error, FrameDropped) and frame.header.stamp_ns == self.header.stamp_ns == 0:
+                error = FrameDropped(NO_STAMP)
+            return _refusal(error)
+        self.header, self.people = frame.header, people
+        back = self._tracker.went_back
+        return Outcome(
+            Verdict.ACCEPTED, f'time went back by {back:.1f} s: started afresh' if back else '', outputs
         )
 
-    def _gathered(self, source: Source, raw: bytes, body: str) -> tuple[OutputMessage, ...]:
-        """Take one of the messages by which bodies come one by one."""
-        limits, size = self.config.node, self._image_size()
-
-        def frames() -> list[KeypointsFrame]:
-            if source is Source.TRACKED:
-                return self._bodies.track(*decode_ids(raw, limits), size)
-            return self._bodies.add(*decode_body(raw, body, size, limits), size, self.config.tracker.restart_after)
-
-        return self._counted(frames)
-
-    def _counted(self, frames: Callable[[], list[KeypointsFrame]]) -> tuple[OutputMessage, ...]:
-        """Everything there is to put out about some frames; counts the message they come from."""
-        outputs: list[OutputMessage] = []
-        before = self.header
-        try:
-            for frame in frames():
-                before = frame.header
-                people = self._tracked(frame, self._intrinsics(frame))
-                outputs += self._outputs(Header(self._tracker.output_ns, frame.header.frame_id), people)
-                self.header, self.people = frame.header, people
-        except InputError:
-            self.counters.invalid += 1
-            raise
-        except FrameDropped:
+    def _count(self, source: Source, outcome: Outcome) -> None:
+        """Count what became of an input; forget everybody where errors of ours go on."""
+        self._faults = self._faults + 1 if outcome.fault else 0
+        if self._faults == FAULTS_BEFORE_RESET:
+            self._tracker.reset()
+        if outcome.fault:
+            self.counters.dropped['internal error'] += 1
+        elif outcome.verdict is Verdict.DROPPED:
             self.counters.dropped['stamp'] += 1
-            if before.stamp_ns == self.header.stamp_ns == 0:
-                raise FrameDropped('header.stamp is not set') from None
-            raise
-        self.counters.accepted += 1
-        return tuple(outputs)
-
-    def _image_size(self) -> tuple[int, int]:
-        """Of messages that do not say it; px, 0 where unknown."""
-        camera, node = self._camera, self.config.node
-        if camera is not None and camera.width and camera.height:
-            return camera.width, camera.height
-        return (node.image_width, node.image_height) if node.image_width and node.image_height else (0, 0)
+        elif outcome.verdict is Verdict.INVALID:
+            self.counters.invalid += 1
+        elif source in PEOPLE_SOURCES:
+            self.counters.accepted += 1
 
     def set_camera_info(self, raw: bytes) -> None:
         """Take a sensor_msgs/CameraInfo, which holds for the frames after it.
@@ -277,11 +227,7 @@ class Pipeline:
         Raises:
             InputError: it cannot be used.
         """
-        try:
-            self._camera = messages.decode_camera_info(raw, rectified=self.config.node.rectified_input)
-        except InputError:
-            self.counters.invalid += 1
-            raise
+        self._camera = messages.decode_camera_info(raw, rectified=self.config.node.rectified_input)
         self.camera_info = raw
 
     def note_overtaken(self) -> Outcome:
@@ -292,7 +238,7 @@ class Pipeline:
     def reset(self) -> OutputMessage:
         """Forget everybody; returns the message that deletes all markers."""
         self._tracker.reset()
-        self._bodies.reset()
+        self._reader.reset()
         self.people = ()
         cleared = self._markers.clear(self.header)
         return OutputMessage('markers', messages.MARKERS, self.header.stamp_ns, cleared)
@@ -309,13 +255,7 @@ class Pipeline:
         camera, node = self._camera, self.config.node
         said = (frame.image_width, frame.image_height)
         if camera is not None:
-            calibrated = (camera.width, camera.height)
-            if all(said) and all(calibrated) and said != calibrated:
-                raise InputError(
-                    'image_width, image_height: {} x {} px, but CameraInfo is for {} x {} px'.format(
-                        *said, *calibrated
-                    )
-                )
+            messages.check_size(frame, camera)
             return camera.intrinsics
         for width, height in (said, (node.image_width, node.image_height)):
             if width and height:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mocap_ros.base_poses import BasePoses
 from mocap_ros.camera import Cameras, closed_form, small_rotation
 from mocap_ros.errors import InputError
+from mocap_ros.lifter import Lifted
 
 Array = NDArray[np.float64]
 
@@ -51,6 +52,7 @@ class Window:
         focal: px, of a camera that looks at the person, points relative to its axis; infinite: weak perspective.
         held: so many frames at the beginning keep their start, which `start` must give.
         older: frames before these, or None.
+        lifted: 3D poses of the frames in px, as a prior; None for that of the base poses alone.
     """
 
     points: Array
@@ -62,6 +64,7 @@ class Window:
     focal: float = math.inf
     held: int = 0
     older: Older | None = None
+    lifted: Lifted | None = None
 
     def __post_init__(self) -> None:
         frames, joints = self.weight.shape
@@ -70,6 +73,8 @@ class Window:
                 f'points {self.points.shape}, weight {self.weight.shape} and times '
                 f'{self.times.shape} do not fit each other'
             )
+        if self.lifted is not None and self.lifted.joints.shape != (frames, joints, 3):
+            raise InputError(f'lifted poses {self.lifted.joints.shape} do not fit points {self.points.shape}')
         if not ((self.weight > 0).sum(axis=1) >= ENOUGH_FOR_A_CAMERA).any():
             raise InputError('no frame has four seen joints: nothing to reconstruct')
 

@@ -11,26 +11,22 @@ from mocap_ros.base_poses import AUTO, shipped_models
 from mocap_ros.config import Config, RecorderConfig, Value, values, with_values
 from mocap_ros.errors import ConfigError, InputError, RecordingError
 from mocap_ros.io.bags import ENDINGS, Bag, BagMessage
-from mocap_ros.io.foreign_types import BODY, BODY_IDS
 from mocap_ros.io.journal import RESET, Journal, Verdict, read_run
-from mocap_ros.io.messages import KEYPOINT_TYPES, OutputMessage
-from mocap_ros.io.recorder import Recorder
+from mocap_ros.io.messages import OutputMessage
+from mocap_ros.io.recorder import Recorder, partial_of
 from mocap_ros.io.rosbag2 import METADATA
+from mocap_ros.io.sources import Source, people_topics, people_type
 from mocap_ros.pipeline import (
     LATCHED_OUTPUTS,
     Counters,
     Outcome,
     Pipeline,
-    Source,
-    body_of,
-    body_topic,
     skeleton_definition,
 )
 from mocap_ros.provenance import attachments
 
 JOURNAL_TOPIC = '/mocap_replay/journal'
 INPUT_TYPE = 'node.input_type'
-PARTIAL = '.partial'
 
 Watch = Callable[[Iterable[BagMessage], int], Iterable[BagMessage]]
 
@@ -90,9 +86,7 @@ def replay(
         InputError: the bag cannot be used.
         RecordingError: the new bag exists or cannot be written.
     """
-    if out.exists():
-        raise RecordingError(f'{out}: exists already')
-    partial = _partial(out)
+    partial = partial_of(out)
     if partial.exists():
         raise RecordingError(f'{partial}: left by an interrupted replay; --resume does it again, or remove it')
     result = _Replay(bag, options or ReplayOptions()).run(partial, out.name, watch)
@@ -109,7 +103,7 @@ def remove_partial(out: Path) -> None:
     Raises:
         RecordingError: it is no bag, or cannot be removed.
     """
-    partial = _partial(out)
+    partial = partial_of(out)
     if not partial.exists():
         return
     strange = [f.name for f in partial.iterdir() if f.suffix not in ENDINGS and not f.name.startswith(METADATA)]
@@ -121,21 +115,17 @@ def remove_partial(out: Path) -> None:
         raise RecordingError(f'{partial}: {error.strerror}') from None
 
 
-def _partial(out: Path) -> Path:
-    return out.with_name(out.name + PARTIAL)
-
-
 class _Replay:
     """One replay."""
 
     def __init__(self, bag: Bag, options: ReplayOptions) -> None:
         self._bag = bag
         self._inputs = people_topics(bag, options.topic)
+        kind = people_type(bag, self._inputs)
         first, *_ = self._inputs
         camera_info = bag.camera_info_topic(first, options.camera_info)
         if camera_info is not None:
             self._inputs[camera_info] = Source.CAMERA_INFO
-        kind = bag.topics[first] if self._inputs[first] is Source.KEYPOINTS else BODY
         self._recorded_run = read_run(bag)
         self._follow = options.config is None
         config = options.config
@@ -195,27 +185,6 @@ class _Replay:
 
     def _write(self, output: OutputMessage, now: int) -> None:
         self._recorder.write('/' + output.topic.lstrip('/'), output.type, output.data, now, now)
-
-
-def people_topics(bag: Bag, name: str | None = None) -> dict[str, Source]:
-    """The topics of 2D keypoints and what each is: one of everybody, or ROS4HRI's with one for each body.
-
-    Args:
-        bag: to look into.
-        name: of the topic, where there are several; of bodies, the one that says who is tracked.
-
-    Raises:
-        InputError: there is none, or more than one.
-    """
-    tracked = [t for t in bag.of_type([BODY_IDS]) if name in (None, t) and t.endswith('/bodies/tracked')]
-    bodies = [t for t in bag.of_type([BODY]) if t.endswith('/skeleton2d')]
-    if not bodies or (name is not None and name not in tracked) or bag.of_type(KEYPOINT_TYPES):
-        return {bag.keypoints_topic(name): Source.KEYPOINTS}
-    if len(tracked) > 1:
-        raise InputError(f'{bag.path}: several topics of tracked bodies, choose one: {", ".join(tracked)}')
-    beside = tracked[0].rpartition('/')[0] if tracked else bodies[0].rpartition('/')[0].rpartition('/')[0]
-    mine = [t for t in bodies if t == body_topic(f'{beside}/tracked', body_of(t))]
-    return dict.fromkeys(tracked, Source.TRACKED) | dict.fromkeys(mine, Source.BODY)
 
 
 def _parameters(config: Config, recorded: Mapping[str, Value], bag: Bag) -> Config:

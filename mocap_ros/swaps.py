@@ -8,7 +8,7 @@ the verdict on earlier ones, as far back as the window reaches.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,63 +18,93 @@ from mocap_ros.association import extent
 Array = NDArray[np.float64]
 
 ENTER, LEAVE = 0.01, 0.15
+FIRST_SWAPPED = 3.0
 SPREAD, SPREAD_PER_S = 0.05, 1.0
 MOST_COST = 9.0
 VELOCITY_TIME = 0.06
+LONGEST_STEP = 0.2
 FRAME_TIME = 1 / 30
 
 
 @dataclass(frozen=True, eq=False)
-class History:
-    """One surviving history.
+class Histories:
+    """The two surviving histories: that whose newest labels are right, and that whose newest are swapped.
 
     Attributes:
-        cost: minus its log likelihood, up to a constant.
-        swapped: verdict on each frame of the window.
-        points: (J, 2) last relabelled ones; velocity: (J, 2) per s; seen: (J,) s of the last sight.
+        cost: (2,) minus their log likelihood, up to a constant.
+        swapped: (2, F) verdict on each frame of the window.
+        points: (2, J, 2) last relabelled ones; velocity: (2, J, 2) per s; seen: (2, J) s of the last sight.
     """
 
-    cost: float
-    swapped: tuple[bool, ...]
+    cost: Array
+    swapped: NDArray[np.bool_]
     points: Array
     velocity: Array
     seen: Array
 
-    def predicted(self, time: float) -> tuple[Array, Array]:
-        """(J, 2) points at that time and (J,) their spread in body sizes."""
-        age = time - self.seen
-        moved = self.velocity * VELOCITY_TIME * (1 - np.exp(-age / VELOCITY_TIME))[:, None] * 2
-        return self.points + moved, SPREAD + SPREAD_PER_S * age
+    @staticmethod
+    def begun(time: float, points: Array, seen: NDArray[np.bool_]) -> Histories:
+        """By a first frame under both labellings (2, J, 2), (2, J)."""
+        return Histories(
+            np.array([0.0, FIRST_SWAPPED]),
+            np.array([[False], [True]]),
+            points,
+            np.zeros_like(points),
+            np.where(seen, time, -np.inf),
+        )
 
-    def then(self, time: float, points: Array, seen: NDArray[np.bool_], swapped: bool, cost: float) -> History:
-        """Continued by a frame with these relabelled points."""
-        age = np.maximum(time - self.seen, 1e-3)[:, None]
-        fresh = (points - self.points) / age
-        known = np.isfinite(self.seen)[:, None] & (age < 0.2)
+    def surprise(self, time: float, points: Array, seen: NDArray[np.bool_], size: float) -> Array:
+        """(2, 2) of each history (rows) at the next frame under each labelling (columns): minus log likelihood.
+
+        Args:
+            time: s.
+            points: (2, J, 2) under both labellings, of the joints that have a counterpart.
+            seen: (2, J).
+            size: of the body, in the units of the points.
+        """
+        known = np.isfinite(self.seen)
+        age = time - np.where(known, self.seen, time)
+        ahead = VELOCITY_TIME * (1 - np.exp(-age / VELOCITY_TIME)) * 2
+        expected = self.points + self.velocity * ahead[..., None]
+        spread = SPREAD + SPREAD_PER_S * age
+        apart = points - expected[:, None]
+        squared = np.einsum('hljd,hljd->hlj', apart, apart) / (size * spread[:, None]) ** 2
+        cost = MOST_COST * np.log1p((0.5 / MOST_COST) * squared) + 2 * np.log(spread)[:, None]
+        return np.asarray((cost * (seen & known[:, None])).sum(axis=-1))
+
+    def then(
+        self, time: float, points: Array, seen: NDArray[np.bool_], cost: Array, before: NDArray[np.intp]
+    ) -> Histories:
+        """Gone on with a frame: the labellings (2, ...), each after the history `before` (2,) at a `cost` (2,)."""
+        last, velocity, sight = self.points[before], self.velocity[before], self.seen[before]
+        age = np.maximum(time - sight, 1e-3)
         blend = 1 - np.exp(-age / VELOCITY_TIME)
-        velocity = np.where(known, self.velocity + blend * (fresh - self.velocity), 0.0)
-        take = seen[:, None]
-        return History(
-            self.cost + cost,
-            (*self.swapped, swapped),
-            np.where(take, points, self.points),
-            np.where(take, velocity, self.velocity),
-            np.where(seen, time, self.seen),
+        fresh = (points - last) / age[..., None]
+        moving = np.where((age < LONGEST_STEP)[..., None], velocity + blend[..., None] * (fresh - velocity), 0.0)
+        take = seen[..., None]
+        return Histories(
+            cost - cost.min(),
+            np.concatenate([self.swapped[before], [[False], [True]]], axis=1),
+            np.where(take, points, last),
+            np.where(take, moving, velocity),
+            np.where(seen, time, sight),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class SwapFilter:
-    """Both histories of one person: the labels of the newest frame right, and swapped.
+    """Recognises swapped labels of one person.
 
     Attributes:
         mirror: (J,) index of each joint's counterpart.
         enabled: False to believe the detector.
+        verdict: (F,) for each frame of the window, whether its labels are swapped.
     """
 
     mirror: NDArray[np.intp]
     enabled: bool = True
-    histories: tuple[History, History] | None = None
+    verdict: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
+    histories: Histories | None = None
 
     def update(self, time: float, points: Array, weight: Array, size: float) -> SwapFilter:
         """With one frame more.
@@ -86,57 +116,31 @@ class SwapFilter:
             size: of the body in the units of the points.
         """
         if not self.enabled:
-            return replace(self, histories=self._believed(points))
-        labelled = [(points, weight > 0), (points[self.mirror], weight[self.mirror] > 0)]
-        if self.histories is None:
-            start = [
-                History(cost, (swapped,), p, np.zeros_like(p), np.where(seen, time, -np.inf))
-                for cost, swapped, (p, seen) in zip((0.0, 3.0), (False, True), labelled, strict=True)
-            ]
-            return replace(self, histories=(start[0], start[1]))
-        before = self.histories
-        steps = max(time - float(before[0].seen.max()), 1e-3) / FRAME_TIME
-        enter, leave = 1 - (1 - ENTER) ** steps, 1 - (1 - LEAVE) ** steps
-        change = -np.log([[1 - enter, enter], [leave, 1 - leave]])
-        now = []
-        for to, (p, seen) in enumerate(labelled):
-            ways = [h.cost + self._surprise(h, time, p, seen, size) + change[i, to] for i, h in enumerate(before)]
-            best = int(np.argmin(ways))
-            now.append(before[best].then(time, p, seen, bool(to), ways[best] - before[best].cost))
-        least = min(h.cost for h in now)
-        first, second = (replace(h, cost=h.cost - least) for h in now)
-        return replace(self, histories=(first, second))
-
-    def _believed(self, points: Array) -> tuple[History, History]:
-        before = () if self.histories is None else self.histories[0].swapped
-        history = History(0.0, (*before, False), points, np.zeros_like(points), np.zeros(len(points)))
-        return history, replace(history, cost=np.inf)
-
-    def _surprise(
-        self, history: History, time: float, points: Array, seen: NDArray[np.bool_], size: float
-    ) -> float:
-        """Minus the log likelihood of the points of paired joints."""
-        sides = (self.mirror != np.arange(len(self.mirror))) & seen & np.isfinite(history.seen)
-        if not sides.any():
-            return 0.0
-        with np.errstate(invalid='ignore'):
-            expected, spread = history.predicted(time)
-        squared = (((points - expected)[sides] / size) ** 2).sum(axis=-1) / spread[sides] ** 2
-        return float((MOST_COST * np.log1p(0.5 * squared / MOST_COST) + 2 * np.log(spread[sides])).sum())
+            return replace(self, verdict=np.append(self.verdict, False))
+        both = np.stack([points, points[self.mirror]])
+        seen = np.stack([weight, weight[self.mirror]]) > 0
+        old = self.histories
+        if old is None:
+            new = Histories.begun(time, both, seen)
+        else:
+            steps = max(time - float(old.seen[0].max()), 1e-3) / FRAME_TIME
+            mixed = (1 - (1 - ENTER - LEAVE) ** steps) / (ENTER + LEAVE)
+            enter, leave = ENTER * mixed, LEAVE * mixed
+            change = -np.log([[1 - enter, enter], [leave, 1 - leave]])
+            sided = self.mirror != np.arange(len(self.mirror))
+            ways = old.cost[:, None] + old.surprise(time, both, seen & sided, size) + change
+            before = ways.argmin(axis=0)
+            new = old.then(time, both, seen, ways[before, [0, 1]], before)
+        return replace(self, histories=new, verdict=new.swapped[new.cost.argmin()])
 
     def forgot(self, frames: int) -> SwapFilter:
         """Without the verdicts on the oldest frames."""
-        if self.histories is None or frames == 0:
+        if frames == 0:
             return self
-        first, second = (replace(h, swapped=h.swapped[frames:]) for h in self.histories)
-        return replace(self, histories=(first, second))
-
-    @property
-    def verdict(self) -> tuple[bool, ...]:
-        """For each frame of the window, whether its labels are swapped."""
-        if self.histories is None:
-            return ()
-        return min(self.histories, key=lambda h: h.cost).swapped
+        old = self.histories
+        if old is not None:
+            old = replace(old, swapped=old.swapped[:, frames:])
+        return replace(self, histories=old, verdict=self.verdict[frames:])
 
 
 def swapped_frames(times: Array, points: Array, weight: Array, mirror: NDArray[np.intp]) -> NDArray[np.bool_]:

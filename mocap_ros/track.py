@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from mocap_ros.association import extent
 from mocap_ros.base_poses import BasePoses, rotation_to, stature
-from mocap_ros.camera import Cameras, small_rotation
+from mocap_ros.camera import Cameras, rotation_vector, small_rotation
+from mocap_ros.lifter import Lifted, histories, joined
 from mocap_ros.people import Intrinsics, Motion, MotionKind
 from mocap_ros.perspective import View, facing
 from mocap_ros.reconstruction import Older, Reconstruction, Start, Window
@@ -38,8 +39,11 @@ class Track:
         born: ns, stamp of the first frame.
         stamps: (F,) ns.
         rays: (F, J, 2) x / z and y / z, labels as the detector gave them; weight: (F, J) its scores.
+        right: rays and weights with left and right put right; turn: (3, 3) real to virtual camera, which looks at
+            the person, one for the whole window.
         theta: (S, K) m, rotation: (S, 3, 3) body to camera, roots: (S, 3) m, of the first S
             frames, S = F or F - 1.
+        lifted: 3D poses of the first frames by the lifter, rays' units, real camera's axes; None before the first.
         model: name of the base poses; '' before the first solution.
         noise: m, of the image points.
         size_ratio: stature of the solution over that of the model.
@@ -61,9 +65,12 @@ class Track:
     stamps: list[int] = field(default_factory=list)
     rays: Array = field(default_factory=lambda: np.empty((0, 0, 2)))
     weight: Array = field(default_factory=lambda: np.empty((0, 0)))
+    right: tuple[Array, Array] = field(default_factory=lambda: (np.empty((0, 0, 2)), np.empty((0, 0))))
+    turn: Array = field(default_factory=lambda: np.eye(3))
     theta: Array = field(default_factory=lambda: np.empty((0, 0)))
     rotation: Array = field(default_factory=lambda: np.empty((0, 3, 3)))
     roots: Array = field(default_factory=lambda: np.empty((0, 3)))
+    lifted: Lifted | None = None
     model: str = ''
     noise: float = 0.05
     size_ratio: float = 1.0
@@ -92,22 +99,40 @@ class Track:
         self.theta, self.rotation, self.roots = self.theta[gone:], self.rotation[gone:], self.roots[gone:]
         now = self.swaps.verdict
         self.swapped += int(now[-1])
-        if now[: len(now) - 1] != before[gone:]:
+        relabelled = not np.array_equal(now[:-1], before[gone:])
+        if relabelled:
             self.challenge_at = stamp
+        if self.lifted is not None:
+            self.lifted = None if relabelled else self.lifted.take(slice(gone, None))
+        self.look()
+
+    def look(self) -> None:
+        """Put left and right right, and turn the virtual camera towards the middle of what was seen."""
+        rays, weight, mirror = self.rays, self.weight, self.swaps.mirror
+        swapped = self.swaps.verdict
+        if swapped.any():
+            rays = np.where(swapped[:, None, None], rays[:, mirror], rays)
+            weight = np.where(swapped[:, None], weight[:, mirror], weight)
+        self.right = rays, weight
+        middle = np.einsum('fj,fjd->d', weight, rays) / max(weight.sum(), 1e-12)
+        self.turn = facing(middle)
+
+    def to_lift(self, intrinsics: Intrinsics) -> tuple[Array, Array]:
+        """Histories of the frames that are not lifted yet, in px of the virtual camera, as `lifter.histories`."""
+        first = 0 if self.lifted is None else len(self.lifted.joints)
+        rays, weight = self.right
+        times = (np.array(self.stamps) - self.stamps[0]) / NS
+        return histories(self.view(intrinsics).image(rays), weight, times, np.arange(first, len(times)))
+
+    def add_lifted(self, new: Lifted, intrinsics: Intrinsics) -> None:
+        """What a lifter made of the frames `to_lift`."""
+        new = Lifted(self.view(intrinsics).to_camera(new.joints), new.spread).times(1 / intrinsics.focal)
+        self.lifted = new if self.lifted is None else joined([self.lifted, new])
 
     @property
     def solved(self) -> bool:
         """Whether there is a solution to go on from."""
         return len(self.theta) > 0
-
-    def labelled(self) -> tuple[Array, Array]:
-        """Rays (F, J, 2) and weights (F, J) with left and right put right."""
-        swapped = np.array(self.swaps.verdict)
-        mirror = self.swaps.mirror
-        return (
-            np.where(swapped[:, None, None], self.rays[:, mirror], self.rays),
-            np.where(swapped[:, None], self.weight[:, mirror], self.weight),
-        )
 
     def expected(self, stamp: int) -> tuple[Array, float, float]:
         """Centre and size in ray units where the person should be seen, and s since the last sight."""
@@ -122,10 +147,8 @@ class Track:
         return centre, size, age
 
     def view(self, intrinsics: Intrinsics) -> View:
-        """A virtual camera that looks at the person, one for the whole window."""
-        rays, weight = self.labelled()
-        total = max(weight.sum(), 1e-12)
-        return View(facing((weight[..., None] * rays).sum(axis=(0, 1)) / total), intrinsics)
+        """The virtual camera."""
+        return View(self.turn, intrinsics)
 
     def window(
         self, intrinsics: Intrinsics, focal: float, frames: NDArray[np.intp], held: int, model: BasePoses
@@ -140,14 +163,17 @@ class Track:
             model: the base poses of the solution so far.
         """
         view = self.view(intrinsics)
-        rays, weight = self.labelled()
-        rays, weight = rays[frames], weight[frames]
+        rays, weight = (part[frames] for part in self.right)
         points = view.image(rays)
         times = np.array([self.stamps[f] - self.stamps[0] for f in frames]) / NS
-        plain = Window(np.where(weight[..., None] > 0, points, 0.0), weight, times, focal=focal)
+        lifted = None
+        if self.lifted is not None:
+            seen = self.lifted.take(frames).times(intrinsics.focal)
+            lifted = Lifted(seen.joints @ view.turn.T, seen.spread)
+        plain = Window(np.where(weight[..., None] > 0, points, 0.0), weight, times, focal=focal, lifted=lifted)
         if not self.solved:
             return plain
-        start = self.start(view, frames)
+        start = self.start(view, frames, model)
         older = None
         if held:
             first = int(frames[0])
@@ -164,25 +190,35 @@ class Track:
             focal,
             held,
             older,
+            lifted,
         )
 
-    def start(self, view: View, frames: NDArray[np.intp]) -> Start:
-        """The solution so far in these frames, in the virtual camera; a new frame goes on from the last two."""
+    def start(self, view: View, frames: NDArray[np.intp], model: BasePoses) -> Start:
+        """The solution so far in these frames, in the virtual camera; a new frame goes on from the last ones."""
         known = np.minimum(frames, len(self.theta) - 1)
         theta, rotation, roots = self.theta[known], self.rotation[known], self.roots[known]
-        new = frames >= len(self.theta)
-        if new.any() and len(self.theta) > 1:
-            span = max(self.stamps[len(self.theta) - 1] - self.stamps[len(self.theta) - 2], 1)
-            ahead = np.array([self.stamps[f] - self.stamps[len(self.theta) - 1] for f in frames[new]])
-            share = EXTRAPOLATED * np.minimum(ahead / span, 2.0)[:, None]
-            theta = np.concatenate([theta[~new], theta[new] + share * (self.theta[-1] - self.theta[-2])])
-            roots = np.concatenate([roots[~new], roots[new] + share * (self.roots[-1] - self.roots[-2])])
-            turned = Rotation.from_matrix(self.rotation[-1] @ self.rotation[-2].T).as_rotvec()
-            on = small_rotation(share * turned) @ rotation[new]
-            rotation = np.concatenate([rotation[~new], on])
+        if frames[-1] == len(self.theta):
+            theta[-1], rotation[-1], roots[-1] = self.next_state(model)
         depth = (roots @ view.turn.T)[:, 2]
         scale = view.intrinsics.focal / np.maximum(depth, 1e-3)
         return Start(theta, Cameras(scale, view.turn @ rotation))
+
+    def next_state(self, model: BasePoses) -> tuple[Array, Array, Array]:
+        """Weights, rotation and root to expect of the new frame: moved on, the pose as the lifter saw it move."""
+        theta, rotation, root = self.theta[-1], self.rotation[-1], self.roots[-1]
+        last = len(self.theta) - 1
+        if last > 0:
+            span = max(self.stamps[last] - self.stamps[last - 1], 1)
+            share = EXTRAPOLATED * min((self.stamps[-1] - self.stamps[last]) / span, 2.0)
+            theta = theta + share * (theta - self.theta[-2])
+            root = root + share * (root - self.roots[-2])
+            rotation = small_rotation(share * rotation_vector(rotation @ self.rotation[-2].T)) @ rotation
+        if self.lifted is not None:
+            moved = root[2] * (self.lifted.joints[-1] - self.lifted.joints[last])
+            if np.isfinite(moved).all():
+                joints = model.poses(self.theta[-1]) @ self.rotation[-1].T + moved
+                theta = model.weights(joints @ rotation)
+        return theta, rotation, root
 
     def take(self, solution: Reconstruction, frames: NDArray[np.intp], held: int, intrinsics: Intrinsics) -> None:
         """Replace the state of these frames by a solution of the `window` made of them, the held ones excepted."""

@@ -20,12 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.association import associate, extent
-from mocap_ros.base_poses import BasePoses
+from mocap_ros.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.config import Config
 from mocap_ros.errors import FrameDropped
 from mocap_ros.examination import Examiner
+from mocap_ros.lifter import for_prior
 from mocap_ros.nonperiodic import solve
 from mocap_ros.people import Intrinsics, Person2D, Person3D
+from mocap_ros.perspective import solver_focal
 from mocap_ros.skeleton import joint_map
 from mocap_ros.swaps import SwapFilter
 from mocap_ros.track import NS, Track
@@ -40,6 +42,7 @@ ALARM = 1.3
 YOUNG = 1.0
 EXAMINATION_GAP = 0.1
 MOTION_EVERY = 1.0
+SELDOM = 5.0
 EXTENT_LEAST = 1e-3
 PREDICTED_SPEED_STD = 0.5
 UNKNOWN_CAMERA = Intrinsics(1.0, (0.0, 0.0), known=False)
@@ -69,8 +72,12 @@ class Tracker:
     """Turns 2D keypoints, frame by frame, into 3D people.
 
     Args:
-        models: base poses, or several by name of which each person has the likeliest.
+        models: base poses, or several by name: each person has the likeliest, or with a learned prior everybody
+            those of all motions, if they are among them.
         config: of solver and tracker.
+
+    Raises:
+        ModelError: the lifter that `solver.prior` names cannot be had.
 
     Attributes:
         went_back: s by which the stamp of the last accepted frame went back, so that it started afresh; else 0.
@@ -84,6 +91,10 @@ class Tracker:
         components = min(config.tracker.components, config.solver.components)
         self.config = config
         self.models = {n: m.rescaled(height / m.stature).truncated(components) for n, m in by_name.items()}
+        self._lifter = for_prior(config.solver.prior, next(iter(self.models.values())).skeleton)
+        self._rivals = list(self.models)
+        if self._lifter is not None and ALL_MOTIONS in self.models:
+            self._rivals = [ALL_MOTIONS]
         self._examiner = Examiner(self.models, config)
         self.went_back = 0.0
         self.output_ns = 0
@@ -157,6 +168,7 @@ class Tracker:
             track.push(stamp_ns, detection.rays, detection.weight, settings.window)
             self.swapped_frames += track.swapped - before
         tracks = [track for track, _ in seen]
+        self._lift(tracks)
         self._begin([t for t in tracks if not t.solved])
         self._refine([t for t in tracks if len(t.theta) < len(t.stamps)])
         self._pending = [t.id for t in tracks]
@@ -183,7 +195,9 @@ class Tracker:
             return
         for track in self._tracks:
             ones = np.ones_like(track.rays[..., :1])
+            track.lifted = None
             track.rays = intrinsics.rays(old.project(np.concatenate([track.rays, ones], axis=-1)))
+            track.look()
             depth = track.roots[:, 2:] * intrinsics.focal / old.focal
             rays = intrinsics.rays(old.project(track.roots))
             track.roots = np.concatenate([rays * depth, depth], axis=-1)
@@ -219,10 +233,21 @@ class Tracker:
         self._tracks.append(track)
         return track
 
+    def _lift(self, tracks: Sequence[Track]) -> None:
+        """The learned prior of everybody's new frames, as one batch."""
+        if self._lifter is None or not tracks:
+            return
+        histories = [track.to_lift(self._camera) for track in tracks]
+        points, weight = (np.concatenate(part) for part in zip(*histories, strict=True))
+        lifted = self._lifter.lift(points, weight, solver_focal(self._camera, self.config.tracker.perspective))
+        ends = np.cumsum([len(w) for _, w in histories])
+        for track, end, (_, own) in zip(tracks, ends, histories, strict=True):
+            track.add_lifted(lifted.take(slice(end - len(own), end)), self._camera)
+
     def _begin(self, tracks: Sequence[Track]) -> None:
         """A first solution under the likeliest model."""
         for track in tracks:
-            self._examiner.start_afresh(track, self._camera, self.models)
+            self._examiner.start_afresh(track, self._camera, self._rivals)
             track.challenge_at = track.stamps[-1] + round(FIRST_CHALLENGE * NS)
 
     def _refine(self, tracks: Sequence[Track]) -> None:
@@ -247,7 +272,7 @@ class Tracker:
         """One question about one person, and none too soon after the last."""
         for track in tracks:
             if track.noise > ALARM * track.calm_noise:
-                track.hurry, track.calm_noise, track.challenge_at = len(self.models), math.inf, stamp
+                track.hurry, track.calm_noise, track.challenge_at = len(self._rivals), math.inf, stamp
         if stamp < self._examined + EXAMINATION_GAP * NS:
             return
         due = [(t.challenge_at, False, t) for t in tracks if t.stamps[-1] > t.born]
@@ -265,11 +290,12 @@ class Tracker:
 
     def _challenge(self, track: Track, stamp: int) -> None:
         """Another model for the same poses, and every few times, or in a hurry, a fresh start."""
-        names = list(self.models)
+        names = self._rivals
         name = names[track.challenges % len(names)]
         track.challenges += 1
         age = (stamp - track.born) / NS
-        wait = min(max(FIRST_CHALLENGE, CHALLENGE_GROWTH * age), self.config.tracker.challenge_every)
+        longest = self.config.tracker.challenge_every if self._lifter is None else SELDOM
+        wait = min(max(FIRST_CHALLENGE, CHALLENGE_GROWTH * age), longest)
         if track.hurry or age < YOUNG or name == track.model:
             self._examiner.start_afresh(track, self._camera, [name])
         else:
@@ -305,8 +331,7 @@ class Tracker:
         model = self.models[track.model]
         size = 1 / track.size_ratio
         rotation, root = track.rotation[frame], track.roots[frame] * size
-        _, weight = track.labelled()
-        filled = weight[frame] == 0
+        filled = track.right[1][frame] == 0
         joints = model.poses(track.theta[frame]) @ rotation.T * size + root
         return Person3D(
             id=track.id,

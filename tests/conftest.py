@@ -1,6 +1,11 @@
 """What several tests share."""
 
+# ruff: noqa: E402
 from __future__ import annotations
+
+from mocap_ros.process import prepare
+
+prepare()  # the same sums in the same order as in the node
 
 import importlib.util
 import os

@@ -14,8 +14,12 @@ from conftest import shared
 from mocap_ros import plots
 from mocap_ros.base_poses import load_model
 from mocap_ros.cli.main import main, parser
+from mocap_ros.config import RecorderConfig
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError
+from mocap_ros.io.messages import KEYPOINTS
+from mocap_ros.io.recorder import Recorder
+from mocap_ros.io.samples import sequence_samples
 from mocap_ros.io.sequence import Truth, load_sequence, save_sequence
 from mocap_ros.skeleton import CMU15, layout
 
@@ -227,6 +231,25 @@ def test_a_full_disk_is_told_with_the_file(short: Path, tmp_path: Path, capsys, 
     command = {'.png': ['plot', '-o'], '.json': ['evaluate', '--json']}.get(ending, ['reconstruct', '-o'])
     assert main([command[0], str(short), command[1], str(out), *QUICK]) == 1
     assert capsys.readouterr().err == f'mocap-ros: {out}: cannot be written: No space left on device\n'
+
+
+def test_what_was_read_is_not_written_over(short: Path, tmp_path: Path, capsys) -> None:
+    bag = tmp_path / 'bag'
+    with Recorder(bag, RecorderConfig()) as recorder:
+        for due_ns, raw in sequence_samples(load_sequence(short)):
+            recorder.write('/keypoints', KEYPOINTS, raw, due_ns, due_ns)
+    (tmp_path / 'link.npz').symlink_to(short)
+    for command, source, out in (
+        ('reconstruct', short, tmp_path / 'link.npz'),
+        ('reconstruct', bag, bag / 'bag_0.mcap'),
+        ('reconstruct', bag / 'bag_0.mcap', bag / 'bag_0.mcap'),
+        ('evaluate', short, short),
+    ):
+        before = out.read_bytes()
+        option = '--json' if command == 'evaluate' else '-o'
+        assert main([command, str(source), option, str(out), *QUICK]) == 1
+        assert capsys.readouterr().err.splitlines()[-1] == f'mocap-ros: {out}: not written: it is what was read'
+        assert out.read_bytes() == before
 
 
 @pytest.mark.filterwarnings('error')

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +14,22 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mocap_ros.config import Config, RecorderConfig, with_values
 from mocap_ros.demo.scene import make_recording
-from mocap_ros.errors import ConfigError, FrameDropped, InputError
+from mocap_ros.errors import ConfigError, FrameDropped, InputError, RecordingError
 from mocap_ros.io import messages
 from mocap_ros.io.bags import Bag
+from mocap_ros.io.detections import Video
 from mocap_ros.io.foreign import COCO17, HRI18, ZED38, decode_frame
 from mocap_ros.io.foreign_types import BODY, BODY_IDS, OPENPOSE, YOLO, ZED
+from mocap_ros.io.inputs import load_bag, load_input
 from mocap_ros.io.journal import Verdict
 from mocap_ros.io.messages import Header, decode, encode, encode_keypoints, new, new_header, typestore
 from mocap_ros.io.recorder import Recorder
-from mocap_ros.people import Person2D
-from mocap_ros.pipeline import Outcome, Pipeline, Source, body_topic, input_types
-from mocap_ros.replay import replay
+from mocap_ros.io.sources import Source, body_topic, input_types, people_topics
+from mocap_ros.people import Intrinsics, Person2D
+from mocap_ros.pipeline import Outcome, Pipeline
+from mocap_ros.replay import ReplayOptions, replay
 from mocap_ros.skeleton import joint_map
+from mocap_ros.tracker import Tracker
 
 SIZE = 640, 480
 FRAMES = 10
@@ -92,7 +97,9 @@ def zed(frame: int) -> bytes:
         one.tracking_available, one.label_id = True, number
         for place in one.skeleton_2d.keypoints:
             place.kp = np.full(2, np.nan, 'f4')
+        one.skeleton_keypoint_confidence = np.full(70, np.nan, np.float32)
         for joint, place in ZED38.items():
+            one.skeleton_keypoint_confidence[place] = 100 * person.score[COCO17.index(joint)]
             one.skeleton_2d.keypoints[place].kp = person.points[COCO17.index(joint)].astype('f4')
         objects.append(one)
     return encode(new(ZED, header=new_header(header(frame)), objects=objects), ZED)
@@ -212,17 +219,95 @@ def test_every_input_type_gives_the_same_people_live_and_from_a_bag(kind: str, t
             recorder.write(topic, types[source], raw, number + 1, number + 1)
     with Bag(tmp_path / 'bag') as bag:
         replay(bag, tmp_path / 'out')
-    with Bag(tmp_path / 'bag') as bag, pytest.raises(Exception, match='exists already'):
+    with Bag(tmp_path / 'bag') as bag, pytest.raises(RecordingError, match='exists already'):
         replay(bag, tmp_path / 'out')
-    config = None if kind == messages.KEYPOINTS else configured(kind)
-    if config is not None:
-        from mocap_ros.replay import ReplayOptions
+    with Bag(tmp_path / 'bag') as bag:
+        replay(bag, tmp_path / 'same', ReplayOptions(config=BASE))
+    with Bag(tmp_path / 'same') as out:
+        raws = [m.raw for m in out.messages(['/skeletons'])]
+    assert raws == [o.data for c in outcomes for o in c.outputs if o.topic == 'skeletons']
 
-        with Bag(tmp_path / 'bag') as bag:
-            replay(bag, tmp_path / 'same', ReplayOptions(config=BASE))
-        with Bag(tmp_path / 'same') as out:
-            raws = [m.raw for m in out.messages(['/skeletons'])]
-        assert raws == [o.data for c in outcomes for o in c.outputs if o.topic == 'skeletons']
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_a_bag_of_any_detector_is_a_sequence(kind: str, tmp_path: Path) -> None:
+    inputs = [i for frame in range(FRAMES) for i in one_by_one(kind, frame)]
+    last = hri(FRAMES)[::2] if kind == BODY else one_by_one(kind, FRAMES)  # b1, who is tracked, does not come
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        for number, (source, raw, topic) in enumerate([*inputs, *last, inputs[-1]], 1):
+            recorder.write(topic, input_types(kind)[source], raw, number, number)
+    found = load_bag(tmp_path / 'bag', LIMITS)
+    assert list(found.stamps_ns) == [header(frame).stamp_ns for frame in range(FRAMES + 1)]
+    assert [len(p) for p in found.people] == [2] * FRAMES + [1 if kind == BODY else 2]
+    (left_out,) = found.remarks
+    assert re.match(r'1 messages left out; /\S+: message \d\d: (its )?stamp ', left_out)
+    sequence, _ = load_input(tmp_path / 'bag', Video(), LIMITS)
+    assert (len(sequence), sequence.image_size, sequence.frame_id) == (FRAMES + 1, SIZE, 'camera')
+    for frame in (0, FRAMES - 1):
+        ours, theirs = (
+            joint_map(p.joints).apply(p.points, p.score)[0] for p in (people(frame)[0], sequence.person(frame))
+        )
+        np.testing.assert_allclose(theirs, ours, atol=1e-3)
+
+
+def test_which_of_several_detectors_in_a_bag_must_be_said(tmp_path: Path) -> None:
+    other = '/other/bodies/tracked'
+    moved = [(source, raw, topic.replace('/humans', '/other')) for source, raw, topic in hri(0)]
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        for kind, inputs in ((YOLO, one_by_one(YOLO, 0)), (BODY, hri(0)), (BODY, moved)):
+            for source, raw, topic in inputs:
+                recorder.write(topic, input_types(kind)[source], raw, 1, 1)
+    with Bag(tmp_path / 'bag') as bag:
+        with pytest.raises(InputError, match=f'choose one: /keypoints, {TRACKED}, {other}$'):
+            people_topics(bag)
+        assert people_topics(bag, '/keypoints') == {'/keypoints': Source.KEYPOINTS}
+        assert people_topics(bag, other) == {topic: source for source, _, topic in moved}
+        with pytest.raises(
+            InputError, match=r'no topic /yolo of .*hri_msgs/msg/Skeleton2D; the bag has /keypoints'
+        ):
+            people_topics(bag, '/yolo')
+
+
+def test_of_two_images_that_a_message_completes_each_is_put_out_or_refused() -> None:
+    """A frame that is refused takes neither the one before nor the one behind it along."""
+    first, second = people(0)
+
+    def come(person: Person2D, frame: int) -> Fed:
+        return Source.BODY, body(person, header(frame)), body_topic(TRACKED, person.id)
+
+    class Refusing(Tracker):
+        """Does not take images in which nobody but the second person is."""
+
+        def update(self, stamp_ns: int, people: tuple[Person2D, ...], intrinsics: Intrinsics) -> Any:
+            if [p.id for p in people] == [second.id]:
+                raise FrameDropped('refused')
+            return super().update(stamp_ns, people, intrinsics)
+
+    pipeline = Pipeline(configured(BODY), None, Refusing)
+    fed(pipeline, [(Source.TRACKED, ids(0, 'b0', 'b1'), TRACKED), come(first, 0)])
+    fed(pipeline, [(Source.TRACKED, ids(1, 'b1'), TRACKED)])
+    both = pipeline.feed(*come(second, 1))  # ends image 0, in which b1 is missing, and is image 1
+    assert [o.stamp_ns for o in both.outputs if o.topic == 'skeletons'] == [header(0).stamp_ns]
+    assert (both.verdict, both.reason) == (Verdict.DROPPED, 'refused')
+
+    fed(pipeline, [(Source.TRACKED, ids(2, 'b0', 'b1'), TRACKED), come(second, 2)])
+    both = pipeline.feed(Source.TRACKED, ids(3), TRACKED)  # ends image 2, and is image 3, with nobody
+    assert [o.stamp_ns for o in both.outputs if o.topic == 'skeletons'] == [header(3).stamp_ns]
+    assert (both.verdict, both.reason) == (Verdict.DROPPED, 'refused')
+    assert pipeline.counters.dropped == {'stamp': 2}
+
+
+def test_scores_of_zed_are_taken_where_its_version_has_them() -> None:
+    def scored(message: Any) -> None:
+        scores = np.full(70, np.nan, np.float32)
+        scores[[ZED38['nose'], ZED38['lknee']]] = 90, 35
+        message.objects[0].skeleton_keypoint_confidence = scores
+        message.objects[1].skeleton_keypoint_confidence = np.zeros(70, np.float32)  # as from a version without
+
+    one, other = decode_frame(change(ZED, scored), ZED, LIMITS, SIZE).people
+    assert {j: s for j, s in zip(one.joints, one.score, strict=True) if s} == pytest.approx(
+        {'nose': 0.9, 'lknee': 0.35}
+    )
+    assert set(other.score) == {0.0, 0.8}
 
 
 def test_bodies_come_and_go_and_late_ones_are_counted() -> None:
@@ -272,7 +357,7 @@ BAD = {
         lambda m: setattr(m.detections[0].keypoints.data[0], 'score', 7.0),
         r'detections\[0\].keypoints: score\[16\]: 7, expected',
     ),
-    'format': (ZED, lambda m: setattr(m.objects[0], 'body_format', 3), r'objects\[0\].body_format: 3, expected'),
+    'format': (ZED, lambda m: setattr(m.objects[0], 'body_format', 4), r'objects\[0\].body_format: 4, expected'),
     'count': (
         OPENPOSE,
         lambda m: m.pose_key_points_list[1].pose_key_points.pop(),

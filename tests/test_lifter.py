@@ -245,7 +245,7 @@ def test_rows_of_the_term_are_its_derivatives(walk_model: BasePoses, rng: np.ran
     rotation = small_rotation(rng.normal(size=(frames, 3)))
     log_scale = 0.1 * rng.normal(size=frames)
     precision = rng.uniform(0, 2000, (frames, JOINTS, 3)) * (rng.random((frames, JOINTS, 1)) > 0.2)
-    term = LiftedTerm(0.3 * rng.normal(size=(frames, JOINTS, 3)), precision, 1e-4)
+    term = LiftedTerm(0.3 * rng.normal(size=(frames, JOINTS, 3)), precision, 1e-4, 3.0)
 
     def turned(step: lf.Array) -> tuple[lf.Array, lf.Array]:
         scaled = np.exp(log_scale + step[:, -1])[:, None, None] * (small_rotation(step[:, k : k + 3]) @ rotation)

@@ -12,9 +12,10 @@ from test_alternation import scene
 
 from mocap_ros import alternation, nonperiodic
 from mocap_ros.base_poses import BasePoses
-from mocap_ros.block_tridiagonal import factor, solve_less_low_rank
+from mocap_ros.block_tridiagonal import Coupling, factor, solve_less_low_rank
 from mocap_ros.camera import Cameras
 from mocap_ros.config import SolverConfig
+from mocap_ros.lifter import Lifted
 from mocap_ros.objective import Problem, State, initial_state
 from mocap_ros.reconstruction import Reconstruction, Start, Window, mean_pose_start
 
@@ -34,20 +35,32 @@ PLAIN = SolverConfig(
 
 
 def window(
-    model: BasePoses, frames: int = 30, seed: int = 0, noise: float = 2.0, focal: float = math.inf
+    model: BasePoses,
+    frames: int = 30,
+    seed: int = 0,
+    noise: float = 2.0,
+    focal: float = math.inf,
+    lifted: bool = False,
 ) -> Window:
-    """A noisy window with missing points and irregular times."""
-    _, _, points, times = scene(model, frames=frames, seed=seed)
+    """A noisy window with missing points and irregular times, perhaps with lifted poses of a kind."""
+    theta, _, points, times = scene(model, frames=frames, seed=seed)
     rng = np.random.default_rng(seed)
     weight = rng.uniform(0.3, 1, points.shape[:2]) * (rng.random(points.shape[:2]) > 0.1)
     times = times + rng.uniform(0, 0.01, frames)
-    return Window(points + noise * rng.normal(size=points.shape), weight, times, focal=focal)
+    noisy = points + noise * rng.normal(size=points.shape)
+    learned = None
+    if lifted:
+        wrong = 200 * model.poses(theta)
+        wrong = wrong + 30 * rng.normal(size=wrong.shape)
+        wrong[1] = np.nan
+        learned = Lifted(wrong, rng.uniform(5, 50, wrong.shape))
+    return Window(noisy, weight, times, focal=focal, lifted=learned)
 
 
 def problem_and_state(
-    model: BasePoses, config: SolverConfig, rng: np.random.Generator, focal: float = math.inf
+    model: BasePoses, config: SolverConfig, rng: np.random.Generator, focal: float = math.inf, lifted: bool = False
 ) -> tuple[Problem, State]:
-    windows = [window(model, frames, seed=frames, focal=focal) for frames in (7, 5)]
+    windows = [window(model, frames, seed=frames, focal=focal, lifted=lifted) for frames in (7, 5)]
     starts = [mean_pose_start(w, model, 1.0) for w in windows]
     s0 = np.array([np.median(s.cameras.scale) for s in starts])
     problem = Problem.build(windows, s0, model, config)
@@ -61,12 +74,13 @@ def problem_and_state(
 @pytest.mark.parametrize('robust', [0.0, 0.03])
 @pytest.mark.parametrize('relative', [False, True])
 @pytest.mark.parametrize('focal', [math.inf, 300.0])
+@pytest.mark.parametrize('lifted', [False, True])
 def test_gradient_agrees_with_finite_differences(
-    walk_model: BasePoses, rng: np.random.Generator, robust: float, relative: bool, focal: float
+    walk_model: BasePoses, rng: np.random.Generator, robust: float, relative: bool, focal: float, lifted: bool
 ) -> None:
     model = walk_model.truncated(6)
     config = SolverConfig(smooth_weight=1e-4, robust_scale=robust, relative_bones=relative, flip_weight=0.01)
-    problem, state = problem_and_state(model, config, rng, focal)
+    problem, state = problem_and_state(model, config, rng, focal, lifted)
     gradient = problem.normal_equations(state).gradient
     numeric = np.empty_like(gradient)
     h = 1e-5
@@ -128,11 +142,12 @@ def test_normal_matrix_is_that_of_the_residuals(
     expected = rest @ rest.T
 
     matrix = np.zeros((frames, n, frames, n))
+    below = equations.coupling.dense()
     for t in range(frames):
         matrix[t, :, t] = equations.diagonal[t]
         if t:
-            matrix[t, :, t - 1] = equations.below[t - 1]
-            matrix[t - 1, :, t] = equations.below[t - 1].T
+            matrix[t, :, t - 1] = below[t - 1]
+            matrix[t - 1, :, t] = below[t - 1].T
     for start, count in zip(problem.starts, problem.counts, strict=True):
         own = slice(start, start + count)
         g = equations.bones[own]
@@ -155,9 +170,9 @@ def test_banded_solution_equals_the_dense_one(rng: np.random.Generator) -> None:
     a = rng.normal(size=(frames, n, n))
     vectors = rng.normal(size=(frames, n, bones))
     diagonal = a @ np.swapaxes(a, 1, 2) + 10 * np.eye(n)
-    below = rng.normal(size=(frames - 1, n, n)) * 0.3
-    below[3] = 0
-    below = np.tril(np.triu(below, -2), 1)  # within the band n + 1
+    coupling = Coupling(0.3 * rng.normal(size=(frames - 1, n)), 0.3 * rng.normal(size=(frames - 1, 2, 2)))
+    coupling.diagonal[3] = coupling.corner[3] = 0
+    below = coupling.dense()
     dense = np.zeros((frames, n, frames, n))
     for t in range(frames):
         dense[t, :, t] = diagonal[t]
@@ -168,11 +183,11 @@ def test_banded_solution_equals_the_dense_one(rng: np.random.Generator) -> None:
         own = slice(start, start + count)
         dense[own, :, own] -= s * np.einsum('tib,ujb->tiuj', vectors[own], vectors[own])
     right = rng.normal(size=(frames, n))
-    banded = factor(diagonal, below, 2 * n - 1)
+    banded = factor(diagonal, coupling)
     assert banded is not None
     x = solve_less_low_rank(banded, right, vectors, strength, starts)
     assert x.ravel() == pytest.approx(solve(dense.reshape(frames * n, -1), right.ravel()), rel=1e-9)
-    assert factor(-diagonal, below, 2 * n - 1) is None
+    assert factor(-diagonal, coupling) is None
 
 
 def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) -> None:

@@ -1,16 +1,18 @@
-"""Whole sequences: the category is chosen where several are offered."""
+"""Whole sequences: the category is chosen where several are offered; the learned prior helps."""
 
 import numpy as np
 from test_alternation import scene
 
-from mocap_ros.base_poses import load_model
+from mocap_ros.base_poses import BasePoses, centred, load_model, load_models
 from mocap_ros.config import Config, with_values
+from mocap_ros.lifter import shipped
+from mocap_ros.metrics import scale_to
 from mocap_ros.offline import reconstruct_sequence
 from mocap_ros.people import Intrinsics
 from mocap_ros.skeleton import CMU15
 
 CAMERA = Intrinsics(500.0, (320.0, 240.0), known=True)
-CONFIG = with_values(Config(), {'solver.components': 12})
+CONFIG = with_values(Config(), {'solver.components': 12, 'solver.prior': 'pca'})
 
 
 def test_the_likeliest_of_several_models_is_used() -> None:
@@ -34,3 +36,26 @@ def test_swapped_frames_are_undone() -> None:
         reconstruct_sequence(k, CMU15.joints, times, CAMERA, model, CONFIG) for k in (keypoints, disturbed)
     )
     assert (whole.joints == mended.joints).all()
+
+
+def test_the_learned_prior_is_better_than_the_base_poses_alone(walk_model: BasePoses) -> None:
+    theta, cameras, points, times = scene(walk_model, frames=45)
+    truth = walk_model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2)
+    points = points + np.random.default_rng(0).normal(size=points.shape)
+    keypoints = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=-1)
+    unknown = Intrinsics(500.0, (320.0, 240.0), known=False)
+    models = load_models('auto')
+
+    def error_mm(joints: np.ndarray) -> float:
+        return float(np.linalg.norm(scale_to(centred(joints), truth) - truth, axis=-1).mean() * 1e3)
+
+    both, alone = (
+        reconstruct_sequence(
+            keypoints, CMU15.joints, times, unknown, m, with_values(Config(), {'solver.prior': p})
+        )
+        for m, p in ((models, 'learned'), (models['all'], 'pca'))
+    )
+    assert both.category == 'all'
+    network = shipped().lift_sequence(points, np.ones(points.shape[:2]), times)
+    assert error_mm(both.joints) < 0.85 * error_mm(alone.joints)
+    assert error_mm(both.joints) < 1.2 * error_mm(network.joints)

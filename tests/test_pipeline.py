@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from dataclasses import replace
 from itertools import islice
@@ -15,20 +16,20 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.config import Config, with_values
 from mocap_ros.demo.scene import make_recording
-from mocap_ros.errors import FrameDropped, InputError, RecordingError
+from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.io import messages
 from mocap_ros.io.bags import Bag
-from mocap_ros.io.journal import JOURNAL
+from mocap_ros.io.journal import JOURNAL, Verdict, read_run
 from mocap_ros.io.keypoints import first_fault
 from mocap_ros.io.markers import MarkerMemory
 from mocap_ros.io.mcap_file import McapFile
 from mocap_ros.io.messages import Header, OutputMessage, decode, encode_keypoints
 from mocap_ros.io.points import POINT
 from mocap_ros.io.samples import sequence_samples
-from mocap_ros.io.transforms import rep155_name
+from mocap_ros.io.sources import Source
 from mocap_ros.lens import Distortion
 from mocap_ros.people import Intrinsics, Person2D
-from mocap_ros.pipeline import OUTPUTS, Pipeline, Source
+from mocap_ros.pipeline import OUTPUTS, Pipeline
 from mocap_ros.replay import replay
 from mocap_ros.ros.live import Complaints, LiveRun
 from mocap_ros.skeleton import CMU15, layout
@@ -46,6 +47,19 @@ def stream() -> list[bytes]:
     return [s.raw for s in islice(sequence_samples(make_recording().sequence()), FRAMES)]
 
 
+def processed(pipeline: Pipeline, raw: bytes) -> tuple[OutputMessage, ...]:
+    outcome = pipeline.feed(Source.KEYPOINTS, raw)
+    assert outcome.verdict is Verdict.ACCEPTED, outcome.reason
+    return outcome.outputs
+
+
+def refused(pipeline: Pipeline, raw: bytes, verdict: Verdict) -> str:
+    """Why."""
+    outcome = pipeline.feed(Source.KEYPOINTS, raw)
+    assert (outcome.verdict, outcome.outputs, outcome.fault) == (verdict, (), '')
+    return outcome.reason
+
+
 def skeletons(outputs: tuple[OutputMessage, ...]) -> Any:
     return decode({o.topic: o for o in outputs}['skeletons'].data, messages.SKELETONS)
 
@@ -54,7 +68,7 @@ def test_every_output_has_the_stamp_and_frame_of_its_input(stream: list[bytes]) 
     pipeline = Pipeline(CONFIG)
     for raw in stream[:3]:
         header = messages.decode_keypoints(raw, CONFIG.node).header
-        outputs = pipeline.process(raw)
+        outputs = processed(pipeline, raw)
         assert [o.topic for o in outputs] == ['skeletons', 'cameras', 'markers', 'points']
         assert {o.stamp_ns for o in outputs} == {header.stamp_ns}
         by_topic = {o.topic: decode(o.data, o.type) for o in outputs}
@@ -69,8 +83,8 @@ def test_every_output_has_the_stamp_and_frame_of_its_input(stream: list[bytes]) 
 
 def test_nobody_is_published_as_nobody(stream: list[bytes]) -> None:
     pipeline = Pipeline(CONFIG)
-    pipeline.process(stream[0])
-    outputs = pipeline.process(encode_keypoints(Header(10**12, 'camera'), (640, 480), []))
+    processed(pipeline, stream[0])
+    outputs = processed(pipeline, encode_keypoints(Header(10**12, 'camera'), (640, 480), []))
     assert skeletons(outputs).people == []
     actions = [m.action for m in decode(outputs[2].data, messages.MARKERS).markers]
     assert actions == [2, 2]
@@ -79,15 +93,13 @@ def test_nobody_is_published_as_nobody(stream: list[bytes]) -> None:
 def test_bad_input_is_counted_and_changes_nothing(stream: list[bytes]) -> None:
     clean, dirty = Pipeline(CONFIG), Pipeline(CONFIG)
     for i, raw in enumerate(stream[:6]):
-        outputs = dirty.process(raw)
-        assert [o.data for o in clean.process(raw)] == [o.data for o in outputs]
-        with pytest.raises(FrameDropped, match='repeats' if i else r'header\.stamp is not set'):
-            dirty.process(raw)
-        with pytest.raises(InputError, match='not a mocap_ros_msgs'):
-            dirty.process(raw[:50])
+        outputs = processed(dirty, raw)
+        assert [o.data for o in processed(clean, raw)] == [o.data for o in outputs]
+        again = refused(dirty, raw, Verdict.DROPPED)
+        assert ('repeats' if i else 'header.stamp is not set') in again
+        assert 'not a mocap_ros_msgs' in refused(dirty, raw[:50], Verdict.INVALID)
         if i:
-            with pytest.raises(FrameDropped, match='older'):
-                dirty.process(stream[i - 1])
+            assert 'older' in refused(dirty, stream[i - 1], Verdict.DROPPED)
     counters = dirty.counters
     assert (counters.accepted, counters.invalid, counters.dropped['stamp']) == (6, 6, 11)
 
@@ -97,7 +109,7 @@ def test_one_visible_joint_is_no_crash() -> None:
     points = np.full((17, 2), np.nan)
     points[3] = 100
     person = Person2D('', joints, points, np.where(np.arange(17) == 3, 1.0, 0.0))
-    outputs = Pipeline(CONFIG).process(encode_keypoints(Header(0, 'camera'), (640, 480), [person]))
+    outputs = processed(Pipeline(CONFIG), encode_keypoints(Header(0, 'camera'), (640, 480), [person]))
     assert skeletons(outputs).people == []
 
 
@@ -105,18 +117,24 @@ def test_image_size_comes_from_message_then_camera_then_parameters(stream: list[
     sizeless = decode(stream[0], messages.KEYPOINTS)
     sizeless.image_width = 0
     raw = messages.encode(sizeless, messages.KEYPOINTS)
-    with pytest.raises(InputError, match=r'node\.image_width'):
-        Pipeline(CONFIG).process(raw)
+    assert 'node.image_width' in refused(Pipeline(CONFIG), raw, Verdict.INVALID)
 
-    sized = replace(CONFIG, node=replace(CONFIG.node, image_width=640, image_height=480))
-    nominal = skeletons(Pipeline(sized).process(raw)).people[0]
-    assert nominal.scale_source == nominal.SCALE_NOMINAL
+    def depth(pipeline: Pipeline, keypoints: bytes, scale_source: int) -> float:
+        (person,) = skeletons(processed(pipeline, keypoints)).people
+        assert person.scale_source == scale_source
+        return float(np.mean([j.z for j in person.joints]))
 
-    pipeline = Pipeline(CONFIG)
-    pipeline.set_camera_info(camera_info())
-    known = skeletons(pipeline.process(raw)).people[0]
-    assert known.scale_source == known.SCALE_KNOWN
-    assert known.joints[0].z == pytest.approx(nominal.joints[0].z * 600 / 640, rel=0.05)
+    own = depth(Pipeline(CONFIG), stream[0], scale_source=0)  # 640 px, the nominal focal length is a width
+    wide = replace(CONFIG, node=replace(CONFIG.node, image_width=1280, image_height=960))
+    assert depth(Pipeline(wide), stream[0], scale_source=0) == own
+    assert depth(Pipeline(wide), raw, scale_source=0) == pytest.approx(2 * own, rel=0.03)
+    known = Pipeline(wide)
+    known.set_camera_info(camera_info(focal=320))
+    assert depth(known, raw, scale_source=1) == pytest.approx(own / 2, rel=0.03)
+    camera = messages.decode_camera_info(camera_info())
+    assert messages.image_size(camera, wide.node) == (640, 480)
+    assert messages.image_size(None, wide.node) == (1280, 960)
+    assert messages.image_size(None, replace(wide.node, image_width=0)) == (0, 0)
 
 
 def test_a_camera_info_that_does_not_fit_is_refused(stream: list[bytes]) -> None:
@@ -125,8 +143,8 @@ def test_a_camera_info_that_does_not_fit_is_refused(stream: list[bytes]) -> None
         pipeline.set_camera_info(camera_info(focal=0))
     assert pipeline.camera_info is None
     pipeline.set_camera_info(camera_info(width=1280))
-    with pytest.raises(InputError, match='640 x 480 px, but CameraInfo is for 1280 x 480 px'):
-        pipeline.process(stream[0])
+    said = refused(pipeline, stream[0], Verdict.INVALID)
+    assert '640 x 480 px, but CameraInfo is for 1280 x 480 px' in said
 
 
 class Log:
@@ -237,20 +255,33 @@ def test_a_looped_bag_and_a_message_from_the_future_start_afresh_live_and_replay
 def test_what_comes_too_fast_is_passed_over_counted_and_left_out_of_a_replay(
     tmp_path: Path, stream: list[bytes]
 ) -> None:
-    live = Live(recording(tmp_path / 'live', **{'node.queue': 2}))
-    for raw in stream:
+    begun, go_on = threading.Event(), threading.Event()
+
+    class Busy(Tracker):
+        """Is with its first frame until told otherwise."""
+
+        def update(self, *frame: Any) -> Any:
+            begun.set()
+            assert go_on.wait(20)
+            return super().update(*frame)
+
+    live = Live(recording(tmp_path / 'live', **{'node.queue': 2}), Busy)
+    live.run.put(Source.KEYPOINTS, stream[0], 0)
+    assert begun.wait(20)
+    for raw in stream[1:]:
         live.run.put(Source.KEYPOINTS, raw, 0)
-    newest = messages.decode_keypoints(stream[-1], CONFIG.node).header.stamp_ns
-    end = time.monotonic() + 20
-    while not live.published or live.published[-1].stamp_ns != newest:
-        assert time.monotonic() < end
-        time.sleep(0.002)
+    go_on.set()
+    live.wait_for_frames(2)
     live.run.stop()
-    assert 1 <= live.frames() < FRAMES
-    assert any('newer messages were waiting' in line for line in live.log.lines)
+    stamps = [messages.decode_keypoints(raw, CONFIG.node).header.stamp_ns for raw in (stream[0], stream[-1])]
+    assert [o.stamp_ns for o in live.published if o.topic == 'skeletons'] == stamps
+    passed_over = [line for line in live.log.lines if 'newer messages were waiting' in line]
+    assert [line.partition(': message ')[2].partition(':')[0] for line in passed_over] == ['2', '11']  # 1st, 10th
 
     (bag,) = (tmp_path / 'live').iterdir()
     assert recorded(bag, '/keypoints') == stream
+    with Bag(bag) as opened:
+        assert read_run(opened).unseen == set(range(2, FRAMES))
     assert_replay_gives_the_same(bag, tmp_path / 'again')
 
 
@@ -405,7 +436,7 @@ def test_the_lens_of_camera_info_is_undone(model: str, stream: list[bytes]) -> N
     def joints(inputs: list[bytes], info: bytes, **values: object) -> np.ndarray:
         pipeline = Pipeline(with_values(CONFIG, values))
         pipeline.set_camera_info(info)
-        people = [skeletons(pipeline.process(raw)).people for raw in inputs]
+        people = [skeletons(processed(pipeline, raw)).people for raw in inputs]
         return np.array([[p.x, p.y, p.z] for frame in people for person in frame for p in person.joints])
 
     expected = joints(straight, camera_info(focal=focal))
@@ -428,7 +459,7 @@ def test_a_lens_that_is_not_known_is_said() -> None:
 
 def test_points_hold_every_joint(stream: list[bytes]) -> None:
     pipeline = Pipeline(CONFIG)
-    outputs = {o.topic: o for o in pipeline.process(stream[0])}
+    outputs = {o.topic: o for o in processed(pipeline, stream[0])}
     cloud = decode(outputs['points'].data, messages.POINTS)
     read = np.frombuffer(cloud.data.tobytes(), POINT)
     (person,) = skeletons(tuple(outputs.values())).people
@@ -439,11 +470,11 @@ def test_points_hold_every_joint(stream: list[bytes]) -> None:
     np.testing.assert_array_equal(read['filled'], person.filled)
 
 
-def test_frames_need_a_true_scale_and_lie_in_the_body(stream: list[bytes]) -> None:
+def test_frames_need_a_true_scale_and_are_those_of_rep_155(stream: list[bytes]) -> None:
     pipeline = Pipeline(with_values(CONFIG, {'node.publish_tf': True, 'node.frame_prefix': 'cam1_'}))
 
     def transforms(raw: bytes) -> dict[str, Any]:
-        (tf,) = (o for o in pipeline.process(raw) if o.topic == '/tf')
+        (tf,) = (o for o in processed(pipeline, raw) if o.topic == '/tf')
         return {t.child_frame_id: t for t in decode(tf.data, tf.type).transforms}
 
     assert transforms(stream[0]) == {}
@@ -455,22 +486,28 @@ def test_frames_need_a_true_scale_and_lie_in_the_body(stream: list[bytes]) -> No
     assert body.header.frame_id == 'camera'
     q, t = body.transform.rotation, body.transform.translation
     turn = Rotation.from_quat([q.x, q.y, q.z, q.w])
-    for joint in ('lshoulder', 'head', 'rankle'):
-        frame = found[f'cam1_{rep155_name(joint)}_{person.id}']
+    joints = dict(zip(CMU15.joints, person.joints, strict=True))
+    hips, shoulders = ((joints[f'l{j}'] + joints[f'r{j}']) / 2 for j in ('hip', 'shoulder'))
+    limbs = [f'{side}_{j}' for side in 'lr' for j in ('shoulder', 'elbow', 'wrist', 'hip', 'knee', 'ankle')]
+    places = {'torso': shoulders, 'head': joints['head']} | {name: joints[name.replace('_', '')] for name in limbs}
+    assert found.keys() == {f'cam1_{name}_{person.id}' for name in ('body', *places)}
+    np.testing.assert_allclose([t.x, t.y, t.z], hips, atol=1e-9)
+    for name, expected in places.items():
+        frame = found[f'cam1_{name}_{person.id}']
         assert frame.header.frame_id == f'cam1_body_{person.id}'
         inside = frame.transform.translation
         place = turn.apply([inside.x, inside.y, inside.z]) + [t.x, t.y, t.z]
-        np.testing.assert_allclose(place, person.joints[CMU15.index(joint)], atol=1e-9)
+        np.testing.assert_allclose(place, expected, atol=1e-9)
     assert found[f'cam1_head_{person.id}'].transform.translation.z > 0.4  # up
     assert found[f'cam1_l_hip_{person.id}'].transform.translation.y > 0.04  # left
-    toes = person.joints[CMU15.index('neck')] - person.joints[CMU15.index('pelvis')]
-    np.testing.assert_allclose(turn.apply([0, 0, 1]), toes / np.linalg.norm(toes), atol=1e-9)
+    up = (shoulders - hips) / np.linalg.norm(shoulders - hips)
+    np.testing.assert_allclose(turn.apply([0, 0, 1]), up, atol=1e-9)
 
 
 def test_the_predicted_are_drawn_unlike_the_filled_in(stream: list[bytes]) -> None:
     memory = MarkerMemory()
     pipeline = Pipeline(CONFIG)
-    pipeline.process(stream[0])
+    processed(pipeline, stream[0])
     (person,) = pipeline.people
     looks = {}
     for name, change in {

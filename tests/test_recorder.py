@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -31,6 +32,7 @@ from mocap_ros.io.mcap_scan import MAGIC
 from mocap_ros.io.messages import Header, encode_keypoints, typestore
 from mocap_ros.io.recorder import Recorder, new_bag_folder
 from mocap_ros.io.recovery import recover
+from mocap_ros.io.sources import Source, people_topics
 from mocap_ros.people import Person2D
 from mocap_ros.skeleton import CMU15, layout
 
@@ -109,6 +111,18 @@ def test_mcap_reads_it_by_index(recorded: tuple[Path, list[Message]]) -> None:
     assert inside['duration']['nanoseconds'] == (FRAMES - 1) * STEP
 
 
+@pytest.mark.skipif(shutil.which('rerun') is None, reason='rerun (pip install rerun-sdk) is not on the PATH')
+def test_rerun_finds_nothing_to_complain_of(recorded: tuple[Path, list[Message]]) -> None:
+    folder, _ = recorded
+    command = ['rerun', 'mcap', 'check', '--full', folder / f'{folder.name}_0.mcap']
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.findall(r'^(\w+) +\d+ +\d+ +(/\S+)', done.stdout, re.MULTILINE) == [
+        ('ok', '/skeleton_definition'),
+        ('ok', '/keypoints'),
+    ]
+
+
 def test_mcap_ros2_decodes_it(recorded: tuple[Path, list[Message]]) -> None:
     folder, written = recorded
     with (folder / f'{folder.name}_0.mcap').open('rb') as file:
@@ -125,7 +139,7 @@ def test_mcap_ros2_decodes_it(recorded: tuple[Path, list[Message]]) -> None:
 def test_a_bag_of_ours_is_read_back(recorded: tuple[Path, list[Message]]) -> None:
     folder, written = recorded
     with Bag(folder) as bag:
-        topic = bag.keypoints_topic()
+        (topic,) = people_topics(bag)
         read = list(bag.messages([topic]))
         assert bag.count([topic]) == FRAMES
     assert [(m.topic, m.time_ns, m.raw) for m in read] == [(t, log_ns, d) for t, log_ns, _, d in written[1:]]
@@ -334,7 +348,7 @@ def test_closing_twice_is_fine_and_an_empty_bag_is_a_bag(tmp_path: Path) -> None
     with Bag(tmp_path / 'bag') as bag:
         assert list(bag.messages(bag.topics)) == []
         with pytest.raises(InputError, match=r'no topic of .*; the bag has /keypoints'):
-            bag.keypoints_topic()
+            people_topics(bag)
 
 
 def test_a_topic_has_one_known_type(tmp_path: Path) -> None:
@@ -358,7 +372,14 @@ def test_bags_are_named_by_time_and_never_twice(tmp_path: Path) -> None:
 def test_missing_and_foreign_bags_are_refused(tmp_path: Path) -> None:
     (tmp_path / 'x.mcap').write_bytes(b'no bag')
     (tmp_path / 'x.txt').write_bytes(b'no bag')
-    for name, reason in {'none': '', 'x.mcap': 'magic', 'x.txt': 'storage', '.': 'metadata'}.items():
+    os.mkfifo(tmp_path / 'pipe.mcap')
+    for name, reason in {
+        'none': '',
+        'pipe.mcap': 'neither a file',
+        'x.mcap': 'magic',
+        'x.txt': 'storage',
+        '.': 'metadata',
+    }.items():
         with pytest.raises(InputError, match=f'{name if name != "." else ""}.*{reason}'):
             Bag(tmp_path / name)
 
@@ -369,8 +390,8 @@ def test_a_bag_with_several_keypoint_topics_asks_which(tmp_path: Path) -> None:
             recorder.write(topic, messages.KEYPOINTS, keypoints(0), START, START)
     with Bag(tmp_path / 'bag') as bag:
         with pytest.raises(InputError, match='choose one: /left, /right'):
-            bag.keypoints_topic()
-        assert bag.keypoints_topic('/right') == '/right'
+            people_topics(bag)
+        assert people_topics(bag, '/right') == {'/right': Source.KEYPOINTS}
 
 
 def test_journal_entries_round_trip(tmp_path: Path) -> None:

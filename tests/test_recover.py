@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import re
 import sqlite3
@@ -13,7 +14,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig
-from mocap_ros.errors import InputError
+from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.io import messages
 from mocap_ros.io.bags import Bag
 from mocap_ros.io.mcap_file import Attachment
@@ -165,8 +166,71 @@ def test_a_damaged_database_gives_what_can_be_read(tmp_path: Path) -> None:
     assert 30 < len(frames_of(tmp_path / 'whole')) < FRAMES
 
 
+def test_a_database_cut_off_or_with_empty_pages_gives_what_is_left_and_says_how_much(tmp_path: Path) -> None:
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection('/keypoints', messages.KEYPOINTS, typestore=typestore())
+        for i, raw in enumerate(FRAME):
+            writer.write(connection, i * STEP, raw)
+    data = (tmp_path / 'bag' / 'bag.db3').read_bytes()
+    most = 0
+    for cut in range(1, len(data) // 4096 + 1):  # whole pages, and some of the next
+        for name, left in (
+            ('cut', data[: cut * 4096 + 77]),
+            ('empty', data[: cut * 4096].ljust(len(data), b'\0')),
+        ):
+            file, out = tmp_path / f'{name}{cut}.db3', tmp_path / f'{name}{cut}'
+            file.write_bytes(left)
+            try:
+                losses, found = recover(file, out).losses, frames_of(out)
+            except InputError as error:
+                losses, found = [str(error)], []
+            assert losses or len(found) == FRAMES
+            assert set(found) <= set(range(FRAMES))
+            if about := re.search(r'about (\d+) messages', losses[0] if losses else ''):
+                assert int(about[1]) >= FRAMES - len(found)
+            most = max(most, len(found) % FRAMES)
+    assert most > FRAMES / 2
+
+
+def test_messages_of_a_topic_that_is_lost_are_counted(tmp_path: Path) -> None:
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        for topic in ('/keypoints', '/other', '/third'):
+            connection = writer.add_connection(topic, messages.KEYPOINTS, typestore=typestore())
+            for i, raw in enumerate(FRAME[:5]):
+                writer.write(connection, i * STEP, raw)
+    with sqlite3.connect(tmp_path / 'bag' / 'bag.db3') as base:
+        base.execute("DELETE FROM topics WHERE name = '/other'")
+        base.execute("UPDATE topics SET type = x'00' WHERE name = '/third'")
+    found = recover(tmp_path / 'bag', tmp_path / 'out')
+    assert found.messages == {'/keypoints': 5}
+    assert [loss.partition('bag.db3: ')[2] for loss in found.losses] == [
+        'topic 3 has no name or no type',
+        '5 messages of topic number 2, whose description is lost',
+        '5 messages of topic number 3, whose description is lost',
+    ]
+
+
+def test_an_interrupted_recovery_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
+    written(tmp_path / 'bag')
+
+    def interrupted(done: int, size: int) -> None:
+        assert (tmp_path / 'out.partial').is_dir()
+        if done > size / 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        recover(tmp_path / 'bag', tmp_path / 'out', interrupted)
+    assert [p.name for p in tmp_path.iterdir()] == ['bag']
+    recover(tmp_path / 'bag', tmp_path / 'out')
+    assert frames_of(tmp_path / 'out') == list(range(FRAMES))
+    assert [p.name for p in sorted((tmp_path / 'out').iterdir())] == ['metadata.yaml', 'out_0.mcap']
+    with pytest.raises(RecordingError, match='out: exists already'):
+        recover(tmp_path / 'bag', tmp_path / 'out')
+
+
 def test_what_holds_nothing_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / 'empty').mkdir()
+    os.mkfifo(tmp_path / 'pipe.mcap')
     (tmp_path / 'x.mcap').write_bytes(b'')
     (tmp_path / 'y.mcap').write_bytes(b'\x89MCAP0\r\n' + bytes(500))
     for name, reason in {
@@ -174,7 +238,8 @@ def test_what_holds_nothing_is_refused_and_leaves_nothing(tmp_path: Path) -> Non
         'none.mcap': 'No such file',
         'x.mcap': 'no MCAP',
         'y.mcap': '',
+        'pipe.mcap': 'not a file',
     }.items():
         with pytest.raises(InputError, match=f'{name}.*{reason}'):
             recover(tmp_path / name, tmp_path / 'out')
-        assert not (tmp_path / 'out').exists()
+        assert not list(tmp_path.glob('out*'))

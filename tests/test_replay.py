@@ -23,6 +23,7 @@ from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.io import messages
 from mocap_ros.io.bags import Bag
+from mocap_ros.io.journal import JOURNAL, KEY_VALUE
 from mocap_ros.io.messages import KEYPOINTS, decode, typestore
 from mocap_ros.io.recorder import Recorder
 from mocap_ros.io.samples import sequence_samples
@@ -214,6 +215,21 @@ def test_the_bag_says_what_it_was_made_with(tmp_path: Path, stream: list[bytes])
     told = json.loads(found['provenance.json'])
     assert told['versions']['mocap_ros']
     assert told['models']['walk']['provenance']
+
+
+@pytest.mark.parametrize(
+    'values', [{}, {'input': '1e999'}, {'input': '[' * 5000}, {'input': '1', 'lost': '"many"'}]
+)
+def test_what_looks_like_a_journal_and_is_none_is_named(
+    values: dict[str, str], tmp_path: Path, stream: list[bytes]
+) -> None:
+    pairs = [messages.new(KEY_VALUE, key=k, value=v) for k, v in values.items()]
+    line = messages.new(JOURNAL, level=0, name='lost', message='', hardware_id='', values=pairs)
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        recorder.write('/keypoints', KEYPOINTS, stream[0], START, START)
+        recorder.write('/other/journal', JOURNAL, messages.encode(line, JOURNAL), START, START)
+    with pytest.raises(InputError, match=r'^.*bag: /other/journal: not a line of a journal$'):
+        replayed(tmp_path / 'bag', tmp_path / 'out')
 
 
 def test_an_interrupted_replay_is_done_again(tmp_path: Path, stream: list[bytes], skeletons: list[bytes]) -> None:

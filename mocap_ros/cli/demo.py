@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros import metrics, plots
+from mocap_ros.cli.options import positive
 from mocap_ros.demo.scene import act_at
 from mocap_ros.errors import MocapError
 from mocap_ros.io.bags import Bag
@@ -43,7 +44,7 @@ def add_parser(subparsers: Any) -> None:
     p.add_argument(
         '-o', '--output', type=Path, default=Path('demo_output'), metavar='FOLDER', help='for bag and picture'
     )
-    p.add_argument('--rate', type=float, default=1.0, metavar='FACTOR', help='times the recorded pace')
+    p.add_argument('--rate', type=positive, default=1.0, metavar='FACTOR', help='times the recorded pace')
     p.set_defaults(run=run)
 
 

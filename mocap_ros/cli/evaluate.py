@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
             record = evaluate(sequence, models, config, args.joints == 'limbs')
         records.append({'file': path.name, **record})
     if args.json is not None:
-        with writing(args.json):
+        with writing(args.json, *args.input):
             args.json.write_text(_as_json(records), encoding='utf-8')
     print_table(records)
     for doubt in doubts:

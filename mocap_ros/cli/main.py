@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from mocap_ros.errors import MocapError
+from mocap_ros.process import prepare
 
 
 class _HelpWithDefaults(argparse.ArgumentDefaultsHelpFormatter):
@@ -31,18 +32,42 @@ class _Parser(argparse.ArgumentParser):
 
 def parser() -> argparse.ArgumentParser:
     """The command line of all subcommands."""
-    from mocap_ros.cli import config, demo, evaluate, play, plot, reconstruct, recover, replay, train, train_lifter
+    from mocap_ros.cli import (
+        config,
+        demo,
+        evaluate,
+        keyframes,
+        play,
+        plot,
+        reconstruct,
+        recover,
+        replay,
+        train,
+        train_lifter,
+    )
 
     top = _Parser(prog='mocap-ros', description='People in 3D from one camera and a 2D keypoint detector.')
     subparsers = top.add_subparsers(metavar='COMMAND', required=True)
-    for command in (demo, reconstruct, replay, play, recover, plot, evaluate, train, train_lifter, config):
+    for command in (
+        demo,
+        reconstruct,
+        replay,
+        play,
+        recover,
+        keyframes,
+        plot,
+        evaluate,
+        train,
+        train_lifter,
+        config,
+    ):
         command.add_parser(subparsers)
     return top
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one subcommand."""
-    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # before NumPy is imported: the matrices are small
+    prepare()
     try:
         args = parser().parse_args(argv)
         return int(args.run(args))

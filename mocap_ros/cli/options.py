@@ -110,7 +110,7 @@ def positive(text: str) -> float:
     """A positive, finite number, for argparse."""
     value = float(text)
     if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f'{text} is not positive')
+        raise argparse.ArgumentTypeError(f'{text} is not positive and finite')
     return value
 
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from mocap_ros.cli.options import progress
+from mocap_ros.cli.options import positive, progress
 from mocap_ros.errors import MocapError
 from mocap_ros.io.playback import Playback
 
@@ -25,7 +25,7 @@ def add_parser(subparsers: Any) -> None:
         'with. Stamps stay as they are. Needs ROS 2.',
     )
     p.add_argument('input', type=Path, metavar='IN', help='bag (folder, .mcap, .db3, .bag) or .npz')
-    p.add_argument('--rate', type=_positive, default=1.0, metavar='FACTOR', help='times the recorded pace')
+    p.add_argument('--rate', type=positive, default=1.0, metavar='FACTOR', help='times the recorded pace')
     p.add_argument('--topic', metavar='NAME', help='of the keypoints in the bag (default: the only one there is)')
     p.add_argument('--to', default='keypoints', metavar='NAME', help='topic to publish the keypoints on')
     p.add_argument(
@@ -36,13 +36,13 @@ def add_parser(subparsers: Any) -> None:
     p.add_argument('--loop', action='store_true', help='begin again at the end, until interrupted (default: once)')
     p.add_argument(
         '--clock',
-        type=_positive,
+        type=positive,
         nargs='?',
         const=CLOCK_HZ,
         metavar='HZ',
         help=f'publish recorded time on /clock at this rate, {CLOCK_HZ:g} where HZ is not given (default: not)',
     )
-    p.add_argument('--wait', type=_positive, default=10.0, metavar='S', help='s to wait for a subscriber')
+    p.add_argument('--wait', type=positive, default=10.0, metavar='S', help='s to wait for a subscriber')
     p.set_defaults(run=run)
 
 
@@ -62,10 +62,3 @@ def run(args: argparse.Namespace) -> int:
         print(f'not played: {reason}', file=sys.stderr)
     print(f'{args.input}: {player.played} messages published on {", ".join(t.name for t in playback.topics)}')
     return 0
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f'{text} is not positive')
-    return value

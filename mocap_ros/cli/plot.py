@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     frames = np.linspace(0, len(sequence) - 1, count).round().astype(int).tolist()
     labels = [f'{sequence.timestamps[f] - sequence.timestamps[0]:.2f} s' for f in frames]
     figure = plots.poses_figure(drawn, frames, args.input.name, labels)
-    with writing(output):
+    with writing(output, args.input):
         plots.save_figure(figure, output)
     print(output)
     return 0

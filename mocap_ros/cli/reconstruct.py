@@ -11,6 +11,7 @@ import numpy as np
 
 from mocap_ros import results
 from mocap_ros.base_poses import BasePoses
+from mocap_ros.cli.keyframes import stages
 from mocap_ros.cli.options import (
     about,
     add_config_options,
@@ -21,11 +22,16 @@ from mocap_ros.cli.options import (
     models_from,
     name_of,
 )
-from mocap_ros.config import Config
+from mocap_ros.config import Config, load_yaml
 from mocap_ros.errors import InputError
-from mocap_ros.io.files import writing
+from mocap_ros.io.bags import files_in
+from mocap_ros.io.files import read_text, writing
 from mocap_ros.io.sequence import Sequence
+from mocap_ros.keyframes import method as keyframe_method
+from mocap_ros.keyframes.taylor import Choice, choices_from
 from mocap_ros.offline import SequenceResult, reconstruct_sequence
+
+LARGEST_CHOICES = 16 << 20
 
 
 def add_parser(subparsers: Any) -> None:
@@ -45,6 +51,20 @@ def add_parser(subparsers: Any) -> None:
         metavar='OUT',
         help=f'{", ".join(results.ENDINGS)} (default: IN_3d.npz in this folder)',
     )
+    p.add_argument(
+        '--method',
+        choices=['whole', 'keyframes'],
+        default='whole',
+        help='whole: all frames in one solve; keyframes: key poses fitted to the image, for minutes of mixed '
+        'action with outliers',
+    )
+    p.add_argument(
+        '--choices',
+        type=Path,
+        metavar='FILE',
+        help='which limbs point towards the camera, for key poses by hand, in the file that `keyframes` writes '
+        '(default: none)',
+    )
     add_model_option(p)
     add_config_options(p)
     p.set_defaults(run=run)
@@ -58,18 +78,49 @@ def run(args: argparse.Namespace) -> int:
     config = config_from(args)
     models = models_from(args, config)
     sequence = input_from(args, config)
-    with about(args.input):
-        result = reconstruct_file(sequence, models, config)
-    with writing(output):
+    if args.choices is not None and args.method != 'keyframes':
+        raise InputError(f'{args.choices}: choices are for --method keyframes')
+    if args.method == 'keyframes':
+        result, said = _by_keyframes(args, sequence, models, config)
+    else:
+        with about(args.input):
+            result = reconstruct_file(sequence, models, config)
+        said = f'{result.solution.iterations} iterations' + (
+            '' if result.solution.converged else ' (not converged)'
+        )
+    with writing(output, args.input, *files_in(args.input)):
         intrinsics = sequence.intrinsics(config.tracker.nominal_focal_length)
         results.save(output, results.Reconstructed(sequence, result, intrinsics))
     solution = result.solution
     print(
         f'{output}: {len(sequence)} frames, base poses {result.category}, residual '
-        f'{np.nanmean(solution.residual):.2f} px, {solution.iterations} iterations'
-        + ('' if solution.converged else ' (not converged)')
+        f'{np.nanmean(solution.residual):.2f} px, {said}'
     )
     return 0
+
+
+def _by_keyframes(
+    args: argparse.Namespace, sequence: Sequence, models: Mapping[str, BasePoses], config: Config
+) -> tuple[SequenceResult, str]:
+    """The reconstruction by keyframes, and what to say of it."""
+    choices: tuple[Choice, ...] = ()
+    if args.choices is not None:
+        text = read_text(args.choices, largest=LARGEST_CHOICES)
+        choices = choices_from(load_yaml(text, str(args.choices)), str(args.choices))
+    with about(args.input), stages() as say:
+        done = keyframe_method.reconstruct(
+            sequence.keypoints,
+            sequence.joint_names,
+            sequence.timestamps,
+            sequence.intrinsics(config.tracker.nominal_focal_length),
+            models,
+            config,
+            choices,
+            say,
+        )
+    upper, lower = (len(half.frames) for half in done.keyframes)
+    wrong = int(done.outliers.sum())
+    return done.result, f'{upper} keyframes of the upper body, {lower} of the lower, {wrong} outliers filled'
 
 
 def reconstruct_file(sequence: Sequence, models: Mapping[str, BasePoses], config: Config) -> SequenceResult:

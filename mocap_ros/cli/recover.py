@@ -9,7 +9,6 @@ from typing import Any
 
 from tqdm import tqdm
 
-from mocap_ros.errors import RecordingError
 from mocap_ros.io.recovery import recover
 
 
@@ -36,8 +35,6 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Recover, and say what was had and what was not."""
     out = args.output or args.bag.with_name(f'{args.bag.resolve().stem}_recovered')
-    if out.exists():
-        raise RecordingError(f'{out}: exists already; choose another -o')
     with tqdm(desc='recover', unit='B', unit_scale=True, disable=not sys.stderr.isatty(), leave=False) as bar:
 
         def watch(done: int, size: int) -> None:

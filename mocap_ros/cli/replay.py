@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import signal
 import sys
 import time
@@ -19,10 +18,11 @@ from tqdm import tqdm
 from mocap_ros.cli.options import add_config_options, config_from, progress
 from mocap_ros.errors import InputError, MocapError, RecordingError
 from mocap_ros.io.bags import Bag, BagMessage
+from mocap_ros.io.sources import people_topics
+from mocap_ros.process import prepare
 from mocap_ros.replay import ReplayOptions, ReplayResult, Watch, remove_partial, replay
 
 REFRESH_SECONDS = 0.3
-BLAS_THREADS = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
 
 
 class _Job(NamedTuple):
@@ -135,8 +135,6 @@ def _tell(job: _Job, done: _Done) -> None:
 
 def _all(jobs: list[_Job], processes: int) -> int:
     """Several bags at a time; one that fails does not stop the others."""
-    for name in BLAS_THREADS:
-        os.environ.setdefault(name, '1')
     context = get_context('spawn')
     read, stop = context.Value('q', 0), context.Value('b', 0)
     failed = 0
@@ -171,7 +169,7 @@ def _total(jobs: Iterable[_Job]) -> int:
     total = 0
     for job in jobs:
         with suppress(MocapError), Bag(job.bag) as bag:  # what is wrong with it comes out later
-            total += bag.count([bag.keypoints_topic(job.options.topic)])
+            total += bag.count(people_topics(bag, job.options.topic))
     return total
 
 
@@ -180,6 +178,7 @@ _shared: tuple[Any, Any]
 
 def _begin_process(read: Any, stop: Any) -> None:
     global _shared  # noqa: PLW0603
+    prepare()
     _shared = read, stop
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 

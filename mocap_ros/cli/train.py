@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
             'trials': [t.name for t in trials],
         },
     )
-    with writing(args.output):
+    with writing(args.output, *args.data):
         base_poses.save(model, args.output)
     ten = model.explained[min(9, len(model.explained) - 1)]
     print(

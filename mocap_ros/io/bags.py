@@ -24,7 +24,7 @@ from rosbags.typesys.store import Typestore
 
 from mocap_ros.errors import InputError
 from mocap_ros.io.mcap_scan import MAGIC
-from mocap_ros.io.messages import CAMERA_INFO, KEYPOINT_TYPES, WORD, typestore
+from mocap_ros.io.messages import CAMERA_INFO, WORD, typestore
 from mocap_ros.io.rosbag2 import METADATA
 
 if TYPE_CHECKING:
@@ -63,6 +63,8 @@ class Bag:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._ros1 = self.path.suffix == ROS1_ENDING
+        if self.path.exists() and not (self.path.is_dir() or self.path.is_file()):
+            raise InputError(f'{self.path}: neither a file nor a folder')
         self._damaged(_unfinished(self.path))
         try:
             self._reader: Any = Ros1Reader(self.path) if self._ros1 else Ros2Reader(self.path)
@@ -98,23 +100,6 @@ class Bag:
     def of_type(self, types: Collection[str]) -> list[str]:
         """Topics of any of these types that hold messages."""
         return list(dict.fromkeys(c.topic for c in self._connections() if c.msgtype in types and c.msgcount))
-
-    def keypoints_topic(self, name: str | None = None) -> str:
-        """The topic of 2D keypoints: the one of that name, or the only one there is.
-
-        Raises:
-            InputError: there is none, or more than one; lists the topics of the bag.
-        """
-        found = self.of_type(KEYPOINT_TYPES)
-        if name is not None:
-            found = [t for t in found if t == name]
-        if len(found) == 1:
-            return found[0]
-        if found:
-            raise InputError(f'{self.path}: several keypoint topics, choose one: {", ".join(found)}')
-        wanted = f'topic {name}' if name else 'topic'
-        there = ', '.join(f'{t} ({kind})' for t, kind in self.topics.items()) or 'nothing'
-        raise InputError(f'{self.path}: no {wanted} of {" or ".join(KEYPOINT_TYPES)}; the bag has {there}')
 
     def camera_info_topic(self, keypoints: str, name: str | None = None) -> str | None:
         """The CameraInfo that goes with a keypoint topic, or None where the bag has none.
@@ -238,7 +223,10 @@ def files_in(folder: Path) -> list[Path]:
         found = re.search(r'(\d+)$', path.stem)
         return int(found[1]) if found else -1, path.name
 
-    return sorted((f for f in folder.iterdir() if f.suffix in ENDINGS), key=number) if folder.is_dir() else []
+    if not folder.is_dir():
+        return []
+    found = [f for f in folder.iterdir() if f.suffix in ENDINGS and (f.is_file() or f.is_symlink())]
+    return sorted(found, key=number)
 
 
 def _shared_namespace(one: str, other: str) -> int:

@@ -53,8 +53,15 @@ def read_json(path: Path) -> Any:
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Around whatever writes `path`: a failing disk is a MocapError that names the file."""
+def writing(path: Path, *sources: Path) -> Iterator[None]:
+    """Around whatever writes `path`: a failing disk is a MocapError that names the file.
+
+    Args:
+        path: to write.
+        sources: files that it is made from, which are not written over.
+    """
+    if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
+        raise MocapError(f'{path}: not written: it is what was read')
     try:
         yield
     except OSError as error:

@@ -1,7 +1,8 @@
 """Keypoints of other people's detectors, checked as our own are; the same code live and in replay.
 
 What they trap one with is dealt with here: sparse ids that begin at 1 (YOLO), shares of the image and one topic a
-body (ROS4HRI), 70 places of which 18, 34 or 38 are used (ZED), zeros for what was not seen (OpenPose).
+body (ROS4HRI), 70 places of which 18, 34 or 38 may be all that is used, and scores that only later versions have
+(ZED), zeros for what was not seen (OpenPose).
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from mocap_ros.skeleton import layout
 COCO17, COCO18, HRI18, BODY25 = (layout(n).joints for n in ('coco17', 'coco18', 'hri18', 'body25'))
 OPENPOSE_LAYOUTS = {len(joints): joints for joints in (COCO17, COCO18, BODY25)}
 LARGEST_MESSAGE = 16_000_000
+PERCENT = 100
 
 ZED34 = {
     'lshoulder': 5, 'lelbow': 6, 'lwrist': 7, 'rshoulder': 12, 'relbow': 13, 'rwrist': 14,
@@ -44,7 +46,7 @@ ZED38 = {
     'lelbow': 14, 'relbow': 15, 'lwrist': 16, 'rwrist': 17, 'lhip': 18, 'rhip': 19,
     'lknee': 20, 'rknee': 21, 'lankle': 22, 'rankle': 23,
 }  # fmt: skip
-ZED_FORMATS = ({joint: i for i, joint in enumerate(COCO18)}, ZED34, ZED38)
+ZED_FORMATS = ({joint: i for i, joint in enumerate(COCO18)}, ZED34, ZED38, ZED38)  # of 18, 34, 38, 70 joints
 
 Size = tuple[int, int]
 
@@ -150,20 +152,22 @@ def _of_yolo(detection: Any, size: Size, limits: NodeConfig) -> Person2D | None:
 
 
 def _of_zed(body: Any, size: Size, _: NodeConfig) -> Person2D | None:
-    """Keypoints have no scores: that of the whole body stands for them. Not seen: NaN, negative or zero."""
+    """Where keypoints have no scores, that of the whole body stands for them. Not seen: NaN, negative or zero."""
     if not body.skeleton_available:
         return None
     if not 0 <= body.body_format < len(ZED_FORMATS):
-        raise InputError(f'body_format: {body.body_format}, expected 0, 1 or 2')
+        raise InputError(f'body_format: {body.body_format}, expected 0 to {len(ZED_FORMATS) - 1}')
     places = ZED_FORMATS[body.body_format]
     points = np.array([body.skeleton_2d.keypoints[i].kp for i in places.values()], np.float64)
     seen = np.isfinite(points).all(axis=1) & (points >= 0).all(axis=1) & (points != 0).any(axis=1)
-    if not 0 <= body.confidence <= 100:
-        raise InputError(f'confidence: {body.confidence:g}, expected 0 to 100')
-    score = np.where(seen, body.confidence / 100, 0.0)
+    if not 0 <= body.confidence <= PERCENT:
+        raise InputError(f'confidence: {body.confidence:g}, expected 0 to {PERCENT}')
+    score = np.asarray(body.skeleton_keypoint_confidence, np.float64)[list(places.values())] / PERCENT
+    if not (score > 0).any():
+        score = np.full(len(places), body.confidence / PERCENT)
     points = np.where(np.isinf(points), np.nan, points)
     name = str(body.label_id) if body.tracking_available and body.label_id >= 0 else ''
-    return _person(name, tuple(places), points, score, size[0], 'skeleton_2d.keypoints')
+    return _person(name, tuple(places), points, np.where(seen, score, 0.0), size[0], 'skeleton_2d.keypoints')
 
 
 def _of_openpose(body: Any, size: Size, _: NodeConfig) -> Person2D | None:

@@ -46,7 +46,8 @@ DEFINITIONS = {
         'int8 action_state\nzed_msgs/BoundingBox2Di bounding_box_2d\nzed_msgs/BoundingBox3D bounding_box_3d\n'
         'float32[3] dimensions_3d\nbool skeleton_available\nint8 body_format\n'
         'zed_msgs/BoundingBox2Df head_bounding_box_2d\nzed_msgs/BoundingBox3D head_bounding_box_3d\n'
-        'float32[3] head_position\nzed_msgs/Skeleton2D skeleton_2d\nzed_msgs/Skeleton3D skeleton_3d'
+        'float32[3] head_position\nzed_msgs/Skeleton2D skeleton_2d\nzed_msgs/Skeleton3D skeleton_3d\n'
+        'float32[70] skeleton_keypoint_confidence'
     ),
     ZED: 'std_msgs/Header header\nzed_msgs/Object[] objects',
     'openpose_ros2_msgs/msg/PoseKeyPoint': 'float32 x\nfloat32 y\nfloat32 score',

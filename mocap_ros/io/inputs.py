@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
+from math import inf
 from pathlib import Path
 
+from mocap_ros.bodies import PeopleReader
 from mocap_ros.config import NodeConfig
-from mocap_ros.errors import InputError
-from mocap_ros.io.bags import Bag, is_bag
+from mocap_ros.errors import FrameDropped, InputError
+from mocap_ros.io.bags import Bag, BagMessage, is_bag
 from mocap_ros.io.coco_json import load_coco
 from mocap_ros.io.detections import Detections, Video, sequence_of
-from mocap_ros.io.messages import decode_camera_info, decode_keypoints
+from mocap_ros.io.messages import CameraInfo, KeypointsFrame, check_size, decode_camera_info, image_size
 from mocap_ros.io.openpose_json import load_openpose
 from mocap_ros.io.sequence import Sequence, load_sequence
-from mocap_ros.people import Intrinsics, Person2D
+from mocap_ros.io.sources import people_topics, people_type
 
 
 def load_input(
@@ -57,45 +61,64 @@ def load_input(
 
 
 def load_bag(path: Path, limits: NodeConfig, topic: str | None = None) -> Detections:
-    """Everyone in the keypoint messages of a bag; messages that cannot be used are left out and counted.
+    """Everyone in the messages of people of a bag; messages that cannot be used are left out and counted.
+
+    Everything that `replay` takes is taken, in the same way; but the order of stamps does not matter, and the
+    first CameraInfo holds from the beginning.
+
+    Args:
+        path: of the bag.
+        limits: most people, joints and text in a message; the size of the image where nothing else says it.
+        topic: of the keypoints, where there are several.
 
     Raises:
         InputError: no bag, no keypoints in it, or none that can be used; names the first reason.
     """
-    frames: dict[int, tuple[Person2D, ...]] = {}
-    size = limits.image_width, limits.image_height
-    frame_id, first_reason, unusable = '', '', 0
+    frames: dict[int, KeypointsFrame] = {}
+    reader, first_reason, unusable = PeopleReader(), '', 0
     with Bag(path) as bag:
-        wanted = bag.keypoints_topic(topic)
-        for number, message in enumerate(bag.messages([wanted]), 1):
+        topics = people_topics(bag, topic)
+        node = replace(limits, input_type=people_type(bag, topics))
+        camera = _camera(bag, next(iter(topics)), node)
+        size = image_size(camera, node)
+
+        def take(message: BagMessage) -> str:
+            """Why the message cannot be used, or nothing."""
             try:
-                frame = decode_keypoints(message.raw, limits)
-                if frame.header.stamp_ns in frames:
-                    raise InputError('its stamp is that of an earlier message')
-            except InputError as error:
+                for frame in reader.read(topics[message.topic], message.raw, message.topic, node, size, inf):
+                    if camera is not None:
+                        check_size(frame, camera)
+                    if frames.setdefault(frame.header.stamp_ns, frame) is not frame:
+                        return 'its stamp is that of an earlier message'
+            except (InputError, FrameDropped) as error:
+                return str(error)
+            return ''
+
+        for number, message in enumerate(bag.messages(topics), 1):
+            if reason := take(message):
                 unusable += 1
-                first_reason = first_reason or f'{wanted}: message {number}: {error}'
-                continue
-            frames[frame.header.stamp_ns] = frame.people
-            frame_id = frame_id or frame.header.frame_id
-            if frame.image_width and frame.image_height:
-                size = frame.image_width, frame.image_height
-        intrinsics, camera_size = _camera(bag, wanted)
+                first_reason = first_reason or f'{message.topic}: message {number}: {reason}'
+        for frame in reader.rest(size):
+            frames.setdefault(frame.header.stamp_ns, frame)
     if not frames:
         raise InputError(f'{path}: {first_reason or "no keypoints"}')
     stamps = sorted(frames)
-    known = size if all(size) else camera_size
-    remarks = (f'{unusable} messages left out; {first_reason}',) if unusable else ()
-    return Detections([frames[s] for s in stamps], stamps, known, intrinsics, frame_id, remarks)
+    last = frames[stamps[-1]]
+    said = last.image_width, last.image_height
+    return Detections(
+        people=[frames[s].people for s in stamps],
+        stamps_ns=stamps,
+        image_size=said if all(said) else size if all(size) else None,
+        intrinsics=camera.intrinsics if camera else None,
+        frame_id=next((f.header.frame_id for f in frames.values() if f.header.frame_id), ''),
+        remarks=(f'{unusable} messages left out; {first_reason}',) if unusable else (),
+    )
 
 
-def _camera(bag: Bag, keypoints: str) -> tuple[Intrinsics | None, tuple[int, int] | None]:
-    """Of the first CameraInfo that goes with these keypoints; None where there is none, or it says nothing."""
+def _camera(bag: Bag, keypoints: str, node: NodeConfig) -> CameraInfo | None:
+    """The first CameraInfo that goes with these keypoints and can be used; None where there is none."""
     topic = bag.camera_info_topic(keypoints)
     for message in bag.messages([topic] if topic else []):
-        try:
-            info = decode_camera_info(message.raw)
-        except InputError:
-            continue
-        return info.intrinsics, (info.width, info.height) if info.width and info.height else None
-    return None, None
+        with suppress(InputError):
+            return decode_camera_info(message.raw, rectified=node.rectified_input)
+    return None

@@ -88,7 +88,8 @@ def decode_entry(raw: bytes) -> Entry:
         values = {v.key: json.loads(v.value) for v in message.values}
         number = int(values.pop('input'))
         verdict = Verdict(message.level)
-    except (KeyError, TypeError, ValueError):
+        int(values.get(LOST, 0))
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
         raise InputError('not a line of a journal') from None
     return Entry(message.name, number, verdict, message.message, message.hardware_id, values)
 
@@ -168,14 +169,17 @@ def read_run(bag: Bag) -> Run:
     """What happened in the run that this bag recorded; an empty run where it has no journal.
 
     Raises:
-        InputError: the bag is broken.
+        InputError: the bag is broken, or what looks like a journal is none.
     """
     topics = [t for t in bag.of_type([JOURNAL]) if t.endswith('/journal')]
     run = Run({}, set(), {}, 0)
     before = -1  # inputs in earlier files, where this is a later file of a bag that was split
     waiting: list[Entry] = []
     for message in bag.messages(topics):
-        entry = decode_entry(message.raw)
+        try:
+            entry = decode_entry(message.raw)
+        except InputError as error:
+            raise InputError(f'{bag.path}: {message.topic}: {error}') from None
         if entry.kind == LOST:
             run = run._replace(lost=run.lost + int(entry.parameters.get(LOST, 0)))
         elif entry.kind == INPUT:

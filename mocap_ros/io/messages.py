@@ -94,6 +94,26 @@ class CameraInfo:
     intrinsics: Intrinsics
 
 
+def image_size(camera: CameraInfo | None, node: NodeConfig) -> tuple[int, int]:
+    """Of images whose messages do not say it: (width, height) px by CameraInfo, else by the parameters, else 0."""
+    if camera is not None and camera.width and camera.height:
+        return camera.width, camera.height
+    return (node.image_width, node.image_height) if node.image_width and node.image_height else (0, 0)
+
+
+def check_size(frame: KeypointsFrame, camera: CameraInfo) -> None:
+    """Refuse an image that is not of this camera.
+
+    Raises:
+        InputError: both say a size, and not the same.
+    """
+    said, calibrated = (frame.image_width, frame.image_height), (camera.width, camera.height)
+    if all(said) and all(calibrated) and said != calibrated:
+        raise InputError(
+            'image_width, image_height: {} x {} px, but CameraInfo is for {} x {} px'.format(*said, *calibrated)
+        )
+
+
 @lru_cache(maxsize=1)
 def typestore() -> Typestore:
     """The standard messages of ROS 2, those of mocap_ros_msgs, and the foreign ones that are taken as input."""

@@ -13,6 +13,7 @@ from mocap_ros.io.bags import Bag
 from mocap_ros.io.messages import KEYPOINTS
 from mocap_ros.io.samples import sequence_samples
 from mocap_ros.io.sequence import load_sequence
+from mocap_ros.io.sources import Source, people_topics
 
 CAMERA_INFO_TOPIC = 'camera_info'
 
@@ -48,7 +49,8 @@ class Playback:
     Args:
         path: bag, or sequence file (.npz).
         topic: of the keypoints, where a bag has several.
-        to: topic to publish the keypoints on; CameraInfo goes to `camera_info`.
+        to: topic to publish the keypoints on, but those of ROS4HRI, which keep their names; CameraInfo goes to
+            `camera_info`.
         everything: every topic of a bag, each on its own name, instead.
 
     Attributes:
@@ -73,8 +75,9 @@ class Playback:
             if everything:
                 names = {t: t for t in bag.topics if bag.count([t])}
             else:
-                names[bag.keypoints_topic(topic)] = to
-                camera_info = bag.camera_info_topic(*names)
+                found = people_topics(bag, topic)
+                names = {t: to if source is Source.KEYPOINTS else t for t, source in found.items()}
+                camera_info = bag.camera_info_topic(next(iter(names)))
                 if camera_info:
                     names[camera_info] = CAMERA_INFO_TOPIC
             self.topics = [PlayedTopic(new, bag.topics[old], bag.qos[old], old) for old, new in names.items()]

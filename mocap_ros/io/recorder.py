@@ -55,6 +55,17 @@ def new_bag_folder(root: Path, time_ns: int) -> Path:
         raise RecordingError(f'{root}: {error.strerror}') from None
 
 
+def partial_of(out: Path) -> Path:
+    """What a bag that is made of another is called until it is complete.
+
+    Raises:
+        RecordingError: the bag is there already.
+    """
+    if out.exists() or out.is_symlink():
+        raise RecordingError(f'{out}: exists already')
+    return out.with_name(f'{out.name}.partial')
+
+
 class Recorder:
     """Writes one bag.
 
@@ -196,9 +207,10 @@ class Recorder:
             self._write_metadata()
 
     def remove(self) -> None:
-        """Take back a bag without messages."""
-        self.close()
-        shutil.rmtree(self.folder)
+        """Take the bag back."""
+        with suppress(RecordingError):
+            self.close()
+        shutil.rmtree(self.folder, ignore_errors=True)
 
     @property
     def topics(self) -> Mapping[str, Topic]:

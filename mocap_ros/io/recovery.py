@@ -16,12 +16,12 @@ from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mocap_ros.config import RecorderConfig
-from mocap_ros.errors import InputError
+from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.io.bags import ENDINGS, files_in
 from mocap_ros.io.mcap_file import Attachment
 from mocap_ros.io.mcap_scan import Content, Salvage
 from mocap_ros.io.messages import typestore
-from mocap_ros.io.recorder import Recorder
+from mocap_ros.io.recorder import Recorder, partial_of
 from mocap_ros.io.rosbag2 import ROSBAG2, Topic, known_topic
 
 ROWS = 1000
@@ -48,6 +48,8 @@ class Recovered:
 def recover(path: Path, out: Path, watch: Watch = lambda *_: None) -> Recovered:
     """Write a new bag with everything that can be read of another.
 
+    The new bag is called `<out>.partial` until it is complete; what fails or is interrupted leaves nothing.
+
     Args:
         path: bag folder, or a .mcap or .db3 file; it stays as it is.
         out: folder of the new bag.
@@ -62,24 +64,35 @@ def recover(path: Path, out: Path, watch: Watch = lambda *_: None) -> Recovered:
         raise InputError(f'{path}: no bag folder, .mcap or .db3 file (ROS 1: `rosbag reindex` mends a .bag)')
     found = Recovered()
     sizes = [_size(f) for f in files]
-    with Recorder(out, RecorderConfig(min_free_mb=0)) as recorder:
-        for number, file in enumerate(files):
-            copy = _Copy(file, recorder, found)
-            before = sum(sizes[:number])
-            for done in copy.mcap() if file.suffix == '.mcap' else copy.sqlite():
-                watch(before + done, sum(sizes))
-    if not found.messages:
-        recorder.remove()
-        reasons = '; '.join(found.losses) or 'no messages in it'
-        raise InputError(f'nothing to recover: {reasons}')
+    partial = partial_of(out)
+    with Recorder(partial, RecorderConfig(min_free_mb=0), name=out.name) as recorder:
+        try:
+            for number, file in enumerate(files):
+                copy = _Copy(file, recorder, found)
+                before = sum(sizes[:number])
+                for done in copy.mcap() if file.suffix == '.mcap' else copy.sqlite():
+                    watch(before + done, sum(sizes))
+            if not found.messages:
+                reasons = '; '.join(found.losses) or 'no messages in it'
+                raise InputError(f'nothing to recover: {reasons}')
+            recorder.close()
+            partial.rename(out)
+        except BaseException as error:
+            recorder.remove()
+            if isinstance(error, OSError):
+                raise RecordingError(f'{out}: {error.strerror}') from None
+            raise
     return found
 
 
 def _size(file: Path) -> int:
     try:
-        return file.stat().st_size
+        size = file.stat().st_size
     except OSError as error:
         raise InputError(f'{file}: {error.strerror}') from None
+    if not file.is_file():
+        raise InputError(f'{file}: not a file')
+    return size
 
 
 class _Copy:
@@ -113,8 +126,7 @@ class _Copy:
             else:
                 self._refused[f'{one.channel.topic}: {one.channel.message_encoding}, not a message of ROS 2'] += 1
             yield salvage.done
-        for why, number in self._refused.items():
-            self._lose(f'{number} messages of {why}')
+        self._tell_refused()
         self._found.losses += [f'{self._file}: {loss}' for loss in salvage.losses]
 
     def sqlite(self) -> Iterator[int]:
@@ -122,6 +134,7 @@ class _Copy:
         size = _size(self._file)
         try:
             with closing(sqlite3.connect(f'{self._file.resolve().as_uri()}?mode=ro', uri=True)) as base:
+                base.execute('PRAGMA writable_schema=ON')  # else SQLite opens no file that was cut off
                 topics = self._sqlite_topics(base)
                 rows = _Rows(base, size // LEAST_ROW)
                 for number, topic, time_ns, data in rows:
@@ -129,11 +142,15 @@ class _Copy:
                         rows.unreadable += 1
                     elif topic in topics:
                         self._write(topics[topic].name, topics[topic].type, data, time_ns, time_ns)
+                    else:
+                        self._refused[f'topic number {topic}, whose description is lost'] += 1
                     yield size * number // max(rows.last, 1)
-                if rows.unreadable:
-                    self._lose(f'about {rows.unreadable} messages cannot be read (damaged database)')
+                if rows.lost:
+                    many = f'about {rows.lost}' if rows.counted else 'an unknown number of'
+                    self._lose(f'{many} messages cannot be read (damaged database)')
         except UNREADABLE as error:
             self._lose(f'no database that can be read: {error}')
+        self._tell_refused()
 
     def _sqlite_topics(self, base: sqlite3.Connection) -> dict[int, Topic]:
         base.text_factory = lambda text: text.decode(errors='replace')
@@ -142,13 +159,23 @@ class _Copy:
         definitions = {}
         if base.execute('PRAGMA table_info(message_definitions)').fetchall():
             query = 'SELECT topic_type, encoding, encoded_message_definition FROM message_definitions'
-            definitions = {kind: (encoding, text) for kind, encoding, text in base.execute(query)}
+            try:
+                definitions = {
+                    kind: (encoding, text)
+                    for kind, encoding, text in base.execute(query)
+                    if isinstance(encoding, str) and isinstance(text, str)
+                }
+            except UNREADABLE:
+                self._lose('the definitions of the message types cannot be read')
         topics = {}
         query = f'SELECT id, name, type, {", ".join(wanted)} FROM topics'  # noqa: S608
-        for number, name, kind, qos, type_hash in base.execute(query):
+        for number, *described in base.execute(query):
+            name, kind, qos, type_hash = (one if isinstance(one, str) else '' for one in described)
             encoding, text = definitions.get(kind, ('ros2msg', ''))
             topic = _sound(Topic(name, kind, text, encoding, type_hash, _qos(qos)))
-            if self._topic(name, kind, lambda: topic):  # noqa: B023
+            if not (name and kind):
+                self._lose(f'topic {number} has no name or no type')
+            elif self._topic(name, kind, lambda: topic):  # noqa: B023
                 topics[number] = topic
         return topics
 
@@ -166,29 +193,57 @@ class _Copy:
         self._recorder.write(topic, kind, data, log_time_ns, publish_time_ns)
         self._found.messages[topic] += 1
 
+    def _tell_refused(self) -> None:
+        for why, number in self._refused.items():
+            self._lose(f'{number} messages of {why}')
+
     def _lose(self, what: str) -> None:
         self._found.losses.append(f'{self._file}: {what}')
 
 
 class _Rows:
-    """Number, topic, time and data of the messages of a database, leaving out what cannot be read."""
+    """Number, topic, time and data of the messages of a database, leaving out what cannot be read.
+
+    Damaged parts may look empty, or be missing: neither the greatest number nor the count can be trusted.
+
+    Attributes:
+        last: the greatest number there may be.
+        unreadable: rows found so far that cannot be read.
+        counted: whether anything says how many there should be.
+    """
 
     def __init__(self, base: sqlite3.Connection, most: int) -> None:
         self._base = base
         self._most = most
-        (last,) = base.execute('SELECT coalesce(max(id), 0) FROM messages').fetchone()
-        self.last = int(last)
+        self._found = 0
         self.unreadable = 0
+        self._count = self._number('SELECT count(*) FROM messages')
+        greatest = self._number('SELECT max(id) FROM messages')
+        self.counted = max(self._count, greatest) > 0
+        self.last = max(self._count, greatest) if self.counted else most
+
+    @property
+    def lost(self) -> int:
+        """Messages that cannot be had, when all is read; about."""
+        return max(self.unreadable, self._count - self._found)
+
+    def _number(self, query: str) -> int:
+        """What the query says; 0 where it fails or says nothing."""
+        try:
+            (number,) = self._base.execute(query).fetchone()
+        except UNREADABLE:
+            return 0
+        return int(number or 0)
 
     def __iter__(self) -> Iterator[tuple[int, Any, Any, Any]]:
-        start = number = found = barren = 0
-        while start <= self.last and barren < BARREN and found < self._most:
+        start = number = barren = 0
+        while start <= self.last and barren < BARREN and self._found < self._most:
             end = min(start + ROWS, self.last + 1)
             barren += 1
             for row in self._between(start, end):
                 if row[0] > number:  # a damaged tree may lead round in circles
                     number, barren = row[0], 0
-                    found += 1
+                    self._found += 1
                     yield row
             start = self._next(end)
 

@@ -1,7 +1,8 @@
-"""People as coordinate frames, named as REP-155 names them.
+"""People as coordinate frames: the fifteen main links of REP-155, by its names.
 
-`body_<id>` lies at the pelvis, x forward, y to the left, z up along the spine; its parent is the camera's optical
-frame. Its children are the joints, `l_shoulder_<id>` and so on, which are turned as it is.
+`body_<id>` lies between the hips, x forward, y to the left, z up along the trunk; its parent is the camera's
+optical frame. Its children are the others, which are turned as it is: `torso_<id>` between the shoulders,
+`head_<id>`, and the joints of the limbs, `l_shoulder_<id>` and so on.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
 
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
+ROOT = 'body'
 SHORTEST = 1e-6
 
 
@@ -36,17 +38,27 @@ def encode_transforms(header: Header, people: Sequence[Person3D], prefix: str = 
         if not person.scale_known or axes is None or not header.frame_id:
             continue
         name = _safe(person.id, taken)
-        body = f'{prefix}body_{name}'
-        pelvis = person.joints[CMU15.index('pelvis')]
-        transforms.append(_transform(header, body, pelvis, axes))
-        inside = (person.joints - pelvis) @ axes
+        body = f'{prefix}{ROOT}_{name}'
+        places = links(person.joints)
+        root = places.pop(ROOT)
+        transforms.append(_transform(header, body, root, axes))
         below = Header(header.stamp_ns, body)
         transforms += [
-            _transform(below, f'{prefix}{rep155_name(joint)}_{name}', place)
-            for joint, place in zip(CMU15.joints, inside, strict=True)
-            if joint != 'pelvis'
+            _transform(below, f'{prefix}{link}_{name}', (place - root) @ axes) for link, place in places.items()
         ]
     return encode(new(TRANSFORMS, transforms=transforms), TRANSFORMS)
+
+
+def links(joints: Array) -> dict[str, Array]:
+    """(3,) m, where each link of REP-155 lies, by its name.
+
+    Args:
+        joints: (15, 3) m, in the order of `skeleton.CMU15`.
+    """
+    at = dict(zip(CMU15.joints, joints, strict=True))
+    limbs = {f'{joint[0]}_{joint[1:]}': place for joint, place in at.items() if joint[0] in 'lr'}
+    torso, body = ((at[f'l{joint}'] + at[f'r{joint}']) / 2 for joint in ('shoulder', 'hip'))
+    return {ROOT: body, 'torso': torso, 'head': at['head'], **limbs}
 
 
 def body_axes(joints: Array) -> Array | None:
@@ -55,19 +67,14 @@ def body_axes(joints: Array) -> Array | None:
     Args:
         joints: (15, 3) m, in the order of `skeleton.CMU15`, in any right-handed frame.
     """
-    at = {name: joints[CMU15.index(name)] for name in ('lhip', 'rhip', 'neck', 'pelvis')}
-    up, left = at['neck'] - at['pelvis'], at['lhip'] - at['rhip']
+    at = links(joints)
+    up, left = at['torso'] - at[ROOT], at['l_hip'] - at['r_hip']
     forward = np.cross(left, up)
     lengths = np.linalg.norm(up), np.linalg.norm(forward)
     if not min(lengths) > SHORTEST:
         return None
     up, forward = up / lengths[0], forward / lengths[1]
     return np.stack([forward, np.cross(up, forward), up], axis=-1)
-
-
-def rep155_name(joint: str) -> str:
-    """`l_shoulder` for `lshoulder`."""
-    return f'{joint[0]}_{joint[1:]}' if joint[0] in 'lr' else joint
 
 
 def _safe(name: str, taken: set[str]) -> str:

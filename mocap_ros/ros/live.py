@@ -26,7 +26,8 @@ from mocap_ros.io.journal import Journal, Verdict
 from mocap_ros.io.messages import CAMERA_INFO, OutputMessage
 from mocap_ros.io.recorder import Record, new_bag_folder
 from mocap_ros.io.rosbag2 import Topic, known_topic
-from mocap_ros.pipeline import LATCHED_OUTPUTS, PEOPLE_SOURCES, Outcome, Pipeline, Source, skeleton_definition
+from mocap_ros.io.sources import PEOPLE_SOURCES, Source
+from mocap_ros.pipeline import LATCHED_OUTPUTS, Outcome, Pipeline, skeleton_definition
 from mocap_ros.provenance import attachments
 from mocap_ros.ros.health import Pulse
 

@@ -6,9 +6,10 @@ but cannot be configured or activated says why and waits to be told to try again
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
+
+from mocap_ros.process import prepare
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -20,8 +21,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
-    # before NumPy is imported: matrices are small, more threads only wait for each other
-    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+    prepare()
 
     # imported here, where a SIGINT meanwhile is no traceback
     from mocap_ros.errors import MocapError

@@ -42,14 +42,12 @@ from mocap_ros.errors import ConfigError, InputError, MocapError, RecordingError
 from mocap_ros.io.foreign import decode_ids
 from mocap_ros.io.foreign_types import BODY
 from mocap_ros.io.messages import KEYPOINT_TYPES, OutputMessage
+from mocap_ros.io.sources import Source, body_topic, input_types
 from mocap_ros.pipeline import (
     LATCHED_OUTPUTS,
     OUTPUTS,
     TF_OUTPUT,
     Pipeline,
-    Source,
-    body_topic,
-    input_types,
     skeleton_definition,
 )
 from mocap_ros.ros.health import DIAGNOSTICS, Doctor

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 from mocap_ros.io.foreign_types import BODY
 from mocap_ros.io.messages import CAMERA_INFO, KEYPOINT_TYPES, KEYPOINTS
-from mocap_ros.pipeline import LATCHED_OUTPUTS, OUTPUTS, TF_OUTPUT, Source
+from mocap_ros.io.sources import Source
+from mocap_ros.pipeline import LATCHED_OUTPUTS, OUTPUTS, TF_OUTPUT
 
 SERVICES = {'~/reset': 'std_srvs/srv/Trigger', '~/record': 'std_srvs/srv/SetBool'}
 INPUTS = {Source.KEYPOINTS.value: KEYPOINTS, Source.CAMERA_INFO.value: CAMERA_INFO}

@@ -1,0 +1,1 @@
+"""Long sequences by keyframes (Loy, Eriksson, Sullivan, Carlsson, ECCV 2004)."""
