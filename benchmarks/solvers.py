@@ -73,7 +73,7 @@ def fixed(case: Case, config: SolverConfig) -> tuple[Window, Problem, State]:
     window = replace(window, start=start, unit=unit)
     problem = Problem.build([window], np.array([unit]), model, config)
     state = initial_state(problem, [start], np.array([unit]))
-    return window, problem, problem.best_translation(problem.best_translation(state))
+    return window, problem, problem.settled(state).state
 
 
 def state_of(result: Reconstruction, unit: float) -> State:
@@ -89,11 +89,11 @@ def check_same_objective(problem: Problem, state: State, result: Reconstruction,
     for at in (state, elsewhere, state_of(result, unit)):
         sparse = SparseProblem(problem, at)
         squares = float((sparse.residuals(sparse.pack(at)) ** 2).sum())
-        if not np.isclose(squares, problem.cost(at)[0], rtol=1e-9):
-            raise AssertionError(f'objectives differ: {squares} and {problem.cost(at)[0]}')
-    if not np.isclose(result.objective[-1], problem.cost(state_of(result, unit))[0], rtol=1e-9):
+        if not np.isclose(squares, problem.cost(problem.fit(at))[0], rtol=1e-9):
+            raise AssertionError(f'objectives differ: {squares} and {problem.cost(problem.fit(at))[0]}')
+    if not np.isclose(result.objective[-1], problem.cost(problem.fit(state_of(result, unit)))[0], rtol=1e-9):
         raise AssertionError('the solver reports another objective than its solution has')
-    if not np.isclose(result.objective[0], problem.cost(state)[0], rtol=1e-9):
+    if not np.isclose(result.objective[0], problem.cost(problem.fit(state))[0], rtol=1e-9):
         raise AssertionError('the solver starts elsewhere')
     if np.any(np.diff(result.objective) > 0):
         raise AssertionError('the objective rose')

@@ -232,6 +232,9 @@ class KeyframesConfig:
         'what 3D key poses are made by: solver (as whole sequences are) or lifter (alone; faster)',
         choices=('solver', 'lifter'),
     )
+    own_share: float = _p(
+        0.8, 'of what is proposed for a control frame itself in its pose; 0: key pose alone', low=0.0, high=1.0
+    )
     step: float = _p(0.2, 'of the gradient descent to the image (lambda)', low=0.0, high=0.5)
     smoothing: float = _p(0.04, 's, width of the low-pass filter after each of its steps', low=0.0, high=1.0)
     iterations: int = _p(40, 'of its steps, at most', low=0, high=10_000)

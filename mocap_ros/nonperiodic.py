@@ -20,9 +20,9 @@ from mocap_ros.camera import Cameras, rotation_vector, small_rotation
 from mocap_ros.config import SolverConfig
 from mocap_ros.learned_prior import lifted_start
 from mocap_ros.objective import (
-    NEAREST,
     NOISE_REFERENCE,
     SHORTEST_STEP,
+    Fit,
     NormalEquations,
     Problem,
     State,
@@ -65,8 +65,9 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
     starts = [start for start, _ in begun]
     s0 = np.array([unit for _, unit in begun])
     problem = Problem.build(windows, s0, model, config)
-    state = problem.best_translation(initial_state(problem, starts, s0))
-    state = problem.best_translation(state)
+    state = problem.settled(initial_state(problem, starts, s0)).state
+    if not warm:
+        state = problem.settled(state).state
     damping = FIRST_DAMPING
     if config.adapt_noise:
         problem, state = _anneal(problem, state, windows, config)
@@ -133,7 +134,7 @@ def _anneal(
         return problem.under_noise(noise), state
 
     def found(least: float, descent: Descent) -> Array:
-        new = problem_.noise(descent.state, descent.equations)
+        new = problem_.noise(descent.fit, descent.equations)
         return np.where(unknown, np.maximum(new, max(least, config.noise_floor)), noise)
 
     rough = replace(config, tolerance=max(NOISE_ROUND_TOLERANCE, config.tolerance))
@@ -144,14 +145,14 @@ def _anneal(
         k = max(int((problem.model.std >= WORTH_SOLVING * level).sum()), FEWEST_COMPONENTS)
         problem_ = few.under_noise(noise).truncated(k)
         descent = _levenberg_marquardt(problem_, coarse.truncated(k), rough, damping)
-        coarse = coarse.with_first(descent.state)
+        coarse = coarse.with_first(descent.fit.state)
         noise = found(least, descent)
         damping = NEXT_DAMPING
-    state = problem.best_translation(interpolated(coarse, kept, problem))
+    state = problem.settled(interpolated(coarse, kept, problem)).state
     for least in (*FINE_NOISE[1:], 0.0):
         problem_ = problem.under_noise(noise)
         descent = _levenberg_marquardt(problem_, state, rough, damping)
-        state, before = descent.state, noise
+        state, before = descent.fit.state, noise
         noise = found(least, descent)
         if np.array_equal(noise, before):
             break
@@ -189,7 +190,7 @@ class Descent:
         iterations: (P,) steps of each sequence; converged: (P,).
     """
 
-    state: State
+    fit: Fit
     equations: NormalEquations
     banded: Factor | None
     objective: list[Array]
@@ -200,26 +201,31 @@ class Descent:
 def _levenberg_marquardt(problem: Problem, state: State, config: SolverConfig, first_damping: float) -> Descent:
     """Each sequence has its own damping and its own end; all of them step together."""
     sequences = len(problem.starts)
-    cost = problem.cost(state)
+    here = problem.fit(state)
+    cost = problem.cost(here)
     history = [cost]
     damping = np.full(sequences, first_damping)
     done = np.zeros(sequences, bool)
     taken = np.zeros(sequences, int)
-    equations = problem.normal_equations(state)
+    equations = problem.normal_equations(here)
     stale = False
     banded = None
     for _ in range(config.max_iterations):
         if stale:
-            equations, stale = problem.normal_equations(state).frozen(problem.per_frame(done), equations), False
+            equations, stale = problem.normal_equations(here).frozen(problem.per_frame(done), equations), False
         solved = problem.step(equations, damping)
         if solved is None:
             damping = np.where(done, damping, damping * REJECTED)
             continue
         step, banded = solved
-        tried, new = problem.settled(state.moved(step))
+        tried = problem.settled(here.state.moved(step))
+        new = problem.cost(tried)
         better = ~done & (new < cost)
         gained = np.where(better, cost - new, 0.0)
-        state = tried.where(np.repeat(better, problem.counts), state)
+        if better.all():
+            here = tried
+        elif better.any():
+            here = problem.fit(tried.state.where(problem.per_frame(better), here.state))
         cost = np.where(better, new, cost)
         history.append(cost)
         taken += ~done
@@ -229,22 +235,22 @@ def _levenberg_marquardt(problem: Problem, state: State, config: SolverConfig, f
         if done.all():
             break
         stale = bool(better.any())
-    return Descent(state, equations, banded, history, taken, done)
+    return Descent(here, equations, banded, history, taken, done)
 
 
 def results(
     problem: Problem, windows: Sequence[Window], units: Array, descent: Descent
 ) -> tuple[Reconstruction, ...]:
     """The reconstruction of each sequence of a batch; units (P,) px/m."""
-    noise = problem.noise(descent.state, descent.equations)
-    spread = None if descent.banded is None else problem.spread(descent.state, descent.banded)
+    noise = problem.noise(descent.fit, descent.equations)
+    spread = None if descent.banded is None else problem.spread(descent.fit, descent.banded)
     return tuple(
         result(
             problem,
             i,
             window,
             units[i],
-            descent.state,
+            descent.fit,
             [float(h[i]) for h in descent.objective[: descent.iterations[i] + 1]],
             bool(descent.converged[i]),
             float(noise[i]),
@@ -259,34 +265,28 @@ def result(
     sequence: int,
     window: Window,
     unit: float,
-    state: State,
+    fit: Fit,
     history: Sequence[float],
     converged: bool,
-    noise: float | None = None,
+    noise: float,
     spread: Array | None = None,
 ) -> Reconstruction:
     """The reconstruction of one sequence of a batch, `unit` px/m, `history` its objective from the start on."""
-    start = problem.starts[sequence]
-    own = slice(start, start + problem.counts[sequence])
-    poses = problem.model.poses(state.theta[own])
-    rotation = state.rotation[own]
-    turned = poses @ np.swapaxes(rotation, -1, -2)
-    cameras = Cameras(np.exp(state.log_scale[own]) * unit, rotation)
-    translation = state.translation[own] * unit
-    depth = np.maximum(1 + cameras.scale[:, None] * turned[..., 2] / window.focal, NEAREST)[..., None]
-    error = (cameras.scale[:, None, None] * turned[..., :2] + translation[:, None]) / depth - window.points
+    own = slice(problem.starts[sequence], problem.starts[sequence] + problem.counts[sequence])
+    scale = np.exp(fit.state.log_scale[own])
+    joints = fit.turned[own] / scale[:, None, None]
     seen = window.weight > 0
     with np.errstate(invalid='ignore'):
-        residual = np.sqrt((seen[..., None] * error**2).sum(axis=(1, 2)) / seen.sum(axis=1))
+        residual = unit * np.sqrt((seen * fit.squared[own]).sum(axis=1) / seen.sum(axis=1))
     return Reconstruction(
-        joints=turned,
-        theta=state.theta[own],
-        cameras=cameras,
-        translation=translation,
+        joints=joints,
+        theta=fit.state.theta[own],
+        cameras=Cameras(scale * unit, fit.state.rotation[own]),
+        translation=fit.state.translation[own] * unit,
         residual=residual,
         objective=tuple(history),
         iterations=len(history) - 1,
         converged=converged,
-        noise=float(problem.noise(state)[sequence]) if noise is None else noise,
-        spread=np.full(turned.shape[1], np.nan) if spread is None else spread,
+        noise=noise,
+        spread=np.full(joints.shape[1], np.nan) if spread is None else spread,
     )

@@ -91,6 +91,32 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
+class Fit:
+    """A state, and how it fits the image.
+
+    Attributes:
+        turned: (N, J, 3) m, scaled poses in the camera frame.
+        depth: (N, J) of a joint over that of the body's origin.
+        error: (N, J, 2) m, reprojection errors.
+        squared: (N, J) m^2, their squares.
+        bones: (N, B, 3) unit vectors in the body frame; length: (N, B) m.
+        excess: (N, B) m, of the lengths over their sequence's mean; means: (P, B) m.
+        turning: (N, 9) m's six elements, two of the vertical's image, and the log scale.
+    """
+
+    state: State
+    turned: Array
+    depth: Array
+    error: Array
+    squared: Array
+    bones: Array
+    length: Array
+    excess: Array
+    means: Array
+    turning: Array
+
+
+@dataclass(frozen=True, eq=False)
 class NormalEquations:
     """Gauss-Newton's equations of a batch, the translations eliminated.
 
@@ -129,9 +155,7 @@ class Problem:
         starts: (P,) first frame of each sequence.
         counts: (P,) frames of each.
         smooth: (N - 1,) weight of (change of theta / sigma)^2 to the next frame, 0 across a seam.
-        flip: (N - 1,) weight of (change of M)^2, 0 across a seam.
-        tilt: (N - 1,) weight of (change of the first two rows of R's third column)^2, 0 across a seam.
-        approach: (N - 1,) weight of (change of log scale)^2, 0 across a seam.
+        turn: (N - 1, 9) weights of (change of `Fit.turning`)^2, 0 across a seam: flip, tilt, approach.
         bone_weight: (B,).
         robust: (N, 1) m, scale of Cauchy's loss; infinite for least squares.
         focal: (N, 1) m at the body; infinite for weak perspective.
@@ -148,9 +172,7 @@ class Problem:
     starts: NDArray[np.intp]
     counts: NDArray[np.intp]
     smooth: Array
-    flip: Array
-    tilt: Array
-    approach: Array
+    turn: Array
     prior: Array
     bone_weight: Array
     robust: Array
@@ -189,9 +211,7 @@ class Problem:
             starts=starts,
             counts=counts,
             smooth=smooth * inverse_dt,
-            flip=flip * inverse_dt,
-            tilt=tilt * inverse_dt,
-            approach=config.scale_weight * inverse_dt,
+            turn=inverse_dt[:, None] * ([*[flip] * 3, tilt] * 2 + [config.scale_weight]),
             prior=prior / model.std**2,
             bone_weight=config.bone_weight * relative,
             robust=np.full((len(times), 1), config.robust_scale if config.robust_scale > 0 else np.inf),
@@ -230,9 +250,7 @@ class Problem:
             starts=np.cumsum(counts) - counts,
             counts=counts,
             smooth=self.smooth[before] * ratio,
-            flip=self.flip[before] * ratio,
-            tilt=self.tilt[before] * ratio,
-            approach=self.approach[before] * ratio,
+            turn=self.turn[before] * ratio[:, None],
             robust=self.robust[kept],
             focal=self.focal[kept],
             held=self.held[kept],
@@ -251,15 +269,13 @@ class Problem:
             robust=self.robust * (np.maximum(ratio, 1) / np.maximum(old, 1))[:, None],
         )
 
-    def noise(self, state: State, equations: NormalEquations | None = None) -> Array:
+    def noise(self, fit: Fit, equations: NormalEquations) -> Array:
         """(P,) m, standard deviation of a coordinate of a fully trusted point, from the residual.
 
         The sum of squares is shared among the coordinates less those that the unknowns have absorbed, their
         neighbours held; `equations` may be those of a state nearby.
         """
-        equations = equations or self.normal_equations(state)
-        _, error = self._residual(state)
-        loss = self.level[:, None] * self.weight * self._loss((error**2).sum(axis=-1))
+        loss = self.level[:, None] * self.weight * self._loss(fit.squared)
         coordinates = 2 * self.per_sequence((self.weight > 0).sum(axis=1))
         free = np.maximum(coordinates - self._absorbed(equations), LEAST_FREE * coordinates + 1)
         return np.sqrt(self.per_sequence(loss.sum(axis=1)) / free)
@@ -283,16 +299,47 @@ class Problem:
         """(P, ...) -> (N, ...), each sequence's value for all its frames."""
         return np.asarray(np.repeat(per_sequence, self.counts, axis=0))
 
-    def _residual(self, state: State) -> tuple[Array, Array]:
-        """(N, J, 3) scaled poses in the camera frame and (N, J, 2) reprojection errors, m."""
+    def fit(self, state: State) -> Fit:
+        """How a state fits."""
         poses = self.model.poses(state.theta)
-        turned = np.exp(state.log_scale)[:, None, None] * (poses @ np.swapaxes(state.rotation, -1, -2))
-        image = (turned[..., :2] + state.translation[:, None]) / self._depth(turned)[..., None]
-        return turned, image - self.image
+        scale = np.exp(state.log_scale)[:, None, None]
+        columns = np.swapaxes(state.rotation, -1, -2)
+        turned = scale * (poses @ columns)
+        depth = np.maximum(1 + turned[..., 2] / self.focal, NEAREST)
+        error = (turned[..., :2] + state.translation[:, None]) / depth[..., None] - self.image
+        vector = poses[:, self.children] - poses[:, self.parents]
+        length = np.maximum(np.sqrt(np.einsum('nbd,nbd->nb', vector, vector)), 1e-9)
+        total = self.per_sequence(length) + self.older[:, None] * self.older_bones
+        means = total / (self.counts + self.older)[:, None]
+        turning = np.empty((len(poses), 9))
+        turning[:, [0, 1, 2]], turning[:, [4, 5, 6]] = np.moveaxis(scale * state.rotation[:, :2], 1, 0)
+        turning[:, [3, 7]], turning[:, 8] = state.rotation[:, :2, 2], state.log_scale
+        return Fit(
+            state=state,
+            turned=turned,
+            depth=depth,
+            error=error,
+            squared=np.einsum('njd,njd->nj', error, error),
+            bones=vector / length[..., None],
+            length=length,
+            excess=length - self.per_frame(means),
+            means=means,
+            turning=turning,
+        )
 
-    def _depth(self, turned: Array) -> Array:
-        """(N, J) depth of a joint over that of the body's origin."""
-        return np.asarray(np.maximum(1 + turned[..., 2] / self.focal, NEAREST))
+    def settled(self, state: State) -> Fit:
+        """The fit with each frame's translation at its weighted optimum (a step of the robust fit)."""
+        fit = self.fit(state)
+        w = self._robust_weight(fit.squared) / fit.depth
+        total = np.maximum((w / fit.depth).sum(axis=1), 1e-12)[:, None]
+        shift = -np.einsum('nj,njd->nd', w, fit.error) / total
+        error = fit.error + shift[:, None] / fit.depth[..., None]
+        return replace(
+            fit,
+            state=replace(state, translation=state.translation + shift),
+            error=error,
+            squared=np.einsum('njd,njd->nj', error, error),
+        )
 
     def _loss(self, squared: Array) -> Array:
         if np.isinf(self.robust[0, 0]):
@@ -302,80 +349,39 @@ class Problem:
     def _robust_weight(self, squared: Array) -> Array:
         return np.asarray(self.weight / (1 + squared / self.robust**2))
 
-    def bones(self, theta: Array) -> tuple[Array, Array, Array]:
-        """(N, B) lengths less their sequence's mean, (N, B, 3) unit vectors, (N, B) lengths; m."""
-        poses = self.model.poses(theta)
-        vector = poses[:, self.children] - poses[:, self.parents]
-        length = np.maximum(np.linalg.norm(vector, axis=-1), 1e-9)
-        mean = self._mean_lengths(length)
-        return length - self.per_frame(mean), vector / length[..., None], length
-
-    def _mean_lengths(self, length: Array) -> Array:
-        """(P, B) over a sequence's frames and the older ones."""
-        total = self.per_sequence(length) + self.older[:, None] * self.older_bones
-        return np.asarray(total / (self.counts + self.older)[:, None])
-
-    def cost(self, state: State) -> Array:
+    def cost(self, fit: Fit) -> Array:
         """(P,) value of the objective, m^2."""
-        return self._cost(state, *self._residual(state))
-
-    def settled(self, state: State) -> tuple[State, Array]:
-        """`best_translation` and the `cost` there."""
-        turned, error = self._residual(state)
-        depth = self._depth(turned)
-        shift = self._shift(error, depth)
-        moved = replace(state, translation=state.translation + shift)
-        return moved, self._cost(moved, turned, error + shift[:, None] / depth[..., None])
-
-    def _cost(self, state: State, turned: Array, error: Array) -> Array:
-        frame = (self.weight * self._loss((error**2).sum(axis=-1))).sum(axis=1)
+        theta = fit.state.theta
+        frame = np.einsum('nj,nj->n', self.weight, self._loss(fit.squared))
         if self.lifted is not None:
-            frame += self.lifted.cost(turned)
-        deviation, _, length = self.bones(state.theta)
-        frame += (self.bone_weight * deviation**2).sum(axis=1)
-        frame += (self.prior * state.theta**2).sum(axis=1)
-        change = (np.diff(state.theta, axis=0) / self.model.std) ** 2
-        frame[:-1] += self.smooth * change.sum(axis=1)
-        m = np.exp(state.log_scale)[:, None, None] * state.rotation[:, :2]
-        frame[:-1] += self.flip * (np.diff(m, axis=0) ** 2).sum(axis=(1, 2))
-        frame[:-1] += self.tilt * (np.diff(state.rotation[:, :2, 2], axis=0) ** 2).sum(axis=1)
-        frame[:-1] += self.approach * np.diff(state.log_scale) ** 2
-        of_older = (self.bone_weight * (self._mean_lengths(length) - self.older_bones) ** 2).sum(axis=1)
-        return self.per_sequence(frame) + self.older * of_older
+            frame += self.lifted.cost(fit.turned)
+        frame += fit.excess**2 @ self.bone_weight + theta**2 @ self.prior
+        frame[:-1] += self.smooth * ((theta[1:] - theta[:-1]) ** 2 @ self.model.std**-2)
+        frame[:-1] += np.einsum('nc,nc->n', self.turn, (fit.turning[1:] - fit.turning[:-1]) ** 2)
+        of_older = (fit.means - self.older_bones) ** 2 @ self.bone_weight
+        return np.asarray(self.per_sequence(frame) + self.older * of_older)
 
-    def best_translation(self, state: State) -> State:
-        """The state with each frame's translation at its weighted optimum (a step of the robust fit)."""
-        turned, error = self._residual(state)
-        return replace(state, translation=state.translation + self._shift(error, self._depth(turned)))
-
-    def _shift(self, error: Array, depth: Array) -> Array:
-        w = self._robust_weight((error**2).sum(axis=-1)) / depth
-        total = np.maximum((w / depth).sum(axis=1), 1e-12)[:, None]
-        return np.asarray(-(w[..., None] * error).sum(axis=1) / total)
-
-    def normal_equations(self, state: State) -> NormalEquations:
+    def normal_equations(self, fit: Fit) -> NormalEquations:
         """Everything of the second order that the step needs."""
-        frames, k = state.theta.shape
-        turned, error = self._residual(state)
+        frames, k = fit.state.theta.shape
         n = k + CAMERA_UNKNOWNS
         basis = np.moveaxis(self.model.components, 0, -1)  # (J, 3, K)
-        residual, data = self._data_rows(state, turned, error, basis)
+        residual, data = self._data_rows(fit, basis)
 
-        deviation, unit, length = self.bones(state.theta)
         direction = basis[self.children] - basis[self.parents]  # (B, 3, K)
-        bone_jac = np.swapaxes(np.swapaxes(unit, 0, 1) @ direction, 0, 1)  # (N, B, K)
+        bone_jac = np.swapaxes(np.swapaxes(fit.bones, 0, 1) @ direction, 0, 1)  # (N, B, K)
         bones = np.zeros((frames, n, len(direction)))
         bones[:, :k] = np.swapaxes(bone_jac * np.sqrt(self.bone_weight)[:, None], -1, -2)
 
         # Gauss-Newton leaves out the second derivatives of bones and then needs several times the steps; those of
         # bones too long are put in, those of bones too short would be negative
-        curved = self.bone_weight * np.maximum(deviation / length, 0)
+        curved = self.bone_weight * np.maximum(fit.excess / fit.length, 0)
         along = np.zeros((frames, len(direction), n))
         along[..., :k] = bone_jac * np.sqrt(self.bone_weight - curved)[..., None]
         rows, residuals = [data, along], [residual, np.zeros_like(curved)]
         if self.lifted is not None:
-            scaled = np.exp(state.log_scale)[:, None, None] * state.rotation
-            for part, new in zip((residuals, rows), self.lifted.rows(turned, scaled, basis), strict=True):
+            scaled = np.exp(fit.state.log_scale)[:, None, None] * fit.state.rotation
+            for part, new in zip((residuals, rows), self.lifted.rows(fit.turned, scaled, basis), strict=True):
                 part.append(new)
         jac = np.concatenate(rows, axis=1)
         transposed = np.swapaxes(jac, -1, -2)
@@ -383,21 +389,19 @@ class Problem:
         squares = (np.swapaxes(direction, -1, -2) @ direction).reshape(len(direction), -1)
         diagonal[:, :k, :k] += (curved @ squares).reshape(frames, k, k)
         gradient = (transposed @ np.concatenate(residuals, axis=1)[..., None])[..., 0]
-        gradient += (bones @ (np.sqrt(self.bone_weight) * deviation)[..., None])[..., 0]
-        across = self._add_prior_and_smoothness(state, diagonal, gradient)
-        corner = self._add_camera_terms(state, diagonal, gradient)
+        gradient += (bones @ (np.sqrt(self.bone_weight) * fit.excess)[..., None])[..., 0]
+        across = self._add_prior_and_smoothness(fit.state, diagonal, gradient)
+        corner = self._add_camera_terms(fit, diagonal, gradient)
         return NormalEquations(data, diagonal, Coupling(across, corner), gradient, bones)
 
-    def _data_rows(self, state: State, turned: Array, error: Array, basis: Array) -> tuple[Array, Array]:
+    def _data_rows(self, fit: Fit, basis: Array) -> tuple[Array, Array]:
         """(N, 2 J) reprojection errors and (N, 2 J, n) their derivatives, weighted, translations eliminated."""
-        frames, joints = error.shape[:2]
-        w = self._robust_weight((error**2).sum(axis=-1))
-        jac = self._projection_jacobian(state, turned, basis)  # (N, 2, J, n), times each joint's depth
-        depth = self._depth(turned)
-        residual = np.swapaxes(depth[..., None] * error, 1, 2)  # (N, 2, J)
+        frames, joints = fit.squared.shape
+        jac = self._projection_jacobian(fit, basis)  # (N, 2, J, n), times each joint's depth
+        residual = np.swapaxes(fit.depth[..., None] * fit.error, 1, 2)  # (N, 2, J)
 
         # the best translation makes everything relative to its weighted mean
-        w = w / depth**2
+        w = self._robust_weight(fit.squared) / fit.depth**2
         share = (w / np.maximum(w.sum(axis=1), 1e-12)[:, None])[:, None]
         root = np.sqrt(w)[:, None]
         jac -= share[:, :, None] @ jac
@@ -405,8 +409,9 @@ class Problem:
         residual = root * (residual - (share * residual).sum(axis=2, keepdims=True))
         return residual.reshape(frames, -1), jac.reshape(frames, 2 * joints, -1)
 
-    def _projection_jacobian(self, state: State, turned: Array, basis: Array) -> Array:
-        """(N, 2, J, n) derivatives of the image points, times each joint's `_depth`; basis (J, 3, K)."""
+    def _projection_jacobian(self, fit: Fit, basis: Array) -> Array:
+        """(N, 2, J, n) derivatives of the image points, times each joint's depth; basis (J, 3, K)."""
+        state, turned = fit.state, fit.turned
         frames, k = state.theta.shape
         joints = len(basis)
         perspective = bool(np.isfinite(self.focal).any())
@@ -420,8 +425,7 @@ class Problem:
             return jac
         jac[:, 2, :, k:] = 0.0
         jac[:, 2, :, k], jac[:, 2, :, k + 1], jac[:, 2, :, k + 3] = turned[..., 1], -turned[..., 0], turned[..., 2]
-        image = (turned[..., :2] + state.translation[:, None]) / self._depth(turned)[..., None]
-        inward = np.swapaxes(image / self.focal[..., None], 1, 2)[..., None]
+        inward = np.swapaxes((fit.error + self.image) / self.focal[..., None], 1, 2)[..., None]
         return np.asarray(jac[:, :2] - inward * jac[:, 2:])
 
     def _add_prior_and_smoothness(self, state: State, diagonal: Array, gradient: Array) -> Array:
@@ -435,32 +439,31 @@ class Problem:
         on_diagonal[:, :k] += self.prior + stiffness[:, None] * inverse_variance
         across = np.zeros((len(self.smooth), diagonal.shape[1]))
         across[:, :k] = -self.smooth[:, None] * inverse_variance
-        pull = self.smooth[:, None] * np.diff(state.theta, axis=0) * inverse_variance
+        pull = self.smooth[:, None] * (state.theta[1:] - state.theta[:-1]) * inverse_variance
         gradient[:, :k] += self.prior * state.theta
         gradient[1:, :k] += pull
         gradient[:-1, :k] -= pull
         return across
 
-    def _add_camera_terms(self, state: State, diagonal: Array, gradient: Array) -> Array:
+    def _add_camera_terms(self, fit: Fit, diagonal: Array, gradient: Array) -> Array:
         """Add flip regulariser, tilt and approach, weighted changes; returns (N - 1, 4, 4), their coupling."""
-        frames, k = state.theta.shape
-        columns = np.swapaxes(state.rotation, -1, -2)
-        scaled = np.exp(state.log_scale)[:, None, None] * columns
-        of_columns = np.concatenate([scaled, columns[:, 2:]], axis=1)
+        frames, k = fit.state.theta.shape
+        columns = np.swapaxes(fit.state.rotation, -1, -2)
+        points = np.empty((frames, 4, 3))
+        points[:, :3] = np.exp(fit.state.log_scale)[:, None, None] * columns
+        points[:, 3] = columns[:, 2]
         jac = np.zeros((frames, 9, CAMERA_UNKNOWNS))
-        _fill_camera_columns(jac[:, :8].reshape(frames, 2, 4, CAMERA_UNKNOWNS), of_columns)
+        _fill_camera_columns(jac[:, :8].reshape(frames, 2, 4, CAMERA_UNKNOWNS), points)
         jac[:, [3, 7], 3] = 0.0
         jac[:, 8, 3] = 1.0
-        value = np.concatenate([of_columns[..., 0], of_columns[..., 1], state.log_scale[:, None]], axis=1)
-        in_turn = [*[self.flip] * 3, self.tilt] * 2
-        weight = np.stack([*in_turn, self.approach], axis=-1)[..., None]
+        weight = self.turn[..., None]
         transposed = np.swapaxes(jac, -1, -2)
         stiffness = np.zeros((frames, 9, 1))
         stiffness[:-1] += weight
         stiffness[1:] += weight
         diagonal[:, k:, k:] += transposed @ (stiffness * jac)
         corner = -transposed[1:] @ (weight * jac[:-1])
-        pull = weight * np.diff(value, axis=0)[..., None]
+        pull = weight * (fit.turning[1:] - fit.turning[:-1])[..., None]
         gradient[1:, k:] += (transposed[1:] @ pull)[..., 0]
         gradient[:-1, k:] -= (transposed[:-1] @ pull)[..., 0]
         return np.asarray(corner)
@@ -482,17 +485,18 @@ class Problem:
         strength = 1 / (self.counts + self.older)
         return -solve_less_low_rank(banded, equations.gradient, equations.bones, strength, self.starts), banded
 
-    def spread(self, state: State, banded: Factor) -> Array:
+    def spread(self, fit: Fit, banded: Factor) -> Array:
         """(P, J) m, posterior standard deviation of each sequence's last joints about the body's origin.
 
         A Cholesky factor's last block is that of the marginal distribution of the last unknowns.
         """
         last = self.starts + self.counts - 1
-        inverse = np.linalg.inv(banded.diagonal_block(last, state.theta.shape[1] + CAMERA_UNKNOWNS))
-        rotation = state.rotation[last]
+        k = fit.state.theta.shape[1]
+        inverse = np.linalg.inv(banded.diagonal_block(last, k + CAMERA_UNKNOWNS))
+        rotation = fit.state.rotation[last]
         basis = np.swapaxes(self.model.components, 0, 1)  # (J, K, 3)
         by_theta = np.swapaxes(basis @ np.swapaxes(rotation, -1, -2)[:, None], -1, -2)
-        turned = self.model.poses(state.theta[last]) @ np.swapaxes(rotation, -1, -2)
+        turned = fit.turned[last] / np.exp(fit.state.log_scale[last])[:, None, None]
         by_camera = np.concatenate([-cross_matrix(turned), np.zeros((*turned.shape, 1))], axis=-1)
         jac = np.concatenate([by_theta, by_camera], axis=-1)  # (P, J, 3, n)
         sides = jac @ np.swapaxes(inverse, -1, -2)[:, None]

@@ -71,7 +71,8 @@ def solve(
     """Reconstruct sequences under the periodic model.
 
     Args:
-        windows: the sequences; each should hold a cycle or more. Times may be irregular.
+        windows: the sequences; each should hold a cycle or more. Times may be irregular. Lifted poses are for
+            motion that is not periodic.
         model: base poses of a periodic motion.
         config: weights of the terms, `harmonics`, `paper_sines`. `max_iterations` bounds all steps together, taken
             or not.
@@ -88,7 +89,7 @@ def solve(
     known = series or [None] * count
     with np.errstate(all='ignore'):
         return tuple(
-            _solve_one(window, start, last, model, config)
+            _solve_one(replace(window, lifted=None), start, last, model, config)
             for window, start, last in zip(windows, before, known, strict=True)
         )
 
@@ -184,9 +185,9 @@ def _fit(
             search.take(search.objective.under_noise(noise))
     converged = search.run(config.tolerance)
     problem, series = search.objective.problem, search.series
-    body = search.objective.body(series, search.cameras)
-    result = nonperiodic.result(problem, 0, window, unit, body, search.history, converged)
-    plain = {f.name: getattr(result, f.name) for f in fields(Reconstruction)} | {'noise': float(noise)}
+    fit = problem.fit(search.objective.body(series, search.cameras))
+    result = nonperiodic.result(problem, 0, window, unit, fit, search.history, converged, float(noise))
+    plain = {f.name: getattr(result, f.name) for f in fields(Reconstruction)}
     moving = (series.coefficients[:, :-1] ** 2).sum(axis=0) if series.sines else None
     cadence = float(np.average(series.omega[:-1], weights=moving) / (2 * np.pi))
     return PeriodicReconstruction(**plain, cadence=cadence, series=series)

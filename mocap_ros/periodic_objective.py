@@ -90,13 +90,13 @@ class Objective:
 
     def best_translation(self, series: Series, cameras: State) -> State:
         """The cameras with each translation at its optimum (a step of the robust fit)."""
-        return replace(cameras, translation=self.problem.best_translation(self.body(series, cameras)).translation)
+        return replace(cameras, translation=self.problem.settled(self.body(series, cameras)).state.translation)
 
     def cost(self, series: Series, cameras: State) -> float:
         """Value of the objective, m^2."""
         matrix = np.exp(cameras.log_scale)[:, None, None] * cameras.rotation[:, :2]
         return float(
-            self.problem.cost(self.body(series, cameras))[0]
+            self.problem.cost(self.problem.fit(self.body(series, cameras)))[0]
             + (self.prior * series.coefficients**2).sum()
             + (matrix * self.pull(matrix)).sum()
             + self.level * (cameras.rotation[:, ::2, 2] ** 2).sum()
@@ -115,7 +115,7 @@ class Objective:
     def noise(self, series: Series, cameras: State, absorbed: float) -> float:
         """m, standard deviation of a coordinate from the residual, less what the unknowns have absorbed."""
         image = replace(self.problem, bone_weight=np.zeros_like(self.problem.bone_weight))
-        loss = float(image.cost(self.body(series, cameras))[0] * self.problem.level[0])
+        loss = float(image.cost(image.fit(self.body(series, cameras)))[0] * self.problem.level[0])
         coordinates = 2 * int((self.problem.weight > 0).sum())
         return float(np.sqrt(loss / max(coordinates - absorbed, LEAST_FREE * coordinates + 1)))
 
@@ -160,7 +160,7 @@ class Reduced:
     @staticmethod
     def build(objective: Objective, series: Series, cameras: State) -> Reduced:
         """The chain rule from each frame's weights, heading and camera to the series."""
-        equations = objective.problem.normal_equations(objective.body(series, cameras))
+        equations = objective.problem.normal_equations(objective.problem.fit(objective.body(series, cameras)))
         frames, k = len(cameras.rotation), series.coefficients.shape[1]
         hessian, gradient = _with_heading(equations.diagonal, equations.gradient, cameras.rotation[:, :, 2])
         bones = np.zeros((frames, k, equations.bones.shape[-1]))

@@ -67,7 +67,7 @@ def problem_and_state(
     state = initial_state(problem, starts, s0)
     state = state.moved(0.03 * rng.normal(size=(12, len(model.std) + 4)))
     for _ in range(100):
-        state = problem.best_translation(state)
+        state = problem.settled(state).state
     return problem, state
 
 
@@ -81,14 +81,14 @@ def test_gradient_agrees_with_finite_differences(
     model = walk_model.truncated(6)
     config = SolverConfig(smooth_weight=1e-4, robust_scale=robust, relative_bones=relative, flip_weight=0.01)
     problem, state = problem_and_state(model, config, rng, focal, lifted)
-    gradient = problem.normal_equations(state).gradient
+    gradient = problem.normal_equations(problem.fit(state)).gradient
     numeric = np.empty_like(gradient)
     h = 1e-5
     for frame in range(gradient.shape[0]):
         for unknown in range(gradient.shape[1]):
             step = np.zeros_like(gradient)
             step[frame, unknown] = h
-            up, down = (problem.cost(state.moved(s)).sum() for s in (step, -step))
+            up, down = (problem.cost(problem.fit(state.moved(s))).sum() for s in (step, -step))
             numeric[frame, unknown] = (up - down) / (2 * h) / 2
     assert np.abs(gradient - numeric).max() < 1e-6 * np.abs(gradient).max()
 
@@ -106,27 +106,20 @@ def test_normal_matrix_is_that_of_the_residuals(
         smooth_weight=1e-3, flip_weight=0.02, tilt_weight=0.1, scale_weight=0.01, robust_scale=0.0
     )
     problem, state = problem_and_state(model, config, rng, focal)
-    equations = problem.normal_equations(state)
+    equations = problem.normal_equations(problem.fit(state))
     frames, n = equations.gradient.shape
 
     def residuals(step: np.ndarray) -> np.ndarray:
         moved = state.moved(step[:, :n])
         moved = dataclasses.replace(moved, translation=moved.translation + step[:, n:])
-        _, error = problem._residual(moved)
-        deviation, _, _ = problem.bones(moved.theta)
-        m = np.exp(moved.log_scale)[:, None, None] * moved.rotation[:, :2]
+        fit = problem.fit(moved)
         smooth = np.sqrt(problem.smooth)[:, None] * np.diff(moved.theta, axis=0) / model.std
-        flip = np.sqrt(problem.flip)[:, None, None] * np.diff(m, axis=0)
-        tilt = np.sqrt(problem.tilt)[:, None] * np.diff(moved.rotation[:, :2, 2], axis=0)
-        approach = np.sqrt(problem.approach) * np.diff(moved.log_scale)
         parts = [
-            np.sqrt(problem.weight)[..., None] * error,
-            np.sqrt(problem.bone_weight) * deviation,
+            np.sqrt(problem.weight)[..., None] * fit.error,
+            np.sqrt(problem.bone_weight) * fit.excess,
             np.sqrt(problem.prior) * moved.theta,
             smooth,
-            flip,
-            tilt,
-            approach,
+            np.sqrt(problem.turn) * np.diff(fit.turning, axis=0),
         ]
         return np.concatenate([p.ravel() for p in parts])
 
@@ -155,7 +148,7 @@ def test_normal_matrix_is_that_of_the_residuals(
     matrix = matrix.reshape(frames * n, frames * n)
     assert np.linalg.eigvalsh(matrix - expected).min() > -1e-6 * np.abs(expected).max()
     own = dataclasses.replace(problem, bone_weight=0 * problem.bone_weight)
-    diagonal = own.normal_equations(state).diagonal
+    diagonal = own.normal_equations(own.fit(state)).diagonal
     jac_rows = rest.reshape(frames, n, -1)
     bones_at = problem.weight.size * 2
     kept = np.delete(jac_rows, np.s_[bones_at : bones_at + frames * 14], axis=-1)

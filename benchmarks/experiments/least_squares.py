@@ -53,7 +53,7 @@ class SparseProblem:
             state.log_scale[:, None],
             state.translation,
         ]
-        _, _, length = self.problem.bones(state.theta)
+        length = self.problem.fit(state).length
         return np.concatenate([np.concatenate(parts, axis=1).ravel(), length.mean(axis=0)])
 
     def unpack(self, x: Array) -> tuple[State, Array, Array]:
@@ -84,18 +84,14 @@ class SparseProblem:
     def residuals(self, x: Array) -> Array:
         p = self.problem
         state, _, means = self.unpack(x)
-        _, error = p._residual(state)
-        factor, _ = self._data_rows(error)
-        _, _, length = p.bones(state.theta)
-        m = np.exp(state.log_scale)[:, None, None] * state.rotation[:, :2]
+        fit = p.fit(state)
+        factor, _ = self._data_rows(fit.error)
         rows = [
-            (np.sqrt(p.weight) * factor)[..., None] * error,
-            np.sqrt(p.bone_weight) * (length - means),
+            (np.sqrt(p.weight) * factor)[..., None] * fit.error,
+            np.sqrt(p.bone_weight) * (fit.length - means),
             np.sqrt(p.prior) * state.theta,
             np.sqrt(p.smooth)[:, None] * np.diff(state.theta, axis=0) / p.model.std,
-            np.sqrt(p.flip)[:, None, None] * np.diff(m, axis=0),
-            np.sqrt(p.tilt)[:, None] * np.diff(state.rotation[:, :2, 2], axis=0),
-            np.sqrt(p.approach) * np.diff(state.log_scale),
+            np.sqrt(p.turn) * np.diff(fit.turning, axis=0),
         ]
         return np.concatenate([r.ravel() for r in rows])
 
@@ -104,7 +100,8 @@ class SparseProblem:
         state, vector, _ = self.unpack(x)
         frames, k = state.theta.shape
         turn = _left_jacobian(vector)
-        turned, error = p._residual(state)
+        fit = p.fit(state)
+        turned, error = fit.turned, fit.error
         factor, slope = self._data_rows(error)
         root = np.sqrt(p.weight)
 
@@ -121,9 +118,8 @@ class SparseProblem:
         own = np.arange(frames * self.width).reshape(frames, self.width)
         blocks.add((root[..., None, None] * data).reshape(frames, -1, self.width), own)
 
-        _, unit, _ = p.bones(state.theta)
         direction = basis[p.children] - basis[p.parents]
-        bones = np.sqrt(p.bone_weight)[:, None] * np.einsum('fbc,bck->fbk', unit, direction)
+        bones = np.sqrt(p.bone_weight)[:, None] * np.einsum('fbc,bck->fbk', fit.bones, direction)
         mean_columns = frames * self.width + np.arange(len(p.bone_weight))
         blocks.add_bones(bones, own[:, :k], -np.sqrt(p.bone_weight), mean_columns)
 
@@ -138,10 +134,9 @@ class SparseProblem:
         camera[..., :3] = (-cross_matrix(of_columns) @ turn[:, None])[..., :2, :]
         camera[:, :3, :, 3] = scaled[..., :2]
         camera = np.swapaxes(camera, 1, 2).reshape(frames, 8, 4)
-        weight = np.stack([p.flip, p.flip, p.flip, p.tilt], axis=-1)
-        root_flip = np.tile(np.sqrt(weight), 2)[..., None]
+        root_flip = np.sqrt(p.turn[:, :8, None])
         both = np.concatenate([-root_flip * camera[:-1], root_flip * camera[1:]], axis=-1)
-        blocks.add_difference(np.sqrt(p.approach)[:, None], own[:, k + 3 : k + 4])
+        blocks.add_difference(np.sqrt(p.turn[:, 8:]), own[:, k + 3 : k + 4])
         columns_of = own[:, k : k + 4]
         blocks.add(both, np.concatenate([columns_of[:-1], columns_of[1:]], axis=1))
         return blocks.matrix()

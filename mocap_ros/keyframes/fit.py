@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 ROBUST = 0.06
 PLACING_STEPS = 8
-TURN_SPREAD = np.radians(8.0)
+TURN_SPREAD = np.radians(3.0)
 POINT_SPREAD = 0.03
 SCALE_TIME = 0.6
 NEAREST = 0.2

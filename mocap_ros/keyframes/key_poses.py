@@ -125,6 +125,19 @@ def key_directions(keyframes: Keyframes, poses: Array, beta: float) -> Array:
     return np.where(length > SMALLEST, total / np.maximum(length, SMALLEST), own)
 
 
+def adapted(keys: Array, own: Array, share: float) -> Array:
+    """(C, B, 3) limb directions of control points, between those of key poses and those proposed for the frames.
+
+    Args:
+        keys: (C, B, 3) of the key pose of each.
+        own: (C, B, 3) proposed for the frame itself.
+        share: of the latter; 0 is as in the paper.
+    """
+    mixed = (1 - share) * keys + share * own
+    length = np.linalg.norm(mixed, axis=-1, keepdims=True)
+    return np.where(length > SMALLEST, mixed / np.maximum(length, SMALLEST), keys)
+
+
 def choose(
     choice: Choice, keyframes: Sequence[Keyframes], keys: Sequence[Array], observed: Observed, lengths: Array
 ) -> None:

@@ -15,7 +15,7 @@ from mocap_ros.keyframes.filters import bridged
 from mocap_ros.keyframes.fit import Placed, fitted, placed
 from mocap_ros.keyframes.halves import half_poses, halves, torso_lengths
 from mocap_ros.keyframes.interpolation import limb_directions, misfits, pose_of, slerp, thinned
-from mocap_ros.keyframes.key_poses import choose, key_directions, limb_lengths, proposals
+from mocap_ros.keyframes.key_poses import adapted, choose, key_directions, limb_lengths, proposals
 from mocap_ros.keyframes.observations import Observed, observe, sections
 from mocap_ros.keyframes.offsets import joint_offsets, without_offsets
 from mocap_ros.keyframes.outliers import jumps, outliers
@@ -124,12 +124,13 @@ def reconstruct(
     wrong = outliers(_displacement(start, observed), observed.weight > 0, times)
     believed = observed.without(wrong)
     start = placed(motion, believed.points, believed.weight, times, observed.focal)
-    progress('fit')
     model = models[category].rescaled(config.tracker.body_height / models[category].stature)
     offsets = _offsets(poses, lengths, believed, model.mean)
     believed = replace(
         believed, points=without_offsets(offsets, start, believed.points, believed.focal, model.mean)
     )
+    start = placed(motion, believed.points, believed.weight, times, observed.focal)
+    progress('fit')
     points, weight = filled(start, believed)
     descent = fitted(
         start,
@@ -172,9 +173,9 @@ def interpolated(
         observed: believable image points.
         keyframes: of both halves.
         keys: (K, B, 3) limb directions of the key poses of each.
-        poses: (F, J, 3) of any size, NaN where unknown; for a half without key poses, which is never seen.
+        poses: (F, J, 3) proposals of any size, NaN where unknown.
         lengths: (B,) m.
-        config: `gap` applies.
+        config: `gap` and `own_share` apply.
 
     Returns:
         (F, J, 3) m, and each half's control points.
@@ -184,14 +185,15 @@ def interpolated(
     directions = np.zeros((len(times), len(CMU15.bones), 3))
     number = {bone: i for i, bone in enumerate(CMU15.bones)}
     torso = lengths[number[CMU15.index('pelvis'), CMU15.index('neck')]]
+    some = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+    proposed = slerp(limb_directions(poses[some], CMU15.bones), times[some], times)
     controls = []
     for half, limbs in zip(keyframes, keys, strict=True):
         known = np.asarray(np.isfinite(limbs).all(axis=(1, 2)))
         bones = [number[b] for b in half.half.bones]
         if not known.any():
-            some = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
-            directions[:, bones] = slerp(limb_directions(poses[some], half.half.bones), times[some], times)
-            controls.append(some[:0])
+            directions[:, bones] = proposed[:, bones]
+            controls.append(half.frames[:0])
             continue
         whole = np.zeros((len(limbs), len(CMU15.bones), 3))
         whole[:, bones] = limbs
@@ -205,7 +207,8 @@ def interpolated(
         )
         control = thinned(at, np.nan_to_num(misfit, nan=np.inf), times, config.gap)
         controls.append(control)
-        directions[:, bones] = slerp(limbs[at[control]], times[control], times)
+        mixed = adapted(limbs[at[control]], proposed[control][:, bones], config.own_share)
+        directions[:, bones] = slerp(mixed, times[control], times)
     return pose_of(directions, lengths, CMU15), (controls[0], controls[1])
 
 
