@@ -215,9 +215,9 @@ def with_learned_prior(section: Section, angles: Sequence[int]) -> None:
     prior = lifter.load(LIFTER)
     model = common.trained(without_subjects=LEFT_OUT)
     rows: list[Sequence[object]] = []
-    cameras: dict[str, dict[str, float]] = {
+    conditions: dict[str, dict[str, float]] = {
         'fixed': {},
-        'orbiting and shaken': MOVING,
+        'moving': MOVING,
         '20 % missing': {'missing': 0.2},
     }
     for title, options in conditions.items():
