@@ -32,7 +32,7 @@ else
 endif
 
 CMU ?=
-TRAIN = $(BIN)/mocap-ros train '$(CMU)' \
+OF_CMU = '$(CMU)' \
     --source 'CMU Graphics Lab Motion Capture Database, 15 joints, 30 Hz' \
     --acknowledgement 'The data used in this project was obtained from mocap.cs.cmu.edu. \
 The database was created with funding from NSF EIA-0196217.'
@@ -64,11 +64,12 @@ bench: setup  ## run every benchmark, shortened
 	@set -e; for benchmark in $(BENCHMARKS); do \
 	    echo "== $$benchmark"; $(BIN)/python "$$benchmark" --quick; done
 
-models: setup  ## retrain the shipped models from CMU=cmu15_30fps.npz
+models: setup  ## retrain the shipped models from CMU=cmu15_30fps.npz (the lifter wants PyTorch)
 	@test -f '$(CMU)' || { echo 'make models CMU=path/to/cmu15_30fps.npz' >&2; exit 2; }
 	@for category in walk run jump; do \
-	    $(TRAIN) --category $$category -o mocap_ros/models/$$category.npz; done
-	@$(TRAIN) -o mocap_ros/models/all.npz
+	    $(BIN)/mocap-ros train $(OF_CMU) --category $$category -o mocap_ros/models/$$category.npz; done
+	@$(BIN)/mocap-ros train $(OF_CMU) -o mocap_ros/models/all.npz
+	@$(BIN)/mocap-ros train-lifter $(OF_CMU) -o mocap_ros/models/lifter.npz
 	@$(BIN)/python -m mocap_ros.demo '$(CMU)'
 
 colcon: setup  ## build both packages with colcon, into install/

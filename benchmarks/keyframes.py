@@ -10,7 +10,6 @@ import common
 
 # isort: split
 import multiprocessing
-import resource
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -430,6 +429,13 @@ def paper_length() -> dict[str, float]:
     return out
 
 
+def peak_mb() -> float:
+    """Most resident memory of this process so far; `ru_maxrss` would count its parent's."""
+    status = Path('/proc/self/status')
+    lines = status.read_text().splitlines() if status.is_file() else []
+    return next((int(line.split()[1]) / 1024 for line in lines if line.startswith('VmHWM')), float('nan'))
+
+
 def long_keypoints(seconds: float) -> Array:
     """(F, 15, 3) px: all trials one after the other, as often as needed, from another side each time."""
     motion, _ = common.capture()
@@ -446,7 +452,7 @@ def summarised_alone(path: str, connection: Any) -> None:
     """In a process of its own: the keyframes of a sequence, time and memory they take, and what they cover."""
     keypoints = np.load(path)
     times = np.arange(len(keypoints)) / common.FPS
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    before = peak_mb()
     begun = time.process_time()
     intrinsics = intrinsics_of(View({'image_size': np.array([640, 800])}))
     seen = observe(keypoints, CMU15.joints, times, intrinsics, Config().tracker)
@@ -456,7 +462,7 @@ def summarised_alone(path: str, connection: Any) -> None:
             'frames': len(times),
             'CPU s': time.process_time() - begun,
             'MB before': before,
-            'MB at most': resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+            'MB at most': peak_mb(),
             'one whole matrix, MB': len(times) ** 2 * 4 / 1e6,
             'keyframes, upper': len(found[0].frames),
             'keyframes, lower': len(found[1].frames),

@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 FORMAT = 'mocap_ros lifter 1'
+LEARNED, PCA = PRIORS = 'learned', 'pca'
 LARGEST_LIFTER = 64 << 20
 
 SLOTS = np.array([0, 1, 2, 3, 4, 6, 8, 10, 13, 16, 20, 24]) / 30
@@ -255,9 +256,9 @@ def for_prior(name: str, skeleton: Skeleton) -> Lifter | None:
     Raises:
         ModelError: no such file, or it is not a lifter.
     """
-    if name == 'pca' or skeleton.joints != CMU15.joints:
+    if name == PCA or skeleton.joints != CMU15.joints:
         return None
-    return shipped() if name == 'learned' else load(name)
+    return shipped() if name == LEARNED else load(name)
 
 
 def load(path: str | Path) -> Lifter:

@@ -16,6 +16,7 @@ from mocap_ros.io.messages import OutputMessage
 from mocap_ros.io.recorder import Recorder, partial_of
 from mocap_ros.io.rosbag2 import METADATA
 from mocap_ros.io.sources import Source, people_topics, people_type
+from mocap_ros.lifter import PRIORS
 from mocap_ros.pipeline import (
     LATCHED_OUTPUTS,
     Counters,
@@ -188,13 +189,18 @@ class _Replay:
 
 
 def _parameters(config: Config, recorded: Mapping[str, Value], bag: Bag) -> Config:
-    """The parameters of a recorded run. A bag may name no file: its model must be one of ours."""
-    model = recorded.get('tracker.model', config.tracker.model)
-    if model not in (AUTO, *shipped_models()):
-        raise InputError(
-            f'{bag.path}: recorded with the model {model!r}, which does not come with the package; '
-            'give the parameters by --config or --set'
-        )
+    """The parameters of a recorded run. A bag may name no file: its model and its prior must be ours."""
+    ours = {
+        'tracker.model': (config.tracker.model, (AUTO, *shipped_models())),
+        'solver.prior': (config.solver.prior, PRIORS),
+    }
+    for name, (default, known) in ours.items():
+        value = recorded.get(name, default)
+        if value not in known:
+            raise InputError(
+                f'{bag.path}: recorded with {name} {value!r}, which does not come with the package; '
+                'give the parameters by --config or --set'
+            )
     try:
         return with_values(config, recorded)
     except ConfigError as error:
