@@ -16,6 +16,7 @@ import importlib.util
 import json
 import os
 import platform
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -44,6 +45,8 @@ T = TypeVar('T')
 ROOT = Path(__file__).resolve().parent.parent
 HEADINGS = tuple(range(0, 360, 45))
 FPS = 30.0
+HELD_OUT = ('35', '13', '05', '135', 'UB', 'UT', 'UWW', 'UJ', 'UW')
+HELD_OUT_FILE = ROOT / 'build' / 'lifter_heldout.npz'
 REFERENCE = '200 Cholesky factorisations of a 512 x 512 matrix'
 
 
@@ -168,6 +171,18 @@ def trained(
         provenance={'trials': [t.name for t in chosen]},
     )
     return model.rescaled(TrackerConfig().body_height / model.stature)
+
+
+def held_out_lifter(path: Path = HELD_OUT_FILE) -> Path:
+    """The file of a lifter that never saw the subjects `HELD_OUT`; trained if there is none (12 minutes)."""
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        command = [sys.executable, '-m', 'mocap_ros.cli.main', 'train-lifter']
+        command += [str(shared('data', 'cmu', 'cmu15_30fps.npz')), '-o', str(path)]
+        command += [word for s in HELD_OUT for word in ('--without-subject', s)]
+        print(f'training a lifter without the tested subjects: {" ".join(command)}', file=sys.stderr)
+        subprocess.run(command, check=True)
+    return path
 
 
 def joint(tests: Sequence[View], model: BasePoses, config: SolverConfig | None = None) -> Sequence[Reconstruction]:

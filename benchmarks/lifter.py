@@ -11,8 +11,6 @@ import common
 # isort: split
 import argparse
 import math
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -35,8 +33,7 @@ from mocap_ros.reconstruction import Window
 from mocap_ros.skeleton import CMU15, joint_map
 from mocap_ros.swaps import swapped_frames
 
-HELD_OUT = ('35', '13', '05', '135', 'UB', 'UT', 'UWW', 'UJ', 'UW')
-HELD_OUT_FILE = common.ROOT / 'build' / 'lifter_heldout.npz'
+HELD_OUT, HELD_OUT_FILE = common.HELD_OUT, common.HELD_OUT_FILE
 ROWS: dict[str, tuple[Callable[[Trial], bool], float]] = {
     '35 walk': (lambda t: t.subject == '35' and t.category == 'walk', 16),
     '35 run': (lambda t: t.subject == '35' and t.category == 'run', 22),
@@ -148,17 +145,6 @@ def print_detections(records: Sequence[dict[str, object]], cameras: Sequence[int
         )
     header = ['points and method', 'labels', *(f'cam {c}' for c in cameras), 'mean', 'reach', 'failed']
     print(common.table(header, rows))
-
-
-def held_out(path: Path) -> Lifter:
-    if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        command = [sys.executable, '-m', 'mocap_ros.cli.main', 'train-lifter']
-        command += [str(common.shared('data', 'cmu', 'cmu15_30fps.npz')), '-o', str(path)]
-        command += [word for s in HELD_OUT for word in ('--without-subject', s)]
-        print(f'training a lifter without the tested subjects: {" ".join(command)}', file=sys.stderr)
-        subprocess.run(command, check=True)
-    return lifter.load(path)
 
 
 def row_views(row: str, stride: int, frames: int, headings: Sequence[float], **options: float) -> list[View]:
@@ -344,7 +330,7 @@ def main() -> None:
     if args.quick and not args.lifter.is_file():
         print(f'\nskipped: motion capture, which needs {args.lifter}; run without --quick to train it')
     else:
-        unseen = held_out(args.lifter)
+        unseen = lifter.load(common.held_out_lifter(args.lifter))
         record['capture'] = captured = on_capture(unseen, args.quick)
         print_capture(captured)
         record['solver'] = solved = with_solver(unseen, args.quick)

@@ -6,17 +6,18 @@ Each question costs as much as several frames, so the tracker asks few of them a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.base_poses import BasePoses
+from mocap_ros.base_poses import BasePoses, rotation_to
 from mocap_ros.camera import Cameras
 from mocap_ros.classification import LEAST_NOISE, PERIODIC_CATEGORIES, PeriodicSwitch, fit_periodic, log_evidence
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
+from mocap_ros.keyframes.memory import KeyPoseMemory
 from mocap_ros.nonperiodic import solve, solve_hypotheses
 from mocap_ros.people import Intrinsics, Motion, MotionKind
 from mocap_ros.perspective import solver_focal
@@ -32,11 +33,12 @@ MODEL_MARGIN = 10.0
 THIN_STEP, THIN_SPAN = 0.1, 1.0
 MOTION_STEP, MOTION_ITERATIONS = 1 / 15, 8
 FULL_SECTION = 0.9
+REMEMBER_STEP = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """An explanation of some frames: a model and where to begin with it."""
+    """An explanation of some frames: a model, where to begin with it, and the noise (m) if it is known."""
 
     model: str
     start: Start
@@ -55,8 +57,32 @@ class Examiner:
         model = self.models[track.model] if track.model else next(iter(self.models.values()))
         return track.window(camera, solver_focal(camera, self.config.tracker.perspective), frames, held, model)
 
-    def start_afresh(self, track: Track, camera: Intrinsics, names: Iterable[str]) -> None:
-        """Solve from scratch under these models, and take the likeliest over if it beats what there is."""
+    def remembered(self, memory: KeyPoseMemory, track: Track, camera: Intrinsics) -> KeyPoseMemory:
+        """The memory with some poses of a track that is lost."""
+        view, model = track.view(camera), self.models[track.model]
+        frames = track.spaced(REMEMBER_STEP, self.config.tracker.window)
+        rays, weight = (part[frames] for part in track.right)
+        poses = track.joints(model, frames) @ view.turn.T
+        for points, seen, pose in zip(view.image(rays), weight, poses, strict=True):
+            memory = memory.remember(points, seen, pose)
+        return memory
+
+    def begin(self, track: Track, camera: Intrinsics, names: Sequence[str], memory: KeyPoseMemory) -> None:
+        """A first solution of a new track; a pose remembered that looks the same is a rival (Loy et al. 2004)."""
+        rays, weight = track.right
+        recalled = memory.recall(track.view(camera).image(rays)[-1], weight[-1])
+        rivals = []
+        if recalled is not None:
+            model = self.models[names[0]]
+            rotation = rotation_to(model.mean[None], recalled.pose[None])
+            theta = model.weights(recalled.pose @ rotation)
+            rivals.append(Rival(names[0], Start(theta, Cameras(np.array([recalled.scale]), rotation)), math.inf))
+        self.start_afresh(track, camera, names, rivals)
+
+    def start_afresh(
+        self, track: Track, camera: Intrinsics, names: Iterable[str], rivals: Sequence[Rival] = ()
+    ) -> None:
+        """Solve from scratch under these models, and take the likeliest, or a rival, if it beats what there is."""
         frames = track.spaced(THIN_STEP, THIN_SPAN) if track.solved else np.arange(len(track.stamps))
         window = self.window(track, camera, frames)
         fresh = replace(window, start=None, unit=None, noise=None)
@@ -66,7 +92,7 @@ class Examiner:
             components=FRESH_COMPONENTS,
             noise_floor=LEAST_NOISE,
         )
-        rivals = []
+        rivals = list(rivals)
         for name in names:
             (fit,) = solve_hypotheses([fresh], self.models[name], solver)
             rest = len(self.models[name].std) - fit.theta.shape[1]

@@ -24,6 +24,7 @@ from mocap_ros.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.config import Config
 from mocap_ros.errors import FrameDropped
 from mocap_ros.examination import Examiner
+from mocap_ros.keyframes.memory import KeyPoseMemory
 from mocap_ros.lifter import for_prior
 from mocap_ros.nonperiodic import solve
 from mocap_ros.people import Intrinsics, Person2D, Person3D
@@ -109,6 +110,7 @@ class Tracker:
         self._born = 0
         self._camera = UNKNOWN_CAMERA
         self._pending: list[str] = []
+        self._memory = KeyPoseMemory()
 
     def snapshot(self) -> Snapshot:
         """Everything it knows, for `restore`; later updates do not change it."""
@@ -117,6 +119,7 @@ class Tracker:
             '_newest',
             '_examined',
             '_pending',
+            '_memory',
             '_born',
             '_camera',
             'went_back',
@@ -160,6 +163,9 @@ class Tracker:
         self._newest = stamp_ns
         self._see_through(intrinsics)
         keep = stamp_ns - settings.forget_after * NS
+        for track in self._tracks:
+            if track.stamps[-1] < keep and track.solved:
+                self._memory = self._examiner.remembered(self._memory, track, self._camera)
         self._tracks = [t for t in self._tracks if t.stamps[-1] >= keep]
 
         seen = self._associated(stamp_ns, detections)
@@ -245,9 +251,9 @@ class Tracker:
             track.add_lifted(lifted.take(slice(end - len(own), end)), self._camera)
 
     def _begin(self, tracks: Sequence[Track]) -> None:
-        """A first solution under the likeliest model."""
+        """A first solution under the likeliest model, or from a pose of somebody lost that looked the same."""
         for track in tracks:
-            self._examiner.start_afresh(track, self._camera, self._rivals)
+            self._examiner.begin(track, self._camera, self._rivals, self._memory)
             track.challenge_at = track.stamps[-1] + round(FIRST_CHALLENGE * NS)
 
     def _refine(self, tracks: Sequence[Track]) -> None:

@@ -7,18 +7,26 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+SEEN_LIFTED, FILLED_LIFTED = 0.57, 0.75
 SEEN, FILLED = (1.35, 0.024), (1.85, 0.018)
 
 
-def joint_std(spread: Array, filled: NDArray[np.bool_]) -> Array:
+def joint_std(spread: Array, filled: NDArray[np.bool_], lifted: Array | None = None) -> Array:
     """(J,) m, within which two thirds of the joints are, about the body's origin.
 
-    The posterior spread of the solver knows nothing of what its base poses cannot do; the factors and floors that
-    make up for it were chosen on CMU with the subject left out (benchmarks/tracker.py).
+    Where a lifter saw the frame it is the length of the lifter's own standard deviations times a factor: they know
+    which poses are hard to tell from an image. Without, it is the posterior spread of the solver, which knows
+    nothing of what its base poses cannot do, stretched and floored. All factors were chosen on CMU with the
+    subject left out (docs/tracker.md).
 
     Args:
         spread: (J,) m, as in `Reconstruction`.
         filled: (J,) True where the joint was not seen.
+        lifted: (J, 3) m, as in `Lifted.spread`; NaN where nothing was lifted. None: no lifter.
     """
     factor, floor = np.where(filled[:, None], FILLED, SEEN).T
-    return np.sqrt((factor * spread) ** 2 + floor**2)
+    plain = np.sqrt((factor * spread) ** 2 + floor**2)
+    if lifted is None:
+        return np.asarray(plain)
+    told = np.where(filled, FILLED_LIFTED, SEEN_LIFTED) * np.linalg.norm(lifted, axis=-1)
+    return np.where(np.isfinite(told), told, plain)

@@ -229,3 +229,18 @@ def test_questions_asked_early_change_nothing(walk_model: BasePoses, walk) -> No
         (b,) = eager.update(frame * STEP_NS, people(points, frame), CAMERA)
         eager.examine()
         assert (a.joints == b.joints).all()
+
+
+def test_the_poses_of_a_person_who_was_lost_are_remembered(walk_model: BasePoses, walk) -> None:
+    _, _, points, _ = walk
+    tracker = Tracker(walk_model, CONFIG)
+    for frame in range(20):
+        (last,) = tracker.update(frame * STEP_NS, people(points, frame), CAMERA)
+    tracker.update(20 * STEP_NS, [], CAMERA)
+    assert tracker.snapshot()['_memory'].poses == ()
+    tracker.update(60 * STEP_NS, [], CAMERA)
+    recalled = tracker.snapshot()['_memory'].recall(points[19], np.ones(15))
+    pose = last.joints - last.joints.mean(axis=0)
+    assert np.linalg.norm(recalled.pose - pose, axis=-1).mean() < 0.02
+    tracker.reset()
+    assert tracker.snapshot()['_memory'].poses == ()
