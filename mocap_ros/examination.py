@@ -34,6 +34,7 @@ THIN_STEP, THIN_SPAN = 0.1, 1.0
 MOTION_STEP, MOTION_ITERATIONS = 1 / 15, 8
 FULL_SECTION = 0.9
 REMEMBER_STEP = 0.25
+NOISE_FOUND, NOISE_FOUND_LIFTED = 0.88, 0.76  # share of the true image noise that the solver finds, on CMU
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,12 +196,13 @@ class Examiner:
         start = window.start
         if start is None:
             raise InputError('nothing was solved yet')
+        noise = track.noise / (NOISE_FOUND if track.lifted is None else NOISE_FOUND_LIFTED)
         model = self.models[track.model]
         joints = model.poses(start.theta) @ np.swapaxes(start.cameras.rotation, -1, -2)
         shown = start.cameras.scale[:, None, None] * joints[..., :2]
         total = np.maximum(window.weight.sum(axis=1), 1e-12)[:, None]
         translation = (window.weight[..., None] * (window.points - shown)).sum(axis=1) / total
         return Reconstruction(
-            joints, start.theta, start.cameras, translation, np.zeros(len(joints)), (0.0,), 0, True, track.noise,
+            joints, start.theta, start.cameras, translation, np.zeros(len(joints)), (0.0,), 0, True, noise,
             np.full(joints.shape[1], np.nan),
         )  # fmt: skip

@@ -27,7 +27,7 @@ from mocap_ros.examination import Examiner
 from mocap_ros.keyframes.memory import KeyPoseMemory
 from mocap_ros.lifter import for_prior
 from mocap_ros.nonperiodic import solve
-from mocap_ros.people import Intrinsics, Person2D, Person3D
+from mocap_ros.people import Intrinsics, MotionKind, Person2D, Person3D
 from mocap_ros.perspective import solver_focal
 from mocap_ros.skeleton import joint_map
 from mocap_ros.swaps import SwapFilter
@@ -289,8 +289,9 @@ class Tracker:
         self._examined = stamp
         _, motion, track = min(due, key=lambda d: d[0])
         if motion:
-            track.motion_at = stamp + round(MOTION_EVERY * NS)
             self._examiner.motion(track, self._camera)
+            known = track.motion.kind is MotionKind.PERIODIC
+            track.motion_at = stamp + round((MOTION_EVERY if known else MOTION_EVERY / 2) * NS)
         else:
             self._challenge(track, stamp)
 
@@ -347,7 +348,7 @@ class Tracker:
             scale=float(self._camera.focal / root[2]),
             rotation=rotation,
             translation=self._camera.project(root),
-            motion=replace(track.motion, category=track.model, residual=track.residual),
+            motion=replace(track.motion, category=track.periodic_model or track.model, residual=track.residual),
             residual=track.frame_residual,
             scale_known=self._camera.known,
             predicted=False,

@@ -1,19 +1,23 @@
 """The tracker: people come and go, stamps are what they are, the same input gives the same output."""
 
+from importlib.resources import files
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_alternation import scene
 
-from mocap_ros.base_poses import BasePoses
+from mocap_ros.base_poses import BasePoses, load_models
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import FrameDropped, SkeletonError
+from mocap_ros.io.sequence import load_sequence
 from mocap_ros.lens import Distortion
-from mocap_ros.people import Intrinsics, Person2D
+from mocap_ros.people import Intrinsics, MotionKind, Person2D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.tracker import Tracker
 
+DEMO = files('mocap_ros') / 'data' / 'demo.npz'
 CAMERA = Intrinsics(500.0, (320.0, 240.0), known=True)
 STEP_NS = 33_333_333
 CONFIG = with_values(Config(), {'solver.components': 8, 'solver.prior_weight': 1e-5})
@@ -244,3 +248,19 @@ def test_the_poses_of_a_person_who_was_lost_are_remembered(walk_model: BasePoses
     assert np.linalg.norm(recalled.pose - pose, axis=-1).mean() < 0.02
     tracker.reset()
     assert tracker.snapshot()['_memory'].poses == ()
+
+
+@pytest.mark.parametrize('prior', ['learned', 'pca'])
+def test_a_walk_is_told_from_a_jump_under_either_prior(prior: str) -> None:
+    sequence = load_sequence(DEMO)
+    tracker = Tracker(load_models('auto'), with_values(Config(), {'solver.prior': prior}))
+    camera = sequence.intrinsics(1.0)
+    told = {}
+    for stamp, keypoints in zip(sequence.timestamps, sequence.keypoints, strict=True):
+        seen = Person2D('p', sequence.joint_names, np.nan_to_num(keypoints[:, :2]), np.nan_to_num(keypoints[:, 2]))
+        for person in tracker.update(round(stamp * 1e9), [seen], camera):
+            told[stamp] = person.motion
+    walk, jump = told[sequence.timestamps[120]], told[sequence.timestamps[280]]
+    assert (walk.kind, walk.category) == (MotionKind.PERIODIC, 'walk')
+    assert walk.cadence == pytest.approx(0.9, abs=0.1)
+    assert jump.kind is MotionKind.NON_PERIODIC
