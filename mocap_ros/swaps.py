@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 ENTER, LEAVE = 0.01, 0.15
 FIRST_SWAPPED = 3.0
-SPREAD, SPREAD_PER_S = 0.05, 1.0
+SPREAD, SPREAD_PER_S, SPREAD_PER_S2 = 0.05, 1.0, 5.0
 MOST_COST = 9.0
 VELOCITY_TIME = 0.06
 LONGEST_STEP = 0.2
@@ -66,7 +66,7 @@ class Histories:
         age = time - np.where(known, self.seen, time)
         ahead = VELOCITY_TIME * (1 - np.exp(-age / VELOCITY_TIME)) * 2
         expected = self.points + self.velocity * ahead[..., None]
-        spread = SPREAD + SPREAD_PER_S * age
+        spread = SPREAD + SPREAD_PER_S * age + SPREAD_PER_S2 * age**2
         apart = points - expected[:, None]
         squared = np.einsum('hljd,hljd->hlj', apart, apart) / (size * spread[:, None]) ** 2
         cost = MOST_COST * np.log1p((0.5 / MOST_COST) * squared) + 2 * np.log(spread)[:, None]
