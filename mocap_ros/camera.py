@@ -7,6 +7,7 @@ together, so both are centred first (`centred_on_seen`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,6 +102,22 @@ def small_rotation(vector: Array) -> Array:
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     k = cross_matrix(vector)
     return np.eye(3) + np.sinc(angle / np.pi) * k + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (k @ k)
+
+
+def quaternion(rotation: Array) -> tuple[float, float, float, float]:
+    """(x, y, z, w) of a rotation (3, 3), w at least 0; from the largest of the four (Shepperd)."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    trace = a + e + i
+    if trace >= max(a, e, i):
+        x, y, z, w = h - f, c - g, d - b, 1 + trace
+    elif a >= max(e, i):
+        x, y, z, w = 1 + 2 * a - trace, b + d, c + g, h - f
+    elif e >= i:
+        x, y, z, w = b + d, 1 + 2 * e - trace, f + h, c - g
+    else:
+        x, y, z, w = c + g, f + h, 1 + 2 * i - trace, d - b
+    factor = math.copysign(1 / math.sqrt(x * x + y * y + z * z + w * w), w)
+    return x * factor, y * factor, z * factor, w * factor
 
 
 def cross_matrix(v: Array) -> Array:

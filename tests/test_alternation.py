@@ -7,11 +7,20 @@ import pytest
 from conftest import shared
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from mocap_ros import alternation
 from mocap_ros.alternation import reconstruct
 from mocap_ros.base_poses import BasePoses, fit
-from mocap_ros.camera import CameraProblem, Cameras, centred_on_seen, closed_form, small_rotation
+from mocap_ros.camera import (
+    CameraProblem,
+    Cameras,
+    centred_on_seen,
+    closed_form,
+    quaternion,
+    rotation_vector,
+    small_rotation,
+)
 from mocap_ros.config import SolverConfig
 from mocap_ros.errors import InputError
 from mocap_ros.io.mocap import load_trials
@@ -49,6 +58,14 @@ def test_closed_form_camera_is_near_on_exact_data(walk_model: BasePoses) -> None
     found = closed_form(walk_model.poses(theta), points, weight, times, window=0.0)
     assert found.scale == pytest.approx(cameras.scale, rel=0.06)
     assert np.abs(found.rotation - cameras.rotation).max() < 0.1
+
+
+def test_rotations_as_vectors_and_quaternions() -> None:
+    turns = Rotation.random(200, random_state=0)
+    half = [np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1])]
+    for matrix in [np.eye(3), *half, *turns.as_matrix()]:
+        assert Rotation.from_quat(quaternion(matrix)).as_matrix() == pytest.approx(matrix, abs=1e-12)
+    assert small_rotation(rotation_vector(turns.as_matrix())) == pytest.approx(turns.as_matrix(), abs=1e-9)
 
 
 def test_camera_step_follows_the_gradient(walk_model: BasePoses) -> None:

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
-from scipy.spatial.transform import Rotation
 
+from mocap_ros.camera import quaternion
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.io.foreign_types import DEFINITIONS, OPENPOSE, YOLO, ZED
@@ -383,7 +383,7 @@ def new_points(positions: Array) -> list[Any]:
 
 
 def _new_camera(person: Person3D) -> Any:
-    x, y, z, w = Rotation.from_matrix(person.rotation).as_quat().tolist()
+    x, y, z, w = quaternion(person.rotation)
     left = person.scale * person.rotation[:2]
     return new(
         OWN + 'WeakPerspectiveCamera',

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from mocap_ros.camera import quaternion
 from mocap_ros.io.messages import Array, Header, encode, new, new_header
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
@@ -89,7 +89,7 @@ def _safe(name: str, taken: set[str]) -> str:
 
 
 def _transform(header: Header, child: str, place: Array, axes: Array | None = None) -> Any:
-    turn = [0.0, 0.0, 0.0, 1.0] if axes is None else Rotation.from_matrix(axes).as_quat().tolist()
+    turn = (0.0, 0.0, 0.0, 1.0) if axes is None else quaternion(axes)
     return new(
         'geometry_msgs/msg/TransformStamped',
         header=new_header(header),
