@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SEEN_LIFTED, FILLED_LIFTED = 0.57, 0.75
-SEEN, FILLED = (1.35, 0.024), (1.85, 0.018)
+SEEN, FILLED = (3.5, 0.011), (5.6, 0.011)
 
 
 def joint_std(spread: Array, filled: NDArray[np.bool_], lifted: Array | None = None) -> Array:
