@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from mocap_ros import npz
 from mocap_ros.errors import ModelError, reader_reason
+from mocap_ros.perspective import facing
 from mocap_ros.skeleton import CMU15, Skeleton
 
 Array = NDArray[np.float64]
@@ -45,6 +46,7 @@ FEATURES = 3 * JOINTS * len(SLOTS) + 1
 OUTPUTS = 5 * JOINTS
 FEWEST_SEEN = 3
 SMALLEST_SIZE = 1e-9
+NEAREST_RAY = 0.05
 SIZE_TIME = 0.25
 BONES_OVER_STATURE = 2.36
 
@@ -98,6 +100,9 @@ class Lifter:
             focal: of the camera in the same unit, which looks at the person; infinite if unknown.
             mirrored: lift the mirror image as well and take the mean, which is better and takes longer.
         """
+        turn = None
+        if np.isfinite(focal):
+            points, turn = faced(points, weight, focal)
         features, newest, size = featured(points, weight, focal)
         known = (features[:, 2 : 3 * JOINTS : 3] > 0).sum(axis=1) >= FEWEST_SEEN
         if mirrored:
@@ -111,6 +116,8 @@ class Lifter:
             log_spread = (log_spread[:count] + log_spread[count:, MIRROR]) / 2
         joints[..., :2] += newest
         joints -= joints.mean(axis=1, keepdims=True)
+        if turn is not None:
+            joints = joints @ turn
         spread = np.exp(np.clip(log_spread, *LOG_SPREADS))
         unit = np.where(known, size, np.nan)[:, None, None]
         return Lifted(joints * unit, spread[..., [0, 0, 1]] * unit)
@@ -136,6 +143,25 @@ class Lifter:
             mirrored: as in `lift`.
         """
         return self.lift(*histories(points, weight, times, np.arange(len(times))), focal, mirrored=mirrored)
+
+
+def faced(points: Array, weight: Array, focal: float) -> tuple[Array, Array]:
+    """Histories as a camera sees them that faces the newest of each, as in training, and its rotations (N, 3, 3).
+
+    Args:
+        points: (N, T, J, 2), relative to the optical axis, anything where the weight is 0.
+        weight: (N, T, J).
+        focal: in the same unit.
+    """
+    seen = (weight > 0) & (np.abs(points) < FARTHEST_POINT).all(axis=-1)
+    clean = np.where(seen[..., None], points, 0.0)
+    trust = np.where(seen[:, 0], weight[:, 0], 0.0)
+    total = np.maximum(trust.sum(axis=-1), SMALLEST_SIZE)[:, None]
+    turn = facing(np.einsum('nj,njd->nd', trust, clean[:, 0]) / total / focal)
+    rays = np.concatenate([clean, np.full_like(clean[..., :1], focal)], axis=-1)
+    rays = rays @ np.swapaxes(turn, -1, -2)[:, None]
+    shown = focal * rays[..., :2] / np.maximum(rays[..., 2:], NEAREST_RAY * focal)
+    return np.where(seen[..., None], shown, points), turn
 
 
 def metric(lifted: Lifted, times: Array, height: float) -> Lifted:

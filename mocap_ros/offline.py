@@ -86,7 +86,7 @@ def reconstruct_sequence(
     window = Window(np.where(weight[..., None] > 0, view.image(rays), 0.0), weight, times, focal=focal)
     lifter = for_prior(config.solver.prior, skeleton) if config.solver.method == 'joint' else None
     if lifter is not None:
-        lifted = lifter.lift_sequence(window.points, weight, times, focal)
+        lifted = lifter.lift_sequence(window.points, weight, times, intrinsics.focal)
         window = replace(window, lifted=lifted)
         if ALL_MOTIONS in sized:
             sized = {ALL_MOTIONS: sized[ALL_MOTIONS]}

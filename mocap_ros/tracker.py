@@ -28,7 +28,6 @@ from mocap_ros.keyframes.memory import KeyPoseMemory
 from mocap_ros.lifter import for_prior
 from mocap_ros.nonperiodic import solve
 from mocap_ros.people import Intrinsics, MotionKind, Person2D, Person3D
-from mocap_ros.perspective import solver_focal
 from mocap_ros.skeleton import joint_map
 from mocap_ros.swaps import SwapFilter
 from mocap_ros.track import NS, Track
@@ -245,7 +244,7 @@ class Tracker:
             return
         histories = [track.to_lift(self._camera) for track in tracks]
         points, weight = (np.concatenate(part) for part in zip(*histories, strict=True))
-        lifted = self._lifter.lift(points, weight, solver_focal(self._camera, self.config.tracker.perspective))
+        lifted = self._lifter.lift(points, weight, self._camera.focal)
         ends = np.cumsum([len(w) for _, w in histories])
         for track, end, (_, own) in zip(tracks, ends, histories, strict=True):
             track.add_lifted(lifted.take(slice(end - len(own), end)), self._camera)
@@ -339,11 +338,12 @@ class Tracker:
         size = 1 / track.size_ratio
         rotation, root = track.rotation[frame], track.roots[frame] * size
         filled = track.right[1][frame] == 0
+        lifted = None if track.lifted is None else track.lifted.spread[frame] * root[2]
         joints = model.poses(track.theta[frame]) @ rotation.T * size + root
         return Person3D(
             id=track.id,
             joints=joints,
-            std=joint_std(track.spread * size, filled),
+            std=joint_std(track.spread * size, filled, lifted),
             filled=filled,
             scale=float(self._camera.focal / root[2]),
             rotation=rotation,
