@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 
 FARTHEST_MATCH = 1.0
 FARTHER_PER_S = 2.0
+FAR = 1e3
 
 
 def extent(points: Array, weight: Array) -> tuple[Array, float]:
@@ -21,10 +22,25 @@ def extent(points: Array, weight: Array) -> tuple[Array, float]:
     return centre, float(np.sqrt(((seen - centre) ** 2).sum(axis=1).mean())) + 1e-9
 
 
-def associate(
-    expected: Sequence[tuple[Array, float, float]], found: Sequence[tuple[Array, float]]
-) -> list[int | None]:
+Expected = tuple[Array, float, float]
+
+
+def distance(expected: Expected, found: tuple[Array, float]) -> float:
+    """Between a person expected (centre, size and s since the last sight) and found, in sizes of the larger."""
+    (there, large, _), (centre, size) = expected, found
+    return float(np.linalg.norm(centre - there) / max(size, large) + abs(np.log(size / large)))
+
+
+def tolerance(expected: Expected) -> float:
+    """The farthest that this person may be found from where they are expected."""
+    return FARTHEST_MATCH + FARTHER_PER_S * expected[2]
+
+
+def associate(expected: Sequence[Expected], found: Sequence[tuple[Array, float]]) -> list[int | None]:
     """For each detection found, the index of the expected person it is, or None.
+
+    The sum of distances is the least, and nobody is found beyond their `tolerance`. Somebody not seen for a while
+    counts as farther, so that a detection goes to whom it was in the last frame.
 
     Args:
         expected: centre, size and s since the last sight of the people known.
@@ -33,12 +49,10 @@ def associate(
     out: list[int | None] = [None] * len(found)
     if not expected or not found:
         return out
-    distance = np.empty((len(found), len(expected)))
-    for row, (centre, size) in enumerate(found):
-        for column, (there, large, age) in enumerate(expected):
-            apart = np.linalg.norm(centre - there) / max(size, large) + abs(np.log(size / large))
-            distance[row, column] = apart / (FARTHEST_MATCH + FARTHER_PER_S * age)
-    for row, column in zip(*linear_sum_assignment(np.minimum(distance, 10.0)), strict=True):
-        if distance[row, column] < 1.0:
+    apart = np.array([[distance(e, f) for e in expected] for f in found])
+    near = apart < [tolerance(e) for e in expected]
+    cost = np.where(near, apart + [FARTHER_PER_S * age for _, _, age in expected], FAR)
+    for row, column in zip(*linear_sum_assignment(cost), strict=True):
+        if near[row, column]:
             out[int(row)] = int(column)
     return out

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -20,6 +21,8 @@ from mocap_ros.errors import ConfigError
 Value = bool | int | float | str
 
 LONGEST_SHOWN = 60
+HEAVIEST = 1e6
+YAML_1_1_MISSES = re.compile(r'[-+]?\d+(\.\d*)?[eE][-+]?\d{1,3}')  # numbers like 1e-4, which it takes for text
 
 
 def _p(
@@ -37,6 +40,10 @@ def _p(
     )
 
 
+def _weight(default: float, doc: str) -> Any:
+    return _p(default, doc, low=0.0, high=HEAVIEST)
+
+
 @dataclass(frozen=True)
 class SolverConfig:
     """The factorisation: weights of its terms and when it stops."""
@@ -48,36 +55,30 @@ class SolverConfig:
         'alone, as in the paper), or the path of a lifter made by train-lifter',
         read_only=True,
     )
-    lifted_weight: float = _p(2e-4, 'm^2, lifted poses, per squared standard deviation of theirs', low=0.0)
-    lifted_robust: float = _p(3.0, "standard deviations from which Cauchy's loss discounts a joint", low=0.1)
-    lifted_prior: float = _p(0.3, 'factor on prior_weight beside lifted poses', low=0.0)
-    lifted_turn: float = _p(0.25, 'factor on flip_weight beside lifted poses', low=0.0)
-    lifted_smooth: float = _p(5.0, 'factor on smooth_weight beside lifted poses', low=0.0)
-    prior_weight: float = _p(
-        1e-4, 'Gaussian prior of the base-pose weights, m^2 per squared standard deviation', low=0.0
+    lifted_weight: float = _weight(2e-4, 'm^2, lifted poses, per squared standard deviation')
+    lifted_robust: float = _p(3.0, "standard deviations, Cauchy's loss of a lifted joint", low=0.1, high=1e3)
+    lifted_prior: float = _weight(0.3, 'factor on prior_weight beside lifted poses')
+    lifted_turn: float = _weight(0.25, 'factor on flip_weight beside lifted poses')
+    lifted_smooth: float = _weight(5.0, 'factor on smooth_weight beside lifted poses')
+    prior_weight: float = _weight(
+        1e-4, 'Gaussian prior of the base-pose weights, m^2 per squared standard deviation'
     )
-    upright_prior: float = _p(
-        0.25,
-        'factor on prior_weight for models aligned by heading: people differ more than one category shows',
-        low=0.0,
+    upright_prior: float = _weight(
+        0.25, 'factor on prior_weight for models aligned by heading: people differ more than one category shows'
     )
-    bone_weight: float = _p(60.0, 'bone-length variance (beta, eq. 20)', low=0.0)
-    flip_weight: float = _p(0.02, 'm^2 s, change of camera between frames (gamma, eq. 12)', low=0.0)
-    upright_turn: float = _p(
-        0.025,
-        'factor on flip_weight for models aligned by heading, whose body frame turns with every stride',
-        low=0.0,
+    bone_weight: float = _weight(60.0, 'bone-length variance (beta, eq. 20)')
+    flip_weight: float = _weight(0.02, 'm^2 s, change of camera between frames (gamma, eq. 12)')
+    upright_turn: float = _weight(
+        0.025, 'factor on flip_weight for models aligned by heading, whose body frame turns with every stride'
     )
-    tilt_weight: float = _p(
-        1.0, 'm^2 s, change of the image of the vertical, which only the camera moves; the same models', low=0.0
+    tilt_weight: float = _weight(
+        1.0, 'm^2 s, change of the image of the vertical, which only the camera moves; the same models'
     )
-    scale_weight: float = _p(0.02, 'm^2 s, change of the log of the scale of the camera between frames', low=0.0)
-    smooth_weight: float = _p(
-        3e-6, 'm^2 s, change of base-pose weights, in standard deviations, between frames', low=0.0
+    scale_weight: float = _weight(0.02, 'm^2 s, change of the log of the scale of the camera between frames')
+    smooth_weight: float = _weight(
+        3e-6, 'm^2 s, change of base-pose weights, in standard deviations, between frames'
     )
-    robust_scale: float = _p(
-        0.05, "m, error from which Cauchy's loss discounts a point; 0 for least squares", low=0.0
-    )
+    robust_scale: float = _weight(0.05, "m, error from which Cauchy's loss discounts a point; 0 for least squares")
     adapt_noise: bool = _p(
         True,
         'scale the six above with the image noise found in the residual (squared, the last one not); '
@@ -86,15 +87,13 @@ class SolverConfig:
     noise_floor: float = _p(0.0005, 'm, least noise assumed', low=1e-5, high=1.0)
     relative_bones: bool = _p(False, 'bone-length variance relative to the length of each bone')
     harmonics: int = _p(3, 'harmonics of the periodic model', low=1, high=8)
-    gait_prior: float = _p(
-        1.0,
-        'factor on prior_weight for the coefficients of the periodic model, of which a window has one set',
-        low=0.0,
+    gait_prior: float = _weight(
+        1.0, 'factor on prior_weight for the coefficients of the periodic model, of which a window has one set'
     )
-    drift_weight: float = _p(
-        0.001, 'm^2 s, change of camera between frames in the periodic model, which turns the body apart', low=0.0
+    drift_weight: float = _weight(
+        0.001, 'm^2 s, change of camera between frames in the periodic model, which turns the body apart'
     )
-    steady_weight: float = _p(0.0003, 'm^2 s^3, change of the velocity of the camera, periodic model', low=0.0)
+    steady_weight: float = _weight(0.0003, 'm^2 s^3, change of the velocity of the camera, periodic model')
     paper_sines: bool = _p(
         False, 'periodic model as in the paper: one sine a base pose with its own frequency (eq. 17)'
     )
@@ -114,7 +113,7 @@ class SolverConfig:
     start_window: float = _p(1.0, 's, frames this near share one closed-form start camera', low=0.0, high=60.0)
     upright_hypotheses: int = _p(1, 'the same for models aligned by heading', low=1, high=10)
     max_iterations: int = _p(60, 'alternations of cameras and weights', low=1, high=10_000)
-    tolerance: float = _p(3e-4, 'relative decrease of the objective that ends it', low=0.0)
+    tolerance: float = _weight(3e-4, 'relative decrease of the objective that ends it')
 
 
 @dataclass(frozen=True)
@@ -221,9 +220,9 @@ class KeyframesConfig:
         0.95, 'share of the frames that keyframes represent or leave to interpolation', low=0.0, high=1.0
     )
     gap: float = _p(
-        0.2, 's, frames between well-represented ones less than this apart are interpolated (T)', low=0.0
+        0.2, 's, frames between well-represented ones less than this apart are interpolated (T)', low=0.0, high=1e6
     )
-    beta: float = _p(0.18, 'torso lengths, poses nearer than this count as the same', low=0.0)
+    beta: float = _p(0.18, 'torso lengths, poses nearer than this count as the same', low=0.01, high=10.0)
     largest: int = _p(
         3600, 'frames in one distance matrix; longer sequences go section by section', low=2, high=20_000
     )
@@ -271,6 +270,8 @@ class Parameter:
         Raises:
             ConfigError: wrong type or outside the range; the message names the parameter.
         """
+        if self.kind is float and isinstance(value, str) and YAML_1_1_MISSES.fullmatch(value):
+            value = float(value)
         is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
         number = _as_float(value) if is_number else math.nan
         if type(value) is not self.kind and not (self.kind is float and is_number):

@@ -46,6 +46,7 @@ FEATURES = 3 * JOINTS * len(SLOTS) + 1
 OUTPUTS = 5 * JOINTS
 FEWEST_SEEN = 3
 SMALLEST_SIZE = 1e-9
+LARGEST_NUMBER = 1e3
 NEAREST_RAY = 0.05
 SIZE_TIME = 0.25
 BONES_OVER_STATURE = 2.36
@@ -274,10 +275,12 @@ def shipped() -> Lifter:
     return from_bytes((files('mocap_ros') / 'models' / 'lifter.npz').read_bytes(), 'lifter')
 
 
+@cache
 def for_prior(name: str, skeleton: Skeleton) -> Lifter | None:
     """The lifter that `solver.prior` names: the shipped one for `learned`, none for `pca`, else that of a file.
 
-    Lifters know the joints of `skeleton.CMU15` only; base poses of another `skeleton` go without.
+    Lifters know the joints of `skeleton.CMU15` only; base poses of another `skeleton` go without. A file is read
+    once in the life of a process.
 
     Raises:
         ModelError: no such file, or it is not a lifter.
@@ -297,7 +300,7 @@ def load(path: str | Path) -> Lifter:
         with Path(path).open('rb') as file:
             return from_bytes(file.read(LARGEST_LIFTER + 1), str(path))
     except OSError as error:
-        raise ModelError(f'{path}: {error.strerror}') from None
+        raise ModelError(f'solver.prior: {path}: {error.strerror}; expected learned, pca or a lifter') from None
 
 
 def from_bytes(data: bytes, source: str) -> Lifter:
@@ -308,8 +311,11 @@ def from_bytes(data: bytes, source: str) -> Lifter:
             if meta['format'] != FORMAT or not np.allclose(meta['slots'], SLOTS):
                 raise ValueError(f'format {meta["format"]!r}, expected {FORMAT!r}')
             count = (len(archive.files) - 1) // 2
+            arrays = {k: archive[k] for k in archive.files if k != 'meta'}
+            if any(a.dtype.kind != 'f' for a in arrays.values()) or not isinstance(meta['provenance'], dict):
+                raise ValueError('arrays of real numbers and a mapping as provenance expected')
             layers = tuple(
-                (np.ascontiguousarray(archive[f'w{i}'], np.float32), np.asarray(archive[f'b{i}'], np.float32))
+                (np.ascontiguousarray(arrays[f'w{i}'], np.float32), np.asarray(arrays[f'b{i}'], np.float32))
                 for i in range(count)
             )
         _check(layers)
@@ -331,3 +337,5 @@ def _check(layers: Sequence[tuple[Array32, Array32]]) -> None:
             raise ValueError(f'layer {i}: shapes {weights.shape}, {bias.shape}')
         if not (np.isfinite(weights).all() and np.isfinite(bias).all()):
             raise ValueError(f'layer {i}: numbers that are not finite')
+        if max(np.abs(weights).max(), np.abs(bias).max()) > LARGEST_NUMBER:
+            raise ValueError(f'layer {i}: numbers beyond {LARGEST_NUMBER:g}')

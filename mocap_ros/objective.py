@@ -45,6 +45,7 @@ NEAREST = 0.1
 
 NOISE_REFERENCE = 0.01
 LEAST_FREE = 0.05
+LEAST_ROBUST = 1e-6
 FRAMES_FOR_NOISE, LESS_OFTEN = 3, 15
 
 
@@ -214,7 +215,7 @@ class Problem:
             turn=inverse_dt[:, None] * ([*[flip] * 3, tilt] * 2 + [config.scale_weight]),
             prior=prior / model.std**2,
             bone_weight=config.bone_weight * relative,
-            robust=np.full((len(times), 1), config.robust_scale if config.robust_scale > 0 else np.inf),
+            robust=np.full((len(times), 1), config.robust_scale if config.robust_scale > LEAST_ROBUST else np.inf),
             focal=np.repeat([w.focal / s for w, s in zip(windows, s0, strict=True)], counts)[:, None],
             held=np.concatenate([np.arange(len(w.times)) < w.held for w in windows]),
             older_bones=np.array([lengths if w.older is None else w.older.bone_lengths for w in windows]),

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 NS = 1_000_000_000
 VELOCITY_SPAN = 0.25
+LEAST_SPAN = 0.05
 NOISE_TIME = 0.3
 EXTRAPOLATED = 0.7
 UNKNOWN_MOTION = Motion(MotionKind.UNKNOWN, '', float('nan'), float('nan'))
@@ -140,9 +141,9 @@ class Track:
         age = (stamp - self.stamps[-1]) / NS
         if len(self.stamps) > 1:
             older = int(np.searchsorted(self.stamps, self.stamps[-1] - VELOCITY_SPAN * NS))
-            if older < len(self.stamps) - 1:
+            span = (self.stamps[-1] - self.stamps[older]) / NS
+            if span >= LEAST_SPAN:
                 there, _ = extent(self.rays[older], self.weight[older])
-                span = (self.stamps[-1] - self.stamps[older]) / NS
                 centre = centre + (centre - there) * min(age, VELOCITY_SPAN) / span
         return centre, size, age
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.association import associate, extent
+from mocap_ros.association import associate, distance, extent, tolerance
 from mocap_ros.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.config import Config
 from mocap_ros.errors import FrameDropped
@@ -44,6 +44,8 @@ EXAMINATION_GAP = 0.2
 MOTION_EVERY = 1.0
 SELDOM = 5.0
 EXTENT_LEAST = 1e-3
+FARTHEST_PX = 1e7
+OTHER_PERSON = 5.0
 PREDICTED_SPEED_STD = 0.5
 UNKNOWN_CAMERA = Intrinsics(1.0, (0.0, 0.0), known=False)
 
@@ -54,8 +56,10 @@ def to_model_joints(person: Person2D, min_score: float) -> tuple[Array, Array]:
     Raises:
         SkeletonError: the person's joints do not cover enough of the model's.
     """
-    score = np.where(person.score >= min_score, person.score, 0.0)
-    points, trust = joint_map(person.joints).apply(person.points, score)
+    with np.errstate(invalid='ignore'):
+        near = np.asarray((np.abs(person.points) < FARTHEST_PX).all(axis=-1))
+    score = np.where((person.score >= min_score) & near, np.minimum(person.score, 1.0), 0.0)
+    points, trust = joint_map(person.joints).apply(np.where(near[:, None], person.points, 0.0), score)
     return np.where(trust[:, None] > 0, points, 0.0), trust
 
 
@@ -216,6 +220,8 @@ class Tracker:
     def _associated(self, stamp: int, detections: Sequence[_Detection]) -> list[tuple[Track, _Detection]]:
         """The track of each usable detection: by the detector's id, else by position and size, else new."""
         usable = [d for d in detections if self._usable(d)]
+        for detection in usable:
+            self._forget_if_another(detection, stamp)
         named = {t.given_id: t for t in self._tracks if t.given_id}
         free = [t for t in self._tracks if not t.given_id]
         nameless = [d for d in usable if not d.given_id]
@@ -225,6 +231,15 @@ class Tracker:
             (found.get(id(d)) or (named.pop(d.given_id, None) if d.given_id else None) or self._new(stamp, d), d)
             for d in usable
         ]
+
+    def _forget_if_another(self, detection: _Detection, stamp: int) -> None:
+        """A detector that gives a known id to somebody far away means somebody else."""
+        for track in self._tracks:
+            if track.given_id and track.given_id == detection.given_id:
+                found = extent(detection.rays, detection.weight)
+                if distance(track.expected(stamp), found) > OTHER_PERSON * tolerance(track.expected(stamp)):
+                    self._tracks.remove(track)
+                    return
 
     def _new(self, stamp: int, detection: _Detection) -> Track:
         name = detection.given_id

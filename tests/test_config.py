@@ -53,7 +53,7 @@ def test_yaml_round_trip() -> None:
         ('solver: {components: 2001-99-99}', 'not YAML: month'),
         ('false', 'expected a mapping'),
         (f'solver: {{components: 1{"0" * 400}}}', r'solver\.components = 10+\.\.\.: expected 1 to 60'),
-        (f'solver: {{bone_weight: 1{"0" * 400}}}', r'solver\.bone_weight = 10+\.\.\.: expected 0 to inf'),
+        (f'solver: {{bone_weight: 1{"0" * 400}}}', r'solver\.bone_weight = 10+\.\.\.: expected 0 to 1e\+06'),
         (f'solver: {{components: 0x{"f" * 5000}}}', r'solver\.components = a huge value'),
     ],
 )

@@ -57,10 +57,25 @@ def test_it_lifts(shipped: Lifter, walk: tuple[lf.Array, ...]) -> None:
 
 def test_place_and_size_are_the_callers(shipped: Lifter, walk: tuple[lf.Array, ...]) -> None:
     _, points, weight, times = walk
-    here = shipped.lift_sequence(points, weight, times, focal=900.0)
-    there = shipped.lift_sequence(0.25 * points + [70, -900], weight, times, focal=225.0)
+    here = shipped.lift_sequence(points, weight, times)
+    there = shipped.lift_sequence(0.25 * points + [70, -900], weight, times)
     assert there.joints == pytest.approx(0.25 * here.joints, abs=1e-2)
     assert there.spread == pytest.approx(0.25 * here.spread, abs=1e-2)
+
+
+def test_a_camera_that_looks_past_the_person_sees_the_same_pose(
+    shipped: Lifter, walk: tuple[lf.Array, ...]
+) -> None:
+    _, points, weight, times = walk
+    focal = 900.0
+    turn = small_rotation(np.array([0.0, 0.4, 0.0]))
+    rays = np.concatenate([points - points.mean(axis=(0, 1)), np.full_like(points[..., :1], focal)], axis=-1)
+    past = rays @ turn.T
+    facing, turned = (
+        shipped.lift_sequence(focal * r[..., :2] / r[..., 2:], weight, times, focal).joints for r in (rays, past)
+    )
+    size = np.linalg.norm(facing, axis=-1).mean()
+    assert np.linalg.norm(turned - facing @ turn.T, axis=-1).mean() < 0.02 * size
 
 
 def test_a_mirror_image_is_lifted_to_the_mirror_image(shipped: Lifter, walk: tuple[lf.Array, ...]) -> None:

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_alternation import scene
 
+from mocap_ros.association import associate
 from mocap_ros.base_poses import BasePoses, load_models
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import FrameDropped, SkeletonError
@@ -264,3 +265,43 @@ def test_a_walk_is_told_from_a_jump_under_either_prior(prior: str) -> None:
     assert (walk.kind, walk.category) == (MotionKind.PERIODIC, 'walk')
     assert walk.cadence == pytest.approx(0.9, abs=0.1)
     assert jump.kind is MotionKind.NON_PERIODIC
+
+
+def test_scores_and_points_beyond_all_measure_are_not_seen(walk_model: BasePoses, walk) -> None:
+    _, _, points, _ = walk
+    tracker = Tracker(walk_model, CONFIG)
+    for frame in range(8):
+        (person,) = people(points, frame)
+        if frame == 3:
+            person.score[:2] = np.inf
+            person.points[4:6] = 1e200, np.nan
+        (out,) = tracker.update(frame * STEP_NS, [person], CAMERA)
+        assert np.isfinite(out.joints).all()
+        assert out.filled.sum() == (2 if frame == 3 else 0)
+
+
+def test_a_known_id_far_away_is_somebody_else(walk_model: BasePoses, walk) -> None:
+    _, _, points, _ = walk
+    tracker, fresh = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
+    for frame in range(10):
+        tracker.update(frame * STEP_NS, people(points, frame, ['a']), CAMERA)
+    far_off = people(points + 4000, 10, ['a'])
+    (far, new) = (one.update(10 * STEP_NS, far_off, CAMERA)[0] for one in (tracker, fresh))
+    assert (far.id, far.joints.tolist()) == ('a', new.joints.tolist())
+
+
+def test_images_a_millisecond_apart_make_nobody_new(walk_model: BasePoses, walk) -> None:
+    _, _, points, _ = walk
+    tracker = Tracker(walk_model, CONFIG)
+    noise = np.random.default_rng(0)
+    for frame, stamp in enumerate((0, 1_000_000, 35_000_000, 68_000_000)):
+        moved = points + noise.normal(0, 2, points.shape)
+        out = tracker.update(stamp, people(moved, frame, ('', '')), CAMERA)
+        assert [p.id for p in out] == ['person_1', 'person_2']
+
+
+def test_a_detection_goes_to_whom_it_was_in_the_last_frame() -> None:
+    hidden, seen = (np.array([-0.1, 0.0]), 0.1, 0.13), (np.array([0.06, 0.0]), 0.1, 0.033)
+    assert associate([hidden, seen], [(np.array([0.08, 0.0]), 0.1)]) == [1]
+    assert associate([hidden], [(np.array([0.02, 0.0]), 0.1)]) == [0]
+    assert associate([hidden], [(np.array([0.5, 0.0]), 0.1)]) == [None]

@@ -20,6 +20,7 @@ from mocap_ros.cli.options import (
     name_of,
 )
 from mocap_ros.cli.reconstruct import reconstruct_file
+from mocap_ros.errors import InputError
 from mocap_ros.io.files import writing
 from mocap_ros.skeleton import skeleton_of
 
@@ -71,7 +72,9 @@ def run(args: argparse.Namespace) -> int:
         skeleton=result.skeleton,
         truth=truth,
     )
-    count = max(1, min(args.poses, len(sequence), MOST_POSES))
+    if not 1 <= args.poses <= MOST_POSES:
+        raise InputError(f'--poses {args.poses}: expected 1 to {MOST_POSES}')
+    count = min(args.poses, len(sequence))
     frames = np.linspace(0, len(sequence) - 1, count).round().astype(int).tolist()
     labels = [f'{sequence.timestamps[f] - sequence.timestamps[0]:.2f} s' for f in frames]
     figure = plots.poses_figure(drawn, frames, args.input.name, labels)

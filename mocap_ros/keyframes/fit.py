@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.camera import centred_on_seen, cross_matrix, small_rotation
+from mocap_ros.errors import InputError
 from mocap_ros.keyframes.filters import low_pass, median
 from mocap_ros.keyframes.interpolation import limb_directions, pose_of
 from mocap_ros.skeleton import Skeleton
@@ -73,6 +74,8 @@ def placed(motion: Array, points: Array, weight: Array, times: Array, focal: flo
     """
     joints = motion - motion.mean(axis=1, keepdims=True)
     good = np.flatnonzero((weight > 0).sum(axis=1) >= 3)
+    if not len(good):
+        raise InputError('no frame has three joints that can be believed')
     body, image, trust = joints[good], points[good], weight[good]
     a, _ = centred_on_seen(body[..., :2], trust)
     b, _ = centred_on_seen(image, trust)

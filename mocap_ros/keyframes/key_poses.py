@@ -30,6 +30,7 @@ HISTORY = 1.0
 BRIDGE = 0.5
 SAME_FRAME = 0.002
 SMALLEST = 1e-9
+SMALLEST_BODY = 1e-6
 
 
 def proposals(
@@ -96,10 +97,13 @@ def solved_poses(
 def limb_lengths(poses: Array, body_height: float) -> Array:
     """(B,) m, left and right the same: the median proportions of poses (F, J, 3) at that stature, m."""
     lengths = CMU15.bone_lengths(poses)
+    good = np.isfinite(poses).all(axis=(1, 2)) & (np.nan_to_num(lengths).sum(axis=1) > SMALLEST_BODY)
+    if not good.any():
+        raise InputError('no frame shows a body: all joints are in one place')
+    poses, lengths = poses[good], lengths[good]
     proportions = median(lengths / lengths.sum(axis=1, keepdims=True), axis=0)
     lengths = symmetric(proportions, CMU15)
-    known = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))[:1]
-    body = pose_of(limb_directions(poses[known], CMU15.bones), lengths, CMU15)
+    body = pose_of(limb_directions(poses[:1], CMU15.bones), lengths, CMU15)
     return np.asarray(lengths * body_height / stature(body, CMU15))
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mocap_ros.base_poses import BasePoses, rotation_to
 from mocap_ros.camera import Cameras
 from mocap_ros.config import Config, KeyframesConfig
+from mocap_ros.errors import InputError
 from mocap_ros.keyframes.filters import bridged
 from mocap_ros.keyframes.fit import Placed, fitted, placed
 from mocap_ros.keyframes.halves import half_poses, halves, torso_lengths
@@ -119,6 +120,8 @@ def reconstruct(
     keys = tuple(key_directions(half, poses, settings.beta) for half in keyframes)
     for choice in choices:
         choose(choice, keyframes, keys, plausible, lengths)
+    if not any(np.isfinite(k).all(axis=(1, 2)).any() for k in keys):
+        raise InputError('no key poses: too little is seen, or alike (keyframes.beta)')
     motion, controls = interpolated(plausible, keyframes, keys, poses, lengths, settings)
     start = placed(motion, plausible.points, plausible.weight, times, observed.focal)
     wrong = outliers(_displacement(start, observed), observed.weight > 0, times)

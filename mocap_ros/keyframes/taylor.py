@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 
 HALVES = ('upper', 'lower')
 LONGEST_LIST = 100_000
+LARGEST = 1e15
 SHOWN = {'time', 'half', 'represents', 'spans', 'forward', 'scale'}
 
 
@@ -131,6 +132,6 @@ def _choice(entry: Mapping[str, object], place: str) -> Choice:
 
 def _positive(value: object, place: str, least: float) -> float:
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not (number and least <= float(value) < np.inf):  # type: ignore[arg-type]
-        raise InputError(f'{place}: expected a number from {least:g}')
+    if not (number and least <= value <= LARGEST):  # type: ignore[operator]
+        raise InputError(f'{place}: expected a number from {least:g} to {LARGEST:g}')
     return float(value)  # type: ignore[arg-type]
