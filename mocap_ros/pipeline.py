@@ -148,6 +148,11 @@ class Pipeline:
         """Frames of people so far whose left and right were put right."""
         return int(getattr(self._tracker, 'swapped_frames', 0))
 
+    @property
+    def unusable_people(self) -> int:
+        """Detections so far of which too little was seen."""
+        return int(getattr(self._tracker, 'unusable_people', 0))
+
     def feed(self, source: Source, raw: bytes, topic: str = '') -> Outcome:
         """Take any input; never raises, neither for a bad one nor for an error of ours.
 

@@ -87,6 +87,7 @@ class Tracker:
         went_back: s by which the stamp of the last accepted frame went back, so that it started afresh; else 0.
         output_ns: stamp of the frame whose people `update` last returned; with `lag`, an older one.
         swapped_frames: frames of people so far whose left and right were put right.
+        unusable_people: detections so far with too few joints, or all of them in one place.
     """
 
     def __init__(self, models: BasePoses | Mapping[str, BasePoses], config: Config) -> None:
@@ -103,6 +104,7 @@ class Tracker:
         self.went_back = 0.0
         self.output_ns = 0
         self.swapped_frames = 0
+        self.unusable_people = 0
         self.reset()
 
     def reset(self) -> None:
@@ -128,6 +130,7 @@ class Tracker:
             'went_back',
             'output_ns',
             'swapped_frames',
+            'unusable_people',
         )
         tracks = [copy.copy(t) for t in self._tracks]
         return {**{name: getattr(self, name) for name in keep}, '_tracks': tracks}
@@ -171,7 +174,9 @@ class Tracker:
                 self._memory = self._examiner.remembered(self._memory, track, self._camera)
         self._tracks = [t for t in self._tracks if t.stamps[-1] >= keep]
 
-        seen = self._associated(stamp_ns, detections)
+        usable = [d for d in detections if self._usable(d)]
+        self.unusable_people += len(detections) - len(usable)
+        seen = self._associated(stamp_ns, usable)
         for track, detection in seen:
             before = track.swapped
             track.push(stamp_ns, detection.rays, detection.weight, settings.window)
@@ -217,9 +222,8 @@ class Tracker:
             return False
         return extent(detection.rays, detection.weight)[1] > EXTENT_LEAST
 
-    def _associated(self, stamp: int, detections: Sequence[_Detection]) -> list[tuple[Track, _Detection]]:
-        """The track of each usable detection: by the detector's id, else by position and size, else new."""
-        usable = [d for d in detections if self._usable(d)]
+    def _associated(self, stamp: int, usable: Sequence[_Detection]) -> list[tuple[Track, _Detection]]:
+        """The track of each detection: by the detector's id, else by position and size, else new."""
         for detection in usable:
             self._forget_if_another(detection, stamp)
         named = {t.given_id: t for t in self._tracks if t.given_id}
