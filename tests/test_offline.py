@@ -43,7 +43,7 @@ def test_the_learned_prior_is_better_than_the_base_poses_alone(walk_model: BaseP
     truth = walk_model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2)
     points = points + np.random.default_rng(0).normal(size=points.shape)
     keypoints = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=-1)
-    unknown = Intrinsics(500.0, (320.0, 240.0), known=False)
+    unknown = Intrinsics(20_000.0, (320.0, 240.0), known=False)  # the scene is orthographic
     models = load_models('auto')
 
     def error_mm(joints: np.ndarray) -> float:
