@@ -219,6 +219,7 @@ def paper_config(**overrides: Any) -> SolverConfig:
         'start_window': 0.0,
         'flip_weight': 1e-4,
         'upright_turn': 1.0,
+        'upright_prior': 1.0,
         'tilt_weight': 0.0,
         'scale_weight': 0.0,
         'bone_weight': 1.0,
