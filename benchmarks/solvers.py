@@ -20,8 +20,9 @@ from experiments.least_squares import Progress, SparseProblem
 from mocap_ros import alternation, nonperiodic
 from mocap_ros.base_poses import BasePoses
 from mocap_ros.config import SolverConfig
-from mocap_ros.objective import Problem, State, initial_state
+from mocap_ros.objective import Problem, initial_state
 from mocap_ros.reconstruction import Reconstruction, Start, Window, begin
+from mocap_ros.state import State
 
 CLOSE = 1e-4
 TARGET_COMPONENTS = 30

@@ -19,16 +19,9 @@ from mocap_ros.block_tridiagonal import Factor
 from mocap_ros.camera import Cameras, rotation_vector, small_rotation
 from mocap_ros.config import SolverConfig
 from mocap_ros.learned_prior import lifted_start
-from mocap_ros.objective import (
-    NOISE_REFERENCE,
-    SHORTEST_STEP,
-    Fit,
-    NormalEquations,
-    Problem,
-    State,
-    initial_state,
-)
+from mocap_ros.objective import NOISE_REFERENCE, SHORTEST_STEP, Problem, initial_state
 from mocap_ros.reconstruction import Reconstruction, Window, begin, camera_hypotheses
+from mocap_ros.state import Fit, NormalEquations, State
 
 Array = NDArray[np.float64]
 

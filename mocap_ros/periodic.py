@@ -36,9 +36,10 @@ from mocap_ros.camera import Cameras
 from mocap_ros.config import SolverConfig
 from mocap_ros.errors import InputError
 from mocap_ros.harmonic import Series, first_series
-from mocap_ros.objective import NOISE_REFERENCE, State, initial_state
+from mocap_ros.objective import NOISE_REFERENCE, initial_state
 from mocap_ros.periodic_objective import Objective, Reduced, about_vertical
 from mocap_ros.reconstruction import Reconstruction, Start, Window
+from mocap_ros.state import State
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,9 @@ from mocap_ros.base_poses import BasePoses
 from mocap_ros.camera import small_rotation
 from mocap_ros.config import SolverConfig
 from mocap_ros.harmonic import Series, shares
-from mocap_ros.objective import CAMERA_UNKNOWNS, Problem, State
+from mocap_ros.objective import CAMERA_UNKNOWNS, Problem
 from mocap_ros.reconstruction import Window
+from mocap_ros.state import State
 
 Array = NDArray[np.float64]
 

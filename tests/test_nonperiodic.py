@@ -16,8 +16,9 @@ from mocap_ros.block_tridiagonal import Coupling, factor, solve_less_low_rank
 from mocap_ros.camera import Cameras
 from mocap_ros.config import SolverConfig
 from mocap_ros.lifter import Lifted
-from mocap_ros.objective import Problem, State, initial_state
+from mocap_ros.objective import Problem, initial_state
 from mocap_ros.reconstruction import Reconstruction, Start, Window, mean_pose_start
+from mocap_ros.state import State
 
 PLAIN = SolverConfig(
     components=10,

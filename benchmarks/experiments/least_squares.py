@@ -17,7 +17,8 @@ from scipy.optimize import least_squares
 from scipy.sparse import coo_array, csr_array
 
 from mocap_ros.camera import cross_matrix, small_rotation
-from mocap_ros.objective import Problem, State
+from mocap_ros.objective import Problem
+from mocap_ros.state import State
 
 Array = NDArray[np.float64]
 
