@@ -270,8 +270,7 @@ def residual_mm(view: View, result: Reconstruction) -> float:
 
 def bone_lengths_mm(result: Reconstruction, model: BasePoses) -> Array:
     """(F, B) mm."""
-    parents, children = (list(side) for side in zip(*model.skeleton.bones, strict=True))
-    return np.linalg.norm(result.joints[:, children] - result.joints[:, parents], axis=-1) * 1e3
+    return model.skeleton.bone_lengths(result.joints) * 1e3
 
 
 def timed(action: Callable[[], T], repeats: int = 1) -> tuple[T, float]:

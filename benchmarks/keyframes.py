@@ -411,7 +411,7 @@ def paper_length() -> dict[str, float]:
     both = [np.interp(times, old[seen[:, j]], flat[seen[:, j], j, d]) for j in range(15) for d in (0, 1)]
     points = np.stack(both, axis=-1).reshape(1800, 15, 2)
     weight = np.ones((1800, 15))
-    rules = method.rules(Config().keyframes)
+    rules = Config().keyframes
     out = {}
 
     def matrices() -> list[Any]:

@@ -30,7 +30,7 @@ from mocap_ros.nonperiodic import solve_hypotheses
 from mocap_ros.offline import FACING
 from mocap_ros.perspective import View as Facing
 from mocap_ros.reconstruction import Window
-from mocap_ros.skeleton import CMU15, joint_map
+from mocap_ros.skeleton import CMU15, joint_map, model_joints
 from mocap_ros.swaps import swapped_frames
 
 HELD_OUT, HELD_OUT_FILE = common.HELD_OUT, common.HELD_OUT_FILE
@@ -66,10 +66,8 @@ class Detections:
         settings = Config().tracker
         intrinsics = load_sequence(file).intrinsics(settings.nominal_focal_length)
         keypoints, times = sequence['keypoints'].astype(float), sequence['timestamps']
-        score = np.where(keypoints[..., 2] >= settings.min_score, keypoints[..., 2], 0.0)
         names = tuple(str(n) for n in sequence['joint_names'])
-        points, weight = joint_map(names).apply(keypoints[..., :2], score)
-        points = np.where(weight[..., None] > 0, points, 0.0)
+        points, weight = model_joints(keypoints[..., :2], keypoints[..., 2], names, settings.min_score)
         if undo_swaps:
             mirror = np.array(CMU15.mirror)
             wrong = swapped_frames(times, points, weight, mirror)

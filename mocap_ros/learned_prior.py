@@ -18,7 +18,7 @@ from mocap_ros.base_poses import BasePoses, rotation_to
 from mocap_ros.camera import Cameras, cross_matrix
 from mocap_ros.config import SolverConfig
 from mocap_ros.errors import InputError
-from mocap_ros.lifter import Lifted
+from mocap_ros.lifter import Lifted, joined
 from mocap_ros.reconstruction import Start, Window
 
 Array = NDArray[np.float64]
@@ -60,11 +60,11 @@ class LiftedTerm:
             return None
         if len(given) < len(windows):
             raise InputError('some windows of the batch have lifted poses and some have not')
-        joints = np.concatenate([x.joints / unit for x, unit in zip(given, units, strict=True)])
-        spread = np.concatenate([x.spread / unit for x, unit in zip(given, units, strict=True)])
-        known = np.isfinite(joints)
-        precision = np.where(known, 1 / np.maximum(np.where(known, spread, 1.0), LEAST_SPREAD) ** 2, 0.0)
-        return LiftedTerm(np.where(known, joints, 0.0), precision, config.lifted_weight, config.lifted_robust)
+        lifted = joined([x.times(1 / unit) for x, unit in zip(given, units, strict=True)])
+        known = np.isfinite(lifted.joints)
+        precision = np.where(known, 1 / np.maximum(np.where(known, lifted.spread, 1.0), LEAST_SPREAD) ** 2, 0.0)
+        joints = np.where(known, lifted.joints, 0.0)
+        return LiftedTerm(joints, precision, config.lifted_weight, config.lifted_robust)
 
     def take(self, frames: NDArray[np.intp]) -> LiftedTerm:
         """The term of these frames alone."""

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from mocap_ros import npz
 from mocap_ros.errors import ModelError, reader_reason
-from mocap_ros.perspective import facing
+from mocap_ros.perspective import facing, turned_rays
 from mocap_ros.skeleton import CMU15, Skeleton
 
 Array = NDArray[np.float64]
@@ -47,7 +47,6 @@ OUTPUTS = 5 * JOINTS
 FEWEST_SEEN = 3
 SMALLEST_SIZE = 1e-9
 LARGEST_NUMBER = 1e3
-NEAREST_RAY = 0.05
 SIZE_TIME = 0.25
 BONES_OVER_STATURE = 2.36
 
@@ -159,10 +158,7 @@ def faced(points: Array, weight: Array, focal: float) -> tuple[Array, Array]:
     trust = np.where(seen[:, 0], weight[:, 0], 0.0)
     total = np.maximum(trust.sum(axis=-1), SMALLEST_SIZE)[:, None]
     turn = facing(np.einsum('nj,njd->nd', trust, clean[:, 0]) / total / focal)
-    rays = np.concatenate([clean, np.full_like(clean[..., :1], focal)], axis=-1)
-    rays = rays @ np.swapaxes(turn, -1, -2)[:, None]
-    shown = focal * rays[..., :2] / np.maximum(rays[..., 2:], NEAREST_RAY * focal)
-    return np.where(seen[..., None], shown, points), turn
+    return np.where(seen[..., None], focal * turned_rays(clean / focal, turn[:, None]), points), turn
 
 
 def metric(lifted: Lifted, times: Array, height: float) -> Lifted:
@@ -176,8 +172,7 @@ def metric(lifted: Lifted, times: Array, height: float) -> Lifted:
         times: (N,) s.
         height: m.
     """
-    parents, children = (list(side) for side in zip(*CMU15.bones, strict=True))
-    bones = np.linalg.norm(lifted.joints[:, children] - lifted.joints[:, parents], axis=-1).sum(axis=1)
+    bones = CMU15.bone_lengths(lifted.joints).sum(axis=1)
     known = np.isfinite(bones)
     near = np.exp(-0.5 * ((times[:, None] - times[known]) / SIZE_TIME) ** 2) + SMALLEST_SIZE
     size = np.exp(near @ np.log(np.maximum(bones[known], SMALLEST_SIZE)) / near.sum(axis=1))

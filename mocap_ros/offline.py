@@ -16,7 +16,7 @@ from mocap_ros.lifter import for_prior
 from mocap_ros.people import Intrinsics
 from mocap_ros.perspective import View, solver_focal
 from mocap_ros.reconstruction import Reconstruction, Window
-from mocap_ros.skeleton import Skeleton, joint_map
+from mocap_ros.skeleton import Skeleton, model_joints
 from mocap_ros.swaps import swapped_frames
 
 Array = NDArray[np.float64]
@@ -72,9 +72,7 @@ def reconstruct_sequence(
     models = {model.name: model} if isinstance(model, BasePoses) else model
     sized = {name: m.rescaled(settings.body_height / m.stature) for name, m in models.items()}
     skeleton = next(iter(sized.values())).skeleton
-    score = np.where(keypoints[..., 2] >= settings.min_score, keypoints[..., 2], 0.0)
-    points, weight = joint_map(joint_names, skeleton).apply(keypoints[..., :2], score)
-    points = np.where(weight[..., None] > 0, points, 0.0)
+    points, weight = model_joints(keypoints[..., :2], keypoints[..., 2], joint_names, settings.min_score, skeleton)
     if settings.undo_swaps:
         mirror = np.array(skeleton.mirror)
         swapped = swapped_frames(times, points, weight, mirror)

@@ -17,6 +17,8 @@ from mocap_ros.people import Intrinsics
 
 Array = NDArray[np.float64]
 
+NEAREST_RAY = 0.05
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -48,8 +50,7 @@ class View:
 
     def image(self, rays: Array) -> Array:
         """(F, J, 2) rays of the real camera -> px in the virtual ones, from their axes."""
-        directions = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1) @ np.swapaxes(self.turn, -1, -2)
-        return np.asarray(self.intrinsics.focal * directions[..., :2] / np.maximum(directions[..., 2:], 0.05))
+        return self.intrinsics.focal * turned_rays(rays, self.turn)
 
     def roots(self, cameras: Cameras, translation: Array) -> Array:
         """(F, 3) m, the body's origin in the real camera's optical frame; translation (F, 2) px, virtual."""
@@ -70,6 +71,12 @@ class View:
 def solver_focal(intrinsics: Intrinsics, perspective: bool) -> float:
     """px, as the solvers are to know it: only a real one makes a perspective projection, where that is wanted."""
     return intrinsics.focal if intrinsics.known and perspective else math.inf
+
+
+def turned_rays(rays: Array, turn: Array) -> Array:
+    """Rays (..., J, 2) of a camera as those of one turned by (..., 3, 3); what is behind it goes far out."""
+    directions = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1) @ np.swapaxes(turn, -1, -2)
+    return np.asarray(directions[..., :2] / np.maximum(directions[..., 2:], NEAREST_RAY))
 
 
 def facing(direction: Array) -> Array:

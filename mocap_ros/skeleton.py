@@ -308,6 +308,29 @@ def _useful(target: Skeleton) -> list[str]:
     return list(dict.fromkeys([*target.joints, *derived]))
 
 
+def model_joints(
+    points: Array, score: Array, names: tuple[str, ...], min_score: float, target: Skeleton = CMU15
+) -> tuple[Array, Array]:
+    """A detector's keypoints as the solvers want them.
+
+    Args:
+        points: (..., Js, 2), any unit; NaN where not seen.
+        score: (..., Js); below `min_score` counts as not seen.
+        names: (Js,) of the joints, in any spelling.
+        min_score: the least score of a joint that is seen.
+        target: the model's joints.
+
+    Returns:
+        (..., Jt, 2) points and (..., Jt) scores of `target`; both 0 where not seen.
+
+    Raises:
+        SkeletonError: as `joint_map`.
+    """
+    score = np.where(score >= min_score, score, 0.0)
+    points, weight = joint_map(names, target).apply(points, score)
+    return np.where(weight[..., None] > 0, points, 0.0), weight
+
+
 @lru_cache(maxsize=64)
 def joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointMap:
     """The map from joints of these names, in any spelling, to `target`: the joint itself, else derived ones.

@@ -14,12 +14,13 @@ import copy
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.association import associate, distance, extent, tolerance
+from mocap_ros.association import Expected, associate, distance, extent, tolerance
 from mocap_ros.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.config import Config
 from mocap_ros.errors import FrameDropped
@@ -28,7 +29,7 @@ from mocap_ros.keyframes.memory import KeyPoseMemory
 from mocap_ros.lifter import for_prior
 from mocap_ros.nonperiodic import solve
 from mocap_ros.people import Intrinsics, MotionKind, Person2D, Person3D
-from mocap_ros.skeleton import joint_map
+from mocap_ros.skeleton import model_joints
 from mocap_ros.swaps import SwapFilter
 from mocap_ros.track import NS, Track
 from mocap_ros.uncertainty import joint_std
@@ -58,9 +59,8 @@ def to_model_joints(person: Person2D, min_score: float) -> tuple[Array, Array]:
     """
     with np.errstate(invalid='ignore'):
         near = np.asarray((np.abs(person.points) < FARTHEST_PX).all(axis=-1))
-    score = np.where((person.score >= min_score) & near, np.minimum(person.score, 1.0), 0.0)
-    points, trust = joint_map(person.joints).apply(np.where(near[:, None], person.points, 0.0), score)
-    return np.where(trust[:, None] > 0, points, 0.0), trust
+    score = np.where(near, np.minimum(person.score, 1.0), 0.0)
+    return model_joints(np.where(near[:, None], person.points, 0.0), score, person.joints, min_score)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +70,16 @@ class _Detection:
     given_id: str
     rays: Array
     weight: Array
+
+    @cached_property
+    def extent(self) -> tuple[Array, float]:
+        """Centre and size in ray units."""
+        return extent(self.rays, self.weight)
+
+
+def _somebody_else(expected: Expected, found: tuple[Array, float]) -> bool:
+    """A detector that gives a known id to somebody far away means somebody else."""
+    return distance(expected, found) > OTHER_PERSON * tolerance(expected)
 
 
 class Tracker:
@@ -220,30 +230,23 @@ class Tracker:
         """Enough joints, and not all in one place."""
         if (detection.weight > 0).sum() < self.config.tracker.min_joints:
             return False
-        return extent(detection.rays, detection.weight)[1] > EXTENT_LEAST
+        return detection.extent[1] > EXTENT_LEAST
 
     def _associated(self, stamp: int, usable: Sequence[_Detection]) -> list[tuple[Track, _Detection]]:
         """The track of each detection: by the detector's id, else by position and size, else new."""
-        for detection in usable:
-            self._forget_if_another(detection, stamp)
         named = {t.given_id: t for t in self._tracks if t.given_id}
+        for detection in usable:
+            known = named.get(detection.given_id)
+            if known is not None and _somebody_else(known.expected(stamp), detection.extent):
+                self._tracks.remove(named.pop(detection.given_id))
         free = [t for t in self._tracks if not t.given_id]
         nameless = [d for d in usable if not d.given_id]
-        match = associate([t.expected(stamp) for t in free], [extent(d.rays, d.weight) for d in nameless])
+        match = associate([t.expected(stamp) for t in free], [d.extent for d in nameless])
         found = {id(d): free[m] for d, m in zip(nameless, match, strict=True) if m is not None}
         return [
             (found.get(id(d)) or (named.pop(d.given_id, None) if d.given_id else None) or self._new(stamp, d), d)
             for d in usable
         ]
-
-    def _forget_if_another(self, detection: _Detection, stamp: int) -> None:
-        """A detector that gives a known id to somebody far away means somebody else."""
-        for track in self._tracks:
-            if track.given_id and track.given_id == detection.given_id:
-                found = extent(detection.rays, detection.weight)
-                if distance(track.expected(stamp), found) > OTHER_PERSON * tolerance(track.expected(stamp)):
-                    self._tracks.remove(track)
-                    return
 
     def _new(self, stamp: int, detection: _Detection) -> Track:
         name = detection.given_id

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mocap_ros.config import KeyframesConfig
 from mocap_ros.errors import InputError
 from mocap_ros.keyframes.distance import averaging, denoised, distances
 from mocap_ros.keyframes.filters import bridged, low_pass, median
@@ -16,7 +17,7 @@ from mocap_ros.keyframes.interpolation import limb_directions, pose_of, slerp, t
 from mocap_ros.keyframes.memory import KeyPoseMemory
 from mocap_ros.keyframes.outliers import outliers
 from mocap_ros.keyframes.selection import interpolatable, mean_gap_cost, select
-from mocap_ros.keyframes.summary import Rules, summarised
+from mocap_ros.keyframes.summary import summarised
 from mocap_ros.keyframes.taylor import choices_from, taylor_pose
 from mocap_ros.skeleton import CMU15
 
@@ -105,8 +106,8 @@ def test_a_long_sequence_needs_hardly_more_keyframes_in_sections() -> None:
     half = halves()[1]
     own = flat_poses(poses[:, list(half.joints), :2] / 0.5)
     own = replace(own, times=times)
-    whole = summarised(own, half, 600, Rules(0.95, 0.2, 0.1, 600))
-    parts = summarised(own, half, 600, Rules(0.95, 0.2, 0.1, 150))
+    whole = summarised(own, half, 600, KeyframesConfig(beta=0.1, largest=600))
+    parts = summarised(own, half, 600, KeyframesConfig(beta=0.1, largest=150))
     assert len(parts.matrix) == 150
     assert whole.coverage >= 0.95
     assert parts.coverage >= 0.95

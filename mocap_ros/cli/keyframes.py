@@ -19,6 +19,7 @@ from mocap_ros.cli.options import (
     config_from,
     input_from,
     name_of,
+    seen_in,
 )
 from mocap_ros.errors import InputError
 from mocap_ros.io.files import writing
@@ -64,12 +65,9 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f'{output}: can write .yaml')
     config = config_from(args)
     sequence = input_from(args, config)
-    intrinsics = sequence.intrinsics(config.tracker.nominal_focal_length)
     with about(args.input), stages() as say:
         say('keypoints')
-        observed = observe(
-            sequence.keypoints, sequence.joint_names, sequence.timestamps, intrinsics, config.tracker
-        )
+        observed = observe(*seen_in(sequence, config), config.tracker)
         observed = observed.without(suspects(observed))
         keyframes = summarise(observed, config.keyframes, say)
         say('pictures')

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from tqdm import tqdm
 
 from mocap_ros.base_poses import BasePoses, load_models
@@ -20,8 +21,10 @@ from mocap_ros.io.detections import Video
 from mocap_ros.io.files import read_text
 from mocap_ros.io.inputs import load_input
 from mocap_ros.io.sequence import LARGEST_IMAGE, Sequence
+from mocap_ros.people import Intrinsics
 from mocap_ros.skeleton import LAYOUT_NAMES
 
+Array = NDArray[np.float64]
 T = TypeVar('T')
 
 LARGEST_CONFIG = 1 << 20
@@ -93,6 +96,12 @@ def input_from(args: argparse.Namespace, config: Config) -> Sequence:
 def name_of(path: Path) -> str:
     """What files made from this input are called."""
     return path.stem or path.resolve().stem
+
+
+def seen_in(sequence: Sequence, config: Config) -> tuple[Array, tuple[str, ...], Array, Intrinsics]:
+    """What was seen, as the reconstructions take it: keypoints, joint names, times and the camera."""
+    intrinsics = sequence.intrinsics(config.tracker.nominal_focal_length)
+    return sequence.keypoints, sequence.joint_names, sequence.timestamps, intrinsics
 
 
 @contextmanager

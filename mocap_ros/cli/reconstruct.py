@@ -21,6 +21,7 @@ from mocap_ros.cli.options import (
     input_from,
     models_from,
     name_of,
+    seen_in,
 )
 from mocap_ros.config import Config, load_yaml
 from mocap_ros.errors import InputError
@@ -108,16 +109,7 @@ def _by_keyframes(
         text = read_text(args.choices, largest=LARGEST_CHOICES)
         choices = choices_from(load_yaml(text, str(args.choices)), str(args.choices))
     with about(args.input), stages() as say:
-        done = keyframe_method.reconstruct(
-            sequence.keypoints,
-            sequence.joint_names,
-            sequence.timestamps,
-            sequence.intrinsics(config.tracker.nominal_focal_length),
-            models,
-            config,
-            choices,
-            say,
-        )
+        done = keyframe_method.reconstruct(*seen_in(sequence, config), models, config, choices, say)
     upper, lower = (len(half.frames) for half in done.keyframes)
     wrong = int(done.outliers.sum())
     return done.result, f'{upper} keyframes of the upper body, {lower} of the lower, {wrong} outliers filled'
@@ -125,11 +117,4 @@ def _by_keyframes(
 
 def reconstruct_file(sequence: Sequence, models: Mapping[str, BasePoses], config: Config) -> SequenceResult:
     """The reconstruction of a sequence file's content."""
-    return reconstruct_sequence(
-        sequence.keypoints,
-        sequence.joint_names,
-        sequence.timestamps,
-        sequence.intrinsics(config.tracker.nominal_focal_length),
-        models,
-        config,
-    )
+    return reconstruct_sequence(*seen_in(sequence, config), models, config)

@@ -20,7 +20,7 @@ from mocap_ros.keyframes.key_poses import adapted, choose, key_directions, limb_
 from mocap_ros.keyframes.observations import Observed, observe, sections
 from mocap_ros.keyframes.offsets import joint_offsets, without_offsets
 from mocap_ros.keyframes.outliers import jumps, outliers
-from mocap_ros.keyframes.summary import Keyframes, Rules, summarised
+from mocap_ros.keyframes.summary import Keyframes, summarised
 from mocap_ros.keyframes.taylor import Choice
 from mocap_ros.offline import SequenceResult
 from mocap_ros.people import Intrinsics
@@ -58,11 +58,6 @@ class KeyframeResult:
     error: tuple[float, ...]
 
 
-def rules(config: KeyframesConfig) -> Rules:
-    """What the configuration asks of keyframes."""
-    return Rules(config.alpha, config.gap, config.beta, config.largest)
-
-
 def summarise(
     observed: Observed, config: KeyframesConfig, progress: Callable[[str], None] = lambda _: None
 ) -> tuple[Keyframes, Keyframes]:
@@ -77,7 +72,7 @@ def summarise(
     for half in halves(CMU15):
         progress(f'keyframes, {half.name} body')
         poses = half_poses(observed.points, observed.weight, observed.times, half, BRIDGE)
-        out.append(summarised(poses, half, len(observed.times), rules(config)))
+        out.append(summarised(poses, half, len(observed.times), config))
     return out[0], out[1]
 
 

@@ -15,7 +15,7 @@ from mocap_ros.keyframes.halves import torso_lengths
 from mocap_ros.offline import FACING
 from mocap_ros.people import Intrinsics
 from mocap_ros.perspective import View, solver_focal
-from mocap_ros.skeleton import CMU15, joint_map
+from mocap_ros.skeleton import CMU15, model_joints
 from mocap_ros.swaps import swapped_frames
 
 Array = NDArray[np.float64]
@@ -92,9 +92,7 @@ def observe(
         SkeletonError: too few of the model's joints can be had from these names.
         InputError: no frame has four seen joints.
     """
-    score = np.where(keypoints[..., 2] >= config.min_score, keypoints[..., 2], 0.0)
-    pixels, weight = joint_map(joint_names, CMU15).apply(keypoints[..., :2], score)
-    pixels = np.where(weight[..., None] > 0, pixels, 0.0)
+    pixels, weight = model_joints(keypoints[..., :2], keypoints[..., 2], joint_names, config.min_score)
     if not ((weight > 0).sum(axis=1) >= ENOUGH_FOR_A_POSE).any():
         raise InputError('no frame has four seen joints: nothing to reconstruct')
     points, turns = np.empty_like(pixels), np.empty((len(times), 3, 3))

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.config import KeyframesConfig
 from mocap_ros.keyframes.distance import averaging, denoised, distances
 from mocap_ros.keyframes.halves import Half, HalfPoses
 from mocap_ros.keyframes.selection import interpolatable, select
@@ -73,25 +74,12 @@ class Keyframes:
         return np.where(self.well, self.nearest, -1)
 
 
-@dataclass(frozen=True, eq=False)
-class Rules:
-    """What is asked of keyframes.
-
-    Attributes:
-        alpha: share of the frames to cover.
-        gap: T, s.
-        beta: torso lengths.
-        largest: frames in one distance matrix at most.
-    """
-
-    alpha: float
-    gap: float
-    beta: float
-    largest: int
-
-
 def summarised(
-    poses: HalfPoses, half: Half, frames: int, rules: Rules, progress: Callable[[int], None] = lambda _: None
+    poses: HalfPoses,
+    half: Half,
+    frames: int,
+    rules: KeyframesConfig,
+    progress: Callable[[int], None] = lambda _: None,
 ) -> Keyframes:
     """The keyframes of one half.
 
@@ -99,7 +87,7 @@ def summarised(
         poses: of the frames in which it is seen.
         half: of the body.
         frames: of the sequence.
-        rules: when frames are alike and when there are keyframes enough.
+        rules: `beta`, `alpha`, `gap` and `largest` apply.
         progress: told how many more frames are done.
     """
     if not len(poses):
