@@ -51,10 +51,11 @@ demo: setup  ## run the node on the demo recording, into demo_output/
 test: setup  ## run the tests
 	@$(BIN)/python -m pytest
 
-lint: setup  ## check style and types
+lint: setup  ## check style, types and the import contract
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
 	@$(BIN)/mypy
+	@$(BIN)/lint-imports --no-logo --no-cache
 
 format: setup  ## format the code
 	@$(BIN)/ruff check --fix-only --quiet
@@ -67,9 +68,9 @@ bench: setup  ## run every benchmark, shortened
 models: setup  ## retrain the shipped models from CMU=cmu15_30fps.npz (the lifter wants PyTorch)
 	@test -f '$(CMU)' || { echo 'make models CMU=path/to/cmu15_30fps.npz' >&2; exit 2; }
 	@for category in walk run jump; do \
-	    $(BIN)/mocap-ros train $(OF_CMU) --category $$category -o mocap_ros/models/$$category.npz; done
-	@$(BIN)/mocap-ros train $(OF_CMU) -o mocap_ros/models/all.npz
-	@$(BIN)/mocap-ros train-lifter $(OF_CMU) -o mocap_ros/models/lifter.npz
+	    $(BIN)/mocap-ros train $(OF_CMU) --category $$category -o mocap_ros/models/shipped/$$category.npz; done
+	@$(BIN)/mocap-ros train $(OF_CMU) -o mocap_ros/models/shipped/all.npz
+	@$(BIN)/mocap-ros train-lifter $(OF_CMU) -o mocap_ros/models/shipped/lifter.npz
 	@$(BIN)/python -m mocap_ros.demo '$(CMU)'
 
 colcon: setup  ## build both packages with colcon, into install/

@@ -17,7 +17,7 @@ setup(
     license=PACKAGE.findtext('license'),
     python_requires='>=3.10',
     packages=find_packages(include=[f'{NAME}*']),
-    package_data={NAME: ['models/*.npz', 'data/*.npz', 'msg/*.msg', 'py.typed']},
+    package_data={NAME: ['models/shipped/*.npz', 'demo/*.npz', 'messages/msg/*.msg', 'py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -51,6 +51,7 @@ setup(
         'dev': [
             'ruff==0.17.*',
             'mypy==2.4.*',
+            'import-linter==2.16.*',
             'types-PyYAML>=6.0,<7',
             'types-tqdm>=4.64,<5',
         ],

@@ -17,9 +17,9 @@ from pathlib import Path
 import common
 import numpy as np
 
-from mocap_ros.classification import PeriodicFit, PeriodicSwitch, fit_periodic, is_periodic
 from mocap_ros.config import ClassifierConfig, TrackerConfig
-from mocap_ros.reconstruction import Window
+from mocap_ros.solvers.classification import PeriodicFit, PeriodicSwitch, fit_periodic, is_periodic
+from mocap_ros.solvers.window import Window
 
 LABELS = Path(__file__).with_name('periodic_labels.csv')
 SOLVER = common.changed(components=TrackerConfig().components)

@@ -6,9 +6,9 @@ Import it before numpy: it limits the linear algebra to one thread. Nothing happ
 # ruff: noqa: E402
 from __future__ import annotations
 
-from mocap_ros import process
+from mocap_ros.runtime import cpu_setup
 
-process.prepare()
+cpu_setup.prepare()
 
 # isort: split
 import argparse
@@ -32,12 +32,14 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky
 from tqdm import tqdm
 
-from mocap_ros import alternation, nonperiodic, periodic
-from mocap_ros.base_poses import BasePoses, centred, fit, rotation_to
 from mocap_ros.config import SolverConfig, TrackerConfig
-from mocap_ros.io.mocap import Trial, load_trials, select
-from mocap_ros.metrics import scale_to
-from mocap_ros.reconstruction import Reconstruction, Window
+from mocap_ros.evaluation.metrics import scale_to
+from mocap_ros.formats.mocap.trials import Trial, load_trials, select
+from mocap_ros.geometry.rotations import centred, rotation_to
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.solvers import alternation, joint, periodic
+from mocap_ros.solvers.window import Reconstruction, Window
+from mocap_ros.training.base_poses import fit_base_poses
 
 Array = NDArray[np.float64]
 T = TypeVar('T')
@@ -162,7 +164,7 @@ def trained(
         only_subjects=only_subjects,
     )
     augmented = bool(category) and not plain
-    model = fit(
+    model = fit_base_poses(
         [t.poses for t in chosen],
         name=category or 'all',
         alignment='heading' if category else 'rotation',
@@ -185,9 +187,11 @@ def held_out_lifter(path: Path = HELD_OUT_FILE) -> Path:
     return path
 
 
-def joint(tests: Sequence[View], model: BasePoses, config: SolverConfig | None = None) -> Sequence[Reconstruction]:
+def solved(
+    tests: Sequence[View], model: BasePoses, config: SolverConfig | None = None
+) -> Sequence[Reconstruction]:
     """The joint solver over all these views as one batch."""
-    return nonperiodic.solve_hypotheses([v.window for v in tests], model, config or SolverConfig())
+    return joint.solve_hypotheses([v.window for v in tests], model, config or SolverConfig())
 
 
 def alternate(tests: Sequence[View], model: BasePoses, config: SolverConfig) -> Sequence[Reconstruction]:

@@ -26,21 +26,23 @@ from lifter import HELD_OUT_FILE
 from numpy.typing import NDArray
 from tracker import intrinsics_of, track
 
-from mocap_ros.base_poses import BasePoses, centred, load_models, rotation_to
 from mocap_ros.config import Config, with_values
-from mocap_ros.io.sequence import Sequence as Recorded
-from mocap_ros.io.sequence import load_sequence
-from mocap_ros.keyframes import method
-from mocap_ros.keyframes.distance import averaging, denoised, distances
-from mocap_ros.keyframes.figures import distances_figure, keyframes_figure
-from mocap_ros.keyframes.fit import fitted, placed
-from mocap_ros.keyframes.halves import half_poses, halves
-from mocap_ros.keyframes.observations import Observed, observe
-from mocap_ros.keyframes.selection import select
-from mocap_ros.metrics import LIMBS
-from mocap_ros.offline import reconstruct_sequence
-from mocap_ros.plots import TRUTH, draw_bones, from_the_side, save_figure
+from mocap_ros.evaluation.metrics import LIMBS
+from mocap_ros.formats.sequence_file import Sequence as Recorded
+from mocap_ros.formats.sequence_file import load_sequence
+from mocap_ros.geometry.rotations import centred, rotation_to
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.model_file import load_base_pose_models
+from mocap_ros.offline.keyframes import reconstruct as keyframe_method
+from mocap_ros.offline.keyframes.body_halves import half_poses, halves
+from mocap_ros.offline.keyframes.distance import averaging, denoised, distances
+from mocap_ros.offline.keyframes.gradient_fit import fitted, placed
+from mocap_ros.offline.keyframes.observations import Observed, observe
+from mocap_ros.offline.keyframes.selection import select
+from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import CMU15
+from mocap_ros.viewing.keyframe_plots import distances_figure, keyframes_figure
+from mocap_ros.viewing.plots import TRUTH, draw_bones, from_the_side, save_figure
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -138,10 +140,10 @@ def settings(**values: Any) -> Config:
     return with_values(Config(), {**prior, **{k.replace('__', '.'): v for k, v in values.items()}})
 
 
-def by_keyframes(view: View, config: Config) -> method.KeyframeResult:
+def by_keyframes(view: View, config: Config) -> keyframe_method.KeyframeResult:
     keypoints = view.sequence['keypoints'].astype(float)
     times = view.sequence['timestamps']
-    return method.reconstruct(keypoints, CMU15.joints, times, intrinsics_of(view), base_poses(), config)
+    return keyframe_method.reconstruct(keypoints, CMU15.joints, times, intrinsics_of(view), base_poses(), config)
 
 
 def whole(view: View, config: Config) -> Array:
@@ -218,9 +220,9 @@ def counts(quick: bool) -> list[dict[str, Any]]:
     config, rows = settings(), []
     for label, view in (('clean', clean), ('corrupted', degraded(clean).view)):
         seen = observed(view, config)
-        seen = seen.without(method.suspects(seen))
+        seen = seen.without(keyframe_method.suspects(seen))
         for beta in (Config().keyframes.beta,) if quick else BETAS:
-            found = method.summarise(seen, replace(config.keyframes, alpha=0.99, beta=beta))
+            found = keyframe_method.summarise(seen, replace(config.keyframes, alpha=0.99, beta=beta))
             for half in found:
                 inside = half.matrix_frames
                 curve = select(half.matrix < beta, seen.times[inside], 0.99, config.keyframes.gap).coverage
@@ -320,7 +322,7 @@ def _draw_burst(view: View, frame: int, without: Array, smooth: Array) -> None:
 def second_camera(quick: bool, draw: bool) -> list[dict[str, Any]]:
     """Figures 11 to 13: reconstructed from one camera, seen from another, beside what that one detected."""
     rows = []
-    models, config = load_models('all'), Config()
+    models, config = load_base_pose_models('all'), Config()
     for detector in DETECTORS[:1] if quick else DETECTORS:
         recorded = {
             c: load_sequence(common.shared('data', 'detections', f'balance_{detector}_cam{c}.npz'))
@@ -329,7 +331,7 @@ def second_camera(quick: bool, draw: bool) -> list[dict[str, Any]]:
         for one, two in ((1, 3),) if quick else ((1, 2), (1, 3), (2, 1), (3, 1)):
             a, b = recorded[one], recorded[two]
             args = (a.keypoints, a.joint_names, a.timestamps, a.intrinsics(1.0), models, config)
-            found = {'keyframes': method.reconstruct(*args).result.joints}
+            found = {'keyframes': keyframe_method.reconstruct(*args).result.joints}
             found['whole sequence'] = reconstruct_sequence(*args).joints
             for name, joints in found.items():
                 errors, seen_from_two = _from_the_other(a, b, joints)
@@ -417,7 +419,7 @@ def paper_length() -> dict[str, float]:
     def matrices() -> list[Any]:
         found = []
         for half in halves(CMU15):
-            poses = half_poses(points, weight, times, half, method.BRIDGE)
+            poses = half_poses(points, weight, times, half, keyframe_method.BRIDGE)
             c, _ = distances(poses, poses)
             found.append((poses, denoised(c, averaging(c, rules.beta))))
         return found
@@ -456,7 +458,7 @@ def summarised_alone(path: str, connection: Any) -> None:
     begun = time.process_time()
     intrinsics = intrinsics_of(View({'image_size': np.array([640, 800])}))
     seen = observe(keypoints, CMU15.joints, times, intrinsics, Config().tracker)
-    found = method.summarise(seen.without(method.suspects(seen)), Config().keyframes)
+    found = keyframe_method.summarise(seen.without(keyframe_method.suspects(seen)), Config().keyframes)
     connection.send(
         {
             'frames': len(times),
@@ -494,7 +496,7 @@ def sections_against_whole() -> dict[str, Any]:
     seen = observed(clean, config)
     out = {}
     for label, largest in (('at once', 3600), ('in sections of 30 s', 900)):
-        found = method.summarise(seen, replace(config.keyframes, largest=largest))
+        found = keyframe_method.summarise(seen, replace(config.keyframes, largest=largest))
         for half in found:
             out[f'{half.half.name}, {label}'] = f'{len(half.frames)} ({half.coverage:.1%})'
     return out
@@ -505,7 +507,7 @@ def pictures() -> None:
     clean = mixed(MIXED[:3], 36.0)
     config = Config()
     seen = observed(clean, config)
-    found = method.summarise(seen, config.keyframes)
+    found = keyframe_method.summarise(seen, config.keyframes)
     PICTURES.mkdir(parents=True, exist_ok=True)
     title = 'playground, dance and martial arts, 36 s'
     save_figure(keyframes_figure(seen, found, title), PICTURES / 'keyframes.png')

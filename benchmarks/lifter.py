@@ -20,18 +20,19 @@ from pathlib import Path
 import numpy as np
 from common import View
 
-from mocap_ros import lifter
-from mocap_ros.base_poses import BasePoses, load_model
 from mocap_ros.config import Config, SolverConfig
-from mocap_ros.io.mocap import Trial
-from mocap_ros.io.sequence import load_sequence
-from mocap_ros.lifter import SLOTS, Lifted, Lifter
-from mocap_ros.nonperiodic import solve_hypotheses
-from mocap_ros.offline import FACING
-from mocap_ros.perspective import View as Facing
-from mocap_ros.reconstruction import Window
+from mocap_ros.formats.mocap.trials import Trial
+from mocap_ros.formats.sequence_file import load_sequence
+from mocap_ros.geometry.virtual_camera import View as Facing
+from mocap_ros.keypoints.left_right import swapped_frames
+from mocap_ros.models import lifter, model_file
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.lifter import SLOTS, Lifted, Lifter
+from mocap_ros.models.model_file import load_base_poses
+from mocap_ros.offline.whole_sequence import FACING
 from mocap_ros.skeleton import CMU15, joint_map, model_joints
-from mocap_ros.swaps import swapped_frames
+from mocap_ros.solvers.joint.solver import solve_hypotheses
+from mocap_ros.solvers.window import Window
 
 HELD_OUT, HELD_OUT_FILE = common.HELD_OUT, common.HELD_OUT_FILE
 ROWS: dict[str, tuple[Callable[[Trial], bool], float]] = {
@@ -96,7 +97,7 @@ def in_metres(out: Lifted, window: Window) -> np.ndarray:
 
 
 def base_poses(without: tuple[str, ...] = ()) -> BasePoses:
-    model = common.trained(without_subjects=without) if without else load_model('all')
+    model = common.trained(without_subjects=without) if without else load_base_poses('all')
     return model.rescaled(Config().tracker.body_height / model.stature)
 
 
@@ -276,7 +277,7 @@ def pictures(model: Lifter, folder: Path) -> None:
     mpl.use('Agg')
     from matplotlib import pyplot as plt
 
-    from mocap_ros.plots import draw_bones, from_the_side, save_figure
+    from mocap_ros.viewing.plots import draw_bones, from_the_side, save_figure
 
     folder.mkdir(parents=True, exist_ok=True)
     tests = {(d, c): Detections.load(d, c) for d in DETECTORS for c in CAMERAS}
@@ -319,7 +320,7 @@ def main() -> None:
     cameras = CAMERAS[1:2] if args.quick else CAMERAS
     machine = common.machine()
     print(f'# Lifter\n\n{machine}')
-    shipped = lifter.shipped()
+    shipped = model_file.shipped_lifter()
     record: dict[str, object] = {'machine': machine}
     record['cost_ms'] = found = cost(shipped, args.quick)
     print_cost(found)
@@ -328,7 +329,7 @@ def main() -> None:
     if args.quick and not args.lifter.is_file():
         print(f'\nskipped: motion capture, which needs {args.lifter}; run without --quick to train it')
     else:
-        unseen = lifter.load(common.held_out_lifter(args.lifter))
+        unseen = model_file.load_lifter(common.held_out_lifter(args.lifter))
         record['capture'] = captured = on_capture(unseen, args.quick)
         print_capture(captured)
         record['solver'] = solved = with_solver(unseen, args.quick)

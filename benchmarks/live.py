@@ -25,11 +25,13 @@ from typing import Any
 
 import numpy as np
 
+from mocap_ros.bags.reader import Bag
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import MocapError
-from mocap_ros.io.bags import Bag
-from mocap_ros.io.messages import KEYPOINTS, NS, SKELETONS, Header, encode_keypoints
-from mocap_ros.people import Person2D
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.messages.cdr import NS, Header
+from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
+from mocap_ros.messages.skeletons import SKELETONS
 
 HZ = 30
 CORE = min(os.sched_getaffinity(0))
@@ -72,7 +74,7 @@ class Peer:
         from rclpy.qos import QoSProfile
         from rclpy.signals import SignalHandlerOptions
 
-        from mocap_ros.ros.types import interface_class
+        from mocap_ros.ros.message_types import interface_class
 
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)

@@ -24,23 +24,26 @@ from typing import Any
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from mocap_ros import replay as replay_module
+from mocap_ros.bags.background import BackgroundRecorder
+from mocap_ros.bags.journal import Journal, Verdict
+from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recorder import Record, Recorder
+from mocap_ros.bags.recovery import recover
 from mocap_ros.config import Config, RecorderConfig, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import MocapError
-from mocap_ros.io.background import BackgroundRecorder
-from mocap_ros.io.bags import Bag
-from mocap_ros.io.journal import Journal, Verdict
-from mocap_ros.io.messages import CAMERA_INFO, KEYPOINTS, MARKERS, decode, encode, new_header
-from mocap_ros.io.messages import Header as MessageHeader
-from mocap_ros.io.recorder import Record, Recorder
-from mocap_ros.io.recovery import recover
-from mocap_ros.io.samples import Sample, sequence_samples
+from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.cdr import Header as MessageHeader
+from mocap_ros.messages.cdr import decode, encode, new_header
+from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.messages.markers import MARKERS
 from mocap_ros.people import Person3D
-from mocap_ros.pipeline import LATCHED_OUTPUTS, OUTPUTS, Pipeline, Source
-from mocap_ros.replay import replay
 from mocap_ros.ros.live import LiveRun
-from mocap_ros.tracker import Tracker
+from mocap_ros.runtime import replay as replaying
+from mocap_ros.runtime.pipeline import LATCHED_OUTPUTS, OUTPUTS, Pipeline, Source
+from mocap_ros.runtime.replay import replay
+from mocap_ros.runtime.sequence_messages import Sample, sequence_samples
+from mocap_ros.tracking.tracker import Tracker
 
 HZ = 30
 STEP_NS = 33_333_333
@@ -236,7 +239,7 @@ def feed_all(frames: Sequence[Sample]) -> float:
 def replay_standing(path: Path, out: Path, person: Person3D) -> float:
     """Replay with the tracker that takes no time; s."""
     Standing.person = person
-    replay_module.Pipeline = partial(Pipeline, make_tracker=Standing)  # type: ignore[misc, assignment]
+    replaying.Pipeline = partial(Pipeline, make_tracker=Standing)  # type: ignore[misc, assignment]
     return replay_bag(path, out)
 
 

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from experiments.least_squares import Progress, SparseProblem
 
-from mocap_ros import alternation, nonperiodic
-from mocap_ros.base_poses import BasePoses
 from mocap_ros.config import SolverConfig
-from mocap_ros.objective import Problem, initial_state
-from mocap_ros.reconstruction import Reconstruction, Start, Window, begin
-from mocap_ros.state import State
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.solvers import alternation, joint
+from mocap_ros.solvers.joint.objective import Problem, initial_state
+from mocap_ros.solvers.joint.state import State
+from mocap_ros.solvers.window import Reconstruction, Start, Window, begin
 
 CLOSE = 1e-4
 TARGET_COMPONENTS = 30
@@ -110,7 +110,7 @@ def against_scipy(case: Case, settings: Sequence[str], repeats: int) -> dict[str
     config = common.changed(components=TARGET_COMPONENTS, adapt_noise=False)
     model = case.model
     window, problem, state = fixed(case, config)
-    (exact,) = nonperiodic.solve([window], model, replace(config, **EXACT))
+    (exact,) = joint.solve([window], model, replace(config, **EXACT))
     unit = float(window.unit or 1.0)
     check_same_objective(problem, state, exact, unit)
     record: dict[str, Any] = {
@@ -121,7 +121,7 @@ def against_scipy(case: Case, settings: Sequence[str], repeats: int) -> dict[str
         'scipy': {},
     }
     stopped = replace(config, tolerance=0.0, max_iterations=max(record['iterations'] or 0, 1))
-    record['seconds'] = common.timed(lambda: nonperiodic.solve([window], model, stopped), repeats)[1]
+    record['seconds'] = common.timed(lambda: joint.solve([window], model, stopped), repeats)[1]
     for name in settings:
         _, progress, jacobians = SparseProblem(problem, state).solve(**SCIPY[name], **TOLERANCES)
         way = _reached(progress, jacobians)
@@ -151,9 +151,9 @@ def against_alternation(case: Case, components: int, prior: bool, repeats: int) 
     start, unit = begin(window, model, paper.start_window)
     window = replace(window, start=start, unit=unit)
     plain, plain_seconds = common.timed(lambda: alternation.reconstruct(window, model, exact))
-    (jointly,), joint_seconds = common.timed(lambda: nonperiodic.solve([window], model, exact), repeats)
+    (jointly,), joint_seconds = common.timed(lambda: joint.solve([window], model, exact), repeats)
     end = replace(window, start=Start(plain.theta, plain.cameras))
-    (onwards,) = nonperiodic.solve([end], model, replace(exact, max_iterations=1))
+    (onwards,) = joint.solve([end], model, replace(exact, max_iterations=1))
     for theirs, ours in ((plain.objective[0], jointly.objective[0]), (plain.objective[-1], onwards.objective[0])):
         if not np.isclose(theirs, ours, rtol=1e-6):
             raise AssertionError(f'objectives differ: {theirs} and {ours}')
@@ -173,7 +173,7 @@ def against_alternation(case: Case, components: int, prior: bool, repeats: int) 
 def milliseconds(
     windows: Sequence[Window], model: BasePoses, config: SolverConfig, repeats: int
 ) -> dict[str, Any]:
-    found, seconds = common.timed(lambda: nonperiodic.solve(windows, model, config), repeats)
+    found, seconds = common.timed(lambda: joint.solve(windows, model, config), repeats)
     return {'ms': seconds * 1e3, 'iterations': float(np.mean([r.iterations for r in found]))}
 
 
@@ -214,9 +214,9 @@ def memory(quick: bool) -> list[tuple[str, float]]:
     model = common.trained('walk', without_subjects=('09',))
     people = [v.window for v in common.views('09_12', range(0, 360, 23)[:16], frames=30)]
     rows = [
-        ('joint, 120 frames', peak_mib(lambda: nonperiodic.solve([long_window(120)], model, config))),
-        ('joint, 480 frames', peak_mib(lambda: nonperiodic.solve([long_window(480)], model, config))),
-        ('joint, 16 people of 30 frames', peak_mib(lambda: nonperiodic.solve(people, model, config))),
+        ('joint, 120 frames', peak_mib(lambda: joint.solve([long_window(120)], model, config))),
+        ('joint, 480 frames', peak_mib(lambda: joint.solve([long_window(480)], model, config))),
+        ('joint, 16 people of 30 frames', peak_mib(lambda: joint.solve(people, model, config))),
     ]
     few = replace(common.paper_config(components=30), max_iterations=2)
     rows.append(

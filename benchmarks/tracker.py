@@ -21,13 +21,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.base_poses import BasePoses, stature
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import FrameDropped
-from mocap_ros.offline import reconstruct_sequence
-from mocap_ros.people import Intrinsics, MotionKind, Person2D
-from mocap_ros.skeleton import CMU15
-from mocap_ros.tracker import Tracker
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.offline.whole_sequence import reconstruct_sequence
+from mocap_ros.people import MotionKind
+from mocap_ros.skeleton import CMU15, stature
+from mocap_ros.tracking.tracker import Tracker
 
 Array = NDArray[np.float64]
 NS = 1_000_000_000

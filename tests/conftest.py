@@ -3,29 +3,19 @@
 # ruff: noqa: E402
 from __future__ import annotations
 
-from mocap_ros.process import prepare
+from mocap_ros.runtime.cpu_setup import prepare
 
 prepare()  # the same sums in the same order as in the node
 
 import importlib.util
-import os
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 
-from mocap_ros.base_poses import BasePoses, load_model
-
-SHARED = Path(os.environ.get('MOCAP_ROS_SHARED', Path(__file__).parents[2] / 'shared'))
-
-
-def shared(relative: str) -> Path:
-    """A file of the evaluation data, or a visible skip: users do not have it."""
-    path = SHARED / relative
-    if not path.exists():
-        pytest.skip(f'evaluation data not here: shared/{relative}')
-    return path
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.model_file import load_base_poses
+from tests.support.evaluation_data import shared
 
 
 @pytest.fixture(scope='session')
@@ -41,7 +31,7 @@ def protocol() -> ModuleType:
 
 @pytest.fixture(scope='session')
 def walk_model() -> BasePoses:
-    return load_model('walk')
+    return load_base_poses('walk')
 
 
 @pytest.fixture

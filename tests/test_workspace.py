@@ -67,7 +67,7 @@ def test_every_message_field_is_commented(message: Path) -> None:
 
 
 def test_messages_are_package_data_with_one_home() -> None:
-    assert (ROOT / 'mocap_ros' / 'msg').resolve() == ROOT / 'msg_defs' / 'msg'
+    assert (ROOT / 'mocap_ros' / 'messages' / 'msg').resolve() == ROOT / 'msg_defs' / 'msg'
 
 
 @pytest.mark.ros

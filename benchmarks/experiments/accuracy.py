@@ -10,9 +10,9 @@ import numpy as np
 from common import View, paper_config
 
 from experiments.report import CATEGORY_COLOURS, PLAIN, RUN, WALK, Section, label, panels
-from mocap_ros.base_poses import BasePoses
 from mocap_ros.config import SolverConfig
-from mocap_ros.reconstruction import Reconstruction
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.solvers.window import Reconstruction
 
 TABLE_TRIALS = {'walk': '35_02', 'run': '35_17', 'jump': '13_11'}
 PRINTED: dict[str, dict[str, float | None]] = {
@@ -186,7 +186,7 @@ def number_of_base_poses(quick: bool) -> Section:
                 solved.append(common.periodically(tests, ours, common.changed(components=k)))
             else:
                 solved = [common.alternate(tests, paper, paper_config(components=k, tolerance=1e-3))]
-                solved.append(common.joint(tests, ours, common.changed(components=k)))
+                solved.append(common.solved(tests, ours, common.changed(components=k)))
             for found, curve in zip(solved, curves.values(), strict=True):
                 curve.setdefault(category, []).append(_errors(tests, found, ours))
     section.text(
@@ -243,7 +243,7 @@ def bone_regulariser(quick: bool) -> Section:
         paper, ours = plain(category, trial), common.trained(category, without_trials=(trial,))
         for beta in betas:
             slow = common.alternate(tests, paper, paper_config(bone_weight=beta, tolerance=1e-3))
-            fast = common.joint(tests, ours, common.changed(bone_weight=beta))
+            fast = common.solved(tests, ours, common.changed(bone_weight=beta))
             curves['Algorithm 1'].setdefault(name, []).append(_errors(tests, slow, paper))
             curves['joint'].setdefault(name, []).append(_errors(tests, fast, ours))
     section.text(
@@ -313,9 +313,9 @@ def bone_lengths(quick: bool) -> Section:
     kinds[f'best beta ({best:g})'] = (view, model, candidates[best])
     for name, beta, relative in (('beta = 1e4', 1e4, False), ('relative variance', best, True)):
         config = paper_config(bone_weight=beta, relative_bones=relative, method='joint')
-        kinds[name] = (view, model, common.joint(tests, model, config)[0])
+        kinds[name] = (view, model, common.solved(tests, model, config)[0])
     shipped = common.trained('walk', without_trials=(trial,))
-    kinds['project, defaults'] = (view, shipped, common.joint(tests, shipped)[0])
+    kinds['project, defaults'] = (view, shipped, common.solved(tests, shipped)[0])
     rows = []
     figure, axes = panels(3, rows=2, height=4.4, sharex=True, sharey=True)
     for ax, (name, (seen, used, result)) in zip(axes.ravel(), kinds.items(), strict=True):

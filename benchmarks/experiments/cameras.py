@@ -14,9 +14,9 @@ from scipy.sparse import lil_array
 
 from experiments.accuracy import few_headings, plain
 from experiments.report import JUMP, RUN, WALK, Section, label, panels
-from mocap_ros.base_poses import rotation_to
-from mocap_ros.camera import centred_on_seen, closed_form, small_rotation
-from mocap_ros.reconstruction import Reconstruction
+from mocap_ros.geometry.rotations import rotation_to, small_rotation
+from mocap_ros.geometry.weak_perspective import centred_on_seen, closed_form
+from mocap_ros.solvers.window import Reconstruction
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ def flip_regulariser(quick: bool) -> Section:
                 if column.startswith('joint'):
                     config = common.changed(flip_weight=gamma, upright_turn=1.0, start_window=0.0)
                     model = common.trained(category, without_trials=(trial,))
-                    found = common.joint(tests, model, config)
+                    found = common.solved(tests, model, config)
                 else:
                     model = plain(category, trial)
                     found = common.alternate(tests, model, paper_config(flip_weight=gamma, tolerance=1e-3))
@@ -200,7 +200,7 @@ def moving(quick: bool) -> Section:
         for trial, category in trials:
             tests = common.views(trial, angles, **options)
             model = common.trained(category, without_subjects=(trial[:2],))
-            records = common.scores(tests, common.joint(tests, model), model)
+            records = common.scores(tests, common.solved(tests, model), model)
             means.append(common.mean(records))
             worst.append(common.worst(records))
             some = tests[::4]

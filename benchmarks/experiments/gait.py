@@ -12,10 +12,11 @@ from scipy.optimize import minimize_scalar
 
 from experiments.accuracy import few_headings, plain
 from experiments.report import JUMP, PLAIN, RUN, WALK, Section, label, panels
-from mocap_ros import periodic
-from mocap_ros.base_poses import BasePoses, centred, heading_to
 from mocap_ros.config import SolverConfig
-from mocap_ros.reconstruction import Window
+from mocap_ros.geometry.rotations import centred, heading_to
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.solvers import periodic
+from mocap_ros.solvers.window import Window
 
 Array = NDArray[np.float64]
 

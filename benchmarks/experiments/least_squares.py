@@ -2,7 +2,7 @@
 
 Unknowns of a frame: weights in standard deviations, rotation vector from the start rotation, log scale,
 translation; then one mean length a bone. The mean lengths being unknowns keeps the Jacobian sparse; at their
-optimum, the mean over the frames, the sum of squares is the objective of `mocap_ros.nonperiodic`.
+optimum, the mean over the frames, the sum of squares is the objective of `mocap_ros.solvers.joint`.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import coo_array, csr_array
 
-from mocap_ros.camera import cross_matrix, small_rotation
-from mocap_ros.objective import Problem
-from mocap_ros.state import State
+from mocap_ros.geometry.rotations import cross_matrix, small_rotation
+from mocap_ros.solvers.joint.objective import Problem
+from mocap_ros.solvers.joint.state import State
 
 Array = NDArray[np.float64]
 

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from experiments.accuracy import few_headings, plain
 from experiments.report import JUMP, PERIODIC, PLAIN, RUN, TRUTH, WALK, Section, label, panels
-from mocap_ros import alternation, nonperiodic, periodic
-from mocap_ros.base_poses import BasePoses, centred, heading_to
-from mocap_ros.camera import CameraProblem, Cameras, centred_on_seen, closed_form, refine
 from mocap_ros.config import SolverConfig
-from mocap_ros.plots import draw_bones, from_the_side
-from mocap_ros.reconstruction import Reconstruction, Start, Window, begin
+from mocap_ros.geometry.rotations import centred, heading_to
+from mocap_ros.geometry.weak_perspective import CameraProblem, Cameras, centred_on_seen, closed_form, refine
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.solvers import alternation, joint, periodic
+from mocap_ros.solvers.window import Reconstruction, Start, Window, begin
+from mocap_ros.viewing.plots import draw_bones, from_the_side
 
 Array = NDArray[np.float64]
 
@@ -123,14 +124,14 @@ def joint_iterations(view: View, model: BasePoses, steps: int) -> Array:
     image, _ = centred_on_seen(view.window.points / unit, view.window.weight)
     body, _ = centred_on_seen(model.poses(start.theta), view.window.weight)
     at_start = CameraProblem(body, image, view.window.weight, np.zeros(view.frames - 1))
-    found = [common.joint([view], model, replace(config, max_iterations=n))[0] for n in range(1, steps + 1)]
+    found = [common.solved([view], model, replace(config, max_iterations=n))[0] for n in range(1, steps + 1)]
     first = _rms_mm(at_start.data_cost(scaled), view, unit)
     return np.array([first] + [common.residual_mm(view, r) for r in found])
 
 
 def periodic_iterations(view: View, model: BasePoses, steps: int) -> Array:
     """(steps,) mm, 2D error of the periodic solver by iteration limit, from the non-periodic solution."""
-    (begun,) = common.joint([view], model)
+    (begun,) = common.solved([view], model)
     config = common.changed(tolerance=0.0)
     window = replace(view.window, start=Start(begun.theta, begun.cameras))
     limits = [replace(config, max_iterations=n) for n in range(1, steps + 1)]
@@ -192,7 +193,7 @@ def noisy_start(window: Window, model: BasePoses, level: float, config: SolverCo
 def solve_window(window: Window, model: BasePoses, config: SolverConfig) -> Reconstruction:
     if config.method == 'alternation':
         return alternation.reconstruct(window, model, config)
-    return nonperiodic.solve([window], model, config)[0]
+    return joint.solve([window], model, config)[0]
 
 
 SOLVERS = ('np, Algorithm 1', 'np, joint', "periodic, the paper's sines", 'periodic, project')
@@ -204,7 +205,7 @@ def all_solvers(tests: Sequence[View], trial: str, category: str) -> dict[str, S
     paper, ours = plain(category, trial), common.trained(category, without_trials=(trial,))
     found = (
         common.alternate(tests, paper, paper_config(tolerance=1e-3)),
-        common.joint(tests, ours),
+        common.solved(tests, ours),
         common.periodically(tests, paper, paper_config(components=4, paper_sines=True)),
         common.periodically(tests, ours),
     )
@@ -341,7 +342,7 @@ def weights_under_noise(_quick: bool) -> Section:
     aligned = poses @ np.swapaxes(heading_to(poses, ours.mean), -1, -2)
     times = tests[0].sequence['timestamps']
     kinds: dict[str, tuple[Array, Reconstruction | None]] = {'ground truth': (ours.weights(aligned), None)}
-    (jointly,) = common.joint(tests, ours)
+    (jointly,) = common.solved(tests, ours)
     (harmonic,) = common.periodically(tests, ours)
     kinds |= {'non-periodic': (jointly.theta, jointly), 'periodic': (harmonic.theta, harmonic)}
     (plainly,) = common.alternate(tests, plain('walk', trial), paper_config())

@@ -12,13 +12,14 @@ import numpy as np
 from common import View
 
 from experiments.report import Section
-from mocap_ros import lifter
-from mocap_ros.base_poses import BasePoses, load_model
-from mocap_ros.classification import choose_category
 from mocap_ros.config import Config, SolverConfig, with_values
-from mocap_ros.io.sequence import load_sequence
-from mocap_ros.nonperiodic import solve_hypotheses
-from mocap_ros.offline import reconstruct_sequence
+from mocap_ros.formats.sequence_file import load_sequence
+from mocap_ros.models import lifter, model_file
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.model_file import load_base_poses
+from mocap_ros.offline.whole_sequence import reconstruct_sequence
+from mocap_ros.solvers.classification import choose_category
+from mocap_ros.solvers.joint.solver import solve_hypotheses
 
 SAME = (('35_02', 'walk', 5.0), ('35_17', 'run', 10.0), ('09_01', 'run', 10.0))
 UNSEEN = (('35_02', 'walk'), ('07_01', 'walk'), ('16_15', 'walk'), ('35_17', 'run'), ('09_01', 'run'))
@@ -62,7 +63,7 @@ def headings(quick: bool) -> tuple[int, ...]:
 
 
 def measured(tests: Sequence[View], model: Any) -> list[dict[str, float]]:
-    records = common.scores(tests, common.joint(tests, model), model)
+    records = common.scores(tests, common.solved(tests, model), model)
     if any(r['failed_frames'] or r['joints'] != 15 for r in records):
         raise AssertionError('frames failed or joints are missing')
     return records
@@ -212,7 +213,7 @@ def with_learned_prior(section: Section, angles: Sequence[int]) -> None:
         """The same under the default prior, a lifter beside the base poses of all motions, neither of which has
         seen these subjects; the category is not given."""
     )
-    prior = lifter.load(LIFTER)
+    prior = model_file.load_lifter(LIFTER)
     model = common.trained(without_subjects=LEFT_OUT)
     rows: list[Sequence[object]] = []
     conditions: dict[str, dict[str, float]] = {
@@ -274,7 +275,7 @@ def _detected(path: Path, prior: str) -> tuple[dict[str, float], dict[str, float
     config = with_values(Config(), {'solver.prior': prior})
     intrinsics = sequence.intrinsics(config.tracker.nominal_focal_length)
     result = reconstruct_sequence(
-        sequence.keypoints, sequence.joint_names, sequence.timestamps, intrinsics, load_model('all'), config
+        sequence.keypoints, sequence.joint_names, sequence.timestamps, intrinsics, load_base_poses('all'), config
     )
     with np.load(path) as archive:
         arrays = {k: archive[k] for k in archive.files}

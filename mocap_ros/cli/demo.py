@@ -18,14 +18,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros import metrics, plots
+from mocap_ros.bags.reader import Bag
 from mocap_ros.cli.options import positive
 from mocap_ros.demo.scene import act_at
 from mocap_ros.errors import MocapError
-from mocap_ros.io.bags import Bag
-from mocap_ros.io.messages import NS, SKELETONS, decode
-from mocap_ros.io.sequence import Sequence, load_sequence
+from mocap_ros.evaluation import metrics
+from mocap_ros.formats.sequence_file import Sequence, load_sequence
+from mocap_ros.messages.cdr import NS, decode
+from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.skeleton import CMU15, skeleton_of
+from mocap_ros.viewing import plots
 
 Array = NDArray[np.float64]
 
@@ -52,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     """Play, record, score and draw."""
     if find_spec('rclpy') is None:
         raise MocapError('the demo needs ROS 2 (rclpy): run it with `make demo`, or source a ROS 2')
-    recording = Path(str(files('mocap_ros') / 'data' / 'demo.npz'))
+    recording = Path(str(files('mocap_ros') / 'demo' / 'demo.npz'))
     args.output.mkdir(parents=True, exist_ok=True)
     environment = {
         **os.environ,

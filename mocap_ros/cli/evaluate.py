@@ -14,21 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros import metrics
-from mocap_ros.base_poses import BasePoses
-from mocap_ros.cli.options import (
-    about,
-    add_config_options,
-    add_model_option,
-    config_from,
-    models_from,
-    progress,
-)
+from mocap_ros.cli.options import about, add_config_options, add_model_option, config_from, models_from, progress
 from mocap_ros.cli.reconstruct import reconstruct_file
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
-from mocap_ros.io.files import writing
-from mocap_ros.io.sequence import Sequence, load_sequence
+from mocap_ros.evaluation import metrics
+from mocap_ros.formats.sequence_file import Sequence, load_sequence
+from mocap_ros.formats.text_files import writing
+from mocap_ros.models.base_poses import BasePoses
 
 Array = NDArray[np.float64]
 

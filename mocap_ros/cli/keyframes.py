@@ -11,7 +11,6 @@ from typing import Any
 import yaml
 from tqdm import tqdm
 
-from mocap_ros import plots
 from mocap_ros.cli.options import (
     about,
     add_config_options,
@@ -22,11 +21,12 @@ from mocap_ros.cli.options import (
     seen_in,
 )
 from mocap_ros.errors import InputError
-from mocap_ros.io.files import writing
-from mocap_ros.keyframes.figures import distances_figure, keyframes_figure
-from mocap_ros.keyframes.method import summarise, suspects
-from mocap_ros.keyframes.observations import Observed, observe
-from mocap_ros.keyframes.summary import Keyframes
+from mocap_ros.formats.text_files import writing
+from mocap_ros.offline.keyframes.keyframe_set import Keyframes
+from mocap_ros.offline.keyframes.observations import Observed, observe
+from mocap_ros.offline.keyframes.reconstruct import summarise, suspects
+from mocap_ros.viewing import plots
+from mocap_ros.viewing.keyframe_plots import distances_figure, keyframes_figure
 
 MOST_SPANS = 6
 HEADER = """\

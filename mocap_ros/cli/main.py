@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from mocap_ros.errors import MocapError
-from mocap_ros.process import prepare
+from mocap_ros.runtime.cpu_setup import prepare
 
 
 class _HelpWithDefaults(argparse.ArgumentDefaultsHelpFormatter):

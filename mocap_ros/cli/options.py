@@ -14,14 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from mocap_ros.base_poses import BasePoses, load_models
 from mocap_ros.config import Config, from_yaml, load_yaml, shown, with_values
 from mocap_ros.errors import ConfigError, InputError, MocapError
-from mocap_ros.io.detections import Video
-from mocap_ros.io.files import read_text
-from mocap_ros.io.inputs import load_input
-from mocap_ros.io.sequence import LARGEST_IMAGE, Sequence
-from mocap_ros.people import Intrinsics
+from mocap_ros.formats.detections import Video
+from mocap_ros.formats.sequence_file import LARGEST_IMAGE, Sequence
+from mocap_ros.formats.text_files import read_text
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.model_file import load_base_pose_models
+from mocap_ros.runtime.load_keypoints import load_input
 from mocap_ros.skeleton import LAYOUT_NAMES
 
 Array = NDArray[np.float64]
@@ -138,7 +139,7 @@ def models_from(args: argparse.Namespace, config: Config) -> dict[str, BasePoses
         ModelError: there are none of that name.
     """
     name = args.model or config.tracker.model
-    return load_models(name)
+    return load_base_pose_models(name)
 
 
 def config_from(args: argparse.Namespace) -> Config:

@@ -10,7 +10,7 @@ from typing import Any
 
 from mocap_ros.cli.options import positive, progress
 from mocap_ros.errors import MocapError
-from mocap_ros.io.playback import Playback
+from mocap_ros.runtime.playback import Playback
 
 CLOCK_HZ = 40.0
 

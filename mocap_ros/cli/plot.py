@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from mocap_ros import plots
 from mocap_ros.cli.options import (
     about,
     add_config_options,
@@ -21,8 +20,9 @@ from mocap_ros.cli.options import (
 )
 from mocap_ros.cli.reconstruct import reconstruct_file
 from mocap_ros.errors import InputError
-from mocap_ros.io.files import writing
+from mocap_ros.formats.text_files import writing
 from mocap_ros.skeleton import skeleton_of
+from mocap_ros.viewing import plots
 
 MOST_POSES = 30
 

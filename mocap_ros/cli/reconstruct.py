@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_ros import results
-from mocap_ros.base_poses import BasePoses
+from mocap_ros.bags.reader import files_in
 from mocap_ros.cli.keyframes import stages
 from mocap_ros.cli.options import (
     about,
@@ -25,12 +24,13 @@ from mocap_ros.cli.options import (
 )
 from mocap_ros.config import Config, load_yaml
 from mocap_ros.errors import InputError
-from mocap_ros.io.bags import files_in
-from mocap_ros.io.files import read_text, writing
-from mocap_ros.io.sequence import Sequence
-from mocap_ros.keyframes import method as keyframe_method
-from mocap_ros.keyframes.taylor import Choice, choices_from
-from mocap_ros.offline import SequenceResult, reconstruct_sequence
+from mocap_ros.formats.sequence_file import Sequence
+from mocap_ros.formats.text_files import read_text, writing
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.offline.keyframes import reconstruct
+from mocap_ros.offline.keyframes.taylor import Choice, choices_from
+from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence
+from mocap_ros.runtime import save_results
 
 LARGEST_CHOICES = 16 << 20
 
@@ -50,7 +50,7 @@ def add_parser(subparsers: Any) -> None:
         '--output',
         type=Path,
         metavar='OUT',
-        help=f'{", ".join(results.ENDINGS)} (default: IN_3d.npz in this folder)',
+        help=f'{", ".join(save_results.ENDINGS)} (default: IN_3d.npz in this folder)',
     )
     p.add_argument(
         '--method',
@@ -74,8 +74,8 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Reconstruct, save, and say how well the image is explained."""
     output = args.output or Path(f'{name_of(args.input)}_3d.npz')
-    if output.suffix not in results.ENDINGS:
-        raise InputError(f'{output}: can write {", ".join(results.ENDINGS)}')
+    if output.suffix not in save_results.ENDINGS:
+        raise InputError(f'{output}: can write {", ".join(save_results.ENDINGS)}')
     config = config_from(args)
     models = models_from(args, config)
     sequence = input_from(args, config)
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
         )
     with writing(output, args.input, *files_in(args.input)):
         intrinsics = sequence.intrinsics(config.tracker.nominal_focal_length)
-        results.save(output, results.Reconstructed(sequence, result, intrinsics))
+        save_results.save(output, save_results.Reconstructed(sequence, result, intrinsics))
     solution = result.solution
     print(
         f'{output}: {len(sequence)} frames, base poses {result.category}, residual '
@@ -109,7 +109,7 @@ def _by_keyframes(
         text = read_text(args.choices, largest=LARGEST_CHOICES)
         choices = choices_from(load_yaml(text, str(args.choices)), str(args.choices))
     with about(args.input), stages() as say:
-        done = keyframe_method.reconstruct(*seen_in(sequence, config), models, config, choices, say)
+        done = reconstruct.reconstruct(*seen_in(sequence, config), models, config, choices, say)
     upper, lower = (len(half.frames) for half in done.keyframes)
     wrong = int(done.outliers.sum())
     return done.result, f'{upper} keyframes of the upper body, {lower} of the lower, {wrong} outliers filled'

@@ -9,7 +9,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from mocap_ros.io.recovery import recover
+from mocap_ros.bags.recovery import recover
 
 
 def add_parser(subparsers: Any) -> None:

@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 
 from tqdm import tqdm
 
+from mocap_ros.bags.reader import Bag, BagMessage
+from mocap_ros.bags.topics import people_topics
 from mocap_ros.cli.options import add_config_options, config_from, progress
 from mocap_ros.errors import InputError, MocapError, RecordingError
-from mocap_ros.io.bags import Bag, BagMessage
-from mocap_ros.io.sources import people_topics
-from mocap_ros.process import prepare
-from mocap_ros.replay import ReplayOptions, ReplayResult, Watch, remove_partial, replay
+from mocap_ros.runtime.cpu_setup import prepare
+from mocap_ros.runtime.replay import ReplayOptions, ReplayResult, Watch, remove_partial, replay
 
 REFRESH_SECONDS = 0.3
 

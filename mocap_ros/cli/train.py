@@ -6,12 +6,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from mocap_ros import base_poses
 from mocap_ros.cli.options import positive, progress
 from mocap_ros.errors import MocapError
-from mocap_ros.io.files import writing
-from mocap_ros.io.mocap import Source, load_trials, select
-from mocap_ros.io.rigs import UNITS, load_markers
+from mocap_ros.formats.mocap.joint_maps import UNITS, load_markers
+from mocap_ros.formats.mocap.trials import Source, load_trials, select
+from mocap_ros.formats.text_files import writing
+from mocap_ros.models import model_file
+from mocap_ros.training.base_poses import fit_base_poses
 
 
 def add_parser(subparsers: Any) -> None:
@@ -99,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
     if not trials:
         raise MocapError('no trial is left after the selection')
     one_category = bool(args.category)
-    model = base_poses.fit(
+    model = fit_base_poses(
         [t.poses for t in trials],
         labels=[t.name for t in trials],
         name=args.name or '+'.join(args.category) or 'all',
@@ -115,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
         },
     )
     with writing(args.output, *args.data):
-        base_poses.save(model, args.output)
+        model_file.save_base_poses(model, args.output)
     ten = model.explained[min(9, len(model.explained) - 1)]
     print(
         f'{args.output}: {len(model.std)} base poses from {len(trials)} trials, '

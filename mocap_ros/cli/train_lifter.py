@@ -8,8 +8,9 @@ from typing import Any
 
 from mocap_ros.cli.options import progress
 from mocap_ros.errors import MocapError
-from mocap_ros.io.files import writing
-from mocap_ros.io.mocap import EVERYTHING, load_trials, select
+from mocap_ros.formats.mocap.trials import EVERYTHING, load_trials, select
+from mocap_ros.formats.text_files import writing
+from mocap_ros.models import model_file
 
 STEPS = 20000
 
@@ -54,8 +55,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         import torch
 
-        from mocap_ros import lifter
-        from mocap_ros.training.train import Training, train
+        from mocap_ros.training.lifter import Training, train
     except ImportError as error:
         raise MocapError(f'{error}: training needs PyTorch (pip install mocap_ros[train])') from None
     torch.set_num_threads(args.threads)
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     settings = Training(steps=args.steps, seed=args.seed)
     trained = train([t.poses for t in trials], settings, provenance, lambda steps: progress(steps, 'train'))
     with writing(args.output):
-        lifter.save(trained, args.output)
+        model_file.save_lifter(trained, args.output)
     frames = sum(len(t.poses) for t in trials)
     print(
         f'{args.output}: trained on {len(trials)} trials, {frames} poses; mean error '

@@ -9,10 +9,10 @@ import sys
 from importlib.resources import files
 from pathlib import Path
 
-from mocap_ros import base_poses
 from mocap_ros.demo import gait, scene
-from mocap_ros.io.mocap import load_trials
-from mocap_ros.io.sequence import save_sequence
+from mocap_ros.formats.mocap.trials import load_trials
+from mocap_ros.formats.sequence_file import save_sequence
+from mocap_ros.training.base_poses import fit_base_poses
 
 ACTORS = {'walk': '35_02', 'run': '09_01', 'jump': '13_32'}
 ACKNOWLEDGEMENT = (
@@ -24,7 +24,7 @@ ACKNOWLEDGEMENT = (
 def learn(path: Path) -> None:
     """Learn the demo's basis and motions from motion capture."""
     poses = {t.name: t.poses for t in load_trials(path)}
-    basis = base_poses.fit(
+    basis = fit_base_poses(
         [poses[trial] for trial in ACTORS.values()],
         name='demo',
         alignment='heading',
@@ -40,7 +40,7 @@ def learn(path: Path) -> None:
 
 
 def _data(name: str) -> Path:
-    return Path(str(files('mocap_ros') / 'data' / name))
+    return Path(str(files('mocap_ros') / 'demo' / name))
 
 
 if __name__ == '__main__':

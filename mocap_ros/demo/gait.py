@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 
-from mocap_ros import base_poses
-from mocap_ros.base_poses import BasePoses, centred, heading_to
+from mocap_ros.geometry.rotations import centred, heading_to
+from mocap_ros.models import model_file
+from mocap_ros.models.base_poses import BasePoses
 
 Array = NDArray[np.float64]
 
@@ -117,7 +118,7 @@ def save(model: BasePoses, motions: Mapping[str, Motion], path: Path) -> None:
         'cyclic': {n: m.cyclic for n, m in motions.items()},
     }
     buffer = io.BytesIO()
-    base_poses.save(model, buffer)
+    model_file.save_base_poses(model, buffer)
     arrays: dict[str, Any] = {f'motion_{name}': m.table.astype('f4') for name, m in motions.items()}
     arrays['model'] = np.frombuffer(buffer.getvalue(), dtype=np.uint8)
     arrays['meta'] = np.array(json.dumps(meta, sort_keys=True))
@@ -126,10 +127,10 @@ def save(model: BasePoses, motions: Mapping[str, Motion], path: Path) -> None:
 
 def load() -> tuple[BasePoses, dict[str, Motion]]:
     """The shipped basis and motions: walk, run and jump."""
-    data = (files('mocap_ros') / 'data' / 'demo_motion.npz').read_bytes()
+    data = (files('mocap_ros') / 'demo' / 'demo_motion.npz').read_bytes()
     with np.load(io.BytesIO(data), allow_pickle=False) as z:
         meta = json.loads(str(z['meta']))
-        model = base_poses.from_bytes(z['model'].tobytes(), 'demo_motion.npz')
+        model = model_file.base_poses_from_bytes(z['model'].tobytes(), 'demo_motion.npz')
         motions = {
             n: Motion(np.asarray(z[f'motion_{n}'], float), meta['periods'][n], meta['cyclic'][n])
             for n in meta['periods']

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from mocap_ros.base_poses import with_bone_lengths
 from mocap_ros.demo.gait import RATE, Curves, load
-from mocap_ros.io.sequence import Sequence, Truth
+from mocap_ros.formats.sequence_file import Sequence, Truth
 from mocap_ros.skeleton import CMU15, layout
+from mocap_ros.training.base_poses import with_bone_lengths
 
 Array = NDArray[np.float64]
 

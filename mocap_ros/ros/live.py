@@ -19,17 +19,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from mocap_ros.bags.background import BackgroundRecorder
+from mocap_ros.bags.journal import Journal, Verdict
+from mocap_ros.bags.recorder import Record, new_bag_folder
+from mocap_ros.bags.rosbag2 import Topic, known_topic
+from mocap_ros.bags.topics import PEOPLE_SOURCES, Source
 from mocap_ros.config import Config, values
 from mocap_ros.errors import RecordingError
-from mocap_ros.io.background import BackgroundRecorder
-from mocap_ros.io.journal import Journal, Verdict
-from mocap_ros.io.messages import CAMERA_INFO, OutputMessage
-from mocap_ros.io.recorder import Record, new_bag_folder
-from mocap_ros.io.rosbag2 import Topic, known_topic
-from mocap_ros.io.sources import PEOPLE_SOURCES, Source
-from mocap_ros.pipeline import LATCHED_OUTPUTS, Outcome, Pipeline, skeleton_definition
-from mocap_ros.provenance import attachments
-from mocap_ros.ros.health import Pulse
+from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.cdr import OutputMessage
+from mocap_ros.ros.diagnostics import Pulse
+from mocap_ros.runtime.pipeline import LATCHED_OUTPUTS, Outcome, Pipeline, skeleton_definition
+from mocap_ros.runtime.provenance import attachments
 
 KINDS_OF_A_TOPIC = 30
 STRANGE = re.compile(r"0x\w+|\d+|'.*'|\".*\"", re.DOTALL)

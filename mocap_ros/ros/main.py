@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from mocap_ros.process import prepare
+from mocap_ros.runtime.cpu_setup import prepare
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -25,7 +25,7 @@ def _run(arguments: Sequence[str]) -> int:
 
     # imported here, where a SIGINT meanwhile is no traceback
     from mocap_ros.errors import MocapError
-    from mocap_ros.ros.usage import parser, without_ros_arguments
+    from mocap_ros.ros.help import parser, without_ros_arguments
 
     parser().parse_args(without_ros_arguments(arguments))
     try:

@@ -37,24 +37,19 @@ from rclpy.qos import (
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 
+from mocap_ros.bags.topics import Source, body_topic, input_types
 from mocap_ros.config import Config, Parameter, hint, parameters, with_values
 from mocap_ros.errors import ConfigError, InputError, MocapError, RecordingError
-from mocap_ros.io.foreign import decode_ids
-from mocap_ros.io.foreign_types import BODY
-from mocap_ros.io.messages import KEYPOINT_TYPES, OutputMessage
-from mocap_ros.io.sources import Source, body_topic, input_types
-from mocap_ros.pipeline import (
-    LATCHED_OUTPUTS,
-    OUTPUTS,
-    TF_OUTPUT,
-    Pipeline,
-    skeleton_definition,
-)
-from mocap_ros.ros.health import DIAGNOSTICS, Doctor
+from mocap_ros.messages.accepted import KEYPOINT_TYPES
+from mocap_ros.messages.cdr import OutputMessage
+from mocap_ros.messages.foreign.definitions import BODY
+from mocap_ros.messages.foreign.hri import decode_ids
+from mocap_ros.ros.diagnostics import DIAGNOSTICS, Doctor
+from mocap_ros.ros.help import SERVICES
 from mocap_ros.ros.live import LiveRun
+from mocap_ros.ros.message_types import Convert, converter, interface_class
 from mocap_ros.ros.qos import recorded_profile
-from mocap_ros.ros.types import Convert, converter, interface_class
-from mocap_ros.ros.usage import SERVICES
+from mocap_ros.runtime.pipeline import LATCHED_OUTPUTS, OUTPUTS, TF_OUTPUT, Pipeline, skeleton_definition
 
 DEPTH = 10
 INPUT_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -13,10 +13,11 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from mocap_ros.errors import ConfigError, MocapError
-from mocap_ros.io.messages import CAMERA_INFO, NS
-from mocap_ros.io.playback import Due, Playback, PlayedTopic
+from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.cdr import NS
+from mocap_ros.ros.message_types import interface_class
 from mocap_ros.ros.qos import playing_profile
-from mocap_ros.ros.types import interface_class
+from mocap_ros.runtime.playback import Due, Playback, PlayedTopic
 
 CLOCK = 'rosgraph_msgs/msg/Clock'
 SETTLE_SECONDS = 0.5

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.lifter import JOINTS, LONGEST_BRIDGE, MIRROR, SLOTS, featured
+from mocap_ros.models.lifter import JOINTS, LONGEST_BRIDGE, MIRROR, SLOTS, featured
 from mocap_ros.skeleton import CMU15
 
 Array = NDArray[np.float32]

@@ -1,0 +1,1 @@
+"""Recordings: MCAP and rosbag2 bags written, read and repaired."""

@@ -1,0 +1,1 @@
+"""Files written for animation and biomechanics."""

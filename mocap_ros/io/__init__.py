@@ -1,1 +1,0 @@
-"""Files and messages: everything that is read or written."""

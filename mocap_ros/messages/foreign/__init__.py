@@ -1,0 +1,1 @@
+"""Messages of other packages' detectors, a file a package."""

@@ -1,0 +1,1 @@
+"""What was learned, base poses and lifter, and the files it comes in."""

@@ -1,0 +1,1 @@
+"""From a window of keypoints to 3D poses and cameras."""

@@ -1,0 +1,5 @@
+"""The non-periodic model, solved jointly for cameras and base-pose weights (TPAMI 2016, section 3.4)."""
+
+from mocap_ros.solvers.joint.solver import solve, solve_hypotheses
+
+__all__ = ['solve', 'solve_hypotheses']

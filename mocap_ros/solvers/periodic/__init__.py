@@ -1,0 +1,5 @@
+"""The periodic model: base-pose weights as Fourier series of time (TPAMI 2016, section 3.3)."""
+
+from mocap_ros.solvers.periodic.solver import PeriodicReconstruction, solve
+
+__all__ = ['PeriodicReconstruction', 'solve']

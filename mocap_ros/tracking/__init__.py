@@ -1,0 +1,1 @@
+"""People, frame by frame."""

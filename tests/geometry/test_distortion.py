@@ -1,0 +1,43 @@
+"""Lenses: undistortion is the inverse of distortion, and bad ones are refused by name."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocap_ros.errors import InputError
+from mocap_ros.geometry.distortion import Distortion
+
+LENSES = [
+    Distortion('plumb_bob', (-0.28, 0.07, 0.0002, 0.00002, 0.0)),
+    Distortion('rational_polynomial', (2.0, 1.5, 0.0004, -0.0003, 0.1, 2.3, 2.2, 0.5)),
+    Distortion('equidistant', (-0.01, 0.02, -0.02, 0.005)),
+]
+
+
+@pytest.mark.parametrize('lens', LENSES, ids=lambda lens: lens.model)
+def test_undistort_inverts_distort(lens: Distortion) -> None:
+    side = np.linspace(-0.6, 0.6, 9)
+    points = np.stack(np.meshgrid(side, side), axis=-1)
+    shown = lens.distort(points)
+    assert np.abs(shown - points).max() > 0.005
+    assert lens.undistort(shown) == pytest.approx(points, abs=1e-6)
+
+
+def test_equidistant_is_the_angle() -> None:
+    shown = Distortion('equidistant', (0.0, 0.0, 0.0, 1e-9)).distort(np.array([1.0, 0.0]))
+    assert shown == pytest.approx([np.pi / 4, 0.0], abs=1e-8)
+
+
+@given(st.lists(st.floats(-50, 50), min_size=4, max_size=4), st.sampled_from(['plumb_bob', 'equidistant']))
+def test_any_lens_gives_finite_rays(coefficients: list[float], model: str) -> None:
+    lens = Distortion.named(model, tuple(coefficients))
+    assert np.isfinite(lens.undistort(np.array([[0.3, -0.8], [2.0, 5.0], [0.0, 0.0]]))).all()
+
+
+def test_bad_lenses_are_named() -> None:
+    assert Distortion.named('', (0.0, 0.0)) == Distortion()
+    with pytest.raises(InputError, match="'thin_prism': expected plumb_bob, rational_polynomial, equidistant"):
+        Distortion.named('thin_prism', (0.1,))
+    with pytest.raises(InputError, match='plumb_bob takes 4 or 5 coefficients, not 2'):
+        Distortion.named('plumb_bob', (0.1, 0.2))

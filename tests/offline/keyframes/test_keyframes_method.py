@@ -1,0 +1,158 @@
+"""Keyframes from 2D to 3D, and on the command line with real files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from mocap_ros.bags.reader import is_bag
+from mocap_ros.cli.main import main
+from mocap_ros.config import Config, with_values
+from mocap_ros.demo.scene import make_recording
+from mocap_ros.formats.sequence_file import Sequence, load_sequence, save_sequence
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.models.model_file import load_base_pose_models
+from mocap_ros.offline.keyframes.reconstruct import reconstruct
+from mocap_ros.skeleton import CMU15
+from tests.support.evaluation_data import shared
+from tests.support.swinging_body import swinging
+
+CAMERA = Intrinsics(900.0, (640.0, 360.0), known=True)
+CONFIG = with_values(Config(), {'keyframes.poses': 'lifter'})
+MODELS = load_base_pose_models('all')
+
+
+def mpjpe(found: np.ndarray, truth: np.ndarray) -> float:
+    a, b = (p - p.mean(axis=1, keepdims=True) for p in (found, truth))
+    a = a * (a * b).sum() / (a * a).sum()
+    return float(np.linalg.norm(a - b, axis=-1).mean() * 1e3)
+
+
+def walking_about(frames: int = 240) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Keypoints (F, 15, 3), times (F,) and truth (F, 15, 3) m in the camera's frame."""
+    poses, times = swinging(frames)
+    c, s = np.cos(0.9), np.sin(0.9)
+    poses = poses @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+    place = np.stack([0.5 * np.sin(0.6 * times), 0 * times, 4 + 0.5 * np.cos(0.6 * times)], axis=-1)
+    truth = poses + place[:, None]
+    return np.concatenate([CAMERA.project(truth), np.ones((frames, 15, 1))], axis=-1), times, truth
+
+
+def test_a_motion_synthesised_and_projected_is_reconstructed_and_outliers_hardly_matter() -> None:
+    keypoints, times, truth = walking_about()
+    clean = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, CONFIG)
+    assert mpjpe(clean.result.joints, truth) < 90
+    assert np.linalg.norm(clean.result.joints.mean(axis=1) - truth.mean(axis=1), axis=-1).mean() < 0.5
+    assert CAMERA.project(clean.result.joints) == pytest.approx(keypoints[..., :2], abs=45)
+    assert np.ptp(CMU15.bone_lengths(clean.result.joints), axis=0).max() < 1e-6
+    assert clean.outliers.mean() < 0.02
+
+    rng = np.random.default_rng(1)
+    wrong = rng.random(keypoints.shape[:2]) < 0.04
+    disturbed = keypoints.copy()
+    disturbed[wrong, :2] += 100 * np.sign(rng.normal(size=(wrong.sum(), 2)))
+    disturbed[100:112] = [np.nan, np.nan, 0]
+    wrong[100:112] = False
+    found = reconstruct(disturbed, CMU15.joints, times, CAMERA, MODELS, CONFIG)
+    assert found.outliers[wrong].mean() > 0.9
+    assert found.outliers[~wrong].mean() < 0.02
+    assert not found.result.seen[found.outliers].any()
+    assert mpjpe(found.result.joints, truth) < 1.3 * mpjpe(clean.result.joints, truth)
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('case', ['one frame', 'still', 'half hidden', 'one point'])
+def test_degenerate_keypoints(case: str) -> None:
+    keypoints, times, _ = walking_about(1 if case == 'one frame' else 40)
+    if case == 'still':
+        keypoints[:] = keypoints[0]
+    elif case == 'one point':
+        keypoints[..., :2] = 100
+    elif case == 'half hidden':
+        keypoints[:, [9, 10, 11, 12, 13, 14]] = [np.nan, np.nan, 0]
+    assert np.isfinite(reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, CONFIG).result.joints).all()
+
+
+@pytest.mark.filterwarnings('error')
+def test_a_half_that_is_never_seen_has_no_keyframes(tmp_path: Path, capsys) -> None:
+    keypoints, times, _ = walking_about(40)
+    keypoints[:, 9:] = [np.nan, np.nan, 0]
+    path = tmp_path / 'desk.npz'
+    save_sequence(path, Sequence(keypoints, CMU15.joints, times, (1280, 720)))
+    assert main(['keyframes', str(path), '-o', str(tmp_path / 'k.yaml')]) == 0
+    assert 'lower body: 0 keyframes' in capsys.readouterr().out
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A real bag of the demo's keypoints."""
+    folder = tmp_path_factory.mktemp('keyframes')
+    save_sequence(folder / 'demo.npz', make_recording().sequence())
+    out = folder / 'demo.mcap'
+    assert main(['reconstruct', str(folder / 'demo.npz'), '-o', str(out), '--method', 'keyframes']) == 0
+    assert is_bag(out)
+    return out
+
+
+def test_the_commands_on_a_bag(bag: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / 'k.yaml'
+    assert main(['keyframes', str(bag), '-o', str(out)]) == 0
+    said = capsys.readouterr().out
+    assert 'upper body: ' in said
+    assert said.endswith(f'{out}\n{tmp_path}/k.png\n{tmp_path}/k_distances.png\n')
+    for picture in ('k.png', 'k_distances.png'):
+        assert (tmp_path / picture).read_bytes()[:4] == b'\x89PNG'
+    keyframes = yaml.safe_load(out.read_text())['keyframes']
+    assert {k['half'] for k in keyframes} == {'upper', 'lower'}
+    assert sum(k['represents'] for k in keyframes if k['half'] == 'upper') > 300
+
+    plain, chosen = tmp_path / 'plain.npz', tmp_path / 'chosen.npz'
+    upper = max((k for k in keyframes if k['half'] == 'upper'), key=lambda k: k['represents'])
+    upper['forward'] = ['lelbow', 'rwrist']
+    out.write_text(yaml.safe_dump({'keyframes': keyframes}))
+    command = ['reconstruct', str(bag), '--method', 'keyframes', '-o']
+    assert main([*command, str(plain)]) == 0
+    assert main([*command, str(chosen), '--choices', str(out)]) == 0
+    with np.load(plain) as a, np.load(chosen) as b:
+        assert a['joints3d'].shape == b['joints3d'].shape == (390, 15, 3)
+        assert np.abs(a['joints3d'] - b['joints3d']).max() > 0.05
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'message'),
+    [
+        (['keyframes', 'nothing.npz'], 'nothing.npz: No such file'),
+        (['keyframes', 'BAG', '-o', 'k.txt'], 'k.txt: can write .yaml'),
+        (['reconstruct', 'BAG', '--choices', 'c.yaml'], 'c.yaml: choices are for --method keyframes'),
+        (['reconstruct', 'BAG', '--method', 'keyframes', '--choices', 'no.yaml'], 'no.yaml: No such file'),
+        (['reconstruct', 'BAG', '--method', 'keyframes', '--choices', 'c.yaml'], 'c.yaml: not YAML'),
+        (
+            ['reconstruct', 'BAG', '--method', 'keyframes', '--choices', 'd.yaml'],
+            'd.yaml: keyframes[0]: no keyframe of the upper body at 99 s; the nearest is at',
+        ),
+    ],
+)
+def test_bad_input_is_one_line(bag: Path, tmp_path: Path, monkeypatch, capsys, arguments, message) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'c.yaml').write_text('{')
+    (tmp_path / 'd.yaml').write_text('keyframes: [{half: upper, time: 99, forward: [lelbow]}]')
+    assert main([str(bag) if a == 'BAG' else a for a in arguments]) == 1
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert message in error
+
+
+def test_real_detections_from_a_second_camera() -> None:
+    """Reconstructed from camera 1, seen from camera 3: nearer to what that one saw than half a torso."""
+    one, other = (load_sequence(shared(f'data/detections/balance_openpose_cam{c}.npz')) for c in (1, 3))
+    result = reconstruct(
+        one.keypoints, one.joint_names, one.timestamps, one.intrinsics(1.0), MODELS, CONFIG
+    ).result
+    assert np.isfinite(result.joints).all()
+    assert one.truth is not None
+    assert other.truth is not None
+    names = [n for n in one.truth.joint_names if n in CMU15.joints and n not in ('head', 'neck', 'pelvis')]
+    mine = [CMU15.index(n) for n in names]
+    theirs = [one.truth.joint_names.index(n) for n in names]
+    known = np.isfinite(one.truth.joints[:, theirs]).all(axis=(1, 2))
+    assert mpjpe(result.joints[known][:, mine], one.truth.joints[known][:, theirs]) < 110

@@ -1,0 +1,294 @@
+"""Replay of other people's bags, of several, and of what was interrupted."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from mocap_ros.bags.journal import JOURNAL, KEY_VALUE
+from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recorder import Recorder
+from mocap_ros.cli.main import main
+from mocap_ros.config import Config, RecorderConfig, from_yaml, with_values
+from mocap_ros.demo.scene import make_recording
+from mocap_ros.errors import InputError, RecordingError
+from mocap_ros.messages import cdr
+from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.cdr import decode, encode, new, typestore
+from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.runtime.replay import ReplayOptions, replay
+from mocap_ros.runtime.sequence_messages import sequence_samples
+from tests.support.camera_infos import camera_info
+
+FAST = {'tracker.model': 'walk', 'tracker.components': 8, 'tracker.iterations': 1}
+OPTIONS = ReplayOptions(with_values(Config(), FAST))
+FRAMES = 12
+START = 1_700_000_000_000_000_000
+
+
+@pytest.fixture(scope='module')
+def stream() -> list[bytes]:
+    return [s.raw for s in islice(sequence_samples(make_recording().sequence()), FRAMES)]
+
+
+@pytest.fixture(scope='module')
+def skeletons(stream: list[bytes], tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
+    """What a bag of ours gives."""
+    folder = tmp_path_factory.mktemp('ours')
+    write(folder / 'bag', stream)
+    return replayed(folder / 'bag', folder / 'out')
+
+
+def write(folder: Path, stream: list[bytes]) -> None:
+    with Recorder(folder, RecorderConfig()) as recorder:
+        recorder.write('/camera_info', CAMERA_INFO, camera_info(), START, START)
+        for i, raw in enumerate(stream):
+            recorder.write('/keypoints', KEYPOINTS, raw, START + i * 33_000_000, START)
+
+
+def replayed(path: Path, out: Path, options: ReplayOptions = OPTIONS) -> list[bytes]:
+    with Bag(path) as bag:
+        replay(bag, out, options)
+    with Bag(out) as bag:
+        return [m.raw for m in bag.messages(['/skeletons'])]
+
+
+KINDS: list[Any] = [
+    (8, StoragePlugin.SQLITE3, CompressionMode.NONE),
+    (9, StoragePlugin.SQLITE3, CompressionMode.FILE),
+    (8, StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+    (9, StoragePlugin.MCAP, CompressionMode.NONE),
+    (8, StoragePlugin.MCAP, CompressionMode.FILE),
+    (9, StoragePlugin.MCAP, CompressionMode.MESSAGE),
+    (9, StoragePlugin.MCAP, CompressionMode.STORAGE),
+]
+
+
+@pytest.mark.parametrize(('version', 'storage', 'compression'), KINDS)
+def test_bags_of_every_storage_and_version_give_the_same(
+    tmp_path: Path, stream: list[bytes], skeletons: list[bytes], version: Any, storage: Any, compression: Any
+) -> None:
+    writer = Writer(tmp_path / 'bag', version=version, storage_plugin=storage)
+    writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
+        camera = writer.add_connection('/camera_info', CAMERA_INFO, typestore=typestore())
+        points = writer.add_connection('/people/keypoints', KEYPOINTS, typestore=typestore())
+        writer.write(camera, START, camera_info())
+        for i, raw in enumerate(stream):
+            writer.write(points, START + i * 33_000_000, raw)
+    assert replayed(tmp_path / 'bag', tmp_path / 'out') == skeletons
+    bare = [f for f in (tmp_path / 'bag').iterdir() if f.suffix in ('.db3', '.mcap')]
+    if bare and compression in (CompressionMode.NONE, CompressionMode.STORAGE):
+        assert replayed(bare[0], tmp_path / 'out2') == skeletons
+
+
+@pytest.mark.parametrize('compression', [None, *Ros1Writer.CompressionFormat])
+def test_a_bag_of_ros_1_gives_the_same(
+    tmp_path: Path, stream: list[bytes], skeletons: list[bytes], compression: Any
+) -> None:
+    """With the header and the CameraInfo of ROS 1, which differ from ours."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    texts = {Path(f).stem: f.read_text() for f in (Path(cdr.__file__).parent / 'msg').glob('Keypoints*.msg')}
+    own: dict[str, Any] = {}
+    for name, text in texts.items():
+        own.update(get_types_from_msg(text, f'mocap_ros_msgs/msg/{name}'))
+    store.register(own)
+    writer = Ros1Writer(tmp_path / 'old.bag')
+    if compression is not None:
+        writer.set_compression(compression)
+    with writer:
+        camera = writer.add_connection('/camera_info', CAMERA_INFO, typestore=store)
+        points = writer.add_connection('/keypoints', KEYPOINTS, typestore=store)
+        writer.write(camera, START, store.serialize_ros1(ros1_camera_info(store), CAMERA_INFO))
+        for i, raw in enumerate(stream):
+            message = decode(raw, KEYPOINTS)
+            message.header = ros1_header(store, message.header)
+            writer.write(points, START + i * 33_000_000, store.serialize_ros1(message, KEYPOINTS))
+    assert replayed(tmp_path / 'old.bag', tmp_path / 'out') == skeletons
+
+
+def ros1_header(store: Typestore, header: Any) -> Any:
+    return store.types['std_msgs/msg/Header'](seq=7, stamp=header.stamp, frame_id=header.frame_id)
+
+
+def ros1_camera_info(store: Typestore) -> Any:
+    ours = decode(camera_info(), CAMERA_INFO)
+    values = {
+        f: getattr(ours, f.lower() if len(f) == 1 else f)
+        for f in store.types[CAMERA_INFO].__dataclass_fields__
+        if f != '__msgtype__'
+    }
+    return store.types[CAMERA_INFO](**{**values, 'header': ros1_header(store, ours.header)})
+
+
+OTHER_VERSION = {
+    'mocap_ros_msgs/msg/Keypoints2D': """
+        string id
+        string note
+        float32[] x
+        float32[] y
+        float32[] score
+        string skeleton
+    """,
+    KEYPOINTS: """
+        std_msgs/Header header
+        mocap_ros_msgs/Keypoints2D[] people
+        uint32 image_height
+        uint32 image_width
+    """,
+}
+
+
+def test_another_version_of_a_message_is_taken_by_the_names_of_its_fields(
+    tmp_path: Path, stream: list[bytes], skeletons: list[bytes]
+) -> None:
+    """As our messages may look to a later version of this package: one field less, one more, another order."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in OTHER_VERSION.items():
+        store.register(get_types_from_msg(text, name))
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        camera = writer.add_connection('/camera_info', CAMERA_INFO, typestore=store)
+        points = writer.add_connection('/keypoints', KEYPOINTS, typestore=store)
+        writer.write(camera, START, camera_info())
+        for i, raw in enumerate(stream):
+            m = decode(raw, KEYPOINTS)
+            person = store.types['mocap_ros_msgs/msg/Keypoints2D']
+            people = [
+                person(id=p.id, note='?', x=p.x, y=p.y, score=p.score, skeleton=p.skeleton) for p in m.people
+            ]
+            other = store.types[KEYPOINTS](
+                header=m.header, people=people, image_height=m.image_height, image_width=m.image_width
+            )
+            writer.write(points, START + i * 33_000_000, store.serialize_cdr(other, KEYPOINTS))
+    for path in (tmp_path / 'bag', tmp_path / 'bag' / 'bag.mcap'):
+        assert replayed(path, tmp_path / f'{path.name}.out') == skeletons
+
+
+def test_the_camera_info_beside_the_keypoints_is_taken(tmp_path: Path, stream: list[bytes]) -> None:
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        for camera, width in (('left', 640), ('right', 1280)):
+            recorder.write(f'/{camera}/camera_info', CAMERA_INFO, camera_info(width), START, START)
+        for i, raw in enumerate(stream):
+            recorder.write('/left/keypoints', KEYPOINTS, raw, START + i, START)
+    assert len(replayed(tmp_path / 'bag', tmp_path / 'out')) == FRAMES
+    options = ReplayOptions(OPTIONS.config, camera_info='/right/camera_info')
+    assert replayed(tmp_path / 'bag', tmp_path / 'wrong', options) == []  # 1280 px: every frame is refused
+    with pytest.raises(InputError, match='no CameraInfo on /up; there is /left/camera_info, /right/camera_info'):
+        replayed(tmp_path / 'bag', tmp_path / 'none', ReplayOptions(camera_info='/up'))
+
+
+def test_a_split_bag_and_each_of_its_files_replay(
+    tmp_path: Path, stream: list[bytes], skeletons: list[bytes]
+) -> None:
+    write(tmp_path / 'bag', stream)
+    config = with_values(Config(), {**FAST, 'recorder.split_seconds': 0.1})
+    assert replayed(tmp_path / 'bag', tmp_path / 'split', ReplayOptions(config)) == skeletons
+    files = sorted((tmp_path / 'split').glob('*.mcap'))
+    assert len(files) > 2
+    assert replayed(tmp_path / 'split', tmp_path / 'again', ReplayOptions()) == skeletons
+    for file in files:
+        assert replayed(file, tmp_path / f'{file.stem}.out', ReplayOptions())
+
+
+def test_the_bag_says_what_it_was_made_with(tmp_path: Path, stream: list[bytes]) -> None:
+    import json
+
+    from mcap.reader import make_reader
+
+    write(tmp_path / 'bag', stream)
+    replayed(tmp_path / 'bag', tmp_path / 'out')
+    with (tmp_path / 'out' / 'out_0.mcap').open('rb') as file:
+        found = {a.name: a.data for a in make_reader(file).iter_attachments()}
+    assert from_yaml(found['mocap_ros.yaml'].decode(), 'x') == OPTIONS.config
+    told = json.loads(found['provenance.json'])
+    assert told['versions']['mocap_ros']
+    assert told['models']['walk']['provenance']
+
+
+@pytest.mark.parametrize(
+    'values', [{}, {'input': '1e999'}, {'input': '[' * 5000}, {'input': '1', 'lost': '"many"'}]
+)
+def test_what_looks_like_a_journal_and_is_none_is_named(
+    values: dict[str, str], tmp_path: Path, stream: list[bytes]
+) -> None:
+    pairs = [new(KEY_VALUE, key=k, value=v) for k, v in values.items()]
+    line = new(JOURNAL, level=0, name='lost', message='', hardware_id='', values=pairs)
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        recorder.write('/keypoints', KEYPOINTS, stream[0], START, START)
+        recorder.write('/other/journal', JOURNAL, encode(line, JOURNAL), START, START)
+    with pytest.raises(InputError, match=r'^.*bag: /other/journal: not a line of a journal$'):
+        replayed(tmp_path / 'bag', tmp_path / 'out')
+
+
+def test_an_interrupted_replay_is_done_again(tmp_path: Path, stream: list[bytes], skeletons: list[bytes]) -> None:
+    write(tmp_path / 'bag', stream)
+
+    def interrupted(found: Any, _: int) -> Any:
+        yield from islice(found, 5)
+        raise KeyboardInterrupt
+
+    with Bag(tmp_path / 'bag') as bag, pytest.raises(KeyboardInterrupt):
+        replay(bag, tmp_path / 'out', OPTIONS, interrupted)
+    with Bag(tmp_path / 'out.partial') as bag:
+        assert [m.raw for m in bag.messages(['/skeletons'])] == skeletons[:4]
+    with pytest.raises(RecordingError, match=r'out\.partial: left by an interrupted replay; --resume'):
+        replayed(tmp_path / 'bag', tmp_path / 'out')
+    options = [word for name, value in FAST.items() for word in ('--set', f'{name}={value}')]
+    command = ['replay', str(tmp_path / 'bag'), '-o', str(tmp_path / 'out'), '--resume', *options]
+    assert main(command) == 0
+    with Bag(tmp_path / 'out') as bag:
+        assert [m.raw for m in bag.messages(['/skeletons'])] == skeletons
+    assert not (tmp_path / 'out.partial').exists()
+    assert main(command) == 0  # done already
+
+
+def test_several_bags_in_several_processes(
+    tmp_path: Path, stream: list[bytes], skeletons: list[bytes], capfd: pytest.CaptureFixture[str]
+) -> None:
+    for name in ('a', 'b', 'c'):
+        write(tmp_path / name, stream)
+    (tmp_path / 'b' / 'b_0.mcap').write_bytes(b'')
+    options = [word for name, value in FAST.items() for word in ('--set', f'{name}={value}')]
+    bags = [str(tmp_path / name) for name in ('a', 'b', 'c')]
+    assert main(['replay', *bags, '-o', str(tmp_path / 'out'), '--jobs', '2', *options]) == 1
+    out, err = capfd.readouterr()
+    assert len(out.splitlines()) == 2
+    (line,) = err.splitlines()
+    assert line.startswith(f'mocap-ros: {tmp_path}/b: ')
+    for name in ('a', 'c'):
+        with Bag(tmp_path / 'out' / name) as bag:
+            assert [m.raw for m in bag.messages(['/skeletons'])] == skeletons
+
+
+def test_ctrl_c_ends_every_process_and_leaves_bags_that_can_be_read(tmp_path: Path, stream: list[bytes]) -> None:
+    long = [raw for _ in range(300) for raw in stream]
+    for name in ('a', 'b'):
+        write(tmp_path / name, long)
+    command = [sys.executable, '-m', 'mocap_ros.cli.main', 'replay', 'a', 'b', '-o', 'out', '--jobs', '2']
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
+    end = time.monotonic() + 30
+    while len(list(tmp_path.glob('out/*.partial/*.mcap'))) < 2 or not all(
+        f.stat().st_size > 20_000 for f in tmp_path.glob('out/*.partial/*.mcap')
+    ):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=20)
+    assert (process.returncode, out, err) == (1, '', 'mocap-ros: interrupted\n')
+    for name in ('a', 'b'):
+        with Bag(tmp_path / 'out' / f'{name}.partial') as bag:
+            assert bag.count(['/keypoints']) > 0

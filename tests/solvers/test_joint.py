@@ -1,0 +1,281 @@
+"""The joint solver: right derivatives, right minimum, a batch that equals its parts."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import solve
+
+from mocap_ros.config import SolverConfig
+from mocap_ros.geometry.weak_perspective import Cameras
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.lifter import Lifted
+from mocap_ros.solvers import alternation, joint
+from mocap_ros.solvers.block_banded import Coupling, factor, solve_less_low_rank
+from mocap_ros.solvers.joint.objective import Problem, initial_state
+from mocap_ros.solvers.joint.state import State
+from mocap_ros.solvers.window import Reconstruction, Start, Window, mean_pose_start
+from tests.support.synthetic_walk import scene
+
+PLAIN = SolverConfig(
+    components=10,
+    prior_weight=3e-4,
+    bone_weight=20.0,
+    flip_weight=0.005,
+    smooth_weight=0.0,
+    robust_scale=0.0,
+    upright_turn=1.0,
+    upright_prior=1.0,
+    tilt_weight=0.0,
+    scale_weight=0.0,
+    adapt_noise=False,
+)
+
+
+def window(
+    model: BasePoses,
+    frames: int = 30,
+    seed: int = 0,
+    noise: float = 2.0,
+    focal: float = math.inf,
+    lifted: bool = False,
+) -> Window:
+    """A noisy window with missing points and irregular times, perhaps with lifted poses of a kind."""
+    theta, _, points, times = scene(model, frames=frames, seed=seed)
+    rng = np.random.default_rng(seed)
+    weight = rng.uniform(0.3, 1, points.shape[:2]) * (rng.random(points.shape[:2]) > 0.1)
+    times = times + rng.uniform(0, 0.01, frames)
+    noisy = points + noise * rng.normal(size=points.shape)
+    learned = None
+    if lifted:
+        wrong = 200 * model.poses(theta)
+        wrong = wrong + 30 * rng.normal(size=wrong.shape)
+        wrong[1] = np.nan
+        learned = Lifted(wrong, rng.uniform(5, 50, wrong.shape))
+    return Window(noisy, weight, times, focal=focal, lifted=learned)
+
+
+def problem_and_state(
+    model: BasePoses, config: SolverConfig, rng: np.random.Generator, focal: float = math.inf, lifted: bool = False
+) -> tuple[Problem, State]:
+    windows = [window(model, frames, seed=frames, focal=focal, lifted=lifted) for frames in (7, 5)]
+    starts = [mean_pose_start(w, model, 1.0) for w in windows]
+    s0 = np.array([np.median(s.cameras.scale) for s in starts])
+    problem = Problem.build(windows, s0, model, config)
+    state = initial_state(problem, starts, s0)
+    state = state.moved(0.03 * rng.normal(size=(12, len(model.std) + 4)))
+    for _ in range(100):
+        state = problem.settled(state).state
+    return problem, state
+
+
+@pytest.mark.parametrize('robust', [0.0, 0.03])
+@pytest.mark.parametrize('relative', [False, True])
+@pytest.mark.parametrize('focal', [math.inf, 300.0])
+@pytest.mark.parametrize('lifted', [False, True])
+def test_gradient_agrees_with_finite_differences(
+    walk_model: BasePoses, rng: np.random.Generator, robust: float, relative: bool, focal: float, lifted: bool
+) -> None:
+    model = walk_model.truncated(6)
+    config = SolverConfig(smooth_weight=1e-4, robust_scale=robust, relative_bones=relative, flip_weight=0.01)
+    problem, state = problem_and_state(model, config, rng, focal, lifted)
+    gradient = problem.normal_equations(problem.fit(state)).gradient
+    numeric = np.empty_like(gradient)
+    h = 1e-5
+    for frame in range(gradient.shape[0]):
+        for unknown in range(gradient.shape[1]):
+            step = np.zeros_like(gradient)
+            step[frame, unknown] = h
+            up, down = (problem.cost(problem.fit(state.moved(s))).sum() for s in (step, -step))
+            numeric[frame, unknown] = (up - down) / (2 * h) / 2
+    assert np.abs(gradient - numeric).max() < 1e-6 * np.abs(gradient).max()
+
+
+@pytest.mark.parametrize('focal', [math.inf, 300.0])
+def test_normal_matrix_is_that_of_the_residuals(
+    walk_model: BasePoses, rng: np.random.Generator, focal: float
+) -> None:
+    """J^T J with J by finite differences of every residual, translations and mean bones eliminated.
+
+    What the matrix holds beyond it, the curvature of bones, is positive semidefinite.
+    """
+    model = walk_model.truncated(4)
+    config = SolverConfig(
+        smooth_weight=1e-3, flip_weight=0.02, tilt_weight=0.1, scale_weight=0.01, robust_scale=0.0
+    )
+    problem, state = problem_and_state(model, config, rng, focal)
+    equations = problem.normal_equations(problem.fit(state))
+    frames, n = equations.gradient.shape
+
+    def residuals(step: np.ndarray) -> np.ndarray:
+        moved = state.moved(step[:, :n])
+        moved = dataclasses.replace(moved, translation=moved.translation + step[:, n:])
+        fit = problem.fit(moved)
+        smooth = np.sqrt(problem.smooth)[:, None] * np.diff(moved.theta, axis=0) / model.std
+        parts = [
+            np.sqrt(problem.weight)[..., None] * fit.error,
+            np.sqrt(problem.bone_weight) * fit.excess,
+            np.sqrt(problem.prior) * moved.theta,
+            smooth,
+            np.sqrt(problem.turn) * np.diff(fit.turning, axis=0),
+        ]
+        return np.concatenate([p.ravel() for p in parts])
+
+    jac = []
+    for unknown in range(frames * (n + 2)):
+        step = np.zeros(frames * (n + 2))
+        step[unknown] = 1e-6
+        step = step.reshape(frames, n + 2)
+        jac.append((residuals(step) - residuals(-step)) / 2e-6)
+    of_translation = np.arange(frames * (n + 2)) % (n + 2) >= n
+    rest, translation = np.array(jac)[~of_translation], np.array(jac)[of_translation]
+    rest -= rest @ np.linalg.pinv(translation) @ translation
+    expected = rest @ rest.T
+
+    matrix = np.zeros((frames, n, frames, n))
+    below = equations.coupling.dense()
+    for t in range(frames):
+        matrix[t, :, t] = equations.diagonal[t]
+        if t:
+            matrix[t, :, t - 1] = below[t - 1]
+            matrix[t - 1, :, t] = below[t - 1].T
+    for start, count in zip(problem.starts, problem.counts, strict=True):
+        own = slice(start, start + count)
+        g = equations.bones[own]
+        matrix[own, :, own] -= np.einsum('tib,ujb->tiuj', g, g) / count
+    matrix = matrix.reshape(frames * n, frames * n)
+    assert np.linalg.eigvalsh(matrix - expected).min() > -1e-6 * np.abs(expected).max()
+    own = dataclasses.replace(problem, bone_weight=0 * problem.bone_weight)
+    diagonal = own.normal_equations(own.fit(state)).diagonal
+    jac_rows = rest.reshape(frames, n, -1)
+    bones_at = problem.weight.size * 2
+    kept = np.delete(jac_rows, np.s_[bones_at : bones_at + frames * 14], axis=-1)
+    exact = kept @ np.swapaxes(kept, -1, -2)
+    assert np.abs(diagonal - exact).max() < 1e-6 * np.abs(exact).max()
+
+
+def test_banded_solution_equals_the_dense_one(rng: np.random.Generator) -> None:
+    frames, n, bones = 6, 5, 3
+    starts, counts = np.array([0, 4]), np.array([4, 2])
+    strength = np.array([0.2, 0.0])
+    a = rng.normal(size=(frames, n, n))
+    vectors = rng.normal(size=(frames, n, bones))
+    diagonal = a @ np.swapaxes(a, 1, 2) + 10 * np.eye(n)
+    coupling = Coupling(0.3 * rng.normal(size=(frames - 1, n)), 0.3 * rng.normal(size=(frames - 1, 2, 2)))
+    coupling.diagonal[3] = coupling.corner[3] = 0
+    below = coupling.dense()
+    dense = np.zeros((frames, n, frames, n))
+    for t in range(frames):
+        dense[t, :, t] = diagonal[t]
+    for t in range(frames - 1):
+        dense[t + 1, :, t] = below[t]
+        dense[t, :, t + 1] = below[t].T
+    for s, (start, count) in zip(strength, zip(starts, counts, strict=True), strict=True):
+        own = slice(start, start + count)
+        dense[own, :, own] -= s * np.einsum('tib,ujb->tiuj', vectors[own], vectors[own])
+    right = rng.normal(size=(frames, n))
+    banded = factor(diagonal, coupling)
+    assert banded is not None
+    x = solve_less_low_rank(banded, right, vectors, strength, starts)
+    assert x.ravel() == pytest.approx(solve(dense.reshape(frames * n, -1), right.ravel()), rel=1e-9)
+    assert factor(-diagonal, coupling) is None
+
+
+def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) -> None:
+    config = dataclasses.replace(PLAIN, tolerance=1e-9, max_iterations=3000)
+    for seed in range(3):
+        w = window(walk_model, seed=seed)
+        slow = alternation.reconstruct(w, walk_model, config)
+        (fast,) = joint.solve([w], walk_model, config)
+        assert fast.objective[0] == pytest.approx(slow.objective[0], rel=1e-9)
+        assert fast.objective[-1] <= slow.objective[-1] * (1 + 1e-3), 'the same or a neighbouring minimum'
+        further = dataclasses.replace(
+            w,
+            start=Start(slow.theta, slow.cameras),
+            unit=float(np.median(mean_pose_start(w, walk_model, config.start_window).cameras.scale)),
+        )
+        (refined,) = joint.solve([further], walk_model, config)
+        assert refined.objective[0] == pytest.approx(slow.objective[-1], rel=1e-6)
+        assert refined.objective[-1] <= slow.objective[-1]
+        near = fast.objective[-1] * (1 + 1e-4)
+        steps = [int(np.argmax(np.array(r.objective) <= near)) for r in (fast, slow)]
+        assert steps[0] <= 15
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    bone=st.floats(0, 100),
+    prior=st.floats(0, 1e-2),
+    flip=st.floats(0, 1),
+    smooth=st.floats(0, 1e-2),
+    robust=st.sampled_from([0.0, 0.01, 0.1]),
+    noise=st.floats(0, 300),
+)
+def test_objective_never_rises(walk_model, seed, bone, prior, flip, smooth, robust, noise) -> None:
+    config = SolverConfig(
+        bone_weight=bone,
+        prior_weight=prior,
+        flip_weight=flip,
+        smooth_weight=smooth,
+        robust_scale=robust,
+        components=8,
+        max_iterations=15,
+    )
+    (result,) = joint.solve([window(walk_model, 12, seed, noise)], walk_model, config)
+    assert (np.diff(result.objective) <= 0).all()
+    assert np.isfinite(result.joints).all()
+
+
+def test_a_batch_gives_what_each_sequence_gives_alone(walk_model: BasePoses) -> None:
+    config = SolverConfig(smooth_weight=1e-5, robust_scale=0.05, components=10, tolerance=1e-10)
+    windows = [window(walk_model, frames, seed) for frames, seed in ((20, 1), (9, 2), (14, 3))]
+    together = joint.solve(windows, walk_model, config)
+    for one, w in zip(together, windows, strict=True):
+        (alone,) = joint.solve([w], walk_model, config)
+        assert one.joints == pytest.approx(alone.joints, abs=1e-7)
+        assert one.iterations == alone.iterations
+
+
+def test_gross_outliers_are_discounted_by_the_robust_loss(walk_model: BasePoses) -> None:
+    clean = window(walk_model, noise=0.0)
+    bad = clean.points.copy()
+    bad[::5, 4] += 80
+    config = dataclasses.replace(PLAIN, components=6, prior_weight=1e-6)
+
+    def wrist_error(scale: float) -> float:
+        own = dataclasses.replace(config, robust_scale=scale)
+        (good,) = joint.solve([clean], walk_model, config)
+        (result,) = joint.solve([dataclasses.replace(clean, points=bad)], walk_model, own)
+        return float(np.linalg.norm(result.joints - good.joints, axis=-1).mean())
+
+    assert wrist_error(0.02) < 0.2 * wrist_error(0.0)
+
+
+def test_hypotheses_mend_a_wrong_first_camera(walk_model: BasePoses) -> None:
+    clean = window(walk_model, noise=0.5)
+    start = mean_pose_start(clean, walk_model.truncated(10), 1.0)
+    (right,) = joint.solve([clean], walk_model, SolverConfig(components=10))
+    half_turn = np.diag([-1.0, -1.0, 1.0])
+    wrong = Start(start.theta, Cameras(start.cameras.scale, start.cameras.rotation @ half_turn))
+    misled = dataclasses.replace(clean, start=wrong, unit=float(np.median(start.cameras.scale)))
+    (one,) = joint.solve_hypotheses([misled], walk_model, SolverConfig(components=10, hypotheses=1))
+    (best,) = joint.solve_hypotheses([misled], walk_model, SolverConfig(components=10, upright_hypotheses=9))
+
+    def apart(result: Reconstruction) -> float:
+        return float(np.linalg.norm(result.joints - right.joints, axis=-1).mean())
+
+    assert apart(one) > 0.05
+    assert apart(best) < 0.01
+
+
+def test_noise_is_found(walk_model: BasePoses) -> None:
+    _, _, points, times = scene(walk_model, frames=60)
+    rng = np.random.default_rng(5)
+    for px in (1.0, 4.0):
+        noisy = Window(points + px * rng.normal(size=points.shape), np.ones(points.shape[:2]), times)
+        (result,) = joint.solve([noisy], walk_model, SolverConfig())
+        assert result.noise == pytest.approx(px / 205, rel=0.2)
