@@ -496,7 +496,7 @@ def sections_against_whole() -> dict[str, Any]:
     seen = observed(clean, config)
     out = {}
     for label, largest in (('at once', 3600), ('in sections of 30 s', 900)):
-        found = keyframe_method.summarise(seen, replace(config.keyframes, largest=largest))
+        found = keyframe_method.summarise(seen, replace(config.keyframes, max_matrix_frames=largest))
         for half in found:
             out[f'{half.half.name}, {label}'] = f'{len(half.frames)} ({half.coverage:.1%})'
     return out

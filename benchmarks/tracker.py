@@ -58,7 +58,7 @@ class Run:
 
     joints: Array
     std: Array
-    filled: NDArray[np.bool_]
+    inferred: NDArray[np.bool_]
     milliseconds: Array
     kinds: list[MotionKind]
     tracker: Tracker
@@ -82,7 +82,7 @@ def track(view: common.View, models: Mapping[str, BasePoses], config: Config) ->
     tracker, camera = Tracker(models, config), intrinsics_of(view)
     stamps = [round(t * NS) + 1 for t in view.sequence['timestamps']]
     joints = np.full(view.truth.shape, np.nan)
-    std, filled = np.full(joints.shape[:2], np.nan), np.zeros(joints.shape[:2], bool)
+    std, inferred = np.full(joints.shape[:2], np.nan), np.zeros(joints.shape[:2], bool)
     spent, kinds = [], []
     for frame, stamp in enumerate(stamps):
         begun = time.process_time()
@@ -91,8 +91,8 @@ def track(view: common.View, models: Mapping[str, BasePoses], config: Config) ->
         kinds.append(people[0].motion.kind if people else MotionKind.UNKNOWN)
         if people:
             at = stamps.index(tracker.output_ns)
-            joints[at], std[at], filled[at] = people[0].joints, people[0].std, people[0].filled
-    return Run(joints, std, filled, np.array(spent), kinds, tracker)
+            joints[at], std[at], inferred[at] = people[0].joints, people[0].std, people[0].inferred
+    return Run(joints, std, inferred, np.array(spent), kinds, tracker)
 
 
 def whole(view: common.View, models: Mapping[str, BasePoses], config: Config) -> Array:
@@ -307,7 +307,7 @@ def reliability(quick: bool, prior: str, headings: Sequence[float]) -> dict[str,
                     pose, truth = (p - p.mean(axis=1, keepdims=True) for p in (run.joints, view.truth))
                     pose = pose * (pose * truth).sum() / (pose * pose).sum()
                     wrong = np.linalg.norm(pose - truth, axis=-1)
-                    for label, chosen in (('seen', ~run.filled), ('hidden', run.filled)):
+                    for label, chosen in (('seen', ~run.inferred), ('hidden', run.inferred)):
                         late = chosen & (np.arange(view.frames) >= 15)[:, None]
                         pair = np.stack([run.std[late], wrong[late]])
                         pairs[label].append(pair)

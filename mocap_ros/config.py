@@ -22,6 +22,25 @@ Value = bool | int | float | str
 
 LONGEST_SHOWN = 60
 HEAVIEST = 1e6
+# Parameters of version 0.1 under another name, by old name: recordings of it hold these.
+RENAMED_SINCE_0_1 = {
+    'solver.lifted_weight': 'solver.lifter_weight',
+    'solver.lifted_robust': 'solver.lifter_robust_scale',
+    'solver.lifted_prior': 'solver.lifter_prior_factor',
+    'solver.lifted_turn': 'solver.lifter_flip_factor',
+    'solver.lifted_smooth': 'solver.lifter_smooth_factor',
+    'solver.upright_prior': 'solver.heading_prior_factor',
+    'solver.upright_turn': 'solver.heading_flip_factor',
+    'solver.upright_hypotheses': 'solver.heading_hypotheses',
+    'solver.gait_prior': 'solver.periodic_prior_factor',
+    'solver.drift_weight': 'solver.camera_velocity_weight',
+    'solver.steady_weight': 'solver.camera_acceleration_weight',
+    'tracker.refine': 'tracker.refine_seconds',
+    'tracker.challenge_every': 'tracker.hypothesis_check_interval',
+    'keyframes.largest': 'keyframes.max_matrix_frames',
+    'keyframes.own_share': 'keyframes.frame_pose_share',
+}
+
 YAML_1_1_MISSES = re.compile(r'[-+]?\d+(\.\d*)?[eE][-+]?\d{1,3}')  # numbers like 1e-4, which it takes for text
 
 
@@ -46,88 +65,140 @@ def _weight(default: float, doc: str) -> Any:
 
 @dataclass(frozen=True)
 class SolverConfig:
-    """The factorisation: weights of its terms and when it stops."""
+    """Weights of the objective's terms, and when the solvers stop."""
 
-    components: int = _p(40, 'base poses used, at most those of the model', low=1, high=60)
+    components: int = _p(40, 'number of base poses; a model that has fewer uses all of them', low=1, high=60)
     prior: str = _p(
         'learned',
-        'of motion that is not periodic: learned (the shipped lifter beside the base poses), pca (the base poses '
-        'alone, as in the paper), or the path of a lifter made by train-lifter',
+        'prior of non-periodic motion: learned (the shipped lifter together with the base poses), '
+        'pca (the base poses '
+        'alone, as in the paper), or the path of a lifter trained by train-lifter',
         read_only=True,
     )
-    lifted_weight: float = _weight(2e-4, 'm^2, lifted poses, per squared standard deviation')
-    lifted_robust: float = _p(3.0, "standard deviations, Cauchy's loss of a lifted joint", low=0.1, high=1e3)
-    lifted_prior: float = _weight(0.3, 'factor on prior_weight beside lifted poses')
-    lifted_turn: float = _weight(0.25, 'factor on flip_weight beside lifted poses')
-    lifted_smooth: float = _weight(5.0, 'factor on smooth_weight beside lifted poses')
+    lifter_weight: float = _weight(
+        2e-4, "m^2, weight of the squared distance from the lifted pose, in the lifter's own standard deviations"
+    )
+    lifter_robust_scale: float = _p(
+        3.0,
+        "standard deviations, distance from the lifted pose beyond which Cauchy's loss discounts a joint",
+        low=0.1,
+        high=1e3,
+    )
+    lifter_prior_factor: float = _weight(0.3, 'factor on prior_weight where there are lifted poses')
+    lifter_flip_factor: float = _weight(0.25, 'factor on flip_weight where there are lifted poses')
+    lifter_smooth_factor: float = _weight(5.0, 'factor on smooth_weight where there are lifted poses')
     prior_weight: float = _weight(
-        1e-4, 'Gaussian prior of the base-pose weights, m^2 per squared standard deviation'
+        1e-4, 'm^2, weight of the Gaussian prior of the base-pose weights, per squared standard deviation'
     )
-    upright_prior: float = _weight(
-        0.25, 'factor on prior_weight for models aligned by heading: people differ more than one category shows'
+    heading_prior_factor: float = _weight(
+        0.25,
+        'factor on prior_weight for base poses that were aligned by heading: one category of motion '
+        'varies less than '
+        'people do, so its prior has to be weaker',
     )
-    bone_weight: float = _weight(60.0, 'bone-length variance (beta, eq. 20)')
-    flip_weight: float = _weight(0.02, 'm^2 s, change of camera between frames (gamma, eq. 12)')
-    upright_turn: float = _weight(
-        0.025, 'factor on flip_weight for models aligned by heading, whose body frame turns with every stride'
+    bone_weight: float = _weight(60.0, 'weight of the variance of the bone lengths over time (beta, eq. 20)')
+    flip_weight: float = _weight(
+        0.02, 'm^2 s, weight of the squared change of the camera between frames (gamma, eq. 12)'
+    )
+    heading_flip_factor: float = _weight(
+        0.025,
+        'factor on flip_weight for base poses that were aligned by heading: there the camera also '
+        'takes up how the '
+        'body turns with every stride',
     )
     tilt_weight: float = _weight(
-        1.0, 'm^2 s, change of the image of the vertical, which only the camera moves; the same models'
+        1.0,
+        'm^2 s, weight of the squared change of the image of the vertical between frames, for base '
+        'poses that were '
+        'aligned by heading: only the camera can change it',
     )
-    scale_weight: float = _weight(0.02, 'm^2 s, change of the log of the scale of the camera between frames')
+    scale_weight: float = _weight(
+        0.02, "m^2 s, weight of the squared change of the logarithm of the camera's scale between frames"
+    )
     smooth_weight: float = _weight(
-        3e-6, 'm^2 s, change of base-pose weights, in standard deviations, between frames'
+        3e-6, 'm^2 s, weight of the squared change of the base-pose weights between frames, in standard deviations'
     )
-    robust_scale: float = _weight(0.05, "m, error from which Cauchy's loss discounts a point; 0 for least squares")
+    robust_scale: float = _weight(
+        0.05, "m, reprojection error beyond which Cauchy's loss discounts a point; 0 selects least squares"
+    )
     adapt_noise: bool = _p(
         True,
-        'scale the six above with the image noise found in the residual (squared, the last one not); '
-        'as they stand they are for 10 mm. Not in the alternation',
+        'estimate the image noise from the residual and adapt all weights above to it: they are '
+        'given for a noise of '
+        '10 mm and are multiplied by (noise / 10 mm)^2; robust_scale is multiplied by noise / 10 mm '
+        'where the noise is '
+        'above 10 mm. The alternation does not adapt',
     )
-    noise_floor: float = _p(0.0005, 'm, least noise assumed', low=1e-5, high=1.0)
-    relative_bones: bool = _p(False, 'bone-length variance relative to the length of each bone')
-    harmonics: int = _p(3, 'harmonics of the periodic model', low=1, high=8)
-    gait_prior: float = _weight(
-        1.0, 'factor on prior_weight for the coefficients of the periodic model, of which a window has one set'
+    noise_floor: float = _p(0.0005, 'm, smallest image noise that is assumed', low=1e-5, high=1.0)
+    relative_bones: bool = _p(False, 'measure the variance of a bone length relative to the length of that bone')
+    harmonics: int = _p(3, 'number of harmonics of the periodic model', low=1, high=8)
+    periodic_prior_factor: float = _weight(
+        1.0,
+        'factor on prior_weight for the coefficients of the periodic model, which occur once a '
+        'window and not once a '
+        'frame',
     )
-    drift_weight: float = _weight(
-        0.001, 'm^2 s, change of camera between frames in the periodic model, which turns the body apart'
+    camera_velocity_weight: float = _weight(
+        0.001, 'm^2 s, weight of the squared velocity of the camera in the periodic model'
     )
-    steady_weight: float = _weight(0.0003, 'm^2 s^3, change of the velocity of the camera, periodic model')
+    camera_acceleration_weight: float = _weight(
+        0.0003, 'm^2 s^3, weight of the squared acceleration of the camera in the periodic model'
+    )
     paper_sines: bool = _p(
-        False, 'periodic model as in the paper: one sine a base pose with its own frequency (eq. 17)'
+        False, "use the paper's periodic model: one sine for each base pose, with a frequency of its own (eq. 17)"
     )
     method: str = _p(
         'joint',
-        'joint: Levenberg-Marquardt over everything at once; alternation: Algorithm 1 of the paper',
+        'joint: Levenberg-Marquardt over cameras and weights together; alternation: Algorithm 1 of the paper',
         choices=('joint', 'alternation'),
     )
     norm: str = _p(
         'squared',
-        'of the alternation: squared, or frobenius as printed in the paper (eq. 13 and 21)',
+        'norms of the alternation: squared, or frobenius as printed in the paper (eq. 13 and 21)',
         choices=('squared', 'frobenius'),
     )
     hypotheses: int = _p(
-        2, 'camera starts: closed form, its Necker reversal, then a ring of headings', low=1, high=10
+        2,
+        'number of initial cameras that are tried: the closed-form one, its Necker reversal, then a '
+        'ring of headings',
+        low=1,
+        high=10,
     )
-    start_window: float = _p(1.0, 's, frames this near share one closed-form start camera', low=0.0, high=60.0)
-    upright_hypotheses: int = _p(1, 'the same for models aligned by heading', low=1, high=10)
-    max_iterations: int = _p(60, 'alternations of cameras and weights', low=1, high=10_000)
-    tolerance: float = _weight(3e-4, 'relative decrease of the objective that ends it')
+    start_window: float = _p(
+        1.0, 's, frames within this span share one closed-form initial camera', low=0.0, high=60.0
+    )
+    heading_hypotheses: int = _p(
+        1, 'number of initial cameras that are tried for base poses that were aligned by heading', low=1, high=10
+    )
+    max_iterations: int = _p(60, 'maximum number of solver iterations', low=1, high=10_000)
+    tolerance: float = _weight(3e-4, 'relative decrease of the objective below which the solver stops')
 
 
 @dataclass(frozen=True)
 class ClassifierConfig:
     """Periodic or not: thresholds chosen on CMU walk, run and jump trials (benchmarks/classification.py)."""
 
-    section: float = _p(2.0, 's, length of the sections that are judged', low=0.3, high=20.0)
-    walk_residual: float = _p(0.0175, 'RMS 2D residual of a walk at most, of stature', low=0.0, high=1.0)
-    run_residual: float = _p(0.021, 'RMS 2D residual of a run at most, of stature', low=0.0, high=1.0)
-    walk_cadence: float = _p(0.5, 'Hz, full cycles of a walk at least', low=0.0, high=5.0)
-    run_cadence: float = _p(1.0, 'Hz, full cycles of a run at least', low=0.0, high=5.0)
-    amplitude: float = _p(0.03, 'RMS movement of a joint at least, of stature', low=0.0, high=1.0)
-    components: int = _p(25, 'base poses of the periodic model', low=1, high=60)
-    hysteresis: float = _p(1.1, 'factor on every threshold before the answer changes', low=1.0, high=3.0)
+    section: float = _p(
+        2.0, 's, length of the newest section of the window, which is classified', low=0.3, high=20.0
+    )
+    walk_residual: float = _p(
+        0.0175, 'largest RMS 2D residual of a walk, as a fraction of body height', low=0.0, high=1.0
+    )
+    run_residual: float = _p(
+        0.021, 'largest RMS 2D residual of a run, as a fraction of body height', low=0.0, high=1.0
+    )
+    walk_cadence: float = _p(0.5, 'Hz, smallest cadence of a walk (full cycles)', low=0.0, high=5.0)
+    run_cadence: float = _p(1.0, 'Hz, smallest cadence of a run (full cycles)', low=0.0, high=5.0)
+    amplitude: float = _p(
+        0.03,
+        'smallest RMS movement of a joint in a periodic motion, as a fraction of body height',
+        low=0.0,
+        high=1.0,
+    )
+    components: int = _p(25, 'number of base poses of the periodic model', low=1, high=60)
+    hysteresis: float = _p(
+        1.1, 'factor by which a threshold must be passed before the answer changes', low=1.0, high=3.0
+    )
 
 
 @dataclass(frozen=True)
@@ -136,31 +207,44 @@ class TrackerConfig:
 
     model: str = _p(
         'auto',
-        'name of a shipped base-pose model, path of a trained one, or auto: each person has the likeliest shipped',
+        'name of a shipped base-pose model, path of a trained one, or auto: the most likely shipped model of each '
+        'person (with the learned prior: the model of all motions)',
         read_only=True,
     )
     window: float = _p(2.0, 's, length of the sliding window', low=0.1, high=20.0)
-    components: int = _p(40, 'base poses used live, at most solver.components', low=1, high=60)
-    refine: float = _p(0.15, 's, newest part of the window that a new frame changes', low=0.0, high=20.0)
-    iterations: int = _p(2, 'steps of the solver that a new frame costs', low=1, high=100)
-    challenge_every: float = _p(
-        0.5, 's between fresh starts of a person, under each model in turn, taken over when likelier', low=0.05
+    components: int = _p(40, 'number of base poses used live, at most solver.components', low=1, high=60)
+    refine_seconds: float = _p(
+        0.15, 's, newest part of the window, which is solved again at every frame', low=0.0, high=20.0
     )
-    lag: float = _p(0.0, 's that the output stays behind the newest frame', low=0.0, high=5.0)
-    undo_swaps: bool = _p(True, 'recognise left and right swapped by the detector, and undo it')
-    min_score: float = _p(0.1, 'keypoints scored below count as not seen', low=0.0, high=1.0)
-    min_joints: int = _p(6, 'seen joints that make a frame usable', low=4, high=15)
-    forget_after: float = _p(1.0, 's without detection after which a person is lost', low=0.0, high=60.0)
+    iterations: int = _p(2, 'number of solver iterations at every frame', low=1, high=100)
+    hypothesis_check_interval: float = _p(
+        0.5,
+        's between hypothesis checks of a person: the window is fitted with another candidate model, '
+        'whose solution '
+        'replaces the current one if it is more likely',
+        low=0.05,
+    )
+    lag: float = _p(
+        0.0, 's, delay of the output behind the newest frame; more delay makes it steadier', low=0.0, high=5.0
+    )
+    undo_swaps: bool = _p(True, 'detect where the detector has exchanged left and right, and undo it')
+    min_score: float = _p(0.1, 'keypoints with a lower score count as not seen', low=0.0, high=1.0)
+    min_joints: int = _p(6, 'smallest number of seen joints that makes a detection usable', low=4, high=15)
+    forget_after: float = _p(1.0, 's without detection after which a person is forgotten', low=0.0, high=60.0)
     predict_for: float = _p(
-        0.5, 's without detection through which a person is predicted, and flagged so', low=0.0, high=10.0
+        0.5, 's without detection for which a person is predicted, and flagged as predicted', low=0.0, high=10.0
     )
     restart_after: float = _p(
-        1.0, 's that stamps must go back for the tracker to start afresh; less is dropped', low=0.0
+        1.0,
+        's; where stamps go back by more than this tracking starts afresh, and where they go back by '
+        'less the frame '
+        'is dropped',
+        low=0.0,
     )
-    body_height: float = _p(1.70, 'm, stature assumed of people', low=0.3, high=2.6)
-    perspective: bool = _p(True, 'solve for the true perspective projection where CameraInfo is known')
+    body_height: float = _p(1.70, 'm, body height that is assumed of everybody', low=0.3, high=2.6)
+    perspective: bool = _p(True, 'use the true perspective projection where CameraInfo is known')
     nominal_focal_length: float = _p(
-        1.0, 'focal length in image widths where no CameraInfo is known', low=0.1, high=20.0
+        1.0, 'focal length in image widths that is assumed where no CameraInfo is known', low=0.1, high=20.0
     )
 
 
@@ -168,47 +252,75 @@ class TrackerConfig:
 class NodeConfig:
     """Topics and limits of the live node."""
 
-    autostart: bool = _p(True, 'configure and activate by itself', read_only=True)
+    autostart: bool = _p(True, 'the node configures and activates itself', read_only=True)
     input_type: str = _p(
         'mocap_ros_msgs/msg/Keypoints2DArray',
-        'message type of the keypoints: this one, yolo_msgs/msg/DetectionArray, hri_msgs/msg/Skeleton2D '
-        '(a topic for each body, as /humans/bodies/tracked tells), zed_msgs/msg/ObjectsStamped or '
-        'openpose_ros2_msgs/msg/PoseKeyPointsList',
+        'message type of the keypoints: mocap_ros_msgs/msg/Keypoints2DArray, yolo_msgs/msg/DetectionArray, '
+        'hri_msgs/msg/Skeleton2D (one topic for each body that /humans/bodies/tracked lists), '
+        'zed_msgs/msg/ObjectsStamped or openpose_ros2_msgs/msg/PoseKeyPointsList',
         read_only=True,
     )
     rectified_input: bool = _p(
-        False, "keypoints are those of the rectified image: CameraInfo's distortion is not undone", read_only=True
+        False,
+        'the keypoints belong to the rectified image, so the distortion of CameraInfo is not undone',
+        read_only=True,
     )
-    image_width: int = _p(0, 'px, where neither the message nor CameraInfo says', low=0, high=100_000)
-    image_height: int = _p(0, 'px, where neither the message nor CameraInfo says', low=0, high=100_000)
+    image_width: int = _p(
+        0, 'px, image width where neither the message nor CameraInfo gives it; 0: unknown', low=0, high=100_000
+    )
+    image_height: int = _p(
+        0, 'px, image height where neither the message nor CameraInfo gives it; 0: unknown', low=0, high=100_000
+    )
     queue: int = _p(
-        10, 'messages waiting at most; with more, all but the newest are passed over', low=1, high=1000
+        10,
+        'maximum number of waiting messages; if there are more, all but the newest are dropped',
+        low=1,
+        high=1000,
     )
-    max_people: int = _p(20, 'people in a message; more are refused', low=1, high=1000)
-    max_joints: int = _p(200, 'joints of a person; more are refused', low=4, high=10_000)
-    max_text: int = _p(100, 'characters of an id or a joint name; longer is refused', low=8, high=1000)
-    silence_warning: float = _p(5.0, 's without keypoints after which the node says so', low=0.1)
-    publish_tf: bool = _p(False, 'people as frames on /tf, where CameraInfo gives a true scale', read_only=True)
-    frame_prefix: str = _p('', 'before the names of these frames, for several cameras', read_only=True)
-    marker_lifetime: float = _p(0.5, 's a marker stays after its last message', low=0.0, high=60.0)
+    max_people: int = _p(
+        20, 'maximum number of people in a message; a larger message is refused', low=1, high=1000
+    )
+    max_joints: int = _p(
+        200, 'maximum number of joints of a person; a message with more is refused', low=4, high=10_000
+    )
+    max_text: int = _p(
+        100,
+        'maximum number of characters of an id or a joint name; a message with a longer one is refused',
+        low=8,
+        high=1000,
+    )
+    silence_warning: float = _p(5.0, 's without keypoints after which the node warns', low=0.1)
+    publish_tf: bool = _p(
+        False, 'publish people as frames on /tf, where CameraInfo gives a true scale', read_only=True
+    )
+    frame_prefix: str = _p(
+        '', 'prefix of the names of these frames, which tells several cameras apart', read_only=True
+    )
+    marker_lifetime: float = _p(0.5, 's for which a marker stays after its last message', low=0.0, high=60.0)
 
 
 @dataclass(frozen=True)
 class RecorderConfig:
     """Recording to MCAP."""
 
-    enabled: bool = _p(False, 'record while the node is active; may be switched at any time')
+    enabled: bool = _p(False, 'record while the node is active; may be changed at any time')
     folder: str = _p('mocap_recordings', 'folder that bags are written into', read_only=True)
-    compression: str = _p('zstd', 'chunk compression', choices=('zstd', 'lz4', 'none'), read_only=True)
-    chunk_bytes: int = _p(65_536, 'bytes at which a chunk is closed', low=1024, high=16_777_216)
+    compression: str = _p('zstd', 'compression of the chunks', choices=('zstd', 'lz4', 'none'), read_only=True)
+    chunk_bytes: int = _p(65_536, 'bytes after which a chunk is closed', low=1024, high=16_777_216)
     chunk_seconds: float = _p(0.25, 's after which a chunk is closed', low=0.01, high=10.0)
-    split_mb: int = _p(0, 'MB at which a bag goes on in a new file; 0: never', low=0, high=1_000_000)
-    split_seconds: float = _p(0.0, 's after which a bag goes on in a new file; 0: never', low=0.0)
+    split_mb: int = _p(0, 'MB after which a bag continues in a new file; 0: never', low=0, high=1_000_000)
+    split_seconds: float = _p(0.0, 's after which a bag continues in a new file; 0: never', low=0.0)
     min_free_mb: int = _p(
-        200, 'MB; with less disk space left a recording is finished, and none is begun', low=0, high=1_000_000
+        200,
+        'MB; with less free disk space a recording is finished, and none is started',
+        low=0,
+        high=1_000_000,
     )
     backlog: int = _p(
-        1000, 'inputs waiting for the disk at most; further ones are counted, not recorded', low=1, high=100_000
+        1000,
+        'maximum number of inputs that wait for the disk; further ones are counted, not recorded',
+        low=1,
+        high=100_000,
     )
 
 
@@ -217,26 +329,38 @@ class KeyframesConfig:
     """Long sequences by keyframes (Loy et al. 2004)."""
 
     alpha: float = _p(
-        0.95, 'share of the frames that keyframes represent or leave to interpolation', low=0.0, high=1.0
+        0.95, 'share of the frames that are represented by a keyframe or can be interpolated', low=0.0, high=1.0
     )
     gap: float = _p(
-        0.2, 's, frames between well-represented ones less than this apart are interpolated (T)', low=0.0, high=1e6
+        0.2,
+        's; frames between well-represented frames that are less than this apart are interpolated (T)',
+        low=0.0,
+        high=1e6,
     )
-    beta: float = _p(0.18, 'torso lengths, poses nearer than this count as the same', low=0.01, high=10.0)
-    largest: int = _p(
-        3600, 'frames in one distance matrix; longer sequences go section by section', low=2, high=20_000
+    beta: float = _p(0.18, 'torso lengths; poses nearer than this count as the same', low=0.01, high=10.0)
+    max_matrix_frames: int = _p(
+        3600,
+        'maximum number of frames of one distance matrix; a longer sequence is processed in sections',
+        low=2,
+        high=20_000,
     )
     poses: str = _p(
         'solver',
-        'what 3D key poses are made by: solver (as whole sequences are) or lifter (alone; faster)',
+        'source of the 3D key poses: solver (as for whole sequences) or lifter (the lifter alone, '
+        'which is faster)',
         choices=('solver', 'lifter'),
     )
-    own_share: float = _p(
-        0.8, 'of what is proposed for a control frame itself in its pose; 0: key pose alone', low=0.0, high=1.0
+    frame_pose_share: float = _p(
+        0.8,
+        "share of a control frame's own pose estimate in its pose; the rest is the key pose's, 0 "
+        'takes the key pose '
+        'alone',
+        low=0.0,
+        high=1.0,
     )
-    step: float = _p(0.2, 'of the gradient descent to the image (lambda)', low=0.0, high=0.5)
-    smoothing: float = _p(0.04, 's, width of the low-pass filter after each of its steps', low=0.0, high=1.0)
-    iterations: int = _p(40, 'of its steps, at most', low=0, high=10_000)
+    step: float = _p(0.2, 'step of the gradient descent on the reprojection error (lambda)', low=0.0, high=0.5)
+    smoothing: float = _p(0.04, 's, standard deviation of the low-pass filter after each step', low=0.0, high=1.0)
+    iterations: int = _p(40, 'maximum number of steps of the gradient descent', low=0, high=10_000)
 
 
 @dataclass(frozen=True)
@@ -330,10 +454,17 @@ def with_values(config: Config, values: Mapping[str, object]) -> Config:
 
 
 def hint(name: str, known: Iterable[str]) -> str:
-    """What a name that is no parameter may have been meant for."""
+    """Return what a name that is no parameter may have been meant for."""
+    if name in RENAMED_SINCE_0_1:
+        return f'it is {RENAMED_SINCE_0_1[name]!r} since version 0.2'
     by_field = {full.rpartition('.')[2]: full for full in known}
     close = difflib.get_close_matches(name.rpartition('.')[2], by_field, n=1)
     return f'did you mean {by_field[close[0]]!r}?' if close else '`mocap-ros config` lists them all'
+
+
+def current_names(values: Mapping[str, Value]) -> dict[str, Value]:
+    """Return the values by the names that parameters have now, from names that may be those of version 0.1."""
+    return {RENAMED_SINCE_0_1.get(name, name): value for name, value in values.items()}
 
 
 def values(config: Config) -> dict[str, Value]:
@@ -428,7 +559,7 @@ def to_yaml(config: Config, node: str = 'mocap_node') -> str:
             lines.append(f'    {group}:')
         limits = ', '.join(p.choices) or _range(p.low, p.high)
         comment = p.doc + (f' ({limits})' if limits else '') + (' [read-only]' if p.read_only else '')
-        lines += ['      # ' + line for line in textwrap.wrap(comment, 90)]
+        lines += ['      # ' + line for line in textwrap.wrap(comment, 90, break_on_hyphens=False)]
         lines.append(f'      {name}: {_scalar(current[p.name])}')
     return '\n'.join(lines) + '\n'
 

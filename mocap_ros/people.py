@@ -44,7 +44,7 @@ class Person3D:
         id: stable name of the person.
         joints: (J, 3) m in the camera's optical frame, in the order of `skeleton.CMU15`.
         std: (J,) m, standard deviation of each joint; NaN where unknown.
-        filled: (J,) True where the joint was not seen and the model filled it in.
+        inferred: (J,) True where the joint was not seen and the model inferred it.
         scale: px/m of the weak-perspective camera.
         rotation: (3, 3) body to camera.
         translation: (2,) px, image of the body's origin (mean of its joints).
@@ -57,7 +57,7 @@ class Person3D:
     id: str
     joints: Array
     std: Array
-    filled: NDArray[np.bool_]
+    inferred: NDArray[np.bool_]
     scale: float
     rotation: Array
     translation: Array

@@ -55,7 +55,7 @@ def flip_regulariser(quick: bool) -> Section:
             for trial, category in FLIP_CASES:
                 tests = common.views(trial, headings, noise=noise)
                 if column.startswith('joint'):
-                    config = common.changed(flip_weight=gamma, upright_turn=1.0, start_window=0.0)
+                    config = common.changed(flip_weight=gamma, heading_flip_factor=1.0, start_window=0.0)
                     model = common.trained(category, without_trials=(trial,))
                     found = common.solved(tests, model, config)
                 else:

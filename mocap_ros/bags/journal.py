@@ -39,7 +39,7 @@ class Verdict(IntEnum):
     ACCEPTED = 0
     DROPPED = 1
     INVALID = 2
-    OVERTAKEN = 3
+    BACKLOG = 3
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def read_run(bag: Bag) -> Run:
         elif entry.kind == INPUT:
             if before < 0:
                 before = entry.number - 1
-            if entry.verdict is Verdict.OVERTAKEN:
+            if entry.verdict is Verdict.BACKLOG:
                 run.unseen.add(entry.number - before)
         else:
             waiting.append(entry)

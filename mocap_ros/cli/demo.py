@@ -73,9 +73,9 @@ def run(args: argparse.Namespace) -> int:
     if not new:
         raise MocapError(f'{args.output}: the node recorded nothing')
     sequence = load_sequence(recording)
-    joints, filled = read_first_person(new[-1], sequence)
+    joints, inferred = read_first_person(new[-1], sequence)
     picture = args.output / 'demo.png'
-    _draw(sequence, joints, filled, picture)
+    _draw(sequence, joints, inferred, picture)
     _report(sequence, joints, new[-1], picture)
     return 0
 
@@ -110,7 +110,7 @@ def read_first_person(bag: Path, sequence: Sequence) -> tuple[Array, NDArray[np.
     """(F, 15, 3) m joints of the first person at each frame of the sequence, NaN where nobody was there."""
     frame_of = {stamp: frame for frame, stamp in enumerate(sequence.stamps_ns)}
     joints = np.full((len(sequence), len(CMU15.joints), 3), np.nan)
-    filled = np.ones(joints.shape[:2], bool)
+    inferred = np.ones(joints.shape[:2], bool)
     with Bag(bag) as opened:
         for message in opened.messages(opened.of_type([SKELETONS])):
             array = decode(message.raw, SKELETONS)
@@ -118,18 +118,18 @@ def read_first_person(bag: Path, sequence: Sequence) -> tuple[Array, NDArray[np.
             if frame is not None and array.people:
                 person = array.people[0]
                 joints[frame] = [(p.x, p.y, p.z) for p in person.joints]
-                filled[frame] = person.filled
-    return joints, filled
+                inferred[frame] = person.inferred
+    return joints, inferred
 
 
-def _draw(sequence: Sequence, joints: Array, filled: NDArray[np.bool_], picture: Path) -> None:
+def _draw(sequence: Sequence, joints: Array, inferred: NDArray[np.bool_], picture: Path) -> None:
     truth = sequence.truth
     result = plots.Result(
         times=sequence.timestamps,
         keypoints=sequence.keypoints,
         keypoint_skeleton=skeleton_of(sequence.joint_names),
         joints=joints,
-        seen=~filled,
+        seen=~inferred,
         skeleton=CMU15,
         truth=None if truth is None else truth.joints,
     )

@@ -80,10 +80,10 @@ class MarkerMemory:
 
 def _drawn(header: Any, person: Person3D, number: int, lifetime: float) -> list[Any]:
     bones = np.array(CMU15.bones)
-    filled = np.asarray(person.filled)
+    inferred = np.asarray(person.inferred)
     looks = {
-        'joints': (person.joints, filled),
-        'bones': (person.joints[bones.ravel()], np.repeat(filled[bones].any(axis=1), 2)),
+        'joints': (person.joints, inferred),
+        'bones': (person.joints[bones.ravel()], np.repeat(inferred[bones].any(axis=1), 2)),
     }
     seen, hidden = (_color(number, look) for look in (SEEN, PREDICTED if person.predicted else FILLED))
     markers = []

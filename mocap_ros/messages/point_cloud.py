@@ -23,7 +23,7 @@ POINT = np.dtype(
         ('std', '<f4'),
         ('person', '<u2'),
         ('joint', 'u1'),
-        ('filled', 'u1'),
+        ('inferred', 'u1'),
     ]
 )
 
@@ -35,13 +35,13 @@ def encode_points(header: Header, people: Sequence[Person3D]) -> bytes:
     """A PointCloud2 of everyone's joints, one row.
 
     Fields: x, y, z and std (m), person (place in the Skeleton3DArray), joint (place in the SkeletonDefinition) and
-    filled (1 where the joint was not seen).
+    inferred (1 where the joint was not seen).
     """
     cloud = np.zeros((len(people), len(people[0].joints) if people else 0), POINT)
     for index, person in enumerate(people):
         row = cloud[index]
         row['x'], row['y'], row['z'] = person.joints.T
-        row['std'], row['filled'] = person.std, person.filled
+        row['std'], row['inferred'] = person.std, person.inferred
         row['person'], row['joint'] = index, np.arange(len(person.joints))
     fields = [
         new(

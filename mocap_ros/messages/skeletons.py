@@ -50,7 +50,7 @@ def _new_skeleton(person: Person3D) -> Any:
         skeleton=CMU15.name,
         joints=new_points(person.joints),
         joint_std=person.std.astype(np.float32),
-        filled=np.asarray(person.filled, np.bool_),
+        inferred=np.asarray(person.inferred, np.bool_),
         camera=_new_camera(person),
         motion=motion,
         reprojection_residual=person.residual,

@@ -81,7 +81,7 @@ class Doctor:
             now_ns: ROS time.
         """
         counters, before = pipeline.counters, self._before
-        lost = counters.dropped['overtaken'] - before.dropped['overtaken']
+        lost = counters.dropped['backlog'] - before.dropped['backlog']
         wrong = counters.invalid - before.invalid
         faults = counters.dropped['internal error'] - before.dropped['internal error']
         self._before = Counters(counters.accepted, counters.invalid, counters.dropped.copy())

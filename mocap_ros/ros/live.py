@@ -177,7 +177,7 @@ class LiveRun:
             self._thread.join()
         with self._busy:
             while self._waiting:
-                self._finish(self._waiting.popleft(), self._pipeline.note_overtaken())
+                self._finish(self._waiting.popleft(), self._pipeline.note_backlog())
             self._emit(self._pipeline.reset())
             with suppress(RecordingError):  # which has been logged
                 self._end_recording()
@@ -333,7 +333,7 @@ class LiveRun:
             if len(self._waiting) >= config.node.queue:
                 self._keep_from = dict(self._received)
             if item.source in PEOPLE_SOURCES and item.number < self._keep_from.get(item.topic, 0):
-                self._finish(item, self._pipeline.note_overtaken())
+                self._finish(item, self._pipeline.note_backlog())
             else:
                 begun = time.monotonic()
                 self._finish(item, self._pipeline.feed(item.source, item.raw, item.topic))

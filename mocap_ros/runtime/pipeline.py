@@ -47,9 +47,9 @@ OUTPUTS = {
 }
 TF_OUTPUT = {'/tf': TRANSFORMS}
 FAULTS_BEFORE_RESET = 3
-OVERTAKEN = (
+BACKLOG = (
     'passed over, newer messages were waiting: the node falls behind; lower tracker.components, '
-    'tracker.iterations or tracker.refine, send fewer frames or people, or use a faster core'
+    'tracker.iterations or tracker.refine_seconds, send fewer frames or people, or use a faster core'
 )
 LATCHED_OUTPUTS = {'skeleton_definition': SKELETON_DEFINITION}
 
@@ -246,10 +246,10 @@ class Pipeline:
         self._camera = decode_camera_info(raw, rectified=self.config.node.rectified_input)
         self.camera_info = raw
 
-    def note_overtaken(self) -> Outcome:
+    def note_backlog(self) -> Outcome:
         """Count an input that was not taken because newer ones were waiting."""
-        self.counters.dropped['overtaken'] += 1
-        return Outcome(Verdict.OVERTAKEN, OVERTAKEN)
+        self.counters.dropped['backlog'] += 1
+        return Outcome(Verdict.BACKLOG, BACKLOG)
 
     def reset(self) -> OutputMessage:
         """Forget everybody; returns the message that deletes all markers."""

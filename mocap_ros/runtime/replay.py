@@ -12,7 +12,7 @@ from mocap_ros.bags.reader import ENDINGS, Bag, BagMessage
 from mocap_ros.bags.recorder import Recorder, partial_of
 from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.bags.topics import Source, people_topics, people_type
-from mocap_ros.config import Config, RecorderConfig, Value, values, with_values
+from mocap_ros.config import Config, RecorderConfig, Value, current_names, values, with_values
 from mocap_ros.errors import ConfigError, InputError, RecordingError
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.models.model_file import AUTO, PRIORS, shipped_base_poses
@@ -141,7 +141,7 @@ class _Replay:
                     self._begin(message.time_ns)
                 self._repeat_events(number - 1, message.time_ns)
                 if number in self._recorded_run.unseen:
-                    outcome = pipeline.note_overtaken()
+                    outcome = pipeline.note_backlog()
                 else:
                     outcome = pipeline.feed(self._inputs[message.topic], message.raw, message.topic)
                 self._finish(number, message, outcome)
@@ -195,7 +195,7 @@ def _parameters(config: Config, recorded: Mapping[str, Value], bag: Bag) -> Conf
                 'give the parameters by --config or --set'
             )
     try:
-        return with_values(config, recorded)
+        return with_values(config, current_names(recorded))
     except ConfigError as error:
         raise InputError(
             f'{bag.path}: recorded by another version ({error}); give the parameters by --config or --set'

@@ -141,7 +141,7 @@ def _people(done: Reconstructed) -> Iterator[Person3D]:
             id=done.sequence.person_id or SOMEBODY,
             joints=result.joints[frame],
             std=np.full(len(seen), nan),
-            filled=~seen,
+            inferred=~seen,
             scale=float(scale),
             rotation=rotation,
             translation=translation,

@@ -287,7 +287,7 @@ class Tracker:
             own = [t for t in tracks if t.model == name]
             batch = []
             for track in own:
-                first = int(np.searchsorted(track.stamps, track.stamps[-1] - settings.refine * NS))
+                first = int(np.searchsorted(track.stamps, track.stamps[-1] - settings.refine_seconds * NS))
                 first = min(first, len(track.theta))
                 held = 1 if first > 0 else 0
                 frames = np.arange(first - held, len(track.stamps))
@@ -324,7 +324,7 @@ class Tracker:
         name = names[track.challenges % len(names)]
         track.challenges += 1
         age = (stamp - track.born) / NS
-        longest = self.config.tracker.challenge_every if self._lifter is None else SELDOM
+        longest = self.config.tracker.hypothesis_check_interval if self._lifter is None else SELDOM
         wait = min(max(FIRST_CHALLENGE, CHALLENGE_GROWTH * age), longest)
         if track.hurry or age < YOUNG or name == track.model:
             self._examiner.start_afresh(track, self._camera, [name])
@@ -361,14 +361,14 @@ class Tracker:
         model = self.models[track.model]
         size = 1 / track.size_ratio
         rotation, root = track.rotation[frame], track.roots[frame] * size
-        filled = track.right[1][frame] == 0
+        inferred = track.right[1][frame] == 0
         lifted = None if track.lifted is None else track.lifted.spread[frame] * root[2]
         joints = model.poses(track.theta[frame]) @ rotation.T * size + root
         return Person3D(
             id=track.id,
             joints=joints,
-            std=joint_std(track.spread * size, filled, lifted),
-            filled=filled,
+            std=joint_std(track.spread * size, inferred, lifted),
+            inferred=inferred,
             scale=float(self._camera.focal / root[2]),
             rotation=rotation,
             translation=self._camera.project(root),
@@ -391,7 +391,7 @@ class Tracker:
             last,
             joints=joints,
             std=np.sqrt(last.std**2 + (PREDICTED_SPEED_STD * age) ** 2),
-            filled=np.ones_like(last.filled),
+            inferred=np.ones_like(last.inferred),
             scale=float(self._camera.focal / root[2]),
             translation=self._camera.project(root),
             residual=float('nan'),

@@ -397,7 +397,7 @@ def test_a_bag_with_several_keypoint_topics_asks_which(tmp_path: Path) -> None:
 def test_journal_entries_round_trip(tmp_path: Path) -> None:
     parameters = {'solver.components': 20, 'tracker.model': 'all', 'solver.tolerance': 1e-05, 'x': True}
     for entry in (
-        Entry('input', 3, Verdict.OVERTAKEN, 'late', '/keypoints'),
+        Entry('input', 3, Verdict.BACKLOG, 'late', '/keypoints'),
         Entry('parameters', 0, parameters=parameters),
     ):
         assert decode_entry(encode_entry(entry)) == entry

@@ -43,7 +43,7 @@ def person_3d(person_id: str, x: float = 0.0) -> Person3D:
         id=person_id,
         joints=joints,
         std=np.full(15, np.nan),
-        filled=np.arange(15) == 2,
+        inferred=np.arange(15) == 2,
         scale=120.0,
         rotation=Rotation.from_euler('zx', [30, 80], degrees=True).as_matrix(),
         translation=np.array([320.0, 240.0]),
@@ -208,7 +208,7 @@ def test_skeletons_and_cameras_hold_the_people() -> None:
     body = np.array([0.3, -0.2, 1.1])
     for person, message, camera in zip(people, skeletons.people, cameras.cameras, strict=True):
         np.testing.assert_array_equal([[p.x, p.y, p.z] for p in message.joints], person.joints)
-        np.testing.assert_array_equal(message.filled, person.filled)
+        np.testing.assert_array_equal(message.inferred, person.inferred)
         assert message.skeleton == 'cmu15'
         assert message.motion.state == message.motion.UNKNOWN
         assert message.scale_source == message.SCALE_KNOWN

@@ -470,7 +470,7 @@ def test_points_hold_every_joint(stream: list[bytes]) -> None:
     assert [(f.name, f.offset) for f in cloud.fields] == [(n, POINT.fields[n][1]) for n in POINT.names]
     np.testing.assert_allclose(read['x'], [j.x for j in person.joints], rtol=1e-6)
     np.testing.assert_array_equal(read['joint'], np.arange(15))
-    np.testing.assert_array_equal(read['filled'], person.filled)
+    np.testing.assert_array_equal(read['inferred'], person.inferred)
 
 
 def test_frames_need_a_true_scale_and_are_those_of_rep_155(stream: list[bytes]) -> None:
@@ -514,9 +514,9 @@ def test_the_predicted_are_drawn_unlike_the_filled_in(stream: list[bytes]) -> No
     (person,) = pipeline.people
     looks = {}
     for name, change in {
-        'seen': {'filled': np.zeros(15, bool)},
-        'filled': {'filled': np.ones(15, bool)},
-        'predicted': {'filled': np.ones(15, bool), 'predicted': True},
+        'seen': {'inferred': np.zeros(15, bool)},
+        'inferred': {'inferred': np.ones(15, bool)},
+        'predicted': {'inferred': np.ones(15, bool), 'predicted': True},
     }.items():
         raw = memory.update(Header(1, 'camera'), [replace(person, **change)], 0.5)
         looks[name] = repr(decode(raw, MARKERS).markers[0].colors[0])

@@ -27,8 +27,8 @@ PLAIN = SolverConfig(
     flip_weight=0.005,
     smooth_weight=0.0,
     robust_scale=0.0,
-    upright_turn=1.0,
-    upright_prior=1.0,
+    heading_flip_factor=1.0,
+    heading_prior_factor=1.0,
     tilt_weight=0.0,
     scale_weight=0.0,
     adapt_noise=False,
@@ -263,7 +263,7 @@ def test_hypotheses_mend_a_wrong_first_camera(walk_model: BasePoses) -> None:
     wrong = Start(start.theta, Cameras(start.cameras.scale, start.cameras.rotation @ half_turn))
     misled = dataclasses.replace(clean, start=wrong, unit=float(np.median(start.cameras.scale)))
     (one,) = joint.solve_hypotheses([misled], walk_model, SolverConfig(components=10, hypotheses=1))
-    (best,) = joint.solve_hypotheses([misled], walk_model, SolverConfig(components=10, upright_hypotheses=9))
+    (best,) = joint.solve_hypotheses([misled], walk_model, SolverConfig(components=10, heading_hypotheses=9))
 
     def apart(result: Reconstruction) -> float:
         return float(np.linalg.norm(result.joints - right.joints, axis=-1).mean())

@@ -49,7 +49,7 @@ def test_follows_a_walk(walk_model: BasePoses, walk) -> None:
         mine *= (mine * truth).sum() / (mine * mine).sum()
         error.append(np.linalg.norm(mine - truth, axis=-1).mean() * 1e3)
         assert person.id == 'person_1'
-        assert not person.filled.any()
+        assert not person.inferred.any()
     assert np.mean(error[10:]) < 40
     depth = CAMERA.focal / cameras.scale[-1] * CONFIG.tracker.body_height / walk_model.stature
     assert person.joints[:, 2].mean() == pytest.approx(depth, rel=0.05)
@@ -125,7 +125,7 @@ def test_nobody_is_a_normal_state_and_the_lost_are_predicted_then_forgotten(walk
     for frame in range(12):
         (last,) = tracker.update((frame + 1) * STEP_NS, people(points + np.array([3.0 * frame, 0]), frame), CAMERA)
     (gone,) = tracker.update(14 * STEP_NS, [], CAMERA)
-    assert (gone.id, gone.predicted, gone.filled.all(), last.predicted) == ('person_1', True, True, False)
+    assert (gone.id, gone.predicted, gone.inferred.all(), last.predicted) == ('person_1', True, True, False)
     assert gone.joints[:, 0].mean() > last.joints[:, 0].mean() + 0.01
     assert (gone.std > last.std).all()
     few = people(points, 12)
@@ -204,8 +204,8 @@ def test_hidden_joints_are_filled_and_flagged(walk_model: BasePoses, walk) -> No
         seen.score[[3, 4]] = 0.0
         seen.points[[3, 4]] = np.nan
         (person,) = tracker.update(frame * STEP_NS, [seen], CAMERA)
-        assert person.filled[[3, 4]].all()
-        assert person.filled.sum() == 2
+        assert person.inferred[[3, 4]].all()
+        assert person.inferred.sum() == 2
         assert np.isfinite(person.joints).all()
 
 
@@ -280,7 +280,7 @@ def test_scores_and_points_beyond_all_measure_are_not_seen(walk_model: BasePoses
             person.points[4:6] = 1e200, np.nan
         (out,) = tracker.update(frame * STEP_NS, [person], CAMERA)
         assert np.isfinite(out.joints).all()
-        assert out.filled.sum() == (2 if frame == 3 else 0)
+        assert out.inferred.sum() == (2 if frame == 3 else 0)
 
 
 def test_a_known_id_far_away_is_somebody_else(walk_model: BasePoses, walk) -> None:

@@ -92,7 +92,7 @@ def summarised(
     """
     if not len(poses):
         return _none(half, frames)
-    parts = np.array_split(np.arange(len(poses)), max(-(-len(poses) // rules.largest), 1))
+    parts = np.array_split(np.arange(len(poses)), max(-(-len(poses) // rules.max_matrix_frames), 1))
     chosen: list[Indices] = []
     means: HalfPoses | None = None
     nearest, distance = np.full(len(poses), -1), np.full(len(poses), np.inf, np.float32)

@@ -174,7 +174,7 @@ def interpolated(
         keys: (K, B, 3) limb directions of the key poses of each.
         poses: (F, J, 3) proposals of any size, NaN where unknown.
         lengths: (B,) m.
-        config: `gap` and `own_share` apply.
+        config: `gap` and `frame_pose_share` apply.
 
     Returns:
         (F, J, 3) m, and each half's control points.
@@ -206,7 +206,7 @@ def interpolated(
         )
         control = thinned(at, np.nan_to_num(misfit, nan=np.inf), times, config.gap)
         controls.append(control)
-        mixed = adapted(limbs[at[control]], proposed[control][:, bones], config.own_share)
+        mixed = adapted(limbs[at[control]], proposed[control][:, bones], config.frame_pose_share)
         directions[:, bones] = slerp(mixed, times[control], times)
     return pose_of(directions, lengths, CMU15), (controls[0], controls[1])
 

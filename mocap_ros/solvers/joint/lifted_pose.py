@@ -65,7 +65,7 @@ class LiftedTerm:
         known = np.isfinite(lifted.joints)
         precision = np.where(known, 1 / np.maximum(np.where(known, lifted.spread, 1.0), LEAST_SPREAD) ** 2, 0.0)
         joints = np.where(known, lifted.joints, 0.0)
-        return LiftedTerm(joints, precision, config.lifted_weight, config.lifted_robust)
+        return LiftedTerm(joints, precision, config.lifter_weight, config.lifter_robust_scale)
 
     def take(self, frames: NDArray[np.intp]) -> LiftedTerm:
         """The term of these frames alone."""

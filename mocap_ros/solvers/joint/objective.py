@@ -104,11 +104,15 @@ class Problem:
         relative = (lengths.mean() / lengths) ** 2 if config.relative_bones else np.ones(len(lengths))
         flip, tilt, prior = config.flip_weight, 0.0, config.prior_weight
         if model.upright:
-            flip, tilt, prior = config.upright_turn * flip, config.tilt_weight, config.upright_prior * prior
+            flip, tilt, prior = (
+                config.heading_flip_factor * flip,
+                config.tilt_weight,
+                config.heading_prior_factor * prior,
+            )
         lifted, smooth = LiftedTerm.of(windows, s0, config), config.smooth_weight
         if lifted is not None:
-            prior, smooth = config.lifted_prior * prior, config.lifted_smooth * smooth
-            flip = config.lifted_turn * flip
+            prior, smooth = config.lifter_prior_factor * prior, config.lifter_smooth_factor * smooth
+            flip = config.lifter_flip_factor * flip
         return Problem(
             model=model,
             image=np.concatenate([w.points / s for w, s in zip(windows, s0, strict=True)]),

@@ -77,11 +77,11 @@ def solve_hypotheses(
 ) -> tuple[Reconstruction, ...]:
     """As `solve`, each window from several camera starts, all one batch; the likeliest result of each.
 
-    There are `config.hypotheses` starts, or `config.upright_hypotheses` for a model aligned by heading: with base
+    There are `config.hypotheses` starts, or `config.heading_hypotheses` for a model aligned by heading: with base
     poses of the right category more than one gains nothing; the all-motions model needs the Necker reversal for
     people seen from the front or from behind (docs/solvers.md). Lifted poses are a start that needs no others.
     """
-    count = config.upright_hypotheses if model.upright else config.hypotheses
+    count = config.heading_hypotheses if model.upright else config.hypotheses
     if all(w.lifted is not None for w in windows):
         count = 1
     if count == 1:

@@ -83,8 +83,8 @@ class Objective:
         return Objective(
             problem,
             window.times,
-            config.prior_weight * config.gait_prior / variance,
-            roughness(window.times, config.drift_weight, config.steady_weight),
+            config.prior_weight * config.periodic_prior_factor / variance,
+            roughness(window.times, config.camera_velocity_weight, config.camera_acceleration_weight),
             level / len(window.times),
         )
 
@@ -94,7 +94,12 @@ class Objective:
 
     def of_still_camera(self, config: SolverConfig) -> Objective:
         """The same objective for a camera that hardly moves."""
-        return replace(self, roughness=roughness(self.times, STILL * config.drift_weight, config.steady_weight))
+        return replace(
+            self,
+            roughness=roughness(
+                self.times, STILL * config.camera_velocity_weight, config.camera_acceleration_weight
+            ),
+        )
 
     def body(self, series: Series, cameras: State) -> State:
         """Weights and rotations of the bodies; the `cameras` hold the rest, their theta is not looked at."""

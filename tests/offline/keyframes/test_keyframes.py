@@ -86,8 +86,8 @@ def test_a_long_sequence_needs_hardly_more_keyframes_in_sections() -> None:
     half = halves()[1]
     own = flat_poses(poses[:, list(half.joints), :2] / 0.5)
     own = replace(own, times=times)
-    whole = summarised(own, half, 600, KeyframesConfig(beta=0.1, largest=600))
-    parts = summarised(own, half, 600, KeyframesConfig(beta=0.1, largest=150))
+    whole = summarised(own, half, 600, KeyframesConfig(beta=0.1, max_matrix_frames=600))
+    parts = summarised(own, half, 600, KeyframesConfig(beta=0.1, max_matrix_frames=150))
     assert len(parts.matrix) == 150
     assert whole.coverage >= 0.95
     assert parts.coverage >= 0.95

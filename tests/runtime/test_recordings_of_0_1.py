@@ -1,0 +1,47 @@
+"""A bag recorded live by version 0.1 replays: same inputs, same parameters, same people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+
+from mocap_ros.bags.journal import read_run
+from mocap_ros.bags.reader import Bag
+from mocap_ros.config import RENAMED_SINCE_0_1, Config, values
+from mocap_ros.runtime.replay import replay
+from tests.support.paths import ROOT
+
+BAG = ROOT / 'tests' / 'data' / 'recorded_by_0_1'
+FRAMES = 40
+
+
+def people(bag: Path) -> list[dict[str, np.ndarray]]:
+    """The joints (J, 3) m of everybody in each message on /skeletons, by id."""
+    with AnyReader([bag]) as reader:
+        connections = [c for c in reader.connections if c.topic == '/skeletons']
+        messages = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(connections)]
+    return [{p.id: np.array([[j.x, j.y, j.z] for j in p.joints]) for p in m.people} for m in messages]
+
+
+def test_it_replays_with_the_parameters_it_was_recorded_with(tmp_path: Path) -> None:
+    with Bag(BAG) as recording:
+        result = replay(recording, tmp_path / 'out')
+    assert result.counters.accepted == FRAMES
+    with Bag(tmp_path / 'out') as bag:
+        used = read_run(bag).parameters
+    assert used['tracker.refine_seconds'] == 0.2
+    assert used['solver.lifter_flip_factor'] == 0.3
+    assert used['tracker.window'] == 1.0
+    recorded, again = people(BAG), people(tmp_path / 'out')
+    assert len(recorded) == len(again) == FRAMES
+    for before, now in zip(recorded, again, strict=True):
+        assert before.keys() == now.keys()
+        for person in before:
+            np.testing.assert_allclose(now[person], before[person], rtol=0, atol=1e-9)
+
+
+def test_every_renamed_parameter_exists() -> None:
+    assert set(RENAMED_SINCE_0_1.values()) <= set(values(Config()))
+    assert not set(RENAMED_SINCE_0_1) & set(values(Config()))
