@@ -37,7 +37,7 @@ OF_CMU = '$(CMU)' \
     --acknowledgement 'The data used in this project was obtained from mocap.cs.cmu.edu. \
 The database was created with funding from NSF EIA-0196217.'
 
-.PHONY: help setup demo test lint format bench models colcon clean
+.PHONY: help setup demo test lint format bench models architecture colcon clean
 
 help:  ## show this
 	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' Makefile | expand -t 16
@@ -72,6 +72,9 @@ models: setup  ## retrain the shipped models from CMU=cmu15_30fps.npz (the lifte
 	@$(BIN)/mocap-ros train $(OF_CMU) -o mocap_ros/models/shipped/all.npz
 	@$(BIN)/mocap-ros train-lifter $(OF_CMU) -o mocap_ros/models/shipped/lifter.npz
 	@$(BIN)/python -m mocap_ros.demo '$(CMU)'
+
+architecture: setup  ## draw docs/img/architecture.png from the imports
+	@$(BIN)/python docs/draw_architecture.py
 
 colcon: setup  ## build both packages with colcon, into install/
 	@PATH='$(VENV)/bin':"$$PATH" colcon --log-level error build

@@ -1,6 +1,6 @@
-"""What the benchmarks share: evaluation data, test views, trained models, solvers, scores, tables and timing.
+"""Functions that the benchmarks share: evaluation data, test views, models, solvers, errors, tables and timing.
 
-Import it before numpy: it limits the linear algebra to one thread. Nothing happens when it is run.
+Import this module before numpy, since it limits the linear algebra to one thread. It is not a benchmark itself.
 """
 
 # ruff: noqa: E402
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from mocap_ros.runtime import cpu_setup
 
-cpu_setup.prepare()
+cpu_setup.configure_process()
 
 # isort: split
 import argparse
@@ -33,9 +33,9 @@ from scipy.linalg import cholesky
 from tqdm import tqdm
 
 from mocap_ros.config import SolverConfig, TrackerConfig
-from mocap_ros.evaluation.metrics import scale_to
-from mocap_ros.formats.mocap.trials import Trial, load_trials, select
-from mocap_ros.geometry.rotations import centred, rotation_to
+from mocap_ros.evaluation.metrics import scale_to_reference
+from mocap_ros.formats.mocap.trials import Trial, load_trials, select_trials
+from mocap_ros.geometry.rotations import centre_poses, fit_rotation
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import alternation, joint, periodic
 from mocap_ros.solvers.window import Reconstruction, Window
@@ -45,27 +45,32 @@ Array = NDArray[np.float64]
 T = TypeVar('T')
 
 ROOT = Path(__file__).resolve().parent.parent
-HEADINGS = tuple(range(0, 360, 45))
-FPS = 30.0
-HELD_OUT = ('35', '13', '05', '135', 'UB', 'UT', 'UWW', 'UJ', 'UW')
-HELD_OUT_FILE = ROOT / 'build' / 'lifter_heldout.npz'
-REFERENCE = '200 Cholesky factorisations of a 512 x 512 matrix'
+HEADINGS_DEG = tuple(range(0, 360, 45))  # degrees, directions from which the test views look; 0 is the front
+FPS = 30.0  # Hz, frame rate of the motion capture
+# Subjects of the motion capture that the held-out lifter and the base poses beside it are not trained on.
+HELD_OUT_SUBJECTS = ('35', '13', '05', '135', 'UB', 'UT', 'UWW', 'UJ', 'UW')
+HELD_OUT_LIFTER = ROOT / 'build' / 'lifter_heldout.npz'  # file of the lifter that never saw these subjects
+# The fixed amount of linear algebra by which machines are compared.
+REFERENCE_KERNEL = '200 Cholesky factorisations of a 512 x 512 matrix'
 
 
-def arguments(
+def parse_arguments(
     description: str, add: Callable[[argparse.ArgumentParser], None] | None = None
 ) -> argparse.Namespace:
-    """The command line every benchmark has, and this process put on one core."""
+    """Parse the command line that every benchmark has, and put this process on one core.
+
+    The process ends here, with a message, if the evaluation data is missing.
+    """
     parser = argparse.ArgumentParser(description=description)
-    parser.add_argument('--quick', action='store_true', help='less of everything, under 40 s')
-    parser.add_argument('--json', type=Path, metavar='FILE', help='also write the results here')
+    parser.add_argument('--quick', action='store_true', help='run a short version, which takes less than 40 s')
+    parser.add_argument('--json', type=Path, metavar='FILE', help='also write the results to this file')
     if add is not None:
         add(parser)
     args = parser.parse_args()
     if hasattr(os, 'sched_setaffinity'):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    if not shared('bench', 'protocol.py').is_file():
-        print(f'skipped: no evaluation data in {_data_folder()} (MOCAP_ROS_SHARED says where it is)')
+    if not data_path('bench', 'protocol.py').is_file():
+        print(f'skipped: no evaluation data in {_data_folder()}; set MOCAP_ROS_SHARED to its folder')
         sys.exit(0)
     return args
 
@@ -74,15 +79,15 @@ def _data_folder() -> Path:
     return Path(os.environ.get('MOCAP_ROS_SHARED') or ROOT.parent / 'shared')
 
 
-def shared(*parts: str) -> Path:
-    """A file of the evaluation data: protocol, motion capture, detections."""
+def data_path(*parts: str) -> Path:
+    """Return the path of a file of the evaluation data: protocol, motion capture, detections."""
     return _data_folder().joinpath(*parts)
 
 
 @cache
-def protocol() -> ModuleType:
-    """The measuring protocol, as it stands beside the data."""
-    spec = importlib.util.spec_from_file_location('protocol', shared('bench', 'protocol.py'))
+def load_protocol() -> ModuleType:
+    """Load the measuring protocol, which is part of the evaluation data."""
+    spec = importlib.util.spec_from_file_location('protocol', data_path('bench', 'protocol.py'))
     if spec is None or spec.loader is None:
         raise ImportError('protocol.py')
     module = importlib.util.module_from_spec(spec)
@@ -91,21 +96,27 @@ def protocol() -> ModuleType:
 
 
 @cache
-def capture() -> tuple[dict[str, Array], list[str]]:
-    """Trials in mm, y up, 30 fps, and the names of their joints."""
-    with np.load(shared('data', 'cmu', 'cmu15_30fps.npz')) as archive:
+def load_capture() -> tuple[dict[str, Array], list[str]]:
+    """Load the trials, (F, 15, 3) mm with y up at `FPS`, by name, and the names of their joints."""
+    with np.load(data_path('data', 'cmu', 'cmu15_30fps.npz')) as archive:
         joints = [str(j) for j in archive['_joints']]
         return {k: archive[k].astype(float) for k in archive.files if not k.startswith('_')}, joints
 
 
 @cache
-def trials() -> list[Trial]:
-    return load_trials(shared('data', 'cmu', 'cmu15_30fps.npz'))
+def list_trials() -> list[Trial]:
+    """Load the trials of the motion capture with their subjects and categories."""
+    return load_trials(data_path('data', 'cmu', 'cmu15_30fps.npz'))
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A test sequence as the protocol makes it."""
+    """A test sequence that the protocol made.
+
+    Attributes:
+        sequence: arrays of a sequence file.
+        heading: degrees, direction from which the camera looks at the person; 0 is the front.
+    """
 
     sequence: dict[str, Array]
     heading: float = 0.0
@@ -123,27 +134,29 @@ class View:
     def frames(self) -> int:
         return len(self.sequence['timestamps'])
 
-    def hiding(self, joints: Sequence[str], frames: slice = slice(None)) -> View:
-        """The same view with some joints not seen in some frames."""
+    def hide_joints(self, joints: Sequence[str], frames: slice = slice(None)) -> View:
+        """Return the same view, in which some joints are not seen in some frames."""
         keypoints = self.sequence['keypoints'].copy()
         columns = [list(self.sequence['joint_names']).index(j) for j in joints]
         keypoints[frames, columns] = [np.nan, np.nan, 0]
         return View({**self.sequence, 'keypoints': keypoints}, self.heading)
 
 
-def views(trial: str | Array, headings: Iterable[float] = HEADINGS, **options: Any) -> list[View]:
-    """One view a heading of a trial (or of (F, 15, 3) mm, y up); options as in `make_view` of the protocol."""
-    motion, joints = capture()
+def make_views(trial: str | Array, headings: Iterable[float] = HEADINGS_DEG, **options: Any) -> list[View]:
+    """Make one view for each heading of a trial.
+
+    Args:
+        trial: name of a trial, or poses (F, 15, 3) in mm with y up.
+        headings: degrees.
+        options: options of `make_view` of the protocol.
+    """
+    motion, joints = load_capture()
     xyz = motion[trial] if isinstance(trial, str) else trial
-    return [View(protocol().make_view(xyz, joints, h, **options), h) for h in headings]
-
-
-def names(items: str | Sequence[str]) -> tuple[str, ...]:
-    return (items,) if isinstance(items, str) else tuple(items)
+    return [View(load_protocol().make_view(xyz, joints, h, **options), h) for h in headings]
 
 
 @cache
-def trained(
+def train_base_poses(
     category: str = '',
     *,
     without_trials: tuple[str, ...] = (),
@@ -151,13 +164,17 @@ def trained(
     only_subjects: tuple[str, ...] = (),
     plain: bool = False,
 ) -> BasePoses:
-    """Base poses as `mocap-ros train` makes them, at the stature the tracker assumes.
+    """Train base poses as `mocap-ros train` does, scaled to the body height that the tracker assumes.
 
-    Categories: names joined by `+`, or none for all motions. `plain`: the poses alone, neither mirrored nor on
-    other bodies.
+    Args:
+        category: names of categories joined by `+`; empty for all motions.
+        without_trials: trials that are left out.
+        without_subjects: subjects that are left out.
+        only_subjects: subjects to train on; empty for all.
+        plain: train on the poses alone, without their mirror images and without other bone lengths.
     """
-    chosen = select(
-        trials(),
+    chosen = select_trials(
+        list_trials(),
         categories=category.split('+') if category else [],
         without_trials=without_trials,
         without_subjects=without_subjects,
@@ -172,47 +189,49 @@ def trained(
         bodies=2 if augmented else 0,
         provenance={'trials': [t.name for t in chosen]},
     )
-    return model.rescaled(TrackerConfig().body_height / model.stature)
+    return model.rescale(TrackerConfig().body_height / model.stature)
 
 
-def held_out_lifter(path: Path = HELD_OUT_FILE) -> Path:
-    """The file of a lifter that never saw the subjects `HELD_OUT`; trained if there is none (12 minutes)."""
+def provide_held_out_lifter(path: Path = HELD_OUT_LIFTER) -> Path:
+    """Return the file of a lifter that never saw `HELD_OUT_SUBJECTS`; train it if it is missing (12 minutes)."""
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
         command = [sys.executable, '-m', 'mocap_ros.cli.main', 'train-lifter']
-        command += [str(shared('data', 'cmu', 'cmu15_30fps.npz')), '-o', str(path)]
-        command += [word for s in HELD_OUT for word in ('--without-subject', s)]
+        command += [str(data_path('data', 'cmu', 'cmu15_30fps.npz')), '-o', str(path)]
+        command += [word for s in HELD_OUT_SUBJECTS for word in ('--without-subject', s)]
         print(f'training a lifter without the tested subjects: {" ".join(command)}', file=sys.stderr)
         subprocess.run(command, check=True)
     return path
 
 
-def solved(
+def solve_jointly(
     tests: Sequence[View], model: BasePoses, config: SolverConfig | None = None
 ) -> Sequence[Reconstruction]:
-    """The joint solver over all these views as one batch."""
+    """Solve all views as one batch of the joint solver."""
     return joint.solve_hypotheses([v.window for v in tests], model, config or SolverConfig())
 
 
-def alternate(tests: Sequence[View], model: BasePoses, config: SolverConfig) -> Sequence[Reconstruction]:
-    """Algorithm 1 over each of these views."""
+def solve_by_alternation(
+    tests: Sequence[View], model: BasePoses, config: SolverConfig
+) -> Sequence[Reconstruction]:
+    """Solve each view by Algorithm 1 of the paper."""
     return [alternation.reconstruct(v.window, model, config) for v in tests]
 
 
-def periodically(
+def solve_periodically(
     tests: Sequence[View], model: BasePoses, config: SolverConfig | None = None
 ) -> Sequence[periodic.PeriodicReconstruction]:
-    """The periodic model over these views."""
+    """Solve the views with the periodic model."""
     return periodic.solve([v.window for v in tests], model, config or SolverConfig())
 
 
-def changed(**overrides: Any) -> SolverConfig:
-    """The defaults but for these."""
+def make_config(**overrides: Any) -> SolverConfig:
+    """Return the default configuration of the solver with some values replaced."""
     return replace(SolverConfig(), **overrides)
 
 
-def paper_config(**overrides: Any) -> SolverConfig:
-    """The paper's model: no prior, no smoothness, least squares, a start camera for each frame alone."""
+def make_paper_config(**overrides: Any) -> SolverConfig:
+    """Return the paper's configuration: no prior, no smoothness, least squares, an initial camera per frame."""
     paper = {
         'method': 'alternation',
         'adapt_noise': False,
@@ -229,74 +248,81 @@ def paper_config(**overrides: Any) -> SolverConfig:
         'bone_weight': 1.0,
         'max_iterations': 100,
     }
-    return changed(**{**paper, **overrides})
+    return make_config(**{**paper, **overrides})
 
 
-def score(view: View, joints3d: Array, joint_names: Sequence[str], joints: str = 'common') -> dict[str, float]:
-    """The protocol's errors of one reconstruction."""
+def compute_errors(
+    view: View, joints3d: Array, joint_names: Sequence[str], joints: str = 'common'
+) -> dict[str, float]:
+    """Compute the errors of one reconstruction by the protocol."""
     s = view.sequence
     fps = 1 / float(np.median(np.diff(s['timestamps'])))
-    return protocol().score(
+    return load_protocol().score(
         joints3d, joint_names, s['joints3d'], s['joints3d_names'], s['keypoints'], s['joint_names'], joints, fps
     )
 
 
-def scores(tests: Sequence[View], found: Sequence[Reconstruction], model: BasePoses) -> list[dict[str, float]]:
-    return [score(v, r.joints, model.skeleton.joints) for v, r in zip(tests, found, strict=True)]
+def compute_all_errors(
+    tests: Sequence[View], found: Sequence[Reconstruction], model: BasePoses
+) -> list[dict[str, float]]:
+    """Compute the errors of one reconstruction per view by the protocol."""
+    return [compute_errors(v, r.joints, model.skeleton.joints) for v, r in zip(tests, found, strict=True)]
 
 
-def mean(records: Sequence[dict[str, float]], key: str = 'mpjpe_mm') -> float:
+def mean_error(records: Sequence[dict[str, float]], key: str = 'mpjpe_mm') -> float:
+    """Return the mean of an error over the records."""
     return float(np.mean([r[key] for r in records]))
 
 
-def worst(records: Sequence[dict[str, float]], key: str = 'mpjpe_mm') -> float:
+def worst_error(records: Sequence[dict[str, float]], key: str = 'mpjpe_mm') -> float:
+    """Return the largest value of an error over the records."""
     return float(np.max([r[key] for r in records]))
 
 
-def frame_errors(view: View, result: Reconstruction, *, per_frame_similarity: bool = False) -> Array:
-    """(F,) mm, the protocol's MPJPE (or PA-MPJPE) before the mean over frames."""
-    truth, found = centred(view.truth), centred(result.joints)
+def compute_frame_errors(view: View, result: Reconstruction, *, per_frame_similarity: bool = False) -> Array:
+    """Return the MPJPE (or PA-MPJPE) of the protocol for each frame, (F,) mm."""
+    truth, found = centre_poses(view.truth), centre_poses(result.joints)
     if per_frame_similarity:
-        turned = found @ np.swapaxes(rotation_to(found, truth), -1, -2)
+        turned = found @ np.swapaxes(fit_rotation(found, truth), -1, -2)
         factor = (turned * truth).sum(axis=(1, 2)) / (turned * turned).sum(axis=(1, 2))
         found = turned * factor[:, None, None]
     else:
-        found = scale_to(found, truth)
+        found = scale_to_reference(found, truth)
     return np.linalg.norm(found - truth, axis=-1).mean(axis=1) * 1e3
 
 
-def residual_mm(view: View, result: Reconstruction) -> float:
-    """RMS reprojection error of the seen points, mm at the body."""
+def compute_residual_mm(view: View, result: Reconstruction) -> float:
+    """Return the RMS reprojection error of the seen points in mm at the distance of the body."""
     count = (view.window.weight > 0).sum(axis=1)
     squared = np.nansum(np.nan_to_num(result.residual) ** 2 * count) / count.sum()
-    return float(np.sqrt(squared) / protocol().PX_PER_M * 1e3)
+    return float(np.sqrt(squared) / load_protocol().PX_PER_M * 1e3)
 
 
-def bone_lengths_mm(result: Reconstruction, model: BasePoses) -> Array:
-    """(F, B) mm."""
+def compute_bone_lengths_mm(result: Reconstruction, model: BasePoses) -> Array:
+    """Return the bone lengths (F, B) in mm."""
     return model.skeleton.bone_lengths(result.joints) * 1e3
 
 
-def timed(action: Callable[[], T], repeats: int = 1) -> tuple[T, float]:
-    """The result, and the median of so many runs in seconds."""
+def measure_time(action: Callable[[], T], repeats: int = 1) -> tuple[T, float]:
+    """Return the result of an action and its median duration in s over the repeats."""
     durations = []
     for _ in range(repeats):
-        begun = time.perf_counter()
+        start = time.perf_counter()
         result = action()
-        durations.append(time.perf_counter() - begun)
+        durations.append(time.perf_counter() - start)
     return result, float(np.median(durations))
 
 
-def reference_seconds() -> float:
-    """Time of a fixed amount of linear algebra (`REFERENCE`), to compare machines by."""
+def measure_reference_kernel_s() -> float:
+    """Return the duration in s of `REFERENCE_KERNEL`, by which machines are compared."""
     a = np.random.default_rng(0).standard_normal((512, 512))
     matrix = a @ a.T + 512 * np.eye(512)
     cholesky(matrix)
-    return timed(lambda: [cholesky(matrix, lower=True) for _ in range(200)])[1]
+    return measure_time(lambda: [cholesky(matrix, lower=True) for _ in range(200)])[1]
 
 
-def machine() -> str:
-    """One line: processor, versions, and the reference kernel's time just now."""
+def describe_machine() -> str:
+    """Describe the machine in one line: processor, versions, and the current duration of the reference kernel."""
     cpu = platform.processor() or platform.machine()
     info = Path('/proc/cpuinfo')
     if info.is_file():
@@ -304,34 +330,35 @@ def machine() -> str:
         cpu = models[0] if models else cpu
     return (
         f'{cpu}, one core, one BLAS thread; Python {platform.python_version()}, NumPy {np.__version__}, '
-        f'SciPy {scipy.__version__}; reference kernel ({REFERENCE}): {reference_seconds():.3f} s'
+        f'SciPy {scipy.__version__}; reference kernel ({REFERENCE_KERNEL}): {measure_reference_kernel_s():.3f} s'
     )
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table; floats with two decimals, unless they are strings already."""
-    cells = [[_cell(c) for c in row] for row in rows]
+def format_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Format a Markdown table; floats get two decimals, None becomes a dash."""
+    cells = [[_format_cell(c) for c in row] for row in rows]
     lines = ['| ' + ' | '.join(header) + ' |', '|' + ' --- |' * len(header)]
     return '\n'.join(lines + ['| ' + ' | '.join(row) + ' |' for row in cells])
 
 
-def _cell(value: object) -> str:
+def _format_cell(value: object) -> str:
     return f'{value:.2f}' if isinstance(value, float) else '-' if value is None else str(value)
 
 
-def progress(items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
-    """The items, with a progress bar on a terminal and none in a pipe."""
+def show_progress(items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
+    """Yield the items, and show a progress bar on a terminal."""
     return tqdm(items, desc=description, total=total, disable=not sys.stderr.isatty(), leave=False)
 
 
 def write_json(path: Path | None, record: object) -> None:
+    """Write the results as JSON if there is a path."""
     if path is not None:
-        path.write_text(json.dumps(record, indent=1, default=_plain) + '\n', encoding='utf-8')
+        path.write_text(json.dumps(record, indent=1, default=_to_builtin) + '\n', encoding='utf-8')
 
 
-def _plain(value: object) -> object:
+def _to_builtin(value: object) -> object:
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, np.generic):
         return value.item()
-    raise TypeError(f'{type(value).__name__} in the results')
+    raise TypeError(f'the results contain a {type(value).__name__}')

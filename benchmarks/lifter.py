@@ -1,7 +1,8 @@
-"""The lifter: on real detections beside the detector's own 3D, on motion capture it never saw, and its cost.
+"""The lifter: errors on real detections and on unseen motion capture, and CPU time.
 
-Motion capture is scored with a lifter and base poses that never saw the tested subjects, which this trains if
-there is none (12 minutes; `mocap-ros train-lifter --without-subject ...`); detections with the one that ships.
+The motion capture is evaluated with a lifter and base poses that were not trained on the tested subjects. This
+program trains that lifter if it is missing (12 minutes; `mocap-ros train-lifter --without-subject ...`). The
+detections are evaluated with the shipped lifter.
 """
 
 from __future__ import annotations
@@ -23,19 +24,20 @@ from common import View
 from mocap_ros.config import Config, SolverConfig
 from mocap_ros.formats.mocap.trials import Trial
 from mocap_ros.formats.sequence_file import load_sequence
-from mocap_ros.geometry.virtual_camera import View as Facing
-from mocap_ros.keypoints.left_right import swapped_frames
+from mocap_ros.geometry.virtual_camera import VirtualCamera
+from mocap_ros.keypoints.joint_map import build_joint_map, map_to_model_joints
+from mocap_ros.keypoints.left_right import find_swapped_frames
 from mocap_ros.models import lifter, model_file
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.lifter import SLOTS, Lifted, Lifter
+from mocap_ros.models.lifter import HISTORY_SLOTS_S, LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_base_poses
-from mocap_ros.offline.whole_sequence import FACING
-from mocap_ros.skeleton import CMU15, joint_map, model_joints
+from mocap_ros.offline.whole_sequence import VIEW_SMOOTHING_S
+from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.joint.solver import solve_hypotheses
 from mocap_ros.solvers.window import Window
 
-HELD_OUT, HELD_OUT_FILE = common.HELD_OUT, common.HELD_OUT_FILE
-ROWS: dict[str, tuple[Callable[[Trial], bool], float]] = {
+# Rows of the table of motion capture: which trials belong to the row, and the target of its MPJPE in mm.
+TEST_ROWS: dict[str, tuple[Callable[[Trial], bool], float]] = {
     '35 walk': (lambda t: t.subject == '35' and t.category == 'walk', 16),
     '35 run': (lambda t: t.subject == '35' and t.category == 'run', 22),
     '13 jump': (lambda t: t.subject == '13', 40),
@@ -43,12 +45,15 @@ ROWS: dict[str, tuple[Callable[[Trial], bool], float]] = {
     '135 martial arts': (lambda t: t.subject == '135', 60),
     'U* gestures': (lambda t: t.subject.startswith('U') and t.category == 'gesture', 34),
 }
-NOISY = {'noise': 0.02, 'missing': 0.1}
-NOISY_FACTOR = 1.25
-CAMERAS = (1, 2, 3)
-DETECTORS = {'openpose': (75, 58), 'mediapipe': (85, 68)}
-COSTS_MS = {1: 0.3, 10: 0.1}
-SOLVED_FRAMES = 120
+# Options of the protocol for a bad detector.
+NOISY_OPTIONS = {'noise': 0.02, 'missing': 0.1}
+MAX_NOISY_RATIO = 1.25  # target of the ratio of the noisy to the clean error
+CAMERAS = (1, 2, 3)  # cameras of the recorded detections
+# mm, targets of MPJPE and PA-MPJPE by detector.
+DETECTOR_TARGETS_MM = {'openpose': (75, 58), 'mediapipe': (85, 68)}
+# ms, targets of the CPU time per person and frame by number of people.
+COST_TARGETS_MS = {1: 0.3, 10: 0.1}
+MAX_SOLVED_FRAMES = 120  # frames of a sequence that the solver is given, to limit the time
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,66 +61,70 @@ class Detections:
     """A recorded sequence in the image of virtual cameras that look at the person."""
 
     view: View
-    facing: Facing
+    virtual_camera: VirtualCamera
     window: Window
 
     @staticmethod
     def load(detector: str, camera: int, undo_swaps: bool = True) -> Detections:
-        file = common.shared('data', 'detections', f'balance_{detector}_cam{camera}.npz')
+        file = common.data_path('data', 'detections', f'balance_{detector}_cam{camera}.npz')
         with np.load(file) as archive:
             sequence = {k: archive[k] for k in archive.files}
         settings = Config().tracker
         intrinsics = load_sequence(file).intrinsics(settings.nominal_focal_length)
         keypoints, times = sequence['keypoints'].astype(float), sequence['timestamps']
         names = tuple(str(n) for n in sequence['joint_names'])
-        points, weight = model_joints(keypoints[..., :2], keypoints[..., 2], names, settings.min_score)
+        points, weight = map_to_model_joints(keypoints[..., :2], keypoints[..., 2], names, settings.min_score)
         if undo_swaps:
             mirror = np.array(CMU15.mirror)
-            wrong = swapped_frames(times, points, weight, mirror)
+            wrong = find_swapped_frames(times, points, weight, mirror)
             points = np.where(wrong[:, None, None], points[:, mirror], points)
             weight = np.where(wrong[:, None], weight[:, mirror], weight)
-        rays = intrinsics.rays(points)
-        facing = Facing.of(rays, weight, times, FACING, intrinsics)
-        image = np.where(weight[..., None] > 0, facing.image(rays), 0.0)
-        return Detections(View(sequence), facing, Window(image, weight, times, focal=intrinsics.focal))
+        rays = intrinsics.pixels_to_rays(points)
+        virtual_camera = VirtualCamera.look_at_person(rays, weight, times, VIEW_SMOOTHING_S, intrinsics)
+        image = np.where(weight[..., None] > 0, virtual_camera.project_rays(rays), 0.0)
+        return Detections(View(sequence), virtual_camera, Window(image, weight, times, focal=intrinsics.focal))
 
     def score(self, joints: np.ndarray) -> dict[str, float]:
-        return common.score(self.view, self.facing.to_camera(joints), CMU15.joints, 'limbs')
+        return common.compute_errors(self.view, self.virtual_camera.to_real_camera(joints), CMU15.joints, 'limbs')
 
-    def peer(self) -> dict[str, float]:
-        """Of the detector's own 3D."""
+    def score_detector(self) -> dict[str, float]:
+        """Compute the errors of the detector's own 3D joints."""
         s = self.view.sequence
-        return common.score(self.view, s['mediapipe_world'].astype(float), list(s['joint_names']), 'limbs')
+        return common.compute_errors(
+            self.view, s['mediapipe_world'].astype(float), list(s['joint_names']), 'limbs'
+        )
 
 
-def lifted(model: Lifter, windows: Sequence[Window]) -> list[Lifted]:
+def lift_windows(model: Lifter, windows: Sequence[Window]) -> list[LiftedPoses]:
     return [model.lift_sequence(w.points, w.weight, w.times, w.focal) for w in windows]
 
 
-def in_metres(out: Lifted, window: Window) -> np.ndarray:
-    return lifter.metric(out, window.times, Config().tracker.body_height).joints
+def scale_lifted(out: LiftedPoses, window: Window) -> np.ndarray:
+    return lifter.scale_to_metres(out, window.times, Config().tracker.body_height).joints
 
 
-def base_poses(without: tuple[str, ...] = ()) -> BasePoses:
-    model = common.trained(without_subjects=without) if without else load_base_poses('all')
-    return model.rescaled(Config().tracker.body_height / model.stature)
+def load_scaled_base_poses(without: tuple[str, ...] = ()) -> BasePoses:
+    model = common.train_base_poses(without_subjects=without) if without else load_base_poses('all')
+    return model.rescale(Config().tracker.body_height / model.stature)
 
 
-def on_detections(model: Lifter, cameras: Sequence[int], solved: bool) -> list[dict[str, object]]:
+def evaluate_detections(model: Lifter, cameras: Sequence[int], solved: bool) -> list[dict[str, object]]:
     records = []
-    for detector in DETECTORS:
+    for detector in DETECTOR_TARGETS_MM:
         for camera in cameras:
             tests = {f'undo swaps {on}': Detections.load(detector, camera, on) for on in (False, True)}
             for name, test in tests.items():
-                (out,) = lifted(model, [test.window])
-                found = {'network': test.score(in_metres(out, test.window))}
+                (out,) = lift_windows(model, [test.window])
+                found = {'network': test.score(scale_lifted(out, test.window))}
                 if solved and name.endswith('True'):
                     config = SolverConfig()
-                    (plain,) = solve_hypotheses([test.window], base_poses(), config)
-                    (both,) = solve_hypotheses([replace(test.window, lifted=out)], base_poses(), config)
+                    (plain,) = solve_hypotheses([test.window], load_scaled_base_poses(), config)
+                    (both,) = solve_hypotheses(
+                        [replace(test.window, lifted=out)], load_scaled_base_poses(), config
+                    )
                     found |= {'factorisation': test.score(plain.joints), 'both': test.score(both.joints)}
                 if detector == 'mediapipe' and name.endswith('False'):
-                    found['MediaPipe'] = test.peer()
+                    found['MediaPipe'] = test.score_detector()
                 records += [
                     {'detector': detector, 'camera': camera, 'labels': name, 'method': m, **s}
                     for m, s in found.items()
@@ -124,48 +133,48 @@ def on_detections(model: Lifter, cameras: Sequence[int], solved: bool) -> list[d
 
 
 def print_detections(records: Sequence[dict[str, object]], cameras: Sequence[int]) -> None:
-    print('\n## Detections: MPJPE / PA-MPJPE, mm, twelve limb joints\n')
+    print('\n## Real detections: MPJPE / PA-MPJPE, mm, twelve joints of the limbs\n')
     rows = []
     for key in dict.fromkeys((r['detector'], r['method'], r['labels']) for r in records):
         mine = [r for r in records if (r['detector'], r['method'], r['labels']) == key]
         each = [f'{r["mpjpe_mm"]:.0f} / {r["pa_mpjpe_mm"]:.0f}' for r in mine]
-        means = [common.mean(mine, k) for k in ('mpjpe_mm', 'pa_mpjpe_mm')]
+        means = [common.mean_error(mine, k) for k in ('mpjpe_mm', 'pa_mpjpe_mm')]
         failed = sum(int(r['failed_frames']) for r in mine)
-        reach = DETECTORS[str(key[0])]
+        reach = DETECTOR_TARGETS_MM[str(key[0])]
         rows.append(
             [
                 f'{key[0]}, {key[1]}',
-                'put right' if str(key[2]).endswith('True') else 'as they come',
+                'swaps undone' if str(key[2]).endswith('True') else 'as detected',
                 *each,
                 '{:.0f} / {:.0f}'.format(*means),
                 '{} / {}'.format(*reach),
                 failed,
             ]
         )
-    header = ['points and method', 'labels', *(f'cam {c}' for c in cameras), 'mean', 'reach', 'failed']
-    print(common.table(header, rows))
+    header = ['points and method', 'labels', *(f'cam {c}' for c in cameras), 'mean', 'target', 'failed']
+    print(common.format_table(header, rows))
 
 
-def row_views(row: str, stride: int, frames: int, headings: Sequence[float], **options: float) -> list[View]:
-    of, _ = ROWS[row]
-    chosen = [t.name for t in common.trials() if t.clean and of(t)][::stride]
-    return [v for t in chosen for v in common.views(t, headings, frames=frames, **options)]
+def make_row_views(row: str, stride: int, frames: int, headings: Sequence[float], **options: float) -> list[View]:
+    of, _ = TEST_ROWS[row]
+    chosen = [t.name for t in common.list_trials() if t.clean and of(t)][::stride]
+    return [v for t in chosen for v in common.make_views(t, headings, frames=frames, **options)]
 
 
-def on_capture(model: Lifter, quick: bool) -> list[dict[str, object]]:
-    """The network alone, all frames; `--quick`: every fourth trial, three headings, 120 frames."""
-    stride, frames = (4, SOLVED_FRAMES) if quick else (1, 1_000_000)
-    headings = common.HEADINGS[::3] if quick else common.HEADINGS
+def evaluate_capture(model: Lifter, quick: bool) -> list[dict[str, object]]:
+    """Evaluate the network alone on all frames; with `--quick`, on a few trials, three headings and 120 frames."""
+    stride, frames = (4, MAX_SOLVED_FRAMES) if quick else (1, 1_000_000)
+    headings = common.HEADINGS_DEG[::3] if quick else common.HEADINGS_DEG
     records = []
-    for row in common.progress(ROWS, 'capture'):
+    for row in common.show_progress(TEST_ROWS, 'capture'):
         for noisy in (False, True):
-            tests = row_views(row, stride, frames, headings, **(NOISY if noisy else {}))
-            found = [in_metres(lifted(model, [v.window])[0], v.window) for v in tests]
-            scored = scores(tests, found)
+            tests = make_row_views(row, stride, frames, headings, **(NOISY_OPTIONS if noisy else {}))
+            found = [scale_lifted(lift_windows(model, [v.window])[0], v.window) for v in tests]
+            scored = compute_all_errors(tests, found)
             keys = ('mpjpe_mm', 'pa_mpjpe_mm', 'accel_mm_s2')
             failed = sum(s['failed_frames'] for s in scored)
             records.append(
-                {'row': row, 'noisy': noisy, 'failed': failed, **{k: common.mean(scored, k) for k in keys}}
+                {'row': row, 'noisy': noisy, 'failed': failed, **{k: common.mean_error(scored, k) for k in keys}}
             )
     return records
 
@@ -173,7 +182,7 @@ def on_capture(model: Lifter, quick: bool) -> list[dict[str, object]]:
 def print_capture(records: Sequence[dict[str, object]]) -> None:
     print('\n## Motion capture, subject left out, network alone: MPJPE / PA-MPJPE, mm, 15 joints\n')
     rows = []
-    for row, (_, reach) in ROWS.items():
+    for row, (_, reach) in TEST_ROWS.items():
         clean, noisy = (next(r for r in records if r['row'] == row and r['noisy'] == n) for n in (False, True))
         rows.append(
             [
@@ -181,35 +190,41 @@ def print_capture(records: Sequence[dict[str, object]]) -> None:
                 *(f'{r["mpjpe_mm"]:.1f} / {r["pa_mpjpe_mm"]:.1f}' for r in (clean, noisy)),
                 f'{reach:g}',
                 float(noisy['mpjpe_mm'] / clean['mpjpe_mm']),
-                NOISY_FACTOR,
+                MAX_NOISY_RATIO,
                 int(clean['failed'] + noisy['failed']),
             ]
         )
-    print(common.table(['row', 'clean', 'noise 0.02, missing 0.1', 'reach', 'ratio', 'reach', 'failed'], rows))
+    print(
+        common.format_table(
+            ['row', 'clean', 'noise 0.02, missing 0.1', 'target', 'ratio', 'target', 'failed'], rows
+        )
+    )
 
 
-def scores(tests: Sequence[View], found: Sequence[np.ndarray]) -> list[dict[str, float]]:
-    return [common.score(v, joints, CMU15.joints) for v, joints in zip(tests, found, strict=True)]
+def compute_all_errors(tests: Sequence[View], found: Sequence[np.ndarray]) -> list[dict[str, float]]:
+    return [common.compute_errors(v, joints, CMU15.joints) for v, joints in zip(tests, found, strict=True)]
 
 
-def with_solver(model: Lifter, quick: bool) -> list[dict[str, object]]:
-    """Network, factorisation, and both, on the first 120 frames of some trials of each row."""
-    rows = list(ROWS)[:1] if quick else list(ROWS)
+def evaluate_with_solver(model: Lifter, quick: bool) -> list[dict[str, object]]:
+    """Evaluate the network, the solver without it, and both, on the first frames of some trials of each row."""
+    rows = list(TEST_ROWS)[:1] if quick else list(TEST_ROWS)
     records = []
-    for row in common.progress(rows, 'solver'):
+    for row in common.show_progress(rows, 'solver'):
         for noisy in (False, True):
-            of, _ = ROWS[row]
-            count = sum(t.clean and of(t) for t in common.trials())
+            of, _ = TEST_ROWS[row]
+            count = sum(t.clean and of(t) for t in common.list_trials())
             stride = max(1, count // (1 if quick else 3))
-            tests = row_views(row, stride, SOLVED_FRAMES, common.HEADINGS[::2], **(NOISY if noisy else {}))
+            tests = make_row_views(
+                row, stride, MAX_SOLVED_FRAMES, common.HEADINGS_DEG[::2], **(NOISY_OPTIONS if noisy else {})
+            )
             windows = [v.window for v in tests]
-            poses, config = base_poses(HELD_OUT), SolverConfig()
-            out = lifted(model, windows)
+            poses, config = load_scaled_base_poses(common.HELD_OUT_SUBJECTS), SolverConfig()
+            out = lift_windows(model, windows)
             plain = solve_hypotheses(windows, poses, config)
             lifted_windows = [replace(w, lifted=o) for w, o in zip(windows, out, strict=True)]
-            both, seconds = common.timed(partial(solve_hypotheses, lifted_windows, poses, config))
+            both, seconds = common.measure_time(partial(solve_hypotheses, lifted_windows, poses, config))
             methods = {
-                'network': [in_metres(o, w) for o, w in zip(out, windows, strict=True)],
+                'network': [scale_lifted(o, w) for o, w in zip(out, windows, strict=True)],
                 'factorisation': [r.joints for r in plain],
                 'both': [r.joints for r in both],
             }
@@ -219,18 +234,24 @@ def with_solver(model: Lifter, quick: bool) -> list[dict[str, object]]:
                     'noisy': noisy,
                     'views': len(tests),
                     'seconds': seconds / len(tests),
-                    **{name: common.mean(scores(tests, found)) for name, found in methods.items()},
+                    **{
+                        name: common.mean_error(compute_all_errors(tests, found))
+                        for name, found in methods.items()
+                    },
                 }
             )
     return records
 
 
 def print_with_solver(records: Sequence[dict[str, object]]) -> None:
-    print(f'\n## The same, at most {SOLVED_FRAMES} frames, in the factorisation: MPJPE, mm\n')
+    print(
+        f'\n## Motion capture, at most {MAX_SOLVED_FRAMES} frames: network, solver without it, and both: '
+        'MPJPE, mm\n'
+    )
     methods = ('network', 'factorisation', 'both')
     print(
-        common.table(
-            ['row', 'image', 'views', *methods, 'both, s a sequence'],
+        common.format_table(
+            ['row', 'image', 'views', *methods, 'both, s per sequence'],
             [
                 [r['row'], 'noisy' if r['noisy'] else 'clean', r['views'], *(r[m] for m in methods), r['seconds']]
                 for r in records
@@ -239,64 +260,64 @@ def print_with_solver(records: Sequence[dict[str, object]]) -> None:
     )
 
 
-def cost(model: Lifter, quick: bool) -> dict[str, float]:
-    """CPU ms a person and frame: histories and network, least of several."""
-    (view,) = common.views('35_02', (45,))
+def measure_cost(model: Lifter, quick: bool) -> dict[str, float]:
+    """Measure the CPU ms per person and frame of the histories and the network; the fastest of several runs."""
+    (view,) = common.make_views('35_02', (45,))
     w = view.window
     newest = np.array([60])
     window = w.points[:61], w.weight[:61], w.times[:61]
     out = {}
-    for people in COSTS_MS:
-        for mirrored in (False, True):
+    for people in COST_TARGETS_MS:
+        for use_mirror_image in (False, True):
 
-            def once(people: int = people, mirrored: bool = mirrored) -> None:
-                seen = [lifter.histories(*window, newest) for _ in range(people)]
+            def once(people: int = people, use_mirror_image: bool = use_mirror_image) -> None:
+                seen = [lifter.sample_histories(*window, newest) for _ in range(people)]
                 points, weight = (np.concatenate(each) for each in zip(*seen, strict=True))
-                model.lift(points, weight, mirrored=mirrored)
+                model.lift(points, weight, use_mirror_image=use_mirror_image)
 
-            least = math.inf
+            fastest = math.inf
             for _ in range(10 if quick else 60):
-                begun = time.process_time()
+                start_s = time.process_time()
                 for _ in range(10):
                     once()
-                least = min(least, (time.process_time() - begun) / 10)
-            out[f'{people}, {"both sides" if mirrored else "one side"}'] = least / people * 1e3
+                fastest = min(fastest, (time.process_time() - start_s) / 10)
+            out[f'{people}, {"both sides" if use_mirror_image else "one side"}'] = fastest / people * 1e3
     return out
 
 
 def print_cost(found: dict[str, float]) -> None:
-    print(f'\n## CPU ms a person and frame ({len(SLOTS)} slots)\n')
-    rows = [[name, f'{ms:.3f}', COSTS_MS[int(name.split(',')[0])]] for name, ms in found.items()]
-    print(common.table(['people, lifted', 'ms', 'reach'], rows))
+    print(f'\n## CPU ms per person and frame ({len(HISTORY_SLOTS_S)} slots)\n')
+    rows = [[name, f'{ms:.3f}', COST_TARGETS_MS[int(name.split(',')[0])]] for name, ms in found.items()]
+    print(common.format_table(['people, sides lifted', 'ms', 'target'], rows))
 
 
-def pictures(model: Lifter, folder: Path) -> None:
-    """The best and the worst recorded sequence: truth and lifted pose, in the image and from the side."""
+def draw_pictures(model: Lifter, folder: Path) -> None:
+    """Draw the truth and the lifted poses of the best and the worst sequence, in the image and from the side."""
     import matplotlib as mpl
 
     mpl.use('Agg')
     from matplotlib import pyplot as plt
 
-    from mocap_ros.viewing.plots import draw_bones, from_the_side, save_figure
+    from mocap_ros.viewing.plots import draw_bones, project_from_side, save_figure
 
     folder.mkdir(parents=True, exist_ok=True)
-    tests = {(d, c): Detections.load(d, c) for d in DETECTORS for c in CAMERAS}
-    found = {k: in_metres(lifted(model, [t.window])[0], t.window) for k, t in tests.items()}
+    tests = {(d, c): Detections.load(d, c) for d in DETECTOR_TARGETS_MM for c in CAMERAS}
+    found = {k: scale_lifted(lift_windows(model, [t.window])[0], t.window) for k, t in tests.items()}
     errors = {k: t.score(found[k])['mpjpe_mm'] for k, t in tests.items()}
     order = sorted(errors, key=errors.__getitem__)
     for name, key in (('best', order[0]), ('worst', order[-1])):
         test = tests[key]
-        joints = test.facing.to_camera(found[key])
+        joints = test.virtual_camera.to_real_camera(found[key])
         names = tuple(str(n) for n in test.view.sequence['joints3d_names'])
         known = np.isfinite(test.view.truth).all(-1).astype(float)
-        truth, _ = joint_map(names).apply(test.view.truth, known)
+        truth, _ = build_joint_map(names).apply(test.view.truth, known)
         truth -= np.nanmean(truth, axis=1, keepdims=True)
         good = np.isfinite(joints).all((1, 2)) & np.isfinite(truth).all((1, 2))
         joints = joints * (joints[good] * truth[good]).sum() / (joints[good] ** 2).sum()
         frames = np.flatnonzero(good)[:: max(1, good.sum() // 6)][:6]
         figure, axes = plt.subplots(2, len(frames), figsize=(2.2 * len(frames), 5))
         for column, frame in enumerate(frames):
-            for row, turn in enumerate((lambda p: p, from_the_side)):
+            for row, turn in enumerate((lambda p: p, project_from_side)):
                 for points, style in ((truth, {'colour': '#999999'}), (joints, {})):
                     draw_bones(axes[row, column], turn(points[frame])[:, :2], CMU15, **style)
                 axes[row, column].set(aspect='equal', xlim=(-1.1, 1.1), ylim=(1.1, -1.1), xticks=[], yticks=[])
@@ -308,34 +329,43 @@ def pictures(model: Lifter, folder: Path) -> None:
         save_figure(figure, folder / f'{name}.png')
 
 
-def options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        '--lifter', type=Path, default=HELD_OUT_FILE, metavar='NPZ', help='that never saw the tested subjects'
+        '--lifter',
+        type=Path,
+        default=common.HELD_OUT_LIFTER,
+        metavar='NPZ',
+        help='lifter that was not trained on the tested subjects',
     )
-    parser.add_argument('--pictures', type=Path, metavar='FOLDER', help='also draw the best and worst sequence')
+    parser.add_argument(
+        '--pictures',
+        type=Path,
+        metavar='FOLDER',
+        help='also draw the best and the worst sequence into this folder',
+    )
 
 
 def main() -> None:
-    args = common.arguments(__doc__, options)
+    args = common.parse_arguments(__doc__, add_options)
     cameras = CAMERAS[1:2] if args.quick else CAMERAS
-    machine = common.machine()
+    machine = common.describe_machine()
     print(f'# Lifter\n\n{machine}')
-    shipped = model_file.shipped_lifter()
+    shipped = model_file.load_shipped_lifter()
     record: dict[str, object] = {'machine': machine}
-    record['cost_ms'] = found = cost(shipped, args.quick)
+    record['cost_ms'] = found = measure_cost(shipped, args.quick)
     print_cost(found)
-    record['detections'] = detections = on_detections(shipped, cameras, solved=True)
+    record['detections'] = detections = evaluate_detections(shipped, cameras, solved=True)
     print_detections(detections, cameras)
     if args.quick and not args.lifter.is_file():
         print(f'\nskipped: motion capture, which needs {args.lifter}; run without --quick to train it')
     else:
-        unseen = model_file.load_lifter(common.held_out_lifter(args.lifter))
-        record['capture'] = captured = on_capture(unseen, args.quick)
+        unseen = model_file.load_lifter(common.provide_held_out_lifter(args.lifter))
+        record['capture'] = captured = evaluate_capture(unseen, args.quick)
         print_capture(captured)
-        record['solver'] = solved = with_solver(unseen, args.quick)
+        record['solver'] = solved = evaluate_with_solver(unseen, args.quick)
         print_with_solver(solved)
     if args.pictures:
-        pictures(shipped, args.pictures)
+        draw_pictures(shipped, args.pictures)
     common.write_json(args.json, record)
 
 

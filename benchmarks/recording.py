@@ -1,7 +1,7 @@
-"""What recording and replay lose, cost and need: kill -9 at random, speed of the recorder, replay, memory.
+"""Recording and replay: loss after kill -9 at random times, CPU time, speed and memory.
 
-Everything goes through real files in a temporary folder. Speed is given beside that of the bare writer of the
-`mcap` package, and of the bare pipeline, in the same run.
+All bags are real files in a temporary folder. The recorder is compared with the bare writer of the `mcap` package,
+and replay with the bare pipeline, in the same run.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from mcap.writer import CompressionType, Writer
 from mocap_ros.bags.background import BackgroundRecorder
 from mocap_ros.bags.journal import Journal, Verdict
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.recorder import Record, Recorder
+from mocap_ros.bags.recorder import RecordedMessage, Recorder
 from mocap_ros.bags.recovery import recover
 from mocap_ros.config import Config, RecorderConfig, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import MocapError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header as MessageHeader
-from mocap_ros.messages.cdr import decode, encode, new_header
+from mocap_ros.messages.cdr import create_header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.markers import MARKERS
 from mocap_ros.people import Person3D
@@ -42,12 +42,13 @@ from mocap_ros.ros.live import LiveRun
 from mocap_ros.runtime import replay as replaying
 from mocap_ros.runtime.pipeline import LATCHED_OUTPUTS, OUTPUTS, Pipeline, Source
 from mocap_ros.runtime.replay import replay
-from mocap_ros.runtime.sequence_messages import Sample, sequence_samples
+from mocap_ros.runtime.sequence_messages import EncodedFrame, encode_sequence
 from mocap_ros.tracking.tracker import Tracker
 
-HZ = 30
-STEP_NS = 33_333_333
-START_NS = 1_700_000_000_000_000_000
+HZ = 30  # Hz, rate of the keypoints
+FRAME_PERIOD_NS = 33_333_333  # ns, 1 / HZ
+START_NS = 1_700_000_000_000_000_000  # ns, log time of the first message, in the year 2023
+# Targets of the measured values, as printed.
 TARGETS = {
     'kill9_worst_loss_s': '0.5 or less',
     'kill9_unreadable': '0',
@@ -56,45 +57,46 @@ TARGETS = {
     'replay_x_realtime': '15 or more',
     'replay_peak_mb': 'under 300',
 }
-NAMES = {t: f'/{t}' for t in (*(s.value for s in Source), *OUTPUTS, *LATCHED_OUTPUTS)} | {
+# Full name of each topic of the node.
+TOPIC_NAMES = {t: f'/{t}' for t in (*(s.value for s in Source), *OUTPUTS, *LATCHED_OUTPUTS)} | {
     'journal': '/node/journal'
 }
 
 
-class Quiet:
-    """A logger that keeps nothing."""
+class SilentLogger:
+    """A logger that discards all messages."""
 
     def info(self, message: str) -> None: ...
 
     warning = error = info
 
 
-class Standing:
-    """A tracker that takes no time: it gives what the real one gave at first, again and again."""
+class ConstantTracker:
+    """A tracker that takes no time: it always returns the first person that the real tracker found."""
 
-    went_back = 0.0
-    output_ns = 0
+    backward_jump_s = 0.0
+    output_stamp_ns = 0
     person: Person3D | None = None
 
     def __init__(self, *_: object) -> None:
         pass
 
     def update(self, stamp_ns: int, *_: object) -> tuple[Person3D, ...]:
-        self.output_ns = stamp_ns
+        self.output_stamp_ns = stamp_ns
         return () if self.person is None else (self.person,)
 
-    def examine(self) -> None: ...
+    def run_deferred_work(self) -> None: ...
 
     def reset(self) -> None: ...
 
 
-def samples() -> list[Sample]:
-    """The demo recording, one person at 30 Hz."""
-    return list(sequence_samples(make_recording().sequence()))
+def load_frames() -> list[EncodedFrame]:
+    """Return the messages of the demo recording, one person at 30 Hz."""
+    return list(encode_sequence(make_recording().sequence()))
 
 
-def elsewhere(action: Callable[..., object], *arguments: object) -> Any:
-    """The result of an action in a process of its own, and its peak memory in MB."""
+def run_in_process(action: Callable[..., object], *arguments: object) -> Any:
+    """Run an action in a process of its own, and return its result and its peak memory in MB."""
     context = get_context('fork')
     receiving, sending = context.Pipe(duplex=False)
 
@@ -110,26 +112,26 @@ def elsewhere(action: Callable[..., object], *arguments: object) -> Any:
     return result
 
 
-def live_recording(folder: Path, frames: Sequence[Sample]) -> None:
-    """Record a live run at 30 Hz until killed."""
+def record_until_killed(folder: Path, frames: Sequence[EncodedFrame]) -> None:
+    """Record a live run at 30 Hz until the process is killed."""
     config = with_values(Config(), {'recorder.enabled': True, 'recorder.folder': str(folder)})
     types = {Source.KEYPOINTS: KEYPOINTS, Source.CAMERA_INFO: CAMERA_INFO}
-    run = LiveRun(Pipeline(config), types, NAMES, lambda _: None, Quiet())
+    run = LiveRun(Pipeline(config), types, TOPIC_NAMES, lambda _: None, SilentLogger())
     run.start()
     due = time.monotonic()
     for frame in cycle(frames):
-        run.put(Source.KEYPOINTS, frame.raw, 0)
+        run.enqueue(Source.KEYPOINTS, frame.raw, 0)
         due += 1 / HZ
         time.sleep(max(due - time.monotonic(), 0))
 
 
-def kill(folder: Path, frames: Sequence[Sample], after: float) -> float | None:
-    """Kill a recording so many s after its first frame; s lost, None where nothing can be read."""
-    process = get_context('fork').Process(target=live_recording, args=(folder, frames))
+def kill_recording(folder: Path, frames: Sequence[EncodedFrame], delay_s: float) -> float | None:
+    """Kill a recording after `delay_s`, and return the lost seconds, or None if nothing can be read."""
+    process = get_context('fork').Process(target=record_until_killed, args=(folder, frames))
     process.start()
     while not list(folder.glob('*/*.mcap')):
         time.sleep(0.01)
-    time.sleep(after)
+    time.sleep(delay_s)
     os.kill(process.pid or 0, signal.SIGKILL)
     killed_ns = time.time_ns()
     process.join()
@@ -143,12 +145,12 @@ def kill(folder: Path, frames: Sequence[Sample], after: float) -> float | None:
     return (killed_ns - newest) / 1e9
 
 
-def kills(root: Path, count: int) -> dict[str, float]:
+def measure_kills(root: Path, count: int) -> dict[str, float]:
     rng = np.random.default_rng(0)
-    frames = samples()
+    frames = load_frames()
     losses = [
-        kill(root / f'kill{n}', frames, after)
-        for n, after in enumerate(common.progress(rng.uniform(0.4, 1.4, count), 'kill -9', count))
+        kill_recording(root / f'kill{n}', frames, after)
+        for n, after in enumerate(common.show_progress(rng.uniform(0.4, 1.4, count), 'kill -9', count))
     ]
     read = [loss for loss in losses if loss is not None]
     return {
@@ -159,100 +161,100 @@ def kills(root: Path, count: int) -> dict[str, float]:
     }
 
 
-def payloads() -> list[bytes]:
-    """Messages of 1 kB, half of them noise, as floats are."""
+def make_payloads() -> list[bytes]:
+    """Return messages of 1 kB; half of each is noise, which compresses as badly as floats."""
     rng = np.random.default_rng(0)
     return [rng.bytes(512) + bytes(512) for _ in range(100)]
 
 
-def write_all(root: Path, data: Sequence[bytes], count: int) -> float:
-    """Messages a second through a recorder."""
+def measure_recorder(root: Path, data: Sequence[bytes], count: int) -> float:
+    """Return the messages per second that a recorder writes."""
     with Recorder(root, RecorderConfig()) as recorder:
-        begun = time.perf_counter()
+        start = time.perf_counter()
         for n in range(count):
             recorder.write('/x', MARKERS, data[n % len(data)], START_NS + n * 50_000, START_NS)
         recorder.flush()
-        return count / (time.perf_counter() - begun)
+        return count / (time.perf_counter() - start)
 
 
-def write_all_barely(path: Path, data: Sequence[bytes], count: int) -> float:
-    """The same with nothing but the `mcap` package."""
+def measure_mcap_writer(path: Path, data: Sequence[bytes], count: int) -> float:
+    """Return the messages per second that the writer of the `mcap` package writes."""
     with path.open('wb') as file:
         writer = Writer(file, chunk_size=RecorderConfig().chunk_bytes, compression=CompressionType.ZSTD)
         writer.start('ros2', 'bare')
         channel = writer.register_channel('/x', 'cdr', writer.register_schema('x', 'ros2msg', b''))
-        begun = time.perf_counter()
+        start = time.perf_counter()
         for n in range(count):
             writer.add_message(channel, START_NS + n * 50_000, data[n % len(data)], START_NS)
         writer.finish()
-        return count / (time.perf_counter() - begun)
+        return count / (time.perf_counter() - start)
 
 
-def recorder_cpu(root: Path, frames: Sequence[Sample], seconds: float) -> float:
-    """Percent of a core that recording one person at 30 Hz takes, journal included, solver not."""
-    pipeline, journal = Pipeline(Config()), Journal(NAMES['journal'])
-    batches: list[list[Record]] = []
+def measure_recorder_cpu(root: Path, frames: Sequence[EncodedFrame], seconds: float) -> float:
+    """Return the share of a core, in %, for recording one person at 30 Hz with the journal, without the solver."""
+    pipeline, journal = Pipeline(Config()), Journal(TOPIC_NAMES['journal'])
+    batches: list[list[RecordedMessage]] = []
     for n, frame in enumerate(islice(frames, round(seconds * HZ))):
-        outcome, now = pipeline.feed(Source.KEYPOINTS, frame.raw), START_NS + n * STEP_NS
-        batches.append([Record(NAMES[o.topic], o.type, o.data, now, now) for o in outcome.outputs])
+        outcome, now = pipeline.feed(Source.KEYPOINTS, frame.raw), START_NS + n * FRAME_PERIOD_NS
+        batches.append([RecordedMessage(TOPIC_NAMES[o.topic], o.type, o.data, now, now) for o in outcome.outputs])
     background = BackgroundRecorder(root, RecorderConfig())
-    begun, used = time.monotonic(), time.process_time()
+    start, used = time.monotonic(), time.process_time()
     for n, (frame, outputs) in enumerate(zip(frames, batches, strict=False)):
-        now = START_NS + n * STEP_NS
-        inputs = journal.input('/keypoints', KEYPOINTS, frame.raw, (now, now), Verdict.ACCEPTED)
+        now = START_NS + n * FRAME_PERIOD_NS
+        inputs = journal.make_input_records('/keypoints', KEYPOINTS, frame.raw, (now, now), Verdict.ACCEPTED)
         background.put([*inputs, *outputs])
-        time.sleep(max(begun + (n + 1) / HZ - time.monotonic(), 0))
-    used, taken = time.process_time() - used, time.monotonic() - begun
+        time.sleep(max(start + (n + 1) / HZ - time.monotonic(), 0))
+    used, taken = time.process_time() - used, time.monotonic() - start
     background.close()
     return 100 * used / taken
 
 
-def write_keypoints(folder: Path, frames: Sequence[Sample], count: int) -> None:
-    """A bag of so many frames at 30 Hz, the recording again and again with stamps that go on."""
+def write_keypoints(folder: Path, frames: Sequence[EncodedFrame], count: int) -> None:
+    """Write a bag of `count` frames at 30 Hz: the recording in a loop, with increasing stamps."""
     with Recorder(folder, RecorderConfig()) as recorder:
         for n, frame in enumerate(islice(cycle(frames), count)):
             raw = frame.raw
             if n >= len(frames):
                 message = decode(raw, KEYPOINTS)
-                message.header = new_header(MessageHeader(n * STEP_NS, 'camera'))
+                message.header = create_header(MessageHeader(n * FRAME_PERIOD_NS, 'camera'))
                 raw = encode(message, KEYPOINTS)
-            recorder.write('/keypoints', KEYPOINTS, raw, START_NS + n * STEP_NS, START_NS)
+            recorder.write('/keypoints', KEYPOINTS, raw, START_NS + n * FRAME_PERIOD_NS, START_NS)
 
 
 def replay_bag(path: Path, out: Path) -> float:
-    """Replay; s."""
-    begun = time.perf_counter()
+    """Replay a bag, and return the duration in s."""
+    start = time.perf_counter()
     with Bag(path) as bag:
         replay(bag, out)
-    return time.perf_counter() - begun
+    return time.perf_counter() - start
 
 
-def feed_all(frames: Sequence[Sample]) -> float:
-    """The pipeline alone; s."""
+def measure_pipeline(frames: Sequence[EncodedFrame]) -> float:
+    """Feed all frames to a pipeline, and return the duration in s."""
     pipeline = Pipeline(Config())
-    begun = time.perf_counter()
+    start = time.perf_counter()
     for frame in frames:
         pipeline.feed(Source.KEYPOINTS, frame.raw)
-    return time.perf_counter() - begun
+    return time.perf_counter() - start
 
 
-def replay_standing(path: Path, out: Path, person: Person3D) -> float:
-    """Replay with the tracker that takes no time; s."""
-    Standing.person = person
-    replaying.Pipeline = partial(Pipeline, make_tracker=Standing)  # type: ignore[misc, assignment]
+def replay_with_constant_tracker(path: Path, out: Path, person: Person3D) -> float:
+    """Replay a bag with the tracker that takes no time, and return the duration in s."""
+    ConstantTracker.person = person
+    replaying.Pipeline = partial(Pipeline, make_tracker=ConstantTracker)  # type: ignore[misc, assignment]
     return replay_bag(path, out)
 
 
-def first_person(frames: Sequence[Sample]) -> Person3D:
+def track_first_person(frames: Sequence[EncodedFrame]) -> Person3D:
     found: list[Person3D] = []
 
-    class Watching(Tracker):
+    class ObservedTracker(Tracker):
         def update(self, *arguments: Any) -> tuple[Person3D, ...]:
             people = super().update(*arguments)
             found.extend(people)
             return people
 
-    pipeline = Pipeline(Config(), make_tracker=Watching)
+    pipeline = Pipeline(Config(), make_tracker=ObservedTracker)
     for frame in frames:
         pipeline.feed(Source.KEYPOINTS, frame.raw)
         if found:
@@ -260,15 +262,17 @@ def first_person(frames: Sequence[Sample]) -> Person3D:
     raise AssertionError('nobody was found')
 
 
-def replays(root: Path, minutes: int) -> dict[str, float]:
-    frames = samples()
+def measure_replays(root: Path, minutes: int) -> dict[str, float]:
+    frames = load_frames()
     seconds = len(frames) / HZ
     write_keypoints(root / 'demo', frames, len(frames))
-    taken, peak = elsewhere(replay_bag, root / 'demo', root / 'demo_out')
-    alone, _ = elsewhere(feed_all, frames)
+    taken, peak = run_in_process(replay_bag, root / 'demo', root / 'demo_out')
+    alone, _ = run_in_process(measure_pipeline, frames)
     count = minutes * 60 * HZ
     write_keypoints(root / 'long', frames, count)
-    standing, standing_peak = elsewhere(replay_standing, root / 'long', root / 'long_out', first_person(frames))
+    standing, standing_peak = run_in_process(
+        replay_with_constant_tracker, root / 'long', root / 'long_out', track_first_person(frames)
+    )
     return {
         'replay_x_realtime': seconds / taken,
         'pipeline_x_realtime': seconds / alone,
@@ -279,34 +283,34 @@ def replays(root: Path, minutes: int) -> dict[str, float]:
     }
 
 
-def recorders(root: Path, count: int, seconds: float) -> dict[str, float]:
-    data = payloads()
-    ours = write_all(root / 'ours', data, count)
-    bare = write_all_barely(root / 'bare.mcap', data, count)
+def measure_recorders(root: Path, count: int, seconds: float) -> dict[str, float]:
+    data = make_payloads()
+    ours = measure_recorder(root / 'ours', data, count)
+    bare = measure_mcap_writer(root / 'bare.mcap', data, count)
     return {
         'recorder_messages_s': ours,
         'mcap_writer_messages_s': bare,
         'recorder_over_mcap_writer': ours / bare,
-        'recorder_cpu_percent': recorder_cpu(root / 'cpu', samples(), seconds),
+        'recorder_cpu_percent': measure_recorder_cpu(root / 'cpu', load_frames(), seconds),
     }
 
 
 def main() -> None:
-    args = common.arguments(__doc__ or '')
-    print(f'# Recording and replay\n\n{common.machine()}\n')
+    args = common.parse_arguments(__doc__ or '')
+    print(f'# Recording and replay\n\n{common.describe_machine()}\n')
     with tempfile.TemporaryDirectory() as name:
         root = Path(name)
         results = {
-            **kills(root, 8 if args.quick else 50),
-            **recorders(root, 40_000 if args.quick else 200_000, 4 if args.quick else 12),
-            **replays(root, 2 if args.quick else 60),
+            **measure_kills(root, 8 if args.quick else 50),
+            **measure_recorders(root, 40_000 if args.quick else 200_000, 4 if args.quick else 12),
+            **measure_replays(root, 2 if args.quick else 60),
         }
     rows = [
         (key, f'{value:.3g}' if value < 1000 else f'{value:.0f}', TARGETS.get(key))
         for key, value in results.items()
     ]
-    print(common.table(['what', 'measured', 'target'], rows))
-    common.write_json(args.json, {'machine': common.machine(), **results})
+    print(common.format_table(['quantity', 'measured', 'target'], rows))
+    common.write_json(args.json, {'machine': common.describe_machine(), **results})
 
 
 if __name__ == '__main__':

@@ -1,5 +1,6 @@
 """People in 3D from one uncalibrated camera and a 2D keypoint detector.
 
-The maths (`skeleton`, `base_poses`, `camera`, `alternation`, `tracker`, `metrics`) knows no ROS, no files
-and no printing; `io` reads and writes files and messages; only `ros` imports rclpy.
+`geometry`, `keypoints`, `models`, `solvers`, `tracking` and `offline` hold the mathematics and know no messages,
+bags or file formats. `messages`, `bags` and `formats` read and write them. `runtime` joins the two sides, `ros` is
+the only folder that imports rclpy, and `cli` has the commands. docs/architecture.md explains the folders.
 """

@@ -1,8 +1,8 @@
-"""The package's exceptions. Libraries raise them, entry points print them as one line."""
+"""Exceptions of the package. Libraries raise them; programs print them as one line."""
 
 
 class MocapError(Exception):
-    """Anything this package refuses to do; the message says what and where."""
+    """Base of all exceptions that this package raises on purpose; the message says what is wrong and where."""
 
 
 class ConfigError(MocapError):
@@ -10,28 +10,31 @@ class ConfigError(MocapError):
 
 
 class SkeletonError(MocapError):
-    """An unknown keypoint layout, or joints that do not fit it."""
+    """An unknown keypoint layout, or joint names that a keypoint layout does not have."""
 
 
 class ModelError(MocapError):
-    """A base-pose model that cannot be trained, found or read."""
+    """A base-pose model or a lifter that cannot be trained, found or read."""
 
 
 class InputError(MocapError):
-    """A message, file or array that is not what it should be; names the place."""
+    """A message, file or array with invalid content; the message names the place."""
 
 
 class FrameDropped(MocapError):
-    """A well-formed frame the tracker does not accept (repeated or older stamp)."""
+    """A well-formed frame or message that is too late: a repeated or old stamp, or an image already complete."""
 
 
 class RecordingError(MocapError):
     """A recording that cannot be opened, written or finished."""
 
 
-def reader_reason(error: Exception) -> str:
-    """Why an .npz could not be read, in one line and without numpy's advice to trust it."""
-    said = ' '.join(str(error).split())
-    if 'pickle' in said:
-        return 'holds Python objects' if 'Object arrays' in said else 'no .npz file'
-    return said or type(error).__name__
+def describe_read_error(error: Exception) -> str:
+    """Return in one line why an .npz file could not be read.
+
+    NumPy's advice to load the file with pickle is left out, because files may come from untrusted sources.
+    """
+    message = ' '.join(str(error).split())
+    if 'pickle' in message:
+        return 'holds Python objects' if 'Object arrays' in message else 'no .npz file'
+    return message or type(error).__name__

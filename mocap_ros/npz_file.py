@@ -18,15 +18,15 @@ from mocap_ros.errors import InputError
 
 @contextmanager
 def open_npz(file: str | Path | IO[bytes], max_bytes: int) -> Iterator[NpzFile]:
-    """Open a file for reading.
+    """Open an .npz file for reading.
 
     Args:
         file: path or open file.
-        max_bytes: bytes that all its arrays may take when unpacked.
+        max_bytes: largest size in bytes of all arrays together, unpacked.
 
     Raises:
-        InputError: the file holds a single array, or arrays larger than `max_bytes`.
-        OSError: the file cannot be opened.
+        InputError: The file holds a single array, or arrays larger than `max_bytes`.
+        OSError: The file cannot be opened.
         Exception: NumPy's zip and array readers raise almost any exception on malformed bytes, also inside the
             `with` block.
     """
@@ -43,7 +43,7 @@ def write_npz(file: str | Path | IO[bytes], arrays: Mapping[str, NDArray[Any]]) 
 
     Args:
         file: path or open file.
-        arrays: by name, in the order in which they are written.
+        arrays: arrays by name, in the order in which they are written.
     """
     with zipfile.ZipFile(file, 'w', zipfile.ZIP_DEFLATED) as archive:
         for name, array in arrays.items():

@@ -1,4 +1,4 @@
-"""A person in 3D as the tracker gives them, and the kind of motion they are in."""
+"""A reconstructed person in 3D, and the kind of motion that the person is in."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 class MotionKind(IntEnum):
-    """As in `mocap_ros_msgs/msg/MotionState`."""
+    """Kinds of motion, numbered as in `mocap_ros_msgs/msg/MotionState`."""
 
     UNKNOWN = 0
     PERIODIC = 1
@@ -21,13 +21,13 @@ class MotionKind(IntEnum):
 
 @dataclass(frozen=True)
 class Motion:
-    """What kind of motion a window holds.
+    """Classification of the motion in a window of frames.
 
     Attributes:
-        kind: periodic, not, or not known.
-        category: name of the base-pose model used.
-        residual: 2D residual as a fraction of body size; NaN where unknown.
-        cadence: Hz, full cycles; NaN where not periodic.
+        kind: periodic, non-periodic or unknown.
+        category: name of the base-pose model in use, e.g. `walk`; empty if unknown.
+        residual: RMS 2D residual of the category's model as a fraction of body size; NaN if unknown.
+        cadence: Hz, full cycles; NaN for motion that is not periodic.
     """
 
     kind: MotionKind
@@ -41,17 +41,17 @@ class Person3D:
     """One reconstructed person in one frame.
 
     Attributes:
-        id: stable name of the person.
-        joints: (J, 3) m in the camera's optical frame, in the order of `skeleton.CMU15`.
-        std: (J,) m, standard deviation of each joint; NaN where unknown.
-        inferred: (J,) True where the joint was not seen and the model inferred it.
-        scale: px/m of the weak-perspective camera.
-        rotation: (3, 3) body to camera.
-        translation: (2,) px, image of the body's origin (mean of its joints).
-        motion: kind of motion of the window.
-        residual: px, RMS reprojection error over the seen joints; NaN where none was.
-        scale_known: True where a real focal length was given.
-        predicted: True where the person was not detected in this frame.
+        id: name of the person, the same in all frames.
+        joints: (J, 3) m, joint positions in the camera's optical frame, in the order of `skeleton.CMU15`.
+        std: (J,) m, standard deviation of each joint position; NaN if unknown.
+        inferred: (J,) True for joints that were not seen and were inferred by the model.
+        scale: px/m, scale of the weak-perspective camera.
+        rotation: (3, 3) rotation from the body frame to the camera's optical frame.
+        translation: (2,) px, image point of the body's origin, which is the mean of its joints.
+        motion: classification of the motion up to this frame.
+        residual: px, RMS reprojection error over the seen joints; NaN if no joint was seen.
+        scale_known: True if the focal length is known and not nominal.
+        predicted: True if the person was not detected in this frame.
     """
 
     id: str

@@ -1,11 +1,11 @@
-"""What several tests share."""
+"""Fixtures that several tests share."""
 
 # ruff: noqa: E402
 from __future__ import annotations
 
-from mocap_ros.runtime.cpu_setup import prepare
+from mocap_ros.runtime.cpu_setup import configure_process
 
-prepare()  # the same sums in the same order as in the node
+configure_process()  # sums then have the same order as in the node
 
 import importlib.util
 from types import ModuleType
@@ -20,7 +20,7 @@ from tests.support.evaluation_data import shared
 
 @pytest.fixture(scope='session')
 def protocol() -> ModuleType:
-    """The measuring protocol behind every accuracy figure."""
+    """The measuring protocol with which every accuracy in the documents was measured."""
     spec = importlib.util.spec_from_file_location('protocol', shared('bench/protocol.py'))
     assert spec is not None
     assert spec.loader is not None

@@ -1,4 +1,4 @@
-"""One home for defaults: the shipped YAML and every check follow from the dataclasses."""
+"""Defaults have one home: the shipped parameter file and every check follow from the dataclasses."""
 
 from pathlib import Path
 
@@ -12,16 +12,16 @@ from mocap_ros.errors import ConfigError
 SHIPPED = Path(__file__).parents[1] / 'config' / 'mocap_ros.yaml'
 
 
-def test_shipped_parameter_file_is_the_defaults() -> None:
+def test_shipped_parameter_file_holds_the_defaults() -> None:
     assert SHIPPED.read_text(encoding='utf-8') == to_yaml(Config()), (
         'run: mocap-ros config > config/mocap_ros.yaml'
     )
 
 
 def test_every_parameter_is_described_and_its_default_is_valid() -> None:
-    for p in parameters():
-        assert p.doc
-        assert p.check(p.default) == p.default
+    for parameter in parameters():
+        assert parameter.description
+        assert parameter.check(parameter.default) == parameter.default
 
 
 def test_yaml_round_trip() -> None:
@@ -38,7 +38,7 @@ def test_yaml_round_trip() -> None:
     ('text', 'message'),
     [
         ('solver: {bone_wait: 1}', r"f\.yaml: unknown parameter 'solver\.bone_wait'"),
-        ('solver: {components: many}', r'solver\.components = .many.: expected a int'),
+        ('solver: {components: many}', r'solver\.components = .many.: expected an int'),
         ('solver: {components: 0}', r'solver\.components = 0: expected 1 to 60'),
         ('solver: {bone_weight: .nan}', r'solver\.bone_weight = nan'),
         ('solver: {method: magic}', r'expected joint, alternation'),
@@ -47,9 +47,9 @@ def test_yaml_round_trip() -> None:
         ('!!python/object/apply:os.system [true]', 'not YAML'),
         ('{a: ' * 2000, r'f\.yaml: not YAML: nested too deep'),
         ('a: &a [1]\nb: *a', r'f\.yaml: not YAML: line 2: aliases are not allowed'),
-        ('solver: {components: 3}\nsolver: {}', r"line 2: 'solver' twice"),
-        ('1: 2', 'line 1: a key that is no text'),
-        ('[1]: 2', 'line 1: a key that is no text'),
+        ('solver: {components: 3}\nsolver: {}', r"line 2: the key 'solver' occurs twice"),
+        ('1: 2', 'line 1: a key is not text'),
+        ('[1]: 2', 'line 1: a key is not text'),
         ('solver: {components: 2001-99-99}', 'not YAML: month'),
         ('false', 'expected a mapping'),
         (f'solver: {{components: 1{"0" * 400}}}', r'solver\.components = 10+\.\.\.: expected 1 to 60'),
@@ -57,7 +57,7 @@ def test_yaml_round_trip() -> None:
         (f'solver: {{components: 0x{"f" * 5000}}}', r'solver\.components = a huge value'),
     ],
 )
-def test_bad_files_say_what_and_where(text: str, message: str) -> None:
+def test_errors_in_a_file_name_the_file_and_the_place(text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         from_yaml(text, 'f.yaml')
 
@@ -66,7 +66,7 @@ yaml_like = st.text('ab:{}[]&*!- \n\'"|>?%@1.,#~x', max_size=30)
 
 
 @given(st.one_of(st.text(max_size=30), yaml_like))
-def test_any_text_is_a_configuration_or_refused_by_name(text: str) -> None:
+def test_any_text_is_a_configuration_or_an_error_that_names_the_file(text: str) -> None:
     try:
         assert from_yaml(text, 'f.yaml') == Config()
     except ConfigError as error:
@@ -74,7 +74,7 @@ def test_any_text_is_a_configuration_or_refused_by_name(text: str) -> None:
 
 
 @given(st.sampled_from(sorted(values(Config()))), st.one_of(st.none(), st.integers(), st.floats(), st.text()))
-def test_any_value_is_taken_or_refused_by_name(name: str, value: object) -> None:
+def test_any_value_is_valid_or_an_error_that_names_the_parameter(name: str, value: object) -> None:
     parameter = next(p for p in parameters() if p.name == name)
     try:
         parameter.check(value)

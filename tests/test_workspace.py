@@ -1,4 +1,4 @@
-"""The repository as a whole: packages, messages, metadata, and the arrows between modules."""
+"""The repository as a whole: packages, messages, metadata, and the imports between modules."""
 
 import os
 import shutil
@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests.support.paths import ROOT
+
 MESSAGES = sorted((ROOT / 'msg_defs' / 'msg').glob('*.msg'))
-NOT_SOURCE = {'.git', '.venv', 'build', 'demo_output', 'dist', 'install', 'log'}
+# Folders of the repository's root that no build needs.
+BUILD_OUTPUTS = {'.git', '.venv', 'build', 'demo_output', 'dist', 'install', 'log'}
 
 IMPORT_ALL_BUT_ROS = """
 import importlib, pkgutil, sys
@@ -25,7 +27,7 @@ class NoRos:
     def find_spec(self, name, path=None, target=None):
         if name.partition(".")[0] in ROS:
             attempts.append(name)
-            raise ImportError(f"{name} must not be imported outside mocap_ros.ros")
+            raise ImportError(f"only mocap_ros.ros may import {name}")
 
 def import_all(name):
     try:
@@ -62,11 +64,13 @@ def test_both_packages_have_the_same_version() -> None:
 @pytest.mark.parametrize('message', MESSAGES, ids=lambda path: path.stem)
 def test_every_message_field_is_commented(message: Path) -> None:
     lines = ['', *message.read_text(encoding='utf-8').splitlines()]
-    bare = [line for above, line in pairwise(lines) if line and '#' not in line and not above.startswith('#')]
-    assert not bare
+    uncommented = [
+        line for above, line in pairwise(lines) if line and '#' not in line and not above.startswith('#')
+    ]
+    assert not uncommented
 
 
-def test_messages_are_package_data_with_one_home() -> None:
+def test_message_definitions_in_the_package_link_to_their_only_home() -> None:
     assert (ROOT / 'mocap_ros' / 'messages' / 'msg').resolve() == ROOT / 'msg_defs' / 'msg'
 
 
@@ -81,7 +85,7 @@ def test_colcon_builds_both_packages(tmp_path: Path) -> None:
         pytest.skip('rclpy is not installed')
 
     workspace = tmp_path / 'workspace'
-    shutil.copytree(ROOT, workspace, symlinks=True, ignore=ignore_what_is_not_source)
+    shutil.copytree(ROOT, workspace, symlinks=True, ignore=ignore_build_outputs)
     prefixes = os.environ.get('AMENT_PREFIX_PATH', sys.prefix)
     env = {**os.environ, 'PATH': path, 'AMENT_PREFIX_PATH': prefixes, 'HOME': str(tmp_path)}
     build = subprocess.run(
@@ -108,5 +112,5 @@ assert all(module.__file__.startswith({str(install)!r}) for module in (mocap_ros
     subprocess.run(command, cwd=tmp_path, env=env, check=True)
 
 
-def ignore_what_is_not_source(folder: str, names: list[str]) -> set[str]:
-    return NOT_SOURCE & set(names) if Path(folder) == ROOT else set()
+def ignore_build_outputs(folder: str, names: list[str]) -> set[str]:
+    return BUILD_OUTPUTS & set(names) if Path(folder) == ROOT else set()

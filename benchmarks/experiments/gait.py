@@ -1,4 +1,4 @@
-"""The periodic assumption: fitted sines (figure 5), classification (figure 19), and the claims in passing."""
+"""The periodic assumption: fitted sines (figure 5), classification (figure 19), and further claims."""
 
 from __future__ import annotations
 
@@ -6,39 +6,41 @@ from collections.abc import Sequence
 
 import common
 import numpy as np
-from common import View, paper_config
+from common import View, make_paper_config
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from experiments.accuracy import few_headings, plain
-from experiments.report import JUMP, PLAIN, RUN, WALK, Section, label, panels
+from experiments.accuracy import choose_few_headings, train_like_paper
+from experiments.report import JUMP, NEUTRAL, RUN, WALK, Section, label_axes, make_panels
 from mocap_ros.config import SolverConfig
-from mocap_ros.geometry.rotations import centred, heading_to
+from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import periodic
 from mocap_ros.solvers.window import Window
 
 Array = NDArray[np.float64]
 
+# Walks to whose true weights sines are fitted.
 SINE_TRIALS = ('35_02', '35_12', '07_01', '16_15')
-SECTION_FRAMES = 10
+SECTION_FRAMES = 10  # frames of a section that is classified, as in the paper
+# Categories for which the explained variance is printed; empty means all motions.
 CLAIM_CATEGORIES = ('walk', 'run', 'jump', 'walk+run+jump', '')
 
 
-def fitted_sines(quick: bool) -> Section:
-    """Figure 5."""
+def measure_sines(quick: bool) -> Section:
+    """Fit sines to the true weights of the base poses (figure 5)."""
     section = Section('Sines fitted to ground-truth weights (figure 5)')
     rows = []
     drawn: tuple[Array, Array, Array] | None = None
     for trial in SINE_TRIALS[:1] if quick else SINE_TRIALS:
-        model = common.trained('walk', only_subjects=(trial[:2],), plain=True)
-        poses = next(t.poses for t in common.trials() if t.name == trial)[:120]
-        poses = poses * (np.linalg.norm(model.mean) / np.linalg.norm(centred(poses), axis=(1, 2)).mean())
-        body = centred(poses) @ np.swapaxes(heading_to(centred(poses), model.mean), -1, -2)
+        model = common.train_base_poses('walk', only_subjects=(trial[:2],), plain=True)
+        poses = next(t.poses for t in common.list_trials() if t.name == trial)[:120]
+        poses = poses * (np.linalg.norm(model.mean) / np.linalg.norm(centre_poses(poses), axis=(1, 2)).mean())
+        body = centre_poses(poses) @ np.swapaxes(fit_heading_rotation(centre_poses(poses), model.mean), -1, -2)
         times = np.arange(len(body)) / common.FPS
         theta = model.weights(body)
         forms = {
-            'one sine a base pose, K = 4 (the paper)': (4, 1, True),
+            'one sine per base pose, K = 4 (the paper)': (4, 1, True),
             'shared fundamental, H = 1, K = 4': (4, 1, False),
             'shared fundamental, H = 2, K = 4': (4, 2, False),
             'shared fundamental, H = 2, all base poses': (len(model.std), 2, False),
@@ -47,7 +49,7 @@ def fitted_sines(quick: bool) -> Section:
         cells = []
         for k, harmonics, sines in forms.values():
             fit = fit_harmonics(theta[:, :k], times, harmonics, sines)
-            difference = model.truncated(k).poses(fit) - body
+            difference = model.truncate(k).poses(fit) - body
             cells.append(
                 f'{np.abs(difference).mean() * 1e3:.2f} / {np.linalg.norm(difference, axis=-1).mean() * 1e3:.1f}'
             )
@@ -55,36 +57,36 @@ def fitted_sines(quick: bool) -> Section:
                 drawn = times, theta[:, :4], fit
         rows.append([trial.replace('_', '/'), *cells])
     section.text(
-        """Mean absolute error of a coordinate / mean distance of a joint, mm, of poses whose weights are
-        harmonic functions fitted to the true weights by least squares; base poses of all walks of the subject,
-        the trial among them. The paper: 2.05 mm with four base poses on the data of N. Troje, which is not to be
-        had and whose walkers are themselves averages over many steps; ours are single CMU trials, straight from
-        capture."""
+        """Mean absolute error of a coordinate / mean distance of a joint, mm. The weights of the poses are
+        harmonic functions fitted to the true weights by least squares; the base poses are trained on all walks
+        of the subject, including the trial. The paper: 2.05 mm with four base poses on the data of N. Troje,
+        which are not available and in which a walker is an average over many steps; these are single CMU trials
+        as captured."""
     )
     section.table(['trial', *forms], rows)
     section.data['rows'] = rows
     if drawn is not None:
         times, theta, fit = drawn
-        figure, axes = panels(2, sharey=True)
+        figure, axes = make_panels(2, sharey=True)
         for ax, values, title in zip(axes, (theta, fit), ('ground truth', 'fitted sines'), strict=True):
-            for k, colour in enumerate((WALK, RUN, JUMP, PLAIN)):
+            for k, colour in enumerate((WALK, RUN, JUMP, NEUTRAL)):
                 ax.plot(times, values[:, k], color=colour, label=f'base pose {k + 1}')
-            label(ax, 'time, s', 'weight, m' if ax is axes[0] else '', f'{title}, walk 35/02')
+            label_axes(ax, 'time, s', 'weight, m' if ax is axes[0] else '', f'{title}, walk 35/02')
         figure.legend(*axes[0].get_legend_handles_labels(), loc='outside lower center', ncols=4)
         section.figure('fig05_sines', figure, 'True weights and fitted sines')
     return section
 
 
 def fit_harmonics(theta: Array, times: Array, harmonics: int, sines: bool) -> Array:
-    """Least-squares fit (F, K) of the paper's sines, or of series with a constant and one shared fundamental."""
+    """Fit the paper's sines, or series with a constant and one shared fundamental, to weights (F, K)."""
     if sines:
         return np.stack(
-            [_fit_one(theta[:, [k]], times, 1, constant=False)[:, 0] for k in range(theta.shape[1])], -1
+            [_fit_series(theta[:, [k]], times, 1, constant=False)[:, 0] for k in range(theta.shape[1])], -1
         )
-    return _fit_one(theta, times, harmonics, constant=True)
+    return _fit_series(theta, times, harmonics, constant=True)
 
 
-def _fit_one(theta: Array, times: Array, harmonics: int, *, constant: bool) -> Array:
+def _fit_series(theta: Array, times: Array, harmonics: int, *, constant: bool) -> Array:
     h = np.arange(1, harmonics + 1)
 
     def fit(hertz: float) -> Array:
@@ -102,9 +104,9 @@ def _fit_one(theta: Array, times: Array, harmonics: int, *, constant: bool) -> A
     return fit(float(refined.x))
 
 
-def splice() -> tuple[Array, list[tuple[str, int, int]]]:
-    """35/17, the jump of 13/11 and 35/18, one after the other and facing one way: (F, 15, 3) mm, and the parts."""
-    motion, joints = common.capture()
+def make_splice() -> tuple[Array, list[tuple[str, int, int]]]:
+    """Concatenate 35/17, the jump of 13/11 and 35/18, facing one way: poses (F, 15, 3) mm, and the parts."""
+    motion, joints = common.load_capture()
     jump = motion['13_11']
     height = jump[:, joints.index('pelvis'), 1]
     top = int(np.argmax(height))
@@ -126,38 +128,39 @@ def splice() -> tuple[Array, list[tuple[str, int, int]]]:
     return np.concatenate(turned), bounds
 
 
-def classification(quick: bool) -> Section:
-    """Figure 19."""
+def measure_classification(quick: bool) -> Section:
+    """Measure the residual of the periodic model over a run, a jump and a run (figure 19)."""
     section = Section('Run, jump, run (figure 19)')
-    body, parts = splice()
-    model = common.trained('run', only_subjects=('35',), without_trials=('35_17', '35_18'))
+    body, parts = make_splice()
+    model = common.train_base_poses('run', only_subjects=('35',), without_trials=('35_17', '35_18'))
     headings = (90,) if quick else (45, 90, 135)
-    tests = common.views(body, headings, frames=len(body))
+    tests = common.make_views(body, headings, frames=len(body))
     starts = range(0, len(body) - SECTION_FRAMES + 1, SECTION_FRAMES // (1 if quick else 2))
     forms = {
-        'project': (common.changed(bone_weight=0.0), model),
+        'project': (common.make_config(bone_weight=0.0), model),
         "the paper's sines, K = 6": (
-            paper_config(paper_sines=True),
-            common.trained('run', only_subjects=('35',), without_trials=('35_17', '35_18'), plain=True),
+            make_paper_config(paper_sines=True),
+            common.train_base_poses('run', only_subjects=('35',), without_trials=('35_17', '35_18'), plain=True),
         ),
     }
     residuals: dict[str, Array] = {}
-    size = float(np.linalg.norm(centred(body), axis=(1, 2)).mean() / np.sqrt(body.shape[1])) * 1e-3
+    size = float(np.linalg.norm(centre_poses(body), axis=(1, 2)).mean() / np.sqrt(body.shape[1])) * 1e-3
     for name, (config, used) in forms.items():
-        per_view = [[section_residual(v, s, used, config) for s in starts] for v in tests]
+        per_view = [[measure_section_residual(v, s, used, config) for s in starts] for v in tests]
         residuals[name] = np.mean(per_view, axis=0) / (size * 1e3)
     middle = np.array([s + SECTION_FRAMES / 2 for s in starts])
     jumping = np.array([parts[1][1] <= m < parts[1][2] for m in middle])
     section.text(
-        f"""The paper's outdoor clip is not to be had: this is a splice of {', '.join(p[0] for p in parts)} (the
-        jump 20 frames either side of its highest point), turned to face one way. Sections of {SECTION_FRAMES}
-        frames ({SECTION_FRAMES / common.FPS:.2f} s at 30 fps) are fitted with the periodic model, base poses of
-        the runs of subject 35 but 35/17 and 35/18 (the paper trains on 35/17-26). 2D error: root mean square as
-        a share of the body's root mean square radius, mean over headings {', '.join(map(str, headings))}."""
+        f"""The paper's outdoor clip is not available; this is a splice of {', '.join(p[0] for p in parts)} (the
+        jump from 20 frames before to 20 frames after its highest point), rotated to one heading. Sections of
+        {SECTION_FRAMES} frames ({SECTION_FRAMES / common.FPS:.2f} s at 30 fps) are fitted with the periodic
+        model and base poses of the runs of subject 35 without 35/17 and 35/18 (the paper trains on 35/17-26).
+        2D error: root mean square as a share of the root mean square radius of the body, mean over headings
+        {', '.join(map(str, headings))}."""
     )
     rows = []
     for name, values in residuals.items():
-        area = _separation(values[~jumping], values[jumping])
+        area = _compute_roc_area(values[~jumping], values[jumping])
         rows.append(
             [
                 name,
@@ -170,82 +173,89 @@ def classification(quick: bool) -> Section:
     section.table(
         ['periodic model', '2D error in the runs', '2D error in the jump', 'area under the ROC curve'], rows
     )
-    figure, axes = panels(1, height=2.6)
+    figure, axes = make_panels(1, height=2.6)
     for (name, values), colour in zip(residuals.items(), (RUN, WALK), strict=True):
         axes[0].plot(middle / common.FPS, values, 'o-', color=colour, label=name)
     axes[0].axvspan(parts[1][1] / common.FPS, parts[1][2] / common.FPS, color='#f0f0f0', zorder=0, label='jump')
-    label(axes[0], 'middle of the section, s', '2D error / body size')
+    label_axes(axes[0], 'middle of the section, s', '2D error / body size')
     axes[0].set_ylim(bottom=0)
     axes[0].legend()
     section.figure('fig19_classification', figure, '2D error of the periodic model over a run, a jump and a run')
     return section
 
 
-def section_residual(view: View, start: int, model: BasePoses, config: SolverConfig) -> float:
-    """2D error of the periodic model on one section, mm."""
+def measure_section_residual(view: View, start: int, model: BasePoses, config: SolverConfig) -> float:
+    """Return the 2D error of the periodic model on one section in mm."""
     w, own = view.window, slice(start, start + SECTION_FRAMES)
     part = Window(w.points[own], w.weight[own], w.times[own])
     (result,) = periodic.solve([part], model, config)
-    return float(np.sqrt((result.residual**2).mean()) / common.protocol().PX_PER_M * 1e3)
+    return float(np.sqrt((result.residual**2).mean()) / common.load_protocol().PX_PER_M * 1e3)
 
 
-def _separation(below: Array, above: Array) -> float:
-    """Probability that one of `above` exceeds one of `below`."""
+def _compute_roc_area(below: Array, above: Array) -> float:
+    """Return the probability that a value of `above` exceeds a value of `below`."""
     return float((above[:, None] > below).mean() + 0.5 * (above[:, None] == below).mean())
 
 
-def claims(quick: bool) -> Section:
-    """What the paper says in passing."""
-    section = Section('Claims in passing')
-    _ten_components(section, CLAIM_CATEGORIES[:3] if quick else CLAIM_CATEGORIES)
-    _bones_and_periodicity(section, quick)
+def measure_claims(quick: bool) -> Section:
+    """Measure the claims that the paper makes beside its experiments."""
+    section = Section('Further claims')
+    _measure_explained_variance(section, CLAIM_CATEGORIES[:3] if quick else CLAIM_CATEGORIES)
+    _measure_periodic_bones(section, quick)
     return section
 
 
-def _ten_components(section: Section, categories: Sequence[str]) -> None:
-    section.text('Variance that the first ten base poses hold, all trials of the category (the paper: over 99 %).')
+def _measure_explained_variance(section: Section, categories: Sequence[str]) -> None:
+    section.text(
+        'Share of the variance in the first ten base poses, all trials of the category (the paper: over 99 %).'
+    )
     rows = []
     for category in categories:
         chosen = [
-            t.poses for t in common.trials() if t.clean and (not category or t.category in category.split('+'))
+            t.poses
+            for t in common.list_trials()
+            if t.clean and (not category or t.category in category.split('+'))
         ]
-        stacked = centred(np.concatenate(chosen)).reshape(-1, chosen[0].shape[1] * 3)
+        stacked = centre_poses(np.concatenate(chosen)).reshape(-1, chosen[0].shape[1] * 3)
         variance = np.linalg.eigvalsh(np.cov(stacked.T))[::-1]
         raw = variance[:10].sum() / variance.sum()
-        aligned = common.trained(category, plain=True).explained[9]
-        shipped = common.trained(category).explained[9]
+        aligned = common.train_base_poses(category, plain=True).explained[9]
+        shipped = common.train_base_poses(category).explained[9]
         count = int(np.searchsorted(np.cumsum(variance) / variance.sum(), 0.99)) + 1
         rows.append([category or 'all motions', f'{raw:.1%}', count, f'{aligned:.1%}', f'{shipped:.1%}'])
     section.table(
         [
             'category',
-            'as the paper, not aligned',
-            'needed for 99 %',
+            'as in the paper, not aligned',
+            'base poses needed for 99 %',
             'aligned',
-            'as shipped (mirrored, other bodies)',
+            'as shipped (with mirrored poses and other bodies)',
         ],
         rows,
     )
     section.data['ten components'] = rows
 
 
-def _bones_and_periodicity(section: Section, quick: bool) -> None:
+def _measure_periodic_bones(section: Section, quick: bool) -> None:
     weights = (0.0, 20.0) if quick else (0.0, 0.1, 1.0, 5.0, 20.0, 100.0, 1e3, 1e4)
     trials: Sequence[tuple[str, str]] = (('35_02', 'walk'),) if quick else (('35_02', 'walk'), ('35_17', 'run'))
     rows = []
     for beta in weights:
         cells = []
         for trial, category in trials:
-            tests = common.views(trial, few_headings(quick))
-            paper, ours = plain(category, trial), common.trained(category, without_trials=(trial,))
-            sines = paper_config(paper_sines=True, components=4, bone_weight=beta)
-            for model, config in ((paper, sines), (ours, common.changed(bone_weight=beta))):
-                found = common.periodically(tests, model, config)
-                cells.append(f'{common.mean(common.scores(tests, found, model)):.1f}')
+            tests = common.make_views(trial, choose_few_headings(quick))
+            paper, ours = (
+                train_like_paper(category, trial),
+                common.train_base_poses(category, without_trials=(trial,)),
+            )
+            sines = make_paper_config(paper_sines=True, components=4, bone_weight=beta)
+            for model, config in ((paper, sines), (ours, common.make_config(bone_weight=beta))):
+                found = common.solve_periodically(tests, model, config)
+                cells.append(f'{common.mean_error(common.compute_all_errors(tests, found, model)):.1f}')
         rows.append([f'{beta:g}', *cells])
     section.text(
-        """Bone-length term in the periodic model, MPJPE in mm (the paper: no improvement; too high a weight, and
-        the skeleton stays in the mean pose)."""
+        """Bone-length term in the periodic model, MPJPE in mm. The paper: no improvement, and with too high a
+        weight the skeleton stays in the mean pose."""
     )
     header = [f'{t}, {form}' for t, _ in trials for form in ("the paper's sines, K = 4", 'project')]
     section.table(['beta', *header], rows)

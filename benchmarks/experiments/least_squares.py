@@ -1,8 +1,8 @@
 """The objective of the joint solver as a residual vector with a sparse Jacobian, for SciPy's `least_squares`.
 
-Unknowns of a frame: weights in standard deviations, rotation vector from the start rotation, log scale,
-translation; then one mean length a bone. The mean lengths being unknowns keeps the Jacobian sparse; at their
-optimum, the mean over the frames, the sum of squares is the objective of `mocap_ros.solvers.joint`.
+The unknowns of a frame are the weights in standard deviations, the rotation vector from the initial rotation, the
+log scale and the translation. Further unknowns are the mean lengths of the bones, which keeps the Jacobian sparse.
+At the optimum of the mean lengths, the sum of squares is the objective of `mocap_ros.solvers.joint`.
 """
 
 from __future__ import annotations
@@ -16,8 +16,11 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import coo_array, csr_array
 
-from mocap_ros.geometry.rotations import cross_matrix, small_rotation
-from mocap_ros.solvers.joint.objective import Problem
+from mocap_ros.geometry.rotations import cross_matrix, rotation_from_vector
+from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
+from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness
+from mocap_ros.solvers.joint.objective import JointObjective
+from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
 from mocap_ros.solvers.joint.state import State
 
 Array = NDArray[np.float64]
@@ -25,7 +28,7 @@ Array = NDArray[np.float64]
 
 @dataclass
 class Progress:
-    """Objective and seconds at every point the optimiser accepted, or with differences, looked at."""
+    """Objective and time in s at every point that the optimiser accepted, or evaluated if it uses differences."""
 
     cost: list[float] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
@@ -33,9 +36,9 @@ class Progress:
 
 @dataclass(frozen=True, eq=False)
 class SparseProblem:
-    """One sequence."""
+    """The objective of one sequence, and its initial state."""
 
-    problem: Problem
+    problem: JointObjective
     start: State
 
     @property
@@ -47,34 +50,34 @@ class SparseProblem:
         return len(self.problem.model.std) + 6
 
     def pack(self, state: State) -> Array:
-        """The unknowns at a state that shares the start's rotations."""
+        """Return the vector of unknowns of a state that has the initial rotations."""
         parts = [
             state.theta / self.problem.model.std,
             np.zeros((self.frames, 3)),
             state.log_scale[:, None],
             state.translation,
         ]
-        length = self.problem.fit(state).length
+        length = self.problem.fit(state).bone_length
         return np.concatenate([np.concatenate(parts, axis=1).ravel(), length.mean(axis=0)])
 
     def unpack(self, x: Array) -> tuple[State, Array, Array]:
-        """State, rotation vectors (F, 3) and mean bone lengths (B,)."""
+        """Return the state, the rotation vectors (F, 3) and the mean bone lengths (B,)."""
         each = x[: self.frames * self.width].reshape(self.frames, self.width)
         k = self.width - 6
         vector = each[:, k : k + 3]
         state = State(
             each[:, :k] * self.problem.model.std,
-            small_rotation(vector) @ self.start.rotation,
+            rotation_from_vector(vector) @ self.start.rotation,
             each[:, k + 3],
             each[:, k + 4 :],
         )
         return state, vector, x[self.frames * self.width :]
 
     def _data_rows(self, error: Array) -> tuple[Array, Array]:
-        """(F, J) factors g with |g error|^2 the robust loss, and (F, J) their derivatives by |error|^2."""
+        """Return factors g (F, J) for which |g error|^2 is the robust loss, and their derivatives by |error|^2."""
         p = self.problem
         squared = (error**2).sum(axis=-1)
-        scale = p.robust**2 + np.zeros_like(squared)
+        scale = p.reprojection.robust_scale**2 + np.zeros_like(squared)
         with np.errstate(divide='ignore', invalid='ignore'):
             u = squared / scale
             ratio = np.where(u > 1e-6, np.log1p(u) / u, 1 - u / 2)
@@ -88,11 +91,11 @@ class SparseProblem:
         fit = p.fit(state)
         factor, _ = self._data_rows(fit.error)
         rows = [
-            (np.sqrt(p.weight) * factor)[..., None] * fit.error,
-            np.sqrt(p.bone_weight) * (fit.length - means),
-            np.sqrt(p.prior) * state.theta,
-            np.sqrt(p.smooth)[:, None] * np.diff(state.theta, axis=0) / p.model.std,
-            np.sqrt(p.turn) * np.diff(fit.turning, axis=0),
+            (np.sqrt(p.reprojection.weight) * factor)[..., None] * fit.error,
+            np.sqrt(p.bones.weight) * (fit.bone_length - means),
+            np.sqrt(p.find_term(BasePosePrior).precision) * state.theta,
+            np.sqrt(p.find_term(PoseSmoothness).weight)[:, None] * np.diff(state.theta, axis=0) / p.model.std,
+            np.sqrt(p.find_term(CameraSmoothness).weight) * np.diff(fit.camera_features, axis=0),
         ]
         return np.concatenate([r.ravel() for r in rows])
 
@@ -102,9 +105,9 @@ class SparseProblem:
         frames, k = state.theta.shape
         turn = _left_jacobian(vector)
         fit = p.fit(state)
-        turned, error = fit.turned, fit.error
+        turned, error = fit.scaled_poses, fit.error
         factor, slope = self._data_rows(error)
-        root = np.sqrt(p.weight)
+        root = np.sqrt(p.reprojection.weight)
 
         m = np.exp(state.log_scale)[:, None, None] * state.rotation[:, :2]
         basis = np.moveaxis(p.model.components * p.model.std[:, None, None], 0, -1)
@@ -115,17 +118,19 @@ class SparseProblem:
         raw[..., k + 4 :] = np.eye(2)
         along = (error[..., None] * raw).sum(axis=2, keepdims=True)
         data = factor[..., None, None] * raw + 2 * (slope[..., None] * error)[..., None] * along
-        blocks = _Blocks(frames * self.width + len(p.bone_weight))
+        blocks = _Blocks(frames * self.width + len(p.bones.weight))
         own = np.arange(frames * self.width).reshape(frames, self.width)
         blocks.add((root[..., None, None] * data).reshape(frames, -1, self.width), own)
 
-        direction = basis[p.children] - basis[p.parents]
-        bones = np.sqrt(p.bone_weight)[:, None] * np.einsum('fbc,bck->fbk', fit.bones, direction)
-        mean_columns = frames * self.width + np.arange(len(p.bone_weight))
-        blocks.add_bones(bones, own[:, :k], -np.sqrt(p.bone_weight), mean_columns)
+        direction = basis[p.bones.children] - basis[p.bones.parents]
+        bones = np.sqrt(p.bones.weight)[:, None] * np.einsum('fbc,bck->fbk', fit.bone_direction, direction)
+        mean_columns = frames * self.width + np.arange(len(p.bones.weight))
+        blocks.add_bones(bones, own[:, :k], -np.sqrt(p.bones.weight), mean_columns)
 
-        blocks.add_diagonal(np.broadcast_to(np.sqrt(p.prior) * p.model.std, (frames, k)), own[:, :k])
-        smooth = np.broadcast_to(np.sqrt(p.smooth)[:, None], (frames - 1, k))
+        blocks.add_diagonal(
+            np.broadcast_to(np.sqrt(p.find_term(BasePosePrior).precision) * p.model.std, (frames, k)), own[:, :k]
+        )
+        smooth = np.broadcast_to(np.sqrt(p.find_term(PoseSmoothness).weight)[:, None], (frames - 1, k))
         blocks.add_difference(smooth, own[:, :k])
 
         columns = np.swapaxes(state.rotation, -1, -2)
@@ -135,21 +140,29 @@ class SparseProblem:
         camera[..., :3] = (-cross_matrix(of_columns) @ turn[:, None])[..., :2, :]
         camera[:, :3, :, 3] = scaled[..., :2]
         camera = np.swapaxes(camera, 1, 2).reshape(frames, 8, 4)
-        root_flip = np.sqrt(p.turn[:, :8, None])
+        root_flip = np.sqrt(p.find_term(CameraSmoothness).weight[:, :8, None])
         both = np.concatenate([-root_flip * camera[:-1], root_flip * camera[1:]], axis=-1)
-        blocks.add_difference(np.sqrt(p.turn[:, 8:]), own[:, k + 3 : k + 4])
+        blocks.add_difference(np.sqrt(p.find_term(CameraSmoothness).weight[:, 8:]), own[:, k + 3 : k + 4])
         columns_of = own[:, k : k + 4]
         blocks.add(both, np.concatenate([columns_of[:-1], columns_of[1:]], axis=1))
         return blocks.matrix()
 
     def solve(self, differences: bool = False, **options: Any) -> tuple[State, Progress, int]:
-        """The optimum, the way there, and the number of Jacobians; `differences`: a 2-point Jacobian."""
+        """Minimise the objective.
+
+        Args:
+            differences: whether to use a 2-point Jacobian.
+            options: options of `least_squares`.
+
+        Returns:
+            The optimum, the progress, and the number of Jacobians.
+        """
         progress = Progress()
-        begun = time.perf_counter()
+        start_s = time.perf_counter()
 
         def note(squares: float) -> None:
             progress.cost.append(squares)
-            progress.seconds.append(time.perf_counter() - begun)
+            progress.seconds.append(time.perf_counter() - start_s)
 
         def residuals(x: Array) -> Array:
             rows = self.residuals(x)
@@ -171,7 +184,7 @@ class SparseProblem:
 
 
 def _left_jacobian(vector: Array) -> Array:
-    """(..., 3, 3) with exp(v + dv) = exp(J dv) exp(v) to first order."""
+    """Return J (..., 3, 3) for which exp(v + dv) = exp(J dv) exp(v) to first order."""
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     k = cross_matrix(vector)
     small = angle < 1e-4
@@ -182,7 +195,7 @@ def _left_jacobian(vector: Array) -> Array:
 
 
 class _Blocks:
-    """Collects rows of a sparse matrix."""
+    """A sparse matrix that is built row by row."""
 
     def __init__(self, columns: int) -> None:
         self.columns = columns
@@ -193,7 +206,7 @@ class _Blocks:
         self.parts.append((values.ravel(), rows.ravel(), columns.ravel()))
 
     def add(self, blocks: Array, columns: NDArray[np.intp]) -> None:
-        """Dense blocks (F, R, C), each in its own rows and in `columns` (F, C)."""
+        """Add dense blocks (F, R, C), each in rows of its own and in `columns` (F, C)."""
         frames, rows, _ = blocks.shape
         index = self.rows + np.arange(frames * rows).reshape(frames, rows, 1)
         self._append(blocks, np.broadcast_to(index, blocks.shape), np.broadcast_to(columns[:, None], blocks.shape))

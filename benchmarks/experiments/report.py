@@ -1,4 +1,4 @@
-"""A section of the report: text, tables and figures of one experiment."""
+"""Sections of the report: text, tables and figures of one experiment each."""
 
 from __future__ import annotations
 
@@ -8,13 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-from common import table
+from common import format_table
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 IMAGES = Path('img/paper')
 
-WALK, RUN, JUMP, PERIODIC, TRUTH, PLAIN = '#0072b2', '#d55e00', '#009e73', '#aa4499', '#b0b0b0', '#444444'
+# Colours of the figures, which colour-blind readers can distinguish.
+WALK = '#0072b2'
+RUN = '#d55e00'
+JUMP = '#009e73'
+PERIODIC = '#aa4499'
+TRUTH = '#b0b0b0'
+NEUTRAL = '#444444'
 CATEGORY_COLOURS = {'walk': WALK, 'run': RUN, 'jump': JUMP, 'periodic': PERIODIC}
 
 mpl.rcParams.update(
@@ -35,7 +41,7 @@ mpl.rcParams.update(
 
 
 class Section:
-    """What one experiment has to say."""
+    """Text, tables, figures and data of one experiment."""
 
     def __init__(self, title: str) -> None:
         self.title = title
@@ -47,7 +53,7 @@ class Section:
         self.blocks.append(' '.join(paragraph.split()))
 
     def table(self, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-        self.blocks.append(table(header, rows))
+        self.blocks.append(format_table(header, rows))
 
     def figure(self, name: str, figure: Figure, alternative: str) -> None:
         self.figures[name] = figure
@@ -57,7 +63,7 @@ class Section:
         return '\n\n'.join([f'## {self.title}', *self.blocks])
 
     def plain(self) -> str:
-        """For a terminal: no pictures."""
+        """Return the section without figures, for a terminal."""
         return '\n\n'.join([f'## {self.title}', *(b for b in self.blocks if not b.startswith('!['))])
 
     def save_figures(self, folder: Path) -> None:
@@ -66,27 +72,27 @@ class Section:
             figure.savefig(folder / IMAGES / f'{name}.png', metadata={'Software': None})
 
 
-def panels(
+def make_panels(
     columns: int, width: float = 7.4, height: float = 2.7, rows: int = 1, **options: Any
 ) -> tuple[Figure, Any]:
-    """A figure and its axes, (columns,) or (rows, columns)."""
+    """Make a figure, and return it with its axes, (columns,) or (rows, columns)."""
     figure = Figure(figsize=(width, height), dpi=110, layout='constrained')
     FigureCanvasAgg(figure)
     axes = figure.subplots(rows, columns, squeeze=False, **options)
     return figure, axes[0] if rows == 1 else axes
 
 
-def label(axes: Any, x: str, y: str, title: str = '') -> None:
+def label_axes(axes: Any, x: str, y: str, title: str = '') -> None:
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.set_title(title, loc='left')
 
 
 def write_report(path: Path, head: str, sections: dict[str, Section], order: Sequence[str]) -> None:
-    """The report with these sections new and the others as they were in the file."""
-    known = read_sections(path)
-    known |= {name: section.markdown() for name, section in sections.items()}
-    parts = [head.strip()] + [f'<!-- {name} -->\n\n{known[name]}' for name in order if name in known]
+    """Write the report with these sections replaced, and keep the other sections of the file."""
+    text_of = read_sections(path)
+    text_of |= {name: section.markdown() for name, section in sections.items()}
+    parts = [head.strip()] + [f'<!-- {name} -->\n\n{text_of[name]}' for name in order if name in text_of]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text('\n\n'.join(parts) + '\n', encoding='utf-8')
     for section in sections.values():
@@ -94,7 +100,7 @@ def write_report(path: Path, head: str, sections: dict[str, Section], order: Seq
 
 
 def read_sections(path: Path) -> dict[str, str]:
-    """Name -> text of the sections in a report written before."""
+    """Read the sections of an existing report, by name."""
     if not path.is_file():
         return {}
     parts = re.split(r'^<!-- (\S+) -->$', path.read_text(encoding='utf-8'), flags=re.MULTILINE)

@@ -1,1 +1,1 @@
-"""Recordings: MCAP and rosbag2 bags written, read and repaired."""
+"""Recordings: write, read and recover MCAP files and rosbag2 bags."""

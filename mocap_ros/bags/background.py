@@ -1,4 +1,4 @@
-"""A recorder in a thread of its own: whoever records never waits for the disk."""
+"""A recorder with its own thread, so that its caller never waits for the disk."""
 
 from __future__ import annotations
 
@@ -12,70 +12,73 @@ from math import inf
 from pathlib import Path
 
 from mocap_ros.bags.mcap_file import Attachment
-from mocap_ros.bags.recorder import Record, Recorder
+from mocap_ros.bags.recorder import RecordedMessage, Recorder
 from mocap_ros.bags.rosbag2 import Topic
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import RecordingError
 
 
 class BackgroundRecorder:
-    """A `Recorder` that is given messages by the batch and closes chunks by the clock, not by log time.
+    """A `Recorder` that receives messages in batches and closes chunks by the clock instead of by log time.
 
     Args:
-        folder: as of a recorder, as the others.
-        config: how much may wait, too.
-        attachments: to put into each file.
+        folder: Folder of the new bag.
+        config: Configuration of the recorder; `backlog` limits the number of waiting batches.
+        attachments: Files to attach to each file of the bag.
+
+    Attributes:
+        folder: Folder of the bag.
 
     Raises:
-        RecordingError: as a recorder.
+        RecordingError: The folder exists or cannot be written, or too little disk space is left.
     """
 
     def __init__(self, folder: Path, config: RecorderConfig, attachments: Sequence[Attachment] = ()) -> None:
         self.folder = folder
         self._recorder = Recorder(folder, replace(config, chunk_seconds=inf), attachments)
         self._config = config
-        self._waiting: deque[tuple[Record | Topic, ...]] = deque()
+        self._batches: deque[tuple[RecordedMessage | Topic, ...]] = deque()
         self._wake = threading.Condition()
         self._closing = False
         self._error: RecordingError | None = None
-        self._thread = threading.Thread(target=self._work, name='mocap recorder')
+        self._thread = threading.Thread(target=self._run, name='mocap recorder')
         self._thread.start()
 
-    def put(self, records: Iterable[Record | Topic], *, always: bool = False) -> bool:
-        """Have records written, all or none; returns False where too much waits already.
+    def put(self, records: Iterable[RecordedMessage | Topic], *, even_if_full: bool = False) -> bool:
+        """Queue records to be written, all or none; return False where the queue is full.
 
         Args:
-            records: messages to write, topics to make known before.
-            always: however much waits.
+            records: Messages to write, and topics to add before their first message.
+            even_if_full: Whether to queue the records even if `recorder.backlog` batches are waiting.
 
         Raises:
-            RecordingError: the recording has failed.
+            RecordingError: The recording has failed.
         """
         self.check()
-        records = tuple(records)
+        batch = tuple(records)
         with self._wake:
-            if len(self._waiting) >= self._config.backlog and not always:
+            if len(self._batches) >= self._config.backlog and not even_if_full:
                 return False
-            if records:
-                self._waiting.append(records)
+            if batch:
+                self._batches.append(batch)
                 self._wake.notify()
         return True
 
     def check(self) -> None:
-        """See whether all is well.
+        """Raise the error that ended the recording, if there is one; only the first call after it raises.
 
         Raises:
-            RecordingError: the recording has failed, which is said only once.
+            RecordingError: The recording has failed.
         """
         error, self._error = self._error, None
         if error is not None:
             raise error
 
     def close(self) -> None:
-        """Write what waits and finish the bag.
+        """Write the waiting batches and finish the bag.
 
         Raises:
-            RecordingError: the disk is full or fails.
+            RecordingError: The disk is full or fails.
         """
         with self._wake:
             self._closing = True
@@ -83,7 +86,8 @@ class BackgroundRecorder:
         self._thread.join()
         self.check()
 
-    def _work(self) -> None:
+    def _run(self) -> None:
+        """Run the writing thread until the recorder is closed or fails."""
         try:
             self._write_until_closed()
             self._recorder.close()
@@ -93,19 +97,20 @@ class BackgroundRecorder:
             self._error = RecordingError(f'{self.folder}: {traceback.format_exc()}')
 
     def _write_until_closed(self) -> None:
-        due = 0.0
+        """Write batches as they arrive and flush every `recorder.chunk_seconds`."""
+        flush_due_s = 0.0  # on the monotonic clock
         while True:
             with self._wake:
-                left = max(due - time.monotonic(), 0.0)
-                self._wake.wait_for(lambda: self._waiting or self._closing, left)
-                records = self._waiting.popleft() if self._waiting else None
-            for record in records or ():
+                timeout_s = max(flush_due_s - time.monotonic(), 0.0)
+                self._wake.wait_for(lambda: self._batches or self._closing, timeout_s)
+                batch = self._batches.popleft() if self._batches else None
+            for record in batch or ():
                 if isinstance(record, Topic):
-                    self._recorder.add(record)
+                    self._recorder.add_topic(record)
                 else:
                     self._recorder.write(*record)
-            if time.monotonic() >= due:
+            if time.monotonic() >= flush_due_s:
                 self._recorder.flush()
-                due = time.monotonic() + self._config.chunk_seconds
-            if records is None and self._closing:
+                flush_due_s = time.monotonic() + self._config.chunk_seconds
+            if batch is None and self._closing:
                 return

@@ -1,16 +1,16 @@
-"""What happened in a run, kept in its bag, so that a replay can do the same again.
+"""The journal of a run: a topic of the bag that records what became of every input, so that a replay is exact.
 
-A recorded run holds every input as it came, every output, and on the topic `<node>/journal` one
-diagnostic_msgs/DiagnosticStatus for each input and for whatever else changed the tracker:
+A recorded run holds every input as it was received, every output, and on the topic `<node>/journal` one
+diagnostic_msgs/DiagnosticStatus for each input and for each further event that changes the state of the tracker:
 
     name         message              level                         values
     input        reason, or empty     OK, WARN, ERROR or STALE      input: number of the input
     reset        empty                OK                            input: number of the last input before it
     parameters   empty                OK                            the same, and every parameter as JSON
-    lost         empty                OK                            the same; lost: inputs not recorded here
+    lost         empty                OK                            the same, and lost: number of lost inputs
 
-Inputs are counted from 1 over all input topics, in the order of their log times. Inputs are lost where the disk is
-too slow; they went to the tracker all the same.
+Inputs of all topics are counted together from 1, in the order of their log times. An input is lost when the disk
+is too slow to record it; the tracker received it nevertheless.
 """
 
 from __future__ import annotations
@@ -22,19 +22,30 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.recorder import Record
+from mocap_ros.bags.recorder import RecordedMessage
 from mocap_ros.config import Value
 from mocap_ros.errors import InputError
-from mocap_ros.messages.cdr import decode, encode, new
+from mocap_ros.messages.cdr import create_message, decode, encode
 
-JOURNAL = 'diagnostic_msgs/msg/DiagnosticStatus'
-KEY_VALUE = 'diagnostic_msgs/msg/KeyValue'
+JOURNAL = 'diagnostic_msgs/msg/DiagnosticStatus'  # message type of the journal
+KEY_VALUE = 'diagnostic_msgs/msg/KeyValue'  # message type of the entries of DiagnosticStatus.values
 
-INPUT, RESET, PARAMETERS, LOST = 'input', 'reset', 'parameters', 'lost'
+# Kinds of journal entries, as in the field `name` of the table above.
+INPUT = 'input'
+RESET = 'reset'
+PARAMETERS = 'parameters'
+LOST = 'lost'
 
 
 class Verdict(IntEnum):
-    """What became of an input; the values are the levels of DiagnosticStatus."""
+    """What became of an input; the values are the levels of DiagnosticStatus.
+
+    Attributes:
+        ACCEPTED: The tracker used the input.
+        DROPPED: The input was valid but could not be used.
+        INVALID: The input could not be decoded or failed a check.
+        BACKLOG: The input was dropped because newer messages were waiting; it did not reach the tracker.
+    """
 
     ACCEPTED = 0
     DROPPED = 1
@@ -44,15 +55,15 @@ class Verdict(IntEnum):
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of the journal.
+    """An entry of the journal.
 
     Attributes:
         kind: `input`, `reset`, `parameters` or `lost`.
-        number: of the input, or of the last input before.
-        verdict: on the input.
-        reason: why it was not accepted.
-        parameters: values by name; of `lost`, how many.
-        topic: of the input.
+        number: Number of the input; for other kinds, number of the last input before the event.
+        verdict: What became of the input.
+        reason: Why the input was not accepted; empty if it was.
+        topic: Topic of the input; empty for other kinds.
+        parameters: Values of the parameters by name; for `lost`, the number of lost inputs under `lost`.
     """
 
     kind: str
@@ -64,24 +75,24 @@ class Entry:
 
 
 def encode_entry(entry: Entry) -> bytes:
-    """As DiagnosticStatus."""
+    """Encode a journal entry as CDR of DiagnosticStatus."""
     values = {'input': entry.number, **entry.parameters}
-    message = new(
+    message = create_message(
         JOURNAL,
         level=int(entry.verdict),
         name=entry.kind,
         message=entry.reason,
         hardware_id=entry.topic,
-        values=[new(KEY_VALUE, key=k, value=json.dumps(v)) for k, v in values.items()],
+        values=[create_message(KEY_VALUE, key=k, value=json.dumps(v)) for k, v in values.items()],
     )
     return encode(message, JOURNAL)
 
 
 def decode_entry(raw: bytes) -> Entry:
-    """From a DiagnosticStatus.
+    """Decode a journal entry from CDR of DiagnosticStatus.
 
     Raises:
-        InputError: it is no line of a journal.
+        InputError: The message is not a journal entry.
     """
     message = decode(raw, JOURNAL)
     try:
@@ -90,22 +101,24 @@ def decode_entry(raw: bytes) -> Entry:
         verdict = Verdict(message.level)
         int(values.get(LOST, 0))
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
-        raise InputError('not a line of a journal') from None
+        raise InputError('the message is not a journal entry') from None
     return Entry(message.name, number, verdict, message.message, message.hardware_id, values)
 
 
 class Journal:
-    """What to record of a run.
+    """Numbers the inputs of a run and makes the messages that record them.
 
     Args:
-        topic: absolute name of the journal.
+        topic: Absolute name of the journal's topic.
     """
 
     def __init__(self, topic: str) -> None:
         self._topic = topic
-        self._inputs = self._lost = self._told = 0
+        self._input_count = 0
+        self._lost_count = 0  # inputs lost since the last recorded one
+        self._reported_lost_count = 0  # lost inputs that the records of the last input report
 
-    def input(
+    def make_input_records(
         self,
         topic: str,
         msgtype: str,
@@ -113,84 +126,89 @@ class Journal:
         times_ns: tuple[int, int],
         verdict: Verdict,
         reason: str = '',
-    ) -> list[Record]:
-        """An input and what became of it.
+    ) -> list[RecordedMessage]:
+        """Return the messages that record an input and what became of it.
 
         Args:
-            topic: absolute name.
-            msgtype: of the input.
-            raw: as it came.
-            times_ns: of receipt, and at which the sender sent it.
-            verdict: what became of it.
-            reason: why it was not accepted.
+            topic: Absolute name of the input topic.
+            msgtype: Message type of the input.
+            raw: The message as it was received.
+            times_ns: Times of receipt and of sending, in ns.
+            verdict: What became of the input.
+            reason: Why the input was not accepted.
+
+        Returns:
+            A `lost` entry where inputs were lost before, the input itself, and its journal entry.
         """
-        lost = Entry(LOST, self._inputs, parameters={LOST: self._lost})
-        before = [self._record(lost, times_ns[0])] if self._lost else []
-        self._told, self._lost = self._lost, 0
-        self._inputs += 1
-        entry = Entry(INPUT, self._inputs, verdict, reason, topic)
-        return [*before, Record(topic, msgtype, raw, *times_ns), self._record(entry, times_ns[0])]
+        lost = Entry(LOST, self._input_count, parameters={LOST: self._lost_count})
+        before = [self._make_record(lost, times_ns[0])] if self._lost_count else []
+        self._reported_lost_count = self._lost_count
+        self._lost_count = 0
+        self._input_count += 1
+        entry = Entry(INPUT, self._input_count, verdict, reason, topic)
+        message = RecordedMessage(topic, msgtype, raw, *times_ns)
+        return [*before, message, self._make_record(entry, times_ns[0])]
 
-    def take_back(self) -> None:
-        """The last input could not be recorded; the next one says so."""
-        self._inputs -= 1
-        self._lost = self._told + 1
+    def mark_last_input_lost(self) -> None:
+        """Count the last input as lost because its records were not written; the next input reports the loss."""
+        self._input_count -= 1
+        self._lost_count = self._reported_lost_count + 1
 
-    def reset(self, log_time_ns: int) -> Record:
-        """The tracker was reset."""
-        return self._record(Entry(RESET, self._inputs), log_time_ns)
+    def make_reset_record(self, log_time_ns: int) -> RecordedMessage:
+        """Return the message that records a reset of the tracker."""
+        return self._make_record(Entry(RESET, self._input_count), log_time_ns)
 
-    def parameters(self, values: Mapping[str, Value], log_time_ns: int) -> Record:
-        """The parameters from here on; they are repeated in each file of the bag."""
-        entry = Entry(PARAMETERS, self._inputs, parameters=values)
-        return self._record(entry, log_time_ns)._replace(repeat=PARAMETERS)
+    def make_parameters_record(self, values: Mapping[str, Value], log_time_ns: int) -> RecordedMessage:
+        """Return the message that records the parameters used from now on; each file of the bag repeats it."""
+        entry = Entry(PARAMETERS, self._input_count, parameters=values)
+        return self._make_record(entry, log_time_ns)._replace(repeat_key=PARAMETERS)
 
-    def _record(self, entry: Entry, log_time_ns: int) -> Record:
-        return Record(self._topic, JOURNAL, encode_entry(entry), log_time_ns, log_time_ns)
+    def _make_record(self, entry: Entry, log_time_ns: int) -> RecordedMessage:
+        return RecordedMessage(self._topic, JOURNAL, encode_entry(entry), log_time_ns, log_time_ns)
 
 
-class Run(NamedTuple):
-    """What the journal of a recorded run says; inputs are numbered from 1 as they are in the bag.
+class RecordedRun(NamedTuple):
+    """The content of the journal of a recorded run; inputs are numbered from 1 as they are in the bag.
 
     Attributes:
-        parameters: at the beginning, by name; empty where there is no journal.
-        unseen: numbers of the inputs that never reached the tracker.
-        events: resets and changes of parameters, by the number of the input before them.
-        lost: how many inputs the tracker saw that are not in the bag.
+        parameters: Parameters at the start by name; empty where there is no journal.
+        skipped_inputs: Numbers of the inputs that never reached the tracker.
+        events: Resets and changes of parameters, by the number of the input before them.
+        lost_count: Number of inputs that reached the tracker but are not in the bag.
     """
 
     parameters: dict[str, Value]
-    unseen: set[int]
+    skipped_inputs: set[int]
     events: dict[int, list[Entry]]
-    lost: int
+    lost_count: int
 
 
-def read_run(bag: Bag) -> Run:
-    """What happened in the run that this bag recorded; an empty run where it has no journal.
+def read_run(bag: Bag) -> RecordedRun:
+    """Read the journal of a bag; return an empty run where the bag has no journal.
 
     Raises:
-        InputError: the bag is broken, or what looks like a journal is none.
+        InputError: The bag cannot be read, or a message on a journal topic is not a journal entry.
     """
-    topics = [t for t in bag.of_type([JOURNAL]) if t.endswith('/journal')]
-    run = Run({}, set(), {}, 0)
-    before = -1  # inputs in earlier files, where this is a later file of a bag that was split
-    waiting: list[Entry] = []
+    topics = [t for t in bag.topics_of_type([JOURNAL]) if t.endswith('/journal')]
+    run = RecordedRun({}, set(), {}, 0)
+    inputs_before = -1  # inputs in earlier files, where the bag is a later file of a split one; -1 until known
+    events: list[Entry] = []
     for message in bag.messages(topics):
         try:
             entry = decode_entry(message.raw)
         except InputError as error:
             raise InputError(f'{bag.path}: {message.topic}: {error}') from None
         if entry.kind == LOST:
-            run = run._replace(lost=run.lost + int(entry.parameters.get(LOST, 0)))
+            run = run._replace(lost_count=run.lost_count + int(entry.parameters.get(LOST, 0)))
         elif entry.kind == INPUT:
-            if before < 0:
-                before = entry.number - 1
+            if inputs_before < 0:
+                inputs_before = entry.number - 1
             if entry.verdict is Verdict.BACKLOG:
-                run.unseen.add(entry.number - before)
+                run.skipped_inputs.add(entry.number - inputs_before)
         else:
-            waiting.append(entry)
-    for entry in waiting:
-        number = max(entry.number - max(before, 0), 0)
+            events.append(entry)
+    for entry in events:
+        number = max(entry.number - max(inputs_before, 0), 0)
         if entry.kind == PARAMETERS and not number and not run.parameters:
             run.parameters.update(entry.parameters)
         else:

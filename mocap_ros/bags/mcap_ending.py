@@ -1,4 +1,8 @@
-"""An ending for an MCAP file whose writer failed, so that every reader takes it."""
+"""Repair of an MCAP file whose writer failed: the missing end is written, so that every reader accepts the file.
+
+The end consists of the message indexes of the last chunk, a metadata record, DataEnd, the summary section, Footer
+and the magic bytes (MCAP specification, https://mcap.dev/spec). The summary is rebuilt from the complete records.
+"""
 
 from __future__ import annotations
 
@@ -26,111 +30,136 @@ from mcap.records import (
     Statistics,
 )
 
-from mocap_ros.bags.mcap_scan import MAGIC, Data, Record, decompressed, records, stream_of
+from mocap_ros.bags.mcap_layout import (
+    MAGIC,
+    Data,
+    RecordLocation,
+    decompress_records,
+    iterate_records,
+    open_content,
+)
 
 
-class Ending(NamedTuple):
-    """What a file holds that was given an ending: messages by channel, log times of the first and the last."""
+class ChannelStatistics(NamedTuple):
+    """Number and times of the messages that a repaired file holds.
+
+    Attributes:
+        counts: Number of messages by channel id.
+        first_ns: Log time of the first message, in ns.
+        last_ns: Log time of the last message, in ns.
+    """
 
     counts: Mapping[int, int]
     first_ns: int
     last_ns: int
 
 
-def finish_in_place(
+def write_missing_end(
     path: Path,
     schemas: Iterable[Schema],
     channels: Iterable[Channel],
-    metadata: Callable[[Ending], Metadata],
-) -> Ending:
-    """Drop the record at the end that is not complete and write the missing end of a file.
+    make_metadata: Callable[[ChannelStatistics], Metadata],
+) -> ChannelStatistics:
+    """Remove the incomplete record at the end of a file and write the missing end of the file.
 
     Args:
-        path: of a file whose writer failed.
-        schemas: all that its channels have.
-        channels: all that it has.
-        metadata: to add, if there is room for it.
+        path: Path of a file whose writer failed.
+        schemas: All schemas of the file.
+        channels: All channels of the file.
+        make_metadata: Makes the metadata record to add; the record is omitted if the disk has no space for it.
+
+    Returns:
+        Number and times of the messages in the file.
 
     Raises:
-        OSError: not even that can be written; the file then ends with its last complete record.
+        OSError: The disk has no space for the end; the file then ends with its last complete record.
     """
     with path.open('r+b') as file:
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            index = _Index(data)
-        s = index.statistics
-        ending = Ending(s.channel_message_counts, s.message_start_time, s.message_end_time)
-        for extra in ([metadata(ending)], []):
-            file.truncate(index.end)
-            file.seek(index.end)
+            index = _RebuiltIndex(data)
+        totals = index.statistics
+        statistics = ChannelStatistics(
+            totals.channel_message_counts, totals.message_start_time, totals.message_end_time
+        )
+        for metadata in ([make_metadata(statistics)], []):
+            file.truncate(index.data_end)
+            file.seek(index.data_end)
             try:
-                file.write(index.ending(list(schemas), list(channels), extra) + MAGIC)
+                file.write(index.encode_end(list(schemas), list(channels), metadata) + MAGIC)
                 file.flush()
             except OSError:
-                if not extra:
-                    file.truncate(index.end)
+                if not metadata:
+                    file.truncate(index.data_end)
                     raise
             else:
                 break
-    return ending
+    return statistics
 
 
-class _Index:
-    """What complete chunks and attachments a file has, and where the last complete record ends."""
+class _RebuiltIndex:
+    """The index of the complete chunks and attachments of a file.
+
+    Attributes:
+        statistics: Number and times of the messages.
+        data_end: Offset at which the last complete record ends, in bytes.
+    """
 
     def __init__(self, data: Data) -> None:
         self.statistics = Statistics(0, 0, Counter(), 0, 0, 0, 0, 0, 0)
-        self.end = len(MAGIC)
+        self.data_end = len(MAGIC)
         self._chunks: list[ChunkIndex] = []
         self._attachments: list[AttachmentIndex] = []
-        last = None
-        for record in records(data):
-            content = data[record.content : record.end]
+        last_chunk = None
+        for record in iterate_records(data):
+            content = data[record.content_start : record.end]
             if record.opcode == Opcode.CHUNK:
-                last = Chunk.read(stream_of(content))
-                self._add_chunk(last, record)
+                last_chunk = Chunk.read(open_content(content))
+                self._add_chunk(last_chunk, record)
             elif record.opcode == Opcode.MESSAGE_INDEX:
-                self._add_message_index(MessageIndex.read(stream_of(content)), record.start, record.end)
+                self._add_message_index(MessageIndex.read(open_content(content)), record.start, record.end)
             elif record.opcode == Opcode.ATTACHMENT:
-                self._attachments.append(_attachment_index(Attachment.read(stream_of(content)), record))
+                self._attachments.append(_index_attachment(Attachment.read(open_content(content)), record))
             elif record.opcode != Opcode.HEADER:
                 break
-            self.end = record.end
+            self.data_end = record.end
         rebuilt = RecordBuilder()
-        if last is not None:
-            known = set(self._chunks[-1].message_index_offsets)
-            for index in _message_indexes(last):
-                if index.channel_id not in known:
-                    begin = self.end + rebuilt.count
+        if last_chunk is not None:
+            indexed_channels = set(self._chunks[-1].message_index_offsets)
+            for index in _rebuild_message_indexes(last_chunk):
+                if index.channel_id not in indexed_channels:
+                    start = self.data_end + rebuilt.count
                     index.write(rebuilt)
-                    self._add_message_index(index, begin, self.end + rebuilt.count)
-        self._behind_chunks = bytes(rebuilt.end())  # type: ignore[no-untyped-call]
+                    self._add_message_index(index, start, self.data_end + rebuilt.count)
+        self._missing_message_indexes = bytes(rebuilt.end())  # type: ignore[no-untyped-call]
 
-    def ending(self, schemas: list[Schema], channels: list[Channel], metadata: Iterable[Metadata]) -> bytes:
-        """What to write behind the last complete record, up to the footer."""
+    def encode_end(self, schemas: list[Schema], channels: list[Channel], metadata: Iterable[Metadata]) -> bytes:
+        """Return the bytes from the last complete record to the end of the footer."""
         data = RecordBuilder()
-        start = self.end + len(self._behind_chunks)
+        start = self.data_end + len(self._missing_message_indexes)
         metadata_indexes = []
-        for one in metadata:
-            begin = data.count
-            one.write(data)
-            metadata_indexes.append(MetadataIndex(start + begin, data.count - begin, one.name))
+        for record in metadata:
+            record_start = data.count
+            record.write(data)
+            metadata_indexes.append(MetadataIndex(start + record_start, data.count - record_start, record.name))
         DataEnd(0).write(data)
         summary_start = start + data.count
-        s = self.statistics
-        s.message_count = sum(s.channel_message_counts.values())
-        s.schema_count, s.channel_count = len(schemas), len(channels)
-        s.chunk_count, s.attachment_count = len(self._chunks), len(self._attachments)
-        s.metadata_count = len(metadata_indexes)
-        for record in (*schemas, *channels, s, *self._chunks, *self._attachments, *metadata_indexes):
-            record.write(data)
+        totals = self.statistics
+        totals.message_count = sum(totals.channel_message_counts.values())
+        totals.schema_count = len(schemas)
+        totals.channel_count = len(channels)
+        totals.chunk_count = len(self._chunks)
+        totals.attachment_count = len(self._attachments)
+        totals.metadata_count = len(metadata_indexes)
+        for entry in (*schemas, *channels, totals, *self._chunks, *self._attachments, *metadata_indexes):
+            entry.write(data)
         Footer(summary_start, 0, 0).write(data)
-        return self._behind_chunks + bytes(data.end())  # type: ignore[no-untyped-call]
+        return self._missing_message_indexes + bytes(data.end())  # type: ignore[no-untyped-call]
 
-    def _add_chunk(self, chunk: Chunk, record: Record) -> None:
-        s = self.statistics
-        first = s.message_start_time if self._chunks else chunk.message_start_time
-        s.message_start_time = min(first, chunk.message_start_time)
-        s.message_end_time = max(s.message_end_time, chunk.message_end_time)
+    def _add_chunk(self, chunk: Chunk, record: RecordLocation) -> None:
+        totals = self.statistics
+        first_ns = totals.message_start_time if self._chunks else chunk.message_start_time
+        totals.message_start_time = min(first_ns, chunk.message_start_time)
+        totals.message_end_time = max(totals.message_end_time, chunk.message_end_time)
         self._chunks.append(
             ChunkIndex(
                 chunk_length=record.end - record.start,
@@ -151,19 +180,20 @@ class _Index:
         self._chunks[-1].message_index_length += end - start
 
 
-def _message_indexes(chunk: Chunk) -> Iterable[MessageIndex]:
-    """What should stand behind a chunk."""
-    payload = decompressed(chunk.data, chunk.compression, chunk.uncompressed_size) or b''
-    found: dict[int, MessageIndex] = {}
-    for record in records(payload, 0):
+def _rebuild_message_indexes(chunk: Chunk) -> Iterable[MessageIndex]:
+    """Return the message indexes that belong behind a chunk, one for each channel."""
+    payload = decompress_records(chunk.data, chunk.compression, chunk.uncompressed_size) or b''
+    indexes: dict[int, MessageIndex] = {}
+    for record in iterate_records(payload, 0):
         if record.opcode == Opcode.MESSAGE:
-            message = Message.read(stream_of(payload[record.content : record.end]), record.end - record.content)
-            index = found.setdefault(message.channel_id, MessageIndex(message.channel_id, []))
+            content = payload[record.content_start : record.end]
+            message = Message.read(open_content(content), len(content))
+            index = indexes.setdefault(message.channel_id, MessageIndex(message.channel_id, []))
             index.records.append((message.log_time, record.start))
-    return found.values()
+    return indexes.values()
 
 
-def _attachment_index(attachment: Attachment, record: Record) -> AttachmentIndex:
+def _index_attachment(attachment: Attachment, record: RecordLocation) -> AttachmentIndex:
     return AttachmentIndex(
         offset=record.start,
         length=record.end - record.start,

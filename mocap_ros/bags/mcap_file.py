@@ -1,4 +1,4 @@
-"""One MCAP file of a bag, being written."""
+"""A writer of one MCAP file of a bag."""
 
 from __future__ import annotations
 
@@ -11,21 +11,23 @@ from typing import Any, BinaryIO, NamedTuple
 from mcap.records import Channel, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
-from mocap_ros.bags.mcap_ending import Ending, finish_in_place
-from mocap_ros.bags.rosbag2 import ROSBAG2, Span, Topic, dump
+from mocap_ros.bags.mcap_ending import ChannelStatistics, write_missing_end
+from mocap_ros.bags.rosbag2 import ROSBAG2, MessageStatistics, Topic, encode_yaml
 from mocap_ros.config import RecorderConfig
 
+# The compression of chunks by the values of `recorder.compression`.
 COMPRESSION = {
     'zstd': CompressionType.ZSTD,
     'lz4': CompressionType.LZ4,
     'none': CompressionType.NONE,
 }
 
-Describe = Callable[['McapFile'], dict[str, Any]]
+# A function that describes a file as metadata.yaml does.
+DescribeFile = Callable[['McapFile'], dict[str, Any]]
 
 
 class Attachment(NamedTuple):
-    """A file inside each file of a bag."""
+    """A file that is attached to each file of a bag."""
 
     name: str
     media_type: str
@@ -33,24 +35,28 @@ class Attachment(NamedTuple):
 
 
 class McapFile:
-    """Messages go into chunks, which are closed by size, and by `flush`.
+    """An MCAP file that is being written.
+
+    Messages are collected in chunks. A chunk is closed when it reaches the configured size, or by `flush`.
+    Every method may raise OSError where the disk is full or fails.
 
     Args:
-        path: of the new file.
-        config: compression and size of chunks.
+        path: Path of the new file.
+        config: Compression and size of the chunks.
 
     Attributes:
-        span: what has been written.
+        path: Path of the file.
+        statistics: Number and times of the messages written so far.
 
     Raises:
-        OSError: of this and of every method: the disk is full or fails.
+        OSError: The file exists or cannot be written.
     """
 
     def __init__(self, path: Path, config: RecorderConfig) -> None:
         self.path = path
-        self.span = Span()
-        self._channels: dict[str, Channel] = {}
-        self._schemas: dict[str, Schema] = {}
+        self.statistics = MessageStatistics()
+        self._channels: dict[str, Channel] = {}  # by topic
+        self._schemas: dict[str, Schema] = {}  # by message type
         self._stream: BinaryIO = path.open('xb')
         self._writer = Writer(
             self._stream,
@@ -60,62 +66,62 @@ class McapFile:
         self._writer.start('ros2', 'mocap_ros')
 
     @property
-    def size(self) -> int:
-        """Bytes written, without the open chunk."""
+    def written_bytes(self) -> int:
+        """Number of bytes written, without the open chunk."""
         return self._stream.tell()
 
     @property
-    def in_place(self) -> bool:
-        """Whether the file is still where it was made; no longer where it or its folder was removed or moved."""
+    def is_in_place(self) -> bool:
+        """Whether the file still exists under its path, and neither it nor its folder was removed or moved."""
         try:
             return os.path.samestat(os.fstat(self._stream.fileno()), self.path.stat())
         except FileNotFoundError:
             return False
 
-    def add(self, topic: Topic) -> None:
-        """Make a topic known."""
+    def add_topic(self, topic: Topic) -> None:
+        """Add a topic; its messages can be written from now on."""
         schema = self._schemas.get(topic.type)
         if schema is None:
             definition = topic.definition.encode()
-            number = self._writer.register_schema(topic.type, topic.encoding, definition)
-            schema = self._schemas[topic.type] = Schema(number, definition, topic.encoding, topic.type)
+            schema_id = self._writer.register_schema(topic.type, topic.encoding, definition)
+            schema = self._schemas[topic.type] = Schema(schema_id, definition, topic.encoding, topic.type)
         metadata = topic.channel_metadata
-        number = self._writer.register_channel(topic.name, 'cdr', schema.id, metadata)
-        self._channels[topic.name] = Channel(number, topic.name, 'cdr', metadata, schema.id)
+        channel_id = self._writer.register_channel(topic.name, 'cdr', schema.id, metadata)
+        self._channels[topic.name] = Channel(channel_id, topic.name, 'cdr', metadata, schema.id)
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
-        """Append a message of a known topic."""
+        """Append a message of a topic that has been added."""
         self._writer.add_message(self._channels[topic].id, log_time_ns, data, publish_time_ns)
-        self.span.add(topic, log_time_ns)
+        self.statistics.add_message(topic, log_time_ns)
 
-    def attach(self, attachments: Iterable[Attachment], time_ns: int) -> None:
-        """Add files."""
+    def add_attachments(self, attachments: Iterable[Attachment], time_ns: int) -> None:
+        """Add attachments with a log time and creation time in ns."""
         for name, media_type, data in attachments:
             self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
 
-    def note(self, name: str, values: Mapping[str, str]) -> None:
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record."""
         self._writer.add_metadata(name, dict(values))
 
     def flush(self) -> None:
-        """Close the chunk and hand it to the operating system."""
+        """Close the chunk and hand the written data to the operating system."""
         self._writer.flush()  # type: ignore[no-untyped-call]
 
-    def finish(self, describe: Describe) -> None:
-        """Write index and ending; `describe` says what rosbag2 wants to know of this file."""
-        self.note(ROSBAG2, {'serialized_metadata': dump(describe(self))})
+    def finish(self, describe: DescribeFile) -> None:
+        """Write the description for rosbag2, the summary and the footer, and close the file."""
+        self.add_metadata(ROSBAG2, {'serialized_metadata': encode_yaml(describe(self))})
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.close()
 
-    def rescue(self, describe: Describe) -> None:
-        """Give the file an ending after any of the above failed; what was not written yet is lost."""
+    def finish_after_failure(self, describe: DescribeFile) -> None:
+        """Make a complete file of the data that reached the disk after another method failed."""
         with suppress(OSError):
             self._stream.close()
-        names = {c.id: c.topic for c in self._channels.values()}
+        topics = {c.id: c.topic for c in self._channels.values()}
 
-        def metadata(ending: Ending) -> Metadata:
-            self.span = Span(first_ns=ending.first_ns, last_ns=ending.last_ns)
-            self.span.counts.update({names[number]: count for number, count in ending.counts.items()})
-            return Metadata(ROSBAG2, {'serialized_metadata': dump(describe(self))})
+        def make_metadata(written: ChannelStatistics) -> Metadata:
+            self.statistics = MessageStatistics(first_ns=written.first_ns, last_ns=written.last_ns)
+            self.statistics.counts.update({topics[channel]: count for channel, count in written.counts.items()})
+            return Metadata(ROSBAG2, {'serialized_metadata': encode_yaml(describe(self))})
 
-        finish_in_place(self.path, self._schemas.values(), self._channels.values(), metadata)
+        write_missing_end(self.path, self._schemas.values(), self._channels.values(), make_metadata)

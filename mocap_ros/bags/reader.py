@@ -1,12 +1,11 @@
-"""Reading bags of ROS 2 (MCAP, SQLite3; a folder or a bare file) and ROS 1, one message at a time.
+"""Reader of bags of ROS 2 (MCAP or SQLite3; a folder or a bare file) and ROS 1.
 
-Whatever cannot be read is an error that says so; nothing is left out silently.
+Messages are read one at a time. Damage is always reported as an error; no message is omitted silently.
 """
 
 from __future__ import annotations
 
 import re
-import struct
 import zlib
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
@@ -22,25 +21,32 @@ from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mocap_ros.bags.mcap_scan import MAGIC
+from mocap_ros.bags.mcap_layout import CRC_BYTES, FOOTER, MAGIC
 from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.errors import InputError
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import WORD, typestore
+from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES, typestore
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-ENDINGS = ('.mcap', '.db3')
-ROS1_ENDING = '.bag'
-IDL_HEADING = re.compile(r'^={80}\nIDL: .*\n', re.MULTILINE)
-FOOTER = struct.Struct('<QQI')
+ROS2_SUFFIXES = ('.mcap', '.db3')  # of the files of ROS 2 bags
+ROS1_SUFFIX = '.bag'  # of ROS 1 bags
+IDL_HEADING = re.compile(r'^={80}\nIDL: .*\n', re.MULTILINE)  # separates the types in a definition in IDL
 
-Convert = Callable[[bytes], bytes]
+# A function from the bytes of a message in the bag to CDR of this package's definition of the type.
+Converter = Callable[[bytes], bytes]
 
 
 class BagMessage(NamedTuple):
-    """A message as it was recorded; `time_ns` is its log time."""
+    """A message of a bag.
+
+    Attributes:
+        topic: Absolute name of the topic.
+        type: Message type.
+        time_ns: Log time, in ns.
+        raw: The message as CDR.
+    """
 
     topic: str
     type: str
@@ -49,29 +55,32 @@ class BagMessage(NamedTuple):
 
 
 class Bag:
-    """A bag open for reading; a context manager.
+    """A bag that is open for reading; a context manager that closes it.
 
-    Messages of types that we know come as CDR of our definition of them: where the bag has another version, or is
-    of ROS 1, they are converted field by field.
+    Messages of types that this package defines are returned as CDR of that definition. If the bag holds another
+    version of the type, or is a ROS 1 bag, the messages are converted field by field.
 
     Args:
-        path: folder with a metadata.yaml, or a .mcap, .db3 or .bag file.
+        path: Folder with a metadata.yaml, or a .mcap, .db3 or .bag file.
+
+    Attributes:
+        path: Path of the bag.
 
     Raises:
-        InputError: no bag, or one that cannot be read; names it.
+        InputError: There is no bag at the path, or the bag cannot be read.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._ros1 = self.path.suffix == ROS1_ENDING
+        self._is_ros1 = self.path.suffix == ROS1_SUFFIX
         if self.path.exists() and not (self.path.is_dir() or self.path.is_file()):
             raise InputError(f'{self.path}: neither a file nor a folder')
-        self._damaged(_unfinished(self.path))
+        self._raise_fault(_find_fault(self.path))
         try:
-            self._reader: Any = Ros1Reader(self.path) if self._ros1 else Ros2Reader(self.path)
+            self._reader: Any = Ros1Reader(self.path) if self._is_ros1 else Ros2Reader(self.path)
             self._reader.open()
-        except Exception as error:  # the reader of a broken file may raise anything
-            raise self._unreadable(error) from None
+        except Exception as error:  # the reader of a damaged file may raise anything
+            raise self._make_read_error(error) from None
 
     def __enter__(self) -> Self:
         return self
@@ -80,109 +89,120 @@ class Bag:
         self.close()
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         with suppress(Exception):
             self._reader.close()
 
     @property
     def topics(self) -> dict[str, str]:
-        """Types by topic."""
+        """Message types by topic."""
         return {c.topic: c.msgtype for c in self._connections()}
 
     @property
     def qos(self) -> dict[str, list[Qos]]:
-        """Profiles that the recorded publishers offered, by topic; empty where the bag does not say."""
+        """QoS profiles that the recorded publishers offered, by topic; empty where the bag does not hold them."""
         return {c.topic: getattr(c.ext, 'offered_qos_profiles', []) for c in self._connections()}
 
     def count(self, topics: Collection[str]) -> int:
-        """Messages on these topics."""
+        """Return the number of messages on the topics."""
         return sum(c.msgcount for c in self._connections() if c.topic in topics)
 
-    def of_type(self, types: Collection[str]) -> list[str]:
-        """Topics of any of these types that hold messages."""
+    def topics_of_type(self, types: Collection[str]) -> list[str]:
+        """Return the topics that have one of the message types and hold messages."""
         return list(dict.fromkeys(c.topic for c in self._connections() if c.msgtype in types and c.msgcount))
 
-    def camera_info_topic(self, keypoints: str, name: str | None = None) -> str | None:
-        """The CameraInfo that goes with a keypoint topic, or None where the bag has none.
+    def find_camera_info_topic(self, keypoints_topic: str, name: str | None = None) -> str | None:
+        """Return the CameraInfo topic that belongs to a keypoint topic, or None where the bag has none.
 
         Args:
-            keypoints: the topic; of several cameras the one whose name shares most with it is taken.
-            name: of the wanted topic.
+            keypoints_topic: Keypoint topic; the CameraInfo with the longest common namespace is chosen.
+            name: CameraInfo topic to choose instead.
 
         Raises:
-            InputError: there is none of that name, or several fit equally well.
+            InputError: The topic `name` does not exist, or several topics share equally much of the namespace.
         """
-        found = self.of_type([CAMERA_INFO])
+        candidates = self.topics_of_type([CAMERA_INFO])
         if name is not None:
-            if name not in found:
-                raise InputError(f'{self.path}: no CameraInfo on {name}; there is {", ".join(found) or "none"}')
+            if name not in candidates:
+                present = ', '.join(candidates) or 'none'
+                raise InputError(f'{self.path}: there is no CameraInfo on {name}; there is {present}')
             return name
-        shared = {t: _shared_namespace(t, keypoints) for t in found}
-        best = [t for t in found if shared[t] == max(shared.values())]
+        shared = {topic: _count_shared_namespaces(topic, keypoints_topic) for topic in candidates}
+        best = [topic for topic in candidates if shared[topic] == max(shared.values())]
         if len(best) > 1:
-            raise InputError(f'{self.path}: several CameraInfo topics, choose one: {", ".join(best)}')
+            raise InputError(f'{self.path}: the bag has several CameraInfo topics, choose one: {", ".join(best)}')
         return best[0] if best else None
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
-        """Messages of these topics in the order of their log times.
+        """Yield the messages of the topics in the order of their log times.
 
         Raises:
-            InputError: the bag is broken, holds a message type that cannot be converted into ours, or at the end
-                fewer messages than it says.
+            InputError: The bag is damaged, holds a message type that cannot be converted, or holds fewer messages
+                than it states; the last error is raised after all messages.
         """
         connections = [c for c in self._connections() if c.topic in topics]
         if not connections:
             return
-        convert = {c.id: self._converter(c) for c in connections}
-        number = 0
+        converters = {c.id: self._make_converter(c) for c in connections}
+        message_count = 0
         try:
             for connection, time_ns, raw in self._reader.messages(connections):
-                number += 1
-                data = convert[connection.id](raw)
+                message_count += 1
+                data = converters[connection.id](raw)
                 yield BagMessage(connection.topic, connection.msgtype, time_ns, data)
         except InputError:
             raise
-        except Exception as error:  # as above
-            raise self._unreadable(error) from None
-        if number < self.count(topics):
-            self._damaged(f'only {number} of {self.count(topics)} messages on {", ".join(topics)} could be read')
+        except Exception as error:  # the reader of a damaged file may raise anything
+            raise self._make_read_error(error) from None
+        expected = self.count(topics)
+        if message_count < expected:
+            self._raise_fault(f'only {message_count} of {expected} messages on {", ".join(topics)} could be read')
 
     def _connections(self) -> list[Connection]:
         connections: list[Connection] = self._reader.connections
         return connections
 
-    def _converter(self, connection: Connection) -> Convert:
-        """From the bytes in the bag to CDR of our version of the type; bytes as they are for types not ours."""
-        kind = connection.msgtype
-        if kind not in typestore().types and not self._ros1:
+    def _make_converter(self, connection: Connection) -> Converter:
+        """Return the converter of a topic's messages; types unknown to this package stay as they are."""
+        msgtype = connection.msgtype
+        is_defined = msgtype in typestore().types
+        if not is_defined and not self._is_ros1:
             return bytes
-        ours = typestore().hash_rihs01(kind) if kind in typestore().types else ''
-        said, definition = connection.digest, connection.msgdef.data
-        if not self._ros1 and (said == ours or not (said or definition)):
+        own_hash = typestore().hash_rihs01(msgtype) if is_defined else ''
+        recorded_hash, definition = connection.digest, connection.msgdef.data
+        if not self._is_ros1 and (recorded_hash == own_hash or not (recorded_hash or definition)):
             return bytes
-        there = self._types_of(connection)
-        if not self._ros1 and there.hash_rihs01(kind) == ours:
+        recorded_types = self._load_types(connection)
+        if not self._is_ros1 and recorded_types.hash_rihs01(msgtype) == own_hash:
             return bytes
         cache: dict[str, object] = {}
 
         def convert(raw: bytes) -> bytes:
             try:
-                data = bytes(
-                    migrate_bytes(there, typestore(), kind, kind, cache, raw, src_is2=not self._ros1, dst_is2=True)
+                migrated = migrate_bytes(
+                    recorded_types,
+                    typestore(),
+                    msgtype,
+                    msgtype,
+                    cache,
+                    raw,
+                    src_is2=not self._is_ros1,
+                    dst_is2=True,
                 )
-            except Exception as error:  # as above
-                raise InputError(f'{self.path}: {connection.topic}: not a {kind} ({error})') from None
-            return data + bytes(-len(data) % WORD)
+                data = bytes(migrated)
+            except Exception as error:  # the converter may raise anything for damaged bytes
+                raise InputError(f'{self.path}: {connection.topic}: not a {msgtype} ({error})') from None
+            return data + bytes(-len(data) % CDR_ALIGNMENT_BYTES)
 
         return convert
 
-    def _types_of(self, connection: Connection) -> Typestore:
-        """The types as the bag defines them.
+    def _load_types(self, connection: Connection) -> Typestore:
+        """Return the message types as the bag defines them.
 
         Raises:
-            InputError: it does not, or in a way that cannot be read.
+            InputError: The bag does not define the type of the connection, or the definition cannot be parsed.
         """
-        what = f'{self.path}: {connection.topic} holds another version of {connection.msgtype}'
+        fault = f'{self.path}: {connection.topic} holds another version of {connection.msgtype}'
         definition = connection.msgdef
         store = get_typestore(Stores.EMPTY)
         try:
@@ -192,82 +212,88 @@ class Bag:
                 for text in IDL_HEADING.split(definition.data):
                     store.register(get_types_from_idl(text) if text.strip() else {})
             if definition.data:
-                store.generate_msgdef(connection.msgtype)  # fails where a part is missing
-        except Exception as error:  # as above
+                store.generate_msgdef(connection.msgtype)  # fails where the type of a field is not defined
+        except Exception as error:  # the parser may raise anything for damaged text
             reason = ' '.join(str(error).split())
-            raise InputError(f'{what}, and its definition cannot be read: {reason}') from None
+            raise InputError(f'{fault}, and its definition cannot be parsed: {reason}') from None
         if connection.msgtype not in store.types:
-            raise InputError(f'{what}, and no definition of it')
+            raise InputError(f'{fault}, and the bag does not define it')
         return store
 
-    def _unreadable(self, error: Exception) -> InputError:
+    def _make_read_error(self, error: Exception) -> InputError:
+        """Return the error that reports why the bag cannot be read."""
         if isinstance(error, OSError) and error.strerror:
             return InputError(f'{self.path}: {error.strerror}')
         reason = ' '.join(str(error).split()).rstrip('.') or type(error).__name__
-        advice = f'; {_advice(self.path)}' if _may_be_mended(self.path) else ''
-        return InputError(f'{self.path}: not a bag that can be read: {reason}{advice}')
+        advice = f'; {_recommend_repair(self.path)}' if _is_repairable(self.path) else ''
+        return InputError(f'{self.path}: the bag cannot be read: {reason}{advice}')
 
-    def _damaged(self, what: str) -> None:
-        if what:
-            raise InputError(f'{self.path}: {what}; {_advice(self.path)}')
+    def _raise_fault(self, fault: str) -> None:
+        """Raise InputError unless the description of the fault is empty."""
+        if fault:
+            raise InputError(f'{self.path}: {fault}; {_recommend_repair(self.path)}')
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path looks like a bag, readable or not."""
-    return path.suffix in (*ENDINGS, ROS1_ENDING) or (path / METADATA).is_file() or bool(files_in(path))
+    """Return whether a path looks like a bag, even if the bag cannot be read."""
+    has_suffix = path.suffix in (*ROS2_SUFFIXES, ROS1_SUFFIX)
+    return has_suffix or (path / METADATA).is_file() or bool(list_bag_files(path))
 
 
-def files_in(folder: Path) -> list[Path]:
-    """Files of a bag, in the order of their numbers."""
+def list_bag_files(folder: Path) -> list[Path]:
+    """Return the files of a bag in the order of their numbers; none where the path is not a folder."""
 
-    def number(path: Path) -> tuple[int, str]:
-        found = re.search(r'(\d+)$', path.stem)
-        return int(found[1]) if found else -1, path.name
+    def number_and_name(path: Path) -> tuple[int, str]:
+        number = re.search(r'(\d+)$', path.stem)
+        return int(number[1]) if number else -1, path.name
 
     if not folder.is_dir():
         return []
-    found = [f for f in folder.iterdir() if f.suffix in ENDINGS and (f.is_file() or f.is_symlink())]
-    return sorted(found, key=number)
+    files = [f for f in folder.iterdir() if f.suffix in ROS2_SUFFIXES and (f.is_file() or f.is_symlink())]
+    return sorted(files, key=number_and_name)
 
 
-def _shared_namespace(one: str, other: str) -> int:
-    parts = zip(PurePosixPath(one).parent.parts, PurePosixPath(other).parent.parts, strict=False)
+def _count_shared_namespaces(topic: str, reference: str) -> int:
+    """Return how many leading parts of the namespaces of two topics are equal."""
+    parts = zip(PurePosixPath(topic).parent.parts, PurePosixPath(reference).parent.parts, strict=False)
     return len(list(takewhile(lambda pair: pair[0] == pair[1], parts)))
 
 
-def _advice(path: Path) -> str:
-    if path.suffix == ROS1_ENDING:
-        return '`rosbag reindex` may mend it'
-    return f'`mocap-ros recover {path}` saves what is left'
+def _recommend_repair(path: Path) -> str:
+    if path.suffix == ROS1_SUFFIX:
+        return '`rosbag reindex` may repair it'
+    return f'`mocap-ros recover {path}` saves the messages that can be read'
 
 
-def _may_be_mended(path: Path) -> bool:
-    """Whether there are files that can be mended."""
-    if path.suffix == ROS1_ENDING:
+def _is_repairable(path: Path) -> bool:
+    """Return whether the path is or holds a file from which messages might be recovered."""
+    if path.suffix == ROS1_SUFFIX:
         return path.is_file()
-    for file in files_in(path) or [path]:
+    for file in list_bag_files(path) or [path]:
         with suppress(OSError), file.open('rb') as stream:
             if stream.read(len(MAGIC)) == MAGIC or (file.suffix == '.db3' and file.stat().st_size):
                 return True
     return False
 
 
-def _unfinished(path: Path) -> str:
-    """What is wrong with a bag whose recorder was killed; empty where nothing is, or something else."""
-    files = files_in(path)
+def _find_fault(path: Path) -> str:
+    """Describe the fault of a bag whose recorder was killed; return an empty string where none is found."""
+    files = list_bag_files(path)
     for file in files or [path]:
         with suppress(OSError):
-            if file.suffix == '.mcap' and (wrong := _mcap_fault(file)):
-                return f'{wrong} ({file.name})'
-            journal = file.with_name(f'{file.name}-wal')
-            if file.suffix == '.db3' and journal.is_file() and journal.stat().st_size:
-                return f'the recording was cut off: {journal.name} holds messages that are not in {file.name} yet'
+            if file.suffix == '.mcap' and (fault := _find_mcap_fault(file)):
+                return f'{fault} ({file.name})'
+            write_ahead_log = file.with_name(f'{file.name}-wal')
+            if file.suffix == '.db3' and write_ahead_log.is_file() and write_ahead_log.stat().st_size:
+                missing = f'{write_ahead_log.name} holds messages that are not in {file.name} yet'
+                return f'the recording was cut off: {missing}'
     if files and not (path / METADATA).exists():
-        return f'the recording was not finished: no {METADATA}'
+        return f'the recording was not finished: {METADATA} is missing'
     return ''
 
 
-def _mcap_fault(file: Path) -> str:
+def _find_mcap_fault(file: Path) -> str:
+    """Describe a missing end or a damaged index of an MCAP file; return an empty string where both are intact."""
     with file.open('rb') as stream:
         if stream.read(len(MAGIC)) != MAGIC:
             return ''
@@ -276,10 +302,10 @@ def _mcap_fault(file: Path) -> str:
         end = stream.read()
         if not end.endswith(MAGIC) or len(end) < len(MAGIC) + FOOTER.size:
             return 'the recording was cut off'
-        start, _, crc = FOOTER.unpack_from(end)
-        checked = size - start - len(MAGIC) - 4
-        if start and crc:
-            stream.seek(min(start, size))
-            if checked < 0 or zlib.crc32(stream.read(checked)) != crc:
+        summary_start, _, crc = FOOTER.unpack_from(end)
+        checked_bytes = size - summary_start - len(MAGIC) - CRC_BYTES
+        if summary_start and crc:
+            stream.seek(min(summary_start, size))
+            if checked_bytes < 0 or zlib.crc32(stream.read(checked_bytes)) != crc:
                 return 'the index is damaged'
     return ''

@@ -1,7 +1,15 @@
-"""Writing bags: MCAP files that rosbag2 and every MCAP reader accept.
+"""Recorder of bags: MCAP files that rosbag2 and every MCAP reader accept.
 
-A bag is a folder holding `<name>_0.mcap`, further files where it is split, and `metadata.yaml`. Chunks are closed
-by size and by time, so that a killed process loses no more than the last one.
+A bag is a folder that holds `<name>_0.mcap`, further numbered files where the bag is split, and `metadata.yaml`.
+
+Messages are collected in chunks. A chunk is closed when it holds `recorder.chunk_bytes`, or by `flush`, which
+`write` calls when the log time has advanced by `recorder.chunk_seconds`. `flush` also hands the written data to
+the operating system, so a crash of the process loses only the messages since the last flush. Files are not synced,
+so the operating system decides what a power failure loses.
+
+Free disk space is checked before a recording starts and at every flush. If less than `recorder.min_free_mb` is
+left, the bag is finished and the recording ends with an error. If writing fails, the bag is finished with the
+messages that reached the disk.
 """
 
 from __future__ import annotations
@@ -15,39 +23,39 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mocap_ros.bags.mcap_file import Attachment, McapFile
-from mocap_ros.bags.rosbag2 import METADATA, Span, Topic, dump, information, known_topic
+from mocap_ros.bags.rosbag2 import METADATA, MessageStatistics, Topic, describe_bag, encode_yaml, make_topic
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import RecordingError
-from mocap_ros.messages.cdr import NS
+from mocap_ros.units import NS_PER_S
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-MB = 1_000_000
+MB = 1_000_000  # bytes; the unit of the parameters `recorder.split_mb` and `recorder.min_free_mb`
 
 
-class Record(NamedTuple):
-    """A message to write; the fields are the arguments of `Recorder.write`."""
+class RecordedMessage(NamedTuple):
+    """A message to record; the fields are the arguments of `Recorder.write`."""
 
     topic: str
     type: str
     data: bytes
     log_time_ns: int
     publish_time_ns: int
-    repeat: str = ''
+    repeat_key: str = ''
 
 
-def new_bag_folder(root: Path, time_ns: int) -> Path:
-    """A path in `root` that does not exist yet, named by the UTC time.
+def choose_bag_folder(root: Path, time_ns: int) -> Path:
+    """Return a path in `root` that does not exist yet, named by the UTC time.
 
     Args:
-        root: the recording folder.
-        time_ns: since the epoch.
+        root: Folder of the recordings.
+        time_ns: Time since the epoch, in ns.
 
     Raises:
-        RecordingError: it cannot be looked at.
+        RecordingError: The folder cannot be accessed.
     """
-    name = datetime.fromtimestamp(time_ns // NS, timezone.utc).strftime('mocap_%Y%m%dT%H%M%SZ')
+    name = datetime.fromtimestamp(time_ns // NS_PER_S, timezone.utc).strftime('mocap_%Y%m%dT%H%M%SZ')
     candidates = (root / (name + (f'_{n}' if n else '')) for n in count())
     try:
         return next(path for path in candidates if not path.exists())
@@ -55,11 +63,11 @@ def new_bag_folder(root: Path, time_ns: int) -> Path:
         raise RecordingError(f'{root}: {error.strerror}') from None
 
 
-def partial_of(out: Path) -> Path:
-    """What a bag that is made of another is called until it is complete.
+def choose_partial_path(out: Path) -> Path:
+    """Return the path under which a bag is written until it is complete and can be renamed to `out`.
 
     Raises:
-        RecordingError: the bag is there already.
+        RecordingError: `out` exists already.
     """
     if out.exists() or out.is_symlink():
         raise RecordingError(f'{out}: exists already')
@@ -67,16 +75,19 @@ def partial_of(out: Path) -> Path:
 
 
 class Recorder:
-    """Writes one bag.
+    """Writes one bag; a context manager that closes it.
 
     Args:
-        folder: of the new bag; its parents are made where they are missing.
-        config: compression, when a chunk is closed, when a new file is begun, how much of the disk is left free.
-        attachments: to put into each file.
-        name: what the names of the files begin with; by default the folder's.
+        folder: Folder of the new bag; missing parent folders are created.
+        config: Compression, limits of chunks and files, and the disk space to leave free.
+        attachments: Files to attach to each file of the bag.
+        name: Beginning of the file names; by default the name of the folder.
+
+    Attributes:
+        folder: Folder of the bag.
 
     Raises:
-        RecordingError: the folder exists or cannot be written, or too little disk space is left.
+        RecordingError: The folder exists or cannot be written, or too little disk space is left.
     """
 
     def __init__(
@@ -87,18 +98,18 @@ class Recorder:
         self._config = config
         self._attachments = attachments
         self._topics: dict[str, Topic] = {}
-        self._repeated: dict[tuple[str, str], Record] = {}
-        self._finished: dict[str, Span] = {}
-        self._chunk_ns = -1
+        self._messages_to_repeat: dict[tuple[str, str], RecordedMessage] = {}  # by topic and `repeat_key`
+        self._finished_files: dict[str, MessageStatistics] = {}  # by file name
+        self._chunk_start_ns = -1  # log time of the first message since the last flush; -1 where there is none
         self._file: McapFile | None = None
-        with self._disk():
+        with self._finish_on_disk_error():
             folder.mkdir(parents=True)
             try:
                 self._check_space()
             except RecordingError:
                 folder.rmdir()
                 raise
-            self._file = self._new_file()
+            self._file = self._create_file()
 
     def __enter__(self) -> Self:
         return self
@@ -106,181 +117,189 @@ class Recorder:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def announce(self, topic: str, msgtype: str, *, latched: bool = False) -> None:
-        """Make a topic known before its first message; needed only for latched (transient local) ones.
+    def declare_topic(self, topic: str, msgtype: str, *, latched: bool = False) -> None:
+        """Add a topic before its first message; only latched (transient local) topics need this.
 
         Raises:
-            RecordingError: unknown message type, another type than before, or a failing disk.
+            RecordingError: The type is unknown or differs from the topic's earlier type, or the disk fails.
         """
-        known = self._topics.get(topic)
-        if known is None:
-            self.add(known_topic(topic, msgtype, latched=latched))
-        elif known.type != msgtype:
-            raise RecordingError(f'{self.folder}: topic {topic} is {known.type}, not {msgtype}')
+        declared = self._topics.get(topic)
+        if declared is None:
+            self.add_topic(make_topic(topic, msgtype, latched=latched))
+        elif declared.type != msgtype:
+            raise RecordingError(f'{self.folder}: topic {topic} has the type {declared.type}, not {msgtype}')
 
-    def add(self, topic: Topic) -> None:
-        """Make a topic of any type known.
+    def add_topic(self, topic: Topic) -> None:
+        """Add a topic of any message type.
 
-        The last message of a latched topic is repeated at the beginning of each further file.
+        The last message of a latched topic is repeated at the start of each further file.
 
         Raises:
-            RecordingError: the disk is full or fails, or the bag is closed.
+            RecordingError: The disk is full or fails, or the bag is closed.
         """
         file = self._open_file
-        with self._disk():
-            file.add(topic)
+        with self._finish_on_disk_error():
+            file.add_topic(topic)
         self._topics[topic.name] = topic
 
-    def attach(self, attachment: Attachment, time_ns: int) -> None:
-        """Add a file to the file that is being written.
+    def add_attachment(self, attachment: Attachment, time_ns: int) -> None:
+        """Attach a file to the current file of the bag.
 
         Raises:
-            RecordingError: the disk is full or fails, or the bag is closed.
+            RecordingError: The disk is full or fails, or the bag is closed.
         """
         file = self._open_file
-        with self._disk():
-            file.attach([attachment], time_ns)
+        with self._finish_on_disk_error():
+            file.add_attachments([attachment], time_ns)
 
-    def note(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a metadata record to the file that is being written.
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Add a metadata record to the current file of the bag.
 
         Raises:
-            RecordingError: the disk is full or fails, or the bag is closed.
+            RecordingError: The disk is full or fails, or the bag is closed.
         """
         file = self._open_file
-        with self._disk():
-            file.note(name, values)
+        with self._finish_on_disk_error():
+            file.add_metadata(name, values)
 
     def write(
-        self, topic: str, msgtype: str, data: bytes, log_time_ns: int, publish_time_ns: int, repeat: str = ''
+        self, topic: str, msgtype: str, data: bytes, log_time_ns: int, publish_time_ns: int, repeat_key: str = ''
     ) -> None:
-        """Append a message.
+        """Append a message; flush when `recorder.chunk_seconds` of log time have passed since the last flush.
 
         Args:
-            topic: absolute name.
-            msgtype: such as `sensor_msgs/msg/CameraInfo`.
-            data: CDR.
-            log_time_ns: time of receipt; of outputs, of their publication.
-            publish_time_ns: time at which the sender sent it.
-            repeat: where not empty, the last message of this topic with this word is repeated at the beginning of
-                each further file.
+            topic: Absolute name of the topic.
+            msgtype: Message type, such as `sensor_msgs/msg/CameraInfo`.
+            data: The message as CDR.
+            log_time_ns: Time of receipt, in ns; for an output, the time of its publication.
+            publish_time_ns: Time at which the publisher sent the message, in ns.
+            repeat_key: If not empty, the last message of this topic with this key is repeated at the start of each
+                further file.
 
         Raises:
-            RecordingError: the disk is full or fails, or the bag is closed.
+            RecordingError: The disk is full or fails, or the bag is closed.
         """
         if topic not in self._topics or self._topics[topic].type != msgtype:
-            self.announce(topic, msgtype)
-        with self._disk():
-            file = self._file_for(log_time_ns)
+            self.declare_topic(topic, msgtype)
+        with self._finish_on_disk_error():
+            file = self._select_file(log_time_ns)
             file.write(topic, data, log_time_ns, publish_time_ns)
-        if repeat or self._topics[topic].latched:
-            self._repeated[topic, repeat] = Record(topic, msgtype, data, log_time_ns, publish_time_ns, repeat)
-        if self._chunk_ns < 0:
-            self._chunk_ns = log_time_ns
-        elif abs(log_time_ns - self._chunk_ns) >= self._config.chunk_seconds * NS:
+        if repeat_key or self._topics[topic].is_latched:
+            message = RecordedMessage(topic, msgtype, data, log_time_ns, publish_time_ns, repeat_key)
+            self._messages_to_repeat[topic, repeat_key] = message
+        if self._chunk_start_ns < 0:
+            self._chunk_start_ns = log_time_ns
+        elif abs(log_time_ns - self._chunk_start_ns) >= self._config.chunk_seconds * NS_PER_S:
             self.flush()
 
     def flush(self) -> None:
-        """Close the chunk and hand it to the operating system; see whether disk and folder are still there.
+        """Close the chunk, hand the data to the operating system, and check the file and the free disk space.
 
         Raises:
-            RecordingError: the disk is full, or nearly, or fails, or the folder is gone; the recording is over.
+            RecordingError: The disk is full, nearly full or fails, or the file was removed; the bag is closed.
         """
-        self._chunk_ns = -1
+        self._chunk_start_ns = -1
         file = self._open_file
-        with self._disk():
-            if not file.in_place:
-                raise FileNotFoundError(0, 'removed or moved while it was written', file.path)
+        with self._finish_on_disk_error():
+            if not file.is_in_place:
+                raise FileNotFoundError(0, 'the file was removed or moved while it was written', file.path)
             file.flush()
             self._check_space()
 
     def close(self) -> None:
-        """Finish the bag; nothing happens the second time.
+        """Finish the bag; further calls do nothing.
 
         Raises:
-            RecordingError: the disk is full or fails.
+            RecordingError: The disk is full or fails.
         """
         if self._file is None:
             return
-        with self._disk():
+        with self._finish_on_disk_error():
             self._finish_file(self._file)
             self._write_metadata()
 
     def remove(self) -> None:
-        """Take the bag back."""
+        """Close the bag and delete its folder."""
         with suppress(RecordingError):
             self.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 
     @property
     def topics(self) -> Mapping[str, Topic]:
-        """Those known so far, by name."""
+        """The topics that have been added, by name."""
         return self._topics
 
     @property
     def _open_file(self) -> McapFile:
+        """The current file; raises RecordingError where the bag is closed."""
         if self._file is None:
             raise RecordingError(f'{self.folder}: the recording is closed')
         return self._file
 
-    def _new_file(self) -> McapFile:
-        return McapFile(self.folder / f'{self._name}_{len(self._finished)}.mcap', self._config)
+    def _create_file(self) -> McapFile:
+        return McapFile(self.folder / f'{self._name}_{len(self._finished_files)}.mcap', self._config)
 
-    def _file_for(self, log_time_ns: int) -> McapFile:
-        """The open file, or the next one where that is full; a new one begins with what is repeated."""
+    def _select_file(self, log_time_ns: int) -> McapFile:
+        """Return the current file, or the next one where the current file has reached a limit.
+
+        A new file starts with all topics, the attachments and the messages to repeat.
+        """
         file, config = self._open_file, self._config
-        seconds = (log_time_ns - file.span.first_ns) / NS
-        if file.span.first_ns < 0:
-            file.attach(self._attachments, log_time_ns)
-        elif (config.split_mb and file.size >= config.split_mb * MB) or 0 < config.split_seconds <= seconds:
+        if file.statistics.first_ns < 0:
+            file.add_attachments(self._attachments, log_time_ns)
+            return file
+        seconds = (log_time_ns - file.statistics.first_ns) / NS_PER_S
+        is_large = config.split_mb and file.written_bytes >= config.split_mb * MB
+        if is_large or 0 < config.split_seconds <= seconds:
             self._finish_file(file)
-            file = self._file = self._new_file()
+            file = self._file = self._create_file()
             for topic in self._topics.values():
-                file.add(topic)
-            file.attach(self._attachments, log_time_ns)
-            for r in self._repeated.values():
-                file.write(r.topic, r.data, log_time_ns, r.publish_time_ns)
+                file.add_topic(topic)
+            file.add_attachments(self._attachments, log_time_ns)
+            for message in self._messages_to_repeat.values():
+                file.write(message.topic, message.data, log_time_ns, message.publish_time_ns)
         return file
 
     def _finish_file(self, file: McapFile) -> None:
-        file.finish(self._describe)
-        self._finished[file.path.name] = file.span
+        file.finish(self._describe_file)
+        self._finished_files[file.path.name] = file.statistics
         self._file = None
 
-    def _describe(self, file: McapFile) -> dict[str, Any]:
-        return information(self._topics.values(), {file.path.name: file.span})
+    def _describe_file(self, file: McapFile) -> dict[str, Any]:
+        return describe_bag(self._topics.values(), {file.path.name: file.statistics})
 
     def _write_metadata(self) -> None:
-        content = {'rosbag2_bagfile_information': information(self._topics.values(), self._finished)}
-        unfinished = self.folder / f'{METADATA}.tmp'
-        unfinished.write_text(dump(content), encoding='utf-8')
-        unfinished.replace(self.folder / METADATA)
+        """Write metadata.yaml under a temporary name and rename it, so that it is never incomplete."""
+        content = {'rosbag2_bagfile_information': describe_bag(self._topics.values(), self._finished_files)}
+        temporary = self.folder / f'{METADATA}.tmp'
+        temporary.write_text(encode_yaml(content), encoding='utf-8')
+        temporary.replace(self.folder / METADATA)
 
     def _check_space(self) -> None:
-        free = shutil.disk_usage(self.folder).free
-        if free < self._config.min_free_mb * MB:
+        free_bytes = shutil.disk_usage(self.folder).free
+        if free_bytes < self._config.min_free_mb * MB:
             self.close()
             raise RecordingError(
-                f'{self.folder}: {free // MB} MB left on the disk, '
+                f'{self.folder}: the disk has {free_bytes // MB} MB left, '
                 f'less than recorder.min_free_mb ({self._config.min_free_mb})'
             )
 
     @contextmanager
-    def _disk(self) -> Iterator[None]:
-        """Give the recording up where the disk fails."""
+    def _finish_on_disk_error(self) -> Iterator[None]:
+        """Finish the bag and raise RecordingError when the block raises OSError."""
         try:
             yield
         except OSError as error:
-            self._rescue()
+            self._finish_after_failure()
             where = error.filename or self.folder
             raise RecordingError(f'{where}: {error.strerror or error}') from None
 
-    def _rescue(self) -> None:
-        """Finish the bag with what has reached the disk, as far as the disk lets us."""
+    def _finish_after_failure(self) -> None:
+        """Finish the bag with the data that have reached the disk, unless the disk fails again."""
         file, self._file = self._file, None
         with suppress(OSError):
             if file is not None:
-                file.rescue(self._describe)
-                self._finished[file.path.name] = file.span
-            if self._finished:
+                file.finish_after_failure(self._describe_file)
+                self._finished_files[file.path.name] = file.statistics
+            if self._finished_files:
                 self._write_metadata()

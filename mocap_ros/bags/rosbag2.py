@@ -1,4 +1,4 @@
-"""What rosbag2 wants to find in a bag: definitions, hashes and QoS of topics, and metadata.yaml."""
+"""The description of a bag that rosbag2 reads: definitions, type hashes and QoS of topics, and metadata.yaml."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import yaml
 from mocap_ros.errors import RecordingError
 from mocap_ros.messages.cdr import ROS_DISTRO, typestore
 
-METADATA = 'metadata.yaml'
-METADATA_VERSION = 9
-ROSBAG2 = 'rosbag2'  # name of its metadata record in an MCAP file
-TRANSIENT_LOCAL = 'transient_local'
-UNLIMITED = {'sec': 9223372036, 'nsec': 854775807}
+METADATA = 'metadata.yaml'  # name of the file that describes a bag folder
+METADATA_VERSION = 9  # layout of metadata.yaml; version 9 lists QoS profiles with the names of their policies
+ROSBAG2 = 'rosbag2'  # name of the metadata record that holds the same description inside an MCAP file
+TRANSIENT_LOCAL = 'transient_local'  # durability with which late subscribers receive the last message
+UNLIMITED = {'sec': 9223372036, 'nsec': 854775807}  # 2**63 - 1 ns, the infinite duration of the ROS middleware
 
 
 @dataclass(frozen=True)
@@ -25,52 +25,59 @@ class Topic:
     """A topic as a bag describes it.
 
     Attributes:
-        name: absolute.
-        type: such as `sensor_msgs/msg/CameraInfo`.
-        definition: full text of the type with all that it uses.
-        encoding: of the definition, `ros2msg` or `ros2idl`.
-        hash: of the type (RIHS01), empty where not known.
-        qos: profiles that its publishers offer, by rosbag2's policy names.
+        name: Absolute name.
+        type: Message type, such as `sensor_msgs/msg/CameraInfo`.
+        definition: Text of the message type and of all types that it contains.
+        encoding: Language of the definition, `ros2msg` or `ros2idl`.
+        type_hash: Hash of the message type (RIHS01); empty where it is unknown.
+        qos: QoS profiles that the publishers offer, by rosbag2's names of the policies.
     """
 
     name: str
     type: str
     definition: str
     encoding: str = 'ros2msg'
-    hash: str = ''
+    type_hash: str = ''
     qos: tuple[Mapping[str, Any], ...] = ()
 
     @property
-    def latched(self) -> bool:
-        """Whether a late subscriber gets the last message."""
+    def is_latched(self) -> bool:
+        """Whether a late subscriber receives the last message."""
         return any(q.get('durability') == TRANSIENT_LOCAL for q in self.qos)
 
     @property
     def channel_metadata(self) -> dict[str, str]:
-        """What the channel of an MCAP file says of it."""
-        return {'offered_qos_profiles': dump([dict(q) for q in self.qos]), 'topic_type_hash': self.hash}
+        """The metadata of the topic's channel in an MCAP file."""
+        profiles = encode_yaml([dict(q) for q in self.qos])
+        return {'offered_qos_profiles': profiles, 'topic_type_hash': self.type_hash}
 
 
 @dataclass
-class Span:
-    """What is in a file, or in several: messages by topic, log times of the first and the last in ns."""
+class MessageStatistics:
+    """Number and times of the messages in one or more files.
+
+    Attributes:
+        counts: Number of messages by topic.
+        first_ns: Log time of the first message, in ns; -1 where there is no message.
+        last_ns: Log time of the last message, in ns; -1 where there is no message.
+    """
 
     counts: Counter[str] = field(default_factory=Counter)
     first_ns: int = -1
     last_ns: int = -1
 
-    def add(self, topic: str, log_time_ns: int) -> None:
+    def add_message(self, topic: str, log_time_ns: int) -> None:
         """Count a message."""
         self.counts[topic] += 1
-        self.include(log_time_ns, log_time_ns)
+        self.include_times(log_time_ns, log_time_ns)
 
-    def include(self, first_ns: int, last_ns: int) -> None:
-        """Reach from the one to the other too."""
+    def include_times(self, first_ns: int, last_ns: int) -> None:
+        """Extend the time range so that it contains both log times."""
         self.first_ns = first_ns if self.first_ns < 0 else min(self.first_ns, first_ns)
         self.last_ns = max(self.last_ns, last_ns)
 
-    def as_metadata(self) -> dict[str, Any]:
-        """The three entries of metadata.yaml."""
+    def to_metadata(self) -> dict[str, Any]:
+        """Return the entries of metadata.yaml that give the time range and the number of messages."""
         return {
             'starting_time': {'nanoseconds_since_epoch': max(self.first_ns, 0)},
             'duration': {'nanoseconds': self.last_ns - self.first_ns},
@@ -78,38 +85,39 @@ class Span:
         }
 
 
-def known_topic(name: str, msgtype: str, *, latched: bool = False, qos: Sequence[Mapping[str, Any]] = ()) -> Topic:
-    """A topic of a type that we know.
+def make_topic(name: str, msgtype: str, *, latched: bool = False, qos: Sequence[Mapping[str, Any]] = ()) -> Topic:
+    """Describe a topic whose message type this package defines.
 
     Args:
-        name: absolute.
-        msgtype: its type.
-        latched: transient local.
-        qos: profiles that its publishers offer; by default ours, which is reliable.
+        name: Absolute name.
+        msgtype: Message type.
+        latched: Whether the durability is transient local.
+        qos: QoS profiles that the publishers offer; by default, one reliable profile.
 
     Raises:
-        RecordingError: the type is not known.
+        RecordingError: This package does not define the message type.
     """
-    definition, type_hash = _definition(msgtype)
-    return Topic(name, msgtype, definition, hash=type_hash, qos=tuple(qos) or (_qos(latched=latched),))
+    definition, type_hash = _generate_definition(msgtype)
+    profiles = tuple(qos) or (_make_qos_profile(latched=latched),)
+    return Topic(name, msgtype, definition, type_hash=type_hash, qos=profiles)
 
 
-def information(topics: Iterable[Topic], files: Mapping[str, Span]) -> dict[str, Any]:
-    """What rosbag2 keeps of a bag.
+def describe_bag(topics: Iterable[Topic], files: Mapping[str, MessageStatistics]) -> dict[str, Any]:
+    """Return the content of metadata.yaml.
 
     Args:
-        topics: all of them, those without messages too.
-        files: by name, in their order.
+        topics: All topics, including those without messages.
+        files: Statistics of the files by name, in the order of recording.
     """
-    total = Span()
-    for span in files.values():
-        total.counts.update(span.counts)
-        if span.first_ns >= 0:
-            total.include(span.first_ns, span.last_ns)
+    total = MessageStatistics()
+    for statistics in files.values():
+        total.counts.update(statistics.counts)
+        if statistics.first_ns >= 0:
+            total.include_times(statistics.first_ns, statistics.last_ns)
     return {
         'version': METADATA_VERSION,
         'storage_identifier': 'mcap',
-        **total.as_metadata(),
+        **total.to_metadata(),
         'topics_with_message_count': [
             {
                 'topic_metadata': {
@@ -117,7 +125,7 @@ def information(topics: Iterable[Topic], files: Mapping[str, Span]) -> dict[str,
                     'type': topic.type,
                     'serialization_format': 'cdr',
                     'offered_qos_profiles': [dict(q) for q in topic.qos],
-                    'type_description_hash': topic.hash,
+                    'type_description_hash': topic.type_hash,
                 },
                 'message_count': total.counts[topic.name],
             }
@@ -126,28 +134,28 @@ def information(topics: Iterable[Topic], files: Mapping[str, Span]) -> dict[str,
         'compression_format': '',
         'compression_mode': '',
         'relative_file_paths': list(files),
-        'files': [{'path': name, **span.as_metadata()} for name, span in files.items()],
+        'files': [{'path': name, **statistics.to_metadata()} for name, statistics in files.items()],
         'custom_data': None,
         'ros_distro': ROS_DISTRO,
     }
 
 
-def dump(content: Any) -> str:
-    """As YAML."""
+def encode_yaml(content: Any) -> str:
+    """Return content as YAML, without anchors."""
     return yaml.dump(content, Dumper=_PlainDumper, sort_keys=False)
 
 
 class _PlainDumper(yaml.SafeDumper):
-    """No anchors and aliases, which other readers of metadata.yaml stumble over."""
+    """A YAML writer without anchors and aliases, which some readers of metadata.yaml do not understand."""
 
     def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002
-        """Always."""
+        """Return True: no value is written as an alias."""
         return True
 
 
 @cache
-def _definition(msgtype: str) -> tuple[str, str]:
-    """Full text of a message type with all it uses, and its hash."""
+def _generate_definition(msgtype: str) -> tuple[str, str]:
+    """Return the text of a message type with all types that it contains, and its hash."""
     store = typestore()
     if msgtype not in store.types:
         raise RecordingError(f'message type {msgtype} is not known and cannot be recorded')
@@ -155,7 +163,8 @@ def _definition(msgtype: str) -> tuple[str, str]:
     return text, store.hash_rihs01(msgtype)
 
 
-def _qos(*, latched: bool) -> dict[str, Any]:
+def _make_qos_profile(*, latched: bool) -> dict[str, Any]:
+    """Return the QoS profile of this package's own publishers."""
     return {
         'history': 'keep_last',
         'depth': 1 if latched else 10,

@@ -1,4 +1,4 @@
-"""What the inputs of a run are, on which topics they come, and which topics of a bag they are."""
+"""The input topics of the tracker: what each one carries, its message type, and where it is in a bag."""
 
 from __future__ import annotations
 
@@ -7,83 +7,108 @@ from enum import Enum
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.errors import ConfigError, InputError
-from mocap_ros.messages.accepted import KEYPOINT_TYPES
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.foreign.definitions import BODY, BODY_IDS
+from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
+from mocap_ros.messages.input_types import KEYPOINT_TYPES
 
-TRACKED_ENDING = '/bodies/tracked'
-BODY_ENDING = '/skeleton2d'
+TRACKED_SUFFIX = '/bodies/tracked'  # end of the ROS4HRI topic that lists the ids of the tracked bodies
+BODY_SUFFIX = '/skeleton2d'  # end of the ROS4HRI topics that carry the 2D keypoints of one body each
 
 
 class Source(Enum):
-    """What an input is; the value is the name of its topic, and of bodies, what their topics begin with."""
+    """What an input topic carries.
+
+    The value is the default name of the topic; the value of `BODY` is the namespace of one topic for each body.
+
+    Attributes:
+        KEYPOINTS: The 2D keypoints of all people in an image.
+        CAMERA_INFO: The calibration of the camera.
+        TRACKED_BODIES: The ids of the tracked bodies (ROS4HRI).
+        BODY: The 2D keypoints of one body (ROS4HRI).
+    """
 
     KEYPOINTS = 'keypoints'
     CAMERA_INFO = 'camera_info'
-    TRACKED = '/humans/bodies/tracked'
+    TRACKED_BODIES = '/humans/bodies/tracked'
     BODY = '/humans/bodies'
 
 
-PEOPLE_SOURCES = (Source.KEYPOINTS, Source.TRACKED, Source.BODY)
+PEOPLE_SOURCES = (Source.KEYPOINTS, Source.TRACKED_BODIES, Source.BODY)  # the sources that describe people
 
 
-def input_types(keypoints: str) -> dict[Source, str]:
-    """Every input and its type, where keypoints come as messages of that type.
+def list_input_types(keypoints_type: str) -> dict[Source, str]:
+    """Return the message type of every input, given the message type of the keypoints.
+
+    Args:
+        keypoints_type: Value of the parameter `node.input_type`.
 
     Raises:
-        ConfigError: they cannot.
+        ConfigError: Messages of this type are not supported as keypoints.
     """
-    if keypoints == BODY:
-        return {Source.TRACKED: BODY_IDS, Source.BODY: BODY, Source.CAMERA_INFO: CAMERA_INFO}
-    if keypoints not in KEYPOINT_TYPES:
-        known = ', '.join((*KEYPOINT_TYPES, BODY))
-        raise ConfigError(f'node.input_type {keypoints!r} is not supported; {known} are')
-    return {Source.KEYPOINTS: keypoints, Source.CAMERA_INFO: CAMERA_INFO}
+    if keypoints_type == HRI_SKELETON:
+        return {Source.TRACKED_BODIES: HRI_IDS, Source.BODY: HRI_SKELETON, Source.CAMERA_INFO: CAMERA_INFO}
+    if keypoints_type not in KEYPOINT_TYPES:
+        supported = ', '.join((*KEYPOINT_TYPES, HRI_SKELETON))
+        raise ConfigError(f'node.input_type {keypoints_type!r} is not supported; choose one of {supported}')
+    return {Source.KEYPOINTS: keypoints_type, Source.CAMERA_INFO: CAMERA_INFO}
 
 
-def body_topic(tracked: str, body: str) -> str:
-    """Where the keypoints of a body come, beside the topic that says who is tracked."""
-    return f'{tracked.rpartition("/")[0]}/{body}{BODY_ENDING}'
+def make_body_topic(tracked_topic: str, body_id: str) -> str:
+    """Return the topic of a body's keypoints.
+
+    Args:
+        tracked_topic: Topic that lists the ids of the tracked bodies; its namespace is that of the bodies.
+        body_id: Id of the body.
+    """
+    return f'{tracked_topic.rpartition("/")[0]}/{body_id}{BODY_SUFFIX}'
 
 
-def body_of(topic: str) -> str:
-    """The body whose keypoints come there."""
+def parse_body_id(topic: str) -> str:
+    """Return the id of the body whose keypoints are published on a topic."""
     return topic.rpartition('/')[0].rpartition('/')[2]
 
 
-def people_topics(bag: Bag, name: str | None = None) -> dict[str, Source]:
-    """The topics of 2D keypoints and what each is: one of everybody, or ROS4HRI's with one for each body.
+def find_people_topics(bag: Bag, name: str | None = None) -> dict[str, Source]:
+    """Find the topics of 2D keypoints in a bag.
+
+    Keypoints come either on one topic for all people or, from ROS4HRI, on one topic for each body beside the topic
+    that lists the tracked bodies.
 
     Args:
-        bag: to look into.
-        name: of the topic, where there are several; of bodies, the one that says who is tracked.
+        bag: Bag to search.
+        name: Topic to choose where the bag holds several; for ROS4HRI, the topic that lists the tracked bodies.
+
+    Returns:
+        The source of each topic.
 
     Raises:
-        InputError: there is none, or more than one; lists those there are.
+        InputError: The bag holds no such topic, or several while `name` is missing; the message lists them.
     """
-    found = {topic: {topic: Source.KEYPOINTS} for topic in bag.of_type(KEYPOINT_TYPES)}
-    tracked = [t for t in bag.of_type([BODY_IDS]) if t == name or t.endswith(TRACKED_ENDING)]
-    found |= {topic: {topic: Source.TRACKED} for topic in tracked}
-    for topic in bag.of_type([BODY]):
-        beside = next((t for t in tracked if body_topic(t, body_of(topic)) == topic), '')
-        if topic.endswith(BODY_ENDING):
-            found.setdefault(beside or _tracked_beside(topic), {})[topic] = Source.BODY
-    chosen = [topics for topic, topics in found.items() if name in (None, topic)]
+    groups = {topic: {topic: Source.KEYPOINTS} for topic in bag.topics_of_type(KEYPOINT_TYPES)}
+    tracked_topics = [t for t in bag.topics_of_type([HRI_IDS]) if t == name or t.endswith(TRACKED_SUFFIX)]
+    groups |= {topic: {topic: Source.TRACKED_BODIES} for topic in tracked_topics}
+    for topic in bag.topics_of_type([HRI_SKELETON]):
+        body_id = parse_body_id(topic)
+        tracked_topic = next((t for t in tracked_topics if make_body_topic(t, body_id) == topic), '')
+        if topic.endswith(BODY_SUFFIX):
+            groups.setdefault(tracked_topic or _infer_tracked_topic(topic), {})[topic] = Source.BODY
+    chosen = [sources for topic, sources in groups.items() if name in (None, topic)]
     if len(chosen) == 1:
         return chosen[0]
     if chosen:
-        raise InputError(f'{bag.path}: several keypoint topics, choose one: {", ".join(found)}')
+        raise InputError(f'{bag.path}: the bag has several keypoint topics, choose one: {", ".join(groups)}')
     wanted = f'topic {name}' if name else 'topic'
-    there = ', '.join(f'{t} ({kind})' for t, kind in bag.topics.items()) or 'nothing'
-    raise InputError(f'{bag.path}: no {wanted} of {" or ".join((*KEYPOINT_TYPES, BODY))}; the bag has {there}')
+    present = ', '.join(f'{topic} ({msgtype})' for topic, msgtype in bag.topics.items()) or 'nothing'
+    supported = ' or '.join((*KEYPOINT_TYPES, HRI_SKELETON))
+    raise InputError(f'{bag.path}: there is no {wanted} of {supported}; the bag has {present}')
 
 
-def people_type(bag: Bag, topics: Mapping[str, Source]) -> str:
-    """The type of the messages on topics that `people_topics` found, as `node.input_type` names it."""
+def find_people_type(bag: Bag, topics: Mapping[str, Source]) -> str:
+    """Return the value of `node.input_type` that suits the topics that `find_people_topics` returned."""
     first, *_ = topics
-    return bag.topics[first] if topics[first] is Source.KEYPOINTS else BODY
+    return bag.topics[first] if topics[first] is Source.KEYPOINTS else HRI_SKELETON
 
 
-def _tracked_beside(topic: str) -> str:
-    """The topic that would say who is tracked, of a body's topic."""
-    return f'{topic.rpartition("/")[0].rpartition("/")[0]}/tracked'
+def _infer_tracked_topic(body_topic: str) -> str:
+    """Return the topic that would list the tracked bodies, beside the topic of a body."""
+    return f'{body_topic.rpartition("/")[0].rpartition("/")[0]}/tracked'

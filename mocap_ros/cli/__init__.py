@@ -1,1 +1,1 @@
-"""The command `mocap-ros`: one module a subcommand, each with `add_parser` and `run`."""
+"""The command `mocap-ros`, with one module for each subcommand."""

@@ -1,27 +1,28 @@
-"""`mocap-ros config`: print a parameter file with every parameter."""
+"""`mocap-ros config`: print a parameter file that sets every parameter."""
 
 from __future__ import annotations
 
 import argparse
 from typing import Any
 
-from mocap_ros.cli.options import add_config_options, config_from
+from mocap_ros.cli.options import add_config_options, load_config
 from mocap_ros.config import to_yaml
 
 
 def add_parser(subparsers: Any) -> None:
     """Register the subcommand."""
-    p = subparsers.add_parser(
+    parser = subparsers.add_parser(
         'config',
         help='print a parameter file with every parameter',
-        description='Prints every parameter with its meaning, range and value as a ROS parameter file, for '
-        '`mocap_node --ros-args --params-file` and `--config`.',
+        description='Prints every parameter with its meaning, its range and its value as a ROS parameter file. '
+        'Pass the file to `mocap_node --ros-args --params-file` or to the option `--config` of the other '
+        'commands.',
     )
-    add_config_options(p)
-    p.set_defaults(run=run)
+    add_config_options(parser)
+    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the effective configuration as a ROS parameter file."""
-    print(to_yaml(config_from(args)), end='')
+    print(to_yaml(load_config(args)), end='')
     return 0

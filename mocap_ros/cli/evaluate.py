@@ -1,4 +1,4 @@
-"""`mocap-ros evaluate`: reconstruct sequence files that hold their truth, and report every error."""
+"""`mocap-ros evaluate`: reconstruct sequence files that contain the truth, and print every error."""
 
 from __future__ import annotations
 
@@ -11,20 +11,24 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from mocap_ros.cli.options import about, add_config_options, add_model_option, config_from, models_from, progress
+from mocap_ros.cli.options import (
+    add_config_options,
+    add_model_option,
+    load_config,
+    load_models,
+    name_file_in_errors,
+)
+from mocap_ros.cli.progress import show_progress
 from mocap_ros.cli.reconstruct import reconstruct_file
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
-from mocap_ros.evaluation import metrics
-from mocap_ros.formats.sequence_file import Sequence, load_sequence
-from mocap_ros.formats.text_files import writing
+from mocap_ros.evaluation.evaluate import check_truth, estimate_frame_rate, evaluate, measure_person_size
+from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.formats.text_files import guard_output
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.runtime.load_keypoints import load_sequence_file
 
-Array = NDArray[np.float64]
-
+# Columns of the table: key of the record, title, unit and number format.
 COLUMNS = (
     ('mpjpe_mm', 'MPJPE', 'mm', '.1f'),
     ('pa_mpjpe_mm', 'PA-MPJPE', 'mm', '.1f'),
@@ -38,97 +42,105 @@ COLUMNS = (
     ('fps', 'rate', 'fps', '.0f'),
     ('seconds', 'took', 's', '.1f'),
 )
+# The sentence below the table, which explains its columns.
 LEGEND = (
-    'MPJPE: poses centred, one scale a sequence, no rotation; PA-MPJPE: one similarity a frame; '
-    'sequence: one similarity a sequence; metric: no scale; e: eq. 25 of TPAMI 2016; '
-    'bone std: of bone lengths over time; residual: in the image.'
+    'MPJPE: mean joint error of centred poses after one scale per sequence, without rotation; '
+    'PA-MPJPE: after one similarity transform per frame; sequence: after one similarity transform per sequence; '
+    'metric: without scale; e: eq. 25 of TPAMI 2016; bone std: standard deviation of the bone lengths over time; '
+    'residual: mean reprojection error.'
 )
-SMALLEST_PERSON, LARGEST_PERSON = 0.01, 10.0
+MAX_PERSON_SIZE_M = 10.0  # m; a larger truth is probably in mm
 
 
 def add_parser(subparsers: Any) -> None:
     """Register the subcommand."""
-    p = subparsers.add_parser(
+    parser = subparsers.add_parser(
         'evaluate',
-        help='errors of the reconstruction on sequence files with truth',
-        description=f'Reconstructs sequence files as a whole and compares them with their truth. {LEGEND}',
+        help='print the errors of the reconstruction of sequence files that contain the truth',
+        description='Reconstructs sequence files as a whole and compares the results with the truth in the files. '
+        f'{LEGEND}',
     )
-    p.add_argument('input', type=Path, nargs='+', metavar='SEQUENCE.npz', help='sequence file with joints3d')
-    add_model_option(p)
-    p.add_argument(
+    parser.add_argument(
+        'input', type=Path, nargs='+', metavar='SEQUENCE.npz', help='sequence file with the true joints, joints3d'
+    )
+    add_model_option(parser)
+    parser.add_argument(
         '--joints',
         choices=['common', 'limbs'],
         default='common',
-        help='limbs: twelve limb joints, in frames with more than eight of them seen',
+        help='joints to compare: all that the truth and the result have in common, or the twelve joints of the '
+        'limbs, in frames in which more than eight of them are seen',
     )
-    p.add_argument('--json', type=Path, metavar='FILE', help='also write all figures here (default: not)')
-    add_config_options(p)
-    p.set_defaults(run=run)
+    parser.add_argument('--json', type=Path, metavar='FILE', help='file for all numbers as JSON (default: none)')
+    add_config_options(parser)
+    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate every file and print a table."""
-    config = config_from(args)
-    models = models_from(args, config)
-    records, doubts = [], []
-    for path in progress(args.input, 'evaluate'):
-        sequence = load_sequence(path)
+    """Evaluate every file, and print a table of the errors."""
+    config = load_config(args)
+    models = load_models(args, config)
+    records, warnings = [], []
+    for path in show_progress(args.input, 'evaluate'):
+        sequence = load_sequence_file(path)
         if sequence.truth is None:
-            raise InputError(f'{path}: joints3d: missing; without the truth there is nothing to evaluate')
-        if _size(sequence.truth.joints) > LARGEST_PERSON:
-            doubts.append(f'{path}: joints3d: looks like mm; m expected')
-        with about(path):
-            record = evaluate(sequence, models, config, args.joints == 'limbs')
+            raise InputError(f'{path}: joints3d: missing, but the evaluation needs the truth')
+        if measure_person_size(sequence.truth.joints) > MAX_PERSON_SIZE_M:
+            warnings.append(f'{path}: joints3d: the values look like mm, but m are expected')
+        with name_file_in_errors(path):
+            record = reconstruct_and_evaluate(sequence, models, config, args.joints == 'limbs')
         records.append({'file': path.name, **record})
     if args.json is not None:
-        with writing(args.json, *args.input):
-            args.json.write_text(_as_json(records), encoding='utf-8')
+        with guard_output(args.json, *args.input):
+            args.json.write_text(_format_json(records), encoding='utf-8')
     print_table(records)
-    for doubt in doubts:
-        print(f'mocap-ros: {doubt}', file=sys.stderr)
+    for warning in warnings:
+        print(f'mocap-ros: {warning}', file=sys.stderr)
     return 0
 
 
-def evaluate(
-    sequence: Sequence, models: Mapping[str, BasePoses], config: Config, limbs_only: bool
+def reconstruct_and_evaluate(
+    sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config, limbs_only: bool
 ) -> dict[str, float]:
-    """The record of one sequence: all errors of `metrics.errors`, and what the solver says of itself.
+    """Reconstruct one sequence and compare it with its truth.
 
-    Joints of the truth that are known in no frame are left out, then frames in which one is not known.
+    Joints that are unknown in every frame of the truth are not compared. Of the frames, only those are compared in
+    which the truth of all other joints is known.
+
+    Args:
+        sequence: the keypoints and the truth.
+        models: base poses by name.
+        config: parameters of the reconstruction.
+        limbs_only: True to compare the twelve limb joints only, in the frames in which most of them are seen.
+
+    Returns:
+        The record of `Evaluation.as_dict`, with `seconds` added: the time that the reconstruction took.
 
     Raises:
-        InputError: nothing is left to compare.
+        InputError: the sequence has no truth or cannot be reconstructed, or nothing is left to compare.
     """
     truth = sequence.truth
     if truth is None:
         raise InputError('joints3d: missing')
-    known = np.asarray(np.isfinite(truth.joints).all(axis=-1))
-    if not known.any():
-        raise InputError('joints3d: no joint is known in any frame')
-    begun = time.perf_counter()
+    check_truth(truth.joints)
+    start_s = time.perf_counter()
     result = reconstruct_file(sequence, models, config)
-    seconds = time.perf_counter() - begun
-    names = tuple(n if known[:, i].any() else '' for i, n in enumerate(truth.joint_names))
-    mine, theirs = metrics.common_joints(result.skeleton.joints, names, limbs_only)
-    frames = np.asarray(known[:, theirs].all(axis=1))
-    if limbs_only:
-        frames &= metrics.well_seen(sequence.joint_names, sequence.keypoints[..., 2])
-    if frames.any() and _size(truth.joints[frames][:, theirs]) < SMALLEST_PERSON:
-        raise InputError('joints3d: all joints at one place')
-    if not frames.any():
-        raise InputError('joints3d: no frame in which all joints are known' + ' and most are seen' * limbs_only)
-    fps = 1 / float(np.median(np.diff(sequence.timestamps))) if len(sequence) > 1 else math.nan
-    return {
-        **metrics.errors(result.joints[:, mine], truth.joints[:, theirs], fps, frames),
-        'bone_std_mm': metrics.bone_std_mm(result.joints, result.skeleton),
-        'residual_px': float(np.nanmean(result.solution.residual)),
-        'fps': fps,
-        'seconds': seconds,
-    }
+    seconds = time.perf_counter() - start_s
+    evaluation = evaluate(
+        result.joints,
+        result.skeleton,
+        result.solution.residual,
+        truth.joints,
+        truth.joint_names,
+        estimate_frame_rate(sequence.timestamps),
+        sequence.joint_names,
+        sequence.keypoints[..., 2] if limbs_only else None,
+    )
+    return {**evaluation.as_dict(), 'seconds': seconds}
 
 
 def print_table(records: list[dict[str, Any]]) -> None:
-    """A table with one line a sequence, and their mean."""
+    """Print a table with a line for each sequence, and one for their mean."""
     rows = list(records)
     if len(records) > 1:
         values = {key: [r[key] for r in records if key in r] for key, *_ in COLUMNS}
@@ -147,16 +159,10 @@ def print_table(records: list[dict[str, Any]]) -> None:
     print(LEGEND)
 
 
-def _as_json(records: list[dict[str, Any]]) -> str:
-    """Numbers that are not finite, which JSON does not know, become null."""
+def _format_json(records: list[dict[str, Any]]) -> str:
+    """Return the records as JSON, in which numbers that are not finite become null."""
     finite = [
         {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in record.items()}
         for record in records
     ]
     return json.dumps(finite, indent=1, allow_nan=False) + '\n'
-
-
-def _size(truth: Array) -> float:
-    """Longest side of the box around a person; `truth` (F, J, 3), 0 where no frame is whole."""
-    whole = truth[np.isfinite(truth).all(axis=(1, 2))]
-    return float(np.median(np.ptp(whole, axis=1).max(axis=-1))) if len(whole) else 0.0

@@ -1,135 +1,136 @@
-"""`mocap-ros keyframes`: a long sequence summarised by a handful of poses."""
+"""`mocap-ros keyframes`: summarise a long sequence by a few poses (Loy et al., ECCV 2004)."""
 
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import yaml
-from tqdm import tqdm
 
 from mocap_ros.cli.options import (
-    about,
     add_config_options,
     add_input_options,
-    config_from,
-    input_from,
-    name_of,
-    seen_in,
+    derive_output_stem,
+    extract_observations,
+    load_config,
+    load_input_sequence,
+    name_file_in_errors,
 )
+from mocap_ros.cli.progress import StageDisplay
 from mocap_ros.errors import InputError
-from mocap_ros.formats.text_files import writing
-from mocap_ros.offline.keyframes.keyframe_set import Keyframes
-from mocap_ros.offline.keyframes.observations import Observed, observe
-from mocap_ros.offline.keyframes.reconstruct import summarise, suspects
+from mocap_ros.formats.text_files import guard_output
+from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
+from mocap_ros.offline.keyframes.observations import Observations, prepare_observations
+from mocap_ros.offline.keyframes.reconstruct import find_keyframes, find_suspect_points
 from mocap_ros.viewing import plots
-from mocap_ros.viewing.keyframe_plots import distances_figure, keyframes_figure
+from mocap_ros.viewing.keyframe_plots import draw_distances_figure, draw_keyframes_figure
 
-MOST_SPANS = 6
+MAX_PRINTED_SPANS = 6  # spans of a keyframe in its line of the table, so that the line fits a wide terminal
+# The comment above the keyframes in the YAML file.
 HEADER = """\
-# Keyframes of {name}: time from its beginning, s; how many frames each represents, and when.
-# To make one's 3D pose by Taylor's method, add the limbs that point towards the camera, by their outer joints
-# (the others point away), and optionally the scale, px per m:    forward: [lelbow, lwrist]    scale: 250
-# Then: mocap-ros reconstruct --method keyframes --choices THIS_FILE
+# Keyframes of {name}. time: s from the beginning of the sequence; represents: number of frames that the
+# keyframe represents; spans: first and last time of every run of these frames, s.
+# To compute the 3D pose of a keyframe by Taylor's method, add to it the outer joints of the limbs that point
+# towards the camera (the other limbs point away), and optionally the scale in px per m, for example:
+#     forward: [lelbow, lwrist]
+#     scale: 250
+# Then run: mocap-ros reconstruct --method keyframes --choices THIS_FILE
 """
 
 
 def add_parser(subparsers: Any) -> None:
     """Register the subcommand."""
-    p = subparsers.add_parser(
+    parser = subparsers.add_parser(
         'keyframes',
-        help='a long sequence summarised by a few poses',
-        description='Finds the poses that one person goes through (Loy et al. 2004), upper and lower body '
-        'separately; prints them and saves them with two pictures: the keyframes and when each occurs, and the '
-        'distances between the poses of all frames. `reconstruct --method keyframes` makes 3D of them.',
+        help='summarise a long sequence by a few poses',
+        description='Finds the poses that recur in the motion of one person (Loy et al. 2004), separately for the '
+        'upper and the lower body. Prints a table of these keyframes and saves them with two pictures: the '
+        'keyframes with the times at which they occur, and the distances between the poses of all frames. '
+        '`reconstruct --method keyframes` computes 3D poses from the keyframes.',
     )
-    add_input_options(p)
-    p.add_argument(
+    add_input_options(parser)
+    parser.add_argument(
         '-o',
         '--output',
         type=Path,
         metavar='OUT.yaml',
-        help='keyframes; the pictures stand beside it (default: IN_keyframes.yaml in this folder)',
+        help='file for the keyframes; the pictures are saved beside it (default: IN_keyframes.yaml in the current '
+        'folder)',
     )
-    add_config_options(p)
-    p.set_defaults(run=run)
+    add_config_options(parser)
+    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Find, save, draw and print."""
-    output = args.output or Path(f'{name_of(args.input)}_keyframes.yaml')
+    """Find the keyframes, save and draw them, and print a table."""
+    output = args.output or Path(f'{derive_output_stem(args.input)}_keyframes.yaml')
     if output.suffix not in ('.yaml', '.yml'):
-        raise InputError(f'{output}: can write .yaml')
-    config = config_from(args)
-    sequence = input_from(args, config)
-    with about(args.input), stages() as say:
-        say('keypoints')
-        observed = observe(*seen_in(sequence, config), config.tracker)
-        observed = observed.without(suspects(observed))
-        keyframes = summarise(observed, config.keyframes, say)
-        say('pictures')
-        poses = keyframes_figure(observed, keyframes, args.input.name)
-        distances = distances_figure(observed, keyframes, config.keyframes.beta, args.input.name)
+        raise InputError(f'{output}: unknown file type; expected .yaml')
+    config = load_config(args)
+    sequence = load_input_sequence(args, config)
+    with name_file_in_errors(args.input), StageDisplay() as set_stage:
+        set_stage('keypoints')
+        observations = prepare_observations(*extract_observations(sequence, config), config.tracker)
+        observations = observations.exclude_points(find_suspect_points(observations))
+        keyframes = find_keyframes(observations, config.keyframes, set_stage)
+        set_stage('pictures')
+        poses = draw_keyframes_figure(observations, keyframes, args.input.name)
+        distances = draw_distances_figure(observations, keyframes, config.keyframes.beta, args.input.name)
     pictures = {output.with_suffix('.png'): poses, output.with_name(f'{output.stem}_distances.png'): distances}
-    with writing(output):
-        output.write_text(as_yaml(observed, keyframes, args.input.name), encoding='utf-8')
+    with guard_output(output):
+        output.write_text(format_yaml(observations, keyframes, args.input.name), encoding='utf-8')
     for path, figure in pictures.items():
-        with writing(path):
+        with guard_output(path):
             plots.save_figure(figure, path)
-    print_table(observed, keyframes)
+    print_table(observations, keyframes)
     print(*(str(path) for path in (output, *pictures)), sep='\n')
     return 0
 
 
-class stages:  # noqa: N801, a function to its users
-    """Says on a terminal what is being done, and nothing in a pipe."""
+def list_keyframe_entries(
+    observations: Observations, keyframes: tuple[KeyframeSet, KeyframeSet]
+) -> list[dict[str, Any]]:
+    """Return the entry of every keyframe in the YAML file, upper body first, sorted by time.
 
-    def __enter__(self) -> Callable[[str], None]:
-        self.bar = tqdm(bar_format='{desc} {elapsed}', disable=not sys.stderr.isatty(), leave=False)
-        return self.say
-
-    def say(self, what: str) -> None:
-        """The next stage."""
-        self.bar.set_description_str(what)
-
-    def __exit__(self, *_: object) -> None:
-        self.bar.close()
-
-
-def entries(observed: Observed, keyframes: tuple[Keyframes, Keyframes]) -> list[dict[str, Any]]:
-    """What is said of every keyframe, upper body first, by time."""
-    times = observed.times - observed.times[0]
+    Returns:
+        Mappings with the keys `half` (upper or lower), `time` (s from the beginning), `represents` (number of
+        frames) and `spans` (pairs of times in s).
+    """
+    times = observations.times - observations.times[0]
     return [
         {
-            'half': half.half.name,
+            'half': half.body_half.name,
             'time': round(float(times[half.frames[key]]), 6),
-            'represents': int((half.assigned == key).sum()),
-            'spans': [[round(float(times[a]), 3), round(float(times[b]), 3)] for a, b in half.spans(int(key))],
+            'represents': int((half.assignment == key).sum()),
+            'spans': [
+                [round(float(times[first]), 3), round(float(times[last]), 3)]
+                for first, last in half.find_runs(int(key))
+            ],
         }
         for half in keyframes
-        for key in half.by_time
+        for key in half.chronological_order
     ]
 
 
-def as_yaml(observed: Observed, keyframes: tuple[Keyframes, Keyframes], name: str) -> str:
-    """The keyframes as the file that `reconstruct --choices` reads."""
-    lines = yaml.safe_dump({'keyframes': entries(observed, keyframes)}, sort_keys=False, default_flow_style=None)
-    return HEADER.format(name=' '.join(name.split())) + lines
+def format_yaml(observations: Observations, keyframes: tuple[KeyframeSet, KeyframeSet], name: str) -> str:
+    """Return the text of the YAML file of keyframes, which `reconstruct --choices` reads."""
+    content = yaml.safe_dump(
+        {'keyframes': list_keyframe_entries(observations, keyframes)}, sort_keys=False, default_flow_style=None
+    )
+    return HEADER.format(name=' '.join(name.split())) + content
 
 
-def print_table(observed: Observed, keyframes: tuple[Keyframes, Keyframes]) -> None:
-    """One line a keyframe, and the totals."""
-    print(f'{"half":<6} {"time, s":>9} {"frames":>7}  when, s')
-    for entry in entries(observed, keyframes):
-        spans = [f'{a:.1f}-{b:.1f}' for a, b in entry['spans'][:MOST_SPANS]]
-        more = ', ...' if len(entry['spans']) > MOST_SPANS else ''
+def print_table(observations: Observations, keyframes: tuple[KeyframeSet, KeyframeSet]) -> None:
+    """Print a table with a line for each keyframe, and the coverage of each half of the body."""
+    print(f'{"half":<6} {"time, s":>9} {"frames":>7}  spans, s')
+    for entry in list_keyframe_entries(observations, keyframes):
+        spans = [f'{start:.1f}-{end:.1f}' for start, end in entry['spans'][:MAX_PRINTED_SPANS]]
+        more = ', ...' if len(entry['spans']) > MAX_PRINTED_SPANS else ''
         print(f'{entry["half"]:<6} {entry["time"]:>9.2f} {entry["represents"]:>7}  {", ".join(spans)}{more}')
-    seconds = float(observed.times[-1] - observed.times[0])
+    seconds = float(observations.times[-1] - observations.times[0])
     for half in keyframes:
         print(
-            f'{half.half.name} body: {len(half.frames)} keyframes cover {half.coverage:.1%} of '
-            f'{int(half.seen.sum())} frames, {seconds:.1f} s'
+            f'{half.body_half.name} body: {len(half.frames)} keyframes cover {half.coverage:.1%} of '
+            f'{int(half.has_pose.sum())} frames, {seconds:.1f} s'
         )

@@ -1,23 +1,21 @@
-"""Options that several subcommands share."""
+"""Options that several subcommands share, and what these options load."""
 
 from __future__ import annotations
 
 import argparse
 import math
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
-from mocap_ros.config import Config, from_yaml, load_yaml, shown, with_values
+from mocap_ros.config import Config, format_value, from_yaml, load_yaml, with_values
 from mocap_ros.errors import ConfigError, InputError, MocapError
 from mocap_ros.formats.detections import Video
-from mocap_ros.formats.sequence_file import LARGEST_IMAGE, Sequence
+from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX, KeypointSequence
 from mocap_ros.formats.text_files import read_text
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.base_poses import BasePoses
@@ -26,66 +24,76 @@ from mocap_ros.runtime.load_keypoints import load_input
 from mocap_ros.skeleton import LAYOUT_NAMES
 
 Array = NDArray[np.float64]
-T = TypeVar('T')
 
-LARGEST_CONFIG = 1 << 20
-LONGEST_SIZE = 20
+MAX_CONFIG_BYTES = 1 << 20  # bytes; guards against reading a huge file as parameters (the full file has 10 kB)
+MAX_IMAGE_SIZE_CHARACTERS = 20  # characters of --image-size; guards int() below against thousands of digits
 
 
 def add_config_options(parser: argparse.ArgumentParser) -> None:
-    """`--config FILE` and `--set NAME=VALUE`."""
-    parser.add_argument('--config', type=Path, metavar='FILE', help='parameter file (default: none)')
+    """Add the options `--config FILE` and `--set NAME=VALUE`."""
+    parser.add_argument('--config', type=Path, metavar='FILE', help='parameter file to read (default: none)')
     parser.add_argument(
         '--set',
         action='append',
         default=[],
         metavar='NAME=VALUE',
-        help='one parameter, such as solver.components=20; may be repeated (defaults: see `mocap-ros config`)',
+        help='value of one parameter, such as solver.components=20; may be repeated '
+        '(defaults: see `mocap-ros config`)',
     )
 
 
 def add_model_option(parser: argparse.ArgumentParser) -> None:
-    """`--model`."""
+    """Add the option `--model`."""
     parser.add_argument(
         '--model',
         metavar='NAME',
-        help='base poses: a shipped name, a file, or auto for the likeliest (default: tracker.model)',
+        help='base poses: the name of a shipped model, a model file, or auto for the most likely shipped model '
+        '(default: the parameter tracker.model)',
     )
 
 
 def add_input_options(parser: argparse.ArgumentParser) -> None:
-    """Whatever holds keypoints, and what it may not say itself."""
+    """Add the input file and the options that describe its keypoints."""
     parser.add_argument(
         'input',
         type=Path,
         metavar='IN',
         help='sequence file (.npz), bag, folder of OpenPose JSON, or COCO keypoints (.json)',
     )
-    parser.add_argument('--person', metavar='ID', help='whom, of several people (default: the one seen most)')
     parser.add_argument(
-        '--topic', metavar='NAME', help='of the keypoints in a bag (default: the only one there is)'
+        '--person',
+        metavar='ID',
+        help='person to reconstruct if the input shows several (default: the person seen in most frames)',
     )
     parser.add_argument(
-        '--fps', type=positive, metavar='N', help='frames a second of the video; needed for JSON (default: none)'
+        '--topic', metavar='NAME', help='topic of the keypoints in a bag (default: the only one in the bag)'
+    )
+    parser.add_argument(
+        '--fps',
+        type=parse_positive,
+        metavar='N',
+        help='frames per second of the video; required for JSON (default: none)',
     )
     parser.add_argument(
         '--image-size',
-        type=_image_size,
+        type=_parse_image_size,
         metavar='WxH',
-        help='px, for JSON that does not say it (default: a usual size that holds all points)',
+        help='px, size of the image if JSON does not give it (default: a common size that contains all points)',
     )
     parser.add_argument(
         '--layout',
         choices=LAYOUT_NAMES,
-        help='of the keypoints in JSON (default: by their number)',
+        help='keypoint layout of JSON (default: the layout with that number of keypoints)',
     )
 
 
-def input_from(args: argparse.Namespace, config: Config) -> Sequence:
-    """The sequence that `add_input_options` describe; says on stderr whom it shows and what was assumed.
+def load_input_sequence(args: argparse.Namespace, config: Config) -> KeypointSequence:
+    """Load the sequence that the options of `add_input_options` describe.
+
+    The chosen person and the assumptions about the input are printed on stderr.
 
     Raises:
-        InputError: it cannot be used; names the place.
+        InputError: the input cannot be used; the message names the place.
     """
     video = Video(args.fps, args.image_size, args.layout or '')
     sequence, lines = load_input(args.input, video, config.node, args.person, args.topic)
@@ -94,20 +102,31 @@ def input_from(args: argparse.Namespace, config: Config) -> Sequence:
     return sequence
 
 
-def name_of(path: Path) -> str:
-    """What files made from this input are called."""
-    return path.stem or path.resolve().stem
+def derive_output_stem(input_path: Path) -> str:
+    """Return the stem of the names of files that are made from this input."""
+    return input_path.stem or input_path.resolve().stem
 
 
-def seen_in(sequence: Sequence, config: Config) -> tuple[Array, tuple[str, ...], Array, Intrinsics]:
-    """What was seen, as the reconstructions take it: keypoints, joint names, times and the camera."""
+def extract_observations(
+    sequence: KeypointSequence, config: Config
+) -> tuple[Array, tuple[str, ...], Array, Intrinsics]:
+    """Return the arguments of a reconstruction: keypoints, joint names, times and camera intrinsics.
+
+    Returns:
+        Keypoints (F, J, 3) with x, y in px and a score, the J joint names, times (F,) in s, and the intrinsics.
+    """
     intrinsics = sequence.intrinsics(config.tracker.nominal_focal_length)
     return sequence.keypoints, sequence.joint_names, sequence.timestamps, intrinsics
 
 
 @contextmanager
-def about(path: Path) -> Iterator[None]:
-    """Around the work on one file: errors name it, also where the numbers give no solution."""
+def name_file_in_errors(path: Path) -> Iterator[None]:
+    """Put the path in front of the messages of all errors that occur in this context.
+
+    Raises:
+        MocapError: an error of the same type occurred in the context.
+        InputError: the linear algebra in the context failed.
+    """
     try:
         yield
     except MocapError as error:
@@ -116,50 +135,46 @@ def about(path: Path) -> Iterator[None]:
         raise InputError(f'{path}: the reconstruction failed ({error})') from None
 
 
-def positive(text: str) -> float:
-    """A positive, finite number, for argparse."""
+def parse_positive(text: str) -> float:
+    """Parse a positive, finite number for argparse."""
     value = float(text)
     if not 0 < value < math.inf:
         raise argparse.ArgumentTypeError(f'{text} is not positive and finite')
     return value
 
 
-def _image_size(text: str) -> tuple[int, int]:
+def _parse_image_size(text: str) -> tuple[int, int]:
+    """Parse a width and a height in px, such as 1920x1080, for argparse."""
     width, _, height = text.lower().partition('x')
-    fine = width.isdecimal() and height.isdecimal() and len(text) < LONGEST_SIZE
-    if not (fine and 0 < int(width) <= LARGEST_IMAGE and 0 < int(height) <= LARGEST_IMAGE):
-        raise argparse.ArgumentTypeError(f'{text!r}: expected such as 1920x1080')
+    is_number_pair = width.isdecimal() and height.isdecimal() and len(text) < MAX_IMAGE_SIZE_CHARACTERS
+    if not (is_number_pair and 0 < int(width) <= MAX_IMAGE_SIDE_PX and 0 < int(height) <= MAX_IMAGE_SIDE_PX):
+        raise argparse.ArgumentTypeError(f'{text!r}: expected a size such as 1920x1080')
     return int(width), int(height)
 
 
-def models_from(args: argparse.Namespace, config: Config) -> dict[str, BasePoses]:
-    """The base poses of `--model`, by name; all shipped ones for `auto`.
+def load_models(args: argparse.Namespace, config: Config) -> dict[str, BasePoses]:
+    """Load the base poses that `--model` selects, by name; `auto` selects all shipped models.
 
     Raises:
-        ModelError: there are none of that name.
+        ModelError: there is no model of that name, or its file cannot be used.
     """
     name = args.model or config.tracker.model
     return load_base_pose_models(name)
 
 
-def config_from(args: argparse.Namespace) -> Config:
-    """The configuration that these options describe.
+def load_config(args: argparse.Namespace) -> Config:
+    """Load the configuration that the options of `add_config_options` describe.
 
     Raises:
-        InputError: the file cannot be read.
-        ConfigError: unknown parameter or value out of range.
+        InputError: the parameter file cannot be read.
+        ConfigError: a parameter is unknown, or its value is wrong.
     """
     config = Config()
     if args.config is not None:
-        config = from_yaml(read_text(args.config, largest=LARGEST_CONFIG), str(args.config))
+        config = from_yaml(read_text(args.config, max_bytes=MAX_CONFIG_BYTES), str(args.config))
     for assignment in args.set:
         name, equals, value = assignment.partition('=')
         if not equals:
-            raise ConfigError(f'--set {shown(assignment)}: expected NAME=VALUE')
+            raise ConfigError(f'--set {format_value(assignment)}: expected NAME=VALUE')
         config = with_values(config, {name: load_yaml(value, f'--set {name}')})
     return config
-
-
-def progress(items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
-    """The items, with a progress bar on a terminal and none in a pipe."""
-    return tqdm(items, desc=description, total=total, disable=not sys.stderr.isatty(), leave=False)

@@ -1,4 +1,4 @@
-"""`mocap-ros play`: publish recorded keypoints at their own pace."""
+"""`mocap-ros play`: publish recorded keypoints at the recorded pace."""
 
 from __future__ import annotations
 
@@ -8,57 +8,74 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from mocap_ros.cli.options import positive, progress
+from mocap_ros.cli.options import parse_positive
+from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import MocapError
 from mocap_ros.runtime.playback import Playback
 
-CLOCK_HZ = 40.0
+CLOCK_HZ = 40.0  # Hz, the default rate of /clock, that of `ros2 bag play --clock`
 
 
 def add_parser(subparsers: Any) -> None:
     """Register the subcommand."""
-    p = subparsers.add_parser(
+    parser = subparsers.add_parser(
         'play',
-        help='publish recorded keypoints at their own pace',
-        description='Publishes the Keypoints2DArray messages of a bag, or the frames of a sequence file, '
-        'on the topic `keypoints`, and the CameraInfo of a bag on `camera_info`, with the QoS they were recorded '
-        'with. Stamps stay as they are. Needs ROS 2.',
+        help='publish recorded keypoints at the recorded pace',
+        description='Publishes the Keypoints2DArray messages of a bag, or the frames of a sequence file, on the '
+        'topic `keypoints`, and the CameraInfo messages of a bag on `camera_info`. The messages keep their stamps '
+        'and the QoS with which they were recorded. Needs ROS 2.',
     )
-    p.add_argument('input', type=Path, metavar='IN', help='bag (folder, .mcap, .db3, .bag) or .npz')
-    p.add_argument('--rate', type=positive, default=1.0, metavar='FACTOR', help='times the recorded pace')
-    p.add_argument('--topic', metavar='NAME', help='of the keypoints in the bag (default: the only one there is)')
-    p.add_argument('--to', default='keypoints', metavar='NAME', help='topic to publish the keypoints on')
-    p.add_argument(
+    parser.add_argument(
+        'input', type=Path, metavar='IN', help='bag (folder, .mcap, .db3 or .bag) or sequence file (.npz)'
+    )
+    parser.add_argument(
+        '--rate',
+        type=parse_positive,
+        default=1.0,
+        metavar='FACTOR',
+        help='pace as a multiple of the recorded pace',
+    )
+    parser.add_argument(
+        '--topic', metavar='NAME', help='topic of the keypoints in the bag (default: the only one in the bag)'
+    )
+    parser.add_argument('--to', default='keypoints', metavar='NAME', help='topic to publish the keypoints on')
+    parser.add_argument(
         '--all',
         action='store_true',
-        help='publish every topic of the bag, each on its own name (default: keypoints and CameraInfo)',
+        help='publish every topic of the bag under its own name (default: only the keypoints and CameraInfo)',
     )
-    p.add_argument('--loop', action='store_true', help='begin again at the end, until interrupted (default: once)')
-    p.add_argument(
+    parser.add_argument(
+        '--loop', action='store_true', help='start again at the end, until interrupted (default: play once)'
+    )
+    parser.add_argument(
         '--clock',
-        type=positive,
+        type=parse_positive,
         nargs='?',
         const=CLOCK_HZ,
         metavar='HZ',
-        help=f'publish recorded time on /clock at this rate, {CLOCK_HZ:g} where HZ is not given (default: not)',
+        help=f'publish the recorded time on /clock at this rate, {CLOCK_HZ:g} Hz if HZ is omitted (default: '
+        'publish no clock)',
     )
-    p.add_argument('--wait', type=positive, default=10.0, metavar='S', help='s to wait for a subscriber')
-    p.set_defaults(run=run)
+    parser.add_argument(
+        '--wait', type=parse_positive, default=10.0, metavar='S', help='s, maximum time to wait for a subscriber'
+    )
+    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Play the input and say how much it was."""
+    """Play the input and print how many messages were published."""
     try:
-        from mocap_ros.ros.player import Pace, Player
+        from mocap_ros.ros.player import PlaybackOptions, Player
     except ImportError as error:
         raise MocapError(
-            f'play needs ROS 2, and there is none for this Python ({error}); `make setup` gets it'
+            f'play needs ROS 2, which this Python does not have ({error}); `make setup` installs it'
         ) from None
     playback = Playback(args.input, args.topic, args.to, args.all)
-    player = Player(playback, Pace(args.rate, args.wait, args.loop, args.clock or 0.0))
-    with suppress(*([KeyboardInterrupt] if args.loop else [])):  # the only way to end a loop
-        player.play(lambda messages, total: progress(messages, 'play', total))
-    for reason in player.skipped:
+    player = Player(playback, PlaybackOptions(args.rate, args.wait, args.loop, args.clock or 0.0))
+    with suppress(*([KeyboardInterrupt] if args.loop else [])):  # an interrupt is the only way to end a loop
+        player.play(lambda messages, total: show_progress(messages, 'play', total))
+    for reason in player.skipped_topics:
         print(f'not played: {reason}', file=sys.stderr)
-    print(f'{args.input}: {player.played} messages published on {", ".join(t.name for t in playback.topics)}')
+    topics = ', '.join(topic.name for topic in playback.topics)
+    print(f'{args.input}: {player.published_count} messages published on {topics}')
     return 0

@@ -1,4 +1,4 @@
-"""`mocap-ros recover`: a whole bag out of one that was cut off or damaged."""
+"""`mocap-ros recover`: write a readable bag from one that was cut off or damaged."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from mocap_ros.bags.recovery import recover
 
 def add_parser(subparsers: Any) -> None:
     """Register the subcommand."""
-    p = subparsers.add_parser(
+    parser = subparsers.add_parser(
         'recover',
-        help='a whole bag out of one that was cut off or damaged',
-        description='Writes a new bag with every message that can still be read of a bag whose recorder was '
-        'killed, whose disk was full, or that was damaged, and says what could not be read. Any rosbag2 bag, '
-        'MCAP or SQLite3, whatever recorded it. The damaged bag stays as it is.',
+        help='recover the messages of a bag that was cut off or damaged',
+        description='Writes a new bag with every message that can still be read from a damaged bag, and lists '
+        'what could not be read. A bag is damaged if, for example, its recorder was killed or its disk was full. '
+        'The command reads rosbag2 bags of any recorder, in MCAP or SQLite3, and does not change the damaged bag.',
     )
-    p.add_argument('bag', type=Path, metavar='BAG', help='folder, .mcap or .db3')
-    p.add_argument(
+    parser.add_argument('bag', type=Path, metavar='BAG', help='damaged bag: folder, .mcap or .db3')
+    parser.add_argument(
         '-o',
         '--output',
         type=Path,
         metavar='OUTBAG',
         help='folder of the new bag, which must not exist (default: BAG_recovered)',
     )
-    p.set_defaults(run=run)
+    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Recover, and say what was had and what was not."""
+    """Recover a bag, and print what was recovered and what was not."""
     out = args.output or args.bag.with_name(f'{args.bag.resolve().stem}_recovered')
     with tqdm(desc='recover', unit='B', unit_scale=True, disable=not sys.stderr.isatty(), leave=False) as bar:
 

@@ -1,4 +1,4 @@
-"""`mocap-ros replay`: the live pipeline over bags, as fast as it goes."""
+"""`mocap-ros replay`: run the live pipeline over bags, as fast as the machine allows."""
 
 from __future__ import annotations
 
@@ -16,188 +16,228 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from mocap_ros.bags.reader import Bag, BagMessage
-from mocap_ros.bags.topics import people_topics
-from mocap_ros.cli.options import add_config_options, config_from, progress
+from mocap_ros.bags.topics import find_people_topics
+from mocap_ros.cli.options import add_config_options, load_config
+from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import InputError, MocapError, RecordingError
-from mocap_ros.runtime.cpu_setup import prepare
-from mocap_ros.runtime.replay import ReplayOptions, ReplayResult, Watch, remove_partial, replay
+from mocap_ros.runtime.cpu_setup import configure_process
+from mocap_ros.runtime.replay import ProgressWrapper, ReplayOptions, ReplayResult, remove_partial, replay
 
-REFRESH_SECONDS = 0.3
+PROGRESS_INTERVAL_S = 0.3  # s between updates of the progress bar; often enough to look continuous
 
 
 class _Job(NamedTuple):
-    """A bag to replay, where to, and how."""
+    """One bag to replay.
+
+    Attributes:
+        bag: the bag to replay.
+        out: folder of the new bag.
+        options: parameters and topics of the replay.
+    """
 
     bag: Path
     out: Path
     options: ReplayOptions
 
 
-class _Done(NamedTuple):
+class _FinishedReplay(NamedTuple):
+    """The result of a replay and the time that the replay took, in s."""
+
     result: ReplayResult
     seconds: float
 
 
 def add_parser(subparsers: Any) -> None:
     """Register the subcommand."""
-    p = subparsers.add_parser(
+    parser = subparsers.add_parser(
         'replay',
-        help='the live pipeline over bags',
-        description='Runs the keypoints of a bag through the pipeline of the live node, as fast as it goes, '
-        'and writes a bag with them and the outputs. A bag that the node recorded is replayed with the '
-        'parameters it was recorded with, unless --config or --set is given, and gives the same skeletons. '
-        'Until it is complete, a new bag is called NAME.partial.',
+        help='run the live pipeline over bags',
+        description='Runs the keypoints of a bag through the pipeline of the live node, as fast as the machine '
+        'allows, and writes a new bag with the keypoints and the outputs. A bag that the node recorded is '
+        'replayed with the parameters of the recording, unless --config or --set is given, and gives the same '
+        'skeletons. A new bag is called NAME.partial until it is complete.',
     )
-    p.add_argument('bags', type=Path, nargs='+', metavar='BAG', help='folder, .mcap, .db3, or .bag of ROS 1')
-    p.add_argument(
+    parser.add_argument(
+        'bags', type=Path, nargs='+', metavar='BAG', help='bag to replay: folder, .mcap, .db3, or .bag of ROS 1'
+    )
+    parser.add_argument(
         '-o',
         '--output',
         type=Path,
         required=True,
         metavar='OUT',
-        help='folder of the new bag, which must not exist; of several bags, folder to put the new ones into',
+        help='folder of the new bag, which must not exist; for several bags, the folder for all new bags',
     )
-    p.add_argument('--topic', metavar='NAME', help='of the keypoints (default: the only one there is)')
-    p.add_argument(
+    parser.add_argument(
+        '--topic', metavar='NAME', help='topic of the keypoints (default: the only one in the bag)'
+    )
+    parser.add_argument(
         '--camera-info',
         metavar='NAME',
-        help='topic of the CameraInfo (default: the one beside the keypoints, if any)',
+        help='topic of the CameraInfo (default: the topic camera_info beside the keypoints, if it exists)',
     )
-    p.add_argument('--jobs', type=_count, default=1, metavar='N', help='bags at a time, each in a process')
-    p.add_argument(
+    parser.add_argument(
+        '--jobs',
+        type=_parse_count,
+        default=1,
+        metavar='N',
+        help='number of bags to replay at a time, each in a process',
+    )
+    parser.add_argument(
         '--resume',
         action='store_true',
-        help='skip bags that were replayed already; replay again those that were interrupted (default: refuse)',
+        help='skip the bags that have been replayed, and start interrupted replays again (default: fail if a new '
+        'bag exists)',
     )
-    add_config_options(p)
-    p.set_defaults(run=run)
+    add_config_options(parser)
+    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay, and say what became of the messages."""
-    config = config_from(args) if args.config is not None or args.set else None
+    """Replay the bags, and print the number of messages by verdict."""
+    config = load_config(args) if args.config is not None or args.set else None
     options = ReplayOptions(config, args.topic, args.camera_info)
-    jobs = [_Job(bag, out, options) for bag, out in _outputs(args.bags, args.output)]
+    jobs = [_Job(bag, out, options) for bag, out in _choose_outputs(args.bags, args.output)]
     if args.resume:
-        jobs = [job for job in jobs if _is_left(job)]
+        jobs = [job for job in jobs if _prepare_to_resume(job)]
     for job in jobs:
         if job.out.exists():
             raise RecordingError(f'{job.out}: exists already; choose another -o, or --resume')
     if len(jobs) == 1:
-        _tell(jobs[0], _replayed(jobs[0], lambda messages, total: progress(messages, 'replay', total)))
+        finished = _replay_one(jobs[0], lambda messages, total: show_progress(messages, 'replay', total))
+        _print_summary(jobs[0], finished)
         return 0
-    return _all(jobs, min(args.jobs, len(jobs)))
+    return _replay_in_processes(jobs, min(args.jobs, len(jobs)))
 
 
-def _outputs(bags: list[Path], output: Path) -> list[tuple[Path, Path]]:
+def _choose_outputs(bags: list[Path], output: Path) -> list[tuple[Path, Path]]:
+    """Return every bag with the folder of its new bag.
+
+    Raises:
+        InputError: two new bags would have the same name.
+    """
     if len(bags) == 1:
         return [(bags[0], output)]
     names = [bag.resolve().stem for bag in bags]
     if len(set(names)) < len(names):
-        twice = max(names, key=names.count)
-        raise InputError(f'two bags are called {twice}: the new ones would have one name; replay them apart')
+        repeated = max(names, key=names.count)
+        raise InputError(
+            f'two bags are called {repeated}, so their new bags would have one name; replay them apart'
+        )
     return [(bag, output / name) for bag, name in zip(bags, names, strict=True)]
 
 
-def _is_left(job: _Job) -> bool:
-    """Whether a bag is still to be replayed, from the beginning: the same bag gives the same results."""
+def _prepare_to_resume(job: _Job) -> bool:
+    """Return whether a bag still has to be replayed, and remove what an interrupted replay of it left.
+
+    An interrupted replay starts again from the beginning, since the same bag gives the same results.
+    """
     if job.out.exists():
-        print(f'{job.out}: done already')
+        print(f'{job.out}: already replayed')
         return False
     remove_partial(job.out)
     return True
 
 
-def _replayed(job: _Job, watch: Watch) -> _Done:
+def _replay_one(job: _Job, progress: ProgressWrapper) -> _FinishedReplay:
+    """Replay one bag in this process."""
     start = time.monotonic()
     with Bag(job.bag) as bag:
-        result = replay(bag, job.out, job.options, watch)
-    return _Done(result, time.monotonic() - start)
+        result = replay(bag, job.out, job.options, progress)
+    return _FinishedReplay(result, time.monotonic() - start)
 
 
-def _tell(job: _Job, done: _Done) -> None:
-    result, counts = done.result, done.result.counters
-    for fault in result.faults:
-        print(fault, file=sys.stderr)
-    if result.first_reason:
-        print(f'first message not accepted: {result.first_reason}', file=sys.stderr)
-    if result.lost:
+def _print_summary(job: _Job, finished: _FinishedReplay) -> None:
+    """Print the counters of a replay on stdout, and its faults and losses on stderr."""
+    result, counts = finished.result, finished.result.counters
+    for traceback in result.tracebacks:
+        print(traceback, file=sys.stderr)
+    if result.first_rejection:
+        print(f'first message that was not accepted: {result.first_rejection}', file=sys.stderr)
+    if result.unrecorded_inputs:
         print(
-            f'{job.bag}: {result.lost} inputs are missing in it, as its disk was too slow; behind them results '
-            'differ from the live ones',
+            f'{job.bag}: {result.unrecorded_inputs} inputs are missing because the disk was too slow for the '
+            'recorder; the results after the first missing input differ from the live ones',
             file=sys.stderr,
         )
     print(
         f'{job.out}: {counts.accepted} frames accepted, {counts.dropped.total()} dropped, '
-        f'{counts.invalid} invalid, {done.seconds:.1f} s'
+        f'{counts.invalid} invalid, {finished.seconds:.1f} s'
     )
 
 
-def _all(jobs: list[_Job], processes: int) -> int:
-    """Several bags at a time; one that fails does not stop the others."""
+def _replay_in_processes(jobs: list[_Job], processes: int) -> int:
+    """Replay several bags at a time, and return the exit code; a failure does not stop the other replays."""
     context = get_context('spawn')
-    read, stop = context.Value('q', 0), context.Value('b', 0)
-    failed = 0
+    message_count, must_stop = context.Value('q', 0), context.Value('b', 0)
+    failures = 0
     with (
-        ProcessPoolExecutor(max(processes, 1), context, _begin_process, (read, stop)) as pool,
-        tqdm(desc='replay', total=_total(jobs), disable=not sys.stderr.isatty(), leave=False) as bar,
+        ProcessPoolExecutor(max(processes, 1), context, _initialise_worker, (message_count, must_stop)) as pool,
+        tqdm(desc='replay', total=_count_messages(jobs), disable=not sys.stderr.isatty(), leave=False) as bar,
     ):
-        waiting = {pool.submit(_replayed_elsewhere, job): job for job in jobs}
+        job_of_future = {pool.submit(_replay_in_worker, job): job for job in jobs}
         try:
-            while waiting:
-                done, _ = wait(waiting, REFRESH_SECONDS, FIRST_COMPLETED)
-                bar.update(read.value - bar.n)
-                failed += sum(not _succeeded(future, waiting.pop(future)) for future in done)
+            while job_of_future:
+                finished, _ = wait(job_of_future, PROGRESS_INTERVAL_S, FIRST_COMPLETED)
+                bar.update(message_count.value - bar.n)
+                failures += sum(not _report_outcome(future, job_of_future.pop(future)) for future in finished)
         except KeyboardInterrupt:
-            stop.value = 1
+            must_stop.value = 1
             pool.shutdown(cancel_futures=True)
             raise
-    return 1 if failed else 0
+    return 1 if failures else 0
 
 
-def _succeeded(future: Future[_Done], job: _Job) -> bool:
+def _report_outcome(future: Future[_FinishedReplay], job: _Job) -> bool:
+    """Print the summary or the error of a replay, and return whether it succeeded."""
     error = future.exception()
     if error is None:
-        _tell(job, future.result())
+        _print_summary(job, future.result())
         return True
-    said = str(error) if isinstance(error, MocapError) else f'{job.bag}: {error!r}'
-    print(f'mocap-ros: {" ".join(said.split())}', file=sys.stderr)
+    message = str(error) if isinstance(error, MocapError) else f'{job.bag}: {error!r}'
+    print(f'mocap-ros: {" ".join(message.split())}', file=sys.stderr)
     return False
 
 
-def _total(jobs: Iterable[_Job]) -> int:
+def _count_messages(jobs: Iterable[_Job]) -> int:
+    """Return the number of messages of keypoints in all bags; bags that cannot be read count as empty."""
     total = 0
     for job in jobs:
-        with suppress(MocapError), Bag(job.bag) as bag:  # what is wrong with it comes out later
-            total += bag.count(people_topics(bag, job.options.topic))
+        with suppress(MocapError), Bag(job.bag) as bag:  # the replay of such a bag reports the error
+            total += bag.count(find_people_topics(bag, job.options.topic))
     return total
 
 
-_shared: tuple[Any, Any]
+# In a worker process: the shared number of processed messages, and the shared flag that stops all workers.
+_worker_state: tuple[Any, Any]
 
 
-def _begin_process(read: Any, stop: Any) -> None:
-    global _shared  # noqa: PLW0603
-    prepare()
-    _shared = read, stop
+def _initialise_worker(message_count: Any, must_stop: Any) -> None:
+    """Set up a worker process, which leaves interrupts to its parent."""
+    global _worker_state  # noqa: PLW0603
+    configure_process()
+    _worker_state = message_count, must_stop
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _replayed_elsewhere(job: _Job) -> _Done:
-    return _replayed(job, _counted)
+def _replay_in_worker(job: _Job) -> _FinishedReplay:
+    """Replay one bag in a worker process."""
+    return _replay_one(job, _count_processed)
 
 
-def _counted(messages: Iterable[BagMessage], _: int) -> Iterator[BagMessage]:
-    read, stop = _shared
+def _count_processed(messages: Iterable[BagMessage], _: int) -> Iterator[BagMessage]:
+    """Yield the messages, count them for the progress bar, and stop when the parent process was interrupted."""
+    message_count, must_stop = _worker_state
     for message in messages:
-        if stop.value:
+        if must_stop.value:
             raise KeyboardInterrupt
-        with read.get_lock():
-            read.value += 1
+        with message_count.get_lock():
+            message_count.value += 1
         yield message
 
 
-def _count(text: str) -> int:
+def _parse_count(text: str) -> int:
+    """Parse a positive integer for argparse."""
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f'{text} is not positive')

@@ -1,4 +1,4 @@
-"""`mocap-ros train`: base poses from motion capture."""
+"""`mocap-ros train`: train base poses from motion capture (Wandt et al., TPAMI 2016, section 4.1)."""
 
 from __future__ import annotations
 
@@ -6,99 +6,120 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from mocap_ros.cli.options import positive, progress
+from mocap_ros.cli.options import parse_positive
+from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import MocapError
-from mocap_ros.formats.mocap.joint_maps import UNITS, load_markers
-from mocap_ros.formats.mocap.trials import Source, load_trials, select
-from mocap_ros.formats.text_files import writing
+from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, load_marker_map
+from mocap_ros.formats.mocap.trials import TrialOptions, load_trials, select_trials
+from mocap_ros.formats.text_files import guard_output
 from mocap_ros.models import model_file
 from mocap_ros.training.base_poses import fit_base_poses
 
 
 def add_parser(subparsers: Any) -> None:
     """Register the subcommand."""
-    p = subparsers.add_parser(
+    parser = subparsers.add_parser(
         'train',
         help='train base poses from motion capture',
-        description='Trains base poses from motion capture: folders or files of ASF/AMC, BVH and C3D, or .npz '
-        '((F, 15, 3) arrays in mm, y up, one key a trial, joint names under _joints). A manifest.csv beside them '
-        'says subjects and categories; else the category of a file is the name of its folder.',
+        description='Trains base poses from motion capture: folders or files of ASF/AMC, BVH and C3D, or .npz. '
+        'An .npz file holds an (F, 15, 3) array in mm with y up for each trial, and the joint names under the '
+        'key _joints. A manifest.csv beside the data gives the subject and the category of each trial; without '
+        'it, the category of a file is the name of its folder.',
     )
-    p.add_argument('data', nargs='+', type=Path, metavar='DATA', help='folder, .amc, .bvh, .c3d or .npz')
-    p.add_argument('-o', '--output', type=Path, required=True, metavar='MODEL.npz', help='model to write')
-    p.add_argument(
+    parser.add_argument(
+        'data', nargs='+', type=Path, metavar='DATA', help='motion capture: folder, .amc, .bvh, .c3d or .npz'
+    )
+    parser.add_argument(
+        '-o', '--output', type=Path, required=True, metavar='MODEL.npz', help='model file to write'
+    )
+    parser.add_argument(
         '--markers',
         type=Path,
         metavar='YAML',
-        help='joint of the model: the joints or markers whose mean it is (default: those of known rigs)',
+        help='file that maps each joint of the model to the joints or markers whose mean is the joint (default: '
+        'the maps of known rigs)',
     )
-    p.add_argument(
+    parser.add_argument(
         '--unit',
-        type=positive,
+        type=parse_positive,
         metavar='M',
-        help=f'unit of length in m (default: as the file says, or what suits people: {", ".join(UNITS)})',
+        help='length of the unit of the data in m (default: the unit that the file states, or else the one of '
+        f'{", ".join(LENGTH_UNITS_M)} that suits a person)',
     )
-    p.add_argument(
-        '--every', type=int, default=1, metavar='N', help='take every Nth frame, such as 4 of 120 a second'
+    parser.add_argument(
+        '--every',
+        type=int,
+        default=1,
+        metavar='N',
+        help='use every Nth frame, such as every 4th of a recording at 120 Hz',
     )
-    p.add_argument('--name', help='name of the model (default: the category, or all)')
-    p.add_argument(
+    parser.add_argument('--name', help='name of the model (default: the category, or all without --category)')
+    parser.add_argument(
         '--manifest',
         type=Path,
         metavar='CSV',
-        help='trial, subject, category, interior_glitches (default: manifest.csv beside the data, if there)',
+        help='table with the columns trial, subject, category and interior_glitches (default: manifest.csv beside '
+        'the data, if it exists)',
     )
-    for option, what, kept in (
-        ('--category', 'only trials of this category', 'all'),
-        ('--subject', 'only trials of this subject', 'all'),
-        ('--without-subject', 'no trials of this subject', 'none left out'),
-        ('--without-trial', 'not this trial', 'none left out'),
+    for option, selection, default in (
+        ('--category', 'use only trials of this category', 'all'),
+        ('--subject', 'use only trials of this subject', 'all'),
+        ('--without-subject', 'use no trials of this subject', 'none left out'),
+        ('--without-trial', 'do not use this trial', 'none left out'),
     ):
-        p.add_argument(
-            option, action='append', default=[], metavar='NAME', help=f'{what}; may be repeated (default: {kept})'
+        parser.add_argument(
+            option,
+            action='append',
+            default=[],
+            metavar='NAME',
+            help=f'{selection}; may be repeated (default: {default})',
         )
-    p.add_argument('--components', type=int, default=45, metavar='N', help='base poses kept at most')
-    p.add_argument(
+    parser.add_argument('--components', type=int, default=45, metavar='N', help='maximum number of base poses')
+    parser.add_argument(
         '--alignment',
         choices=['rotation', 'heading'],
-        help='of poses before the analysis (default: heading for a category, rotation for all)',
+        help='alignment of the poses before the principal component analysis (default: heading with --category, '
+        'rotation without)',
     )
-    p.add_argument(
-        '--mirror', action=argparse.BooleanOptionalAction, help='add mirror images (default: for a category)'
+    parser.add_argument(
+        '--mirror',
+        action=argparse.BooleanOptionalAction,
+        help='add the mirror images of the poses (default: only with --category)',
     )
-    p.add_argument(
+    parser.add_argument(
         '--bodies',
         type=int,
         metavar='N',
-        help='added bodies with random bone lengths, a trial (default: 2 for a category, 0 for all)',
+        help='number of bodies with random bone lengths to add for each trial (default: 2 with --category, 0 '
+        'without)',
     )
-    p.add_argument(
-        '--source', default='', metavar='TEXT', help='where the data is from, kept in the model (default: empty)'
+    parser.add_argument(
+        '--source', default='', metavar='TEXT', help='origin of the data, saved in the model (default: empty)'
     )
-    p.add_argument(
+    parser.add_argument(
         '--acknowledgement',
         default='',
         metavar='TEXT',
-        help='what its owner asks for, kept in the model (default: empty)',
+        help='acknowledgement that the owner of the data asks for, saved in the model (default: empty)',
     )
-    p.set_defaults(run=run)
+    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Train and save a model, and say what it holds."""
+    """Train and save a model, and print a summary of it."""
     if min(args.components, args.every) < 1 or (args.bodies or 0) < 0:
-        raise MocapError('--components and --every must be positive and --bodies not negative')
-    markers = None if args.markers is None else load_markers(args.markers)
-    source = Source(args.manifest, markers, args.unit, args.every)
-    trials = select(
-        [t for path in args.data for t in load_trials(path, source, lambda files: progress(files, 'read'))],
+        raise MocapError('--components and --every must be positive, and --bodies must not be negative')
+    markers = None if args.markers is None else load_marker_map(args.markers)
+    options = TrialOptions(args.manifest, markers, args.unit, args.every)
+    trials = select_trials(
+        [t for path in args.data for t in load_trials(path, options, lambda files: show_progress(files, 'read'))],
         categories=args.category,
         only_subjects=args.subject,
         without_subjects=args.without_subject,
         without_trials=args.without_trial,
     )
     if not trials:
-        raise MocapError('no trial is left after the selection')
+        raise MocapError('the options select no trial')
     one_category = bool(args.category)
     model = fit_base_poses(
         [t.poses for t in trials],
@@ -115,11 +136,12 @@ def run(args: argparse.Namespace) -> int:
             'trials': [t.name for t in trials],
         },
     )
-    with writing(args.output, *args.data):
+    with guard_output(args.output, *args.data):
         model_file.save_base_poses(model, args.output)
-    ten = model.explained[min(9, len(model.explained) - 1)]
+    explained_by_ten = model.explained[min(9, len(model.explained) - 1)]
     print(
         f'{args.output}: {len(model.std)} base poses from {len(trials)} trials, '
-        f'{sum(len(t.poses) for t in trials)} poses; the first ten hold {ten:.1%} of the variance'
+        f'{sum(len(t.poses) for t in trials)} poses; the first ten base poses explain '
+        f'{explained_by_ten:.1%} of the variance'
     )
     return 0

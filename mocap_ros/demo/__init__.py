@@ -1,1 +1,1 @@
-"""The demo recording: synthetic, generated from trained base poses, with its truth."""
+"""The demo recording, which is synthesised from learned motions and therefore comes with its true 3D poses."""

@@ -1,6 +1,7 @@
-"""Make the demo's shipped data again: `python -m mocap_ros.demo [CMU15.npz]`.
+"""Make the shipped files of the demo again: `python -m mocap_ros.demo [CMU15.npz]`.
 
-With motion capture, the motions are learned from it first; the recording follows from the motions alone.
+With a file of motion capture, the motions are first learned from it (`demo_motion.npz`). The recording
+(`demo.npz`) is made from the learned motions alone.
 """
 
 from __future__ import annotations
@@ -9,42 +10,45 @@ import sys
 from importlib.resources import files
 from pathlib import Path
 
-from mocap_ros.demo import gait, scene
+from mocap_ros.demo import motions, scene
 from mocap_ros.formats.mocap.trials import load_trials
 from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.training.base_poses import fit_base_poses
 
-ACTORS = {'walk': '35_02', 'run': '09_01', 'jump': '13_32'}
+# CMU trial from which each motion is learned. The subjects differ, so that no single body is copied.
+TRIAL_OF_MOTION = {'walk': '35_02', 'run': '09_01', 'jump': '13_32'}
+# The text that the owner of the CMU database asks its users to publish.
 ACKNOWLEDGEMENT = (
     'The data used in this project was obtained from mocap.cs.cmu.edu. '
     'The database was created with funding from NSF EIA-0196217.'
 )
 
 
-def learn(path: Path) -> None:
-    """Learn the demo's basis and motions from motion capture."""
-    poses = {t.name: t.poses for t in load_trials(path)}
-    basis = fit_base_poses(
-        [poses[trial] for trial in ACTORS.values()],
+def learn_motions(path: Path) -> None:
+    """Learn the base poses and the motions of the demo from motion capture, and save them."""
+    poses = {trial.name: trial.poses for trial in load_trials(path)}
+    model = fit_base_poses(
+        [poses[trial] for trial in TRIAL_OF_MOTION.values()],
         name='demo',
         alignment='heading',
         mirror=True,
-        provenance={'trials': list(ACTORS.values()), 'acknowledgement': ACKNOWLEDGEMENT},
+        provenance={'trials': list(TRIAL_OF_MOTION.values()), 'acknowledgement': ACKNOWLEDGEMENT},
     )
-    motions = {
-        'walk': gait.learn_gait(poses[ACTORS['walk']], basis),
-        'run': gait.learn_gait(poses[ACTORS['run']], basis),
-        'jump': gait.learn_action(poses[ACTORS['jump']], basis),
+    learned = {
+        'walk': motions.learn_gait(poses[TRIAL_OF_MOTION['walk']], model),
+        'run': motions.learn_gait(poses[TRIAL_OF_MOTION['run']], model),
+        'jump': motions.learn_action(poses[TRIAL_OF_MOTION['jump']], model),
     }
-    gait.save(basis, motions, _data('demo_motion.npz'))
+    motions.save_motions(model, learned, _path_of('demo_motion.npz'))
 
 
-def _data(name: str) -> Path:
+def _path_of(name: str) -> Path:
+    """Return the path of a shipped file of the demo."""
     return Path(str(files('mocap_ros') / 'demo' / name))
 
 
 if __name__ == '__main__':
     for argument in sys.argv[1:2]:
-        learn(Path(argument))
-    save_sequence(_data('demo.npz'), scene.make_recording().sequence())
-    print(f'made {_data("demo.npz")}')
+        learn_motions(Path(argument))
+    save_sequence(_path_of('demo.npz'), scene.make_recording().sequence())
+    print(f'made {_path_of("demo.npz")}')

@@ -1,1 +1,1 @@
-"""Scores of a reconstruction against the truth."""
+"""Errors of a reconstruction against the truth."""

@@ -1,7 +1,11 @@
-"""Errors of 3D poses against a reference, each with its alignment named (METHOD of the field and of the paper).
+"""Errors of 3D poses against the truth, each with the alignment that precedes it.
 
-Poses are compared joint by joint over the joints both skeletons have. Unless said otherwise each pose is first
-centred on the mean of those joints; millimetres throughout.
+    MPJPE = mean_{t,j} || s P_tj - Q_tj ||                                                    (mpjpe_mm)
+    e = sqrt( sum_{t,j} || S(P_tj) - Q_tj ||^2 ) / F                        (e_paper_cm, eq. 25 of TPAMI 2016)
+
+P are the predicted and Q the true poses of F frames, both centred on the mean of the compared joints in each
+frame. s is one scale and S one similarity for the whole sequence. Poses are compared over the joints common to
+both.
 """
 
 from __future__ import annotations
@@ -12,97 +16,125 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.rotations import centred, rotation_to
+from mocap_ros.geometry.rotations import centre_poses, fit_rotation
 from mocap_ros.skeleton import Skeleton
 
 Array = NDArray[np.float64]
 
-LIMBS = (
+# the twelve joints that every keypoint layout and every motion capture skeleton has
+LIMB_JOINTS = (
     'lshoulder', 'lelbow', 'lwrist', 'rshoulder', 'relbow', 'rwrist',
     'lhip', 'lknee', 'lankle', 'rhip', 'rknee', 'rankle',
 )  # fmt: skip
-SEEN_SCORE = 0.2
-SEEN_LIMBS = 8
+SEEN_SCORE = 0.2  # confidence score above which a limb joint counts as seen in the measuring protocol
+SEEN_LIMB_JOINTS = 8  # joints; a frame with more seen limb joints than these is compared in the measuring protocol
+MIN_COMMON_JOINTS = 4  # joints; fewer hardly tell one pose from another once they are aligned
 
 
-def common_joints(
+def match_joints(
     predicted: Sequence[str], truth: Sequence[str], limbs_only: bool = False
 ) -> tuple[list[int], list[int]]:
-    """Indices of the joints both have, in the truth's order, or in that of the twelve limb joints.
+    """Match the joints of two skeletons by name.
+
+    Args:
+        predicted: joint names of the prediction.
+        truth: joint names of the truth.
+        limbs_only: True to match the twelve limb joints only.
+
+    Returns:
+        Indices of the common joints in the prediction and in the truth, in the order of the truth's joints, or of
+        `LIMB_JOINTS` with `limbs_only`.
 
     Raises:
-        InputError: fewer than four in common.
+        InputError: Fewer than four joints are common.
     """
-    names = [n for n in (LIMBS if limbs_only else truth) if n in predicted and n in truth]
-    if len(names) < 4:
+    names = [n for n in (LIMB_JOINTS if limbs_only else truth) if n in predicted and n in truth]
+    if len(names) < MIN_COMMON_JOINTS:
         raise InputError(f'only {len(names)} joints in common with the reference: {", ".join(names)}')
     return [list(predicted).index(n) for n in names], [list(truth).index(n) for n in names]
 
 
-def well_seen(joints: Sequence[str], score: Array) -> NDArray[np.bool_]:
-    """(F,) frames in which more than eight of the limb joints score above 0.2; `score` (F, J)."""
-    limbs = [i for i, n in enumerate(joints) if n in LIMBS]
-    return np.asarray((np.nan_to_num(score[:, limbs]) > SEEN_SCORE).sum(axis=1) > SEEN_LIMBS)
-
-
-def scale_to(poses: Array, truth: Array) -> Array:
-    """Poses times the one factor that brings them closest to `truth`."""
-    return np.asarray(poses * ((poses * truth).sum() / (poses * poses).sum()))
-
-
-def errors(
-    predicted: Array, truth: Array, fps: float, frames: NDArray[np.bool_] | None = None
-) -> dict[str, float]:
-    """All errors of a sequence.
+def find_well_seen_frames(joint_names: Sequence[str], score: Array) -> NDArray[np.bool_]:
+    """Find the frames in which more than eight limb joints have a confidence score above 0.2.
 
     Args:
-        predicted: (F, J, 3) m in the camera's optical frame; frames with NaN count as failed.
-        truth: (F, J, 3) m, same joints.
-        fps: frames a second, for accelerations.
-        frames: (F,) which frames count; all by default.
+        joint_names: (J,) names of the keypoints.
+        score: (F, J) confidence scores.
 
     Returns:
-        mpjpe_mm: one scale for the sequence, no rotation. metric_mpjpe_mm: no scale. abs_mpjpe_mm: nothing
-        aligned. root_mm: error of the pose's centre. seq_mpjpe_mm: one similarity for the sequence.
-        pa_mpjpe_mm: one similarity a frame. e_paper_cm: eq. 25 of TPAMI 2016 after the sequence similarity.
-        accel_mm_s2: error of the second differences. joints, frames, failed_frames: counts.
+        (F,) True for these frames.
     """
-    counted = np.flatnonzero(np.ones(len(truth), bool) if frames is None else frames)
-    predicted, truth = predicted[counted], truth[counted]
-    good = np.isfinite(predicted).all(axis=(1, 2))
+    limbs = [i for i, n in enumerate(joint_names) if n in LIMB_JOINTS]
+    return np.asarray((np.nan_to_num(score[:, limbs]) > SEEN_SCORE).sum(axis=1) > SEEN_LIMB_JOINTS)
+
+
+def scale_to_reference(poses: Array, reference: Array) -> Array:
+    """Return the poses P scaled by the factor s = <P, Q> / <P, P> that brings them closest to a reference Q."""
+    return np.asarray(poses * ((poses * reference).sum() / (poses * poses).sum()))
+
+
+def compute_errors(
+    predicted: Array, truth: Array, fps: float, frames: NDArray[np.bool_] | None = None
+) -> dict[str, float]:
+    """Compute all errors of a sequence.
+
+    Args:
+        predicted: (F, J, 3) m, camera optical frame; a frame with a NaN counts as failed.
+        truth: (F, J, 3) m, same joints, same frame of reference.
+        fps: frames a second, for accelerations.
+        frames: (F,) True for the frames to compare; None for all.
+
+    Returns:
+        The errors by name; only the counts if every compared frame failed.
+
+        mpjpe_mm: mean distance of centred joints after one scale for the sequence.
+        metric_mpjpe_mm: mean distance of centred joints without a scale.
+        abs_mpjpe_mm: mean distance of joints without any alignment.
+        root_mm: mean distance of the poses' centroids.
+        seq_mpjpe_mm: mean distance after one similarity transform for the sequence.
+        pa_mpjpe_mm: mean distance after one similarity transform for each frame (Procrustes analysis).
+        e_paper_cm: eq. 25 of TPAMI 2016 after one similarity transform for the sequence.
+        accel_mm_s2: mean error of the second differences, scaled as for mpjpe_mm.
+        joints: number of compared joints.
+        frames: number of compared frames.
+        failed_frames: number of these without a prediction.
+    """
+    compared = np.flatnonzero(np.ones(len(truth), bool) if frames is None else frames)
+    predicted, truth = predicted[compared], truth[compared]
+    has_prediction = np.isfinite(predicted).all(axis=(1, 2))
     counts = {
         'joints': truth.shape[1],
-        'frames': len(counted),
-        'failed_frames': int((~good).sum()),
+        'frames': len(compared),
+        'failed_frames': int((~has_prediction).sum()),
     }
-    if not good.any():
+    if not has_prediction.any():
         return {**counts}
-    predicted, truth, index = predicted[good], truth[good], counted[good]
-    p, t = centred(predicted), centred(truth)
+    predicted, truth, index = predicted[has_prediction], truth[has_prediction], compared[has_prediction]
+    p, q = centre_poses(predicted), centre_poses(truth)
 
     def mean_mm(difference: Array) -> float:
         return float(np.linalg.norm(difference, axis=-1).mean() * 1e3)
 
-    scaled = scale_to(p, t)
-    whole = rotation_to(p.reshape(-1, 3), t.reshape(-1, 3))
-    sequence = scale_to(p @ whole.T, t)
-    turned = p @ np.swapaxes(rotation_to(p, t), -1, -2)
-    factor = (turned * t).sum(axis=(1, 2)) / (turned * turned).sum(axis=(1, 2))
-    adjacent = (index[2:] - index[:-2]) == 2
-    acceleration = (np.diff(scaled, 2, axis=0) - np.diff(t, 2, axis=0))[adjacent]
+    scaled = scale_to_reference(p, q)
+    sequence_rotation = fit_rotation(p.reshape(-1, 3), q.reshape(-1, 3))
+    sequence_aligned = scale_to_reference(p @ sequence_rotation.T, q)
+    rotated = p @ np.swapaxes(fit_rotation(p, q), -1, -2)
+    frame_scale = (rotated * q).sum(axis=(1, 2)) / (rotated * rotated).sum(axis=(1, 2))
+    is_adjacent = (index[2:] - index[:-2]) == 2
+    acceleration_error = (np.diff(scaled, 2, axis=0) - np.diff(q, 2, axis=0))[is_adjacent]
     return {
-        'mpjpe_mm': mean_mm(scaled - t),
-        'metric_mpjpe_mm': mean_mm(p - t),
+        'mpjpe_mm': mean_mm(scaled - q),
+        'metric_mpjpe_mm': mean_mm(p - q),
         'abs_mpjpe_mm': mean_mm(predicted - truth),
         'root_mm': mean_mm(predicted.mean(axis=1) - truth.mean(axis=1)),
-        'seq_mpjpe_mm': mean_mm(sequence - t),
-        'pa_mpjpe_mm': mean_mm(turned * factor[:, None, None] - t),
-        'e_paper_cm': float(np.sqrt(((sequence - t) ** 2).sum()) / len(t) * 100),
-        'accel_mm_s2': mean_mm(acceleration) * fps**2 if len(acceleration) else float('nan'),
+        'seq_mpjpe_mm': mean_mm(sequence_aligned - q),
+        'pa_mpjpe_mm': mean_mm(rotated * frame_scale[:, None, None] - q),
+        'e_paper_cm': float(np.sqrt(((sequence_aligned - q) ** 2).sum()) / len(q) * 100),
+        'accel_mm_s2': mean_mm(acceleration_error) * fps**2 if len(acceleration_error) else float('nan'),
         **counts,
     }
 
 
-def bone_std_mm(poses: Array, skeleton: Skeleton) -> float:
-    """Standard deviation over time of bone lengths, mean over the bones, mm; `poses` (F, J, 3) m."""
+def compute_bone_std_mm(poses: Array, skeleton: Skeleton) -> float:
+    """Return the mean over the bones of the standard deviation (mm) of their lengths in poses (F, J, 3) m."""
     return float(np.nanstd(skeleton.bone_lengths(poses), axis=0).mean() * 1e3)

@@ -1,1 +1,1 @@
-"""Files that are not bags."""
+"""Readers and writers of files that are not bags."""

@@ -1,19 +1,22 @@
-"""Keypoints in COCO's JSON and its kin: what MMPose, AlphaPose, YOLO and Detectron2 export.
+"""COCO keypoints in JSON, and the related files that MMPose, AlphaPose, YOLO and Detectron2 write.
 
-Understood are, with `keypoints` x, y, score (or visibility 0, 1, 2) of 17 joints, or of another known layout:
+These forms are read. The field `keypoints` holds x, y and the score (or the visibility 0, 1, 2) of the 17 joints
+of COCO, or of the joints of another known layout.
 
-- a list of results: {image_id, keypoints, score} (COCO results, YOLO `save_json`), with `idx` or `track_id` where
-  people are tracked (AlphaPose);
-- annotations: {images, annotations, categories};
-- a list of frames, {frame_id, instances: [{keypoints, keypoint_scores, bbox_score}]} (MMPose), or that as
-  `instance_info`;
-- a list with a list of people for each frame (YOLO `to_json` of every frame; keypoints {x, y, visible}).
+- A list of results {image_id, keypoints, score}: COCO results and YOLO's `save_json`. AlphaPose adds `idx` or
+  `track_id` where it tracks people.
+- Annotations {images, annotations, categories}.
+- A list of frames {frame_id, instances: [{keypoints, keypoint_scores, bbox_score}]}, or a mapping with that list
+  as `instance_info`: MMPose.
+- A list that holds the list of people of each frame, with keypoints {x, y, visible}: YOLO's `to_json` of all
+  frames.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
@@ -21,22 +24,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError, SkeletonError
-from mocap_ros.formats.detections import Detections, Video, numbered, person_of
+from mocap_ros.formats.detections import Detections, Video, arrange_frames, create_person
 from mocap_ros.formats.text_files import read_json
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.skeleton import own_names
+from mocap_ros.skeleton import canonical_joint_names
 
 Array = NDArray[np.float64]
 
-LEAST_PERSON_SCORE = 0.1
-VISIBLE = 2.0
-PERSON_IDS = ('track_id', 'idx')
-MALFORMED = (LookupError, TypeError, ValueError, OverflowError, AttributeError)
-PERSON_SCORES = ('score', 'bbox_score', 'confidence')
+MIN_PERSON_SCORE = 0.1  # people with a lower score are left out: COCO results hold many improbable people
+VISIBLE = 2.0  # COCO's visibility of a joint that is seen; 1 is a joint that is labelled but hidden
+ID_KEYS = ('track_id', 'idx')  # keys of the id that a tracker gives to a person
+SCORE_KEYS = ('score', 'bbox_score', 'confidence')  # keys of the score of a person
+MAX_FRAME_NUMBER_DIGITS = 18  # keeps the number within 64 bits
+MALFORMED = (LookupError, TypeError, ValueError, OverflowError, AttributeError)  # what unexpected content raises
 
 
 class _Instance(NamedTuple):
-    """One person in one frame, as the file has it; `place` names it in errors."""
+    """One person in one frame.
+
+    Attributes:
+        frame: number of the frame.
+        place: position of the person in the file, for error messages.
+        content: content of the file at that position.
+    """
 
     frame: int
     place: str
@@ -44,82 +54,95 @@ class _Instance(NamedTuple):
 
 
 def load_coco(path: Path, video: Video) -> Detections:
-    """Everyone in a file; people scored below `LEAST_PERSON_SCORE` are left out.
+    """Load all people from a file, except people with a score below `MIN_PERSON_SCORE`.
 
-    A frame's number is its image's `frame_id`, else the last number in its file name, else its id.
+    The number of a frame is `frame_id` of its image, else the last number in the image's file name, else the
+    image's id.
 
     Args:
-        path: of the file.
-        video: the frame rate is needed; a size in the file goes before the one here.
+        path: path of the file.
+        video: the frame rate, which is required, the layout, and the image size, which a size in the file
+            overrides.
 
     Raises:
-        InputError: none of these forms, or content that cannot be used; names the file and the entry.
+        InputError: the file has none of these forms, or its content is not valid; the error names the file and the
+            entry.
     """
     content = read_json(path)
     try:
-        images = _images(content)
-        frames: dict[int, list[Person2D]] = {number: [] for number, _ in images.values()}
-        instances = _instances(content, {key: number for key, (number, _) in images.items()}, frames)
-        arrays = [_placed(_keypoints, i) for i in instances]
-        flags = _are_flags(arrays)
-        names = _names(content)
+        images = _read_images(content)
+        people_by_number: dict[int, list[Person2D]] = {number: [] for number, _ in images.values()}
+        number_by_image_id = {image_id: number for image_id, (number, _) in images.items()}
+        instances = _read_instances(content, number_by_image_id, people_by_number)
+        arrays = [_read_content(_read_keypoints, i) for i in instances]
+        scores_are_visibility = _scores_are_visibility(arrays)
+        joint_names = _read_joint_names(content)
         for instance, keypoints in zip(instances, arrays, strict=True):
-            if flags:
+            if scores_are_visibility:
                 keypoints[:, 2] /= VISIBLE
-            person = _placed(lambda i, k=keypoints: person_of(k, video.layout, _id(i), names), instance)
+            read_person = partial(_create_person, keypoints, video.layout, joint_names)
+            person = _read_content(read_person, instance)
             if (person.score > 0).any():
-                frames.setdefault(instance.frame, []).append(person)
+                people_by_number.setdefault(instance.frame, []).append(person)
         sizes = {size for _, size in images.values() if size is not None}
         if len(sizes) > 1:
-            raise InputError('images: of different sizes; one video a file')
+            raise InputError('images: of different sizes; a file must hold one video')
         size = sizes.pop() if sizes else video.image_size
-        return numbered(frames, Video(video.fps, size, video.layout))
+        return arrange_frames(people_by_number, Video(video.fps, size, video.layout))
     except InputError as error:
         raise InputError(f'{path}: {error}') from None
 
 
-def _placed(make: Any, instance: _Instance) -> Any:
-    """What `make` makes of the content, with errors that say where."""
+def _create_person(
+    keypoints: Array, layout_name: str, joint_names: tuple[str, ...], content: Mapping[str, Any]
+) -> Person2D:
+    return create_person(keypoints, layout_name, _read_id(content), joint_names)
+
+
+def _read_content(read: Callable[[Mapping[str, Any]], Any], instance: _Instance) -> Any:
+    """Apply a function to the content of an instance; errors name the place of the instance."""
     try:
-        return make(instance.content)
+        return read(instance.content)
     except (InputError, SkeletonError) as error:
         raise InputError(f'{instance.place}: {error}') from None
     except MALFORMED:
         raise InputError(f'{instance.place}: keypoints: expected x, y, score of every joint') from None
 
 
-def _images(content: Any) -> dict[Any, tuple[int, tuple[int, int] | None]]:
-    """Number and size (px) of the image of every id."""
-    listed = content.get('images', []) if isinstance(content, dict) else []
-    found = {}
+def _read_images(content: Any) -> dict[Any, tuple[int, tuple[int, int] | None]]:
+    """Return the frame number and the size in px (None where unknown) of each image, by the image's id."""
+    entries = content.get('images', []) if isinstance(content, dict) else []
+    images = {}
     try:
-        for image in listed:
+        for image in entries:
             name = image.get('frame_id', image.get('file_name', image['id']))
             size = (int(image['width']), int(image['height'])) if 'width' in image else None
             if size is not None and min(size) < 1:
                 raise ValueError
-            found[image['id']] = (_number(name), size)
+            images[image['id']] = (_parse_frame_number(name), size)
     except MALFORMED:
-        raise InputError(f'images[{len(found)}]: expected id, file_name, width, height') from None
-    numbers = [number for number, _ in found.values()]
+        raise InputError(f'images[{len(images)}]: expected id, file_name, width, height') from None
+    numbers = [number for number, _ in images.values()]
     if len(set(numbers)) != len(numbers):
-        twice = max(numbers, key=numbers.count)
-        raise InputError(f'images: several have the frame number {twice}; one video a file')
-    return found
+        repeated = max(numbers, key=numbers.count)
+        raise InputError(f'images: several have the frame number {repeated}; a file must hold one video')
+    return images
 
 
-def _number(name: Any) -> int:
-    """The frame number in an image's name or id."""
+def _parse_frame_number(name: Any) -> int:
+    """Return the frame number in an image's name or id."""
     if isinstance(name, int):
         return name
     digits = re.findall(r'\d+', PurePath(name).stem)
     if not digits:
         raise InputError(f'image {name!r}: no frame number in its name')
-    return int(digits[-1][-18:])
+    return int(digits[-1][-MAX_FRAME_NUMBER_DIGITS:])
 
 
-def _instances(content: Any, numbers: Mapping[Any, int], frames: dict[int, list[Person2D]]) -> list[_Instance]:
-    """Everyone in the file; adds the frames that it knows of to `frames`."""
+def _read_instances(
+    content: Any, number_by_image_id: Mapping[Any, int], people_by_number: dict[int, list[Person2D]]
+) -> list[_Instance]:
+    """Return all probable people in the file, and add all its frames to `people_by_number`."""
     field = ''
     if isinstance(content, dict):
         field = next((key for key in ('annotations', 'instance_info', 'predictions') if key in content), '')
@@ -129,7 +152,7 @@ def _instances(content: Any, numbers: Mapping[Any, int], frames: dict[int, list[
         content = content[field]
     if not isinstance(content, list):
         raise InputError('no COCO keypoints: expected a list')
-    found = []
+    instances = []
     for index, entry in enumerate(content):
         place = f'{field}[{index}]'
         try:
@@ -138,31 +161,30 @@ def _instances(content: Any, numbers: Mapping[Any, int], frames: dict[int, list[
             elif 'instances' in entry:
                 frame, people = int(entry['frame_id']), list(entry['instances'])
             else:
-                frame, people = _frame_of(entry['image_id'], numbers), []
-                found.append(_Instance(frame, place, entry))
+                image_id = entry['image_id']
+                is_listed = image_id in number_by_image_id
+                frame = number_by_image_id[image_id] if is_listed else _parse_frame_number(image_id)
+                people = []
+                instances.append(_Instance(frame, place, entry))
         except MALFORMED:
             raise InputError(f'{place}: expected image_id and keypoints, or frame_id and instances') from None
-        frames.setdefault(frame, [])
-        found += [_Instance(frame, f'{place}.instances[{i}]', person) for i, person in enumerate(people)]
-    return [i for i in found if _is_person(i)]
+        people_by_number.setdefault(frame, [])
+        instances += [_Instance(frame, f'{place}.instances[{i}]', person) for i, person in enumerate(people)]
+    return [i for i in instances if _is_probable_person(i)]
 
 
-def _frame_of(image_id: Any, numbers: Mapping[Any, int]) -> int:
-    return numbers[image_id] if image_id in numbers else _number(image_id)
-
-
-def _is_person(instance: _Instance) -> bool:
-    """Whether it has keypoints, and a score worth a look."""
+def _is_probable_person(instance: _Instance) -> bool:
+    """Return whether an instance has keypoints, and no score below `MIN_PERSON_SCORE`."""
     content = instance.content
     if not isinstance(content, dict):
         raise InputError(f'{instance.place}: expected a person with keypoints')
-    score = next((content[key] for key in PERSON_SCORES if key in content), 1.0)
-    unlikely = isinstance(score, (int, float)) and score < LEAST_PERSON_SCORE
-    return bool(content.get('keypoints')) and not unlikely
+    score = next((content[key] for key in SCORE_KEYS if key in content), 1.0)
+    is_improbable = isinstance(score, (int, float)) and score < MIN_PERSON_SCORE
+    return bool(content.get('keypoints')) and not is_improbable
 
 
-def _keypoints(content: Mapping[str, Any]) -> Array:
-    """(J, 3) x, y px and score."""
+def _read_keypoints(content: Mapping[str, Any]) -> Array:
+    """Return (J, 3) x and y in px and the score; ValueError where the content has another shape."""
     raw = content['keypoints']
     if isinstance(raw, dict):
         ones = [1.0] * len(raw['x'])
@@ -178,27 +200,27 @@ def _keypoints(content: Mapping[str, Any]) -> Array:
     return keypoints
 
 
-def _are_flags(arrays: list[Array]) -> bool:
-    """Whether the third numbers are COCO's visibility (0, 1, 2) and no scores."""
-    third = np.concatenate([a[:, 2] for a in arrays]) if arrays else np.zeros(0)
-    return bool(np.isin(third, (0.0, 1.0, VISIBLE)).all() and (third == VISIBLE).any())
+def _scores_are_visibility(arrays: list[Array]) -> bool:
+    """Return whether the scores of all keypoints are COCO's visibility (0, 1 or 2)."""
+    scores = np.concatenate([a[:, 2] for a in arrays]) if arrays else np.zeros(0)
+    return bool(np.isin(scores, (0.0, 1.0, VISIBLE)).all() and (scores == VISIBLE).any())
 
 
-def _names(content: Any) -> tuple[str, ...]:
-    """Names of the joints where the file has them."""
+def _read_joint_names(content: Any) -> tuple[str, ...]:
+    """Return the names of the joints, or nothing where the file has none."""
     categories = content.get('categories') if isinstance(content, dict) else None
     for category in categories if isinstance(categories, list) else ():
         names = category.get('keypoints') if isinstance(category, dict) else None
         if names and all(isinstance(name, str) for name in names):
-            return own_names(names)
+            return canonical_joint_names(names)
     return ()
 
 
-def _id(content: Mapping[str, Any]) -> str:
-    """The name that a tracker gave to a person, or empty."""
-    given = next((content[key] for key in PERSON_IDS if key in content), None)
-    while isinstance(given, list) and given:
-        given = given[0]
-    if isinstance(given, float) and given.is_integer():
-        given = int(given)
-    return str(given) if isinstance(given, (int, str)) else ''
+def _read_id(content: Mapping[str, Any]) -> str:
+    """Return the id that a tracker gave to a person, or an empty text."""
+    value = next((content[key] for key in ID_KEYS if key in content), None)
+    while isinstance(value, list) and value:
+        value = value[0]
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    return str(value) if isinstance(value, (int, str)) else ''

@@ -1,4 +1,13 @@
-"""Everyone that a detector saw in the images of one camera, and the one of them who is reconstructed."""
+"""All people that a detector saw in the images of one camera, and the choice of the person to reconstruct.
+
+People with an id are identified by it. People without an id are associated by position. The cost of a detection
+that continues a track is
+
+    c = d / (MAX_MATCH_DISTANCE + MAX_SPEED dt),
+
+where d is the median distance of their keypoints in body sizes, and dt the time in s since the track was last
+seen. The assignment with the smallest sum of costs is taken, except its pairs with c >= 1.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +22,19 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from mocap_ros.errors import InputError
-from mocap_ros.formats import sequence_file
+from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import first_fault, looks_normalised, tidied
-from mocap_ros.skeleton import joint_map, layout
+from mocap_ros.keypoints.validation import find_first_fault, looks_normalised, mark_unseen
+from mocap_ros.skeleton import keypoint_layout
+from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
-LAYOUTS = {
+# The layout that a detector's file means by its number of keypoints. The 133 keypoints of COCO-WholeBody begin
+# with the 17 of COCO, and the 136 of Halpe-FullBody with the 26 of the body.
+LAYOUT_BY_KEYPOINT_COUNT = {
     17: 'coco17',
     18: 'coco18',
     25: 'body25',
@@ -30,22 +43,29 @@ LAYOUTS = {
     133: 'coco17',
     136: 'halpe26',
 }
-USUAL_SIZES = ((640, 480), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160), (7680, 4320))
 
-MOST_FRAMES = 1_000_000
-LONGEST_GAP_S = 3.0
-FARTHEST_MATCH = 1.0  # body sizes (RMS radius)
-GREATEST_SPEED = 3.0  # body sizes a second
+# (width, height) in px of common videos, smallest first; the smallest that holds the keypoints is assumed.
+COMMON_IMAGE_SIZES = ((640, 480), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160), (7680, 4320))
+IMAGE_SIZE_PERCENTILE = 99  # percent of the keypoints that the assumed image holds; the others may be outliers
+
+MAX_FRAMES = 1_000_000  # guards the memory against frame numbers that are not of one video; 9 h at 30 Hz
+MAX_GAP_S = 3.0  # s without a detection after which a track without an id ends; documented in docs/files.md
+MAX_MATCH_DISTANCE = 1.0  # body sizes (RMS radius of the keypoints); people who stand nearer overlap anyway
+MAX_SPEED = 3.0  # body sizes per s; adds to MAX_MATCH_DISTANCE over the time without a detection
+MAX_COST = 1e6  # bounds the costs of the assignment, which must be finite
+MIN_BODY_SIZE_PX = 1.0  # px; guards a division by the size of a body seen as a single point
+MAX_LISTED_PEOPLE = 5  # people named in a line of output
 
 
 @dataclass(frozen=True)
 class Video:
-    """What the files of a detector do not say of the video.
+    """The properties of a video that a detector's files do not state.
 
     Attributes:
-        fps: frames a second.
-        image_size: (width, height) px.
-        layout: of the keypoints, as in `skeleton.LAYOUT_NAMES`; empty to tell it from their number.
+        fps: frame rate in Hz, or None where unknown.
+        image_size: (width, height) in px, or None where unknown.
+        layout: name of the keypoint layout, one of `skeleton.LAYOUT_NAMES`; empty where the number of keypoints
+            tells the layout.
     """
 
     fps: float | None = None
@@ -55,15 +75,15 @@ class Video:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """Everyone in every frame.
+    """All people in all frames.
 
     Attributes:
-        people: (F,) those in each frame; an empty id: not known who.
+        people: (F,) the people in each frame; people without an id are identified by position.
         stamps_ns: (F,) ns, strictly increasing.
-        image_size: (width, height) px, or None where unknown.
-        intrinsics: of the camera, or None where unknown.
-        frame_id: the camera's optical frame, or empty.
-        remarks: what the reader left out, a line each.
+        image_size: (width, height) in px, or None where unknown.
+        intrinsics: intrinsics of the camera, or None where unknown.
+        frame_id: name of the camera's optical frame, or empty.
+        remarks: lines that say what the reader left out.
     """
 
     people: Sequence[Sequence[Person2D]]
@@ -75,176 +95,209 @@ class Detections:
 
 
 @dataclass(eq=False)
-class Track:
-    """One person over time: what was seen of them, by frame."""
+class PersonTrack:
+    """The detections of one person over time.
+
+    Attributes:
+        id: id of the person.
+        detection_by_frame: the person's keypoints by the index of the frame, in the order of the frames.
+    """
 
     id: str
-    seen: dict[int, Person2D] = field(default_factory=dict)
+    detection_by_frame: dict[int, Person2D] = field(default_factory=dict)
 
     @property
-    def last(self) -> int:
-        """The last frame with them."""
-        return next(reversed(self.seen))
+    def last_frame(self) -> int:
+        """Index of the last frame in which the person was seen."""
+        return next(reversed(self.detection_by_frame))
 
     @property
-    def newest(self) -> Person2D:
-        """What was seen of them there."""
-        return self.seen[self.last]
+    def last_detection(self) -> Person2D:
+        """Keypoints in the last frame in which the person was seen."""
+        return self.detection_by_frame[self.last_frame]
 
 
-def person_of(raw: Array, layout_name: str = '', person_id: str = '', names: Sequence[str] = ()) -> Person2D:
-    """A checked person.
+def create_person(
+    keypoints: Array, layout_name: str = '', person_id: str = '', joint_names: Sequence[str] = ()
+) -> Person2D:
+    """Validate the keypoints of a person from a file.
 
     Args:
-        raw: (J, 3) x, y in px and score; those beyond the joints of the layout are left out.
-        layout_name: of the joints, or empty to tell it from their number.
-        person_id: given by the detector, or empty.
-        names: (J,) of the joints, where the file has them.
+        keypoints: (J, 3) x and y in px and the score; keypoints beyond the joints of the layout are left out.
+        layout_name: name of the keypoint layout; empty where `joint_names` or the number of keypoints tells it.
+        person_id: id given by the detector, or empty.
+        joint_names: (J,) names of the joints, or empty; they are used if `layout_name` is empty.
 
     Raises:
-        InputError: unknown layout, too few joints, or a keypoint that cannot be used.
+        InputError: no layout has that number of keypoints, or a keypoint is not valid.
+        SkeletonError: the layout is unknown, or too few of its joints are known.
     """
-    if not layout_name and not names and len(raw) not in LAYOUTS:
-        raise InputError(f'{len(raw)} keypoints: no layout known; name it')
-    joints = tuple(names) if names and not layout_name else layout(layout_name or LAYOUTS[len(raw)]).joints
-    if len(raw) < len(joints):
-        raise InputError(f'{len(raw)} keypoints, expected {len(joints)}')
-    joint_map(joints)
-    points, score = raw[: len(joints), :2], raw[: len(joints), 2]
-    fault = first_fault(points, score)
+    if not layout_name and not joint_names and len(keypoints) not in LAYOUT_BY_KEYPOINT_COUNT:
+        raise InputError(f'{len(keypoints)} keypoints: no layout known; name it')
+    if joint_names and not layout_name:
+        joints = tuple(joint_names)
+    else:
+        joints = keypoint_layout(layout_name or LAYOUT_BY_KEYPOINT_COUNT[len(keypoints)]).joints
+    if len(keypoints) < len(joints):
+        raise InputError(f'{len(keypoints)} keypoints, expected {len(joints)}')
+    build_joint_map(joints)
+    points, score = keypoints[: len(joints), :2], keypoints[: len(joints), 2]
+    fault = find_first_fault(points, score)
     if fault:
         raise InputError(f'{fault.field} of {joints[fault.index[0]]} is {fault.what}')
-    return Person2D(person_id, joints, *tidied(points, score))
+    return Person2D(person_id, joints, *mark_unseen(points, score))
 
 
-def numbered(frames: Mapping[int, Sequence[Person2D]], video: Video) -> Detections:
-    """Detections from frames by number; frames that are missing between them show nobody.
+def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Video) -> Detections:
+    """Arrange numbered frames in time; frames whose number is missing show nobody.
+
+    Args:
+        people_by_number: the people in each frame, by the number of the frame.
+        video: the frame rate, which is required, and the size of the images.
 
     Raises:
-        InputError: no frames, no frame rate, or numbers too far apart for a video.
+        InputError: there are no frames or no frame rate, or the numbers are too far apart for one video.
     """
-    if not frames:
+    if not people_by_number:
         raise InputError('no frames')
     if video.fps is None:
-        raise InputError('says no times; give the frames a second (--fps)')
-    numbers = sorted(frames)
+        raise InputError('the file has no timestamps; give the frame rate (--fps)')
+    numbers = sorted(people_by_number)
     step = gcd(*(b - a for a, b in pairwise(numbers))) or 1
-    every = range(numbers[0], numbers[-1] + 1, step)
-    if len(every) > MOST_FRAMES:
+    all_numbers = range(numbers[0], numbers[-1] + 1, step)
+    if len(all_numbers) > MAX_FRAMES:
         raise InputError(f'frames are numbered {numbers[0]} to {numbers[-1]}: not those of one video')
-    stamps = [round((number - numbers[0]) / video.fps * sequence_file.NS) for number in every]
-    return Detections([frames.get(number, ()) for number in every], stamps, video.image_size)
+    stamps = [round((number - numbers[0]) / video.fps * NS_PER_S) for number in all_numbers]
+    return Detections([people_by_number.get(number, ()) for number in all_numbers], stamps, video.image_size)
 
 
-def tracks(detections: Detections) -> list[Track]:
-    """Everyone over time: by the detector's ids, the nameless by position; in the order of appearance."""
-    found: list[Track] = []
-    by_id: dict[str, Track] = {}
-    nameless: list[Track] = []
-    taken = {person.id for people in detections.people for person in people}
-    free_names = (name for name in (f'person_{n}' for n in count(1)) if name not in taken)
+def associate_people(detections: Detections) -> list[PersonTrack]:
+    """Associate the detections of each person over time, by id, or by position where there is no id.
 
-    def gap_s(track: Track, frame: int) -> float:
-        return (detections.stamps_ns[frame] - detections.stamps_ns[track.last]) / sequence_file.NS
+    If no frame shows two people, all detections without an id are of one person.
 
-    alone = all(len(people) <= 1 for people in detections.people)
+    Returns:
+        The tracks in the order of their first frame.
+    """
+    tracks: list[PersonTrack] = []
+    track_by_id: dict[str, PersonTrack] = {}
+    unnamed_tracks: list[PersonTrack] = []
+    used_ids = {person.id for people in detections.people for person in people}
+    unused_ids = (person_id for person_id in (f'person_{n}' for n in count(1)) if person_id not in used_ids)
+
+    def compute_gap_s(track: PersonTrack, frame: int) -> float:
+        return (detections.stamps_ns[frame] - detections.stamps_ns[track.last_frame]) / NS_PER_S
+
+    is_alone = all(len(people) <= 1 for people in detections.people)
     for frame, people in enumerate(detections.people):
         for person in people:
             if person.id and (person.score > 0).any():
-                if person.id not in by_id:
-                    found.append(by_id.setdefault(person.id, Track(person.id)))
-                by_id[person.id].seen[frame] = person
-        new = [p for p in people if not p.id and (p.score > 0).any()]
-        if not alone:
-            nameless = [t for t in nameless if gap_s(t, frame) <= LONGEST_GAP_S]
-        matches = _matches(new, nameless, [gap_s(t, frame) for t in nameless], alone)
-        for i, person in enumerate(new):
+                if person.id not in track_by_id:
+                    tracks.append(track_by_id.setdefault(person.id, PersonTrack(person.id)))
+                track_by_id[person.id].detection_by_frame[frame] = person
+        unnamed = [p for p in people if not p.id and (p.score > 0).any()]
+        if not is_alone:
+            unnamed_tracks = [t for t in unnamed_tracks if compute_gap_s(t, frame) <= MAX_GAP_S]
+        gaps_s = [compute_gap_s(t, frame) for t in unnamed_tracks]
+        matches = _match_by_position(unnamed, unnamed_tracks, gaps_s, is_alone)
+        for i, person in enumerate(unnamed):
             if i not in matches:
-                matches[i] = Track(next(free_names))
-                nameless.append(matches[i])
-                found.append(matches[i])
-            matches[i].seen[frame] = person
-    return found
+                matches[i] = PersonTrack(next(unused_ids))
+                unnamed_tracks.append(matches[i])
+                tracks.append(matches[i])
+            matches[i].detection_by_frame[frame] = person
+    return tracks
 
 
-def _matches(
-    new: Sequence[Person2D], old: Sequence[Track], gaps: Sequence[float], alone: bool
-) -> dict[int, Track]:
-    """Which of the known tracks, last seen so many s ago, each of the new people continues."""
-    if not new or not old:
+def _match_by_position(
+    people: Sequence[Person2D], tracks: Sequence[PersonTrack], gaps_s: Sequence[float], is_alone: bool
+) -> dict[int, PersonTrack]:
+    """Find the track that each person continues.
+
+    Args:
+        people: the people in a frame.
+        tracks: the tracks before that frame.
+        gaps_s: time in s since each track was last seen.
+        is_alone: whether all frames show one person at most; then that person continues the only track.
+
+    Returns:
+        The track by the index of the person, for the people who continue one.
+    """
+    if not people or not tracks:
         return {}
-    if alone:
-        return {0: old[0]}
-    excess = np.array(
+    if is_alone:
+        return {0: tracks[0]}
+    cost = np.array(
         [
             [
-                _apart(p, t.newest) / (FARTHEST_MATCH + GREATEST_SPEED * gap)
-                for t, gap in zip(old, gaps, strict=True)
+                _compute_distance(p, t.last_detection) / (MAX_MATCH_DISTANCE + MAX_SPEED * gap_s)
+                for t, gap_s in zip(tracks, gaps_s, strict=True)
             ]
-            for p in new
+            for p in people
         ]
     )
-    rows, columns = linear_sum_assignment(np.minimum(excess, 1e6))
-    return {int(r): old[c] for r, c in zip(rows, columns, strict=True) if excess[r, c] < 1}
+    rows, columns = linear_sum_assignment(np.minimum(cost, MAX_COST))
+    return {int(r): tracks[c] for r, c in zip(rows, columns, strict=True) if cost[r, c] < 1}
 
 
-def _apart(a: Person2D, b: Person2D) -> float:
-    """Distance of two detections, in body sizes (RMS radius)."""
-    both = (a.score > 0) & (b.score > 0) if a.joints == b.joints else np.zeros(0, bool)
-    size = max(_radius(a), _radius(b), 1.0)
-    if both.any():
-        return float(np.median(np.linalg.norm(a.points[both] - b.points[both], axis=1))) / size
+def _compute_distance(a: Person2D, b: Person2D) -> float:
+    """Compute the distance of two detections in body sizes (RMS radius of the keypoints)."""
+    both_seen = (a.score > 0) & (b.score > 0) if a.joints == b.joints else np.zeros(0, bool)
+    size = max(_compute_rms_radius(a), _compute_rms_radius(b), MIN_BODY_SIZE_PX)
+    if both_seen.any():
+        return float(np.median(np.linalg.norm(a.points[both_seen] - b.points[both_seen], axis=1))) / size
     return float(np.linalg.norm(np.nanmean(a.points, axis=0) - np.nanmean(b.points, axis=0))) / size
 
 
-def _radius(person: Person2D) -> float:
+def _compute_rms_radius(person: Person2D) -> float:
+    """Compute the RMS distance in px of the seen keypoints from their mean."""
     seen = person.points[person.score > 0]
     return float(np.sqrt(((seen - seen.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
-def sequence_of(detections: Detections, wanted: str | None = None) -> tuple[sequence_file.Sequence, list[str]]:
-    """The keypoints of one person.
+def select_person(detections: Detections, person_id: str | None = None) -> tuple[KeypointSequence, list[str]]:
+    """Select the person to reconstruct.
 
     Args:
-        detections: everyone.
-        wanted: whom; the one seen in most frames by default.
+        detections: all people.
+        person_id: id of the person; by default the person who is seen in most frames is selected.
 
     Returns:
-        The sequence, from the first frame with that person to the last, and lines that say who and what was
-        left out or assumed.
+        The keypoints from the first frame with that person to the last, and lines for the user that say who was
+        selected, what was left out and what was assumed.
 
     Raises:
-        InputError: nobody is there, or not the one who is wanted.
+        InputError: nobody is seen, there is no person of that id, or the keypoints are not in px.
     """
-    everyone = tracks(detections)
-    if not everyone:
+    tracks = associate_people(detections)
+    if not tracks:
         raise InputError('nobody is seen in any frame')
-    chosen = _chosen(everyone, wanted)
-    frames = range(min(chosen.seen), max(chosen.seen) + 1)
-    names = tuple(dict.fromkeys(name for person in chosen.seen.values() for name in person.joints))
+    selected = _select_track(tracks, person_id)
+    frames = range(min(selected.detection_by_frame), max(selected.detection_by_frame) + 1)
+    names = tuple(dict.fromkeys(name for person in selected.detection_by_frame.values() for name in person.joints))
     column = {name: i for i, name in enumerate(names)}
     keypoints = np.full((len(frames), len(names), 3), [np.nan, np.nan, 0.0])
-    for frame, person in chosen.seen.items():
-        at = [column[name] for name in person.joints]
-        keypoints[frame - frames[0], at] = np.column_stack([person.points, person.score])
+    for frame, person in selected.detection_by_frame.items():
+        columns = [column[name] for name in person.joints]
+        keypoints[frame - frames[0], columns] = np.column_stack([person.points, person.score])
     lines = [
-        f'person {chosen.id!r}, seen in {len(chosen.seen)} of {len(detections.people)} frames'
-        + (f'; {len(everyone) - 1} more, choose by --person: {_listed(everyone)}' if len(everyone) > 1 else ''),
+        f'person {selected.id!r}, seen in {len(selected.detection_by_frame)} of {len(detections.people)} frames'
+        + (f'; {len(tracks) - 1} more, choose by --person: {_list_people(tracks)}' if len(tracks) > 1 else ''),
         *detections.remarks,
     ]
     size = detections.image_size
     if size is None:
-        size = _usual_size(keypoints)
-        lines.append(f'image size not known, taken as {size[0]}x{size[1]} px; --image-size says it')
+        size = _assume_image_size(keypoints)
+        lines.append(f'image size not known, {size[0]}x{size[1]} px assumed; give it by --image-size')
     if looks_normalised(keypoints[..., :2], keypoints[..., 2], size[0]):
         raise InputError('keypoints look normalised; px expected')
     stamps = tuple(detections.stamps_ns[frame] for frame in frames)
-    sequence = sequence_file.Sequence(
+    sequence = KeypointSequence(
         keypoints=keypoints,
         joint_names=names,
-        timestamps=np.array(stamps) / sequence_file.NS,
+        timestamps=np.array(stamps) / NS_PER_S,
         image_size=size,
-        person_id=chosen.id,
+        person_id=selected.id,
         frame_id=detections.frame_id,
         recorded_ns=stamps,
         calibration=detections.intrinsics,
@@ -252,23 +305,29 @@ def sequence_of(detections: Detections, wanted: str | None = None) -> tuple[sequ
     return sequence, lines
 
 
-def _chosen(everyone: Sequence[Track], wanted: str | None) -> Track:
-    if wanted is None:
-        return max(everyone, key=lambda track: len(track.seen))
-    by_id = {track.id: track for track in everyone}
-    if wanted not in by_id:
-        raise InputError(f'no person {wanted!r}; there are {_listed(everyone)}')
-    return by_id[wanted]
+def _select_track(tracks: Sequence[PersonTrack], person_id: str | None) -> PersonTrack:
+    """Return the track of the person with this id, or the track with the most frames if the id is None.
+
+    Raises:
+        InputError: no person has this id.
+    """
+    if person_id is None:
+        return max(tracks, key=lambda track: len(track.detection_by_frame))
+    track_by_id = {track.id: track for track in tracks}
+    if person_id not in track_by_id:
+        raise InputError(f'no person {person_id!r}; there are {_list_people(tracks)}')
+    return track_by_id[person_id]
 
 
-def _listed(everyone: Sequence[Track], most: int = 5) -> str:
-    """The people seen most, with the number of frames."""
-    often = Counter({track.id: len(track.seen) for track in everyone}).most_common(most)
-    return ', '.join(f'{name} ({n})' for name, n in often) + (', ...' if len(everyone) > most else '')
+def _list_people(tracks: Sequence[PersonTrack]) -> str:
+    """Return the ids of the people who are seen most, each with the number of frames."""
+    frame_counts = Counter({track.id: len(track.detection_by_frame) for track in tracks})
+    listed = ', '.join(f'{person_id} ({n})' for person_id, n in frame_counts.most_common(MAX_LISTED_PEOPLE))
+    return listed + (', ...' if len(tracks) > MAX_LISTED_PEOPLE else '')
 
 
-def _usual_size(keypoints: Array) -> tuple[int, int]:
-    """The smallest usual image (px) that holds nearly every seen point; `keypoints` (F, J, 3)."""
+def _assume_image_size(keypoints: Array) -> tuple[int, int]:
+    """Return the smallest common image size in px that holds nearly all seen keypoints (F, J, 3)."""
     seen = keypoints[keypoints[..., 2] > 0][:, :2]
-    extent = np.percentile(seen, 99, axis=0) if len(seen) else np.zeros(2)
-    return next((size for size in USUAL_SIZES if (extent <= size).all()), USUAL_SIZES[-1])
+    extent = np.percentile(seen, IMAGE_SIZE_PERCENTILE, axis=0) if len(seen) else np.zeros(2)
+    return next((size for size in COMMON_IMAGE_SIZES if (extent <= size).all()), COMMON_IMAGE_SIZES[-1])

@@ -1,4 +1,4 @@
-"""Files in general: text and JSON of strangers, bounded, and one clear line for whatever goes wrong."""
+"""Reading text and JSON files of limited size, and one-line errors for files that cannot be read or written."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from typing import Any
 
 from mocap_ros.errors import InputError, MocapError
 
-LARGEST_FILE = 256 << 20
+MAX_FILE_BYTES = 256 << 20  # guards the memory; an hour of one person's COCO results at 30 Hz is about 100 MB
 
 
-def read_text(path: Path, errors: str = 'strict', largest: int = LARGEST_FILE) -> str:
-    """The content of a UTF-8 file.
+def read_text(path: Path, errors: str = 'strict', max_bytes: int = MAX_FILE_BYTES) -> str:
+    """Read a UTF-8 file, with or without a byte-order mark.
 
     Args:
-        path: of the file.
-        errors: what to do about other bytes, as of `bytes.decode`.
-        largest: bytes.
+        path: path of the file.
+        errors: what to do about bytes that are not UTF-8, as in `bytes.decode`.
+        max_bytes: size of the file in bytes above which it is refused.
 
     Raises:
-        InputError: no such file, too large, or not UTF-8; names it.
+        InputError: the file does not exist, is too large, or is not UTF-8; the error names the file.
     """
     try:
         with path.open('rb') as file:
-            content = file.read(largest + 1)
+            content = file.read(max_bytes + 1)
     except OSError as error:
         raise InputError(f'{path}: {error.strerror or error}') from None
-    if len(content) > largest:
-        raise InputError(f'{path}: larger than {largest >> 20} MiB')
+    if len(content) > max_bytes:
+        raise InputError(f'{path}: larger than {max_bytes >> 20} MiB')
     try:
         return content.decode('utf-8-sig', errors)
     except UnicodeDecodeError as error:
@@ -38,10 +38,10 @@ def read_text(path: Path, errors: str = 'strict', largest: int = LARGEST_FILE) -
 
 
 def read_json(path: Path) -> Any:
-    """The content of a JSON file.
+    """Read a JSON file.
 
     Raises:
-        InputError: as `read_text`, or not JSON.
+        InputError: the file cannot be read, as in `read_text`, or is not JSON; the error names the file.
     """
     text = read_text(path)
     try:
@@ -53,15 +53,18 @@ def read_json(path: Path) -> Any:
 
 
 @contextmanager
-def writing(path: Path, *sources: Path) -> Iterator[None]:
-    """Around whatever writes `path`: a failing disk is a MocapError that names the file.
+def guard_output(path: Path, *sources: Path) -> Iterator[None]:
+    """Guard the code that writes a file.
 
     Args:
-        path: to write.
-        sources: files that it is made from, which are not written over.
+        path: path of the file that is written.
+        sources: input files, which must not be overwritten.
+
+    Raises:
+        MocapError: `path` is one of the sources, or the file cannot be written; the error names the file.
     """
     if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
-        raise MocapError(f'{path}: not written: it is what was read')
+        raise MocapError(f'{path}: not written, because it is the input file')
     try:
         yield
     except OSError as error:

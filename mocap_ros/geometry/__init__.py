@@ -1,1 +1,1 @@
-"""Rotations and cameras; knows no people."""
+"""Rotations, lens distortion and camera models; nothing here depends on the human body."""

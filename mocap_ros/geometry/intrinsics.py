@@ -1,4 +1,10 @@
-"""The pinhole camera with lens distortion: pixels to rays and back."""
+"""Camera intrinsics: converts between pixels and rays.
+
+    u = fx x_d + cx,   v = fy y_d + cy
+
+(x_d, y_d) is the distorted image of the ray (x, y) = (X / Z, Y / Z); X, Y, Z are metres in the camera's optical
+frame (x right, y down, z forward).
+"""
 
 from __future__ import annotations
 
@@ -12,56 +18,64 @@ from mocap_ros.geometry.distortion import NO_DISTORTION, Distortion
 
 Array = NDArray[np.float64]
 
-
-LARGEST_PX = 1e6
+# px; focal lengths and principal points of a CameraInfo beyond it are refused, far above those of any real camera
+MAX_INTRINSIC_PX = 1e6
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A camera.
+    """Intrinsic parameters of a camera.
 
     Attributes:
-        focal: px, geometric mean of both focal lengths.
-        center: (cx, cy) px.
-        known: False where the focal length is only nominal.
+        focal: focal length in px, the geometric mean of fx and fy.
+        center: (cx, cy) principal point in px.
+        is_focal_known: False if the focal length is only nominal.
         aspect: fy / fx.
-        distortion: of the lens.
+        distortion: distortion of the lens.
     """
 
     focal: float
     center: tuple[float, float]
-    known: bool
+    is_focal_known: bool
     aspect: float = 1.0
     distortion: Distortion = NO_DISTORTION
 
-    def rays(self, points: Array) -> Array:
-        """(..., 2) px -> (..., 2) x / z and y / z of the ray through each point, distortion undone."""
+    def pixels_to_rays(self, points: Array) -> Array:
+        """Convert image points (..., 2) in px to undistorted rays (..., 2), each as x / z and y / z."""
         fx, fy = self.focal / self.aspect**0.5, self.focal * self.aspect**0.5
         return self.distortion.undistort((points - np.array(self.center)) / np.array([fx, fy]))
 
     def project(self, points: Array) -> Array:
-        """(..., 3) m, optical frame, z > 0 -> (..., 2) px."""
+        """Project points (..., 3) in m, optical frame, z > 0, to image points (..., 2) in px."""
         fx, fy = self.focal / self.aspect**0.5, self.focal * self.aspect**0.5
-        seen = self.distortion.distort(points[..., :2] / points[..., 2:])
-        return np.asarray(seen * np.array([fx, fy]) + np.array(self.center))
+        distorted = self.distortion.distort(points[..., :2] / points[..., 2:])
+        return np.asarray(distorted * np.array([fx, fy]) + np.array(self.center))
 
     @staticmethod
-    def nominal(width: int, height: int, focal_in_widths: float) -> Intrinsics:
-        """A guess from the image size alone."""
-        return Intrinsics(focal_in_widths * width, (width / 2, height / 2), known=False)
+    def from_image_size(width: int, height: int, focal_in_widths: float) -> Intrinsics:
+        """Return nominal intrinsics for an image of `width` by `height` px.
+
+        The focal length is `focal_in_widths` image widths and the principal point is the image centre.
+        """
+        return Intrinsics(focal_in_widths * width, (width / 2, height / 2), is_focal_known=False)
 
     @staticmethod
     def from_matrix(matrix: Array, distortion: Distortion = NO_DISTORTION) -> Intrinsics:
-        """From a (3, 3) camera matrix in px and the distortion of the lens.
+        """Return the intrinsics of a (3, 3) camera matrix in px and the distortion of the lens.
 
         Raises:
-            InputError: a focal length outside 1 to `LARGEST_PX`, or a principal point beyond it.
+            InputError: A focal length is not between 1 px and `MAX_INTRINSIC_PX`, or a coordinate of the principal
+                point is larger than `MAX_INTRINSIC_PX`.
         """
         focal_lengths, centre = matrix[[0, 1], [0, 1]], matrix[:2, 2]
-        if not ((focal_lengths >= 1) & (focal_lengths <= LARGEST_PX)).all():
-            raise InputError(f'focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g} px')
-        if not (np.abs(centre) <= LARGEST_PX).all():
-            raise InputError(f'principal point {centre[0]:g}, {centre[1]:g} px')
+        if not ((focal_lengths >= 1) & (focal_lengths <= MAX_INTRINSIC_PX)).all():
+            raise InputError(
+                f'focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g} px, expected 1 to {MAX_INTRINSIC_PX:g} px'
+            )
+        if not (np.abs(centre) <= MAX_INTRINSIC_PX).all():
+            raise InputError(
+                f'principal point {centre[0]:g}, {centre[1]:g} px, expected at most {MAX_INTRINSIC_PX:g} px'
+            )
         focal = float(np.sqrt(matrix[0, 0] * matrix[1, 1]))
         aspect = float(matrix[1, 1] / matrix[0, 0])
         return Intrinsics(focal, (float(matrix[0, 2]), float(matrix[1, 2])), True, aspect, distortion)

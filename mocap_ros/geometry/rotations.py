@@ -1,4 +1,4 @@
-"""Rotations: vectors, matrices, quaternions, and the rotation that brings one set of points closest to another."""
+"""Rotations as vectors, matrices and quaternions, and the rotation that best aligns two sets of points."""
 
 from __future__ import annotations
 
@@ -9,24 +9,35 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+MIN_SINE = 1e-12  # 1; guards the division by the sine of the rotation angle near the identity
+
 
 def nearest_rotation(affine: Array) -> Array:
-    """(..., 2, 3) -> (..., 3, 3) rotations whose first rows are nearest: singular values set to one."""
+    """A = U S V^T -> R[:2] = U V^T (TPAMI 2016, section 3.2: singular values set to one).
+
+    Return the rotations (..., 3, 3) whose first two rows are closest to the affine matrices (..., 2, 3).
+    """
     u, _, vt = np.linalg.svd(affine, full_matrices=False)
     rows = u @ vt
     third = np.cross(rows[..., 0, :], rows[..., 1, :])
     return np.concatenate([rows, third[..., None, :]], axis=-2)
 
 
-def small_rotation(vector: Array) -> Array:
-    """(..., 3) rotation vectors in rad -> (..., 3, 3) (Rodrigues)."""
+def rotation_from_vector(vector: Array) -> Array:
+    """R = I + sin(a) / a K + (1 - cos(a)) / a^2 K^2 (Rodrigues), where K x = v x x and a = |v|.
+
+    Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3) in rad.
+    """
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     k = cross_matrix(vector)
     return np.eye(3) + np.sinc(angle / np.pi) * k + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (k @ k)
 
 
-def quaternion(rotation: Array) -> tuple[float, float, float, float]:
-    """(x, y, z, w) of a rotation (3, 3), w at least 0; from the largest of the four (Shepperd)."""
+def quaternion_from_rotation(rotation: Array) -> tuple[float, float, float, float]:
+    """Return the unit quaternion (x, y, z, w), w >= 0, of a rotation matrix (3, 3).
+
+    The division is by the largest of the four components (Shepperd's method), so no rotation loses precision.
+    """
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     trace = a + e + i
     if trace >= max(a, e, i):
@@ -42,7 +53,7 @@ def quaternion(rotation: Array) -> tuple[float, float, float, float]:
 
 
 def cross_matrix(v: Array) -> Array:
-    """(..., 3) -> (..., 3, 3) with `cross_matrix(v) @ x == cross(v, x)`."""
+    """Return the cross-product matrices (..., 3, 3) of vectors (..., 3): `cross_matrix(v) @ x == cross(v, x)`."""
     out = np.zeros((*v.shape, 3))
     for row, column, axis in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
         out[..., row, column] = v[..., axis]
@@ -50,30 +61,40 @@ def cross_matrix(v: Array) -> Array:
     return out
 
 
-def rotation_vector(rotation: Array) -> Array:
-    """(..., 3, 3) rotations by less than half a turn -> (..., 3) rad; the inverse of `small_rotation`."""
+def vector_from_rotation(rotation: Array) -> Array:
+    """Return the rotation vectors (..., 3) in rad of rotation matrices (..., 3, 3).
+
+    This is the inverse of `rotation_from_vector` for angles below pi. The result is wrong for an angle of pi.
+    """
     twice = np.swapaxes(rotation, -1, -2) - rotation
     axis = -0.5 * np.stack([twice[..., 2, 1], twice[..., 0, 2], twice[..., 1, 0]], axis=-1)
     sine = np.linalg.norm(axis, axis=-1)
     angle = np.arctan2(sine, (np.einsum('...ii->...', rotation) - 1) / 2)
-    return np.asarray(axis * (np.maximum(angle, 1e-12) / np.maximum(sine, 1e-12))[..., None])
+    return np.asarray(axis * (np.maximum(angle, MIN_SINE) / np.maximum(sine, MIN_SINE))[..., None])
 
 
-def centred(poses: Array) -> Array:
-    """Poses (..., J, 3) moved so that the mean of the joints is the origin."""
+def centre_poses(poses: Array) -> Array:
+    """Move poses (..., J, 3) so that the mean of each pose's joints is the origin."""
     return poses - poses.mean(axis=-2, keepdims=True)
 
 
-def rotation_to(poses: Array, target: Array) -> Array:
-    """(..., 3, 3) rotations R with `poses @ R^T` closest to `target` (orthogonal Procrustes)."""
+def fit_rotation(poses: Array, target: Array) -> Array:
+    """Minimise sum_j |R p_j - q_j|^2 over rotations R (orthogonal Procrustes problem).
+
+    Return the rotations (..., 3, 3) with `poses @ R^T` closest to `target`, both (..., J, 3).
+    """
     u, _, vt = np.linalg.svd(np.swapaxes(target, -1, -2) @ poses)
     sign = np.ones(u.shape[:-1])
     sign[..., 2] = np.sign(np.linalg.det(u @ vt))
     return np.asarray((u * sign[..., None, :]) @ vt)
 
 
-def heading_to(poses: Array, target: Array) -> Array:
-    """(..., 3, 3) rotations about the vertical (z) that bring `poses` closest to `target`."""
+def fit_heading_rotation(poses: Array, target: Array) -> Array:
+    """Minimise sum_j |R_z(a) p_j - q_j|^2 over headings a: tan(a) = sum_j (p_j x q_j)_z / sum_j (p_j . q_j)_xy.
+
+    Return the rotations (..., 3, 3) about the vertical (z) that bring `poses` closest to `target`, both of shape
+    (..., J, 3).
+    """
     cross = poses[..., 0] * target[..., 1] - poses[..., 1] * target[..., 0]
     dot = poses[..., 0] * target[..., 0] + poses[..., 1] * target[..., 1]
     angle = np.arctan2(cross.sum(-1), dot.sum(-1))

@@ -1,7 +1,9 @@
-"""Virtual cameras that look at a person: rotations of the real one.
+"""Virtual cameras that face a person.
 
-Weak perspective is good near the optical axis only, so the solvers, which start from it, work in the image of a
-camera turned towards the person, and their answer is turned back.
+A virtual camera has the centre of the real camera and is rotated so that its optical axis points at the person.
+Weak perspective approximates a real camera well only near the optical axis. The solvers start from weak
+perspective, so they work in the image of a virtual camera, and their solution is rotated back into the real
+camera's frame.
 """
 
 from __future__ import annotations
@@ -13,80 +15,108 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.weak_perspective import Cameras
+from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 
 Array = NDArray[np.float64]
 
-NEAREST_RAY = 0.05
+# 1, z of a ray whose z was 1 before the rotation; keeps rays at the side of the rotated camera and behind it
+# finite and far outside the image
+MIN_RAY_DEPTH = 0.05
+MIN_TOTAL_WEIGHT = 1e-12  # 1; guards the division by the sum of confidence scores in frames without seen joints
+MIN_FRAME_WEIGHT = 1e-12  # 1; lets distant frames define the direction where no near frame has a seen joint
+MIN_DIVISOR = 1e-300  # 1; guards the division when no frame at all has a seen joint
 
 
 @dataclass(frozen=True, eq=False)
-class View:
-    """Virtual cameras that look at one person, one a frame or one for all.
+class VirtualCamera:
+    """Virtual cameras that face one person: one for each frame, or one for all frames.
 
     Attributes:
-        turn: (F, 3, 3) or (3, 3) rotation from the real camera's optical frame to the virtual one's.
-        intrinsics: of the real camera; the virtual ones have its focal length and no principal point.
+        rotation: (F, 3, 3) or (3, 3) rotation from the real camera's optical frame to the virtual camera's.
+        intrinsics: intrinsics of the real camera. The virtual cameras have the same focal length, no distortion,
+            and image points relative to their optical axes.
     """
 
-    turn: Array
+    rotation: Array
     intrinsics: Intrinsics
 
     @staticmethod
-    def of(rays: Array, weight: Array, times: Array, smoothing: float, intrinsics: Intrinsics) -> View:
-        """Cameras that look at the middle of the seen joints.
+    def look_at_person(
+        rays: Array, weight: Array, times: Array, smoothing_s: float, intrinsics: Intrinsics
+    ) -> VirtualCamera:
+        """Return virtual cameras that look at the weighted centroid of the seen joints.
 
         Args:
-            rays: (F, J, 2) as of `Intrinsics.rays`; anything where the weight is 0.
-            weight: (F, J).
+            rays: (F, J, 2) rays from `Intrinsics.pixels_to_rays`; ignored where the weight is 0.
+            weight: (F, J) confidence scores.
             times: (F,) s, increasing.
-            smoothing: s over which the direction is averaged, so that it does not jump with what is seen.
-            intrinsics: of the real camera.
+            smoothing_s: s over which the direction is averaged, so that it does not jump when joints appear or
+                vanish; equal to two standard deviations of the Gaussian weights.
+            intrinsics: intrinsics of the real camera.
         """
         total = weight.sum(axis=1)
-        middle = (weight[..., None] * rays).sum(axis=1) / np.maximum(total, 1e-12)[:, None]
-        near = np.exp(-0.5 * ((times[:, None] - times) / (smoothing / 2)) ** 2) * (total > 0) + 1e-12 * (total > 0)
-        return View(facing(near @ middle / np.maximum(near.sum(axis=1, keepdims=True), 1e-300)), intrinsics)
+        centroid = (weight[..., None] * rays).sum(axis=1) / np.maximum(total, MIN_TOTAL_WEIGHT)[:, None]
+        nearness = np.exp(-0.5 * ((times[:, None] - times) / (smoothing_s / 2)) ** 2)
+        kernel = nearness * (total > 0) + MIN_FRAME_WEIGHT * (total > 0)
+        direction = kernel @ centroid / np.maximum(kernel.sum(axis=1, keepdims=True), MIN_DIVISOR)
+        return VirtualCamera(rotation_to_optical_axis(direction), intrinsics)
 
-    def image(self, rays: Array) -> Array:
-        """(F, J, 2) rays of the real camera -> px in the virtual ones, from their axes."""
-        return self.intrinsics.focal * turned_rays(rays, self.turn)
+    def project_rays(self, rays: Array) -> Array:
+        """Convert rays (F, J, 2) of the real camera to image points (F, J, 2) of the virtual ones.
 
-    def roots(self, cameras: Cameras, translation: Array) -> Array:
-        """(F, 3) m, the body's origin in the real camera's optical frame; translation (F, 2) px, virtual."""
+        The image points are in px, relative to the virtual cameras' optical axes.
+        """
+        return self.intrinsics.focal * rotate_rays(rays, self.rotation)
+
+    def root_positions(self, cameras: WeakPerspectiveCameras, translation: Array) -> Array:
+        """Z = f / s, X = t_x Z / f, Y = t_y Z / f, rotated into the real camera's frame.
+
+        Args:
+            cameras: F weak-perspective cameras in the virtual cameras' images.
+            translation: (F, 2) px, image points of the body's origin in the virtual cameras' images.
+
+        Returns:
+            (F, 3) m, positions of the body's origin in the real camera's optical frame.
+        """
         focal = self.intrinsics.focal
         depth = focal / cameras.scale[:, None]
         virtual = np.concatenate([translation / focal * depth, depth], axis=-1)
-        return np.asarray((virtual[:, None] @ self.turn)[:, 0])
+        return np.asarray((virtual[:, None] @ self.rotation)[:, 0])
 
-    def to_camera(self, vectors: Array) -> Array:
-        """(F, J, 3) in the virtual cameras' frames -> in the real one's."""
-        return np.asarray(vectors @ self.turn)
+    def to_real_camera(self, vectors: Array) -> Array:
+        """Rotate vectors (F, J, 3) from the virtual cameras' frames into the real camera's frame."""
+        return np.asarray(vectors @ self.rotation)
 
-    def rotations(self, cameras: Cameras) -> Array:
-        """(F, 3, 3) body to the real camera."""
-        return np.asarray(np.swapaxes(self.turn, -1, -2) @ cameras.rotation)
-
-
-def solver_focal(intrinsics: Intrinsics, perspective: bool) -> float:
-    """px, as the solvers are to know it: only a real one makes a perspective projection, where that is wanted."""
-    return intrinsics.focal if intrinsics.known and perspective else math.inf
+    def body_rotations(self, cameras: WeakPerspectiveCameras) -> Array:
+        """Return the rotations (F, 3, 3) from the body frame to the real camera's optical frame."""
+        return np.asarray(np.swapaxes(self.rotation, -1, -2) @ cameras.rotation)
 
 
-def turned_rays(rays: Array, turn: Array) -> Array:
-    """Rays (..., J, 2) of a camera as those of one turned by (..., 3, 3); what is behind it goes far out."""
-    directions = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1) @ np.swapaxes(turn, -1, -2)
-    return np.asarray(directions[..., :2] / np.maximum(directions[..., 2:], NEAREST_RAY))
+def solver_focal(intrinsics: Intrinsics, use_perspective: bool) -> float:
+    """Return the focal length in px for the solvers; infinite selects the weak-perspective projection.
+
+    It is finite only if perspective is wanted and the focal length is known, not nominal.
+    """
+    return intrinsics.focal if intrinsics.is_focal_known and use_perspective else math.inf
 
 
-def facing(direction: Array) -> Array:
-    """(F, 3, 3) least rotations that bring the rays (F, 2) (x / z, y / z) to the optical axis."""
-    axis = np.concatenate([direction, np.ones_like(direction[..., :1])], axis=-1)
+def rotate_rays(rays: Array, rotation: Array) -> Array:
+    """Convert rays (..., J, 2) of a camera to rays of a camera rotated by `rotation` (..., 3, 3).
+
+    Rays that point backwards after the rotation are mapped to finite rays far from the optical axis.
+    """
+    directions = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1) @ np.swapaxes(rotation, -1, -2)
+    return np.asarray(directions[..., :2] / np.maximum(directions[..., 2:], MIN_RAY_DEPTH))
+
+
+def rotation_to_optical_axis(rays: Array) -> Array:
+    """Return the smallest rotations (F, 3, 3) that bring rays (F, 2), as x / z and y / z, to the optical axis."""
+    axis = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
     x, y, z = np.moveaxis(axis / np.linalg.norm(axis, axis=-1, keepdims=True), -1, 0)
-    share = 1 / (1 + z)
+    inverse = 1 / (1 + z)
     out = np.empty((*axis.shape, 3))
-    out[..., 0, 0], out[..., 1, 1] = 1 - x * x * share, 1 - y * y * share
-    out[..., 0, 1] = out[..., 1, 0] = -x * y * share
+    out[..., 0, 0], out[..., 1, 1] = 1 - x * x * inverse, 1 - y * y * inverse
+    out[..., 0, 1] = out[..., 1, 0] = -x * y * inverse
     out[..., 0, 2], out[..., 1, 2] = -x, -y
     out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = x, y, z
     return out

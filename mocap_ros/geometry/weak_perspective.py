@@ -1,8 +1,12 @@
-"""Weak-perspective cameras: closed-form start and refinement (TPAMI 2016, section 3.2).
+"""Weak-perspective cameras: closed-form estimate and the camera step of Algorithm 1 (TPAMI 2016, section 3.2).
 
-A camera has a scale and a rotation for each frame; its image of a pose is `scale * R[:2] @ P + t`. The
-translation t is never a free unknown: it is whatever brings the weighted centroids of image and projection
-together, so both are centred first (`centred_on_seen`).
+    x_tj = s_t R_t[:2] P_tj + t_t,   M_t = s_t R_t[:2]
+    minimise over all M_t:  sum_tj w_tj |M_t P_tj - x_tj|^2 + sum_t gamma_t |M_t - M_(t-1)|^2      (eq. 12, 13)
+
+The norms of the paper's eq. 13 are not squared; here they are. s_t is the scale of frame t in image units per
+metre, R_t its rotation, P_tj joint j of the pose in m, x_tj its image point and w_tj its weight. The translation
+t_t is not a free unknown: the best one brings the weighted centroids of image and projection together, so both are
+centred first (`subtract_weighted_centroid`).
 """
 
 from __future__ import annotations
@@ -12,21 +16,31 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.geometry.rotations import cross_matrix, nearest_rotation, small_rotation
+from mocap_ros.geometry.rotations import cross_matrix, nearest_rotation, rotation_from_vector
 
 Array = NDArray[np.float64]
 
-
-PLANAR_BODY = 1e-3
+# 1, share of the body's second moments; keeps the closed form regular for poses that are nearly planar
+RELATIVE_RIDGE = 1e-3
+MIN_RIDGE = 1e-12  # m^2; keeps the closed form regular in frames without seen joints
+MIN_SCALE = 1e-9  # image units per metre; guards divisions by the scale
+MIN_TOTAL_WEIGHT = 1e-12  # 1; guards the division by the sum of weights in frames without seen joints
+TIME_TOLERANCE_S = 1e-9  # s; includes frames that are exactly half a window away despite rounding
+MIN_DIAGONAL = 1e-12  # 1; keeps the normal equations of a frame without seen joints regular
+MAX_LOG_SCALE_STEP = 1  # 1; bounds the change of scale in one step to a factor of e
+INITIAL_DAMPING = 1e-3  # 1, share of the diagonal; nearly a Gauss-Newton step, as the start is close
+DAMPING_DECREASE = 3  # 1; damping is divided by it after an accepted step (usual Levenberg-Marquardt values)
+DAMPING_INCREASE = 10  # 1; damping is multiplied by it after a rejected step
 
 
 @dataclass(frozen=True, eq=False)
-class Cameras:
-    """Weak-perspective cameras of F frames.
+class WeakPerspectiveCameras:
+    """Weak-perspective cameras of F frames, without their translation.
 
     Attributes:
-        scale: (F,) image units per metre.
-        rotation: (F, 3, 3) body frame to camera optical frame (x right, y down, z forward).
+        scale: (F,) units of the image points per metre.
+        rotation: (F, 3, 3) rotation from the body frame, in which the poses are given, to the camera's optical
+            frame (x right, y down, z forward).
     """
 
     scale: Array
@@ -34,145 +48,165 @@ class Cameras:
 
     @property
     def matrix(self) -> Array:
-        """(F, 2, 3) left part of the paper's M (eq. 14)."""
+        """Return the (F, 2, 3) left part of the paper's camera matrix M (eq. 14)."""
         return np.asarray(self.scale[:, None, None] * self.rotation[:, :2])
 
     def project(self, poses: Array) -> Array:
-        """(F, J, 3) poses -> (F, J, 2) image points, up to translation."""
+        """Project poses (F, J, 3) to image points (F, J, 2) without translation."""
         return poses @ np.swapaxes(self.matrix, -1, -2)
 
-    def where(self, take: NDArray[np.bool_], other: Cameras) -> Cameras:
-        """These cameras where `take` (F,) is true, the others elsewhere."""
-        return Cameras(
-            np.where(take, self.scale, other.scale),
-            np.where(take[:, None, None], self.rotation, other.rotation),
+    def where(self, mask: NDArray[np.bool_], alternative: WeakPerspectiveCameras) -> WeakPerspectiveCameras:
+        """Return these cameras in the frames where `mask` (F,) is true, and `alternative` in the others."""
+        return WeakPerspectiveCameras(
+            np.where(mask, self.scale, alternative.scale),
+            np.where(mask[:, None, None], self.rotation, alternative.rotation),
         )
 
 
-def centred_on_seen(points: Array, weight: Array) -> tuple[Array, Array]:
-    """Points (..., J, D) relative to their weighted centroid, and the centroids (..., D)."""
-    total = np.maximum(weight.sum(axis=-1), 1e-12)[..., None]
+def subtract_weighted_centroid(points: Array, weight: Array) -> tuple[Array, Array]:
+    """Return points (..., J, D) relative to their centroids under weights (..., J), and the centroids (..., D)."""
+    total = np.maximum(weight.sum(axis=-1), MIN_TOTAL_WEIGHT)[..., None]
     centroid = (weight[..., None] * points).sum(axis=-2) / total
     return points - centroid[..., None, :], centroid
 
 
-def closed_form(poses: Array, image: Array, weight: Array, times: Array, window: float) -> Cameras:
-    """Least-squares affine camera, made weak perspective (eq. 10 and 11).
+def fit_cameras_closed_form(
+    poses: Array, image: Array, weight: Array, times: Array, window: float
+) -> WeakPerspectiveCameras:
+    """M = argmin sum_j w_j |M P_j - x_j|^2, s = sqrt((|m1|^2 + |m2|^2) / 2), R from the SVD of M (eq. 10 and 11).
 
-    The paper solves each frame alone (`window` 0). Frames of a short window sharing one camera keep the answer
-    stable for bodies seen from the front, which are nearly planar, and for missing points.
+    Estimate the camera of each frame in closed form. The paper solves each frame alone (`window` 0). If all frames
+    of a short window share the least-squares problem, the result stays stable for bodies seen from the front,
+    which are nearly planar, and for missing points.
 
     Args:
         poses: (F, J, 3) m.
-        image: (F, J, 2) image points, any where the weight is 0.
-        weight: (F, J).
+        image: (F, J, 2) image points; finite, but otherwise ignored where the weight is 0.
+        weight: (F, J) weights of the squared reprojection errors.
         times: (F,) s, increasing.
-        window: s; frames at most half of it away take part in a frame's camera.
+        window: s; the camera of a frame is fitted to the frames at most half of it away.
 
     Returns:
-        Cameras whose scale is the root mean square of the rows of M (eq. 11 as printed is 0.707 of it).
+        Cameras with the root mean square of the norms of the rows of M as scale. Eq. 11 as printed gives 0.707
+        of it, which does not reproduce the image.
     """
-    body, _ = centred_on_seen(poses, weight)
-    seen, _ = centred_on_seen(image, weight)
+    body, _ = subtract_weighted_centroid(poses, weight)
+    seen, _ = subtract_weighted_centroid(image, weight)
     weighted = np.swapaxes(body * weight[..., None], -1, -2)
-    moments = _sum_nearby(weighted @ body, times, window)
-    cross = _sum_nearby(weighted @ seen, times, window)
-    ridge = PLANAR_BODY * np.trace(moments, axis1=-2, axis2=-1) + 1e-12
+    moments = _sum_over_window(weighted @ body, times, window)
+    cross = _sum_over_window(weighted @ seen, times, window)
+    ridge = RELATIVE_RIDGE * np.trace(moments, axis1=-2, axis2=-1) + MIN_RIDGE
     affine = np.swapaxes(np.linalg.solve(moments + ridge[:, None, None] * np.eye(3), cross), -1, -2)
     scale = np.sqrt((affine**2).sum(axis=(-2, -1)) / 2)
-    return Cameras(np.maximum(scale, 1e-9), nearest_rotation(affine))
+    return WeakPerspectiveCameras(np.maximum(scale, MIN_SCALE), nearest_rotation(affine))
 
 
-def _sum_nearby(values: Array, times: Array, window: float) -> Array:
-    """(F, ...) sums over the frames at most half of `window` s away."""
+def _sum_over_window(values: Array, times: Array, window: float) -> Array:
+    """Return for each frame the sum of `values` (F, ...) over the frames at most half of `window` s away."""
     total = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
-    first = np.searchsorted(times, times - window / 2 - 1e-9)
-    last = np.searchsorted(times, times + window / 2 + 1e-9, side='right')
+    first = np.searchsorted(times, times - window / 2 - TIME_TOLERANCE_S)
+    last = np.searchsorted(times, times + window / 2 + TIME_TOLERANCE_S, side='right')
     return np.asarray(total[last] - total[first])
 
 
 @dataclass(frozen=True, eq=False)
-class CameraProblem:
-    """What the cameras of all frames must fit while the poses stay fixed (eq. 13).
+class CameraStepObjective:
+    """Objective of the camera step of Algorithm 1: the cameras of all frames with the poses held (eq. 12 and 13).
 
     Attributes:
-        body: (F, J, 3) poses, centred on the seen joints.
-        image: (F, J, 2) image points, centred likewise.
-        weight: (F, J) of the squared reprojection errors.
-        flip: (F - 1,) of the squared changes of M between neighbours (eq. 12).
+        body: (F, J, 3) poses in m, relative to the weighted centroid of the seen joints.
+        image: (F, J, 2) image points, relative to their weighted centroid.
+        weight: (F, J) weights of the squared reprojection errors.
+        flip_weight: (F - 1,) weights gamma of the squared changes of M between neighbouring frames.
     """
 
     body: Array
     image: Array
     weight: Array
-    flip: Array
+    flip_weight: Array
 
-    def data_cost(self, cameras: Cameras) -> Array:
-        """(F,) weighted squared reprojection errors."""
+    def data_cost(self, cameras: WeakPerspectiveCameras) -> Array:
+        """Return the (F,) weighted sums of squared reprojection errors."""
         error = cameras.project(self.body) - self.image
         return np.asarray((self.weight[..., None] * error**2).sum(axis=(-2, -1)))
 
-    def flip_cost(self, cameras: Cameras) -> Array:
-        """(F - 1,) weighted squared changes of M."""
+    def flip_cost(self, cameras: WeakPerspectiveCameras) -> Array:
+        """Return the (F - 1,) weighted squared changes of M between neighbouring frames (eq. 12)."""
         change = np.diff(cameras.matrix, axis=0)
-        return np.asarray(self.flip * (change**2).sum(axis=(-2, -1)))
+        return np.asarray(self.flip_weight * (change**2).sum(axis=(-2, -1)))
 
-    def local_cost(self, cameras: Cameras) -> Array:
-        """(F,) everything that depends on each frame's own camera."""
+    def local_cost(self, cameras: WeakPerspectiveCameras) -> Array:
+        """Return for each of F frames the sum of all terms that depend on the frame's own camera."""
         cost = self.data_cost(cameras)
         flip = self.flip_cost(cameras)
         cost[1:] += flip
         cost[:-1] += flip
         return cost
 
-    def gauss_newton_step(self, cameras: Cameras, damping: Array) -> Cameras:
-        """Every frame's camera moved towards its own minimum, its neighbours held."""
+    def gauss_newton_step(self, cameras: WeakPerspectiveCameras, damping: Array) -> WeakPerspectiveCameras:
+        """Move every frame's camera towards the minimum of its local cost, with its neighbours held.
+
+        The unknowns of a frame are a rotation vector omega and the logarithm of the scale.
+
+        Args:
+            cameras: cameras of F frames.
+            damping: (F,) factor by which the diagonal of the normal equations grows (Levenberg-Marquardt).
+        """
         # d(scale * R[:2] P) = scale * ((omega x R P)[:2]) + dlog(scale) * scale * (R P)[:2]
         turned = cameras.scale[:, None, None] * (self.body @ np.swapaxes(cameras.rotation, -1, -2))
-        jac = np.concatenate([-cross_matrix(turned)[..., :2, :], turned[..., :2, None]], axis=-1)
+        jacobian = np.concatenate([-cross_matrix(turned)[..., :2, :], turned[..., :2, None]], axis=-1)
         error = turned[..., :2] - self.image
         w = self.weight[..., None, None]
-        normal = (np.swapaxes(jac, -1, -2) @ (w * jac)).sum(axis=1)
-        gradient = (np.swapaxes(jac, -1, -2) @ (w * error[..., None])).sum(axis=1)[..., 0]
+        normal = (np.swapaxes(jacobian, -1, -2) @ (w * jacobian)).sum(axis=1)
+        gradient = (np.swapaxes(jacobian, -1, -2) @ (w * error[..., None])).sum(axis=1)[..., 0]
 
         rows = cameras.scale[:, None, None] * cameras.rotation
         columns = np.swapaxes(rows, -1, -2)
-        m_jac = np.concatenate([-cross_matrix(columns)[..., :2, :], columns[..., :2, None]], axis=-1)
-        m_normal = (np.swapaxes(m_jac, -1, -2) @ m_jac).sum(axis=1)
+        m_jacobian = np.concatenate([-cross_matrix(columns)[..., :2, :], columns[..., :2, None]], axis=-1)
+        m_normal = (np.swapaxes(m_jacobian, -1, -2) @ m_jacobian).sum(axis=1)
         change = np.diff(columns[..., :2], axis=0)
         pull = np.zeros_like(columns[..., :2])
-        pull[1:] += self.flip[:, None, None] * change
-        pull[:-1] -= self.flip[:, None, None] * change
+        pull[1:] += self.flip_weight[:, None, None] * change
+        pull[:-1] -= self.flip_weight[:, None, None] * change
         stiffness = np.zeros(len(rows))
-        stiffness[1:] += self.flip
-        stiffness[:-1] += self.flip
+        stiffness[1:] += self.flip_weight
+        stiffness[:-1] += self.flip_weight
         normal += stiffness[:, None, None] * m_normal
-        gradient += (np.swapaxes(m_jac, -1, -2) @ pull[..., None]).sum(axis=1)[..., 0]
+        gradient += (np.swapaxes(m_jacobian, -1, -2) @ pull[..., None]).sum(axis=1)[..., 0]
 
         diagonal = np.einsum('fii->fi', normal)
         diagonal *= 1 + damping[:, None]
-        diagonal += 1e-12
+        diagonal += MIN_DIAGONAL
         step = -np.linalg.solve(normal, gradient[..., None])[..., 0]
-        return Cameras(
-            cameras.scale * np.exp(np.clip(step[:, 3], -1, 1)),
-            small_rotation(step[:, :3]) @ cameras.rotation,
+        return WeakPerspectiveCameras(
+            cameras.scale * np.exp(np.clip(step[:, 3], -MAX_LOG_SCALE_STEP, MAX_LOG_SCALE_STEP)),
+            rotation_from_vector(step[:, :3]) @ cameras.rotation,
         )
 
 
-def refine(problem: CameraProblem, cameras: Cameras, sweeps: int = 2) -> Cameras:
-    """Cameras of all frames, improved with the poses held.
+def run_camera_step(
+    objective: CameraStepObjective, cameras: WeakPerspectiveCameras, sweeps: int = 2
+) -> WeakPerspectiveCameras:
+    """Run the camera step of Algorithm 1: improve the cameras of all frames with the poses held (eq. 13).
 
-    The paper goes through the frames one after the other. A camera touches only its neighbours', so here all
-    even frames move at once, then all odd ones: the same block-coordinate descent, without a loop over frames.
-    No frame's step is taken unless it lowers the objective.
+    The paper goes through the frames one after the other. The objective couples a camera only with the cameras of
+    the neighbouring frames, so here all even frames move at once and then all odd frames. This is the same
+    block-coordinate descent without a loop over frames. A frame's step is accepted only if it does not raise the
+    objective.
+
+    Args:
+        objective: objective with the poses held.
+        cameras: initial cameras of F frames.
+        sweeps: number of passes over all frames.
     """
     frames = len(cameras.scale)
-    damping = np.full(frames, 1e-3)
+    damping = np.full(frames, INITIAL_DAMPING)
     for _ in range(sweeps):
         for parity in (0, 1):
-            mine = np.arange(frames) % 2 == parity
-            tried = problem.gauss_newton_step(cameras, damping).where(mine, cameras)
-            better = problem.local_cost(tried) <= problem.local_cost(cameras)
-            cameras = tried.where(mine & better, cameras)
-            damping = np.where(mine, np.where(better, damping / 3, damping * 10), damping)
+            moving = np.arange(frames) % 2 == parity
+            candidate = objective.gauss_newton_step(cameras, damping).where(moving, cameras)
+            accepted = objective.local_cost(candidate) <= objective.local_cost(cameras)
+            cameras = candidate.where(moving & accepted, cameras)
+            adapted = np.where(accepted, damping / DAMPING_DECREASE, damping * DAMPING_INCREASE)
+            damping = np.where(moving, adapted, damping)
     return cameras

@@ -1,1 +1,1 @@
-"""People in 2D: what one is, whether their keypoints can be used, who is who, left and right."""
+"""People in 2D images: keypoints and their checks, association, and left-right swaps."""

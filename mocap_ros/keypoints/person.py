@@ -15,10 +15,10 @@ class Person2D:
     """Keypoints of one person in one image.
 
     Attributes:
-        id: name given by the detector, or empty.
-        joints: (J,) joint names, any known to `skeleton.joint_map`.
-        points: (J, 2) px, x right and y down; NaN where not seen.
-        score: (J,) in [0, 1]; 0 where not seen.
+        id: name that the detector gives the person; empty if it gives none.
+        joints: (J,) joint names that `keypoints.joint_map` knows.
+        points: (J, 2) px, x to the right and y down; NaN for a joint that was not seen.
+        score: (J,) confidence scores in [0, 1]; 0 for a joint that was not seen.
     """
 
     id: str

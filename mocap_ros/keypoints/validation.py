@@ -1,4 +1,4 @@
-"""What every 2D keypoint must fulfil, wherever it comes from: message or file."""
+"""Checks of 2D keypoints that hold for every source: messages and files."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-LEAST_SCORE, GREATEST_SCORE = -1e-3, 1.25
-NORMALISED_RANGE = -0.5, 1.5
-SMALLEST_IMAGE = 16
-FARTHEST_POINT = 1e6
-JUDGED_POINTS = 4
+MIN_SCORE = -1e-3  # no unit; tolerates a score of 0 that rounding made negative
+MAX_SCORE = 1.25  # no unit; the scores of some detectors exceed 1 a little
+NORMALISED_RANGE = -0.5, 1.5  # shares of the image; a normalised point may lie outside the image by half of it
+TINY_IMAGE_WIDTH = 16  # px; in an image up to this wide, real px look like normalised coordinates
+MAX_COORDINATE_PX = 1e6  # px; far outside any image
+MIN_JUDGED_POINTS = 4  # points; fewer may lie in the corner of the image by chance
 
 
 @dataclass(frozen=True)
 class Fault:
-    """The first keypoint that cannot be used.
+    """The first keypoint value that cannot be used.
 
     Attributes:
         field: `x`, `y` or `score`.
-        index: of the keypoint in the scores.
-        what: what is wrong with it.
+        index: index of the keypoint in the array of scores.
+        what: description of the fault: the value, and what was expected instead.
     """
 
     field: str
@@ -31,48 +32,53 @@ class Fault:
     what: str
 
 
-def first_fault(points: Array, score: Array) -> Fault | None:
-    """The first coordinate beyond `FARTHEST_POINT`, or score outside [`LEAST_SCORE`, `GREATEST_SCORE`].
-
-    Some detectors' scores exceed 1 a little; they are clipped.
+def find_first_fault(points: Array, score: Array) -> Fault | None:
+    """Find the first coordinate beyond `MAX_COORDINATE_PX` or score outside [`MIN_SCORE`, `MAX_SCORE`].
 
     Args:
         points: (..., J, 2) px; NaN is no fault.
-        score: (..., J); NaN is no fault.
+        score: (..., J) confidence scores; NaN is no fault.
+
+    Returns:
+        The fault; None if every value can be used.
     """
-    outside = (score < LEAST_SCORE) | (score > GREATEST_SCORE)
-    for field, wrong, values in (
-        ('x', np.abs(points[..., 0]) > FARTHEST_POINT, points[..., 0]),
-        ('y', np.abs(points[..., 1]) > FARTHEST_POINT, points[..., 1]),
-        ('score', outside, score),
+    is_score_outside = (score < MIN_SCORE) | (score > MAX_SCORE)
+    for field, is_faulty, values in (
+        ('x', np.abs(points[..., 0]) > MAX_COORDINATE_PX, points[..., 0]),
+        ('y', np.abs(points[..., 1]) > MAX_COORDINATE_PX, points[..., 1]),
+        ('score', is_score_outside, score),
     ):
-        if wrong.any():
-            index = tuple(int(i) for i in np.argwhere(wrong)[0])
+        if is_faulty.any():
+            index = tuple(int(i) for i in np.argwhere(is_faulty)[0])
             expected = 'a score in [0, 1]' if field == 'score' else 'a finite number of px'
             return Fault(field, index, f'{values[index]:g}, expected {expected}')
     return None
 
 
-def tidied(points: Array, score: Array) -> tuple[Array, Array]:
-    """The same keypoints with NaN points and score 0 wherever one of them says "not seen".
+def mark_unseen(points: Array, score: Array) -> tuple[Array, Array]:
+    """Mark a joint as not seen in both arrays if either of them says so, and clip scores at 1.
 
     Args:
-        points: (..., J, 2) px.
-        score: (..., J) in [0, 1], a little more, or NaN.
+        points: (..., J, 2) px; NaN for a joint that was not seen.
+        score: (..., J) confidence scores; 0, less than 0 or NaN for a joint that was not seen.
+
+    Returns:
+        points: (..., J, 2) px; NaN for a joint that was not seen.
+        score: (..., J) in [0, 1]; 0 for a joint that was not seen.
     """
     seen = (score > 0) & np.isfinite(points).all(axis=-1)
     return np.where(seen[..., None], points, np.nan), np.where(seen, np.minimum(score, 1.0), 0.0)
 
 
 def looks_normalised(points: Array, score: Array, image_width: int) -> bool:
-    """Whether coordinates are plainly shares of the image, where px are expected.
+    """Return whether the coordinates are plainly shares of the image, although px are expected.
 
     Args:
-        points: (..., J, 2) as `tidied` returns them.
-        score: (..., J) likewise.
-        image_width: px, 0 where unknown.
+        points: (..., J, 2) as `mark_unseen` returns them.
+        score: (..., J) as `mark_unseen` returns them.
+        image_width: px; 0 if it is unknown.
     """
     seen = points[score > 0]
     low, high = NORMALISED_RANGE
-    tiny = 0 < image_width <= SMALLEST_IMAGE
-    return not tiny and len(seen) >= JUDGED_POINTS and bool(((seen >= low) & (seen <= high)).all())
+    is_tiny = 0 < image_width <= TINY_IMAGE_WIDTH
+    return not is_tiny and len(seen) >= MIN_JUDGED_POINTS and bool(((seen >= low) & (seen <= high)).all())

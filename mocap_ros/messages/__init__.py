@@ -1,1 +1,1 @@
-"""ROS messages to and from CDR bytes, a file a message; no ROS installation is needed."""
+"""ROS messages to and from CDR bytes, with one file for each message; no ROS installation is needed."""

@@ -1,4 +1,4 @@
-"""sensor_msgs/CameraInfo: image size and intrinsics."""
+"""sensor_msgs/CameraInfo: the image size and the intrinsics of a camera."""
 
 from __future__ import annotations
 
@@ -18,53 +18,69 @@ CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """The part of a sensor_msgs/CameraInfo that is used: image size (px, 0 unknown) and intrinsics."""
+    """The parts of a sensor_msgs/CameraInfo that are used.
+
+    Attributes:
+        width: width of the image in px, 0 where unknown.
+        height: height of the image in px, 0 where unknown.
+        intrinsics: focal length, principal point and distortion.
+    """
 
     width: int
     height: int
     intrinsics: Intrinsics
 
 
-def image_size(camera: CameraInfo | None, node: NodeConfig) -> tuple[int, int]:
-    """Of images whose messages do not say it: (width, height) px by CameraInfo, else by the parameters, else 0."""
+def resolve_image_size(camera: CameraInfo | None, node: NodeConfig) -> tuple[int, int]:
+    """Return the image size that holds for messages without a size of their own.
+
+    Args:
+        camera: the received CameraInfo, whose size comes first, or None.
+        node: the parameters, whose size is used otherwise.
+
+    Returns:
+        (width, height) in px, (0, 0) where neither gives a size.
+    """
     if camera is not None and camera.width and camera.height:
         return camera.width, camera.height
     return (node.image_width, node.image_height) if node.image_width and node.image_height else (0, 0)
 
 
-def check_size(frame: KeypointsFrame, camera: CameraInfo) -> None:
-    """Refuse an image that is not of this camera.
+def check_image_size(frame: KeypointsFrame, camera: CameraInfo) -> None:
+    """Check that an image can come from this camera.
 
     Raises:
-        InputError: both say a size, and not the same.
+        InputError: the image and the CameraInfo both give a size, and the sizes differ.
     """
-    said, calibrated = (frame.image_width, frame.image_height), (camera.width, camera.height)
-    if all(said) and all(calibrated) and said != calibrated:
+    frame_size, camera_size = (frame.image_width, frame.image_height), (camera.width, camera.height)
+    if all(frame_size) and all(camera_size) and frame_size != camera_size:
         raise InputError(
-            'image_width, image_height: {} x {} px, but CameraInfo is for {} x {} px'.format(*said, *calibrated)
+            'image_width, image_height: {} x {} px, but CameraInfo is for {} x {} px'.format(
+                *frame_size, *camera_size
+            )
         )
 
 
 def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
-    """Image size and intrinsics of a sensor_msgs/CameraInfo.
+    """Decode the image size and the intrinsics of a sensor_msgs/CameraInfo.
 
     Args:
-        raw: CDR.
-        rectified: whether keypoints are those of the rectified image: P holds then (K where P is not set), and the
-            lens has no distortion.
+        raw: CDR bytes.
+        rectified: whether the keypoints were detected in the rectified image. Then the projection matrix P is
+            used (K where P is not set), and no distortion.
 
     Raises:
-        InputError: not a CameraInfo, its matrix is not set, or its distortion model is not known.
+        InputError: the bytes are not a CameraInfo, its matrix is not set, or its distortion model is unknown.
     """
     message = decode(raw, CAMERA_INFO)
     field, matrix = 'k', np.asarray(message.k, np.float64).reshape(3, 3)
     if rectified and message.p[0]:
         field, matrix = 'p', np.asarray(message.p, np.float64).reshape(3, 4)[:, :3]
-    lens = Distortion()
+    distortion = Distortion()
     if not rectified:
-        lens = Distortion.named(message.distortion_model, tuple(map(float, message.d)))
+        distortion = Distortion.from_coefficients(message.distortion_model, tuple(map(float, message.d)))
     try:
-        intrinsics = Intrinsics.from_matrix(matrix, lens)
+        intrinsics = Intrinsics.from_matrix(matrix, distortion)
     except InputError as error:
         raise InputError(f'{field}: {error}; the camera is not calibrated') from None
     return CameraInfo(message.width, message.height, intrinsics)

@@ -1,4 +1,4 @@
-"""ROS messages as CDR bytes: what all of them share."""
+"""Conversion between message objects and CDR bytes, and the parts that all messages share."""
 
 from __future__ import annotations
 
@@ -15,24 +15,22 @@ from rosbags.typesys.store import Typestore
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
 from mocap_ros.messages.foreign.definitions import DEFINITIONS
+from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
-
-ROS_DISTRO = 'kilted'
-
-
-NS = 1_000_000_000
-
-
-WORD = 4
-
-
-OWN = 'mocap_ros_msgs/msg/'
+ROS_DISTRO = 'kilted'  # the distribution that defines the standard messages; written to the metadata of bags
+CDR_ALIGNMENT_BYTES = 4  # DDS (RTPS) pads every payload to a multiple of this length
+MOCAP_ROS_MSGS = 'mocap_ros_msgs/msg/'  # prefix of the type names of this package's own messages
 
 
 class Header(NamedTuple):
-    """Time of an image in ns and the camera's optical frame."""
+    """The content of a std_msgs/Header.
+
+    Attributes:
+        stamp_ns: ROS time in ns; for what was seen in an image, the time at which the image was taken.
+        frame_id: name of the coordinate frame of the content, mostly the camera's optical frame; may be empty.
+    """
 
     stamp_ns: int
     frame_id: str
@@ -43,10 +41,10 @@ class OutputMessage:
     """A message to publish and to record.
 
     Attributes:
-        topic: relative name.
-        type: such as `visualization_msgs/msg/MarkerArray`.
-        stamp_ns: header.stamp.
-        data: CDR.
+        topic: relative name of the topic.
+        type: name of the message type, such as `visualization_msgs/msg/MarkerArray`.
+        stamp_ns: `header.stamp` in ns.
+        data: the message as CDR.
     """
 
     topic: str
@@ -57,74 +55,104 @@ class OutputMessage:
 
 @lru_cache(maxsize=1)
 def typestore() -> Typestore:
-    """The standard messages of ROS 2, those of mocap_ros_msgs, and the foreign ones that are taken as input."""
+    """Return the definitions of all messages that are read or written.
+
+    They are the standard messages of ROS 2, the messages of mocap_ros_msgs, and the foreign messages that are
+    accepted as input.
+    """
     store = get_typestore(Stores.ROS2_KILTED)
-    own: dict[str, Any] = {}
+    types: dict[str, Any] = {}
     for name, text in DEFINITIONS.items():
-        own.update(get_types_from_msg(text, name))
+        types.update(get_types_from_msg(text, name))
     for definition in (files('mocap_ros') / 'messages' / 'msg').iterdir():
         if definition.name.endswith('.msg'):
             text = definition.read_text(encoding='utf-8')
-            own.update(get_types_from_msg(text, OWN + definition.name.removesuffix('.msg')))
-    store.register(own)
+            types.update(get_types_from_msg(text, MOCAP_ROS_MSGS + definition.name.removesuffix('.msg')))
+    store.register(types)
     return store
 
 
-def new(msgtype: str, **values: Any) -> Any:
-    """A message object of that type."""
+def create_message(msgtype: str, **values: Any) -> Any:
+    """Create a message object.
+
+    Args:
+        msgtype: name of the message type.
+        **values: the value of every field of the message.
+    """
     return typestore().types[msgtype](**values)
 
 
 def encode(message: Any, msgtype: str) -> bytes:
-    """A message object as CDR, padded to whole words as DDS does it: what is recorded is what is received."""
+    """Encode a message object as CDR.
+
+    The bytes are padded to a multiple of `CDR_ALIGNMENT_BYTES`, as DDS pads them, so that a recorded message is
+    identical to the received one.
+
+    Args:
+        message: message object.
+        msgtype: name of its message type.
+    """
     raw = bytes(typestore().serialize_cdr(message, msgtype))
-    return raw + bytes(-len(raw) % WORD)
+    return raw + bytes(-len(raw) % CDR_ALIGNMENT_BYTES)
 
 
 def decode(raw: bytes, msgtype: str) -> Any:
-    """CDR as a message object.
+    """Decode CDR as a message object.
+
+    Args:
+        raw: CDR bytes.
+        msgtype: name of the expected message type.
 
     Raises:
-        InputError: not a message of that type.
+        InputError: the bytes are not a message of that type.
     """
     try:
         return typestore().deserialize_cdr(raw, msgtype)
-    except Exception as error:  # bytes of a stranger: any reader error ends up here
+    except Exception as error:  # the bytes may come from anywhere, so the reader may raise anything
         reason = str(error).removeprefix(f"Could not deserialize '{msgtype}': ").rstrip('.')
         raise InputError(f'not a {msgtype} ({reason}; {len(raw)} bytes)') from None
 
 
-def checked_header(header: Any, limits: NodeConfig) -> Header:
-    """A std_msgs/Header, checked.
+def validate_header(header: Any, limits: NodeConfig) -> Header:
+    """Validate a std_msgs/Header and return its content.
+
+    Args:
+        header: message object.
+        limits: the parameters that limit the length of a text.
 
     Raises:
-        InputError: a stamp that is no time, or a frame_id that is too long.
+        InputError: the stamp is not a valid time, or the frame_id is too long.
     """
     seconds, nanoseconds = header.stamp.sec, header.stamp.nanosec
-    if seconds < 0 or nanoseconds >= NS:
-        raise InputError(f'header.stamp: {seconds} s {nanoseconds} ns is no time')
-    return Header(seconds * NS + nanoseconds, checked_text(header.frame_id, 'header.frame_id', limits))
+    if seconds < 0 or nanoseconds >= NS_PER_S:
+        raise InputError(f'header.stamp: {seconds} s {nanoseconds} ns is not a valid time')
+    return Header(seconds * NS_PER_S + nanoseconds, validate_text(header.frame_id, 'header.frame_id', limits))
 
 
-def checked_text(text: str, field: str, limits: NodeConfig) -> str:
-    """The text, where it is not too long.
+def validate_text(text: str, field: str, limits: NodeConfig) -> str:
+    """Return the text if it is not too long.
+
+    Args:
+        text: text of a message.
+        field: name of the field that holds the text, for the error message.
+        limits: the parameters that limit the length of a text.
 
     Raises:
-        InputError: it is; names the field.
+        InputError: the text is longer than `limits.max_text`; the message names the field.
     """
     if len(text) > limits.max_text:
         raise InputError(f'{field}: {len(text)} characters, more than {limits.max_text}')
     return text
 
 
-def new_header(header: Header) -> Any:
-    """As std_msgs/Header."""
-    seconds, nanoseconds = divmod(header.stamp_ns, NS)
-    stamp = new('builtin_interfaces/msg/Time', sec=seconds, nanosec=nanoseconds)
-    return new('std_msgs/msg/Header', stamp=stamp, frame_id=header.frame_id)
+def create_header(header: Header) -> Any:
+    """Create a std_msgs/Header object."""
+    seconds, nanoseconds = divmod(header.stamp_ns, NS_PER_S)
+    stamp = create_message('builtin_interfaces/msg/Time', sec=seconds, nanosec=nanoseconds)
+    return create_message('std_msgs/msg/Header', stamp=stamp, frame_id=header.frame_id)
 
 
-def new_points(positions: Array) -> list[Any]:
-    """(N, 3) m as geometry_msgs/Point."""
+def create_points(positions: Array) -> list[Any]:
+    """Create geometry_msgs/Point objects from positions (N, 3) in m."""
     point = typestore().types['geometry_msgs/msg/Point']
     return [point(*p) for p in positions.tolist()]

@@ -1,4 +1,4 @@
-"""mocap_ros_msgs/Keypoints2DArray: decoded and checked, and encoded."""
+"""mocap_ros_msgs/Keypoints2DArray: the 2D keypoints of all people in an image."""
 
 from __future__ import annotations
 
@@ -11,26 +11,40 @@ from numpy.typing import NDArray
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError, SkeletonError
+from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import first_fault, looks_normalised, tidied
-from mocap_ros.messages.cdr import OWN, Header, checked_header, checked_text, decode, encode, new, new_header
-from mocap_ros.skeleton import LAYOUT_NAMES, joint_map, layout
+from mocap_ros.keypoints.validation import find_first_fault, looks_normalised, mark_unseen
+from mocap_ros.messages.cdr import (
+    MOCAP_ROS_MSGS,
+    Header,
+    create_header,
+    create_message,
+    decode,
+    encode,
+    validate_header,
+    validate_text,
+)
+from mocap_ros.skeleton import LAYOUT_NAMES, keypoint_layout
 
 Array = NDArray[np.float64]
 
+KEYPOINTS = MOCAP_ROS_MSGS + 'Keypoints2DArray'
 
-KEYPOINTS = OWN + 'Keypoints2DArray'
+MAX_UTF8_BYTES = 4  # bytes of one character
+STRING_OVERHEAD_BYTES = 8  # the length (4), the terminating zero (1) and the alignment (3) of a CDR string
+JOINT_BYTES = 12  # x, y and score as float32
+FIXED_FIELDS_BYTES = 64  # guard: more than the lengths, numbers and alignment of a header or of one person
 
 
 @dataclass(frozen=True, eq=False)
 class KeypointsFrame:
-    """Everyone detected in one image.
+    """The keypoints of all people detected in one image.
 
     Attributes:
-        header: of the image.
-        image_width: px, 0 where unknown.
-        image_height: px, 0 where unknown.
-        people: in the order of the message.
+        header: time and frame of the image.
+        image_width: width of the image in px, 0 where unknown.
+        image_height: height of the image in px, 0 where unknown.
+        people: the people in the order of the message.
     """
 
     header: Header
@@ -40,138 +54,145 @@ class KeypointsFrame:
 
 
 def decode_keypoints(raw: bytes, limits: NodeConfig) -> KeypointsFrame:
-    """A checked Keypoints2DArray.
+    """Decode and validate a Keypoints2DArray.
 
     Args:
-        raw: CDR.
-        limits: most people, joints and text that a message may hold.
+        raw: CDR bytes.
+        limits: the parameters that limit the number of people, the number of joints and the length of texts.
 
     Raises:
-        InputError: names the field, and the person where there is one.
+        InputError: the message is not valid; the error names the field, and the person if the fault is in one.
     """
-    _check_size(raw, limits)
+    _check_message_length(raw, limits)
     message = decode(raw, KEYPOINTS)
-    header = checked_header(message.header, limits)
+    header = validate_header(message.header, limits)
     check_count('people', len(message.people), limits)
-    people = tuple(_person(p, i, message.image_width, limits) for i, p in enumerate(message.people))
+    people = tuple(_read_person(p, i, message.image_width, limits) for i, p in enumerate(message.people))
     check_ids('people', people)
     return KeypointsFrame(header, message.image_width, message.image_height, people)
 
 
 def check_count(field: str, count: int, limits: NodeConfig) -> None:
-    """Refuse too many people.
+    """Check that a message does not hold too many people.
 
     Raises:
-        InputError: names the field.
+        InputError: `count` exceeds `limits.max_people`; the error names the field.
     """
     if count > limits.max_people:
         raise InputError(f'{field}: {count}, more than {limits.max_people}')
 
 
 def check_ids(field: str, people: Sequence[Person2D]) -> None:
-    """Refuse an id that two people have.
+    """Check that no two people have the same id; empty ids may repeat.
 
     Raises:
-        InputError: names the field and the id.
+        InputError: an id occurs twice; the error names the field and the id.
     """
-    named = [p.id for p in people if p.id]
-    if len(set(named)) != len(named):
-        raise InputError(f'{field}: id {max(named, key=named.count)!r} twice')
+    ids = [p.id for p in people if p.id]
+    if len(set(ids)) != len(ids):
+        raise InputError(f'{field}: id {max(ids, key=ids.count)!r} twice')
 
 
-def _check_size(raw: bytes, limits: NodeConfig) -> None:
-    """Refuse, before anything is decoded, what no message within the limits can hold."""
-    text = 4 * limits.max_text + 8
-    person = 2 * text + limits.max_joints * (text + 12) + 64
-    largest = 64 + text + limits.max_people * person
-    if len(raw) > largest:
-        raise InputError(f'{len(raw)} bytes, more than the limits allow ({largest})')
+def _check_message_length(raw: bytes, limits: NodeConfig) -> None:
+    """Refuse, before decoding, a message that is longer than any message within the limits."""
+    text = MAX_UTF8_BYTES * limits.max_text + STRING_OVERHEAD_BYTES
+    person = 2 * text + limits.max_joints * (text + JOINT_BYTES) + FIXED_FIELDS_BYTES
+    max_bytes = FIXED_FIELDS_BYTES + text + limits.max_people * person
+    if len(raw) > max_bytes:
+        raise InputError(f'{len(raw)} bytes, more than the limits allow ({max_bytes})')
 
 
-def _person(person: Any, index: int, image_width: int, limits: NodeConfig) -> Person2D:
+def _read_person(person: Any, index: int, image_width: int, limits: NodeConfig) -> Person2D:
+    """Validate the person at an index of the message; errors name the index."""
     try:
-        return _checked_person(person, image_width, limits)
+        return _read_keypoints(person, image_width, limits)
     except InputError as error:
         raise InputError(f'people[{index}].{error}') from None
 
 
-def _checked_person(person: Any, image_width: int, limits: NodeConfig) -> Person2D:
+def _read_keypoints(person: Any, image_width: int, limits: NodeConfig) -> Person2D:
     lengths = {f: len(getattr(person, f)) for f in ('x', 'y', 'score')}
     if len(set(lengths.values())) > 1:
         raise InputError(f'x, y, score: unequal lengths {", ".join(map(str, lengths.values()))}')
     count = lengths['x']
     if count > limits.max_joints:
         raise InputError(f'x: {count} joints, more than {limits.max_joints}')
-    joints = _joints(person, count, limits)
+    joints = _read_joint_names(person, count, limits)
     points = np.stack([person.x, person.y], axis=-1).astype(np.float64)
     score = np.asarray(person.score, np.float64)
-    return checked_person(checked_text(person.id, 'id', limits), joints, points, score, image_width)
+    return validate_person(validate_text(person.id, 'id', limits), joints, points, score, image_width)
 
 
-def checked_person(name: str, joints: tuple[str, ...], points: Array, score: Array, image_width: int) -> Person2D:
-    """A person whose keypoints have been looked at, wherever they come from.
+def validate_person(
+    person_id: str, joints: tuple[str, ...], points: Array, score: Array, image_width: int
+) -> Person2D:
+    """Validate the keypoints of a person from any message type.
 
     Args:
-        name: the detector's, or empty.
-        joints: (J,) names.
-        points: (J, 2) px.
-        score: (J,).
-        image_width: px, 0 where unknown.
+        person_id: id given by the detector, or empty.
+        joints: (J,) joint names.
+        points: (J, 2) image points in px.
+        score: (J,) confidence scores.
+        image_width: width of the image in px, 0 where unknown.
+
+    Returns:
+        The person, in which unseen keypoints have NaN points and score 0.
 
     Raises:
-        InputError: names the field and the joint.
+        InputError: a keypoint is not valid; the error names the field and the index of the joint.
     """
-    fault = first_fault(points, score)
+    fault = find_first_fault(points, score)
     if fault:
         raise InputError(f'{fault.field}[{fault.index[0]}]: {fault.what}')
-    points, score = tidied(points, score)
+    points, score = mark_unseen(points, score)
     if looks_normalised(points, score, image_width):
         raise InputError('x, y: looks normalised; px expected')
-    return Person2D(name, joints, points, score)
+    return Person2D(person_id, joints, points, score)
 
 
-def _joints(person: Any, count: int, limits: NodeConfig) -> tuple[str, ...]:
-    """Names of the joints of a message's person."""
-    name = checked_text(person.skeleton, 'skeleton', limits)
-    if not name and not person.joint_names:
+def _read_joint_names(person: Any, count: int, limits: NodeConfig) -> tuple[str, ...]:
+    """Return the joint names of a person: `joint_names` where it is set, else the joints of the layout."""
+    layout_name = validate_text(person.skeleton, 'skeleton', limits)
+    if not layout_name and not person.joint_names:
         raise InputError(f'skeleton: empty, and no joint_names; known: {", ".join(LAYOUT_NAMES)}')
-    given = tuple(checked_text(n, 'joint_names', limits) for n in person.joint_names)
-    field, named = ('joint_names', 'there are') if given else ('skeleton', f'{name!r} has')
+    joint_names = tuple(validate_text(n, 'joint_names', limits) for n in person.joint_names)
+    field, subject = ('joint_names', 'there are') if joint_names else ('skeleton', f'{layout_name!r} has')
     try:
-        joints = given or layout(name).joints
+        joints = joint_names or keypoint_layout(layout_name).joints
         if len(joints) != count:
-            raise InputError(f'{field}: {named} {len(joints)} joints, x has {count}')
-        joint_map(joints)
+            raise InputError(f'{field}: {subject} {len(joints)} joints, x has {count}')
+        build_joint_map(joints)
     except SkeletonError as error:
         raise InputError(f'{field}: {error}') from None
     return joints
 
 
 def encode_keypoints(header: Header, image_size: tuple[int, int], people: Sequence[Person2D]) -> bytes:
-    """A Keypoints2DArray.
+    """Encode people as a Keypoints2DArray.
 
     Args:
-        header: of the image.
-        image_size: (width, height) px.
-        people: their joints go by the name of a layout where they are one, else by their own names.
+        header: time and frame of the image.
+        image_size: (width, height) in px.
+        people: the people in the image. If the joints of a person are those of a layout, the message holds the
+            layout's name, else it holds the joint names.
     """
-    message = new(
+    message = create_message(
         KEYPOINTS,
-        header=new_header(header),
+        header=create_header(header),
         image_width=image_size[0],
         image_height=image_size[1],
-        people=[_new_person(p) for p in people],
+        people=[_create_person(p) for p in people],
     )
     return encode(message, KEYPOINTS)
 
 
-def _new_person(person: Person2D) -> Any:
-    name = next((n for n in LAYOUT_NAMES if layout(n).joints == person.joints), '')
-    return new(
-        OWN + 'Keypoints2D',
+def _create_person(person: Person2D) -> Any:
+    layout_name = next((n for n in LAYOUT_NAMES if keypoint_layout(n).joints == person.joints), '')
+    return create_message(
+        MOCAP_ROS_MSGS + 'Keypoints2D',
         id=person.id,
-        skeleton=name,
-        joint_names=[] if name else list(person.joints),
+        skeleton=layout_name,
+        joint_names=[] if layout_name else list(person.joints),
         x=person.points[:, 0].astype(np.float32),
         y=person.points[:, 1].astype(np.float32),
         score=person.score.astype(np.float32),

@@ -1,4 +1,4 @@
-"""mocap_ros_msgs/Skeleton3DArray and SkeletonDefinition."""
+"""mocap_ros_msgs/Skeleton3DArray and SkeletonDefinition: the people in 3D, and the names of their joints."""
 
 from __future__ import annotations
 
@@ -7,26 +7,24 @@ from typing import Any
 
 import numpy as np
 
-from mocap_ros.messages.cameras import _new_camera
-from mocap_ros.messages.cdr import OWN, Header, encode, new, new_header, new_points
+from mocap_ros.messages.cameras import create_camera
+from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, create_header, create_message, create_points, encode
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15, Skeleton
 
-SKELETONS = OWN + 'Skeleton3DArray'
-
-
-SKELETON_DEFINITION = OWN + 'SkeletonDefinition'
+SKELETONS = MOCAP_ROS_MSGS + 'Skeleton3DArray'
+SKELETON_DEFINITION = MOCAP_ROS_MSGS + 'SkeletonDefinition'
 
 
 def encode_skeletons(header: Header, people: Sequence[Person3D]) -> bytes:
-    """A Skeleton3DArray."""
-    message = new(SKELETONS, header=new_header(header), people=[_new_skeleton(p) for p in people])
+    """Encode all people in an image as a Skeleton3DArray."""
+    message = create_message(SKELETONS, header=create_header(header), people=[_create_skeleton(p) for p in people])
     return encode(message, SKELETONS)
 
 
 def encode_skeleton_definition(skeleton: Skeleton) -> bytes:
-    """A SkeletonDefinition."""
-    message = new(
+    """Encode the names and the tree of a skeleton's joints as a SkeletonDefinition."""
+    message = create_message(
         SKELETON_DEFINITION,
         name=skeleton.name,
         joint_names=list(skeleton.joints),
@@ -36,22 +34,22 @@ def encode_skeleton_definition(skeleton: Skeleton) -> bytes:
     return encode(message, SKELETON_DEFINITION)
 
 
-def _new_skeleton(person: Person3D) -> Any:
-    motion = new(
-        OWN + 'MotionState',
+def _create_skeleton(person: Person3D) -> Any:
+    motion = create_message(
+        MOCAP_ROS_MSGS + 'MotionState',
         state=int(person.motion.kind),
         category=person.motion.category,
         residual=person.motion.residual,
         cadence=person.motion.cadence,
     )
-    return new(
-        OWN + 'Skeleton3D',
+    return create_message(
+        MOCAP_ROS_MSGS + 'Skeleton3D',
         id=person.id,
         skeleton=CMU15.name,
-        joints=new_points(person.joints),
+        joints=create_points(person.joints),
         joint_std=person.std.astype(np.float32),
         inferred=np.asarray(person.inferred, np.bool_),
-        camera=_new_camera(person),
+        camera=create_camera(person),
         motion=motion,
         reprojection_residual=person.residual,
         scale_source=int(person.scale_known),

@@ -1,1 +1,1 @@
-"""What was learned, base poses and lifter, and the files it comes in."""
+"""Trained models and their files: base poses, the lifter, and the standard deviations of joint positions."""

@@ -1,8 +1,10 @@
 """Base poses: the mean human pose and the directions in which poses vary (TPAMI 2016, section 3.1).
 
-A pose is `P = Q0 + sum_l theta_l Q_l` (eq. 1). Body frame: metres, x forward, y left, z up, origin at the
-mean of the joints. Poses are centred and aligned before the principal component analysis, since the camera
-absorbs translation and rotation and a basis that had to explain them as well would waste its components.
+    P = Q_0 + sum_l theta_l Q_l                                                                        (eq. 1)
+
+The body frame is in metres, x forward, y left, z up, with the mean of the joints as origin. Training poses are
+centred and aligned before the principal component analysis, because the camera already accounts for translation
+and rotation; a basis that had to explain them as well would spend components on them.
 """
 
 from __future__ import annotations
@@ -17,23 +19,23 @@ from mocap_ros.skeleton import Skeleton
 
 Array = NDArray[np.float64]
 
-
-ALL_MOTIONS = 'all'
+ALL_MOTIONS = 'all'  # name of the model that is trained on all motion categories together
 
 
 @dataclass(frozen=True, eq=False)
 class BasePoses:
-    """A trained linear pose model.
+    """A trained linear pose model with J joints and K base poses.
 
     Attributes:
-        name: motion category it was trained for (`walk`, ..., or `all`).
-        skeleton: joints, in the order of the arrays.
-        mean: (J, 3) m, mean pose Q0.
-        components: (K, J, 3) base poses Q_l, orthonormal, by falling variance, largest entry positive.
+        name: motion category that the model was trained for (`walk`, `run`, `jump`, ... or `all`).
+        skeleton: names and bones of the joints, in the order of the arrays.
+        mean: (J, 3) m, mean pose Q_0.
+        components: (K, J, 3) base poses Q_l, orthonormal, in order of decreasing variance; the entry of largest
+            magnitude of each is positive.
         std: (K,) m, standard deviation of each weight theta_l over the training poses.
-        explained: (K,) share of the variance, cumulative.
+        explained: (K,) cumulative share of the variance.
         stature: m, mean stature of the people in the training data.
-        provenance: where the training data came from and how it was used.
+        provenance: origin of the training data and settings of the training.
     """
 
     name: str
@@ -46,30 +48,36 @@ class BasePoses:
     provenance: Mapping[str, object]
 
     @property
-    def upright(self) -> bool:
-        """True where poses were turned about the vertical only, so that the body frame's z is up in every pose."""
+    def aligned_by_heading(self) -> bool:
+        """Return whether the training poses were rotated about the vertical only.
+
+        In such a model the z axis of the body frame is vertical in every pose.
+        """
         return self.provenance.get('alignment') == 'heading'
 
     def poses(self, theta: Array) -> Array:
-        """(..., K) weights in m -> (..., J, 3) poses in m, body frame (eq. 1)."""
+        """Return the poses (..., J, 3) in m, body frame, of weights theta (..., K) in m (eq. 1).
+
+        Weights for fewer than K base poses belong to the first ones.
+        """
         k = theta.shape[-1]
         flat = theta @ self.components[:k].reshape(k, -1)
         return flat.reshape(*theta.shape[:-1], *self.mean.shape) + self.mean
 
     def weights(self, poses: Array) -> Array:
-        """(..., J, 3) centred, aligned poses in m -> (..., K) weights in m, the least-squares ones."""
+        """Return the least-squares weights theta (..., K) in m of centred, aligned poses (..., J, 3) in m."""
         flat = (poses - self.mean).reshape(*poses.shape[:-2], -1)
         return flat @ self.components.reshape(len(self.components), -1).T
 
-    def truncated(self, k: int) -> BasePoses:
-        """The model with its first `k` base poses, or all if it has fewer."""
+    def truncate(self, k: int) -> BasePoses:
+        """Return the model with its first `k` base poses, or with all if it has fewer."""
         return replace(self, components=self.components[:k], std=self.std[:k], explained=self.explained[:k])
 
-    def rescaled(self, factor: float) -> BasePoses:
-        """The model of a body `factor` times as large."""
+    def rescale(self, factor: float) -> BasePoses:
+        """Return the model of a body that is `factor` times as large."""
         return replace(self, mean=self.mean * factor, std=self.std * factor, stature=self.stature * factor)
 
 
-def mirrored(poses: Array, skeleton: Skeleton) -> Array:
-    """Poses (..., J, 3) seen in a mirror: y negated, left and right joints exchanged."""
+def mirror_poses(poses: Array, skeleton: Skeleton) -> Array:
+    """Mirror poses (..., J, 3) of the body frame: negate y and exchange left and right joints."""
     return np.asarray(poses[..., list(skeleton.mirror), :] * [1.0, -1.0, 1.0])

@@ -1,4 +1,8 @@
-"""Files of base poses and of the lifter: shipped with the package, or trained by its users."""
+"""Files of base poses and lifters: those shipped with the package and those that users train.
+
+A model file is an .npz without pickles. Files from users are untrusted, so every array and number is checked on
+reading, and sizes are bounded before anything is unpacked.
+"""
 
 from __future__ import annotations
 
@@ -12,44 +16,36 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import ModelError, reader_reason
+from mocap_ros.errors import ModelError, describe_read_error
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.lifter import FEATURES, OUTPUTS, SLOTS, Lifter
+from mocap_ros.models.lifter import FEATURE_COUNT, HISTORY_SLOTS_S, OUTPUT_COUNT, Lifter
 from mocap_ros.npz_file import open_npz, write_npz
-from mocap_ros.skeleton import CMU15, Skeleton, layout
+from mocap_ros.skeleton import CMU15, Skeleton, keypoint_layout
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
-AUTO = 'auto'
+AUTO = 'auto'  # value of `tracker.model` that selects all shipped base-pose models
+LEARNED = 'learned'  # value of `solver.prior` that selects the shipped lifter
+PCA = 'pca'  # value of `solver.prior` that selects the base poses alone, as in the paper
+PRIORS = (LEARNED, PCA)  # values of `solver.prior` that are not the path of a lifter
 
+LIFTER_NAME = 'lifter'  # name of the shipped lifter's file, which is no base-pose model
+BASE_POSES_FORMAT = 'mocap_ros base poses 1'  # identifier in every base-pose file; changes with the format
+LIFTER_FORMAT = 'mocap_ros lifter 1'  # identifier in every lifter file; changes with the format
 
-LIFTER = 'lifter'
-
-
-BASE_POSES_FORMAT = 'mocap_ros base poses 1'
-
-
-LARGEST_MODEL = 16 << 20
-
-
-LONGEST_NAME = 100
-
-
-STATURES = 0.3, 3.0
-
-
-FARTHEST_JOINT = 3.0
-
-
-STDS = 1e-6, 10.0
-
-
-ORTHONORMAL = 1e-2
+MAX_BASE_POSES_BYTES = 16 << 20  # bytes, also unpacked; guards against zip bombs, shipped models have 15 kB
+MAX_LIFTER_BYTES = 64 << 20  # bytes, also unpacked; guards against zip bombs, the shipped lifter has 3 MB
+MAX_NAME_LENGTH = 100  # characters; bounds a name that appears in messages and on screens
+STATURE_RANGE_M = 0.3, 3.0  # m; from children to giants, but refuses models in mm or cm
+MAX_MEAN_COORDINATE_M = 3.0  # m from the body's origin; refuses models in mm or cm
+WEIGHT_STD_RANGE_M = 1e-6, 10.0  # m; guards divisions by the standard deviation, refuses models in mm
+ORTHONORMALITY_TOLERANCE = 1e-2  # 1; far above the rounding of single precision, in which models are stored
+MAX_PARAMETER = 1e3  # 1; bounds weights and biases of a lifter so that no layer overflows
 
 
 def save_base_poses(model: BasePoses, path: str | Path | io.BytesIO) -> None:
-    """Write a model as .npz (no pickles); the same model gives the same bytes."""
+    """Write a base-pose model as .npz; the same model gives the same bytes."""
     meta = {
         'format': BASE_POSES_FORMAT,
         'name': model.name,
@@ -67,58 +63,64 @@ def save_base_poses(model: BasePoses, path: str | Path | io.BytesIO) -> None:
     write_npz(path, arrays)
 
 
-def shipped_base_poses() -> tuple[str, ...]:
-    """Names of the models that come with the package."""
+def list_shipped_base_poses() -> tuple[str, ...]:
+    """Return the names of the base-pose models that are shipped with the package."""
     folder = files('mocap_ros') / 'models' / 'shipped'
     names = (p.name.removesuffix('.npz') for p in folder.iterdir() if p.name.endswith('.npz'))
-    return tuple(sorted(n for n in names if n != LIFTER))
+    return tuple(sorted(n for n in names if n != LIFTER_NAME))
 
 
 def load_base_poses(name_or_path: str | Path) -> BasePoses:
-    """A shipped model by name, or a trained one by path.
+    """Load a shipped base-pose model by name, or another one by path.
 
     Raises:
-        ModelError: there is none of that name, or the file is not a base-pose model.
+        ModelError: No model has this name and no file this path, or the file is not a base-pose model.
     """
     text = str(name_or_path)
-    if text in shipped_base_poses():
-        return base_poses_from_bytes(
-            (files('mocap_ros') / 'models' / 'shipped' / f'{text}.npz').read_bytes(), text
-        )
+    if text in list_shipped_base_poses():
+        return decode_base_poses((files('mocap_ros') / 'models' / 'shipped' / f'{text}.npz').read_bytes(), text)
     path = Path(name_or_path)
     if not path.is_file():
         raise ModelError(
-            f'no base-pose model {text!r}: neither a file nor one of {", ".join(shipped_base_poses())}'
+            f'no base-pose model {text!r}: neither a file nor one of {", ".join(list_shipped_base_poses())}'
         )
     try:
         with path.open('rb') as file:
-            return base_poses_from_bytes(file.read(LARGEST_MODEL + 1), text)
+            return decode_base_poses(file.read(MAX_BASE_POSES_BYTES + 1), text)
     except OSError as error:
         raise ModelError(f'{text}: {error.strerror}') from None
 
 
 def load_base_pose_models(name: str) -> dict[str, BasePoses]:
-    """The model of that name or path, or for `auto` all shipped ones, by name.
+    """Load the base-pose model of a name or path, or all shipped models for `auto`; returns them by name.
 
     Raises:
-        ModelError: as `load_base_poses`.
+        ModelError: A model cannot be loaded, as in `load_base_poses`.
     """
-    return {n: load_base_poses(n) for n in (shipped_base_poses() if name == AUTO else (name,))}
+    return {n: load_base_poses(n) for n in (list_shipped_base_poses() if name == AUTO else (name,))}
 
 
-def base_poses_from_bytes(data: bytes, source: str) -> BasePoses:
-    """A model from the bytes of its file; `source` names it in errors (ModelError)."""
+def decode_base_poses(data: bytes, source: str) -> BasePoses:
+    """Decode a base-pose model from the bytes of its file.
+
+    Args:
+        data: content of the file.
+        source: name of the file for error messages.
+
+    Raises:
+        ModelError: The bytes are not a base-pose model, or the model has values that no training produces.
+    """
     try:
-        if len(data) > LARGEST_MODEL:
-            raise ValueError(f'larger than {LARGEST_MODEL >> 20} MiB')
-        with open_npz(io.BytesIO(data), LARGEST_MODEL) as archive:
+        if len(data) > MAX_BASE_POSES_BYTES:
+            raise ValueError(f'larger than {MAX_BASE_POSES_BYTES >> 20} MiB')
+        with open_npz(io.BytesIO(data), MAX_BASE_POSES_BYTES) as archive:
             meta = json.loads(str(archive['meta']))
-            arrays = {k: _numbers(archive[k], k) for k in ('mean', 'components', 'std', 'explained')}
+            arrays = {k: _decode_numbers(archive[k], k) for k in ('mean', 'components', 'std', 'explained')}
         if meta['format'] != BASE_POSES_FORMAT:
             raise ValueError(f'format {meta["format"]!r}, expected {BASE_POSES_FORMAT!r}')
         model = BasePoses(
             name=meta['name'],
-            skeleton=layout(meta['skeleton']),
+            skeleton=keypoint_layout(meta['skeleton']),
             stature=float(meta['stature']),
             provenance=meta['provenance'],
             **arrays,
@@ -126,12 +128,13 @@ def base_poses_from_bytes(data: bytes, source: str) -> BasePoses:
         _check_base_poses(model)
     except KeyError as error:
         raise ModelError(f'{source}: not a base-pose model (no {str(error.args[0]).split()[0]})') from None
-    except Exception as error:  # any malformed byte ends up here: the file comes from a stranger
-        raise ModelError(f'{source}: not a base-pose model ({reader_reason(error)})') from None
+    except Exception as error:  # malformed bytes of an untrusted file can raise almost any exception
+        raise ModelError(f'{source}: not a base-pose model ({describe_read_error(error)})') from None
     return model
 
 
-def _numbers(array: NDArray[np.generic], key: str) -> Array:
+def _decode_numbers(array: NDArray[np.generic], key: str) -> Array:
+    """Convert an array to double precision; raises `ValueError` if it is not floating point or not finite."""
     if array.dtype.kind != 'f':
         raise ValueError(f'{key}: holds {array.dtype}, expected floating point')
     numbers = array.astype(np.float64)
@@ -141,88 +144,96 @@ def _numbers(array: NDArray[np.generic], key: str) -> Array:
 
 
 def _check_base_poses(model: BasePoses) -> None:
-    """Refuse what no training makes (ValueError)."""
+    """Check shapes and values of a model; raises `ValueError` for what no training produces."""
     joints, k = len(CMU15.joints), len(model.components)
     shapes = {'mean': (joints, 3), 'components': (k, joints, 3), 'std': (k,), 'explained': (k,)}
     for key, shape in shapes.items():
         if getattr(model, key).shape != shape or not k:
             raise ValueError(f'{key}: shape {getattr(model, key).shape}, expected {shape}')
     flat = model.components.reshape(k, -1)
-    low, high = STATURES
-    for fine, what in (
+    low, high = STATURE_RANGE_M
+    low_std, high_std = WEIGHT_STD_RANGE_M
+    for is_valid, reason in (
         (model.skeleton == CMU15, f'skeleton: {model.skeleton.name}, expected {CMU15.name}'),
-        (isinstance(model.name, str) and len(model.name) <= LONGEST_NAME, 'name: no short text'),
-        (isinstance(model.provenance, dict), 'provenance: no mapping'),
+        (
+            isinstance(model.name, str) and len(model.name) <= MAX_NAME_LENGTH,
+            f'name: expected a text of at most {MAX_NAME_LENGTH} characters',
+        ),
+        (isinstance(model.provenance, dict), 'provenance: expected a mapping'),
         (low <= model.stature <= high, f'stature: {model.stature:g}, expected {low} to {high} m'),
-        ((np.abs(model.mean) <= FARTHEST_JOINT).all(), f'mean: a joint beyond {FARTHEST_JOINT:g} m'),
-        (((model.std >= STDS[0]) & (model.std <= STDS[1])).all(), 'std: outside {:g} to {:g} m'.format(*STDS)),
-        ((np.diff(model.std) <= ORTHONORMAL * model.std[:-1]).all(), 'std: not falling'),
-        (np.abs(flat @ flat.T - np.eye(k)).max() <= ORTHONORMAL, 'components: not orthonormal'),
+        (
+            (np.abs(model.mean) <= MAX_MEAN_COORDINATE_M).all(),
+            f'mean: a joint beyond {MAX_MEAN_COORDINATE_M:g} m',
+        ),
+        (
+            ((model.std >= low_std) & (model.std <= high_std)).all(),
+            f'std: outside {low_std:g} to {high_std:g} m',
+        ),
+        ((np.diff(model.std) <= ORTHONORMALITY_TOLERANCE * model.std[:-1]).all(), 'std: not decreasing'),
+        (np.abs(flat @ flat.T - np.eye(k)).max() <= ORTHONORMALITY_TOLERANCE, 'components: not orthonormal'),
     ):
-        if not fine:
-            raise ValueError(what)
-
-
-LIFTER_FORMAT = 'mocap_ros lifter 1'
-
-
-LEARNED, PCA = PRIORS = 'learned', 'pca'
-
-
-LARGEST_LIFTER = 64 << 20
-
-
-LARGEST_NUMBER = 1e3
+        if not is_valid:
+            raise ValueError(reason)
 
 
 def save_lifter(lifter: Lifter, path: str | Path | io.BytesIO) -> None:
-    """Write as .npz (no pickles), weights in half precision; the same lifter gives the same bytes."""
+    """Write a lifter as .npz, weights in half precision; the same lifter gives the same bytes."""
     arrays = {f'w{i}': weights.astype('f2') for i, (weights, _) in enumerate(lifter.layers)}
     arrays |= {f'b{i}': bias.astype('f2') for i, (_, bias) in enumerate(lifter.layers)}
-    meta = {'format': LIFTER_FORMAT, 'slots': SLOTS.tolist(), 'provenance': dict(lifter.provenance)}
+    meta = {'format': LIFTER_FORMAT, 'slots': HISTORY_SLOTS_S.tolist(), 'provenance': dict(lifter.provenance)}
     write_npz(path, {**arrays, 'meta': np.array(json.dumps(meta, sort_keys=True))})
 
 
 @cache
-def shipped_lifter() -> Lifter:
-    """The lifter that comes with the package."""
-    return lifter_from_bytes((files('mocap_ros') / 'models' / 'shipped' / 'lifter.npz').read_bytes(), 'lifter')
+def load_shipped_lifter() -> Lifter:
+    """Load the lifter that is shipped with the package; its file is read once in the life of a process."""
+    return decode_lifter((files('mocap_ros') / 'models' / 'shipped' / 'lifter.npz').read_bytes(), 'lifter')
 
 
 @cache
-def lifter_for_prior(name: str, skeleton: Skeleton) -> Lifter | None:
-    """The lifter that `solver.prior` names: the shipped one for `learned`, none for `pca`, else that of a file.
+def load_prior_lifter(name: str, skeleton: Skeleton) -> Lifter | None:
+    """Load the lifter that `solver.prior` names; its file is read once in the life of a process.
 
-    Lifters know the joints of `skeleton.CMU15` only; base poses of another `skeleton` go without. A file is read
-    once in the life of a process.
+    Args:
+        name: `learned` for the shipped lifter, `pca` for none, otherwise the path of a lifter.
+        skeleton: skeleton of the base poses. A lifter knows the joints of `skeleton.CMU15` only, so None is
+            returned for any other skeleton.
 
     Raises:
-        ModelError: no such file, or it is not a lifter.
+        ModelError: The file cannot be read, or it is not a lifter.
     """
     if name == PCA or skeleton.joints != CMU15.joints:
         return None
-    return shipped_lifter() if name == LEARNED else load_lifter(name)
+    return load_shipped_lifter() if name == LEARNED else load_lifter(name)
 
 
 def load_lifter(path: str | Path) -> Lifter:
-    """A trained lifter.
+    """Load a lifter from a file.
 
     Raises:
-        ModelError: no such file, or it is not a lifter.
+        ModelError: The file cannot be read, or it is not a lifter.
     """
     try:
         with Path(path).open('rb') as file:
-            return lifter_from_bytes(file.read(LARGEST_LIFTER + 1), str(path))
+            return decode_lifter(file.read(MAX_LIFTER_BYTES + 1), str(path))
     except OSError as error:
         raise ModelError(f'solver.prior: {path}: {error.strerror}; expected learned, pca or a lifter') from None
 
 
-def lifter_from_bytes(data: bytes, source: str) -> Lifter:
-    """A lifter from the bytes of its file; `source` names it in errors (ModelError)."""
+def decode_lifter(data: bytes, source: str) -> Lifter:
+    """Decode a lifter from the bytes of its file.
+
+    Args:
+        data: content of the file.
+        source: name of the file for error messages.
+
+    Raises:
+        ModelError: The bytes are not a lifter, or the lifter has values that no training produces.
+    """
     try:
-        with open_npz(io.BytesIO(data), LARGEST_LIFTER) as archive:
+        with open_npz(io.BytesIO(data), MAX_LIFTER_BYTES) as archive:
             meta = json.loads(str(archive['meta']))
-            if meta['format'] != LIFTER_FORMAT or not np.allclose(meta['slots'], SLOTS):
+            if meta['format'] != LIFTER_FORMAT or not np.allclose(meta['slots'], HISTORY_SLOTS_S):
                 raise ValueError(f'format {meta["format"]!r}, expected {LIFTER_FORMAT!r}')
             count = (len(archive.files) - 1) // 2
             arrays = {k: archive[k] for k in archive.files if k != 'meta'}
@@ -236,20 +247,20 @@ def lifter_from_bytes(data: bytes, source: str) -> Lifter:
         return Lifter(layers, meta['provenance'])
     except KeyError as error:
         raise ModelError(f'{source}: not a lifter (no {str(error.args[0]).split()[0]})') from None
-    except Exception as error:  # any malformed byte ends up here: the file comes from a stranger
-        raise ModelError(f'{source}: not a lifter ({reader_reason(error)})') from None
+    except Exception as error:  # malformed bytes of an untrusted file can raise almost any exception
+        raise ModelError(f'{source}: not a lifter ({describe_read_error(error)})') from None
 
 
 def _check_lifter(layers: Sequence[tuple[Array32, Array32]]) -> None:
-    """Refuse what no training makes (ValueError)."""
+    """Check shapes and values of a lifter's layers; raises `ValueError` for what no training produces."""
     if len(layers) < 2 or len(layers) % 2:
-        raise ValueError(f'{len(layers)} layers')
+        raise ValueError(f'{len(layers)} layers, expected an even number of at least 2')
     width = layers[0][0].shape[-1]
-    sizes = [FEATURES, *[width] * (len(layers) - 1), OUTPUTS]
+    sizes = [FEATURE_COUNT, *[width] * (len(layers) - 1), OUTPUT_COUNT]
     for i, (weights, bias) in enumerate(layers):
         if weights.shape != (sizes[i], sizes[i + 1]) or bias.shape != (sizes[i + 1],):
             raise ValueError(f'layer {i}: shapes {weights.shape}, {bias.shape}')
         if not (np.isfinite(weights).all() and np.isfinite(bias).all()):
             raise ValueError(f'layer {i}: numbers that are not finite')
-        if max(np.abs(weights).max(), np.abs(bias).max()) > LARGEST_NUMBER:
-            raise ValueError(f'layer {i}: numbers beyond {LARGEST_NUMBER:g}')
+        if max(np.abs(weights).max(), np.abs(bias).max()) > MAX_PARAMETER:
+            raise ValueError(f'layer {i}: numbers beyond {MAX_PARAMETER:g}')

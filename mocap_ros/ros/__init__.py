@@ -1,1 +1,1 @@
-"""The live side: the lifecycle node and the player. Only this package imports rclpy."""
+"""Run the package in ROS 2: the lifecycle node and the player. Only this package imports rclpy."""

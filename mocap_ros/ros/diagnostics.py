@@ -1,4 +1,4 @@
-"""How a live run is doing, as /diagnostics tells it."""
+"""Report the state of a live run as diagnostic_msgs/DiagnosticArray on /diagnostics."""
 
 from __future__ import annotations
 
@@ -10,17 +10,19 @@ from enum import IntEnum
 
 import numpy as np
 
-from mocap_ros.messages.cdr import NS, Header, encode, new, new_header
+from mocap_ros.messages.cdr import Header, create_header, create_message, encode
 from mocap_ros.runtime.pipeline import Counters, Pipeline
+from mocap_ros.units import NS_PER_S
 
-DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
-STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'
-KEY_VALUE = 'diagnostic_msgs/msg/KeyValue'
-REMEMBERED = 300
+DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'  # message type
+STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'  # message type
+KEY_VALUE = 'diagnostic_msgs/msg/KeyValue'  # message type
+MAX_REMEMBERED_FRAMES = 300  # frames; 10 s at 30 Hz, enough for a 99th percentile
+RATE_WINDOW_S = 2.0  # s; long enough for a steady figure, short enough to show a change soon
 
 
 class Level(IntEnum):
-    """As in diagnostic_msgs/DiagnosticStatus."""
+    """Levels of diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -28,71 +30,78 @@ class Level(IntEnum):
     STALE = 3
 
 
-class Pulse:
-    """Counts and times of the recent past; `REMEMBERED` frames of it."""
+class RunStatistics:
+    """Times of receipt and processing times of the last `MAX_REMEMBERED_FRAMES` messages of people."""
 
     def __init__(self) -> None:
-        self._received: deque[float] = deque(maxlen=REMEMBERED)
-        self._solved: deque[float] = deque(maxlen=REMEMBERED)
+        self._received: deque[float] = deque(maxlen=MAX_REMEMBERED_FRAMES)  # s, steady clock
+        self._solve_seconds: deque[float] = deque(maxlen=MAX_REMEMBERED_FRAMES)
 
-    def receive(self) -> None:
-        """A message of people has come."""
+    def record_receipt(self) -> None:
+        """Record that a message has just been received."""
         self._received.append(time.monotonic())
 
-    def solve(self, seconds: float) -> None:
-        """A message has been dealt with, in so many s."""
-        self._solved.append(seconds)
+    def record_solve(self, seconds: float) -> None:
+        """Record how many seconds the processing of a message took."""
+        self._solve_seconds.append(seconds)
 
-    def rate(self, over: float = 2.0) -> float:
-        """Messages a second, in the last `over` s."""
-        since = time.monotonic() - over
-        return sum(t > since for t in tuple(self._received)) / over
+    def compute_input_rate(self, window_s: float = RATE_WINDOW_S) -> float:
+        """Return the mean number of messages per second over the last `window_s` seconds.
 
-    def silence(self) -> float:
-        """Seconds since the last message; infinite before the first."""
+        At most the last `MAX_REMEMBERED_FRAMES` messages are counted, which limits the rate that can be returned.
+        """
+        since = time.monotonic() - window_s
+        return sum(t > since for t in tuple(self._received)) / window_s
+
+    def seconds_since_input(self) -> float:
+        """Return the seconds since the last message; infinity before the first."""
         return time.monotonic() - self._received[-1] if self._received else math.inf
 
-    def solve_ms(self, percent: float) -> float:
-        """This percentile of the time a message took, ms; NaN before the first."""
-        solved = tuple(self._solved)
-        return float(np.percentile(solved, percent)) * 1e3 if solved else math.nan
+    def compute_solve_percentile_ms(self, percent: float) -> float:
+        """Return a percentile of the processing times in ms; NaN before the first message.
+
+        Args:
+            percent: Percentile to return, 0 to 100.
+        """
+        solve_seconds = tuple(self._solve_seconds)
+        return float(np.percentile(solve_seconds, percent)) * 1e3 if solve_seconds else math.nan
 
 
-class Doctor:
-    """Makes a status of a run once in a while.
+class DiagnosticsReporter:
+    """Encoder of the periodic diagnostic status of a run.
 
     Args:
-        name: of the node.
-        silence: s without input that are too long.
+        name: Name of the node.
+        silence: Seconds without input after which the status is STALE.
     """
 
     def __init__(self, name: str, silence: float) -> None:
         self._name = name
         self._silence = silence
-        self._before = Counters()
+        self._previous_counters = Counters()
 
-    def examine(self, pipeline: Pipeline, pulse: Pulse, recorder: str, now_ns: int) -> bytes:
-        """A DiagnosticArray.
+    def encode_status(self, pipeline: Pipeline, statistics: RunStatistics, recorder: str, now_ns: int) -> bytes:
+        """Encode the current status as a DiagnosticArray; its level depends on what happened since the last call.
 
         Args:
-            pipeline: of the run.
-            pulse: of the run.
-            recorder: what it is doing, in words.
-            now_ns: ROS time.
+            pipeline: Pipeline of the run.
+            statistics: Statistics of the run.
+            recorder: State of the recorder in words.
+            now_ns: ROS time in ns.
         """
-        counters, before = pipeline.counters, self._before
-        lost = counters.dropped['backlog'] - before.dropped['backlog']
-        wrong = counters.invalid - before.invalid
-        faults = counters.dropped['internal error'] - before.dropped['internal error']
-        self._before = Counters(counters.accepted, counters.invalid, counters.dropped.copy())
+        counters, previous = pipeline.counters, self._previous_counters
+        skipped = counters.dropped['backlog'] - previous.dropped['backlog']
+        invalid = counters.invalid - previous.invalid
+        errors = counters.dropped['internal error'] - previous.dropped['internal error']
+        self._previous_counters = Counters(counters.accepted, counters.invalid, counters.dropped.copy())
         people = pipeline.people
         residuals = [p.residual for p in people if math.isfinite(p.residual)]
-        age = (now_ns - pipeline.header.stamp_ns) / NS if counters.accepted else math.nan
-        said = {
-            'input rate (Hz)': f'{pulse.rate():.1f}',
-            'age of newest frame (s)': f'{age:.3f}',
-            'solve time p50 (ms)': f'{pulse.solve_ms(50):.1f}',
-            'solve time p99 (ms)': f'{pulse.solve_ms(99):.1f}',
+        age_s = (now_ns - pipeline.header.stamp_ns) / NS_PER_S if counters.accepted else math.nan
+        values = {
+            'input rate (Hz)': f'{statistics.compute_input_rate():.1f}',
+            'age of newest frame (s)': f'{age_s:.3f}',
+            'solve time p50 (ms)': f'{statistics.compute_solve_percentile_ms(50):.1f}',
+            'solve time p99 (ms)': f'{statistics.compute_solve_percentile_ms(99):.1f}',
             'accepted': counters.accepted,
             'invalid': counters.invalid,
             **{f'dropped: {reason}': n for reason, n in sorted(counters.dropped.items())},
@@ -105,30 +114,31 @@ class Doctor:
             'recorder': recorder,
         }
         level, message = Level.OK, f'{len(people)} people'
-        if pulse.silence() > self._silence:
+        if statistics.seconds_since_input() > self._silence:
             level, message = Level.STALE, 'no input'
-        elif faults:
-            level, message = Level.ERROR, f'{faults} internal errors, see the log'
-        elif lost or wrong:
+        elif errors:
+            level, message = Level.ERROR, f'{errors} internal errors in the last second; see the log'
+        elif skipped or invalid:
             level = Level.WARN
-            message = f'{lost} messages passed over, {wrong} invalid in the last second'
-        return encode_diagnostics(Header(now_ns, ''), self._name, (level, message), said)
+            message = f'{skipped} messages skipped because of a backlog, {invalid} invalid in the last second'
+        return encode_diagnostics(Header(now_ns, ''), self._name, (level, message), values)
 
 
 def encode_diagnostics(
-    header: Header, name: str, status: tuple[Level, str], values: Mapping[str, object]
+    header: Header, name: str, level_and_message: tuple[Level, str], values: Mapping[str, object]
 ) -> bytes:
-    """A DiagnosticArray with one status."""
-    one = new(
+    """Encode a DiagnosticArray with a single status."""
+    level, message = level_and_message
+    status = create_message(
         STATUS,
-        level=int(status[0]),
+        level=int(level),
         name=name,
-        message=status[1],
+        message=message,
         hardware_id='',
-        values=list(_pairs(values.items())),
+        values=list(_create_key_values(values)),
     )
-    return encode(new(DIAGNOSTICS, header=new_header(header), status=[one]), DIAGNOSTICS)
+    return encode(create_message(DIAGNOSTICS, header=create_header(header), status=[status]), DIAGNOSTICS)
 
 
-def _pairs(items: Iterable[tuple[str, object]]) -> Iterable[object]:
-    return (new(KEY_VALUE, key=key, value=str(value)) for key, value in items)
+def _create_key_values(values: Mapping[str, object]) -> Iterable[object]:
+    return (create_message(KEY_VALUE, key=key, value=str(value)) for key, value in values.items())

@@ -1,4 +1,4 @@
-"""What `mocap_node --help` says, and the services it tells of; needs no ROS."""
+"""Text that `mocap_node --help` prints: arguments, topics and services. This module does not import rclpy."""
 
 from __future__ import annotations
 
@@ -6,49 +6,52 @@ import argparse
 from collections.abc import Sequence
 
 from mocap_ros.bags.topics import Source
-from mocap_ros.messages.accepted import KEYPOINT_TYPES
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.foreign.definitions import BODY
+from mocap_ros.messages.foreign.definitions import HRI_SKELETON
+from mocap_ros.messages.input_types import KEYPOINT_TYPES
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.runtime.pipeline import LATCHED_OUTPUTS, OUTPUTS, TF_OUTPUT
 
+# Type of each service of the node, by name.
 SERVICES = {'~/reset': 'std_srvs/srv/Trigger', '~/record': 'std_srvs/srv/SetBool'}
-INPUTS = {Source.KEYPOINTS.value: KEYPOINTS, Source.CAMERA_INFO.value: CAMERA_INFO}
+# Message type of each input with the default parameters, by relative topic name.
+INPUT_TYPES = {Source.KEYPOINTS.value: KEYPOINTS, Source.CAMERA_INFO.value: CAMERA_INFO}
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line of the node, apart from what rclpy takes."""
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the node's command line without the arguments that rclpy parses."""
     return argparse.ArgumentParser(
         prog='mocap_node',
         usage='mocap_node [-h] [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]',
-        description='2D keypoints in, 3D people out, live.',
-        epilog=_epilog(),
+        description='Estimate 3D people live from 2D keypoints.',
+        epilog=_describe_interface(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
 
 
-def without_ros_arguments(arguments: Sequence[str]) -> list[str]:
-    """What is not between `--ros-args` and `--`."""
-    plain, theirs = [], False
+def remove_ros_arguments(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments that are not between `--ros-args` and `--`."""
+    remaining, is_for_ros = [], False
     for argument in arguments:
-        if argument == '--ros-args' or (theirs and argument == '--'):
-            theirs = argument == '--ros-args'
-        elif not theirs:
-            plain.append(argument)
-    return plain
+        if argument == '--ros-args' or (is_for_ros and argument == '--'):
+            is_for_ros = argument == '--ros-args'
+        elif not is_for_ros:
+            remaining.append(argument)
+    return remaining
 
 
-def _epilog() -> str:
+def _describe_interface() -> str:
+    input_types = ', '.join((*KEYPOINT_TYPES[1:], HRI_SKELETON))
     sections = {
         'after --ros-args': {
-            '-p tracker.window:=2.0': 'a parameter; may be repeated',
-            '-p node.input_type:=TYPE': f'another type of keypoints: {", ".join((*KEYPOINT_TYPES[1:], BODY))}',
-            '--params-file FILE': 'parameters from a file; `mocap-ros config > FILE` makes one with all of them',
-            '-r keypoints:=/camera/keypoints': 'another name for a topic; may be repeated',
-            '--log-level warn': 'say less',
+            '-p tracker.window:=2.0': 'set a parameter; may be repeated',
+            '-p node.input_type:=TYPE': f'accept another type of keypoint messages: {input_types}',
+            '--params-file FILE': 'read parameters from a file; `mocap-ros config > FILE` writes such a file',
+            '-r keypoints:=/camera/keypoints': 'rename a topic; may be repeated',
+            '--log-level warn': 'log only warnings and errors',
         },
-        'topics taken': INPUTS,
-        'topics published': OUTPUTS | LATCHED_OUTPUTS | {'/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray'},
+        'subscribed topics': INPUT_TYPES,
+        'published topics': OUTPUTS | LATCHED_OUTPUTS | {'/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray'},
         'with -p node.publish_tf:=true': TF_OUTPUT,
         'services': SERVICES,
     }

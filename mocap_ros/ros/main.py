@@ -1,7 +1,8 @@
 """Entry point of `mocap_node`.
 
-Exit codes: 0 ended by SIGINT or SIGTERM; 1 could not start, with one line that says why; 2 usage. A node that runs
-but cannot be configured or activated says why and waits to be told to try again.
+Exit codes: 0 after SIGINT or SIGTERM; 1 if the node could not start, with the reason in one line on stderr; 2 for
+wrong usage. A node that has started but cannot be configured or activated logs the reason and waits for the next
+lifecycle transition.
 """
 
 from __future__ import annotations
@@ -9,37 +10,39 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from mocap_ros.runtime.cpu_setup import prepare
+from mocap_ros.runtime.cpu_setup import configure_process
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node."""
+    """Run the node until it is ended by a signal; return the exit code."""
     try:
         return _run(sys.argv[1:] if args is None else args)
-    except KeyboardInterrupt:  # before the node was there to take it
+    except KeyboardInterrupt:  # SIGINT arrived before the node had installed its signal handler
         return 0
 
 
 def _run(arguments: Sequence[str]) -> int:
-    prepare()
+    configure_process()
 
-    # imported here, where a SIGINT meanwhile is no traceback
+    # imported here, so that a SIGINT during the import ends the program without a traceback
     from mocap_ros.errors import MocapError
-    from mocap_ros.ros.help import parser, without_ros_arguments
+    from mocap_ros.ros.help import build_parser, remove_ros_arguments
 
-    parser().parse_args(without_ros_arguments(arguments))
+    build_parser().parse_args(remove_ros_arguments(arguments))
     try:
         from mocap_ros.ros.node import run
     except ImportError as error:
-        return _failed(f'needs ROS 2, and there is none for this Python ({error}); source it, or `make setup`')
+        return _report_failure(
+            f'needs ROS 2, which this Python does not find ({error}); source ROS 2 or run `make setup`'
+        )
     try:
         run(arguments)
     except MocapError as error:
-        return _failed(str(error))
+        return _report_failure(str(error))
     return 0
 
 
-def _failed(message: str) -> int:
+def _report_failure(message: str) -> int:
     print(f'mocap_node: {" ".join(message.split())}', file=sys.stderr)
     return 1
 

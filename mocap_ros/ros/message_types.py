@@ -1,4 +1,4 @@
-"""Message and service classes of rclpy by name, found at run time; messages of other versions made ours."""
+"""Find message and service classes of rclpy at run time, and convert messages of other versions of a type."""
 
 from __future__ import annotations
 
@@ -11,18 +11,20 @@ from rosbags.convert.converter import migrate_bytes
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mocap_ros.errors import ConfigError, InputError
-from mocap_ros.messages.cdr import WORD, typestore
+from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES, typestore
 
-BASE_TYPES = {'boolean': 'bool', 'octet': 'byte', 'float': 'float32', 'double': 'float64'}
+# Names of basic types in .msg files, where rclpy's names of the same types differ.
+MSG_FILE_NAMES = {'boolean': 'bool', 'octet': 'byte', 'float': 'float32', 'double': 'float64'}
 
+# A function that converts a message, as CDR, from the installed version of its type to the package's version.
 Convert = Callable[[bytes], bytes]
 
 
-def interface_class(kind: str) -> Any:
-    """The class of a type such as `sensor_msgs/msg/CameraInfo` or `std_srvs/srv/Trigger`.
+def load_interface_class(kind: str) -> Any:
+    """Import the class of a message or service type such as `sensor_msgs/msg/CameraInfo`.
 
     Raises:
-        ConfigError: its package is not installed, or has no such type.
+        ConfigError: The package of the type is not installed or does not contain the type.
     """
     module, _, name = kind.rpartition('/')
     try:
@@ -31,59 +33,74 @@ def interface_class(kind: str) -> Any:
         raise ConfigError(f'type {kind} is not installed ({error})') from None
 
 
-def converter(kind: str) -> Convert | None:
-    """What makes CDR of the installed version of a type that of ours; None where they are the same.
+def build_converter(kind: str) -> Convert | None:
+    """Return a function that converts messages of the installed version of a type to the package's version.
 
-    What it returns raises InputError for what is no such message.
+    Fields are matched by name. The function raises InputError for bytes that are not a message of the installed
+    version.
+
+    Returns:
+        The function, or None if the two versions are equal.
 
     Raises:
-        ConfigError: the type is not installed, or its fields cannot be read.
+        ConfigError: The type is not installed, or the definitions of its fields cannot be parsed.
     """
     store = get_typestore(Stores.EMPTY)
     try:
-        for name, text in _definitions(kind, set()):
+        for name, text in interface_definitions(kind, set()):
             store.register(get_types_from_msg(text, name))
         if store.hash_rihs01(kind) == typestore().hash_rihs01(kind):
             return None
     except ConfigError:
         raise
-    except Exception as error:  # whatever the parser makes of a stranger's fields
+    except Exception as error:  # the parser raises many types of errors for definitions of other packages
         raise ConfigError(f'the fields of {kind} cannot be read ({error})') from None
     cache: dict[str, object] = {}
 
     def convert(raw: bytes) -> bytes:
         try:
             data = bytes(migrate_bytes(store, typestore(), kind, kind, cache, raw, src_is2=True, dst_is2=True))
-        except Exception as error:  # bytes of a stranger: any reader error ends up here
+        except Exception as error:  # the decoder raises many types of errors for invalid bytes
             raise InputError(f'not a {kind} ({error})') from None
-        return data + bytes(-len(data) % WORD)
+        return data + bytes(-len(data) % CDR_ALIGNMENT_BYTES)
 
     return convert
 
 
-def _definitions(kind: str, done: set[str]) -> Iterator[tuple[str, str]]:
-    """Names and texts of a type and of those it uses, as they are installed."""
-    done.add(kind)
+def interface_definitions(kind: str, visited: set[str]) -> Iterator[tuple[str, str]]:
+    """Yield names and .msg texts of the installed version of a type and of the types that it contains.
+
+    Args:
+        kind: Name of the message type.
+        visited: Names of the types that need not be yielded again; the function adds to it.
+    """
+    visited.add(kind)
     lines = []
-    for field, described in interface_class(kind).get_fields_and_field_types().items():
-        inside, array = _plain(described)
-        if '/' in inside:
-            package, name = inside.split('/')
-            inside = f'{package}/msg/{name}'
-            if inside not in done:
-                yield from _definitions(inside, done)
-        lines.append(f'{BASE_TYPES.get(inside, inside)}{array} {field}')
+    for field, description in load_interface_class(kind).get_fields_and_field_types().items():
+        element, brackets = _split_array(description)
+        if '/' in element:
+            package, name = element.split('/')
+            element = f'{package}/msg/{name}'
+            if element not in visited:
+                yield from interface_definitions(element, visited)
+        lines.append(f'{MSG_FILE_NAMES.get(element, element)}{brackets} {field}')
     yield kind, '\n'.join(lines)
 
 
-def _plain(described: str) -> tuple[str, str]:
-    """Type and array brackets of what rclpy calls `sequence<double, 3>`, `float[3]` or `string<8>`."""
-    sequence = re.fullmatch(r'sequence<(.+?)(?:, (\d+))?>', described)
+def _split_array(description: str) -> tuple[str, str]:
+    """Return element type and array brackets, in .msg syntax, of rclpy's description of a field.
+
+    Examples of such descriptions are `sequence<double, 3>`, `float[3]` and `string<8>`.
+    """
+    sequence = re.fullmatch(r'sequence<(.+?)(?:, (\d+))?>', description)
     if sequence:
-        return _bounded(sequence[1]), f'[<={sequence[2]}]' if sequence[2] else '[]'
-    array = re.fullmatch(r'(.+)\[(\d+)\]', described)
-    return (_bounded(array[1]), f'[{array[2]}]') if array else (_bounded(described), '')
+        return _convert_string_bound(sequence[1]), f'[<={sequence[2]}]' if sequence[2] else '[]'
+    array = re.fullmatch(r'(.+)\[(\d+)\]', description)
+    return (
+        (_convert_string_bound(array[1]), f'[{array[2]}]') if array else (_convert_string_bound(description), '')
+    )
 
 
-def _bounded(described: str) -> str:
-    return re.sub(r'^(w?string)<(\d+)>$', r'\1<=\2', described)
+def _convert_string_bound(description: str) -> str:
+    """Convert `string<8>` to `string<=8>`; leave any other type as it is."""
+    return re.sub(r'^(w?string)<(\d+)>$', r'\1<=\2', description)

@@ -1,4 +1,4 @@
-"""Publishes recorded messages at their own pace, as a camera and its detector would."""
+"""Publish recorded messages at their recorded rate, as a camera and its detector would."""
 
 from __future__ import annotations
 
@@ -14,26 +14,31 @@ from rclpy.signals import SignalHandlerOptions
 
 from mocap_ros.errors import ConfigError, MocapError
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import NS
-from mocap_ros.ros.message_types import interface_class
-from mocap_ros.ros.qos import playing_profile
-from mocap_ros.runtime.playback import Due, Playback, PlayedTopic
+from mocap_ros.ros.message_types import load_interface_class
+from mocap_ros.ros.qos import choose_playback_profile
+from mocap_ros.runtime.playback import Playback, PlaybackMessage, PlayedTopic
+from mocap_ros.units import NS_PER_S
 
-CLOCK = 'rosgraph_msgs/msg/Clock'
-SETTLE_SECONDS = 0.5
+CLOCK = 'rosgraph_msgs/msg/Clock'  # message type of /clock
+SETTLE_SECONDS = (
+    0.5  # s; a best-effort subscriber may discover the publisher later than the reverse, by less than this
+)
+DISCOVERY_POLL_SECONDS = 0.02  # s; pause between two checks for a subscriber
+MAX_ACKNOWLEDGEMENT_SECONDS = 1  # s; guards against a subscriber that never acknowledges the last messages
 
-Watch = Callable[[Iterable[Due], int], Iterable[Due]]
+# A function that shows progress while the messages it is given are iterated; its second argument is their number.
+ProgressWrapper = Callable[[Iterable[PlaybackMessage], int], Iterable[PlaybackMessage]]
 
 
 @dataclass(frozen=True)
-class Pace:
-    """How to play.
+class PlaybackOptions:
+    """Options of the player.
 
     Attributes:
-        rate: times the recorded pace; infinity for as fast as possible.
-        wait: s to wait for a subscriber before the first message.
-        loop: begin again at the end, until interrupted.
-        clock: Hz, to publish recorded time on /clock; 0: not at all.
+        rate: Factor of the recorded rate; infinity for as fast as possible.
+        wait: Seconds to wait for a subscriber before the first message.
+        loop: Whether to start again at the end, until interrupted.
+        clock: Hz; rate at which to publish the recorded time on /clock; 0 for no /clock.
     """
 
     rate: float = 1.0
@@ -43,119 +48,132 @@ class Pace:
 
 
 class Player:
-    """Publishes messages, unchanged, with the QoS they were recorded with.
+    """Publisher of recorded messages, unchanged, with the QoS with which they were recorded.
 
-    A best-effort subscriber may learn of this publisher later than the publisher of the subscriber, and misses
-    what is sent in between; hence a short pause before the first message. A reliable one misses nothing.
+    The player pauses for `SETTLE_SECONDS` before the first message: a best-effort subscriber misses the messages
+    that are sent before it has discovered the publisher. A reliable subscriber misses nothing.
 
     Args:
-        playback: what to publish.
-        pace: when.
+        playback: The messages to publish.
+        options: Rate, waiting time, loop and clock.
 
     Attributes:
-        played: messages published so far.
-        skipped: topics whose type is not installed.
+        published_count: Number of messages published so far.
+        skipped_topics: A line for each topic whose message type is not installed.
     """
 
-    def __init__(self, playback: Playback, pace: Pace) -> None:
+    def __init__(self, playback: Playback, options: PlaybackOptions) -> None:
         self._playback = playback
-        self._pace = pace
-        self._publishers: dict[int, Any] = {}
-        self._clock: _Clock | None = None
-        self.played = 0
-        self.skipped: list[str] = []
+        self._options = options
+        self._publishers: dict[int, Any] = {}  # by index of the topic in the playback
+        self._clock: _ClockPublisher | None = None
+        self.published_count = 0
+        self.skipped_topics: list[str] = []
 
-    def play(self, watch: Watch = lambda messages, _: messages) -> None:
-        """Publish everything once, or again and again.
+    def play(self, progress: ProgressWrapper = lambda messages, _: messages) -> None:
+        """Publish all messages once, or repeatedly until interrupted.
 
         Args:
-            watch: wrapped around the messages, of which there are as many as its second argument says.
+            progress: Function that shows progress.
 
         Raises:
-            MocapError: nobody subscribes in time, or no type is installed.
+            MocapError: No subscriber appeared in time, or no message type is installed.
         """
         context = rclpy.Context()
         rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
         node = rclpy.create_node('mocap_player', context=context)
         try:
-            self._advertise(node)
+            self._create_publishers(node)
             self._wait_for_subscriber()
             while True:
-                self._once(watch(self._playback, self._playback.count))
-                if not self._pace.loop:
+                self._publish_once(progress(self._playback, self._playback.count))
+                if not self._options.loop:
                     break
             for publisher in self._publishers.values():
-                publisher.wait_for_all_acked(Duration(seconds=1))
+                publisher.wait_for_all_acked(Duration(seconds=MAX_ACKNOWLEDGEMENT_SECONDS))
         finally:
             node.destroy_node()
             rclpy.shutdown(context=context)
 
-    def _advertise(self, node: Any) -> None:
-        for number, topic in enumerate(self._playback.topics):
-            kind = self._class_of(topic)
-            if kind is not None:
-                self._publishers[number] = node.create_publisher(kind, topic.name, playing_profile(topic.qos))
+    def _create_publishers(self, node: Any) -> None:
+        for index, topic in enumerate(self._playback.topics):
+            message_class = self._find_class(topic)
+            if message_class is not None:
+                profile = choose_playback_profile(topic.qos)
+                self._publishers[index] = node.create_publisher(message_class, topic.name, profile)
         if not self._publishers:
-            raise MocapError(f'nothing to play: {self.skipped[0] if self.skipped else "no topics"}')
-        if self._pace.clock:
-            self._clock = _Clock(node, self._pace.clock)
+            raise MocapError(f'nothing to play: {self.skipped_topics[0] if self.skipped_topics else "no topics"}')
+        if self._options.clock:
+            self._clock = _ClockPublisher(node, self._options.clock)
 
-    def _class_of(self, topic: PlayedTopic) -> Any:
+    def _find_class(self, topic: PlayedTopic) -> Any:
+        """Return the message class of a topic; if it is not installed, return None and note that it is skipped."""
         try:
-            return interface_class(topic.type)
+            return load_interface_class(topic.type)
         except ConfigError as error:
-            self.skipped.append(f'{topic.name}: {error}')
+            self.skipped_topics.append(f'{topic.name}: {error}')
             return None
 
     def _wait_for_subscriber(self) -> None:
-        kinds = {n: t.type for n, t in enumerate(self._playback.topics)}
-        awaited = [p for n, p in self._publishers.items() if kinds[n] != CAMERA_INFO] or [
+        """Wait for a subscriber to any topic but CameraInfo, unless CameraInfo is all there is."""
+        types = {i: t.type for i, t in enumerate(self._playback.topics)}
+        awaited = [p for i, p in self._publishers.items() if types[i] != CAMERA_INFO] or [
             *self._publishers.values()
         ]
-        end = time.monotonic() + self._pace.wait
+        deadline = time.monotonic() + self._options.wait
         while not any(p.get_subscription_count() for p in awaited):
-            if time.monotonic() > end:
+            if time.monotonic() > deadline:
                 names = ', '.join(p.topic_name for p in awaited)
-                raise MocapError(f'nobody subscribed to {names} within {self._pace.wait:g} s')
-            time.sleep(0.02)
+                raise MocapError(f'nobody subscribed to {names} within {self._options.wait:g} s')
+            time.sleep(DISCOVERY_POLL_SECONDS)
         time.sleep(SETTLE_SECONDS)
 
-    def _once(self, messages: Iterable[Due]) -> None:
+    def _publish_once(self, messages: Iterable[PlaybackMessage]) -> None:
         start, first_ns = time.monotonic(), -1
         for message in messages:
             first_ns = message.due_ns if first_ns < 0 else first_ns
-            self._sleep_until(start + (message.due_ns - first_ns) / NS / self._pace.rate, message.due_ns)
+            elapsed_s = (message.due_ns - first_ns) / NS_PER_S / self._options.rate
+            self._sleep_until(start + elapsed_s, message.due_ns)
             publisher = self._publishers.get(message.topic)
             if publisher is not None:
                 publisher.publish(message.raw)
-                self.played += 1
+                self.published_count += 1
 
     def _sleep_until(self, end: float, end_ns: int) -> None:
-        """Sleep until a steady time, which is `end_ns` of recorded time; tell the time meanwhile."""
-        while (left := end - time.monotonic()) > 0:
+        """Sleep until a time of the steady clock, and publish /clock meanwhile if it is wanted.
+
+        Args:
+            end: s, steady clock.
+            end_ns: The same time in ns on the clock of the recording.
+        """
+        while (remaining := end - time.monotonic()) > 0:
             if self._clock is not None:
-                self._clock.tell(end_ns - round(left * self._pace.rate * NS))
-                left = min(left, self._clock.period)
-            time.sleep(left)
+                self._clock.publish(end_ns - round(remaining * self._options.rate * NS_PER_S))
+                remaining = min(remaining, self._clock.period)
+            time.sleep(remaining)
         if self._clock is not None:
-            self._clock.tell(end_ns)
+            self._clock.publish(end_ns)
 
 
-class _Clock:
-    """Publishes /clock, at most so many times a second."""
+class _ClockPublisher:
+    """Publisher of /clock with a limited rate.
+
+    Attributes:
+        period: s between two messages.
+    """
 
     def __init__(self, node: Any, rate: float) -> None:
         self.period = 1 / rate
-        self._type = interface_class(CLOCK)
+        self._message_class = load_interface_class(CLOCK)
         qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._publisher = node.create_publisher(self._type, '/clock', qos)
-        self._due = 0.0
+        self._publisher = node.create_publisher(self._message_class, '/clock', qos)
+        self._next_due = 0.0  # s, steady clock
 
-    def tell(self, time_ns: int) -> None:
-        """Publish this time, if it is due."""
+    def publish(self, time_ns: int) -> None:
+        """Publish this time, unless the last message was published less than a period ago."""
         now = time.monotonic()
-        if now >= self._due:
-            self._due = now + self.period
-            message = self._type()
-            message.clock.sec, message.clock.nanosec = divmod(time_ns, NS)
+        if now >= self._next_due:
+            self._next_due = now + self.period
+            message = self._message_class()
+            message.clock.sec, message.clock.nanosec = divmod(time_ns, NS_PER_S)
             self._publisher.publish(message)

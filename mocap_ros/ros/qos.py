@@ -1,4 +1,4 @@
-"""QoS profiles of rclpy and as bags keep them."""
+"""QoS profiles of the node's topics, their conversion to and from those in bags, and warnings of mismatches."""
 
 from __future__ import annotations
 
@@ -6,43 +6,120 @@ from collections.abc import Sequence
 from typing import Any
 
 from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.node import Node
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_policy_name_from_kind,
+)
 from rosbags.interfaces import Qos
 
-DEPTH = 1000
+QUEUE_DEPTH = 10  # messages; the default of ROS 2; waiting messages are queued in the node, not in the middleware
+TF_QUEUE_DEPTH = 100  # messages; the depth that tf2_ros uses on /tf
+PLAYBACK_QUEUE_DEPTH = 1000  # messages; lets a slow reliable subscriber catch up when a bag is played fast
+
+# Best effort is compatible with reliable and with best-effort publishers.
+INPUT_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT
+)
+# Reliable is compatible with reliable and with best-effort subscribers.
+OUTPUT_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+TF_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=TF_QUEUE_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+# Late subscribers receive the last message.
+LATCHED_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
 
 
-def recorded_profile(profile: QoSProfile) -> dict[str, Any]:
-    """A profile by rosbag2's names."""
+def profile_to_rosbag2(profile: QoSProfile) -> dict[str, Any]:
+    """Convert a profile to the keys and values that rosbag2 writes into a bag."""
     return {
         'history': profile.history.name.lower(),
         'depth': profile.depth,
         'reliability': profile.reliability.name.lower(),
         'durability': profile.durability.name.lower(),
-        'deadline': _seconds(profile.deadline),
-        'lifespan': _seconds(profile.lifespan),
+        'deadline': _split_duration(profile.deadline),
+        'lifespan': _split_duration(profile.lifespan),
         'liveliness': profile.liveliness.name.lower(),
-        'liveliness_lease_duration': _seconds(profile.liveliness_lease_duration),
+        'liveliness_lease_duration': _split_duration(profile.liveliness_lease_duration),
         'avoid_ros_namespace_conventions': profile.avoid_ros_namespace_conventions,
     }
 
 
-def playing_profile(recorded: Sequence[Qos]) -> QoSProfile:
-    """What to offer in the place of recorded publishers: reliability and durability, where they agree on them.
+def choose_playback_profile(recorded: Sequence[Qos]) -> QoSProfile:
+    """Return a profile for publishing recorded messages again.
 
-    Otherwise, and where nothing is recorded, reliable and volatile, which suits every subscriber but latched ones.
+    The profile has the reliability and the durability of the recorded publishers if these agree. Otherwise, and if
+    nothing is recorded, it is reliable and volatile, which every subscriber accepts that does not ask for
+    transient-local durability.
+
+    Args:
+        recorded: Profiles that the publishers offered while the bag was recorded.
     """
     reliability = {q.reliability.name for q in recorded}
     durability = {q.durability.name for q in recorded}
-    latched = durability == {DurabilityPolicy.TRANSIENT_LOCAL.name}
-    best_effort = reliability == {ReliabilityPolicy.BEST_EFFORT.name}
+    is_latched = durability == {DurabilityPolicy.TRANSIENT_LOCAL.name}
+    is_best_effort = reliability == {ReliabilityPolicy.BEST_EFFORT.name}
     return QoSProfile(
-        depth=max(1, *(q.depth for q in recorded)) if latched else DEPTH,
-        reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        depth=max(1, *(q.depth for q in recorded)) if is_latched else PLAYBACK_QUEUE_DEPTH,
+        reliability=ReliabilityPolicy.BEST_EFFORT if is_best_effort else ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE,
     )
 
 
-def _seconds(duration: Duration) -> dict[str, int]:
+def _split_duration(duration: Duration) -> dict[str, int]:
     seconds, nanoseconds = divmod(duration.nanoseconds, 10**9)
     return {'sec': seconds, 'nsec': nanoseconds}
+
+
+class QosWarnings:
+    """Log of peers whose QoS is incompatible with the node's; each policy of each topic is logged once.
+
+    Args:
+        node: The node whose publishers and subscriptions report incompatible peers.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._logged: set[tuple[str, str]] = set()  # topic and policy
+
+    def warn_of_subscriber(self, name: str, policy: Any) -> None:
+        """Log that a subscriber to a topic of the node receives nothing.
+
+        Args:
+            name: Name of the topic; relative names are resolved.
+            policy: Kind of the incompatible policy, as rclpy's event gives it.
+        """
+        topic, policy_name = self._node.resolve_topic_name(name), qos_policy_name_from_kind(policy)
+        self._warn_once(
+            topic,
+            policy_name,
+            f'{topic}: a subscriber requests a stricter {policy_name} policy than this node offers, so it '
+            'receives nothing; relax that policy in the subscriber',
+        )
+
+    def warn_of_publisher(self, name: str, policy: Any) -> None:
+        """Log that the node receives nothing from a publisher.
+
+        Args:
+            name: Name of the topic; relative names are resolved.
+            policy: Kind of the incompatible policy, as rclpy's event gives it.
+        """
+        topic, policy_name = self._node.resolve_topic_name(name), qos_policy_name_from_kind(policy)
+        self._warn_once(
+            topic,
+            policy_name,
+            f'{topic}: a publisher offers a weaker {policy_name} policy than this node requests, so its '
+            'messages are not received; change that policy in the publisher, or set the parameters '
+            f'qos_overrides.{topic}.subscription of this node',
+        )
+
+    def _warn_once(self, topic: str, policy_name: str, line: str) -> None:
+        if (topic, policy_name) not in self._logged:
+            self._logged.add((topic, policy_name))
+            self._node.get_logger().warning(line)

@@ -1,1 +1,1 @@
-"""From the bytes of an input message to the bytes of the outputs: what the live node and a replay share."""
+"""Convert the bytes of input messages into the bytes of output messages, for the live node and for replays."""

@@ -1,27 +1,35 @@
-"""How a process of this package computes: with one BLAS thread, and keeping its memory from step to step."""
+"""Configure BLAS threads and memory allocation of this process; import this module before NumPy.
+
+The module imports only the standard library, because BLAS libraries read their settings when NumPy is imported.
+"""
 
 from __future__ import annotations
 
 import ctypes
 import os
 
-BLAS_THREADS = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of malloc.h
-KEPT, LARGEST_KEPT = 256 << 20, 32 << 20
+# Environment variables that limit the threads of the BLAS libraries that NumPy and SciPy may be linked with.
+BLAS_THREAD_VARIABLES = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
+M_TRIM_THRESHOLD = -1  # parameter number of mallopt(3), from malloc.h
+M_MMAP_THRESHOLD = -3  # parameter number of mallopt(3), from malloc.h
+TRIM_THRESHOLD_BYTES = 256 << 20  # free memory that the process keeps; far above what one solver step frees
+MMAP_THRESHOLD_BYTES = 32 << 20  # the largest value that glibc accepts on 64-bit systems
 
 
-def prepare() -> None:
-    """To be called before NumPy is imported.
+def configure_process() -> None:
+    """Limit BLAS to one thread and make malloc keep freed memory; call this before NumPy is imported.
 
-    Matrices are small: more threads only wait for each other. Arrays of some MB come and go at every step of the
-    solver: fetching their pages from the system each time, as the C library does by default, takes a quarter of
-    its time.
+    The matrices of the solvers are small, so additional BLAS threads only wait for each other. Every solver step
+    allocates and frees arrays of some MB. By default the C library returns their pages to the system each time,
+    and fetching them again takes a quarter of the time of a step.
+
+    Environment variables that the user has set are kept. Without the GNU C library, malloc stays as it is.
     """
-    for name in BLAS_THREADS:
+    for name in BLAS_THREAD_VARIABLES:
         os.environ.setdefault(name, '1')
     try:
         mallopt = ctypes.CDLL(None).mallopt
-    except (OSError, TypeError, AttributeError):  # no GNU C library
+    except (OSError, TypeError, AttributeError):  # the C library is not the GNU one
         return
-    mallopt(M_TRIM_THRESHOLD, KEPT)
-    mallopt(M_MMAP_THRESHOLD, LARGEST_KEPT)
+    mallopt(M_TRIM_THRESHOLD, TRIM_THRESHOLD_BYTES)
+    mallopt(M_MMAP_THRESHOLD, MMAP_THRESHOLD_BYTES)

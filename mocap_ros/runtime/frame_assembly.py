@@ -1,138 +1,147 @@
-"""The people in each image, from messages of any type.
+"""Assemble the people of each image from the messages of any detector.
 
-People who come one by one, each on a topic of their own, are gathered by stamp. Their image is complete when
-everybody who is tracked has come, or a newer one begins; the clock has no say in it, so that the same messages in
-the same order give the same images.
+Most detectors send one message for each image. ROS4HRI sends one message for each body, each on its own topic, and
+the list of tracked bodies on another topic. Such messages are grouped by stamp. An image is complete when every
+tracked body has arrived or when a body of a newer image arrives. No clock is read, so that the same messages in
+the same order always give the same images.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
 
-from mocap_ros.bags.topics import Source, body_of
+from mocap_ros.bags.topics import Source, parse_body_id
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import FrameDropped
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.accepted import decode_frame
-from mocap_ros.messages.cdr import NS, Header
+from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.foreign.hri import decode_body, decode_ids
+from mocap_ros.messages.input_types import decode_frame
 from mocap_ros.messages.keypoints import KeypointsFrame
+from mocap_ros.units import NS_PER_S
 
-NO_STAMP = 'header.stamp is not set'
+# Reason for rejecting a repeated stamp of 0: the publisher most likely never sets the stamp.
+MISSING_STAMP = 'header.stamp is not set'
 
+# Completed images, oldest first.
 Frames = list[KeypointsFrame]
 
 
-class PeopleReader:
-    """What every run and every reader of a bag makes of the messages of people."""
+class FrameAssembler:
+    """Decoder of all messages that hold people; it returns an image as soon as the image is complete."""
 
     def __init__(self) -> None:
-        self._bodies = BodyGroups()
+        self._bodies = BodyAssembler()
 
     def reset(self) -> None:
-        """Forget what is being gathered."""
+        """Discard the incomplete image and forget the tracked bodies."""
         self._bodies.reset()
 
-    def read(
+    def assemble(
         self, source: Source, raw: bytes, topic: str, node: NodeConfig, size: tuple[int, int], restart_after: float
     ) -> Frames:
-        """Take a message.
+        """Decode a message and return the keypoints of the images that it completes.
 
         Args:
-            source: what it is; one of `sources.PEOPLE_SOURCES`.
-            raw: CDR.
-            topic: on which it came; that of a body names it.
-            node: the type of keypoints, and the most that a message may hold.
-            size: of images whose messages do not say it, px; 0 where unknown.
-            restart_after: s that a stamp must go back for bodies to begin anew.
+            source: Kind of the message; one of `topics.PEOPLE_SOURCES`.
+            raw: The message as CDR.
+            topic: Name of the message's topic; the topic of a ROS4HRI body contains the body's id.
+            node: Type of the keypoint messages, and limits on the content of a message.
+            size: Width and height in px of images whose messages do not state them; 0 where unknown.
+            restart_after: s; a ROS4HRI body whose stamp is further than this before that of the current image
+                starts a new sequence.
 
         Returns:
-            The images that are complete now.
+            The keypoints of all people in each image that is complete now, oldest image first.
 
         Raises:
-            InputError: the message cannot be used; names the field.
-            FrameDropped: its image was complete already, or the person is in it.
+            InputError: The message cannot be used; the error names the field.
+            FrameDropped: The body came too late, after its image was complete, or its image already has this body.
         """
         if source is Source.KEYPOINTS:
             return [decode_frame(raw, node.input_type, node, size)]
-        if source is Source.TRACKED:
-            return self._bodies.track(*decode_ids(raw, node), size)
-        return self._bodies.add(*decode_body(raw, body_of(topic), size, node), size, restart_after)
+        if source is Source.TRACKED_BODIES:
+            return self._bodies.set_tracked_ids(*decode_ids(raw, node), size)
+        return self._bodies.add_body(*decode_body(raw, parse_body_id(topic), size, node), size, restart_after)
 
-    def rest(self, size: tuple[int, int]) -> Frames:
-        """The image that was not complete when no more messages came."""
-        return self._bodies.rest(size)
+    def flush(self, size: tuple[int, int]) -> Frames:
+        """Return the incomplete image, if there is one, after the last message."""
+        return self._bodies.flush(size)
 
 
-class BodyGroups:
-    """The image that is being gathered, and who is expected in it."""
+class BodyAssembler:
+    """The incomplete image of ROS4HRI bodies, and the ids of the bodies that it is waiting for."""
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the image, who is tracked, and every stamp."""
-        self._tracked: frozenset[str] = frozenset()
+        """Discard the incomplete image and forget the tracked bodies and all stamps."""
+        self._tracked_ids: frozenset[str] = frozenset()
         self._header: Header | None = None
         self._people: dict[str, Person2D] = {}
-        self._newest = -1
+        self._newest_complete_ns = -1
 
-    def track(self, header: Header, ids: Collection[str], size: tuple[int, int]) -> Frames:
-        """Take who is tracked from now on.
+    def set_tracked_ids(self, header: Header, ids: Collection[str], size: tuple[int, int]) -> Frames:
+        """Set the bodies that an image needs to be complete.
 
         Args:
-            header: of the image in which they are.
-            ids: of everybody.
-            size: of the image, px.
+            header: Header of the message that lists the ids.
+            ids: Ids of all tracked bodies.
+            size: Width and height of the image, px.
 
         Returns:
-            The images that are complete now; where nobody is tracked, one without people.
+            The images that are complete now; if no body is tracked, the last of them is an image without people.
         """
-        self._tracked = frozenset(ids)
-        if self._tracked:
-            return self._complete(size)
-        frames = self.rest(size)
-        if header.stamp_ns > self._newest:
-            self._newest = header.stamp_ns
+        self._tracked_ids = frozenset(ids)
+        if self._tracked_ids:
+            return self._flush_if_complete(size)
+        frames = self.flush(size)
+        if header.stamp_ns > self._newest_complete_ns:
+            self._newest_complete_ns = header.stamp_ns
             frames.append(KeypointsFrame(header, *size, ()))
         return frames
 
-    def add(self, header: Header, person: Person2D, size: tuple[int, int], restart_after: float) -> Frames:
-        """Take a person.
+    def add_body(self, header: Header, person: Person2D, size: tuple[int, int], restart_after: float) -> Frames:
+        """Add a body to its image.
 
         Args:
-            header: of the person's image.
-            person: with a name.
-            size: of the image, px.
-            restart_after: s that a stamp must go back to begin anew.
+            header: Header of the body's message; bodies of one image have the same stamp.
+            person: The body, with its id.
+            size: Width and height of the image, px.
+            restart_after: s; a stamp that is older than the current image by more starts a new sequence.
 
         Returns:
             The images that are complete now.
 
         Raises:
-            FrameDropped: the image was complete already, or the person is in it.
+            FrameDropped: The image was already complete, or it already contains this body.
         """
         stamp, frames = header.stamp_ns, []
-        current = self._newest if self._header is None else self._header.stamp_ns
-        if stamp > current or current - stamp > restart_after * NS:
-            frames = self.rest(size)
+        current = self._newest_complete_ns if self._header is None else self._header.stamp_ns
+        if stamp > current or current - stamp > restart_after * NS_PER_S:
+            frames = self.flush(size)
             self._header = header
         elif self._header is None or stamp < current:
-            raise FrameDropped(f'stamp {stamp} ns comes after its image was complete' if stamp else NO_STAMP)
+            raise FrameDropped(
+                f'stamp {stamp} ns: the message came after its image was complete' if stamp else MISSING_STAMP
+            )
         elif person.id in self._people:
-            raise FrameDropped(f'stamp {stamp} ns repeats that of the message before' if stamp else NO_STAMP)
+            raise FrameDropped(
+                f'stamp {stamp} ns repeats that of the previous message' if stamp else MISSING_STAMP
+            )
         self._people[person.id] = person
-        return frames + self._complete(size)
+        return frames + self._flush_if_complete(size)
 
-    def _complete(self, size: tuple[int, int]) -> Frames:
-        whole = self._header is not None and self._tracked and self._tracked <= self._people.keys()
-        return self.rest(size) if whole else []
+    def _flush_if_complete(self, size: tuple[int, int]) -> Frames:
+        is_complete = self._header is not None and self._tracked_ids and self._tracked_ids <= self._people.keys()
+        return self.flush(size) if is_complete else []
 
-    def rest(self, size: tuple[int, int]) -> Frames:
-        """The image that is being gathered, as it is."""
+    def flush(self, size: tuple[int, int]) -> Frames:
+        """Return the current image with the bodies that have arrived, if any, and start without one."""
         header, people = self._header, self._people
         self._header, self._people = None, {}
         if header is None:
             return []
-        self._newest = header.stamp_ns
+        self._newest_complete_ns = header.stamp_ns
         return [KeypointsFrame(header, *size, tuple(people[i] for i in sorted(people)))]

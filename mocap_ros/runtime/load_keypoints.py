@@ -1,4 +1,4 @@
-"""Whatever holds keypoints, as the sequence of one person."""
+"""Load the keypoint sequence of one person from any supported file, folder or bag."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from math import inf
 from pathlib import Path
 
 from mocap_ros.bags.reader import Bag, BagMessage, is_bag
-from mocap_ros.bags.topics import people_topics, people_type
+from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import FrameDropped, InputError
 from mocap_ros.formats.coco_json import load_coco
-from mocap_ros.formats.detections import Detections, Video, sequence_of
+from mocap_ros.formats.detections import Detections, Video, select_person
 from mocap_ros.formats.openpose_json import load_openpose
-from mocap_ros.formats.sequence_file import Sequence, load_sequence
-from mocap_ros.messages.camera_info import CameraInfo, check_size, decode_camera_info, image_size
+from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence
+from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info, resolve_image_size
 from mocap_ros.messages.keypoints import KeypointsFrame
-from mocap_ros.runtime.frame_assembly import PeopleReader
+from mocap_ros.runtime.frame_assembly import FrameAssembler
 
 
 def load_input(
@@ -26,21 +26,21 @@ def load_input(
     limits: NodeConfig,
     person: str | None = None,
     topic: str | None = None,
-) -> tuple[Sequence, list[str]]:
-    """A sequence file, a bag, a folder of OpenPose or a JSON file of COCO keypoints.
+) -> tuple[KeypointSequence, list[str]]:
+    """Load one person from a sequence file, a bag, a folder of OpenPose files or a JSON file of COCO keypoints.
 
     Args:
-        path: of the file or folder.
-        video: what JSON does not say.
-        limits: most people, joints and text in a message of a bag; the size of the image where it has none.
-        person: id of the person; the one seen most by default.
-        topic: of the keypoints, where a bag has several.
+        path: The file or folder.
+        video: Frame rate, image size and keypoint layout, which JSON files do not state.
+        limits: Limits on people, joints and text in a message of a bag, and the image size of a bag without one.
+        person: Id of the person; by default the person who is seen in most frames.
+        topic: Topic of the keypoints; needed only for a bag with several.
 
     Returns:
-        The sequence, and lines to print: who was chosen, what was left out or assumed.
+        The sequence, and lines to print about the chosen person, skipped messages and assumptions.
 
     Raises:
-        InputError: none of these, or broken; names the place.
+        InputError: The file has none of these formats or is damaged; the error names the place.
     """
     if is_bag(path):
         detections = load_bag(path, limits, topic)
@@ -51,74 +51,99 @@ def load_input(
     else:
         if person or topic or video != Video():
             raise InputError(
-                f'{path}: a sequence file; --person, --topic, --fps, --image-size, --layout are for others'
+                f'{path}: --person, --topic, --fps, --image-size and --layout do not apply to a sequence file'
             )
         return load_sequence(path), []
     try:
-        sequence, lines = sequence_of(detections, person)
+        sequence, lines = select_person(detections, person)
     except InputError as error:
         raise InputError(f'{path}: {error}') from None
     return sequence, [f'{path}: {line}' for line in lines]
 
 
-def load_bag(path: Path, limits: NodeConfig, topic: str | None = None) -> Detections:
-    """Everyone in the messages of people of a bag; messages that cannot be used are left out and counted.
-
-    Everything that `replay` takes is taken, in the same way; but the order of stamps does not matter, and the
-    first CameraInfo holds from the beginning.
-
-    Args:
-        path: of the bag.
-        limits: most people, joints and text in a message; the size of the image where nothing else says it.
-        topic: of the keypoints, where there are several.
+def load_sequence_file(path: str | Path) -> KeypointSequence:
+    """Load a sequence file; refuse a bag with an error that says what was expected.
 
     Raises:
-        InputError: no bag, no keypoints in it, or none that can be used; names the first reason.
+        InputError: The path is a bag, or not a valid sequence file; the error names the place.
     """
-    frames: dict[int, KeypointsFrame] = {}
-    reader, first_reason, unusable = PeopleReader(), '', 0
+    if is_bag(Path(path)):
+        raise InputError(f'{path}: is a bag, expected a sequence file (.npz)')
+    return load_sequence(path)
+
+
+def load_bag(path: Path, limits: NodeConfig, topic: str | None = None) -> Detections:
+    """Load all people from the keypoint messages of a bag; skip and count the messages that cannot be used.
+
+    The accepted messages are those that `replay` accepts, with two differences: the stamps may come in any order,
+    and the first CameraInfo applies to the whole bag.
+
+    Args:
+        path: The bag.
+        limits: Limits on people, joints and text in a message, and the image size if nothing else states it.
+        topic: Topic of the keypoints; needed only for a bag with several.
+
+    Raises:
+        InputError: The path is no bag, or the bag has no keypoints that can be used; the error names the first
+            reason.
+    """
     with Bag(path) as bag:
-        topics = people_topics(bag, topic)
-        node = replace(limits, input_type=people_type(bag, topics))
-        camera = _camera(bag, next(iter(topics)), node)
-        size = image_size(camera, node)
-
-        def take(message: BagMessage) -> str:
-            """Why the message cannot be used, or nothing."""
-            try:
-                for frame in reader.read(topics[message.topic], message.raw, message.topic, node, size, inf):
-                    if camera is not None:
-                        check_size(frame, camera)
-                    if frames.setdefault(frame.header.stamp_ns, frame) is not frame:
-                        return 'its stamp is that of an earlier message'
-            except (InputError, FrameDropped) as error:
-                return str(error)
-            return ''
-
-        for number, message in enumerate(bag.messages(topics), 1):
-            if reason := take(message):
-                unusable += 1
-                first_reason = first_reason or f'{message.topic}: message {number}: {reason}'
-        for frame in reader.rest(size):
-            frames.setdefault(frame.header.stamp_ns, frame)
+        topics = find_people_topics(bag, topic)
+        node = replace(limits, input_type=find_people_type(bag, topics))
+        camera = _find_camera(bag, next(iter(topics)), node)
+        size = resolve_image_size(camera, node)
+        frames, skipped_count, first_reason = _decode_frames(bag, topics, node, camera, size)
     if not frames:
         raise InputError(f'{path}: {first_reason or "no keypoints"}')
     stamps = sorted(frames)
     last = frames[stamps[-1]]
-    said = last.image_width, last.image_height
+    message_size = last.image_width, last.image_height
     return Detections(
         people=[frames[s].people for s in stamps],
         stamps_ns=stamps,
-        image_size=said if all(said) else size if all(size) else None,
+        image_size=message_size if all(message_size) else size if all(size) else None,
         intrinsics=camera.intrinsics if camera else None,
         frame_id=next((f.header.frame_id for f in frames.values() if f.header.frame_id), ''),
-        remarks=(f'{unusable} messages left out; {first_reason}',) if unusable else (),
+        remarks=(f'{skipped_count} messages left out; {first_reason}',) if skipped_count else (),
     )
 
 
-def _camera(bag: Bag, keypoints: str, node: NodeConfig) -> CameraInfo | None:
-    """The first CameraInfo that goes with these keypoints and can be used; None where there is none."""
-    topic = bag.camera_info_topic(keypoints)
+def _decode_frames(
+    bag: Bag, topics: dict[str, Source], node: NodeConfig, camera: CameraInfo | None, size: tuple[int, int]
+) -> tuple[dict[int, KeypointsFrame], int, str]:
+    """Decode the images of a bag.
+
+    Returns:
+        The images by stamp, ns; the number of skipped messages; and why the first of these was skipped.
+    """
+    frames: dict[int, KeypointsFrame] = {}
+    assembler = FrameAssembler()
+    skipped_count, first_reason = 0, ''
+
+    def add_message(message: BagMessage) -> str:
+        """Add the images that a message completes; return why the message cannot be used, or an empty string."""
+        try:
+            for frame in assembler.assemble(topics[message.topic], message.raw, message.topic, node, size, inf):
+                if camera is not None:
+                    check_image_size(frame, camera)
+                if frames.setdefault(frame.header.stamp_ns, frame) is not frame:
+                    return 'its stamp is that of an earlier message'
+        except (InputError, FrameDropped) as error:
+            return str(error)
+        return ''
+
+    for number, message in enumerate(bag.messages(topics), 1):
+        if reason := add_message(message):
+            skipped_count += 1
+            first_reason = first_reason or f'{message.topic}: message {number}: {reason}'
+    for frame in assembler.flush(size):
+        frames.setdefault(frame.header.stamp_ns, frame)
+    return frames, skipped_count, first_reason
+
+
+def _find_camera(bag: Bag, keypoints_topic: str, node: NodeConfig) -> CameraInfo | None:
+    """Return the first usable CameraInfo that belongs to a topic of keypoints, or None if there is none."""
+    topic = bag.find_camera_info_topic(keypoints_topic)
     for message in bag.messages([topic] if topic else []):
         with suppress(InputError):
             return decode_camera_info(message.raw, rectified=node.rectified_input)

@@ -1,6 +1,7 @@
-"""From the bytes of an input message to the bytes of the outputs: what the live node and a replay both feed.
+"""The pipeline shared by the live node and replays: decode an input message, track its people, encode the outputs.
 
-Pure but for the tracker's state: no ROS, no clock, no files.
+The pipeline uses no ROS, no clock and no files. Its outputs depend only on its inputs, its parameters and the
+state of its tracker.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from mocap_ros.config import Config
 from mocap_ros.errors import FrameDropped, InputError, SkeletonError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.camera_info import CameraInfo, check_size, decode_camera_info, image_size
+from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info, resolve_image_size
 from mocap_ros.messages.cameras import CAMERAS, encode_cameras
 from mocap_ros.messages.cdr import Header, OutputMessage
 from mocap_ros.messages.keypoints import KeypointsFrame
-from mocap_ros.messages.markers import MARKERS, MarkerMemory
+from mocap_ros.messages.markers import MARKERS, MarkerEncoder
 from mocap_ros.messages.point_cloud import POINTS, encode_points
 from mocap_ros.messages.skeletons import (
     SKELETON_DEFINITION,
@@ -35,65 +36,76 @@ from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
-from mocap_ros.runtime.frame_assembly import NO_STAMP, PeopleReader
+from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler
 from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.tracker import Tracker
 
+# Message type of every output that each accepted image causes, by relative topic name.
 OUTPUTS = {
     'skeletons': SKELETONS,
     'cameras': CAMERAS,
     'markers': MARKERS,
     'points': POINTS,
 }
+# The further output if the parameter node.publish_tf is set.
 TF_OUTPUT = {'/tf': TRANSFORMS}
-FAULTS_BEFORE_RESET = 3
-BACKLOG = (
-    'passed over, newer messages were waiting: the node falls behind; lower tracker.components, '
-    'tracker.iterations or tracker.refine_seconds, send fewer frames or people, or use a faster core'
-)
+# Message type of the output that is published once and kept for late subscribers, by relative topic name.
 LATCHED_OUTPUTS = {'skeleton_definition': SKELETON_DEFINITION}
+
+MAX_CONSECUTIVE_ERRORS = 3  # messages; after as many internal errors in a row the tracker's state is discarded
+BACKLOG_REASON = (
+    'the message was skipped because newer messages were waiting, as the node cannot keep up with its input; '
+    'lower tracker.components, tracker.iterations or tracker.refine_seconds, send fewer frames or people, '
+    'or use a faster CPU core'
+)
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What became of an input: of a message, or of one of the images that it completes.
+class ProcessingResult:
+    """The result of processing one input message, or one of the images that the message completed.
 
     Attributes:
-        verdict: accepted or not; of several images the worst.
-        reason: why not; where accepted, what is worth saying all the same, mostly nothing.
-        outputs: to publish and record, of every image that was accepted.
-        fault: traceback of an error of ours, mostly empty.
+        verdict: Whether the input was accepted; the worst verdict of several images.
+        reason: Why the input was not accepted, or a remark on an accepted input; usually empty.
+        outputs: Messages to publish and to record, from every accepted image.
+        error_traceback: Traceback of an internal error; usually empty.
     """
 
     verdict: Verdict
     reason: str = ''
     outputs: tuple[OutputMessage, ...] = ()
-    fault: str = ''
+    error_traceback: str = ''
 
 
-def _refusal(error: Exception) -> Outcome:
-    """Of a message or an image that was not accepted because of this."""
+def _reject(error: Exception) -> ProcessingResult:
+    """Return the result of a message or an image whose processing raised this error."""
     if isinstance(error, InputError):
-        return Outcome(Verdict.INVALID, str(error))
+        return ProcessingResult(Verdict.INVALID, str(error))
     if isinstance(error, FrameDropped):
-        return Outcome(Verdict.DROPPED, str(error))
+        return ProcessingResult(Verdict.DROPPED, str(error))
     reason = f'internal error: {type(error).__name__}: {error}'
-    return Outcome(Verdict.DROPPED, reason, fault=''.join(traceback.format_exception(error)))
+    return ProcessingResult(Verdict.DROPPED, reason, error_traceback=''.join(traceback.format_exception(error)))
 
 
-def _together(outcomes: Sequence[Outcome]) -> Outcome:
-    """Of a message that completed several images, or one."""
-    return Outcome(
-        max(o.verdict for o in outcomes),
-        '; '.join(o.reason for o in outcomes if o.reason),
-        tuple(output for o in outcomes for output in o.outputs),
-        '\n'.join(o.fault for o in outcomes if o.fault),
+def _merge_results(results: Sequence[ProcessingResult]) -> ProcessingResult:
+    """Merge the results of the images that one message completed."""
+    return ProcessingResult(
+        max(r.verdict for r in results),
+        '; '.join(r.reason for r in results if r.reason),
+        tuple(output for r in results for output in r.outputs),
+        '\n'.join(r.error_traceback for r in results if r.error_traceback),
     )
 
 
 @dataclass
 class Counters:
-    """What became of the inputs so far; `dropped` by reason."""
+    """Numbers of input messages so far, by verdict.
+
+    Attributes:
+        accepted: Messages of people that were accepted.
+        invalid: Messages that could not be used.
+        dropped: Messages that were dropped, by reason: `stamp`, `backlog` or `internal error`.
+    """
 
     accepted: int = 0
     invalid: int = 0
@@ -101,38 +113,39 @@ class Counters:
 
 
 class FrameTracker(Protocol):
-    """What the pipeline needs of a tracker; attributes as in `tracker.Tracker`."""
+    """The part of `tracker.Tracker` that the pipeline uses; attributes and methods have the same meaning."""
 
-    went_back: float
-    output_ns: int
+    backward_jump_s: float
+    output_stamp_ns: int
 
     def update(self, stamp_ns: int, people: tuple[Person2D, ...], intrinsics: Intrinsics) -> tuple[Person3D, ...]:
-        """As `tracker.Tracker.update`."""
+        """Track the people of an image; see `tracker.Tracker.update`."""
 
-    def examine(self) -> None:
-        """As `tracker.Tracker.examine`."""
+    def run_deferred_work(self) -> None:
+        """Check the hypotheses of the tracks; see the method of `tracker.Tracker`."""
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Discard all tracks and stamps."""
 
 
 class Pipeline:
-    """Decodes, tracks and encodes.
+    """Decoder, tracker and encoders of one camera's stream of people.
 
     Args:
-        config: of tracker, solver and node.
-        models: base poses by name; by default those that the configuration names.
-        make_tracker: what tracks.
+        config: Parameters of tracker, solver and node.
+        models: Base poses by name; by default those that the parameters name.
+        make_tracker: Function that creates the tracker; tests and benchmarks pass their own.
 
     Attributes:
-        models: base poses in use, by name.
-        counters: what became of the inputs, for as long as the pipeline lives.
-        camera_info: the CameraInfo message in use, or None.
-        header: of the last accepted frame.
-        people: who was in the last frame that was put out.
+        config: The parameters in use.
+        models: The base poses in use, by name.
+        counters: Numbers of inputs by verdict, since the pipeline was created.
+        camera_info: The CameraInfo message in use as CDR, or None.
+        header: Header of the last accepted image.
+        people: People in the outputs of the last accepted image.
 
     Raises:
-        ModelError: the model cannot be had.
+        ModelError: The base poses cannot be loaded.
     """
 
     def __init__(
@@ -148,141 +161,141 @@ class Pipeline:
         self.models = models or load_base_pose_models(config.tracker.model)
         self._make_tracker = make_tracker
         self._tracker = make_tracker(self.models, config)
-        self._markers = MarkerMemory()
-        self._reader = PeopleReader()
-        self._faults = 0
+        self._markers = MarkerEncoder()
+        self._assembler = FrameAssembler()
+        self._consecutive_errors = 0
         self.header = Header(0, '')
         self.people: tuple[Person3D, ...] = ()
 
     @property
     def swapped_frames(self) -> int:
-        """Frames of people so far whose left and right were put right."""
+        """Number of detections so far whose swapped left and right labels the tracker corrected."""
         return int(getattr(self._tracker, 'swapped_frames', 0))
 
     @property
     def unusable_people(self) -> int:
-        """Detections so far of which too little was seen."""
+        """Number of detections so far with too few visible joints to be tracked."""
         return int(getattr(self._tracker, 'unusable_people', 0))
 
-    def feed(self, source: Source, raw: bytes, topic: str = '') -> Outcome:
-        """Take any input; never raises, neither for a bad one nor for an error of ours.
+    def feed(self, source: Source, raw: bytes, topic: str = '') -> ProcessingResult:
+        """Process an input message; the result reports invalid inputs and internal errors, and nothing is raised.
 
         Args:
-            source: what it is.
-            raw: CDR.
-            topic: on which it came; of use for bodies only, which it names.
+            source: Kind of the message.
+            raw: The message as CDR.
+            topic: Name of the message's topic; needed only for ROS4HRI bodies, whose topics contain their ids.
         """
         try:
-            frames = self._frames(source, raw, topic)
+            frames = self._decode_frames(source, raw, topic)
         except Exception as error:
-            outcomes = [_refusal(error)]
+            results = [_reject(error)]
         else:
-            outcomes = [self._processed(frame) for frame in frames] or [Outcome(Verdict.ACCEPTED)]
-        outcome = _together(outcomes)
-        self._count(source, outcome)
-        return outcome
+            results = [self._process_frame(frame) for frame in frames] or [ProcessingResult(Verdict.ACCEPTED)]
+        result = _merge_results(results)
+        self._count(source, result)
+        return result
 
-    def idle(self) -> str:
-        """What the next input would have to wait for otherwise: to be called when the outputs of `feed` are out.
+    def run_deferred_work(self) -> str:
+        """Do the work that can wait until the outputs of `feed` are published; call this after publishing them.
 
         Returns:
-            The traceback of an error of ours, mostly empty.
+            The traceback of an internal error; usually empty.
         """
         try:
-            self._tracker.examine()
+            self._tracker.run_deferred_work()
         except Exception:
             return traceback.format_exc()
         return ''
 
-    def _frames(self, source: Source, raw: bytes, topic: str) -> list[KeypointsFrame]:
-        """The images that a message completes.
+    def _decode_frames(self, source: Source, raw: bytes, topic: str) -> list[KeypointsFrame]:
+        """Decode a message and return the images that it completes.
 
         Raises:
-            InputError: the message cannot be used; names the field.
-            FrameDropped: its image was complete already.
+            InputError: The message cannot be used; the error names the field.
+            FrameDropped: The image of the message was already complete.
         """
         if source is Source.CAMERA_INFO:
             self.set_camera_info(raw)
             return []
         node = self.config.node
-        size = image_size(self._camera, node)
-        return self._reader.read(source, raw, topic, node, size, self.config.tracker.restart_after)
+        size = resolve_image_size(self._camera, node)
+        return self._assembler.assemble(source, raw, topic, node, size, self.config.tracker.restart_after)
 
-    def _processed(self, frame: KeypointsFrame) -> Outcome:
-        """Track the people of an image; where that is accepted, one message for each of `OUTPUTS`."""
+    def _process_frame(self, frame: KeypointsFrame) -> ProcessingResult:
+        """Track the people of an image; the result of an accepted image has one message for each of `OUTPUTS`."""
         try:
-            people = self._tracked(frame, self._intrinsics(frame))
-            outputs = self._outputs(Header(self._tracker.output_ns, frame.header.frame_id), people)
+            people = self._track(frame, self._find_intrinsics(frame))
+            outputs = self._encode_outputs(Header(self._tracker.output_stamp_ns, frame.header.frame_id), people)
         except Exception as error:
             if isinstance(error, FrameDropped) and frame.header.stamp_ns == self.header.stamp_ns == 0:
-                error = FrameDropped(NO_STAMP)
-            return _refusal(error)
+                error = FrameDropped(MISSING_STAMP)
+            return _reject(error)
         self.header, self.people = frame.header, people
-        back = self._tracker.went_back
-        return Outcome(
-            Verdict.ACCEPTED, f'time went back by {back:.1f} s: started afresh' if back else '', outputs
-        )
+        back_s = self._tracker.backward_jump_s
+        remark = f'the stamp went back by {back_s:.1f} s, so tracking was restarted' if back_s else ''
+        return ProcessingResult(Verdict.ACCEPTED, remark, outputs)
 
-    def _count(self, source: Source, outcome: Outcome) -> None:
-        """Count what became of an input; forget everybody where errors of ours go on."""
-        self._faults = self._faults + 1 if outcome.fault else 0
-        if self._faults == FAULTS_BEFORE_RESET:
+    def _count(self, source: Source, result: ProcessingResult) -> None:
+        """Count an input by its result; reset the tracker after `MAX_CONSECUTIVE_ERRORS` internal errors."""
+        self._consecutive_errors = self._consecutive_errors + 1 if result.error_traceback else 0
+        if self._consecutive_errors == MAX_CONSECUTIVE_ERRORS:
             self._tracker.reset()
-        if outcome.fault:
+        if result.error_traceback:
             self.counters.dropped['internal error'] += 1
-        elif outcome.verdict is Verdict.DROPPED:
+        elif result.verdict is Verdict.DROPPED:
             self.counters.dropped['stamp'] += 1
-        elif outcome.verdict is Verdict.INVALID:
+        elif result.verdict is Verdict.INVALID:
             self.counters.invalid += 1
         elif source in PEOPLE_SOURCES:
             self.counters.accepted += 1
 
     def set_camera_info(self, raw: bytes) -> None:
-        """Take a sensor_msgs/CameraInfo, which holds for the frames after it.
+        """Use a sensor_msgs/CameraInfo for all following images.
 
         Raises:
-            InputError: it cannot be used.
+            InputError: The message cannot be used.
         """
         self._camera = decode_camera_info(raw, rectified=self.config.node.rectified_input)
         self.camera_info = raw
 
-    def note_backlog(self) -> Outcome:
-        """Count an input that was not taken because newer ones were waiting."""
+    def note_backlog(self) -> ProcessingResult:
+        """Count an input that is skipped because newer inputs are waiting, and return its result."""
         self.counters.dropped['backlog'] += 1
-        return Outcome(Verdict.BACKLOG, BACKLOG)
+        return ProcessingResult(Verdict.BACKLOG, BACKLOG_REASON)
 
     def reset(self) -> OutputMessage:
-        """Forget everybody; returns the message that deletes all markers."""
+        """Discard all people and return the message that deletes all markers."""
         self._tracker.reset()
-        self._reader.reset()
+        self._assembler.reset()
         self.people = ()
-        cleared = self._markers.clear(self.header)
+        cleared = self._markers.encode_clear(self.header)
         return OutputMessage('markers', MARKERS, self.header.stamp_ns, cleared)
 
     def reconfigure(self, config: Config) -> bool:
-        """Take other parameters; returns True where that made the tracker start anew."""
-        old, self.config = self.config, config
-        if (old.solver, old.tracker) == (config.solver, config.tracker):
+        """Use other parameters; return whether the tracker had to be restarted for them."""
+        previous, self.config = self.config, config
+        if (previous.solver, previous.tracker) == (config.solver, config.tracker):
             return False
         self._tracker = self._make_tracker(self.models, config)
         return True
 
-    def _intrinsics(self, frame: KeypointsFrame) -> Intrinsics:
+    def _find_intrinsics(self, frame: KeypointsFrame) -> Intrinsics:
+        """Return the intrinsics of CameraInfo, or nominal ones from the size in the message or the parameters."""
         camera, node = self._camera, self.config.node
-        said = (frame.image_width, frame.image_height)
+        message_size = (frame.image_width, frame.image_height)
         if camera is not None:
-            check_size(frame, camera)
+            check_image_size(frame, camera)
             return camera.intrinsics
-        for width, height in (said, (node.image_width, node.image_height)):
+        for width, height in (message_size, (node.image_width, node.image_height)):
             if width and height:
                 focal = self.config.tracker.nominal_focal_length
-                return Intrinsics.nominal(width, height, focal)
+                return Intrinsics.from_image_size(width, height, focal)
         raise InputError(
             'image_width, image_height: not set, and neither CameraInfo nor the parameters '
-            'node.image_width and node.image_height say the size of the image'
+            'node.image_width and node.image_height give the size of the image'
         )
 
-    def _tracked(self, frame: KeypointsFrame, intrinsics: Intrinsics) -> tuple[Person3D, ...]:
+    def _track(self, frame: KeypointsFrame, intrinsics: Intrinsics) -> tuple[Person3D, ...]:
         try:
             return self._tracker.update(frame.header.stamp_ns, frame.people, intrinsics)
         except SkeletonError as error:
@@ -290,12 +303,12 @@ class Pipeline:
         except np.linalg.LinAlgError as error:
             raise InputError(f'people: the reconstruction failed ({error})') from None
 
-    def _outputs(self, header: Header, people: tuple[Person3D, ...]) -> tuple[OutputMessage, ...]:
+    def _encode_outputs(self, header: Header, people: tuple[Person3D, ...]) -> tuple[OutputMessage, ...]:
         node = self.config.node
         data = {
             'skeletons': encode_skeletons(header, people),
             'cameras': encode_cameras(header, people),
-            'markers': self._markers.update(header, people, node.marker_lifetime),
+            'markers': self._markers.encode_update(header, people, node.marker_lifetime),
             'points': encode_points(header, people),
         }
         types = OUTPUTS
@@ -305,7 +318,7 @@ class Pipeline:
         return tuple(OutputMessage(t, types[t], header.stamp_ns, data[t]) for t in data)
 
 
-def skeleton_definition() -> OutputMessage:
-    """The latched message that names the joints of the skeletons."""
+def build_skeleton_definition() -> OutputMessage:
+    """Return the latched message that names the joints of the skeletons."""
     data = encode_skeleton_definition(CMU15)
     return OutputMessage('skeleton_definition', SKELETON_DEFINITION, 0, data)

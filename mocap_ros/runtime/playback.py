@@ -1,4 +1,4 @@
-"""Recorded messages to be published again, each with the time at which it is due."""
+"""Read recorded messages and the times at which they are to be published again."""
 
 from __future__ import annotations
 
@@ -10,16 +10,22 @@ from typing import NamedTuple
 from rosbags.interfaces import Qos
 
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.topics import Source, people_topics
-from mocap_ros.formats.sequence_file import load_sequence
+from mocap_ros.bags.topics import Source, find_people_topics
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.runtime.sequence_messages import sequence_samples
+from mocap_ros.runtime.load_keypoints import load_sequence_file
+from mocap_ros.runtime.sequence_messages import encode_sequence
 
-CAMERA_INFO_TOPIC = 'camera_info'
+CAMERA_INFO_TOPIC = 'camera_info'  # the name on which the node subscribes to CameraInfo
 
 
-class Due(NamedTuple):
-    """A message as CDR, when it is due, ns on any clock, and the number of its topic."""
+class PlaybackMessage(NamedTuple):
+    """A message to publish.
+
+    Attributes:
+        due_ns: Time at which the message is due in ns, on the clock of the recording.
+        raw: The message as CDR.
+        topic: Index of the message's topic in `Playback.topics`.
+    """
 
     due_ns: int
     raw: bytes
@@ -31,10 +37,10 @@ class PlayedTopic:
     """A topic to publish.
 
     Attributes:
-        name: to publish on.
-        type: of the messages.
-        qos: profiles that the recorded publishers offered.
-        recorded: name in the bag.
+        name: Name to publish on.
+        type: Type of the messages.
+        qos: QoS profiles that the recorded publishers offered.
+        recorded: Name of the topic in the bag.
     """
 
     name: str
@@ -44,21 +50,22 @@ class PlayedTopic:
 
 
 class Playback:
-    """The keypoints of a bag or a sequence file, and what else of a bag is wanted; may be gone through repeatedly.
+    """The messages of a bag or a sequence file that are to be published; it can be iterated repeatedly.
+
+    By default these are the keypoints and the CameraInfo that belongs to them, published on `camera_info`.
 
     Args:
-        path: bag, or sequence file (.npz).
-        topic: of the keypoints, where a bag has several.
-        to: topic to publish the keypoints on, but those of ROS4HRI, which keep their names; CameraInfo goes to
-            `camera_info`.
-        everything: every topic of a bag, each on its own name, instead.
+        path: Bag, or sequence file (.npz).
+        topic: Topic of the keypoints; needed only for a bag with several.
+        to: Topic on which to publish the keypoints; the topics of ROS4HRI keep their recorded names.
+        everything: Whether to publish every topic of a bag instead, each on its recorded name.
 
     Attributes:
-        topics: to publish.
-        count: number of messages.
+        topics: The topics to publish.
+        count: Number of messages.
 
     Raises:
-        InputError: the file is neither, or broken.
+        InputError: The file is neither a bag nor a sequence file, or it is damaged.
     """
 
     def __init__(
@@ -68,27 +75,30 @@ class Playback:
         self._is_sequence = path.suffix == '.npz'
         if self._is_sequence:
             self.topics = [PlayedTopic(to, KEYPOINTS)]
-            self.count = len(load_sequence(path))
+            self.count = len(load_sequence_file(path))
             return
         with Bag(path) as bag:
-            names: dict[str, str] = {}
+            published_names: dict[str, str] = {}  # by recorded name
             if everything:
-                names = {t: t for t in bag.topics if bag.count([t])}
+                published_names = {t: t for t in bag.topics if bag.count([t])}
             else:
-                found = people_topics(bag, topic)
-                names = {t: to if source is Source.KEYPOINTS else t for t, source in found.items()}
-                camera_info = bag.camera_info_topic(next(iter(names)))
+                sources = find_people_topics(bag, topic)
+                published_names = {t: to if source is Source.KEYPOINTS else t for t, source in sources.items()}
+                camera_info = bag.find_camera_info_topic(next(iter(published_names)))
                 if camera_info:
-                    names[camera_info] = CAMERA_INFO_TOPIC
-            self.topics = [PlayedTopic(new, bag.topics[old], bag.qos[old], old) for old, new in names.items()]
-            self.count = bag.count(names)
+                    published_names[camera_info] = CAMERA_INFO_TOPIC
+            self.topics = [
+                PlayedTopic(published, bag.topics[recorded], bag.qos[recorded], recorded)
+                for recorded, published in published_names.items()
+            ]
+            self.count = bag.count(published_names)
 
-    def __iter__(self) -> Iterator[Due]:
+    def __iter__(self) -> Iterator[PlaybackMessage]:
         if self._is_sequence:
-            for sample in sequence_samples(load_sequence(self._path)):
-                yield Due(sample.due_ns, sample.raw, 0)
+            for frame in encode_sequence(load_sequence_file(self._path)):
+                yield PlaybackMessage(frame.stamp_ns, frame.raw, 0)
             return
-        number = {t.recorded: n for n, t in enumerate(self.topics)}
+        index = {t.recorded: i for i, t in enumerate(self.topics)}
         with Bag(self._path) as bag:
-            for message in bag.messages(number):
-                yield Due(message.time_ns, message.raw, number[message.topic])
+            for message in bag.messages(index):
+                yield PlaybackMessage(message.time_ns, message.raw, index[message.topic])

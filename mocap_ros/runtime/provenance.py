@@ -1,4 +1,4 @@
-"""What a recording was made with, to be put into its bag."""
+"""Describe the software, models and parameters that produced a recording, as attachments of its bag."""
 
 from __future__ import annotations
 
@@ -14,40 +14,50 @@ from numpy.typing import NDArray
 from mocap_ros.bags.mcap_file import Attachment
 from mocap_ros.config import Config, to_yaml
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.model_file import lifter_for_prior
+from mocap_ros.models.model_file import load_prior_lifter
 
-PACKAGES = ('mocap_ros', 'numpy', 'scipy', 'mcap', 'rosbags', 'rclpy')
+# Packages whose installed versions are recorded: those that compute or encode the outputs.
+RECORDED_PACKAGES = ('mocap_ros', 'numpy', 'scipy', 'mcap', 'rosbags', 'rclpy')
 
 
-def attachments(config: Config, models: Mapping[str, BasePoses]) -> tuple[Attachment, ...]:
-    """The effective parameters as a parameter file, and versions and the origin of the models as JSON."""
-    told: dict[str, object] = {
-        'versions': {'python': platform.python_version(), **{p: _version(p) for p in PACKAGES}},
-        'models': {name: _origin(model) for name, model in models.items()},
+def provenance_attachments(config: Config, models: Mapping[str, BasePoses]) -> tuple[Attachment, ...]:
+    """Return the effective parameters (a parameter file), and package versions and model origins (JSON).
+
+    Args:
+        config: The parameters of the run.
+        models: The base poses that the run uses, by name.
+    """
+    provenance: dict[str, object] = {
+        'versions': {
+            'python': platform.python_version(),
+            **{package: _find_version(package) for package in RECORDED_PACKAGES},
+        },
+        'models': {name: _describe_model(model) for name, model in models.items()},
     }
-    lifter = lifter_for_prior(config.solver.prior, next(iter(models.values())).skeleton)
+    lifter = load_prior_lifter(config.solver.prior, next(iter(models.values())).skeleton)
     if lifter is not None:
-        numbers = [array for layer in lifter.layers for array in layer]
-        told['lifter'] = {'sha256': _digest(numbers), 'provenance': dict(lifter.provenance)}
+        weights = [array for layer in lifter.layers for array in layer]
+        provenance['lifter'] = {'sha256': _compute_sha256(weights), 'provenance': dict(lifter.provenance)}
     return (
         Attachment('mocap_ros.yaml', 'application/yaml', to_yaml(config).encode()),
-        Attachment('provenance.json', 'application/json', json.dumps(told, indent=1).encode()),
+        Attachment('provenance.json', 'application/json', json.dumps(provenance, indent=1).encode()),
     )
 
 
-def _origin(model: BasePoses) -> dict[str, object]:
+def _describe_model(model: BasePoses) -> dict[str, object]:
     return {
         'stature': model.stature,
-        'sha256': _digest((model.mean, model.components, model.std)),
+        'sha256': _compute_sha256((model.mean, model.components, model.std)),
         'provenance': dict(model.provenance),
     }
 
 
-def _digest(arrays: Iterable[NDArray[Any]]) -> str:
+def _compute_sha256(arrays: Iterable[NDArray[Any]]) -> str:
     return hashlib.sha256(b''.join(a.tobytes() for a in arrays)).hexdigest()
 
 
-def _version(package: str) -> str | None:
+def _find_version(package: str) -> str | None:
+    """Return the installed version of a package, or None if the package is not installed."""
     try:
         return version(package)
     except PackageNotFoundError:

@@ -1,4 +1,7 @@
-"""The live pipeline over a bag: the inputs that the tracker saw, in their order, give the same outputs again."""
+"""Run the inputs of a recorded bag through the pipeline of the live node and record the outputs in a new bag.
+
+A replay processes the inputs that the recorded run processed, in the same order, and so gives the same outputs.
+"""
 
 from __future__ import annotations
 
@@ -8,31 +11,38 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mocap_ros.bags.journal import RESET, Journal, Verdict, read_run
-from mocap_ros.bags.reader import ENDINGS, Bag, BagMessage
-from mocap_ros.bags.recorder import Recorder, partial_of
+from mocap_ros.bags.reader import ROS2_SUFFIXES, Bag, BagMessage
+from mocap_ros.bags.recorder import Recorder, choose_partial_path
 from mocap_ros.bags.rosbag2 import METADATA
-from mocap_ros.bags.topics import Source, people_topics, people_type
+from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
 from mocap_ros.config import Config, RecorderConfig, Value, current_names, values, with_values
 from mocap_ros.errors import ConfigError, InputError, RecordingError
 from mocap_ros.messages.cdr import OutputMessage
-from mocap_ros.models.model_file import AUTO, PRIORS, shipped_base_poses
-from mocap_ros.runtime.pipeline import LATCHED_OUTPUTS, Counters, Outcome, Pipeline, skeleton_definition
-from mocap_ros.runtime.provenance import attachments
+from mocap_ros.models.model_file import AUTO, PRIORS, list_shipped_base_poses
+from mocap_ros.runtime.pipeline import (
+    LATCHED_OUTPUTS,
+    Counters,
+    Pipeline,
+    ProcessingResult,
+    build_skeleton_definition,
+)
+from mocap_ros.runtime.provenance import provenance_attachments
 
-JOURNAL_TOPIC = '/mocap_replay/journal'
-INPUT_TYPE = 'node.input_type'
+JOURNAL_TOPIC = '/mocap_replay/journal'  # ends as the journal of a live run, so that a replay can be replayed
+INPUT_TYPE_PARAMETER = 'node.input_type'  # set to the type of the bag's keypoints, whatever the parameters say
 
-Watch = Callable[[Iterable[BagMessage], int], Iterable[BagMessage]]
+# A function that shows progress while the messages it is given are iterated; its second argument is their number.
+ProgressWrapper = Callable[[Iterable[BagMessage], int], Iterable[BagMessage]]
 
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """How to replay.
+    """Options of a replay.
 
     Attributes:
-        config: parameters; None for those of the recorded run.
-        topic: of the keypoints, where the bag has several; of ROS4HRI bodies, the one that says who is tracked.
-        camera_info: topic of the CameraInfo, where the bag has several.
+        config: Parameters; None for the parameters of the recorded run.
+        topic: Topic of the keypoints, or for ROS4HRI of the tracked bodies; needed only for a bag with several.
+        camera_info: Topic of the CameraInfo; needed only for a bag with several.
     """
 
     config: Config | None = None
@@ -42,48 +52,51 @@ class ReplayOptions:
 
 @dataclass(frozen=True)
 class ReplayResult:
-    """What a replay did.
+    """Summary of a replay.
 
     Attributes:
-        counters: what became of the keypoint messages.
-        first_reason: why the first message that was not accepted was not; empty where all were.
-        lost: inputs that the recorded run saw, but which were not recorded; results may differ behind them.
-        faults: tracebacks of errors of ours, each once.
+        counters: Numbers of keypoint messages by verdict.
+        first_rejection: Place of the first message that was not accepted, and the reason; empty if there is none.
+        unrecorded_inputs: Number of inputs that the recorded run processed but that the bag lacks; the outputs
+            after the first of these may differ from those of the recorded run.
+        tracebacks: Tracebacks of internal errors, without repetitions.
     """
 
     counters: Counters
-    first_reason: str
-    lost: int = 0
-    faults: tuple[str, ...] = ()
+    first_rejection: str
+    unrecorded_inputs: int = 0
+    tracebacks: tuple[str, ...] = ()
 
 
 def replay(
     bag: Bag,
     out: Path,
     options: ReplayOptions | None = None,
-    watch: Watch = lambda messages, _: messages,
+    progress: ProgressWrapper = lambda messages, _: messages,
 ) -> ReplayResult:
-    """Run a bag's inputs through a new pipeline and record them and the outputs in another bag.
+    """Run a bag's inputs through a new pipeline and record the inputs and the outputs in another bag.
 
-    Inputs keep their log times, and outputs have those of the inputs that caused them. Where the bag records
-    a run of ours, its resets and changes of parameters are made again at the same places, and inputs that
-    never reached the tracker are left out. The same bag and parameters give the same outputs. The new bag
-    is called `<out>.partial` until it is complete.
+    Inputs keep their log times. An output has the log time of the input that caused it. If the bag holds the
+    journal of a recorded run, the replay repeats its resets and parameter changes after the same inputs, and it
+    does not process the inputs that the run skipped. The same bag and parameters always give the same outputs. The
+    new bag is called `<out>.partial` until it is complete.
 
     Args:
-        bag: of ROS 2 or ROS 1.
-        out: folder of the new bag.
-        options: parameters and topics.
-        watch: wrapped around the messages, of which there are as many as its second argument says.
+        bag: Bag of ROS 2 or ROS 1.
+        out: Folder of the new bag.
+        options: Parameters and topics.
+        progress: Function that shows progress.
 
     Raises:
-        InputError: the bag cannot be used.
-        RecordingError: the new bag exists or cannot be written.
+        InputError: The bag cannot be used.
+        RecordingError: The new bag already exists or cannot be written.
     """
-    partial = partial_of(out)
+    partial = choose_partial_path(out)
     if partial.exists():
-        raise RecordingError(f'{partial}: left by an interrupted replay; --resume does it again, or remove it')
-    result = _Replay(bag, options or ReplayOptions()).run(partial, out.name, watch)
+        raise RecordingError(
+            f'{partial}: an interrupted replay left this bag; --resume replays it again, or remove it'
+        )
+    result = _Replay(bag, options or ReplayOptions()).run(partial, out.name, progress)
     try:
         partial.rename(out)
     except OSError as error:
@@ -92,17 +105,19 @@ def replay(
 
 
 def remove_partial(out: Path) -> None:
-    """Remove what an interrupted replay to `out` has left.
+    """Remove the incomplete bag that an interrupted replay to `out` has left, if there is one.
 
     Raises:
-        RecordingError: it is no bag, or cannot be removed.
+        RecordingError: The folder contains files that no replay writes, or it cannot be removed.
     """
-    partial = partial_of(out)
+    partial = choose_partial_path(out)
     if not partial.exists():
         return
-    strange = [f.name for f in partial.iterdir() if f.suffix not in ENDINGS and not f.name.startswith(METADATA)]
-    if strange:
-        raise RecordingError(f'{partial}: not what a replay leaves: {strange[0]}')
+    unexpected = [
+        f.name for f in partial.iterdir() if f.suffix not in ROS2_SUFFIXES and not f.name.startswith(METADATA)
+    ]
+    if unexpected:
+        raise RecordingError(f'{partial}: not removed, because no replay writes the file {unexpected[0]} in it')
     try:
         shutil.rmtree(partial)
     except OSError as error:
@@ -110,93 +125,107 @@ def remove_partial(out: Path) -> None:
 
 
 class _Replay:
-    """One replay."""
+    """State of one replay."""
 
     def __init__(self, bag: Bag, options: ReplayOptions) -> None:
         self._bag = bag
-        self._inputs = people_topics(bag, options.topic)
-        kind = people_type(bag, self._inputs)
-        first, *_ = self._inputs
-        camera_info = bag.camera_info_topic(first, options.camera_info)
+        self._inputs = find_people_topics(bag, options.topic)
+        keypoints_type = find_people_type(bag, self._inputs)
+        keypoints_topic, *_ = self._inputs
+        camera_info = bag.find_camera_info_topic(keypoints_topic, options.camera_info)
         if camera_info is not None:
             self._inputs[camera_info] = Source.CAMERA_INFO
         self._recorded_run = read_run(bag)
-        self._follow = options.config is None
+        self._repeats_parameters = options.config is None
         config = options.config
         if config is None:
-            config = _parameters(Config(), self._recorded_run.parameters, bag)
-        config = with_values(config, {INPUT_TYPE: kind})
-        self._recorder_config = RecorderConfig() if self._follow else config.recorder
+            config = _apply_recorded_parameters(Config(), self._recorded_run.parameters, bag)
+        config = with_values(config, {INPUT_TYPE_PARAMETER: keypoints_type})
+        self._recorder_config = RecorderConfig() if self._repeats_parameters else config.recorder
         self._pipeline = Pipeline(config)
         self._journal = Journal(JOURNAL_TOPIC)
-        self._first_reason = ''
-        self._faults: dict[str, str] = {}
+        self._first_rejection = ''
+        self._tracebacks: dict[str, str] = {}  # by what identifies the error, in order of occurrence
 
-    def run(self, folder: Path, name: str, watch: Watch) -> ReplayResult:
+    def run(self, folder: Path, name: str, progress: ProgressWrapper) -> ReplayResult:
         bag, pipeline = self._bag, self._pipeline
-        made_with = attachments(pipeline.config, pipeline.models)
-        with Recorder(folder, self._recorder_config, made_with, name) as self._recorder:
-            for number, message in enumerate(watch(bag.messages(self._inputs), bag.count(self._inputs)), 1):
+        attachments = provenance_attachments(pipeline.config, pipeline.models)
+        with Recorder(folder, self._recorder_config, attachments, name) as self._recorder:
+            for number, message in enumerate(progress(bag.messages(self._inputs), bag.count(self._inputs)), 1):
                 if number == 1:
-                    self._begin(message.time_ns)
+                    self._write_start(message.time_ns)
                 self._repeat_events(number - 1, message.time_ns)
-                if number in self._recorded_run.unseen:
-                    outcome = pipeline.note_backlog()
+                if number in self._recorded_run.skipped_inputs:
+                    result = pipeline.note_backlog()
                 else:
-                    outcome = pipeline.feed(self._inputs[message.topic], message.raw, message.topic)
-                self._finish(number, message, outcome)
-                if fault := pipeline.idle():
-                    self._faults.setdefault(fault, fault)
-        lost = self._recorded_run.lost
-        return ReplayResult(pipeline.counters, self._first_reason, lost, tuple(self._faults.values()))
+                    result = pipeline.feed(self._inputs[message.topic], message.raw, message.topic)
+                self._write_result(number, message, result)
+                if error_traceback := pipeline.run_deferred_work():
+                    self._tracebacks.setdefault(error_traceback, error_traceback)
+        return ReplayResult(
+            pipeline.counters,
+            self._first_rejection,
+            self._recorded_run.lost_count,
+            tuple(self._tracebacks.values()),
+        )
 
-    def _begin(self, now: int) -> None:
+    def _write_start(self, now_ns: int) -> None:
+        """Write the latched outputs and the parameters, with which every bag starts."""
         for topic, msgtype in LATCHED_OUTPUTS.items():
-            self._recorder.announce('/' + topic, msgtype, latched=True)
-        self._recorder.write(*self._journal.parameters(values(self._pipeline.config), now))
-        self._write(skeleton_definition(), now)
+            self._recorder.declare_topic('/' + topic, msgtype, latched=True)
+        self._recorder.write(*self._journal.make_parameters_record(values(self._pipeline.config), now_ns))
+        self._write(build_skeleton_definition(), now_ns)
 
-    def _repeat_events(self, number: int, now: int) -> None:
-        """Do what was done in the recorded run behind this input."""
+    def _repeat_events(self, number: int, now_ns: int) -> None:
+        """Repeat the resets and parameter changes that followed this input in the recorded run."""
         for entry in self._recorded_run.events.get(number, ()):
             if entry.kind == RESET:
-                self._recorder.write(*self._journal.reset(now))
-                self._write(self._pipeline.reset(), now)
-            elif self._follow:
-                self._pipeline.reconfigure(_parameters(self._pipeline.config, entry.parameters, self._bag))
-                self._recorder.write(*self._journal.parameters(values(self._pipeline.config), now))
+                self._recorder.write(*self._journal.make_reset_record(now_ns))
+                self._write(self._pipeline.reset(), now_ns)
+            elif self._repeats_parameters:
+                config = _apply_recorded_parameters(self._pipeline.config, entry.parameters, self._bag)
+                self._pipeline.reconfigure(config)
+                self._recorder.write(*self._journal.make_parameters_record(values(self._pipeline.config), now_ns))
 
-    def _finish(self, number: int, message: BagMessage, outcome: Outcome) -> None:
-        now, verdict, reason = message.time_ns, outcome.verdict, outcome.reason
-        for record in self._journal.input(message.topic, message.type, message.raw, (now, now), verdict, reason):
+    def _write_result(self, number: int, message: BagMessage, result: ProcessingResult) -> None:
+        """Write an input, its journal entry and its outputs."""
+        now_ns, verdict, reason = message.time_ns, result.verdict, result.reason
+        times_ns = (now_ns, now_ns)
+        for record in self._journal.make_input_records(
+            message.topic, message.type, message.raw, times_ns, verdict, reason
+        ):
             self._recorder.write(*record)
-        for output in outcome.outputs:
-            self._write(output, now)
-        if outcome.verdict is not Verdict.ACCEPTED and not self._first_reason:
-            self._first_reason = f'{self._bag.path}: {message.topic}: message {number}: {reason}'
-        if outcome.fault:
-            self._faults.setdefault(reason, outcome.fault)
+        for output in result.outputs:
+            self._write(output, now_ns)
+        if result.verdict is not Verdict.ACCEPTED and not self._first_rejection:
+            self._first_rejection = f'{self._bag.path}: {message.topic}: message {number}: {reason}'
+        if result.error_traceback:
+            self._tracebacks.setdefault(reason, result.error_traceback)
 
-    def _write(self, output: OutputMessage, now: int) -> None:
-        self._recorder.write('/' + output.topic.lstrip('/'), output.type, output.data, now, now)
+    def _write(self, output: OutputMessage, now_ns: int) -> None:
+        self._recorder.write('/' + output.topic.lstrip('/'), output.type, output.data, now_ns, now_ns)
 
 
-def _parameters(config: Config, recorded: Mapping[str, Value], bag: Bag) -> Config:
-    """The parameters of a recorded run. A bag may name no file: its model and its prior must be ours."""
-    ours = {
-        'tracker.model': (config.tracker.model, (AUTO, *shipped_base_poses())),
+def _apply_recorded_parameters(config: Config, recorded: Mapping[str, Value], bag: Bag) -> Config:
+    """Return the parameters of a recorded run.
+
+    Model and prior must be shipped ones, so that a bag cannot make the replay read a file of its choice.
+    """
+    shipped = {
+        'tracker.model': (config.tracker.model, (AUTO, *list_shipped_base_poses())),
         'solver.prior': (config.solver.prior, PRIORS),
     }
-    for name, (default, known) in ours.items():
+    for name, (default, allowed) in shipped.items():
         value = recorded.get(name, default)
-        if value not in known:
+        if value not in allowed:
             raise InputError(
-                f'{bag.path}: recorded with {name} {value!r}, which does not come with the package; '
+                f'{bag.path}: the run was recorded with {name} {value!r}, which does not come with the package; '
                 'give the parameters by --config or --set'
             )
     try:
         return with_values(config, current_names(recorded))
     except ConfigError as error:
         raise InputError(
-            f'{bag.path}: recorded by another version ({error}); give the parameters by --config or --set'
+            f'{bag.path}: the run was recorded by another version ({error}); '
+            'give the parameters by --config or --set'
         ) from None

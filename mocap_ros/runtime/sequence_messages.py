@@ -1,27 +1,32 @@
-"""The frames of a sequence as keypoint messages, each with the time at which it is due."""
+"""Encode the frames of a keypoint sequence as messages."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from mocap_ros.formats.sequence_file import Sequence
+from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import encode_keypoints
 
-CAMERA_FRAME = 'camera'
+DEFAULT_FRAME_ID = 'camera'  # header.frame_id of sequences that do not name their camera
 
 
-class Sample(NamedTuple):
-    """A Keypoints2DArray as CDR, and when it is due, ns on any clock."""
+class EncodedFrame(NamedTuple):
+    """One frame of a sequence as a message.
 
-    due_ns: int
+    Attributes:
+        stamp_ns: Stamp of the frame in ns, on the clock of the sequence.
+        raw: Mocap_ros_msgs/Keypoints2DArray as CDR.
+    """
+
+    stamp_ns: int
     raw: bytes
 
 
-def sequence_samples(sequence: Sequence, frame_id: str = CAMERA_FRAME) -> Iterator[Sample]:
-    """The frames of a sequence as messages, with its timestamps."""
+def encode_sequence(sequence: KeypointSequence, frame_id: str = DEFAULT_FRAME_ID) -> Iterator[EncodedFrame]:
+    """Encode every frame of a sequence as a message with the frame's stamp and the given `frame_id`."""
     for frame, stamp_ns in enumerate(sequence.stamps_ns):
         people = [sequence.person(frame)]
         raw = encode_keypoints(Header(stamp_ns, frame_id), sequence.image_size, people)
-        yield Sample(stamp_ns, raw)
+        yield EncodedFrame(stamp_ns, raw)

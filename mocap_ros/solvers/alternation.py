@@ -1,14 +1,36 @@
-"""Algorithm 1 of TPAMI 2016, plainly: cameras and base-pose weights in turn, for a whole sequence.
+"""Algorithm 1 of TPAMI 2016: optimise cameras and base-pose weights in turn, for a whole sequence.
 
-This is the readable reference. It minimises, over all cameras M_t and weights theta_t,
+This module is the readable reference with which the tests compare the faster joint solver. It minimises
 
-    sum_tj w_tj |M_t P_tj + t_t - x_tj|^2 / s0^2        reprojection (eq. 9), in m^2 at the body
-  + beta   sum_tb (length_tb - mean_b)^2                bone lengths (eq. 20), lengths of one body all along
+    sum_tj w_tj |M_t P_tj + t_t - x_tj|^2 / s0^2        reprojection error (eq. 9), m^2 at the body
+  + beta   sum_tb (length_tb - mean_b)^2                bone lengths are constant over time (eq. 19 and 20)
   + lambda sum_tl (theta_tl / sigma_l)^2                Gaussian prior of the base poses (not in the paper)
-  + gamma  sum_t  |M_t - M_(t-1)|^2 / dt                flip regulariser (eq. 12)
+  + gamma  sum_t  |M_t - M_(t-1)|_F^2 / dt_t            flip regulariser (eq. 12)
 
-with s0 the median start scale. `norm='frobenius'` takes the norms as the paper prints them (eq. 13 and 21: not
-squared, variances not sums); it is minimised by the same steps, each weighted by one over twice the norm at hand.
+over the cameras M_t = s_t R_t[:2] and the weights theta_t, where P_tj = Q_0j + sum_l theta_tl Q_lj (eq. 1), s0 is
+the median initial scale, and the translations t_t are eliminated: image and projection are both relative to their
+weighted centroids. The paper's box, and where each of its lines is found here:
+
+    Algorithm 1: recover camera and shape
+    Q <- base shapes                                              `BasePoses.truncate`
+    while no convergence do                                       `reconstruct`
+        for t = 1 -> f do                                         all frames at once
+            calculate starting values for M_t    (eq. 10, 11)     `choose_initial_values`, only before the loop
+            optimise |w_t - M_t Theta_t Q|_F + r_K,t    (eq. 13)  `_AlternationProblem.optimise_cameras`
+        end for
+        optimise |W - M Theta Q|_F + r_B                (eq. 21)  `_AlternationProblem.optimise_weights`
+    end while
+
+`norm='frobenius'` selects the paper's printed terms, whose norms are not squared and whose r_B is a variance, not
+a sum:
+
+    (sum_tj w_tj |M_t P_tj + t_t - x_tj|^2 / s0^2)^(1/2)          eq. 9
+  + beta   sum_b Var(length_b)                                    eq. 20
+  + gamma  sum_t |M_t - M_(t-1)|_F / dt_t                         eq. 12
+
+A norm lies below the parabola |x| <= x^2 / (2 |x'|) + |x'| / 2 that touches it at the current x'. Each step
+therefore lowers the squared form with every norm's weight divided by 2 |x'| (iteratively reweighted least
+squares).
 """
 
 from __future__ import annotations
@@ -19,49 +41,63 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
-from mocap_ros.geometry.weak_perspective import CameraProblem, Cameras, centred_on_seen, refine
+from mocap_ros.geometry.weak_perspective import (
+    CameraStepObjective,
+    WeakPerspectiveCameras,
+    run_camera_step,
+    subtract_weighted_centroid,
+)
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.window import Reconstruction, Window, begin
+from mocap_ros.solvers.window import Reconstruction, Window, choose_initial_values
 
 Array = NDArray[np.float64]
 
-NORM_FLOOR = 1e-6
-NEGLIGIBLE = 1e-12
+NORM_SMOOTHING = 1e-6  # m; makes sqrt(x^2 + NORM_SMOOTHING^2) differentiable at x = 0, far below any image noise
+MIN_TIME_STEP_S = 1e-4  # s; guards the division by dt; far below the period of any camera
+MIN_BONE_LENGTH_M = 1e-9  # m; guards the division by the length of a bone
+MIN_COUPLING = 1e-12  # beta / F below which the frames are independent; guards the division by it
+INITIAL_DAMPING = 1e-6  # relative; almost a full Gauss-Newton step, which is tried first
+DAMPING_GROWTH = 30.0  # factor on the damping after a step that raised the objective
+MIN_RAISED_DAMPING = 1e-3  # relative; smallest damping after a rejected step, since 3e-5 would hardly change it
+MAX_DAMPING_TRIALS = 8  # steps tried in an iteration; the last has a damping of 7e5, that is a step of almost zero
 
 
 def reconstruct(window: Window, model: BasePoses, config: SolverConfig) -> Reconstruction:
-    """Reconstruct one person's sequence (Algorithm 1).
+    """Reconstruct the sequence of one person (TPAMI 2016, Algorithm 1).
 
     Args:
-        window: image points, weights, times, and where to begin.
-        model: base poses, metric.
+        window: image points, weights and times of F frames, and optionally initial values.
+        model: base poses, m.
         config: weights of the terms; smoothness and robust loss are not part of this model.
 
     Returns:
-        The reconstruction; its objective is noted after every half step.
+        The reconstruction. Its objective is recorded after both halves of every iteration.
     """
-    model = model.truncated(config.components)
-    start, s0 = begin(window, model, config.start_window)
-    theta, cameras = start.theta, start.cameras
-    problem = _Problem.build(model, window, s0, config)
-    cameras = Cameras(cameras.scale / s0, cameras.rotation)
+    model = model.truncate(config.components)  # Q <- base shapes
+    start, s0 = choose_initial_values(window, model, config.start_window)  # theta = 0; M_t from eq. 10 and 11
+    theta = start.theta
+    problem = _AlternationProblem.build(model, window, s0, config)
+    cameras = WeakPerspectiveCameras(start.cameras.scale / s0, start.cameras.rotation)
 
     progress = _Progress([problem.objective(cameras, theta)])
     while not progress.converged and progress.iterations < config.max_iterations:
-        cameras = problem.cameras_step(cameras, theta)
-        after_cameras = problem.objective(cameras, theta)
-        theta = problem.weights_step(cameras, theta)
-        progress.note(after_cameras, problem.objective(cameras, theta), config.tolerance)
-    return _result(problem, cameras, theta, s0, progress)
+        cameras = problem.optimise_cameras(cameras, theta)  # all M_t by eq. 13, which is eq. 9 + eq. 12
+        objective_after_cameras = problem.objective(cameras, theta)
+        theta = problem.optimise_weights(cameras, theta)  # Theta by eq. 21, which is eq. 9 of all frames + eq. 20
+        progress.record(objective_after_cameras, problem.objective(cameras, theta), config.tolerance)
+    return _make_reconstruction(problem, cameras, theta, s0, progress)
 
 
 @dataclass
 class _Progress:
+    """Objective (m^2) after every half iteration, and the test for convergence."""
+
     objective: list[float]
     iterations: int = 0
     converged: bool = False
 
-    def note(self, after_cameras: float, after_weights: float, tolerance: float) -> None:
+    def record(self, after_cameras: float, after_weights: float, tolerance: float) -> None:
+        """Append the objective after both halves of an iteration; `tolerance` is a relative decrease."""
         before = self.objective[-1]
         self.objective += [after_cameras, after_weights]
         self.iterations += 1
@@ -69,7 +105,23 @@ class _Progress:
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _AlternationProblem:
+    """Constants of the objective of one sequence.
+
+    Attributes:
+        model: K base poses.
+        image: (F, J, 2) m, image points divided by s0, relative to their weighted centroid.
+        centroid: (F, 2) m, this centroid.
+        weight: (F, J) confidence scores.
+        flip: (F - 1,) gamma / dt.
+        beta: weight of the bone-length term.
+        prior: (K,) lambda / sigma_l^2.
+        frobenius: True selects the norms as printed in the paper.
+        parents: (B,) index of each bone's inner joint.
+        children: (B,) index of each bone's outer joint.
+        bone_components: (K, B, 3) change of each bone's vector by each base pose.
+    """
+
     model: BasePoses
     image: Array
     centroid: Array
@@ -80,146 +132,189 @@ class _Problem:
     frobenius: bool
     parents: NDArray[np.intp]
     children: NDArray[np.intp]
-    bone_directions: Array
+    bone_components: Array
 
     @staticmethod
-    def build(model: BasePoses, window: Window, s0: float, config: SolverConfig) -> _Problem:
+    def build(model: BasePoses, window: Window, s0: float, config: SolverConfig) -> _AlternationProblem:
+        """Return the problem of a window; `s0` in px/m."""
         parents, children = (np.array(side) for side in zip(*model.skeleton.bones, strict=True))
-        image, centroid = centred_on_seen(window.points / s0, window.weight)
-        return _Problem(
+        image, centroid = subtract_weighted_centroid(window.points / s0, window.weight)
+        return _AlternationProblem(
             model=model,
             image=image,
             centroid=centroid,
             weight=window.weight,
-            flip=config.flip_weight / np.maximum(np.diff(window.times), 1e-4),
+            flip=config.flip_weight / np.maximum(np.diff(window.times), MIN_TIME_STEP_S),
             beta=config.bone_weight,
             prior=config.prior_weight / model.std**2,
             frobenius=config.norm == 'frobenius',
             parents=parents,
             children=children,
-            bone_directions=model.components[:, children] - model.components[:, parents],
+            bone_components=model.components[:, children] - model.components[:, parents],
         )
 
-    def cameras_problem(self, theta: Array) -> CameraProblem:
-        body, _ = centred_on_seen(self.model.poses(theta), self.weight)
-        return CameraProblem(body, self.image, self.weight, self.flip)
+    def camera_objective(self, theta: Array) -> CameraStepObjective:
+        """Return the squared form of eq. 13 for the poses of `theta` (F, K)."""
+        body, _ = subtract_weighted_centroid(self.model.poses(theta), self.weight)
+        return CameraStepObjective(body, self.image, self.weight, self.flip)
 
-    def bones(self, theta: Array) -> tuple[Array, Array]:
-        """(F, B) lengths in m and (F, B, 3) unit vectors of the bones."""
+    def bone_lengths(self, theta: Array) -> tuple[Array, Array]:
+        """Return the lengths (F, B) in m (eq. 19) and the unit vectors (F, B, 3) of the bones."""
         poses = self.model.poses(theta)
         vector = poses[:, self.children] - poses[:, self.parents]
-        length = np.maximum(np.linalg.norm(vector, axis=-1), 1e-9)
+        length = np.maximum(np.linalg.norm(vector, axis=-1), MIN_BONE_LENGTH_M)
         return length, vector / length[..., None]
 
-    def terms(self, cameras: Cameras, theta: Array) -> tuple[Array, Array, float, float]:
-        """Squared reprojection a frame, squared camera change a pair, bone and prior term."""
-        problem = self.cameras_problem(theta)
-        length, _ = self.bones(theta)
-        spread = float(((length - length.mean(axis=0)) ** 2).sum())
+    def objective(self, cameras: WeakPerspectiveCameras, theta: Array) -> float:
+        """Return the value of the objective at the head of this module."""
+        camera_objective = self.camera_objective(theta)
+        length, _ = self.bone_lengths(theta)
+        deviation = float(((length - length.mean(axis=0)) ** 2).sum())
         prior = float((self.prior * theta**2).sum())
-        return problem.data_cost(cameras), problem.flip_cost(cameras), self.beta * spread, prior
-
-    def objective(self, cameras: Cameras, theta: Array) -> float:
-        data, flip, bones, prior = self.terms(cameras, theta)
+        data, flip = camera_objective.data_cost(cameras), camera_objective.flip_cost(cameras)
+        bones = self.beta * deviation
         if not self.frobenius:
             return float(data.sum() + flip.sum() + bones + prior)
         gamma = np.sqrt(self.flip)
-        return float(_norm(data.sum()) + (gamma * _norm(flip)).sum() + bones / len(theta) + prior)
+        return float(
+            _smoothed_norm(data.sum()) + (gamma * _smoothed_norm(flip)).sum() + bones / len(theta) + prior
+        )
 
-    def cameras_step(self, cameras: Cameras, theta: Array) -> Cameras:
-        """Lower eq. 13 over the cameras with the poses held."""
-        problem = self.cameras_problem(theta)
+    def optimise_cameras(self, cameras: WeakPerspectiveCameras, theta: Array) -> WeakPerspectiveCameras:
+        """Return cameras that lower eq. 13 (eq. 9 + eq. 12), the poses fixed."""
+        problem = self.camera_objective(theta)
         if self.frobenius:
-            norm = _norm(problem.data_cost(cameras).sum())
-            change = _norm(problem.flip_cost(cameras))
-            problem = CameraProblem(
+            norm = _smoothed_norm(problem.data_cost(cameras).sum())
+            change = _smoothed_norm(problem.flip_cost(cameras))
+            problem = CameraStepObjective(
                 problem.body,
                 problem.image,
                 problem.weight / (2 * norm),
                 self.flip * np.sqrt(self.flip) / (2 * change),
             )
-        return refine(problem, cameras)
+        return run_camera_step(problem, cameras)
 
-    def weights_step(self, cameras: Cameras, theta: Array) -> Array:
-        """Lower eq. 21 over the weights with the cameras held: one damped Gauss-Newton step, or more.
+    def optimise_weights(self, cameras: WeakPerspectiveCameras, theta: Array) -> Array:
+        """Return weights (F, K) that lower eq. 21 (eq. 9 of all frames + eq. 20), the cameras fixed.
 
-        Every frame has its own K x K block; the mean bone lengths, shared by all frames, subtract a matrix of
-        rank B (number of bones) from the block diagonal, which Woodbury's identity takes care of exactly.
+        This is one Gauss-Newton step, damped as far as is necessary for the objective not to rise.
+        """
+        equations = self.weight_equations(cameras, theta)
+        before = self.objective(cameras, theta)
+        damping = INITIAL_DAMPING
+        for _ in range(MAX_DAMPING_TRIALS):
+            step = equations.solve(damping)
+            candidate = theta - step
+            if self.objective(cameras, candidate) <= before:
+                return candidate
+            damping = max(damping * DAMPING_GROWTH, MIN_RAISED_DAMPING)
+        return theta
+
+    def weight_equations(self, cameras: WeakPerspectiveCameras, theta: Array) -> _WeightEquations:
+        """Return the Gauss-Newton equations of eq. 21.
+
+        With the reprojection Jacobian A_t, the reprojection error e_t, the bone-length Jacobian B_t and the bone
+        lengths b_t of a frame,
+
+            block_t    = A_t^T A_t + beta B_t^T B_t + diag(lambda / sigma^2)
+            gradient_t = A_t^T e_t + beta B_t^T (b_t - mean b) + lambda theta_t / sigma^2
+
+        The mean bone lengths couple all frames: they subtract (beta / F) G G^T, where G stacks the B_t^T.
         """
         frames, k = theta.shape
         data_weight, bone_weight = 1.0, self.beta
         if self.frobenius:
-            data = self.cameras_problem(theta).data_cost(cameras)
-            data_weight = float(1 / (2 * _norm(data.sum())))
+            data = self.camera_objective(theta).data_cost(cameras)
+            data_weight = float(1 / (2 * _smoothed_norm(data.sum())))
             bone_weight = self.beta / frames
         root = np.sqrt(data_weight * self.weight)[..., None]
         basis = np.moveaxis(self.model.components, 0, -1).reshape(len(self.model.mean), -1)
-        seen_basis, _ = centred_on_seen(np.broadcast_to(basis, (frames, *basis.shape)), self.weight)
-        seen_basis = seen_basis.reshape(frames, -1, 3, k)
-        jac = (cameras.matrix[:, None] @ seen_basis) * root[..., None]
+        centred_basis, _ = subtract_weighted_centroid(np.broadcast_to(basis, (frames, *basis.shape)), self.weight)
+        centred_basis = centred_basis.reshape(frames, -1, 3, k)
+        jac = (cameras.matrix[:, None] @ centred_basis) * root[..., None]
         jac = jac.reshape(frames, -1, k)
-        body, _ = centred_on_seen(self.model.poses(theta), self.weight)
+        body, _ = subtract_weighted_centroid(self.model.poses(theta), self.weight)
         error = ((cameras.project(body) - self.image) * root).reshape(frames, -1, 1)
 
-        length, unit = self.bones(theta)
-        bone_jac = np.einsum('fbd,kbd->fbk', unit, self.bone_directions)
+        length, unit = self.bone_lengths(theta)
+        bone_jac = np.einsum('fbd,kbd->fbk', unit, self.bone_components)
         bone_error = length - length.mean(axis=0)
         jac_t = np.swapaxes(jac, -1, -2)
         bone_t = np.swapaxes(bone_jac, -1, -2)
         blocks = jac_t @ jac + bone_weight * (bone_t @ bone_jac) + np.diag(self.prior)
         gradient = jac_t @ error + bone_weight * (bone_t @ bone_error[..., None])
         gradient = gradient[..., 0] + self.prior * theta
-
-        before = self.objective(cameras, theta)
-        damping = 1e-6
-        for _ in range(8):
-            step = _arrowhead_solve(blocks, bone_t, bone_weight / frames, gradient, damping)
-            tried = theta - step
-            if self.objective(cameras, tried) <= before:
-                return tried
-            damping = max(damping * 30, 1e-3)
-        return theta
+        return _WeightEquations(blocks, gradient, bone_t, bone_weight / frames)
 
 
-def _norm(squared: Array) -> Array:
-    """The norm from its square, rounded off at zero where the norm has no gradient."""
-    return np.asarray(np.sqrt(squared + NORM_FLOOR**2))
+@dataclass(frozen=True, eq=False)
+class _WeightEquations:
+    """Gauss-Newton equations (blockdiag(blocks) - coupling_weight G G^T) step = gradient of all weights.
+
+    Attributes:
+        blocks: (F, K, K) diagonal block of each frame, positive definite.
+        gradient: (F, K) half the gradient of the objective.
+        coupling: (F, K, B) the rows of G that belong to each frame.
+        coupling_weight: beta / F.
+    """
+
+    blocks: Array
+    gradient: Array
+    coupling: Array
+    coupling_weight: float
+
+    def solve(self, damping: float) -> Array:
+        """Return the step (F, K) under this relative damping of the diagonal."""
+        return solve_coupled_blocks(self.blocks, self.coupling, self.coupling_weight, self.gradient, damping)
 
 
-def _arrowhead_solve(blocks: Array, coupling: Array, strength: float, gradient: Array, damping: float) -> Array:
-    """Solve (blockdiag(blocks) - strength * sum_b g_b g_b^T) x = gradient.
+def solve_coupled_blocks(
+    blocks: Array, coupling: Array, coupling_weight: float, right: Array, damping: float
+) -> Array:
+    """Solve (D - c G G^T) x = r, where D is block diagonal, by Woodbury's identity.
+
+        x = D^-1 r + D^-1 G (I / c - G^T D^-1 G)^-1 G^T D^-1 r
 
     Args:
-        blocks: (F, K, K) positive definite.
-        coupling: (F, K, B), the vectors g_b cut into frames.
-        strength: beta / F.
-        gradient: (F, K).
-        damping: relative increase of the diagonal (Levenberg-Marquardt).
+        blocks: (F, K, K) blocks of D before damping, positive definite.
+        coupling: (F, K, B) the rows of G that belong to each block.
+        coupling_weight: c; below `MIN_COUPLING` the second term is left out.
+        right: (F, K) right-hand side r.
+        damping: relative increase of the diagonal of D (Levenberg-Marquardt).
+
+    Returns:
+        The solution x, (F, K).
     """
     damped = blocks + damping * np.einsum('fii->fi', blocks)[..., None] * np.eye(blocks.shape[-1])
-    solved = np.linalg.solve(damped, np.concatenate([gradient[..., None], coupling], axis=-1))
-    x, y = solved[..., 0], solved[..., 1:]
-    if strength < NEGLIGIBLE:
-        return np.asarray(x)
-    inner = np.eye(coupling.shape[-1]) / strength - np.einsum('fkb,fkc->bc', coupling, y)
-    correction = np.linalg.solve(inner, np.einsum('fkb,fk->b', coupling, x))
-    return np.asarray(x + y @ correction)
+    solved = np.linalg.solve(damped, np.concatenate([right[..., None], coupling], axis=-1))
+    uncoupled, solved_coupling = solved[..., 0], solved[..., 1:]
+    if coupling_weight < MIN_COUPLING:
+        return np.asarray(uncoupled)
+    inner = np.eye(coupling.shape[-1]) / coupling_weight - np.einsum('fkb,fkc->bc', coupling, solved_coupling)
+    correction = np.linalg.solve(inner, np.einsum('fkb,fk->b', coupling, uncoupled))
+    return np.asarray(uncoupled + solved_coupling @ correction)
 
 
-def _result(
-    problem: _Problem,
-    cameras: Cameras,
+def _smoothed_norm(squared: Array) -> Array:
+    """Return (squared + NORM_SMOOTHING^2)^(1/2), a norm that has a gradient at zero."""
+    return np.asarray(np.sqrt(squared + NORM_SMOOTHING**2))
+
+
+def _make_reconstruction(
+    problem: _AlternationProblem,
+    cameras: WeakPerspectiveCameras,
     theta: Array,
     s0: float,
     progress: _Progress,
 ) -> Reconstruction:
+    """Return the result in px and px/m; the scales of `cameras` are relative to `s0` (px/m)."""
     poses = problem.model.poses(theta)
-    body, body_centroid = centred_on_seen(poses, problem.weight)
-    cameras_px = Cameras(cameras.scale * s0, cameras.rotation)
+    body, body_centroid = subtract_weighted_centroid(poses, problem.weight)
+    cameras_px = WeakPerspectiveCameras(cameras.scale * s0, cameras.rotation)
     offset = (cameras_px.matrix @ body_centroid[..., None])[..., 0]
     error = cameras_px.project(body) - problem.image * s0
     seen = problem.weight > 0
-    with np.errstate(invalid='ignore'):
+    with np.errstate(invalid='ignore'):  # a frame without seen joints has the residual 0 / 0 = NaN
         residual = np.sqrt((seen[..., None] * error**2).sum(axis=(1, 2)) / seen.sum(axis=1))
     return Reconstruction(
         joints=poses @ np.swapaxes(cameras.rotation, -1, -2),
@@ -231,5 +326,5 @@ def _result(
         iterations=progress.iterations,
         converged=progress.converged,
         noise=float('nan'),
-        spread=np.full(poses.shape[1], np.nan),
+        joint_std=np.full(poses.shape[1], np.nan),
     )

@@ -1,11 +1,23 @@
-"""Which motion is it: its category by evidence, and whether it is periodic (TPAMI 2016, section 4.9).
+"""Classification of a motion: its category by evidence, and whether it is periodic (TPAMI 2016, section 4.9).
 
-The category is that of the base poses under which the image is likeliest. Judged by the residual alone the
-all-motions model would nearly always win, for it fits anything; the evidence also counts how much each model could
-have fitted (Occam's factor of its Gaussian prior).
+The category is that of the base poses with the highest evidence p(x | model), integrated over the weights theta by
+Laplace's method and up to a constant that all models share:
 
-A window is periodic where the periodic model of a walk or a run explains the image to within a threshold, as in
-the paper, and does it with a movement of some size and a cadence that legs can have.
+    -2 log p(x | model) = min E / n0^2 + F sum_l log(1 + 2/3 sigma_l^2 / noise^2)
+
+E is the objective of the joint solver (m^2) under the common image noise, n0 = 10 mm the noise for which its
+weights are given, F the number of frames, and sigma_l the standard deviation of the weight of base pose l. The
+second term is Occam's factor: twice the log ratio of prior to posterior volume of the weights, that is how many
+different images the model could have explained. (A base pose has unit length over all 3 J coordinates, and the
+image shows two thirds of them.) The residual alone would nearly always select the model of all motions.
+
+A window is periodic if, for the periodic model of a walk or a run (section 3.3), the RMS 2D residual is below a
+threshold, as in the paper, and the amplitude and the cadence of the motion are above theirs. With residuals and
+amplitudes as fractions of the stature,
+
+    excess residual = (residual^2 - 2 noise^2)^(1/2)
+
+is compared with the threshold, since the image noise of two coordinates does not count against the motion.
 """
 
 from __future__ import annotations
@@ -20,83 +32,91 @@ from mocap_ros.errors import InputError
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint, periodic
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
-from mocap_ros.solvers.periodic.fourier import Series
+from mocap_ros.solvers.periodic.fourier import FourierSeries
 from mocap_ros.solvers.periodic.solver import PeriodicReconstruction
-from mocap_ros.solvers.window import Reconstruction, Start, Window
+from mocap_ros.solvers.window import InitialValues, Reconstruction, Window
 
+# Names of the models whose motion can be periodic.
 PERIODIC_CATEGORIES = ('walk', 'run')
-SEEN_OF_A_POSE = 2 / 3
-LEAST_NOISE = 0.01
-MOST_NOISE = 0.03
-RESIDUAL_TOLERANCE = 1e-3
+OBSERVED_FRACTION = 2 / 3  # the image shows two of three coordinates
+# m; smallest noise under which models are compared: base poses represent an unseen person no better than that.
+MIN_COMPARISON_NOISE = 0.01
+# m; largest noise that is subtracted from a residual: a noise estimate above it, which would be as large as the
+# thresholds (1.75 % of 1.7 m), would make every motion periodic.
+MAX_SUBTRACTED_NOISE = 0.03
+PERIODIC_FIT_TOLERANCE = 1e-3  # relative decrease of the objective; a residual needs no closer minimum
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
-    """The chosen category.
+class CategoryChoice:
+    """The category chosen for a window.
 
     Attributes:
         category: name of the model with the highest evidence.
-        reconstruction: under that model.
-        evidence: minus twice the log evidence of every model, up to a constant; the least is chosen.
+        reconstruction: result under this model.
+        minus_twice_log_evidence: value of every model by name, up to a constant; the smallest is chosen.
     """
 
     category: str
     reconstruction: Reconstruction
-    evidence: Mapping[str, float]
+    minus_twice_log_evidence: Mapping[str, float]
 
 
-def choose_category(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> Choice:
-    """Fit every model and choose by evidence, all judged under the same image noise.
+def choose_category(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> CategoryChoice:
+    """Fit every model and choose the one with the highest evidence, all under the same image noise.
 
     Args:
-        window: what was seen.
-        models: by name; at least one.
-        config: of the solver.
+        window: image points of F frames.
+        models: base poses by name of category; at least one.
+        config: weights of the solver.
     """
     fits = {name: joint.solve_hypotheses([window], model, config)[0] for name, model in models.items()}
-    noise = max(LEAST_NOISE, min(fit.noise for fit in fits.values()))
+    noise = max(MIN_COMPARISON_NOISE, min(fit.noise for fit in fits.values()))
     evidence = {
-        name: log_evidence(replace(window, start=Start(fit.theta, fit.cameras)), models[name], noise, config)[0]
+        name: minus_twice_log_evidence(
+            replace(window, start=InitialValues(fit.theta, fit.cameras)), models[name], noise, config
+        )[0]
         for name, fit in fits.items()
     }
     best = min(evidence, key=lambda name: evidence[name])
-    return Choice(best, fits[best], evidence)
+    return CategoryChoice(best, fits[best], evidence)
 
 
-def log_evidence(
+def minus_twice_log_evidence(
     window: Window, model: BasePoses, noise: float, config: SolverConfig
 ) -> tuple[float, Reconstruction]:
-    """Minus twice the log evidence of a model, up to a constant, and the reconstruction it is that of.
+    """Return -2 log p(x | model) up to a constant (formula at the head of this module), and the reconstruction.
 
     Args:
-        window: what was seen; its start is where to begin.
+        window: image points of F frames and, as a rule, initial values near the minimum.
         model: base poses.
-        noise: m, of the image points, the same for all models that are compared; at least `LEAST_NOISE` counts.
-        config: of the solver.
+        noise: m, standard deviation of a coordinate of an image point, the same for all models that are compared;
+            smaller values are raised to `MIN_COMPARISON_NOISE`.
+        config: weights of the solver.
     """
-    noise = max(noise, LEAST_NOISE)
-    model = model.truncated(config.components)
-    (judged,) = joint.solve([replace(window, noise=noise)], model, replace(config, adapt_noise=True))
-    occam = len(window.times) * np.log1p(SEEN_OF_A_POSE * (model.std / noise) ** 2).sum()
-    return judged.objective[-1] / NOISE_REFERENCE**2 + float(occam), judged
+    noise = max(noise, MIN_COMPARISON_NOISE)
+    model = model.truncate(config.components)
+    (fit,) = joint.solve([replace(window, noise=noise)], model, replace(config, adapt_noise=True))
+    occam = len(window.times) * np.log1p(OBSERVED_FRACTION * (model.std / noise) ** 2).sum()
+    return fit.objective[-1] / NOISE_REFERENCE**2 + float(occam), fit
 
 
 @dataclass(frozen=True, eq=False)
 class PeriodicFit:
-    """How well a periodic motion explains a window.
+    """Measures of how well a periodic motion explains a window.
 
     Attributes:
-        category: `walk` or `run`, the one that explains more.
-        residual: RMS 2D residual as a fraction of stature.
-        excess: what of it the image noise does not explain, where that is known.
-        amplitude: RMS movement of a joint about its mean as a fraction of stature.
-        reconstruction: under the periodic model; holds the cadence.
+        category: `walk` or `run`, the one with the smaller residual.
+        residual: RMS 2D residual as a fraction of the stature.
+        excess_residual: residual without the image noise as a fraction of the stature; equals `residual` if the
+            noise is unknown.
+        amplitude: RMS movement of a joint about its mean as a fraction of the stature.
+        reconstruction: result under the periodic model, with the cadence.
     """
 
     category: str
     residual: float
-    excess: float
+    excess_residual: float
     amplitude: float
     reconstruction: PeriodicReconstruction
 
@@ -105,68 +125,76 @@ def fit_periodic(
     window: Window,
     models: Mapping[str, BasePoses],
     config: SolverConfig,
-    begun: Reconstruction | None = None,
-    series: Mapping[str, Series] | None = None,
+    initial: Reconstruction | None = None,
+    initial_series: Mapping[str, FourierSeries] | None = None,
 ) -> PeriodicFit:
-    """The best periodic explanation of a window.
+    """Fit the periodic model of every periodic category and return the fit with the smallest residual.
 
     Args:
-        window: a cycle or more of what was seen.
-        models: by name; those of `PERIODIC_CATEGORIES` are used.
-        config: of the solver.
-        begun: the window's reconstruction under any model, to start from; None makes one for each model.
-        series: by name, where the motion was before, as in `periodic.solve`.
+        window: image points of a cycle or more.
+        models: base poses by name of category; those of `PERIODIC_CATEGORIES` are used.
+        config: weights of the solver.
+        initial: a reconstruction of the window under any model, from which to start; it also gives the image
+            noise. None computes one for each model.
+        initial_series: series by name of category, from which to start, as for `periodic.solve`.
 
     Raises:
-        InputError: none of `models` is periodic, or the window is not what it should be.
+        InputError: none of `models` is of a periodic category, or the periodic solver rejects the window.
     """
-    known = series or {}
-    config = replace(config, tolerance=max(config.tolerance, RESIDUAL_TOLERANCE))
+    initial_series = initial_series or {}
+    config = replace(config, tolerance=max(config.tolerance, PERIODIC_FIT_TOLERANCE))
     fits = []
     for name in PERIODIC_CATEGORIES:
         if name in models:
             model = models[name]
-            (result,) = periodic.solve([window], model, config, [begun], [known.get(name)])
-            movement = result.theta - result.theta.mean(axis=0)
-            amplitude = np.sqrt((movement**2).sum(axis=1).mean() / len(model.mean))
-            residual = np.sqrt(np.nanmean((result.residual / result.cameras.scale) ** 2))
-            size = model.stature
-            noise = 0.0 if begun is None or np.isnan(begun.noise) else min(begun.noise, MOST_NOISE)
-            excess = np.sqrt(max(residual**2 - 2 * noise**2, 0.0))
-            fits.append(
-                PeriodicFit(name, float(residual) / size, float(excess) / size, float(amplitude) / size, result)
-            )
+            (result,) = periodic.solve([window], model, config, [initial], [initial_series.get(name)])
+            fits.append(_measure_periodic_fit(name, model, result, initial))
     if not fits:
         raise InputError(f'no model of {" or ".join(PERIODIC_CATEGORIES)} to fit')
     return min(fits, key=lambda fit: fit.residual)
 
 
-def is_periodic(fit: PeriodicFit, config: ClassifierConfig, slack: float = 1.0) -> bool:
-    """Whether a fit is good enough; `slack` above 1 loosens every threshold, below 1 tightens it."""
-    walk = fit.category == 'walk'
-    residual = config.walk_residual if walk else config.run_residual
-    cadence = config.walk_cadence if walk else config.run_cadence
+def _measure_periodic_fit(
+    name: str, model: BasePoses, result: PeriodicReconstruction, initial: Reconstruction | None
+) -> PeriodicFit:
+    """Return the measures of a periodic reconstruction."""
+    movement = result.theta - result.theta.mean(axis=0)
+    amplitude = np.sqrt((movement**2).sum(axis=1).mean() / len(model.mean))
+    residual = np.sqrt(np.nanmean((result.residual / result.cameras.scale) ** 2))
+    noise = 0.0 if initial is None or np.isnan(initial.noise) else min(initial.noise, MAX_SUBTRACTED_NOISE)
+    excess = np.sqrt(max(residual**2 - 2 * noise**2, 0.0))
+    stature = model.stature
+    return PeriodicFit(
+        name, float(residual) / stature, float(excess) / stature, float(amplitude) / stature, result
+    )
+
+
+def is_periodic(fit: PeriodicFit, config: ClassifierConfig, threshold_factor: float = 1.0) -> bool:
+    """Return whether a fit passes all thresholds; a `threshold_factor` above 1 loosens every one of them."""
+    is_walk = fit.category == 'walk'
+    max_residual = config.walk_residual if is_walk else config.run_residual
+    min_cadence = config.walk_cadence if is_walk else config.run_cadence
     return (
-        fit.excess <= residual * slack
-        and fit.amplitude >= config.amplitude / slack
-        and fit.reconstruction.cadence >= cadence / slack
+        fit.excess_residual <= max_residual * threshold_factor
+        and fit.amplitude >= config.amplitude / threshold_factor
+        and fit.reconstruction.cadence >= min_cadence / threshold_factor
     )
 
 
 @dataclass
 class PeriodicSwitch:
-    """Periodic or not over time, with hysteresis so that the answer does not chatter.
+    """Decision whether a motion is periodic, over time and with hysteresis.
 
     Attributes:
-        config: thresholds, and how much better or worse than them a fit must be to change the answer.
-        periodic: the answer; not periodic at first.
+        config: thresholds, and the factor by which a fit must pass them to change the decision.
+        currently_periodic: the latest decision.
     """
 
     config: ClassifierConfig
-    periodic: bool = False
+    currently_periodic: bool = False
 
     def update(self, fit: PeriodicFit) -> bool:
-        """Take the fit of the newest window; returns the answer."""
-        slack = self.config.hysteresis if self.periodic else 1 / self.config.hysteresis
-        self.periodic = is_periodic(fit, self.config, slack)
-        return self.periodic
+        """Update the decision with the fit of the newest window, and return it."""
+        factor = self.config.hysteresis if self.currently_periodic else 1 / self.config.hysteresis
+        self.currently_periodic = is_periodic(fit, self.config, factor)
+        return self.currently_periodic

@@ -1,4 +1,17 @@
-"""What every solver is given and gives back, and where they all begin."""
+"""The input and output of every solver, and the initial values that all solvers share.
+
+A solver receives a `Window` of image points x_tj with scores w_tj and estimates, for every frame t, the weights
+theta_t of the base poses (TPAMI 2016, eq. 1) and a weak-perspective camera (scale s_t, rotation R_t, translation
+t_t):
+
+    P_tj = Q_0j + sum_l theta_tl Q_lj                    pose in the body frame, m
+    x_tj ~ s_t R_t[:2] P_tj + t_t                        image point, px (eq. 8 and 14)
+
+The result is a `Reconstruction`. The solvers start from the mean pose, theta = 0, seen by closed-form cameras
+(section 3.5, eq. 10 and 11), unless the window says otherwise.
+
+Sizes in this package: F frames, J joints, B bones, K base poses.
+"""
 
 from __future__ import annotations
 
@@ -9,63 +22,84 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.rotations import small_rotation
-from mocap_ros.geometry.weak_perspective import Cameras, closed_form
+from mocap_ros.geometry.rotations import rotation_from_vector
+from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras, fit_cameras_closed_form
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.lifter import Lifted
+from mocap_ros.models.lifter import LiftedPoses
 
 Array = NDArray[np.float64]
 
-ENOUGH_FOR_A_CAMERA = 4
-REVERSED_DEPTH = np.diag([1.0, 1.0, -1.0])
-REVERSED_BODY = np.diag([-1.0, 1.0, 1.0])
-RING = (45.0, 90.0, 135.0, 180.0)
+# Four points in general position determine an affine camera: 8 unknowns, 2 equations a point.
+MIN_JOINTS_FOR_CAMERA = 4
+# Reflection of the camera frame that reverses depth (z).
+DEPTH_REFLECTION = np.diag([1.0, 1.0, -1.0])
+# Reflection of the body frame that exchanges front and back (x).
+BODY_REFLECTION = np.diag([-1.0, 1.0, 1.0])
+# degrees; changes of heading that are tried after the depth reversal. Steps of 45 cover all headings.
+HEADING_OFFSETS_DEG = (45.0, 90.0, 135.0, 180.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
-    """Start values: weights (F, K) and cameras, scale in px/m."""
+class InitialValues:
+    """Values of the unknowns from which a solver starts.
+
+    Attributes:
+        theta: (F, K) m, weights of the base poses.
+        cameras: scale (F,) in px/m and rotation (F, 3, 3) from the body frame to the camera frame.
+    """
 
     theta: Array
-    cameras: Cameras
+    cameras: WeakPerspectiveCameras
 
 
 @dataclass(frozen=True, eq=False)
-class Older:
-    """What is known of the frames before a window: how many, and their mean bone lengths (B,) m."""
+class EarlierFrames:
+    """Summary of the frames of the same person that precede a window; it keeps the bone lengths consistent.
 
-    frames: int
-    bone_lengths: Array
+    Attributes:
+        count: number of these frames.
+        mean_bone_lengths: (B,) m, mean length of each bone over these frames.
+    """
+
+    count: int
+    mean_bone_lengths: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """One person's image points over some frames.
+    """Image points of one person over consecutive frames, with what is known about them in advance.
 
     Attributes:
-        points: (F, J, 2) px in the order of the model's skeleton; finite, anything where the weight is 0.
-        weight: (F, J) detector scores, 0 where not seen.
+        points: (F, J, 2) px, joints in the order of the model's skeleton. All values are finite; the value of a
+            point of weight 0 is ignored.
+        weight: (F, J) confidence scores of the detector, 0 for joints that were not seen.
         times: (F,) s, increasing.
-        start: where to begin; None for the mean pose and closed-form cameras.
-        unit: px/m, the constant that makes image errors metres; None for the median start scale. Objectives
-            of one window from several starts compare only under one unit.
-        noise: m, standard deviation of a coordinate of a fully trusted point; None to find it.
-        focal: px, of a camera that looks at the person, points relative to its axis; infinite: weak perspective.
-        held: so many frames at the beginning keep their start, which `start` must give.
-        older: frames before these, or None.
-        lifted: 3D poses of the frames in px, as a prior; None for that of the base poses alone.
+        start: initial values; None selects the mean pose and closed-form cameras.
+        unit: px/m, the constant s0 that converts image errors to metres at the body; None selects the median scale
+            of the initial cameras. Objectives of one window are comparable only under the same unit.
+        noise: m, standard deviation of a coordinate of a point of weight 1; None to estimate it from the residual.
+        focal: px, focal length of a virtual camera that faces the person; `points` are relative to its optical
+            axis. Infinity selects weak perspective.
+        fixed_frames: number of frames at the beginning of the window that keep their initial values; these must
+            then be given by `start`.
+        earlier_frames: summary of the frames before the window; None if there are none.
+        lifted: 3D poses of the frames as estimated by the lifter, in px, used as a prior; None uses the prior of
+            the base poses alone.
+
+    Raises:
+        InputError: the shapes do not match, or no frame has `MIN_JOINTS_FOR_CAMERA` seen joints.
     """
 
     points: Array
     weight: Array
     times: Array
-    start: Start | None = None
+    start: InitialValues | None = None
     unit: float | None = None
     noise: float | None = None
     focal: float = math.inf
-    held: int = 0
-    older: Older | None = None
-    lifted: Lifted | None = None
+    fixed_frames: int = 0
+    earlier_frames: EarlierFrames | None = None
+    lifted: LiftedPoses | None = None
 
     def __post_init__(self) -> None:
         frames, joints = self.weight.shape
@@ -76,76 +110,98 @@ class Window:
             )
         if self.lifted is not None and self.lifted.joints.shape != (frames, joints, 3):
             raise InputError(f'lifted poses {self.lifted.joints.shape} do not fit points {self.points.shape}')
-        if not ((self.weight > 0).sum(axis=1) >= ENOUGH_FOR_A_CAMERA).any():
+        if not ((self.weight > 0).sum(axis=1) >= MIN_JOINTS_FOR_CAMERA).any():
             raise InputError('no frame has four seen joints: nothing to reconstruct')
 
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """3D poses and cameras of a sequence.
+    """3D poses and cameras of the frames of a window.
 
     Attributes:
-        joints: (F, J, 3) m, camera optical frame's orientation, each pose centred on the mean of its joints.
+        joints: (F, J, 3) m, poses along the axes of the camera optical frame (x right, y down, z forward), each
+            centred on the mean of its joints.
         theta: (F, K) m, weights of the base poses.
-        cameras: scale in px/m, rotation body to camera.
-        translation: (F, 2) px, image of the body's origin.
-        residual: (F,) px, RMS reprojection error over the seen joints; NaN where none is.
-        objective: its value at the start and after every step, never rising; m^2.
-        iterations: steps made.
-        converged: False where `max_iterations` ended it.
-        noise: m, standard deviation of a coordinate of a fully trusted point, found from the residual; NaN where
-            not looked for.
-        spread: (J,) m, posterior standard deviation (root of the trace of the covariance) of each joint of the
-            last frame about the body's origin; NaN where not computed.
+        cameras: scale (F,) in px/m and rotation (F, 3, 3) from the body frame to the camera frame.
+        translation: (F, 2) px, image of the origin of the body frame.
+        residual: (F,) px, RMS reprojection error over the seen joints; NaN for a frame without any.
+        objective: m^2, value of the objective at the initial values and after every step; it never rises.
+        iterations: number of steps.
+        converged: False if the solver stopped at `max_iterations`.
+        noise: m, standard deviation of a coordinate of a point of weight 1, estimated from the residual; NaN if it
+            was not estimated.
+        joint_std: (J,) m, posterior standard deviation (root of the trace of the covariance) of each joint of the
+            last frame relative to the origin of the body frame; NaN if it was not computed.
     """
 
     joints: Array
     theta: Array
-    cameras: Cameras
+    cameras: WeakPerspectiveCameras
     translation: Array
     residual: Array
     objective: tuple[float, ...]
     iterations: int
     converged: bool
     noise: float
-    spread: Array
+    joint_std: Array
 
 
-def begin(window: Window, model: BasePoses, share: float) -> tuple[Start, float]:
-    """The window's start and unit, or the default ones; `share` s as in `camera.closed_form`."""
-    start = window.start or mean_pose_start(window, model, share)
+def choose_initial_values(window: Window, model: BasePoses, camera_window_s: float) -> tuple[InitialValues, float]:
+    """Return the window's initial values and unit (px/m), each replaced by its default if it is None.
+
+    Args:
+        window: image points of F frames.
+        model: K base poses; further weights in `window.start` are dropped.
+        camera_window_s: s, span of frames that share one closed-form camera.
+    """
+    start = window.start or initialise_from_mean_pose(window, model, camera_window_s)
     k = len(model.std)
-    return Start(start.theta[:, :k], start.cameras), window.unit or float(np.median(start.cameras.scale))
+    unit = window.unit or float(np.median(start.cameras.scale))
+    return InitialValues(start.theta[:, :k], start.cameras), unit
 
 
-def camera_hypotheses(start: Start, count: int) -> list[Start]:
-    """The start, its Necker reversal, and a ring of headings: `count` starts in all.
+def make_camera_hypotheses(start: InitialValues, count: int) -> list[InitialValues]:
+    """Return `count` alternative initial values: `start`, its Necker reversal, then changed headings.
 
-    A nearly planar body looks the same with its depth reversed, which for a body seen from the front is a turn by
-    half; the ring covers wrong headings of other kinds.
+    The Necker reversal R -> diag(1, 1, -1) R diag(-1, 1, 1) reverses the depth. A body seen from the front is
+    nearly planar, so its projection hardly changes under it, and for such a body the reversal is half a turn about
+    the vertical. The changed headings R -> R Rz(angle) cover other wrong initial headings.
+
+    Args:
+        start: initial values; all hypotheses have their weights and scales.
+        count: number of hypotheses, 1 to 10.
     """
     cameras = start.cameras
-    turns = [REVERSED_BODY, *(_turn(sign * step) for step in RING for sign in (1, -1))]
-    rotations = [cameras.rotation] + [
-        REVERSED_DEPTH @ cameras.rotation @ REVERSED_BODY if turn is REVERSED_BODY else cameras.rotation @ turn
-        for turn in turns
+    rotations = [cameras.rotation, DEPTH_REFLECTION @ cameras.rotation @ BODY_REFLECTION]
+    for offset in HEADING_OFFSETS_DEG:
+        rotations += [cameras.rotation @ _rotation_about_vertical(sign * offset) for sign in (1, -1)]
+    return [
+        InitialValues(start.theta, WeakPerspectiveCameras(cameras.scale, rotation))
+        for rotation in rotations[:count]
     ]
-    return [Start(start.theta, Cameras(cameras.scale, rotation)) for rotation in rotations[:count]]
 
 
-def _turn(degrees: float) -> Array:
-    """(3, 3) rotation of the body about its vertical."""
-    return small_rotation(np.radians([0.0, 0.0, degrees]))
+def _rotation_about_vertical(degrees: float) -> Array:
+    """Return the (3, 3) rotation of the body about its vertical axis (z)."""
+    return rotation_from_vector(np.radians([0.0, 0.0, degrees]))
 
 
-def mean_pose_start(window: Window, model: BasePoses, share: float) -> Start:
-    """The mean pose in every frame, seen by closed-form cameras (TPAMI 2016, section 3.5).
+def initialise_from_mean_pose(window: Window, model: BasePoses, camera_window_s: float) -> InitialValues:
+    """Return the mean pose for every frame, seen by closed-form cameras (TPAMI 2016, section 3.5).
 
-    Frames without enough joints for a camera take the nearest frame's that has them; `share` s as in
-    `camera.closed_form`.
+    A frame with fewer than `MIN_JOINTS_FOR_CAMERA` seen joints receives the camera of the nearest frame in time
+    that has enough.
+
+    Args:
+        window: image points of F frames.
+        model: K base poses.
+        camera_window_s: s, span of frames that share one closed-form camera; 0 fits each frame alone, as the
+            paper.
     """
     theta = np.zeros((len(window.times), len(model.std)))
-    cameras = closed_form(model.poses(theta), window.points, window.weight, window.times, share)
-    good = np.flatnonzero((window.weight > 0).sum(axis=1) >= ENOUGH_FOR_A_CAMERA)
-    nearest = good[np.abs(window.times[:, None] - window.times[good]).argmin(axis=1)]
-    return Start(theta, Cameras(cameras.scale[nearest], cameras.rotation[nearest]))
+    cameras = fit_cameras_closed_form(
+        model.poses(theta), window.points, window.weight, window.times, camera_window_s
+    )
+    has_camera = np.flatnonzero((window.weight > 0).sum(axis=1) >= MIN_JOINTS_FOR_CAMERA)
+    nearest = has_camera[np.abs(window.times[:, None] - window.times[has_camera]).argmin(axis=1)]
+    return InitialValues(theta, WeakPerspectiveCameras(cameras.scale[nearest], cameras.rotation[nearest]))

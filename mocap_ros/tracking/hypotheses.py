@@ -1,6 +1,9 @@
-"""What is asked of a track now and then: is it another motion, is the camera wrong, is the motion periodic?
+"""Checks of a track against other hypotheses: another model, a solution from scratch, a periodic motion.
 
-Each question costs as much as several frames, so the tracker asks few of them at a time.
+Hypotheses are compared by -2 log evidence of the image points (`classification.minus_twice_log_evidence`), all
+under the same image noise. A hypothesis replaces the track's solution if its value is the lowest; one of another
+model must be lower by `EVIDENCE_MARGIN`. A check costs as much as several frames, so the tracker makes few of them
+at a time.
 """
 
 from __future__ import annotations
@@ -15,202 +18,308 @@ from numpy.typing import NDArray
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.rotations import rotation_to
+from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.geometry.virtual_camera import solver_focal
-from mocap_ros.geometry.weak_perspective import Cameras
+from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Motion, MotionKind
 from mocap_ros.solvers.classification import (
-    LEAST_NOISE,
+    MIN_COMPARISON_NOISE,
     PERIODIC_CATEGORIES,
     PeriodicSwitch,
     fit_periodic,
-    log_evidence,
+    minus_twice_log_evidence,
 )
 from mocap_ros.solvers.joint.solver import solve, solve_hypotheses
-from mocap_ros.solvers.window import Reconstruction, Start, Window
+from mocap_ros.solvers.window import InitialValues, Reconstruction, Window
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
-from mocap_ros.tracking.track import NS, Track
+from mocap_ros.tracking.track import Track
+from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
-FRESH_ITERATIONS, FRESH_COMPONENTS = 5, 20
-JUDGING_ITERATIONS = 4
-ADOPT_ITERATIONS = 3
-MODEL_MARGIN = 10.0
-THIN_STEP, THIN_SPAN = 0.1, 1.0
-MOTION_STEP, MOTION_ITERATIONS = 1 / 15, 8
-FULL_SECTION = 0.9
-REMEMBER_STEP = 0.25
-NOISE_FOUND, NOISE_FOUND_LIFTED = 0.88, 0.76  # share of the true image noise that the solver finds, on CMU
+REINIT_MAX_ITERATIONS = 5  # steps of a solution from scratch; limits its time, the comparison refines it further
+REINIT_COMPONENTS = 20  # base poses of a solution from scratch; limits its time, the comparison uses all of them
+COMPARISON_MAX_ITERATIONS = 4  # steps that each hypothesis gets before its evidence is compared; limits the time
+ADOPTION_MAX_ITERATIONS = 3  # steps on all frames after a hypothesis of some of them was adopted; limits the time
+EVIDENCE_MARGIN = 10.0  # -2 log evidence, a factor of exp(5) = 150; keeps the choice of a model from chattering
+CHECK_STEP_S = 0.1  # s; one frame of each step is checked, for neighbouring frames add more time than evidence
+CHECK_SPAN_S = 1.0  # s; newest part of the window that is checked, for the older part may be another motion
+CLASSIFICATION_STEP_S = 1 / 15  # s; halves the frames of a 30 Hz stream, and samples a running cycle 10 times
+CLASSIFICATION_MAX_ITERATIONS = 8  # steps of the periodic solver, which starts from the solution; limits the time
+MIN_SECTION_SHARE = 0.9  # share of a section that must be filled before it is classified; stamps vary
+KEY_POSE_STEP_S = 0.25  # s; poses nearer in time look the same to the memory of key poses
+NOISE_RATIO = 0.88  # estimated noise over true image noise, of the base poses alone (CMU walks, docs/solvers.md)
+NOISE_RATIO_WITH_LIFTER = 0.76  # the same ratio with the lifter's prior (CMU walks, docs/solvers.md)
+MIN_TOTAL_WEIGHT = 1e-12  # no unit; guards the division by the scores of a frame in which nothing was seen
 
 
 @dataclass(frozen=True, eq=False)
-class Rival:
-    """An explanation of some frames: a model, where to begin with it, and the noise (m) if it is known."""
+class Hypothesis:
+    """A candidate explanation of some frames of a track.
 
-    model: str
-    start: Start
+    Attributes:
+        model_name: name of the base-pose model.
+        start: initial values of its solution.
+        noise: m, image noise of its solution; infinite if it was not estimated.
+    """
+
+    model_name: str
+    start: InitialValues
     noise: float
 
 
 @dataclass(frozen=True, eq=False)
-class Examiner:
-    """Asks with these models, by name."""
+class HypothesisChecker:
+    """Initialises tracks, checks them against other hypotheses and classifies their motion.
+
+    Attributes:
+        models: base-pose models by name.
+        config: all parameters.
+    """
 
     models: Mapping[str, BasePoses]
     config: Config
 
-    def window(self, track: Track, camera: Intrinsics, frames: NDArray[np.intp], held: int = 0) -> Window:
-        """These frames of a track, the first `held` of them fixed."""
-        model = self.models[track.model] if track.model else next(iter(self.models.values()))
-        return track.window(camera, solver_focal(camera, self.config.tracker.perspective), frames, held, model)
+    def build_window(
+        self, track: Track, camera: Intrinsics, frames: NDArray[np.intp], fixed_frames: int = 0
+    ) -> Window:
+        """Return some frames of a track as the input of a solver.
 
-    def remembered(self, memory: KeyPoseMemory, track: Track, camera: Intrinsics) -> KeyPoseMemory:
-        """The memory with some poses of a track that is lost."""
-        view, model = track.view(camera), self.models[track.model]
-        frames = track.spaced(REMEMBER_STEP, self.config.tracker.window)
-        rays, weight = (part[frames] for part in track.right)
-        poses = track.joints(model, frames) @ view.turn.T
-        for points, seen, pose in zip(view.image(rays), weight, poses, strict=True):
-            memory = memory.remember(points, seen, pose)
+        Args:
+            track: the track.
+            camera: intrinsics of the real camera.
+            frames: (n,) indices of the frames, increasing.
+            fixed_frames: number of frames at the beginning that the solver must not change.
+        """
+        model = self.models[track.model_name] if track.model_name else next(iter(self.models.values()))
+        focal = solver_focal(camera, self.config.tracker.perspective)
+        return track.build_window(camera, focal, frames, fixed_frames, model)
+
+    def remember_poses(self, memory: KeyPoseMemory, track: Track, camera: Intrinsics) -> KeyPoseMemory:
+        """Return the memory with some poses of a track that is lost.
+
+        Args:
+            memory: memory so far.
+            track: a solved track.
+            camera: intrinsics of the real camera.
+        """
+        view, model = track.virtual_camera(camera), self.models[track.model_name]
+        frames = track.select_frames(KEY_POSE_STEP_S, self.config.tracker.window)
+        images = view.project_rays(track.corrected_rays[frames])
+        poses = track.compute_joints(model, frames) @ view.rotation.T
+        for points, weight, pose in zip(images, track.corrected_weight[frames], poses, strict=True):
+            memory = memory.remember(points, weight, pose)
         return memory
 
-    def begin(self, track: Track, camera: Intrinsics, names: Sequence[str], memory: KeyPoseMemory) -> None:
-        """A first solution of a new track; a pose remembered that looks the same is a rival (Loy et al. 2004)."""
-        rays, weight = track.right
-        recalled = memory.recall(track.view(camera).image(rays)[-1], weight[-1])
-        rivals = []
-        if recalled is not None:
-            model = self.models[names[0]]
-            rotation = rotation_to(model.mean[None], recalled.pose[None])
-            theta = model.weights(recalled.pose @ rotation)
-            rivals.append(Rival(names[0], Start(theta, Cameras(np.array([recalled.scale]), rotation)), math.inf))
-        self.start_afresh(track, camera, names, rivals)
-
-    def start_afresh(
-        self, track: Track, camera: Intrinsics, names: Iterable[str], rivals: Sequence[Rival] = ()
+    def initialise(
+        self, track: Track, camera: Intrinsics, model_names: Sequence[str], memory: KeyPoseMemory
     ) -> None:
-        """Solve from scratch under these models, and take the likeliest, or a rival, if it beats what there is."""
-        frames = track.spaced(THIN_STEP, THIN_SPAN) if track.solved else np.arange(len(track.stamps))
-        window = self.window(track, camera, frames)
-        fresh = replace(window, start=None, unit=None, noise=None)
+        """Find the first solution of a track.
+
+        A remembered pose that looks like the person is a further hypothesis beside a solution from scratch.
+
+        Args:
+            track: a track without a solution.
+            camera: intrinsics of the real camera.
+            model_names: names of the candidate models.
+            memory: key poses of people who were lost.
+        """
+        image = track.virtual_camera(camera).project_rays(track.corrected_rays)[-1]
+        recalled = memory.recall(image, track.corrected_weight[-1])
+        hypotheses = []
+        if recalled is not None:
+            model = self.models[model_names[0]]
+            rotation = fit_rotation(model.mean[None], recalled.pose[None])
+            theta = model.weights(recalled.pose @ rotation)
+            start = InitialValues(theta, WeakPerspectiveCameras(np.array([recalled.scale]), rotation))
+            hypotheses.append(Hypothesis(model_names[0], start, math.inf))
+        self.reinitialise(track, camera, model_names, hypotheses)
+
+    def reinitialise(
+        self, track: Track, camera: Intrinsics, model_names: Iterable[str], further: Sequence[Hypothesis] = ()
+    ) -> None:
+        """Solve a track from scratch under some models, and adopt the likeliest hypothesis.
+
+        Args:
+            track: the track.
+            camera: intrinsics of the real camera.
+            model_names: names of the candidate models.
+            further: further hypotheses to compare with.
+        """
+        frames = self._select_check_frames(track)
+        window = self.build_window(track, camera, frames)
+        window_without_start = replace(window, start=None, unit=None, noise=None)
         solver = replace(
             self.config.solver,
-            max_iterations=FRESH_ITERATIONS,
-            components=FRESH_COMPONENTS,
-            noise_floor=LEAST_NOISE,
+            max_iterations=REINIT_MAX_ITERATIONS,
+            components=REINIT_COMPONENTS,
+            noise_floor=MIN_COMPARISON_NOISE,
         )
-        rivals = list(rivals)
-        for name in names:
-            (fit,) = solve_hypotheses([fresh], self.models[name], solver)
-            rest = len(self.models[name].std) - fit.theta.shape[1]
-            theta = np.pad(fit.theta, [(0, 0), (0, max(rest, 0))])
-            rivals.append(Rival(name, Start(theta, fit.cameras), fit.noise))
-        self._compete(track, camera, frames, window, rivals)
+        hypotheses = list(further)
+        for name in model_names:
+            (fit,) = solve_hypotheses([window_without_start], self.models[name], solver)
+            unsolved = len(self.models[name].std) - fit.theta.shape[1]
+            theta = np.pad(fit.theta, [(0, 0), (0, max(unsolved, 0))])
+            hypotheses.append(Hypothesis(name, InitialValues(theta, fit.cameras), fit.noise))
+        self._adopt_likeliest(track, camera, frames, window, hypotheses)
 
-    def compare(self, track: Track, camera: Intrinsics, names: Iterable[str]) -> None:
-        """Explain the same 3D poses by these models, and take the likeliest over if it beats the one in use."""
-        frames = track.spaced(THIN_STEP, THIN_SPAN)
-        window = self.window(track, camera, frames)
-        rivals = []
-        for name in names:
-            if name != track.model and window.start is not None:
-                rotation, theta = track.reposed(self.models[track.model], self.models[name], frames)
-                start = Start(theta, Cameras(window.start.cameras.scale, track.view(camera).turn @ rotation))
-                rivals.append(Rival(name, start, track.noise))
-        self._compete(track, camera, frames, window, rivals)
+    def compare_models(self, track: Track, camera: Intrinsics, model_names: Iterable[str]) -> None:
+        """Convert the poses of a solved track to other models, and adopt the likeliest hypothesis.
 
-    def _compete(
-        self, track: Track, camera: Intrinsics, frames: NDArray[np.intp], window: Window, rivals: list[Rival]
-    ) -> None:
-        """The likeliest of these and of the track's own solution becomes the track's.
-
-        All are judged under the same image noise; another model than the one in use must be likelier by a margin,
-        so that the choice does not chatter.
+        Args:
+            track: a solved track.
+            camera: intrinsics of the real camera.
+            model_names: names of the candidate models.
         """
-        if window.start is not None:
-            rivals = [*rivals, Rival(track.model, window.start, track.noise)]
-        noise = min(r.noise for r in rivals)
-        unit = float(np.median(rivals[-1].start.cameras.scale))
-        solver = replace(self.config.solver, max_iterations=JUDGING_ITERATIONS)
-        judged = [
-            log_evidence(replace(window, start=r.start, unit=unit), self.models[r.model], noise, solver)
-            for r in rivals
-        ]
-        evidence = [
-            e + MODEL_MARGIN * (track.solved and r.model != track.model)
-            for r, (e, _) in zip(rivals, judged, strict=True)
-        ]
-        best = int(np.argmin(evidence))
-        if track.solved and best == len(rivals) - 1:
-            return
-        model = self.models[rivals[best].model]
-        if frames[0] > 0:
-            track.repose(self.models[track.model], model)
-        track.model = rivals[best].model
-        track.adopt(judged[best][1], frames, camera)
-        if len(frames) < len(track.stamps):
-            every = np.arange(len(track.stamps))
-            limited = replace(self.config.solver, max_iterations=ADOPT_ITERATIONS)
-            (whole,) = solve([self.window(track, camera, every)], self.models[track.model], limited)
-            track.take(whole, every, 0, camera)
-        track.resize(self.models[track.model])
+        frames = self._select_check_frames(track)
+        window = self.build_window(track, camera, frames)
+        hypotheses = []
+        for name in model_names:
+            if name != track.model_name and window.start is not None:
+                model = self.models[track.model_name]
+                rotation, theta = track.convert_poses(model, self.models[name], frames)
+                rotation = track.virtual_camera(camera).rotation @ rotation
+                cameras = WeakPerspectiveCameras(window.start.cameras.scale, rotation)
+                hypotheses.append(Hypothesis(name, InitialValues(theta, cameras), track.noise))
+        self._adopt_likeliest(track, camera, frames, window, hypotheses)
 
-    def motion(self, track: Track, camera: Intrinsics) -> None:
-        """Judge whether the newest section of the window is periodic."""
-        settings = self.config.classifier
-        names = [n for n in PERIODIC_CATEGORIES if n in self.models]
-        length = (track.stamps[-1] - track.stamps[0]) / NS
-        if not names or length < FULL_SECTION * min(settings.section, self.config.tracker.window):
+    def _select_check_frames(self, track: Track) -> NDArray[np.intp]:
+        """Return the indices of the frames that are checked: some of the newest, or all of an unsolved track."""
+        if track.is_solved:
+            return track.select_frames(CHECK_STEP_S, CHECK_SPAN_S)
+        return np.arange(len(track.stamps_ns))
+
+    def _adopt_likeliest(
+        self,
+        track: Track,
+        camera: Intrinsics,
+        frames: NDArray[np.intp],
+        window: Window,
+        hypotheses: list[Hypothesis],
+    ) -> None:
+        """Replace the track's solution by the likeliest of some hypotheses, unless it is itself the likeliest."""
+        if window.start is not None:
+            hypotheses = [*hypotheses, Hypothesis(track.model_name, window.start, track.noise)]
+        noise = min(h.noise for h in hypotheses)
+        unit = float(np.median(hypotheses[-1].start.cameras.scale))
+        solver = replace(self.config.solver, max_iterations=COMPARISON_MAX_ITERATIONS)
+        evidence, solutions = [], []
+        for hypothesis in hypotheses:
+            window_of_hypothesis = replace(window, start=hypothesis.start, unit=unit)
+            model = self.models[hypothesis.model_name]
+            value, solution = minus_twice_log_evidence(window_of_hypothesis, model, noise, solver)
+            is_other_model = track.is_solved and hypothesis.model_name != track.model_name
+            evidence.append(value + EVIDENCE_MARGIN * is_other_model)
+            solutions.append(solution)
+        likeliest = int(np.argmin(evidence))
+        if track.is_solved and likeliest == len(hypotheses) - 1:
             return
-        was = track.motion.kind is MotionKind.PERIODIC
-        switch = PeriodicSwitch(settings, was)
-        likely = [track.periodic_model, track.model, *names]
-        first = next(n for n in likely if n in names)
-        others = [n for n in names if n != first]
-        turn = track.motions % 2 if not was and track.model not in names else 0
-        for name in [first, *others][turn : turn + 1] + ([*others] if was else []):
-            answer = self._periodic(track, camera, name, switch)
-            if answer is not None:
-                track.motion, track.periodic_model = answer, name
+        self._adopt(track, camera, frames, hypotheses[likeliest].model_name, solutions[likeliest])
+
+    def _adopt(
+        self,
+        track: Track,
+        camera: Intrinsics,
+        frames: NDArray[np.intp],
+        model_name: str,
+        solution: Reconstruction,
+    ) -> None:
+        """Replace the track's solution by one of some of its frames, and refine all frames from there."""
+        model = self.models[model_name]
+        if frames[0] > 0:
+            track.change_model(self.models[track.model_name], model)
+        track.model_name = model_name
+        track.store_interpolated_solution(solution, frames, camera)
+        if len(frames) < len(track.stamps_ns):
+            all_frames = np.arange(len(track.stamps_ns))
+            solver = replace(self.config.solver, max_iterations=ADOPTION_MAX_ITERATIONS)
+            (refined,) = solve([self.build_window(track, camera, all_frames)], model, solver)
+            track.store_solution(refined, all_frames, 0, camera)
+        track.update_stature_ratio(model)
+
+    def classify_motion(self, track: Track, camera: Intrinsics) -> None:
+        """Classify the newest section of a track's window as periodic or not (TPAMI 2016, section 4.9).
+
+        The track's motion does not change before a section is almost full.
+
+        Args:
+            track: a solved track.
+            camera: intrinsics of the real camera.
+        """
+        settings = self.config.classifier
+        duration_s = (track.stamps_ns[-1] - track.stamps_ns[0]) / NS_PER_S
+        periodic_names = [n for n in PERIODIC_CATEGORIES if n in self.models]
+        if not periodic_names:
+            return
+        if duration_s < MIN_SECTION_SHARE * min(settings.section, self.config.tracker.window):
+            return
+        was_periodic = track.motion.kind is MotionKind.PERIODIC
+        switch = PeriodicSwitch(settings, was_periodic)
+        for name in self._order_periodic_models(track, periodic_names):
+            motion = self._fit_periodic_motion(track, camera, name, switch)
+            if motion is not None:
+                track.motion, track.periodic_model_name = motion, name
                 break
         else:
-            track.motion = Motion(MotionKind.NON_PERIODIC, track.model, track.residual, math.nan)
-            track.periodic_model = ''
-        track.motions += 1
+            track.motion = Motion(MotionKind.NON_PERIODIC, track.model_name, track.residual, math.nan)
+            track.periodic_model_name = ''
+        track.classification_count += 1
 
-    def _periodic(self, track: Track, camera: Intrinsics, name: str, switch: PeriodicSwitch) -> Motion | None:
-        """The motion as this model's periodic form explains it, or None where it does not."""
-        frames = track.spaced(MOTION_STEP, self.config.classifier.section)
-        window = self.window(track, camera, frames)
+    def _order_periodic_models(self, track: Track, periodic_names: Sequence[str]) -> list[str]:
+        """Return the names of the periodic models to fit, the likeliest first.
+
+        A track that is not periodic gets one model a classification, in turn unless its own model is periodic. A
+        track that is periodic gets all of them before it counts as not periodic.
+        """
+        is_periodic = track.motion.kind is MotionKind.PERIODIC
+        candidates = [track.periodic_model_name, track.model_name, *periodic_names]
+        likeliest = next(n for n in candidates if n in periodic_names)
+        rest = [n for n in periodic_names if n != likeliest]
+        takes_turns = not is_periodic and track.model_name not in periodic_names
+        turn = track.classification_count % 2 if takes_turns else 0
+        return [likeliest, *rest][turn : turn + 1] + (rest if is_periodic else [])
+
+    def _fit_periodic_motion(
+        self, track: Track, camera: Intrinsics, name: str, switch: PeriodicSwitch
+    ) -> Motion | None:
+        """Return the motion as one periodic model explains it; None if that model does not explain it."""
+        frames = track.select_frames(CLASSIFICATION_STEP_S, self.config.classifier.section)
+        window = self.build_window(track, camera, frames)
         if window.start is None:
             return None
-        plain = replace(window, start=None, unit=None, noise=None)
+        window_without_start = replace(window, start=None, unit=None, noise=None)
         solver = replace(
-            self.config.solver, components=self.config.classifier.components, max_iterations=MOTION_ITERATIONS
+            self.config.solver,
+            components=self.config.classifier.components,
+            max_iterations=CLASSIFICATION_MAX_ITERATIONS,
         )
+        start = self._current_reconstruction(track, window, window.start)
         try:
-            fit = fit_periodic(plain, {name: self.models[name]}, solver, self._begun(track, window))
+            fit = fit_periodic(window_without_start, {name: self.models[name]}, solver, start)
         except InputError:
             return None
-        trial = replace(switch)
-        if not trial.update(fit):
+        if not replace(switch).update(fit):
             return None
         return Motion(MotionKind.PERIODIC, name, fit.residual, fit.reconstruction.cadence)
 
-    def _begun(self, track: Track, window: Window) -> Reconstruction:
-        """The track's solution as the start of another solver."""
-        start = window.start
-        if start is None:
-            raise InputError('nothing was solved yet')
-        noise = track.noise / (NOISE_FOUND if track.lifted is None else NOISE_FOUND_LIFTED)
-        model = self.models[track.model]
+    def _current_reconstruction(self, track: Track, window: Window, start: InitialValues) -> Reconstruction:
+        """Return the track's solution as a reconstruction, with the bias of its noise estimate removed."""
+        noise = track.noise / (NOISE_RATIO if track.lifted is None else NOISE_RATIO_WITH_LIFTER)
+        model = self.models[track.model_name]
         joints = model.poses(start.theta) @ np.swapaxes(start.cameras.rotation, -1, -2)
-        shown = start.cameras.scale[:, None, None] * joints[..., :2]
-        total = np.maximum(window.weight.sum(axis=1), 1e-12)[:, None]
-        translation = (window.weight[..., None] * (window.points - shown)).sum(axis=1) / total
+        projected = start.cameras.scale[:, None, None] * joints[..., :2]
+        total_weight = np.maximum(window.weight.sum(axis=1), MIN_TOTAL_WEIGHT)[:, None]
+        error = window.points - projected
         return Reconstruction(
-            joints, start.theta, start.cameras, translation, np.zeros(len(joints)), (0.0,), 0, True, noise,
-            np.full(joints.shape[1], np.nan),
-        )  # fmt: skip
+            joints=joints,
+            theta=start.theta,
+            cameras=start.cameras,
+            translation=(window.weight[..., None] * error).sum(axis=1) / total_weight,
+            residual=np.zeros(len(joints)),
+            objective=(0.0,),
+            iterations=0,
+            converged=True,
+            noise=noise,
+            joint_std=np.full(joints.shape[1], np.nan),
+        )

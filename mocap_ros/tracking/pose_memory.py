@@ -1,6 +1,15 @@
-"""Key poses remembered by how they look, to start again from after a loss.
+"""Memory of key poses by their appearance, for the initialisation of a person who appears again after a loss.
 
-Pure and immutable: remembering gives a new memory, so that a copy of the reference is a snapshot.
+The idea of a few 3D key poses that stand for all frames that look alike is that of Loy et al. (ECCV 2004). A pose
+is recalled if its image y, in torso lengths, is near the image x of a person. The scale s and the translation t
+bring y closest to x in the least-squares sense over the joints that both images show. The distance is that of
+matrix C in section 4.2 of the paper, C = A B + (1 - A) max B, with max B = 1 torso length:
+
+    A = (joints seen in both images) / (joints seen in either)
+    B = mean_j |(x_j - t) / s - y_j|      over the joints seen in both, torso lengths
+    distance = B A + (1 - A)
+
+The memory is immutable: remembering a pose returns a new memory, so a reference to a memory is a snapshot of it.
 """
 
 from __future__ import annotations
@@ -15,13 +24,19 @@ from mocap_ros.skeleton import CMU15
 
 Array = NDArray[np.float64]
 
-FEWEST_COMMON = 6
-SMALLEST = 1e-9
+MIN_COMMON_JOINTS = 6  # joints, the default of `tracker.min_joints`; fewer can be fitted to too many poses
+MIN_SCALE = 1e-9  # px or px per torso length; guards divisions by the size of an image that is a single point
 
 
 @dataclass(frozen=True, eq=False)
-class Remembered:
-    """One pose: its image (J, 2) in torso lengths, which joints were seen (J,), and the pose (J, 3) m, centred."""
+class KeyPose:
+    """A remembered pose.
+
+    Attributes:
+        image: (J, 2) image points in torso lengths; 0 for a joint that was not seen.
+        seen: (J,) whether each joint was seen.
+        pose: (J, 3) m, camera axes, centred on the mean of the joints.
+    """
 
     image: Array
     seen: NDArray[np.bool_]
@@ -29,13 +44,14 @@ class Remembered:
 
 
 @dataclass(frozen=True, eq=False)
-class Recalled:
-    """A remembered pose that looks like what is seen.
+class RecalledPose:
+    """A remembered pose that looks like a person in the current image.
 
     Attributes:
-        pose: (J, 3) m, camera's axes, centred.
-        scale: px/m, translation: (2,) px: where it lies in the image.
-        distance: torso lengths, of the image from the remembered one.
+        pose: (J, 3) m, camera axes, centred on the mean of the joints.
+        scale: px/m, scale of the pose in the current image.
+        translation: (2,) px, position of the pose's origin in the current image.
+        distance: torso lengths, distance of the current image from the remembered one.
     """
 
     pose: Array
@@ -46,80 +62,83 @@ class Recalled:
 
 @dataclass(frozen=True)
 class KeyPoseMemory:
-    """At most `capacity` poses that look different from each other, the one used longest ago first.
+    """A limited number of key poses that look different from each other.
 
     Attributes:
-        beta: torso lengths, images nearer than this are of the same pose.
-        capacity: poses kept.
-        poses: what is remembered.
+        beta: torso lengths; images nearer to each other than this show the same pose (beta of Loy et al.).
+        capacity: maximum number of poses.
+        poses: the remembered poses, the one that was remembered longest ago first.
     """
 
     beta: float = 0.2
     capacity: int = 64
-    poses: tuple[Remembered, ...] = ()
+    poses: tuple[KeyPose, ...] = ()
 
     def remember(self, points: Array, weight: Array, pose: Array) -> KeyPoseMemory:
-        """With one pose more; it takes the place of one that looks the same, or of the one used longest ago.
+        """Return the memory with one pose more.
+
+        The pose replaces one that looks the same. If there is none and the memory is full, it replaces the one
+        that was remembered longest ago. A pose of which too few joints were seen is not remembered.
 
         Args:
-            points: (J, 2) px, joints of `CMU15`; anything where the weight is 0.
-            weight: (J,), 0 where not seen.
-            pose: (J, 3) m, camera's axes.
+            points: (J, 2) px, joints of `CMU15`; any value for a joint of weight 0.
+            weight: (J,) confidence scores; 0 for a joint that was not seen.
+            pose: (J, 3) m, camera axes.
 
         Raises:
-            InputError: shapes that do not fit.
+            InputError: The shapes do not fit each other.
         """
         if points.shape != (*weight.shape, 2) or pose.shape != (*weight.shape, 3):
             raise InputError(f'points {points.shape}, weight {weight.shape} and pose {pose.shape} do not fit')
         seen = weight > 0
-        if seen.sum() < FEWEST_COMMON:
+        if seen.sum() < MIN_COMMON_JOINTS:
             return self
-        body = pose - pose.mean(axis=0)
-        scale, _ = _placed(body[seen, :2], points[seen])
-        torso = float(np.linalg.norm(body[CMU15.index('neck')] - body[CMU15.index('pelvis')]))
-        if scale * torso < SMALLEST:
+        centred = pose - pose.mean(axis=0)
+        scale, _ = _fit_scale_translation(centred[seen, :2], points[seen])
+        torso = float(np.linalg.norm(centred[CMU15.index('neck')] - centred[CMU15.index('pelvis')]))
+        if scale * torso < MIN_SCALE:
             return self
-        new = Remembered(np.where(seen[:, None], points, 0.0) / (scale * torso), seen, body)
-        nearest = self._nearest(points, seen)
+        key_pose = KeyPose(np.where(seen[:, None], points, 0.0) / (scale * torso), seen, centred)
+        nearest = self._find_nearest(points, seen)
         kept = [p for i, p in enumerate(self.poses) if nearest is None or i != nearest[0]]
-        return replace(self, poses=(*kept[-(self.capacity - 1) :], new) if self.capacity > 1 else (new,))
+        return replace(self, poses=(*kept[-(self.capacity - 1) :], key_pose) if self.capacity > 1 else (key_pose,))
 
-    def recall(self, points: Array, weight: Array) -> Recalled | None:
-        """The remembered pose that looks most like this one, or None where none is nearer than `beta`.
+    def recall(self, points: Array, weight: Array) -> RecalledPose | None:
+        """Return the remembered pose that looks most like an image; None if none is nearer than `beta`.
 
         Args:
-            points: (J, 2) px, as of `remember`.
-            weight: (J,) as there.
+            points: (J, 2) px, joints of `CMU15`; any value for a joint of weight 0.
+            weight: (J,) confidence scores; 0 for a joint that was not seen.
         """
         seen = weight > 0
-        nearest = self._nearest(points, seen)
+        nearest = self._find_nearest(points, seen)
         if nearest is None:
             return None
         index, distance = nearest
         pose = self.poses[index].pose
-        scale, translation = _placed(pose[seen, :2], points[seen])
-        return Recalled(pose, scale, translation, distance)
+        scale, translation = _fit_scale_translation(pose[seen, :2], points[seen])
+        return RecalledPose(pose, scale, translation, distance)
 
-    def _nearest(self, points: Array, seen: NDArray[np.bool_]) -> tuple[int, float] | None:
-        """Index and distance of the nearest pose, if it is nearer than `beta`."""
-        best = None
-        for index, known in enumerate(self.poses):
-            both = seen & known.seen
-            if both.sum() < FEWEST_COMMON:
+    def _find_nearest(self, points: Array, seen: NDArray[np.bool_]) -> tuple[int, float] | None:
+        """Return the index and the distance of the nearest pose; None if none is nearer than `beta`."""
+        nearest = None
+        for index, key_pose in enumerate(self.poses):
+            common = seen & key_pose.seen
+            if common.sum() < MIN_COMMON_JOINTS:
                 continue
-            scale, translation = _placed(known.image[both], points[both])
-            if scale < SMALLEST:
+            scale, translation = _fit_scale_translation(key_pose.image[common], points[common])
+            if scale < MIN_SCALE:
                 continue
-            error = (points[both] - translation) / scale - known.image[both]
-            common = both.sum() / (seen | known.seen).sum()
-            distance = float(np.linalg.norm(error, axis=-1).mean() * common + (1 - common))
-            if distance < self.beta and (best is None or distance < best[1]):
-                best = index, distance
-        return best
+            error = (points[common] - translation) / scale - key_pose.image[common]
+            common_share = common.sum() / (seen | key_pose.seen).sum()
+            distance = float(np.linalg.norm(error, axis=-1).mean() * common_share + (1 - common_share))
+            if distance < self.beta and (nearest is None or distance < nearest[1]):
+                nearest = index, distance
+        return nearest
 
 
-def _placed(flat: Array, image: Array) -> tuple[float, Array]:
-    """Scale and translation that bring points (N, 2) closest to an image (N, 2); no rotation."""
-    a, b = flat - flat.mean(axis=0), image - image.mean(axis=0)
-    scale = max(float((a * b).sum() / max(float((a * a).sum()), SMALLEST)), 0.0)
-    return scale, image.mean(axis=0) - scale * flat.mean(axis=0)
+def _fit_scale_translation(source: Array, target: Array) -> tuple[float, Array]:
+    """Return the scale and translation (2,) from points (N, 2) to others (N, 2), fitted by least squares."""
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    scale = max(float((a * b).sum() / max(float((a * a).sum()), MIN_SCALE)), 0.0)
+    return scale, target.mean(axis=0) - scale * source.mean(axis=0)

@@ -1,1 +1,1 @@
-"""Training of the lifter: needs PyTorch (`pip install mocap_ros[train]`); what is trained does not."""
+"""Training of base poses and of the lifter; only the lifter's needs PyTorch (`pip install mocap_ros[train]`)."""

@@ -1,4 +1,10 @@
-"""Learning base poses from motion capture (TPAMI 2016, section 4.1)."""
+"""Training of base poses from motion capture (TPAMI 2016, section 4.1).
+
+    P_i R_i^T - Q_0 = sum_l theta_il Q_l,   Q_l: eigenvectors of the covariance of the aligned poses (PCA)
+
+The poses P_i are aligned to their mean Q_0 by rotations R_i before the principal component analysis (generalised
+Procrustes analysis). The paper does not align them.
+"""
 
 from __future__ import annotations
 
@@ -8,84 +14,94 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import ModelError
-from mocap_ros.geometry.rotations import centred, heading_to, rotation_to
-from mocap_ros.models.base_poses import BasePoses, mirrored
-from mocap_ros.models.model_file import STATURES
-from mocap_ros.skeleton import CMU15, Skeleton, stature
+from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation, fit_rotation
+from mocap_ros.models.base_poses import BasePoses, mirror_poses
+from mocap_ros.models.model_file import STATURE_RANGE_M
+from mocap_ros.skeleton import CMU15, Skeleton, estimate_stature
 
 Array = NDArray[np.float64]
 
-NEGLIGIBLE_STD = 1e-4
+MIN_WEIGHT_STD_M = 1e-4  # m; base poses that vary less are numerical noise, and solvers divide by their variance
 
 
-def procrustes_mean(
-    poses: Array, align: Callable[[Array, Array], Array], rounds: int = 50, tolerance: float = 1e-7
+def align_to_mean(
+    poses: Array, align: Callable[[Array, Array], Array], max_iterations: int = 50, tolerance: float = 1e-7
 ) -> tuple[Array, Array]:
-    """Generalised Procrustes: all poses aligned to their own mean.
+    """Align all poses to their own mean by rotations (generalised Procrustes analysis).
+
+    The first pose is the first estimate of the mean, and so determines the orientation of the result.
 
     Args:
-        poses: (N, J, 3) centred poses.
-        align: `rotation_to` or `heading_to`.
-        rounds: at most so many passes.
-        tolerance: m, change of the mean that ends it.
+        poses: (N, J, 3) m, centred poses.
+        align: function of the poses and a target (J, 3) that returns the rotations (N, 3, 3) that bring the poses
+            closest to the target: `fit_rotation` or `fit_heading_rotation`.
+        max_iterations: largest number of passes over the poses.
+        tolerance: m; the iteration ends when every coordinate of the mean changes by less.
 
     Returns:
-        (J, 3) mean, and the (N, J, 3) aligned poses.
+        (J, 3) m, mean pose, and (N, J, 3) m, aligned poses.
     """
     mean = poses[0]
-    for _ in range(rounds):
+    for _ in range(max_iterations):
         aligned = poses @ np.swapaxes(align(poses, mean), -1, -2)
-        new = aligned.mean(axis=0)
-        moved = np.abs(new - mean).max()
-        mean = new
-        if moved < tolerance:
+        updated_mean = aligned.mean(axis=0)
+        change = np.abs(updated_mean - mean).max()
+        mean = updated_mean
+        if change < tolerance:
             break
     return mean, aligned
 
 
-def facing_forward(mean: Array, skeleton: Skeleton) -> Array:
-    """(3, 3) rotation about z after which left joints of `mean` lie towards +y and the body faces +x."""
-    left, right = zip(*skeleton.pairs, strict=True)
+def rotation_to_face_forward(mean: Array, skeleton: Skeleton) -> Array:
+    """Return the rotation (3, 3) about z after which the pose `mean` (J, 3) faces +x and its left is +y."""
+    left, right = zip(*skeleton.left_right_pairs, strict=True)
     across = (mean[list(left)] - mean[list(right)]).sum(axis=0)
     angle = np.pi / 2 - np.arctan2(across[1], across[0])
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
 
-def with_bone_lengths(poses: Array, skeleton: Skeleton, factor: Array) -> Array:
-    """Poses (..., J, 3) with every bone stretched, directions kept; `factor` (bones,) as `skeleton.bones`."""
+def scale_bones(poses: Array, skeleton: Skeleton, factor: Array) -> Array:
+    """Scale the bones of poses (..., J, 3) and keep their directions.
+
+    Args:
+        poses: (..., J, 3) in any unit.
+        skeleton: joints and bones of the poses.
+        factor: (B,) factors on the bone lengths, ordered as `skeleton.bones`.
+    """
     by_child = {child: f for (_, child), f in zip(skeleton.bones, factor, strict=True)}
     out = poses.copy()
-    for parent, child in skeleton.outward():
+    for parent, child in skeleton.outward_bones():
         out[..., child, :] = out[..., parent, :] + by_child[child] * (poses[..., child, :] - poses[..., parent, :])
     return out
 
 
-def _random_bodies(
+def _transfer_to_random_bodies(
     poses: Array, skeleton: Skeleton, spread: float, count: int, rng: np.random.Generator
 ) -> list[Array]:
-    """The same (F, J, 3) motion on `count` other bodies, left and right limbs alike."""
+    """Return `count` copies of a motion (F, J, 3) with random bone lengths, the same left and right."""
     names = [skeleton.joints[c] for _, c in skeleton.bones]
-    twins = [min(n, skeleton.joints[skeleton.mirror[skeleton.index(n)]]) for n in names]
+    shared_names = [min(n, skeleton.joints[skeleton.mirror[skeleton.index(n)]]) for n in names]
     out = []
     for _ in range(count):
-        by_name = {n: 1 + spread * rng.standard_normal() for n in sorted(set(twins))}
-        factor = np.array([by_name[t] for t in twins])
-        out.append(with_bone_lengths(poses, skeleton, factor))
+        by_name = {n: 1 + spread * rng.standard_normal() for n in sorted(set(shared_names))}
+        factor = np.array([by_name[n] for n in shared_names])
+        out.append(scale_bones(poses, skeleton, factor))
     return out
 
 
 def _check_trial(trial: Array, skeleton: Skeleton, label: object) -> None:
+    """Raise `ModelError` unless a trial holds finite poses of a person in metres."""
     if trial.ndim != 3 or trial.shape[1:] != (len(skeleton.joints), 3):
         raise ModelError(f'trial {label} has shape {trial.shape}, expected (frames, {len(skeleton.joints)}, 3)')
     if not np.isfinite(trial).all():
         raise ModelError(f'trial {label} holds numbers that are not finite')
-    low, high = STATURES
+    low, high = STATURE_RANGE_M
     if len(trial) and np.abs(trial - trial[:, :1]).max() > 2 * high:
         raise ModelError(f'trial {label}: joints more than {2 * high:g} m apart; m expected')
-    if len(trial) and not low <= stature(trial, skeleton) <= high:
+    if len(trial) and not low <= estimate_stature(trial, skeleton) <= high:
         raise ModelError(
-            f'trial {label}: a body {stature(trial, skeleton):.3g} m tall, expected {low} to {high} m'
+            f'trial {label}: a body {estimate_stature(trial, skeleton):.3g} m tall, expected {low} to {high} m'
         )
 
 
@@ -103,26 +119,27 @@ def fit_base_poses(
     provenance: Mapping[str, object] | None = None,
     labels: Sequence[str] = (),
 ) -> BasePoses:
-    """Learn base poses from motion capture (TPAMI 2016, section 4.1, with poses aligned first).
+    """Train base poses on motion capture (TPAMI 2016, section 4.1, with poses aligned first).
 
     Args:
-        trials: (F_i, J, 3) arrays, metres, z up.
-        name: motion category.
-        skeleton: names and tree of the J joints.
-        components: base poses kept at most; those of negligible variance never are.
-        alignment: `rotation` (generalised Procrustes) or `heading` (rotation about the vertical only).
-        mirror: add the mirror image of every pose.
-        bodies: how many bodies with randomly scaled bones to add to each trial.
-        body_spread: standard deviation of their bone scale factors.
-        seed: of those factors.
-        provenance: recorded in the model.
-        labels: names of the trials, for errors; numbers by default.
+        trials: arrays (F_i, J, 3) in m, z up.
+        name: motion category of the model.
+        skeleton: names and bones of the J joints.
+        components: largest number of base poses; those with a standard deviation below `MIN_WEIGHT_STD_M` are
+            dropped.
+        alignment: `rotation` to align poses by any rotation, `heading` to rotate them about the vertical only.
+        mirror: whether to add the mirror image of every pose.
+        bodies: number of bodies with random bone lengths to which each trial is transferred in addition.
+        body_spread: standard deviation of the factors on their bone lengths.
+        seed: seed of these factors.
+        provenance: further entries of the model's provenance.
+        labels: names of the trials for error messages; their numbers by default.
 
     Raises:
-        ModelError: no trials, wrong shapes, numbers that are not finite, poses that are no people in m, or that
-            do not vary.
+        ModelError: There are fewer than two poses, a trial does not hold finite poses of a person in metres, the
+            alignment is unknown, or the poses do not vary.
     """
-    align = {'rotation': rotation_to, 'heading': heading_to}.get(alignment)
+    align = {'rotation': fit_rotation, 'heading': fit_heading_rotation}.get(alignment)
     if align is None:
         raise ModelError(f'alignment {alignment!r}: expected rotation or heading')
     if not trials or sum(map(len, trials)) < 2:
@@ -130,31 +147,23 @@ def fit_base_poses(
     for i, trial in enumerate(trials):
         _check_trial(trial, skeleton, labels[i] if labels else i)
     rng = np.random.default_rng(seed)
-    stacked = [np.asarray(t, float) for t in trials]
-    stacked += [b for t in stacked for b in _random_bodies(t, skeleton, body_spread, bodies, rng)]
-    poses = centred(np.concatenate(stacked))
+    motions = [np.asarray(t, float) for t in trials]
+    motions += [b for t in motions for b in _transfer_to_random_bodies(t, skeleton, body_spread, bodies, rng)]
+    poses = centre_poses(np.concatenate(motions))
     if mirror:
-        poses = np.concatenate([poses, mirrored(poses, skeleton)])
-    mean, aligned = procrustes_mean(poses, align)
-    turn = facing_forward(mean, skeleton)
-    mean, aligned = mean @ turn.T, aligned @ turn.T
-
-    flat = (aligned - mean).reshape(len(aligned), -1)
-    variance, vectors = np.linalg.eigh(flat.T @ flat / len(flat))
-    order = np.argsort(variance)[::-1][:components]
-    order = order[variance[order] > NEGLIGIBLE_STD**2]
-    if not len(order):
-        raise ModelError('the poses do not vary: nothing to learn')
-    basis = vectors[:, order].T
-    largest = np.take_along_axis(basis, np.abs(basis).argmax(axis=1)[:, None], axis=1)
+        poses = np.concatenate([poses, mirror_poses(poses, skeleton)])
+    mean, aligned = align_to_mean(poses, align)
+    rotation = rotation_to_face_forward(mean, skeleton)
+    mean, aligned = mean @ rotation.T, aligned @ rotation.T
+    basis, variance, total_variance = _principal_components(aligned, mean, components)
     return BasePoses(
         name=name,
         skeleton=skeleton,
         mean=mean,
-        components=(basis * np.sign(largest)).reshape(-1, *mean.shape),
-        std=np.sqrt(variance[order]),
-        explained=np.cumsum(variance[order]) / variance.sum(),
-        stature=stature(np.concatenate(stacked), skeleton),
+        components=basis,
+        std=np.sqrt(variance),
+        explained=np.cumsum(variance) / total_variance,
+        stature=estimate_stature(np.concatenate(motions), skeleton),
         provenance={
             'alignment': alignment,
             'mirror': mirror,
@@ -165,3 +174,24 @@ def fit_base_poses(
             **(provenance or {}),
         },
     )
+
+
+def _principal_components(poses: Array, mean: Array, max_components: int) -> tuple[Array, Array, float]:
+    """Return the principal components of poses (N, J, 3) about their mean (J, 3).
+
+    Returns:
+        (K, J, 3) orthonormal components by decreasing variance, the entry of largest magnitude positive; their
+        (K,) variances in m^2; and the total variance in m^2.
+
+    Raises:
+        ModelError: No component varies by `MIN_WEIGHT_STD_M`.
+    """
+    flat = (poses - mean).reshape(len(poses), -1)
+    variance, vectors = np.linalg.eigh(flat.T @ flat / len(flat))
+    order = np.argsort(variance)[::-1][:max_components]
+    order = order[variance[order] > MIN_WEIGHT_STD_M**2]
+    if not len(order):
+        raise ModelError('the poses do not vary: nothing to learn')
+    basis = vectors[:, order].T
+    largest = np.take_along_axis(basis, np.abs(basis).argmax(axis=1)[:, None], axis=1)
+    return (basis * np.sign(largest)).reshape(-1, *mean.shape), variance[order], variance.sum()

@@ -10,24 +10,34 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from mocap_ros.models.lifter import FEATURES, JOINTS, LOG_SPREADS, OUTPUTS, Lifter
-from mocap_ros.training.synthesis import Batch, Motions, Synthesis
+from mocap_ros.models.lifter import FEATURE_COUNT, JOINT_COUNT, LOG_STD_RANGE, OUTPUT_COUNT, Lifter
+from mocap_ros.training.motion_library import MotionLibrary
+from mocap_ros.training.synthesis import ExampleBatch, ExampleSynthesiser
 
 Array = NDArray[np.float64]
 
+WARM_UP_SHARE = 0.1  # 1, share of the steps in which the learning rate rises (one-cycle schedule)
+MAX_GRADIENT_NORM = 1.0  # 1; a batch with gross outliers cannot throw the weights off
+LIKELIHOOD_UNIT_M = 0.1  # m; converts the likelihood, a pure number, to the unit of the mean distance
+MIN_SQUARED_DISTANCE = 1e-8  # squared unit of the features; keeps the gradient of the distance finite at zero
+ERROR_AVERAGE_RATE = 0.01  # 1 per step; the error in the provenance is averaged over about the last 100 steps
+
 
 @dataclass(frozen=True)
-class Training:
-    """How to train.
+class TrainingSettings:
+    """Settings of the training; they become part of the lifter's provenance under these names.
 
     Attributes:
-        steps: of the optimiser; batch: examples in each.
-        width: of the hidden layers; blocks: residual ones.
-        dropout: share of hidden units left out.
-        rate: greatest learning rate of the one-cycle schedule; decay: of the weights.
-        uncertainty: weight of the spreads' likelihood.
-        average: of the weights, decay a step.
-        seed: of everything.
+        steps: number of steps of the optimiser.
+        batch: number of examples in a step.
+        width: number of units in a hidden layer.
+        blocks: number of residual blocks.
+        dropout: share of hidden units that are left out in a step.
+        rate: highest learning rate of the one-cycle schedule.
+        decay: weight decay of AdamW.
+        uncertainty: weight of the likelihood of the standard deviations in the objective.
+        average: decay per step of the running average of the weights, which becomes the lifter.
+        seed: seed of the examples, the initial weights and dropout.
     """
 
     steps: int = 20000
@@ -42,29 +52,32 @@ class Training:
     seed: int = 0
 
 
-class Network(nn.Module):  # type: ignore[misc, unused-ignore]
-    """The network as it is trained; `folded` makes it what NumPy runs."""
+class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]
+    """The network during training; `fold_batch_norms` converts it to a `Lifter`, which needs only NumPy."""
 
     def __init__(self, width: int, blocks: int, dropout: float) -> None:
         super().__init__()
         self.hidden = nn.ModuleList(
             nn.Sequential(
-                nn.Linear(width if i else FEATURES, width), nn.BatchNorm1d(width), nn.ReLU(), nn.Dropout(dropout)
+                nn.Linear(width if i else FEATURE_COUNT, width),
+                nn.BatchNorm1d(width),
+                nn.ReLU(),
+                nn.Dropout(dropout),
             )
             for i in range(1 + 2 * blocks)
         )
-        self.last = nn.Linear(width, OUTPUTS)
+        self.last = nn.Linear(width, OUTPUT_COUNT)
 
     def forward(self, features: Tensor) -> Tensor:
-        """(N, FEATURES) -> (N, OUTPUTS)."""
+        """Evaluate the network: features (N, FEATURE_COUNT) to outputs (N, OUTPUT_COUNT)."""
         first, *rest = self.hidden
         x = first(features)
         for a, b in zip(rest[::2], rest[1::2], strict=True):
             x = x + b(a(x))
         return self.last(x)
 
-    def folded(self, provenance: Mapping[str, object]) -> Lifter:
-        """The lifter that does the same as this network in evaluation."""
+    def fold_batch_norms(self, provenance: Mapping[str, object]) -> Lifter:
+        """Return the lifter that computes the same as this network in evaluation mode."""
         layers = []
         for linear, norm, *_ in self.hidden:
             factor = norm.weight / torch.sqrt(norm.running_var + norm.eps)
@@ -78,66 +91,86 @@ class Network(nn.Module):  # type: ignore[misc, unused-ignore]
         return Lifter(arrays, provenance)
 
 
-def loss(out: Tensor, batch: Batch, uncertainty: float) -> tuple[Tensor, Tensor]:
-    """What is minimised, and the mean distance of the joints in m, by joint.
+def compute_loss(out: Tensor, batch: ExampleBatch, uncertainty: float) -> tuple[Tensor, Tensor]:
+    """Compute the loss L = mean_j |P_j - P*_j| + uncertainty * 0.1 m * mean_j NLL_j.
 
-    The spreads are fitted, by the likelihood of Laplace's distribution in depth and of its round counterpart in
-    the image, to errors which they do not themselves change.
-    """
-    newest, target = torch.from_numpy(batch.newest), torch.from_numpy(batch.target)
-    pose = out[:, : 3 * JOINTS].reshape(-1, JOINTS, 3)
-    pose = torch.cat([pose[..., :2] + newest, pose[..., 2:]], dim=-1)
-    error = pose - pose.mean(dim=1, keepdim=True) - target
-    distance = torch.sqrt((error**2).sum(dim=-1) + 1e-8) * torch.from_numpy(batch.size)[:, None]
-    log_spread = out[:, 3 * JOINTS :].reshape(-1, JOINTS, 2).clamp(*LOG_SPREADS)
-    aside, away = error.detach()[..., :2].norm(dim=-1), error.detach()[..., 2].abs()
-    unlikely = (
-        2 * log_spread[..., 0]
-        + 3**0.5 * aside * torch.exp(-log_spread[..., 0])
-        + log_spread[..., 1]
-        + 2**0.5 * away * torch.exp(-log_spread[..., 1])
-    )
-    return distance.mean() + uncertainty * 0.1 * unlikely.mean(), distance.mean(dim=0).detach()
+        NLL_j = 2 log sigma_xy + sqrt(3) e_xy / sigma_xy + log sigma_z + sqrt(2) e_z / sigma_z
 
-
-def train(
-    trials: Sequence[Array],
-    settings: Training,
-    provenance: Mapping[str, object],
-    watch: Callable[[Iterable[int]], Iterable[int]] = iter,
-) -> Lifter:
-    """Train a lifter; the same trials, settings and libraries give the same one.
+    P_j and P*_j are the estimated and the true position of joint j, and NLL_j its negative log likelihood.
+    e_xy is the error of joint j in the image and e_z its error in depth. The likelihood is that of Laplace's
+    distribution in depth and of its rotationally symmetric counterpart in the image. The errors enter the
+    likelihood without gradient, so it trains the standard deviations only.
 
     Args:
-        trials: (F, 15, 3) m, z up, 30 frames a second.
-        settings: how.
-        provenance: kept in the lifter, with the settings and the last mean error on examples.
-        watch: wrapped around the steps.
+        out: (N, OUTPUT_COUNT) outputs of the network.
+        batch: examples that the outputs belong to.
+        uncertainty: weight of the likelihood.
+
+    Returns:
+        The loss L in m, and the (J,) mean distance of each joint in m.
+    """
+    newest, target = torch.from_numpy(batch.newest), torch.from_numpy(batch.target)
+    pose = out[:, : 3 * JOINT_COUNT].reshape(-1, JOINT_COUNT, 3)
+    pose = torch.cat([pose[..., :2] + newest, pose[..., 2:]], dim=-1)
+    error = pose - pose.mean(dim=1, keepdim=True) - target
+    distance = torch.sqrt((error**2).sum(dim=-1) + MIN_SQUARED_DISTANCE) * torch.from_numpy(batch.size)[:, None]
+    log_std = out[:, 3 * JOINT_COUNT :].reshape(-1, JOINT_COUNT, 2).clamp(*LOG_STD_RANGE)
+    image_error, depth_error = error.detach()[..., :2].norm(dim=-1), error.detach()[..., 2].abs()
+    negative_log_likelihood = (
+        2 * log_std[..., 0]
+        + 3**0.5 * image_error * torch.exp(-log_std[..., 0])
+        + log_std[..., 1]
+        + 2**0.5 * depth_error * torch.exp(-log_std[..., 1])
+    )
+    loss = distance.mean() + uncertainty * LIKELIHOOD_UNIT_M * negative_log_likelihood.mean()
+    return loss, distance.mean(dim=0).detach()
+
+
+def train_lifter(
+    trials: Sequence[Array],
+    settings: TrainingSettings,
+    provenance: Mapping[str, object],
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+) -> Lifter:
+    """Train a lifter; the same trials, settings and library versions give the same lifter.
+
+    Args:
+        trials: arrays (F, 15, 3) in m, z up, 30 frames per second, joints as `skeleton.CMU15`.
+        settings: settings of the training.
+        provenance: entries of the lifter's provenance; the settings and the last mean error on examples are added.
+        progress: function that wraps the iteration over the steps, for example to show a progress bar.
     """
     torch.manual_seed(settings.seed)
     torch.set_flush_denormal(True)
-    synthesis = Synthesis(Motions.of(trials), settings.seed)
-    network = Network(settings.width, settings.blocks, settings.dropout)
-    averaged = Network(settings.width, settings.blocks, 0.0).eval()
+    synthesiser = ExampleSynthesiser(MotionLibrary.from_trials(trials), settings.seed)
+    network = LifterNetwork(settings.width, settings.blocks, settings.dropout)
+    averaged = LifterNetwork(settings.width, settings.blocks, 0.0).eval()
     averaged.load_state_dict(network.state_dict())
     optimiser = torch.optim.AdamW(network.parameters(), lr=settings.rate, weight_decay=settings.decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.rate, settings.steps, pct_start=0.1)
-    recent = 0.0
-    for step in watch(range(1, settings.steps + 1)):
-        batch = synthesis.batch(settings.batch)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, settings.rate, settings.steps, pct_start=WARM_UP_SHARE
+    )
+    mean_error = 0.0
+    for step in progress(range(1, settings.steps + 1)):
+        batch = synthesiser.make_batch(settings.batch)
         with torch.autocast('cpu', torch.bfloat16):
             out = network(torch.from_numpy(batch.features))
-        objective, distance = loss(out.float(), batch, settings.uncertainty)
+        loss, distance = compute_loss(out.float(), batch, settings.uncertainty)
         optimiser.zero_grad(set_to_none=True)
-        objective.backward()
-        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), MAX_GRADIENT_NORM)
         optimiser.step()
         schedule.step()
-        keep = min(settings.average, 1 - 1 / step)
-        with torch.no_grad():
-            for old, new in zip(averaged.state_dict().values(), network.state_dict().values(), strict=True):
-                if old.is_floating_point():
-                    old.lerp_(new, 1 - keep)
-        recent += (float(distance.mean()) - recent) * max(0.01, 1 / step)
-    told = {'settings': vars(settings), 'error_mm': round(recent * 1e3, 1), 'torch': torch.__version__}
-    return averaged.folded({**provenance, **told})
+        _update_average(averaged, network, min(settings.average, 1 - 1 / step))
+        mean_error += (float(distance.mean()) - mean_error) * max(ERROR_AVERAGE_RATE, 1 / step)
+    results = {'settings': vars(settings), 'error_mm': round(mean_error * 1e3, 1), 'torch': torch.__version__}
+    return averaged.fold_batch_norms({**provenance, **results})
+
+
+def _update_average(averaged: LifterNetwork, network: LifterNetwork, decay: float) -> None:
+    """Move the weights of `averaged` towards those of `network`: average = decay average + (1 - decay) weights."""
+    with torch.no_grad():
+        states = zip(averaged.state_dict().values(), network.state_dict().values(), strict=True)
+        for average, current in states:
+            if average.is_floating_point():
+                average.lerp_(current, 1 - decay)

@@ -1,1 +1,1 @@
-"""Pictures of sequences, reconstructions and keyframes."""
+"""Figures of sequences, reconstructions and keyframes."""

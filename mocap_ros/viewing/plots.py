@@ -1,4 +1,4 @@
-"""Pictures of sequences and reconstructions (matplotlib, no display needed)."""
+"""Figures of sequences and reconstructions (matplotlib, without a display)."""
 
 from __future__ import annotations
 
@@ -21,20 +21,29 @@ from mocap_ros.skeleton import Skeleton
 
 Array = NDArray[np.float64]
 
-LEFT, RIGHT, MIDDLE, TRUTH = '#1f77b4', '#d62728', '#444444', '#b8b8b8'
-FILLED = '#ff9f1c'
+LEFT_COLOUR = '#1f77b4'  # blue
+RIGHT_COLOUR = '#d62728'  # red
+MIDDLE_COLOUR = '#444444'  # dark grey
+TRUTH_COLOUR = '#b8b8b8'  # light grey, behind the other colours
+INFERRED_COLOUR = '#ff9f1c'  # orange; joints that were not seen
+MIN_RADIUS_M = 0.5  # m; half the width of a panel at least, so that a curled-up body is not magnified
+RADIUS_MARGIN = 1.03  # factor; keeps the outermost joints inside the panel
+IMAGE_MARGIN = 0.6  # half the width of an input panel divided by the size of the body's image
+MIN_IMAGE_SIZE_PX = 1.0  # px; guards the panel's limits if all keypoints are in one place
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
-    """A reconstruction beside its input.
+class PlotData:
+    """A reconstruction with its input, to be drawn.
 
     Attributes:
         times: (F,) s.
-        keypoints: (F, Jk, 3) px and score, of the layout `keypoint_skeleton`.
-        joints: (F, J, 3) m, camera optical frame, NaN where there is no result.
-        seen: (F, J) False where a joint was filled in.
-        truth: (F, J, 3) m, or None.
+        keypoints: (F, Jk, 3) x and y in px, and confidence score.
+        keypoint_skeleton: layout of the keypoints.
+        joints: (F, J, 3) m, camera optical frame; NaN in frames without a result.
+        seen: (F, J) True where a joint was seen, False where it was inferred.
+        skeleton: skeleton of the joints.
+        truth: (F, J, 3) m, same joints; or None.
     """
 
     times: Array
@@ -46,63 +55,73 @@ class Result:
     truth: Array | None = None
 
 
-def side_colour(joint: str) -> str:
-    """Blue left, red right, grey middle."""
-    return {'l': LEFT, 'r': RIGHT}.get(joint[0], MIDDLE)
+def choose_side_colour(joint: str) -> str:
+    """Return the colour of a joint's side by its name: blue for left, red for right, grey for the middle."""
+    return {'l': LEFT_COLOUR, 'r': RIGHT_COLOUR}.get(joint[0], MIDDLE_COLOUR)
 
 
 def draw_bones(axes: Any, points: Array, skeleton: Skeleton, colour: str | None = None, **style: Any) -> None:
-    """One skeleton; `points` (J, 2), NaN where a joint is missing."""
+    """Draw the bones of one skeleton.
+
+    Args:
+        axes: matplotlib axes.
+        points: (J, 2) in the axes' unit; NaN where a joint is missing.
+        skeleton: skeleton of the points.
+        colour: colour of all bones; None for those of their sides.
+        style: further arguments of `axes.plot`.
+    """
     for parent, child in skeleton.bones:
         axes.plot(
             points[[parent, child], 0],
             points[[parent, child], 1],
-            color=colour or side_colour(skeleton.joints[child]),
+            color=colour or choose_side_colour(skeleton.joints[child]),
             solid_capstyle='round',
             **style,
         )
 
 
-def from_the_side(joints: Array) -> Array:
-    """(..., J, 3) camera frame -> (..., J, 2) as seen from the person's left of the image: depth to the right."""
+def project_from_side(joints: Array) -> Array:
+    """Return (..., J, 2) the view from the left of the camera: depth to the right, of joints (..., J, 3)."""
     return np.stack([joints[..., 2], joints[..., 1]], axis=-1)
 
 
-def poses_figure(result: Result, frames: Sequence[int], title: str, labels: Sequence[str]) -> Figure:
-    """Some frames: the 2D input above, the 3D result from the camera and from the side below.
+def draw_poses_figure(data: PlotData, frames: Sequence[int], title: str, labels: Sequence[str]) -> Figure:
+    """Draw selected frames in columns: the 2D input, then the 3D result from the camera and from the side.
+
+    If the truth is known, a plot of the error over time stands below.
 
     Args:
-        result: what to draw.
+        data: reconstruction and input.
         frames: indices of the frames.
-        title: of the figure.
-        labels: one a frame, shown above its column.
+        title: title of the figure.
+        labels: title of each frame's column.
     """
-    error = _error_mm(result)
-    rows = 3 + (error is not None)
+    error_mm = _compute_error_mm(data)
+    rows = 3 + (error_mm is not None)
     figure = Figure(figsize=(2.1 * len(frames) + 0.6, 2.35 * rows + 0.4), dpi=110)
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(rows, len(frames), hspace=0.08, wspace=0.05, top=0.88)
-    radius = _radius(result, frames)
+    radius = _compute_radius(data, frames)
+    projections = (
+        (lambda j: j[..., :2], 'from the camera'),
+        (project_from_side, 'from the side'),
+    )
     for column, frame in enumerate(frames):
-        top = figure.add_subplot(grid[0, column])
-        _draw_input(top, result, frame)
-        top.set_title(labels[column], fontsize=9)
-        views = (
-            (lambda j: j[..., :2], 'from the camera'),
-            (from_the_side, 'from the side'),
-        )
-        for row, (view, name) in enumerate(views, start=1):
+        input_axes = figure.add_subplot(grid[0, column])
+        _draw_input(input_axes, data, frame)
+        input_axes.set_title(labels[column], fontsize=9)
+        for row, (projection, name) in enumerate(projections, start=1):
             axes = figure.add_subplot(grid[row, column])
-            _draw_pose(axes, result, frame, view, radius)
+            _draw_pose(axes, data, frame, projection, radius)
             if column == 0:
                 axes.set_ylabel(f'3D, {name}', fontsize=9)
         if column == 0:
-            top.set_ylabel('2D input', fontsize=9)
-    if error is not None:
-        _draw_error(figure.add_subplot(grid[3, :]), result, error, frames)
+            input_axes.set_ylabel('2D input', fontsize=9)
+    if error_mm is not None:
+        _draw_error(figure.add_subplot(grid[3, :]), data, error_mm, frames)
     figure.suptitle(title, fontsize=11, y=0.97, parse_math=False)
     figure.legend(
-        handles=_legend(result),
+        handles=_make_legend_handles(data),
         loc='upper center',
         bbox_to_anchor=(0.5, 0.955),
         ncols=5,
@@ -112,94 +131,102 @@ def poses_figure(result: Result, frames: Sequence[int], title: str, labels: Sequ
     return figure
 
 
-def _legend(result: Result) -> list[Line2D]:
-    """What the colours of the skeletons mean."""
-    bones = {'left': LEFT, 'right': RIGHT, 'middle': MIDDLE}
-    handles = [Line2D([], [], color=colour, linewidth=1.8, label=side) for side, colour in bones.items()]
-    if result.truth is not None:
-        handles.append(Line2D([], [], color=TRUTH, linewidth=4, label='truth'))
+def _make_legend_handles(data: PlotData) -> list[Line2D]:
+    """Return the entries of the legend of skeleton colours."""
+    colours = {'left': LEFT_COLOUR, 'right': RIGHT_COLOUR, 'middle': MIDDLE_COLOUR}
+    handles = [Line2D([], [], color=colour, linewidth=1.8, label=side) for side, colour in colours.items()]
+    if data.truth is not None:
+        handles.append(Line2D([], [], color=TRUTH_COLOUR, linewidth=4, label='truth'))
     label = 'not seen, filled in by the model'
-    handles.append(Line2D([], [], linestyle='', marker='o', markersize=4, color=FILLED, label=label))
+    handles.append(Line2D([], [], linestyle='', marker='o', markersize=4, color=INFERRED_COLOUR, label=label))
     return handles
 
 
-def _draw_input(axes: Any, result: Result, frame: int) -> None:
-    keypoints = result.keypoints[frame]
+def _draw_input(axes: Any, data: PlotData, frame: int) -> None:
+    """Draw the keypoints of one frame."""
+    keypoints = data.keypoints[frame]
     points = np.where(keypoints[:, 2:] > 0, keypoints[:, :2], np.nan)
-    draw_bones(axes, points, result.keypoint_skeleton, linewidth=1.6)
+    draw_bones(axes, points, data.keypoint_skeleton, linewidth=1.6)
     axes.scatter(points[:, 0], points[:, 1], s=5, color='black', zorder=3)
     seen = points[np.isfinite(points).all(axis=1)]
     if len(seen):
         centre = (seen.min(axis=0) + seen.max(axis=0)) / 2
-        half = max(np.ptp(seen, axis=0).max(), 1.0) * 0.6
-        axes.set_xlim(centre[0] - half, centre[0] + half)
-        axes.set_ylim(centre[1] + half, centre[1] - half)
+        half_width = max(np.ptp(seen, axis=0).max(), MIN_IMAGE_SIZE_PX) * IMAGE_MARGIN
+        axes.set_xlim(centre[0] - half_width, centre[0] + half_width)
+        axes.set_ylim(centre[1] + half_width, centre[1] - half_width)
     else:
         axes.text(0.5, 0.5, 'not detected', ha='center', va='center', transform=axes.transAxes)
-    _bare(axes)
+    _remove_frame(axes)
 
 
-def _draw_pose(axes: Any, result: Result, frame: int, view: Any, radius: float) -> None:
-    joints = result.joints[frame]
-    if result.truth is not None:
-        truth = result.truth[frame]
-        draw_bones(axes, view(truth - truth.mean(axis=0)), result.skeleton, TRUTH, linewidth=4)
+def _draw_pose(axes: Any, data: PlotData, frame: int, projection: Any, radius: float) -> None:
+    """Draw the 3D pose of one frame, and behind it the truth."""
+    joints = data.joints[frame]
+    if data.truth is not None:
+        truth = data.truth[frame]
+        draw_bones(axes, projection(truth - truth.mean(axis=0)), data.skeleton, TRUTH_COLOUR, linewidth=4)
     if np.isfinite(joints).all():
-        points = view(joints - joints.mean(axis=0))
-        draw_bones(axes, points, result.skeleton, linewidth=1.8)
-        filled = points[~result.seen[frame]]
-        axes.scatter(filled[:, 0], filled[:, 1], s=16, color=FILLED, zorder=3)
+        points = projection(joints - joints.mean(axis=0))
+        draw_bones(axes, points, data.skeleton, linewidth=1.8)
+        inferred = points[~data.seen[frame]]
+        axes.scatter(inferred[:, 0], inferred[:, 1], s=16, color=INFERRED_COLOUR, zorder=3)
     axes.set_xlim(-radius, radius)
     axes.set_ylim(radius, -radius)
-    _bare(axes)
+    _remove_frame(axes)
 
 
-def _draw_error(axes: Any, result: Result, error: Array, frames: Sequence[int]) -> None:
-    (line,) = axes.plot(result.times, error, color='black', linewidth=1, label='3D error')
-    marks = [axes.axvline(result.times[f], color=TRUTH, linewidth=1, label='frames above') for f in frames]
-    if len(result.times) > 1:
-        axes.set_xlim(result.times[0], result.times[-1])
+def _draw_error(axes: Any, data: PlotData, error_mm: Array, frames: Sequence[int]) -> None:
+    """Draw the 3D error and the share of inferred joints over time."""
+    (line,) = axes.plot(data.times, error_mm, color='black', linewidth=1, label='3D error')
+    frame_lines = [
+        axes.axvline(data.times[f], color=TRUTH_COLOUR, linewidth=1, label='frames above') for f in frames
+    ]
+    if len(data.times) > 1:
+        axes.set_xlim(data.times[0], data.times[-1])
     axes.set_ylim(0, None)
     axes.set_xlabel('time, s', fontsize=9)
     axes.set_ylabel('3D error, mm', fontsize=9)
 
-    share = axes.twinx()
-    missing = (~result.seen).mean(axis=1)
-    share.fill_between(result.times, 0, missing, color=FILLED, alpha=0.35, linewidth=0)
-    band = Patch(color=FILLED, alpha=0.35, linewidth=0, label='joints not seen')
-    share.set_ylim(0, 1)
-    share.yaxis.set_major_formatter(PercentFormatter(1.0))
-    share.set_ylabel('joints not seen', fontsize=9)
-    share.legend(
-        handles=[line, band, *marks[:1]],
+    share_axes = axes.twinx()
+    inferred_share = (~data.seen).mean(axis=1)
+    share_axes.fill_between(data.times, 0, inferred_share, color=INFERRED_COLOUR, alpha=0.35, linewidth=0)
+    band = Patch(color=INFERRED_COLOUR, alpha=0.35, linewidth=0, label='joints not seen')
+    share_axes.set_ylim(0, 1)
+    share_axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    share_axes.set_ylabel('joints not seen', fontsize=9)
+    share_axes.legend(
+        handles=[line, band, *frame_lines[:1]],
         loc='lower left',
         bbox_to_anchor=(0, 0.97),
         ncols=3,
         fontsize=8,
         frameon=False,
     )
-    axes.set_zorder(share.get_zorder() + 1)
+    axes.set_zorder(share_axes.get_zorder() + 1)
     axes.patch.set_visible(False)
-    for each in (axes, share):
-        each.tick_params(labelsize=8)
-        each.spines['top'].set_visible(False)
+    for panel in (axes, share_axes):
+        panel.tick_params(labelsize=8)
+        panel.spines['top'].set_visible(False)
 
 
-def _error_mm(result: Result) -> Array | None:
-    if result.truth is None:
+def _compute_error_mm(data: PlotData) -> Array | None:
+    """Return (F,) mm, the mean error of the centred joints in each frame, or None without truth."""
+    if data.truth is None:
         return None
-    centred = result.joints - result.joints.mean(axis=1, keepdims=True)
-    truth = result.truth - result.truth.mean(axis=1, keepdims=True)
-    return np.asarray(np.linalg.norm(centred - truth, axis=-1).mean(axis=1) * 1e3)
+    joints = data.joints - data.joints.mean(axis=1, keepdims=True)
+    truth = data.truth - data.truth.mean(axis=1, keepdims=True)
+    return np.asarray(np.linalg.norm(joints - truth, axis=-1).mean(axis=1) * 1e3)
 
 
-def _radius(result: Result, frames: Sequence[int]) -> float:
-    chosen = result.joints[list(frames)] if result.truth is None else result.truth[list(frames)]
-    centred = chosen - chosen.mean(axis=1, keepdims=True)
-    return float(np.nanmax(np.abs(centred), initial=0.5)) * 1.03
+def _compute_radius(data: PlotData, frames: Sequence[int]) -> float:
+    """Return half the width (m) of the 3D panels, into which the poses of all drawn frames fit."""
+    poses = data.joints[list(frames)] if data.truth is None else data.truth[list(frames)]
+    centred = poses - poses.mean(axis=1, keepdims=True)
+    return float(np.nanmax(np.abs(centred), initial=MIN_RADIUS_M)) * RADIUS_MARGIN
 
 
-def _bare(axes: Any) -> None:
+def _remove_frame(axes: Any) -> None:
+    """Set equal scales, and remove ticks and frame."""
     axes.set_aspect('equal')
     axes.set_xticks([])
     axes.set_yticks([])
@@ -207,25 +234,27 @@ def _bare(axes: Any) -> None:
         spine.set_visible(False)
 
 
-def check_ending(path: Path) -> None:
-    """Refuse a path whose ending is no format of pictures.
+def check_picture_format(path: Path) -> None:
+    """Check that the suffix of a path names a picture format that can be written.
 
     Raises:
-        InputError: it is none; lists them.
+        InputError: It does not; the message lists the formats.
     """
-    known = sorted(FigureCanvasAgg.get_supported_filetypes())
-    if path.suffix.removeprefix('.').lower() not in known:
-        raise InputError(f'{path}: no picture; can write {", ".join("." + ending for ending in known)}')
+    formats = sorted(FigureCanvasAgg.get_supported_filetypes())
+    if path.suffix.removeprefix('.').lower() not in formats:
+        known = ', '.join(f'.{name}' for name in formats)
+        raise InputError(f'{path}: unknown picture format; can write {known}')
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure; the ending of `path` chooses the format.
+    """Write a figure in the picture format that the suffix of `path` names.
 
     Raises:
-        InputError: it is no format of pictures.
-        OSError: it cannot be written.
+        InputError: The suffix names no picture format.
+        OSError: The file cannot be written.
     """
-    check_ending(path)
+    check_picture_format(path)
     with warnings.catch_warnings():
-        warnings.filterwarnings('ignore', 'Glyph .* missing from', UserWarning)  # file names in any script
+        # a title may hold a file name in any script, and the font may lack its glyphs
+        warnings.filterwarnings('ignore', 'Glyph .* missing from', UserWarning)
         figure.savefig(path, bbox_inches='tight', facecolor='white')

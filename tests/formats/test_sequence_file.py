@@ -1,4 +1,4 @@
-"""Sequence files: what is written is read, and everything else is refused in one clear line."""
+"""Sequence files are read as they were written, and invalid files are refused by an error of one line."""
 
 from __future__ import annotations
 
@@ -11,73 +11,73 @@ import numpy as np
 import pytest
 
 from mocap_ros.errors import InputError
-from mocap_ros.formats.sequence_file import Sequence, Truth, load_sequence, save_sequence
-from mocap_ros.skeleton import layout
+from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence, load_sequence, save_sequence
+from mocap_ros.skeleton import keypoint_layout
 from tests.support.evaluation_data import shared
 
 FRAMES = 5
-JOINTS = layout('coco17').joints
+JOINTS = keypoint_layout('coco17').joints
 
 
 @pytest.fixture
-def sequence(rng: np.random.Generator) -> Sequence:
+def sequence(rng: np.random.Generator) -> KeypointSequence:
     keypoints = rng.uniform(0.2, 1, (FRAMES, len(JOINTS), 3)).astype('f4').astype(float)
     keypoints[..., :2] *= 512
     keypoints[1, 2] = [np.nan, np.nan, 0]
-    return Sequence(
+    return KeypointSequence(
         keypoints=keypoints,
         joint_names=JOINTS,
         timestamps=np.arange(FRAMES) / 30,
         image_size=(640, 480),
         camera_matrix=np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]]),
         distortion=np.array([0.1, 0, 0, 0]),
-        truth=Truth(np.ones((FRAMES, 2, 3)), ('neck', 'pelvis')),
+        truth=GroundTruth(np.ones((FRAMES, 2, 3)), ('neck', 'pelvis')),
     )
 
 
-def test_round_trip(tmp_path: Path, sequence: Sequence) -> None:
+def test_round_trip(tmp_path: Path, sequence: KeypointSequence) -> None:
     path = tmp_path / 'walk.npz'
     save_sequence(path, sequence)
-    again = load_sequence(path)
+    loaded = load_sequence(path)
     assert sequence.truth is not None
-    assert again.truth is not None
-    assert again.joint_names == sequence.joint_names
-    assert again.image_size == sequence.image_size
+    assert loaded.truth is not None
+    assert loaded.joint_names == sequence.joint_names
+    assert loaded.image_size == sequence.image_size
     for field in ('keypoints', 'timestamps', 'camera_matrix', 'distortion'):
-        np.testing.assert_array_equal(getattr(again, field), getattr(sequence, field))
-    np.testing.assert_array_equal(again.truth.joints, sequence.truth.joints)
-    assert again.truth.joint_names == sequence.truth.joint_names
+        np.testing.assert_array_equal(getattr(loaded, field), getattr(sequence, field))
+    np.testing.assert_array_equal(loaded.truth.joints, sequence.truth.joints)
+    assert loaded.truth.joint_names == sequence.truth.joint_names
 
 
-def test_only_the_needed_keys_are_needed(tmp_path: Path, sequence: Sequence) -> None:
+def test_camera_and_truth_are_optional(tmp_path: Path, sequence: KeypointSequence) -> None:
     path = tmp_path / 'walk.npz'
     save_sequence(path, replace(sequence, camera_matrix=None, distortion=None, truth=None))
-    again = load_sequence(path)
-    assert again.camera_matrix is None
-    assert again.truth is None
-    assert again.intrinsics(1.2).focal == pytest.approx(768)
-    assert not again.intrinsics(1.2).known
+    loaded = load_sequence(path)
+    assert loaded.camera_matrix is None
+    assert loaded.truth is None
+    assert loaded.intrinsics(1.2).focal == pytest.approx(768)
+    assert not loaded.intrinsics(1.2).is_focal_known
 
 
-def test_the_lens_is_undone(tmp_path: Path, sequence: Sequence) -> None:
+def test_distortion_of_4_5_and_8_coefficients_is_read(tmp_path: Path, sequence: KeypointSequence) -> None:
     for count in (4, 5, 8):
         save_sequence(tmp_path / 'walk.npz', replace(sequence, distortion=np.full(count, 0.01)))
         camera = load_sequence(tmp_path / 'walk.npz').intrinsics(1.2)
-        assert camera.known
+        assert camera.is_focal_known
         assert camera.distortion.coefficients == (0.01,) * count
 
 
-def test_joint_names_are_taken_in_any_spelling(tmp_path: Path, sequence: Sequence) -> None:
-    spelt = tuple(n.replace('l', 'left_', 1) if n[0] == 'l' else n.title() for n in JOINTS)
-    truth = Truth(np.ones((FRAMES, 2, 3)), ('Neck', 'pelvis'))
-    save_sequence(tmp_path / 'walk.npz', replace(sequence, joint_names=spelt, truth=truth))
-    again = load_sequence(tmp_path / 'walk.npz')
-    assert again.joint_names == JOINTS
-    assert again.truth is not None
-    assert again.truth.joint_names == ('neck', 'pelvis')
+def test_joint_names_are_read_in_any_spelling(tmp_path: Path, sequence: KeypointSequence) -> None:
+    joint_names = tuple(n.replace('l', 'left_', 1) if n[0] == 'l' else n.title() for n in JOINTS)
+    truth = GroundTruth(np.ones((FRAMES, 2, 3)), ('Neck', 'pelvis'))
+    save_sequence(tmp_path / 'walk.npz', replace(sequence, joint_names=joint_names, truth=truth))
+    loaded = load_sequence(tmp_path / 'walk.npz')
+    assert loaded.joint_names == JOINTS
+    assert loaded.truth is not None
+    assert loaded.truth.joint_names == ('neck', 'pelvis')
 
 
-def test_not_seen_is_said_in_one_way(tmp_path: Path, sequence: Sequence) -> None:
+def test_unseen_keypoints_have_nan_points_and_score_0(tmp_path: Path, sequence: KeypointSequence) -> None:
     sequence.keypoints[0, 0, 2] = np.nan
     sequence.keypoints[0, 1, 0] = np.nan
     sequence.keypoints[0, 2, 2] = 0
@@ -89,12 +89,13 @@ def test_not_seen_is_said_in_one_way(tmp_path: Path, sequence: Sequence) -> None
     np.testing.assert_array_equal(np.isnan(person.points[:4]).all(axis=1), [True] * 3 + [False])
 
 
-def changed(arrays: dict[str, Any], key: str, index: Any, value: float) -> None:
+def set_element(arrays: dict[str, Any], key: str, index: Any, value: float) -> None:
+    """Set an element of a copy of an array."""
     arrays[key] = arrays[key].copy()
     arrays[key][index] = value
 
 
-BAD = {
+INVALID = {
     'missing key': (lambda a: a.pop('keypoints'), 'keypoints: missing'),
     'pickled': (
         lambda a: a.update(keypoints=np.array([None], object)),
@@ -111,18 +112,18 @@ BAD = {
         'joint_names: .* fewer than four',
     ),
     'infinite point': (
-        lambda a: changed(a, 'keypoints', (3, 7, 1), np.inf),
+        lambda a: set_element(a, 'keypoints', (3, 7, 1), np.inf),
         'keypoints: frame 3: y of lelbow is inf',
     ),
     'score above one': (
-        lambda a: changed(a, 'keypoints', (4, 0, 2), 1.5),
+        lambda a: set_element(a, 'keypoints', (4, 0, 2), 1.5),
         'keypoints: frame 4: score of nose is 1.5',
     ),
     'negative score': (
-        lambda a: changed(a, 'keypoints', (4, 0, 2), -0.5),
+        lambda a: set_element(a, 'keypoints', (4, 0, 2), -0.5),
         'keypoints: frame 4: score of nose is -0.5',
     ),
-    'shares of the image': (
+    'normalised coordinates': (
         lambda a: a['keypoints'].__setitem__((..., slice(2)), a['keypoints'][..., :2] / 512),
         'keypoints: looks normalised; px expected',
     ),
@@ -131,26 +132,26 @@ BAD = {
         'not a sequence file: a result of reconstruct; give the sequence file',
     ),
     'repeated stamp': (
-        lambda a: changed(a, 'timestamps', 2, 1 / 30),
+        lambda a: set_element(a, 'timestamps', 2, 1 / 30),
         'timestamps: frame 2: .* repeats frame 1',
     ),
-    'stamp back in time': (
-        lambda a: changed(a, 'timestamps', 4, 0.01),
+    'decreasing stamp': (
+        lambda a: set_element(a, 'timestamps', 4, 0.01),
         'timestamps: frame 4: .* is not later than frame 3',
     ),
     'stamp not finite': (
-        lambda a: changed(a, 'timestamps', 1, np.nan),
+        lambda a: set_element(a, 'timestamps', 1, np.nan),
         'timestamps: frame 1: nan s',
     ),
     'no frames': (lambda a: a.update(timestamps=np.zeros(0)), 'timestamps: no frames'),
-    'no image': (lambda a: changed(a, 'image_size', 1, 0), 'image_size: 640 x 0 px'),
-    'no camera': (lambda a: changed(a, 'camera_matrix', (0, 0), 0), 'camera_matrix: focal length'),
+    'no image': (lambda a: set_element(a, 'image_size', 1, 0), 'image_size: 640 x 0 px'),
+    'no camera': (lambda a: set_element(a, 'camera_matrix', (0, 0), 0), 'camera_matrix: focal length'),
     'lens of three numbers': (
         lambda a: a.update(distortion=np.ones(3)),
         'distortion: plumb_bob takes 4 or 5 coefficients, not 3',
     ),
     'truth far away': (
-        lambda a: changed(a, 'joints3d', (3, 1, 2), 3e38),
+        lambda a: set_element(a, 'joints3d', (3, 1, 2), 3e38),
         r'joints3d: frame 3: pelvis is more than 1e\+06 m away',
     ),
     'truth of other frames': (
@@ -160,29 +161,31 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize('case', BAD)
-def test_bad_content_is_refused_with_file_key_and_frame(tmp_path: Path, sequence: Sequence, case: str) -> None:
-    break_it, message = BAD[case]
+@pytest.mark.parametrize('case', INVALID)
+def test_invalid_content_is_refused_by_file_key_and_frame(
+    tmp_path: Path, sequence: KeypointSequence, case: str
+) -> None:
+    edit, message = INVALID[case]
     path = tmp_path / 'walk.npz'
     save_sequence(path, sequence)
     with np.load(path) as archive:
         arrays = dict(archive)
-    break_it(arrays)
+    edit(arrays)
     np.savez(path, **arrays)
     with pytest.raises(InputError, match=rf'walk\.npz: {message}') as caught:
         load_sequence(path)
     assert '\n' not in str(caught.value)
 
 
-def test_bad_files_are_refused(tmp_path: Path, sequence: Sequence) -> None:
-    whole = tmp_path / 'walk.npz'
-    save_sequence(whole, sequence)
-    broken = {
-        'cut.npz': whole.read_bytes()[:-700],
+def test_invalid_files_are_refused(tmp_path: Path, sequence: KeypointSequence) -> None:
+    valid = tmp_path / 'walk.npz'
+    save_sequence(valid, sequence)
+    invalid = {
+        'cut.npz': valid.read_bytes()[:-700],
         'text.npz': b'keypoints: none',
         'empty.npz': b'',
     }
-    for name, content in broken.items():
+    for name, content in invalid.items():
         path = tmp_path / name
         path.write_bytes(content)
         with pytest.raises(InputError, match=f'{name}: not a sequence file') as caught:
@@ -191,11 +194,6 @@ def test_bad_files_are_refused(tmp_path: Path, sequence: Sequence) -> None:
     np.save(tmp_path / 'single.npy', np.zeros(3))
     with pytest.raises(InputError, match=r'single\.npy: not a sequence file'):
         load_sequence(tmp_path / 'single.npy')
-    for bag in (tmp_path / 'bag', tmp_path / 'bag.mcap'):
-        bag.mkdir()
-        (bag / 'bag_0.db3').touch()
-        with pytest.raises(InputError, match=f'{bag.name}: is a bag, expected a sequence file'):
-            load_sequence(bag)
     with pytest.raises(InputError, match='No such file'):
         load_sequence(tmp_path / 'none.npz')
     (tmp_path / 'folder').mkdir()
@@ -208,7 +206,7 @@ def test_bad_files_are_refused(tmp_path: Path, sequence: Sequence) -> None:
         load_sequence(tmp_path / 'bomb.npz')
 
 
-def test_real_files_load() -> None:
+def test_files_of_the_evaluation_data_are_read() -> None:
     files = sorted(shared('data/detections').glob('*.npz'))
     assert files
     for path in files:

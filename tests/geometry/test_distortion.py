@@ -1,4 +1,4 @@
-"""Lenses: undistortion is the inverse of distortion, and bad ones are refused by name."""
+"""Lens distortion: undistortion inverts distortion, and invalid coefficients are refused with a reason."""
 
 import numpy as np
 import pytest
@@ -24,20 +24,20 @@ def test_undistort_inverts_distort(lens: Distortion) -> None:
     assert lens.undistort(shown) == pytest.approx(points, abs=1e-6)
 
 
-def test_equidistant_is_the_angle() -> None:
+def test_equidistant_radius_is_the_angle() -> None:
     shown = Distortion('equidistant', (0.0, 0.0, 0.0, 1e-9)).distort(np.array([1.0, 0.0]))
     assert shown == pytest.approx([np.pi / 4, 0.0], abs=1e-8)
 
 
 @given(st.lists(st.floats(-50, 50), min_size=4, max_size=4), st.sampled_from(['plumb_bob', 'equidistant']))
-def test_any_lens_gives_finite_rays(coefficients: list[float], model: str) -> None:
-    lens = Distortion.named(model, tuple(coefficients))
+def test_any_coefficients_give_finite_rays(coefficients: list[float], model: str) -> None:
+    lens = Distortion.from_coefficients(model, tuple(coefficients))
     assert np.isfinite(lens.undistort(np.array([[0.3, -0.8], [2.0, 5.0], [0.0, 0.0]]))).all()
 
 
-def test_bad_lenses_are_named() -> None:
-    assert Distortion.named('', (0.0, 0.0)) == Distortion()
+def test_invalid_coefficients_are_refused() -> None:
+    assert Distortion.from_coefficients('', (0.0, 0.0)) == Distortion()
     with pytest.raises(InputError, match="'thin_prism': expected plumb_bob, rational_polynomial, equidistant"):
-        Distortion.named('thin_prism', (0.1,))
+        Distortion.from_coefficients('thin_prism', (0.1,))
     with pytest.raises(InputError, match='plumb_bob takes 4 or 5 coefficients, not 2'):
-        Distortion.named('plumb_bob', (0.1, 0.2))
+        Distortion.from_coefficients('plumb_bob', (0.1, 0.2))

@@ -1,7 +1,8 @@
-"""Messages: what is encoded is what a ROS 2 subscriber reads, and bad input is refused by field and person."""
+"""Messages are encoded as a ROS 2 subscriber reads them, and invalid input is refused by field and person."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,11 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
+from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cameras import CAMERAS, encode_cameras
 from mocap_ros.messages.cdr import Header, decode, encode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
-from mocap_ros.messages.markers import MARKERS, MarkerMemory
+from mocap_ros.messages.markers import MARKERS, MarkerEncoder
 from mocap_ros.messages.skeletons import (
     SKELETON_DEFINITION,
     SKELETONS,
@@ -25,19 +27,19 @@ from mocap_ros.messages.skeletons import (
     encode_skeletons,
 )
 from mocap_ros.people import Motion, MotionKind, Person3D
-from mocap_ros.skeleton import CMU15, joint_map, layout
+from mocap_ros.skeleton import CMU15, keypoint_layout
 
 LIMITS = NodeConfig()
 HEADER = Header(12_345_678_901, 'camera')
 SIZE = (640, 480)
 
 
-def person_2d(person_id: str = '', joints: tuple[str, ...] = layout('coco17').joints) -> Person2D:
+def make_person_2d(person_id: str = '', joints: tuple[str, ...] = keypoint_layout('coco17').joints) -> Person2D:
     points = np.arange(2.0 * len(joints)).reshape(-1, 2)
     return Person2D(person_id, joints, points, np.full(len(joints), 0.5))
 
 
-def person_3d(person_id: str, x: float = 0.0) -> Person3D:
+def make_person_3d(person_id: str, x: float = 0.0) -> Person3D:
     joints = np.arange(45.0).reshape(15, 3) + x
     return Person3D(
         id=person_id,
@@ -54,9 +56,9 @@ def person_3d(person_id: str, x: float = 0.0) -> Person3D:
     )
 
 
-@pytest.mark.parametrize('joints', [layout('coco17').joints, ('neck', 'pelvis', 'lknee', 'rknee')])
+@pytest.mark.parametrize('joints', [keypoint_layout('coco17').joints, ('neck', 'pelvis', 'lknee', 'rknee')])
 def test_keypoints_round_trip(joints: tuple[str, ...]) -> None:
-    seen = person_2d('anna', joints)
+    seen = make_person_2d('anna', joints)
     seen.score[1] = 0
     frame = decode_keypoints(encode_keypoints(HEADER, SIZE, [seen]), LIMITS)
     assert frame.header == HEADER
@@ -68,124 +70,134 @@ def test_keypoints_round_trip(joints: tuple[str, ...]) -> None:
     assert np.isnan(person.points[1]).all()
 
 
-def test_nobody_is_a_frame_too() -> None:
+def test_an_image_without_people_is_a_frame() -> None:
     assert decode_keypoints(encode_keypoints(HEADER, SIZE, []), LIMITS).people == ()
 
 
-def altered(change: Any) -> bytes:
-    message = decode(encode_keypoints(HEADER, SIZE, [person_2d('a'), person_2d('b')]), KEYPOINTS)
-    change(message)
+def edit_keypoints(edit: Callable[[Any], None]) -> bytes:
+    """Return a message of two people after an edit."""
+    message = decode(encode_keypoints(HEADER, SIZE, [make_person_2d('a'), make_person_2d('b')]), KEYPOINTS)
+    edit(message)
     return encode(message, KEYPOINTS)
 
 
-def put(field: str, index: int, value: float) -> Any:
-    def change(message: Any) -> None:
+def set_element(field: str, index: int, value: float) -> Callable[[Any], None]:
+    """Return an edit of one element of an array of the second person."""
+
+    def edit(message: Any) -> None:
         values = getattr(message.people[1], field).copy()
         values[index] = value
         setattr(message.people[1], field, values)
 
-    return change
+    return edit
 
 
-def put_all(**fields: Any) -> Any:
-    def change(message: Any) -> None:
+def set_fields(**fields: Any) -> Callable[[Any], None]:
+    """Return an edit of fields of the second person."""
+
+    def edit(message: Any) -> None:
         for field, value in fields.items():
             setattr(message.people[1], field, value)
 
-    return change
+    return edit
 
 
-SHARES = {'x': np.linspace(-0.3, 1.2, 17, dtype='f4'), 'y': np.linspace(0, 1, 17, dtype='f4')}
-BAD = {
-    'unequal lengths': (put_all(y=np.zeros(3, 'f4')), r'people\[1\].x, y, score: unequal lengths 17, 3, 17'),
-    'unknown layout': (put_all(skeleton='coco99'), r"people\[1\].skeleton: unknown .* 'coco99'; known: .*coco17"),
-    'joint count': (put_all(skeleton='body25'), r"people\[1\].skeleton: 'body25' has 25 joints, x has 17"),
-    'count of names': (put_all(joint_names=['neck']), r'people\[1\].joint_names: there are 1 joints, x has 17'),
-    'no names': (put_all(skeleton=''), r'people\[1\].skeleton: empty, and no joint_names'),
-    'useless names': (
-        put_all(skeleton='', joint_names=[f'j{i}' for i in range(17)]),
+NORMALISED = {'x': np.linspace(-0.3, 1.2, 17, dtype='f4'), 'y': np.linspace(0, 1, 17, dtype='f4')}
+INVALID = {
+    'unequal lengths': (set_fields(y=np.zeros(3, 'f4')), r'people\[1\].x, y, score: unequal lengths 17, 3, 17'),
+    'unknown layout': (
+        set_fields(skeleton='coco99'),
+        r"people\[1\].skeleton: unknown .* 'coco99'; known: .*coco17",
+    ),
+    'joint count': (set_fields(skeleton='body25'), r"people\[1\].skeleton: 'body25' has 25 joints, x has 17"),
+    'count of names': (set_fields(joint_names=['neck']), r'people\[1\].joint_names: there are 1 joints, x has 17'),
+    'no names': (set_fields(skeleton=''), r'people\[1\].skeleton: empty, and no joint_names'),
+    'unknown names': (
+        set_fields(skeleton='', joint_names=[f'j{i}' for i in range(17)]),
         r'people\[1\].joint_names: .* fewer than four',
     ),
-    'infinite': (put('x', 4, np.inf), r'people\[1\].x\[4\]: inf'),
-    'score far above one': (put('score', 2, 1.3), r'people\[1\].score\[2\]: 1.3'),
-    'shares of the image': (put_all(**SHARES), r'people\[1\].x, y: looks normalised; px expected'),
-    'negative score': (put('score', 2, -1), r'people\[1\].score\[2\]: -1'),
-    'same id twice': (put_all(id='a'), "people: id 'a' twice"),
-    'long id': (put_all(id='x' * 101), r'people\[1\].id: 101 characters, more than 100'),
+    'infinite': (set_element('x', 4, np.inf), r'people\[1\].x\[4\]: inf'),
+    'score far above one': (set_element('score', 2, 1.3), r'people\[1\].score\[2\]: 1.3'),
+    'normalised coordinates': (set_fields(**NORMALISED), r'people\[1\].x, y: looks normalised; px expected'),
+    'negative score': (set_element('score', 2, -1), r'people\[1\].score\[2\]: -1'),
+    'same id twice': (set_fields(id='a'), "people: id 'a' twice"),
+    'long id': (set_fields(id='x' * 101), r'people\[1\].id: 101 characters, more than 100'),
     'negative stamp': (lambda m: setattr(m.header.stamp, 'sec', -1), 'header.stamp: -1 s'),
     'impossible stamp': (lambda m: setattr(m.header.stamp, 'nanosec', 10**9), 'header.stamp: 12 s 1000000000 ns'),
     'too many people': (lambda m: setattr(m, 'people', m.people * 11), 'people: 22, more than 20'),
 }
 
 
-@pytest.mark.parametrize('case', BAD)
-def test_bad_keypoints_are_refused_by_field_and_person(case: str) -> None:
-    change, message = BAD[case]
+@pytest.mark.parametrize('case', INVALID)
+def test_invalid_keypoints_are_refused_by_field_and_person(case: str) -> None:
+    edit, message = INVALID[case]
     with pytest.raises(InputError, match=f'^{message}') as caught:
-        decode_keypoints(altered(change), LIMITS)
+        decode_keypoints(edit_keypoints(edit), LIMITS)
     assert '\n' not in str(caught.value)
 
 
-def test_nan_and_slightly_wrong_scores_are_not_bad() -> None:
-    frame = decode_keypoints(altered(put('x', 3, np.nan)), LIMITS)
+def test_nan_and_scores_slightly_above_one_are_accepted() -> None:
+    frame = decode_keypoints(edit_keypoints(set_element('x', 3, np.nan)), LIMITS)
     assert frame.people[1].score[3] == 0
-    frame = decode_keypoints(altered(put('score', 3, np.nan)), LIMITS)
+    frame = decode_keypoints(edit_keypoints(set_element('score', 3, np.nan)), LIMITS)
     assert frame.people[1].score[3] == 0
-    frame = decode_keypoints(altered(put('score', 3, 1.24)), LIMITS)
+    frame = decode_keypoints(edit_keypoints(set_element('score', 3, 1.24)), LIMITS)
     assert frame.people[1].score[3] == 1
 
 
-def test_joint_names_hold_in_any_spelling_whatever_the_skeleton_says() -> None:
+def test_joint_names_in_any_spelling_override_the_layout() -> None:
     names = [
         'nose',
         'Neck',
         *(f'{side}_{part}' for side in ('left', 'right') for part in ('hip', 'knee', 'ankle')),
     ]
-    eight = {field: np.arange(8, dtype='f4') / 8 * most for field, most in (('x', 90), ('y', 90), ('score', 1))}
-    frame = decode_keypoints(altered(put_all(skeleton='mine', joint_names=names, **eight)), LIMITS)
-    mapped, _ = joint_map(frame.people[1].joints).apply(frame.people[1].points, frame.people[1].score)
-    np.testing.assert_array_equal(mapped[CMU15.index('rankle')], [eight['x'][7], eight['y'][7]])
+    values = {
+        field: np.arange(8, dtype='f4') / 8 * maximum for field, maximum in (('x', 90), ('y', 90), ('score', 1))
+    }
+    frame = decode_keypoints(edit_keypoints(set_fields(skeleton='unknown', joint_names=names, **values)), LIMITS)
+    mapped, _ = build_joint_map(frame.people[1].joints).apply(frame.people[1].points, frame.people[1].score)
+    np.testing.assert_array_equal(mapped[CMU15.index('rankle')], [values['x'][7], values['y'][7]])
 
 
-def test_shares_of_the_image_are_told_from_px_by_what_is_seen() -> None:
-    few = SHARES | {'score': np.where(np.arange(17) < 3, 0.9, 0).astype('f4')}
-    assert decode_keypoints(altered(put_all(**few)), LIMITS).people
-    tiny = decode(altered(put_all(**SHARES)), KEYPOINTS)
-    tiny.image_width = 16
-    assert decode_keypoints(encode(tiny, KEYPOINTS), LIMITS).people
+def test_normalised_coordinates_are_recognised_only_in_enough_keypoints_of_a_large_image() -> None:
+    few_seen = NORMALISED | {'score': np.where(np.arange(17) < 3, 0.9, 0).astype('f4')}
+    assert decode_keypoints(edit_keypoints(set_fields(**few_seen)), LIMITS).people
+    small_image = decode(edit_keypoints(set_fields(**NORMALISED)), KEYPOINTS)
+    small_image.image_width = 16
+    assert decode_keypoints(encode(small_image, KEYPOINTS), LIMITS).people
 
 
 def test_too_many_joints_and_bytes_are_refused() -> None:
     few = replace(LIMITS, max_joints=10)
     with pytest.raises(InputError, match=r'people\[0\].x: 17 joints, more than 10'):
-        decode_keypoints(encode_keypoints(HEADER, SIZE, [person_2d()]), few)
+        decode_keypoints(encode_keypoints(HEADER, SIZE, [make_person_2d()]), few)
     with pytest.raises(InputError, match='more than the limits allow'):
         decode_keypoints(bytes(100_000_000), LIMITS)
 
 
-WHOLE = encode_keypoints(HEADER, SIZE, [person_2d('a'), person_2d('b')])
+VALID = encode_keypoints(HEADER, SIZE, [make_person_2d('a'), make_person_2d('b')])
 
 
 @given(st.one_of(st.binary(max_size=300), st.binary(max_size=300).map(lambda b: b'\0\1\0\0' + b)))
 def test_any_bytes_are_a_frame_or_refused(raw: bytes) -> None:
-    check_any(raw)
+    check_frame_or_refusal(raw)
 
 
-@given(st.lists(st.tuples(st.integers(0, len(WHOLE) - 1), st.integers(0, 255)), max_size=8))
+@given(st.lists(st.tuples(st.integers(0, len(VALID) - 1), st.integers(0, 255)), max_size=8))
 def test_any_damage_is_a_frame_or_refused(damage: list[tuple[int, int]]) -> None:
-    raw = bytearray(WHOLE)
+    raw = bytearray(VALID)
     for at, value in damage:
         raw[at] = value
-    check_any(bytes(raw))
+    check_frame_or_refusal(bytes(raw))
 
 
-@given(st.integers(0, len(WHOLE) - 5))
+@given(st.integers(0, len(VALID) - 5))
 def test_a_truncated_message_is_refused(length: int) -> None:
     with pytest.raises(InputError, match='not a mocap_ros_msgs/msg/Keypoints2DArray'):
-        decode_keypoints(WHOLE[:length], LIMITS)
+        decode_keypoints(VALID[:length], LIMITS)
 
 
-def check_any(raw: bytes) -> None:
+def check_frame_or_refusal(raw: bytes) -> None:
     try:
         frame = decode_keypoints(raw, LIMITS)
     except InputError:
@@ -199,7 +211,7 @@ def check_any(raw: bytes) -> None:
 
 
 def test_skeletons_and_cameras_hold_the_people() -> None:
-    people = [person_3d('anna'), person_3d('bob', 7.0)]
+    people = [make_person_3d('anna'), make_person_3d('bob', 7.0)]
     skeletons = decode(encode_skeletons(HEADER, people), SKELETONS)
     cameras = decode(encode_cameras(HEADER, people), CAMERAS)
     assert (skeletons.header.stamp.sec, skeletons.header.stamp.nanosec) == (12, 345678901)
@@ -213,8 +225,8 @@ def test_skeletons_and_cameras_hold_the_people() -> None:
         assert message.motion.state == message.motion.UNKNOWN
         assert message.scale_source == message.SCALE_KNOWN
         q = camera.rotation
-        turned = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply(body)
-        expected = camera.scale * turned[:2] + camera.translation
+        rotated = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply(body)
+        expected = camera.scale * rotated[:2] + camera.translation
         np.testing.assert_allclose(camera.matrix.reshape(2, 4) @ [*body, 1], expected, atol=1e-9)
         assert repr(message.camera) == repr(camera)
 
@@ -227,15 +239,16 @@ def test_skeleton_definition_names_the_joints() -> None:
     assert tuple(map(tuple, message.bones.reshape(-1, 2))) == CMU15.bones
 
 
-def drawn(raw: bytes) -> dict[tuple[str, int], Any]:
+def decode_markers(raw: bytes) -> dict[tuple[str, int], Any]:
+    """Return the markers by namespace and number, which no two markers share."""
     markers = decode(raw, MARKERS).markers
     assert len({(m.ns, m.id) for m in markers}) == len(markers)
     return {(m.ns, m.id): m for m in markers}
 
 
-def test_markers_keep_number_and_colour_and_the_lost_are_deleted() -> None:
-    memory = MarkerMemory()
-    first = drawn(memory.update(HEADER, [person_3d('anna'), person_3d('bob')], 0.5))
+def test_people_keep_number_and_colour_and_markers_of_others_are_deleted() -> None:
+    encoder = MarkerEncoder()
+    first = decode_markers(encoder.encode_update(HEADER, [make_person_3d('anna'), make_person_3d('bob')], 0.5))
     assert {(m.ns, m.type, m.action) for m in first.values()} == {('joints', 7, 0), ('bones', 5, 0)}
     assert first['joints', 0].lifetime.nanosec == 500_000_000
     assert repr(first['joints', 0].color) != repr(first['joints', 1].color)
@@ -243,47 +256,47 @@ def test_markers_keep_number_and_colour_and_the_lost_are_deleted() -> None:
     assert [c.a < 1 for c in joints.colors] == [i == 2 for i in range(15)]
     assert len(bones.points) == len(bones.colors) == 2 * len(CMU15.bones)
 
-    second = drawn(memory.update(HEADER, [person_3d('bob')], 0.5))
+    second = decode_markers(encoder.encode_update(HEADER, [make_person_3d('bob')], 0.5))
     assert {key: m.action for key, m in second.items()} == {
         ('joints', 0): 2, ('bones', 0): 2, ('joints', 1): 0, ('bones', 1): 0,
     }  # fmt: skip
     assert repr(second['joints', 1].color) == repr(first['joints', 1].color)
-    assert {m.action for m in drawn(memory.update(HEADER, [], 0.5)).values()} == {2}
-    assert drawn(memory.update(HEADER, [], 0.5)) == {}
-    assert {m.action for m in drawn(memory.clear(HEADER)).values()} == {3}
+    assert {m.action for m in decode_markers(encoder.encode_update(HEADER, [], 0.5)).values()} == {2}
+    assert decode_markers(encoder.encode_update(HEADER, [], 0.5)) == {}
+    assert {m.action for m in decode_markers(encoder.encode_clear(HEADER)).values()} == {3}
 
 
 @pytest.mark.ros
-def test_rclpy_reads_the_same_and_the_types_are_the_same() -> None:
+def test_rclpy_decodes_the_same_content() -> None:
     pytest.importorskip('rclpy')
     from rclpy.serialization import deserialize_message
 
-    from mocap_ros.ros.message_types import interface_class
+    from mocap_ros.ros.message_types import load_interface_class
 
-    people = [person_3d('anna'), person_3d('bob')]
+    people = [make_person_3d('anna'), make_person_3d('bob')]
     outputs = {
-        KEYPOINTS: WHOLE,
+        KEYPOINTS: VALID,
         SKELETONS: encode_skeletons(HEADER, people),
         CAMERAS: encode_cameras(HEADER, people),
-        MARKERS: MarkerMemory().update(HEADER, people, 0.5),
+        MARKERS: MarkerEncoder().encode_update(HEADER, people, 0.5),
         SKELETON_DEFINITION: encode_skeleton_definition(CMU15),
     }
     for msgtype, raw in outputs.items():
-        ours, theirs = decode(raw, msgtype), deserialize_message(raw, interface_class(msgtype))
-        assert plain(ours) == plain(theirs)
+        own_message, ros_message = decode(raw, msgtype), deserialize_message(raw, load_interface_class(msgtype))
+        assert flatten_message(own_message) == flatten_message(ros_message)
 
 
-def plain(value: Any) -> Any:
-    """A message of either library as nested lists; NaN as text."""
+def flatten_message(value: Any) -> Any:
+    """Return a message of either library as nested lists, with floats as text."""
     if hasattr(value, 'get_fields_and_field_types'):
-        return [plain(getattr(value, f)) for f in value.get_fields_and_field_types()]
+        return [flatten_message(getattr(value, f)) for f in value.get_fields_and_field_types()]
     if hasattr(value, '__msgtype__'):
         _, fields = typestore().fielddefs[value.__msgtype__]
-        return [plain(getattr(value, name)) for name, _ in fields]
+        return [flatten_message(getattr(value, name)) for name, _ in fields]
     if isinstance(value, str | int):
         return value
     if isinstance(value, float):
         return repr(float(np.float32(value)))
     if isinstance(value, np.generic):
-        return plain(value.item())
-    return [plain(v) for v in value]
+        return flatten_message(value.item())
+    return [flatten_message(v) for v in value]

@@ -1,4 +1,4 @@
-"""Training recovers a known linear model; files keep it; anything that is not a model is refused."""
+"""Training recovers a linear model, files preserve it, and anything that is not a model is refused."""
 
 import contextlib
 import io
@@ -15,26 +15,26 @@ from hypothesis import strategies as st
 
 from mocap_ros.errors import ModelError
 from mocap_ros.geometry import rotations
-from mocap_ros.geometry.rotations import small_rotation
+from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.models import base_poses, model_file
 from mocap_ros.skeleton import CMU15
-from mocap_ros.training.base_poses import fit_base_poses, with_bone_lengths
+from mocap_ros.training.base_poses import fit_base_poses, scale_bones
 
 
-def synthetic(rng: np.random.Generator, model: base_poses.BasePoses, k: int = 3) -> base_poses.Array:
+def make_poses(rng: np.random.Generator, model: base_poses.BasePoses, k: int = 3) -> base_poses.Array:
     theta = rng.normal(size=(400, k)) * model.std[:k]
-    turn = small_rotation(np.outer(rng.uniform(-3, 3, 400), [0, 0, 1]))
-    return model.poses(theta) @ np.swapaxes(turn, -1, -2) + rng.normal(size=(400, 1, 3))
+    rotation = rotation_from_vector(np.outer(rng.uniform(-3, 3, 400), [0, 0, 1]))
+    return model.poses(theta) @ np.swapaxes(rotation, -1, -2) + rng.normal(size=(400, 1, 3))
 
 
 @pytest.mark.parametrize('alignment', ['rotation', 'heading'])
 def test_fit_spans_the_poses_it_was_trained_on(
     rng: np.random.Generator, walk_model: base_poses.BasePoses, alignment: str
 ) -> None:
-    poses = synthetic(rng, walk_model)
+    poses = make_poses(rng, walk_model)
     model = fit_base_poses([poses], alignment=alignment)
-    align = rotations.rotation_to if alignment == 'rotation' else rotations.heading_to
-    body = rotations.centred(poses)
+    align = rotations.fit_rotation if alignment == 'rotation' else rotations.fit_heading_rotation
+    body = rotations.centre_poses(poses)
     body = body @ np.swapaxes(align(body, model.mean), -1, -2)
     assert np.abs(model.poses(model.weights(body)) - body).max() < 1e-3
     flat = model.components.reshape(len(model.std), -1)
@@ -43,11 +43,11 @@ def test_fit_spans_the_poses_it_was_trained_on(
     assert model.explained[2] > 0.99
 
 
-def test_heading_fit_is_the_same_whichever_way_the_walkers_went(
+def test_heading_alignment_does_not_depend_on_the_walking_direction(
     rng: np.random.Generator, walk_model: base_poses.BasePoses
 ) -> None:
-    poses = synthetic(rng, walk_model)
-    turned = poses @ small_rotation(np.array([0, 0, 2.0])).T
+    poses = make_poses(rng, walk_model)
+    turned = poses @ rotation_from_vector(np.array([0, 0, 2.0])).T
     a, b = (fit_base_poses([p], alignment='heading') for p in (poses, turned))
     assert a.mean == pytest.approx(b.mean, abs=1e-5)
     assert a.components[:3] == pytest.approx(b.components[:3], abs=1e-4)
@@ -55,29 +55,29 @@ def test_heading_fit_is_the_same_whichever_way_the_walkers_went(
 
 def test_stature_and_bone_lengths(walk_model: base_poses.BasePoses) -> None:
     assert 1.5 < walk_model.stature < 1.85
-    assert walk_model.rescaled(0.5).stature == pytest.approx(walk_model.stature / 2)
-    longer = with_bone_lengths(walk_model.mean, CMU15, np.full(14, 1.1))
+    assert walk_model.rescale(0.5).stature == pytest.approx(walk_model.stature / 2)
+    longer = scale_bones(walk_model.mean, CMU15, np.full(14, 1.1))
     assert longer - longer[8] == pytest.approx(1.1 * (walk_model.mean - walk_model.mean[8]))
 
 
 def test_mirrored_training_gives_a_symmetric_mean(
     rng: np.random.Generator, walk_model: base_poses.BasePoses
 ) -> None:
-    model = fit_base_poses([synthetic(rng, walk_model)], alignment='heading', mirror=True)
-    assert model.mean == pytest.approx(base_poses.mirrored(model.mean, CMU15), abs=2e-3)
+    model = fit_base_poses([make_poses(rng, walk_model)], alignment='heading', mirror=True)
+    assert model.mean == pytest.approx(base_poses.mirror_poses(model.mean, CMU15), abs=2e-3)
 
 
 def test_save_and_load(tmp_path: Path, walk_model: base_poses.BasePoses) -> None:
     model_file.save_base_poses(walk_model, tmp_path / 'a.npz')
     model_file.save_base_poses(walk_model, tmp_path / 'b.npz')
     assert (tmp_path / 'a.npz').read_bytes() == (tmp_path / 'b.npz').read_bytes()
-    back = model_file.load_base_poses(tmp_path / 'a.npz')
-    assert back.components == pytest.approx(walk_model.components, abs=1e-6)
-    assert back.provenance == walk_model.provenance
+    loaded = model_file.load_base_poses(tmp_path / 'a.npz')
+    assert loaded.components == pytest.approx(walk_model.components, abs=1e-6)
+    assert loaded.provenance == walk_model.provenance
 
 
 @pytest.mark.parametrize('name', ['walk', 'run', 'jump', 'all'])
-def test_shipped_models_say_where_they_come_from(name: str) -> None:
+def test_shipped_models_have_provenance_and_axes(name: str) -> None:
     model = model_file.load_base_poses(name)
     assert model.name == name
     assert len(model.std) >= 30
@@ -87,7 +87,7 @@ def test_shipped_models_say_where_they_come_from(name: str) -> None:
     assert model.mean[CMU15.index('lknee')][0] > model.mean[CMU15.index('lankle')][0], 'front is +x'
 
 
-def test_what_is_no_model_is_refused(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_files_that_are_not_models_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
     path = tmp_path / 'm.npz'
     for data in (b'', b'PK\x03\x04 not really', rng.bytes(2000)):
         path.write_bytes(data)
@@ -100,7 +100,7 @@ def test_what_is_no_model_is_refused(tmp_path: Path, rng: np.random.Generator) -
         model_file.load_base_poses('moonwalk')
 
 
-def test_bad_training_data_is_named(walk_model: base_poses.BasePoses) -> None:
+def test_invalid_training_data_is_refused_by_name(walk_model: base_poses.BasePoses) -> None:
     def bodies(count: int) -> base_poses.Array:
         return np.repeat(walk_model.mean[None], count, axis=0)
 
@@ -121,7 +121,7 @@ def test_bad_training_data_is_named(walk_model: base_poses.BasePoses) -> None:
 
 
 def model_bytes(model: base_poses.BasePoses, meta: dict[str, Any], **arrays: Any) -> bytes:
-    """A model's file with some of its content replaced."""
+    """Return the bytes of a model's file with some entries replaced."""
     buffer = io.BytesIO()
     model_file.save_base_poses(model, buffer)
     with np.load(io.BytesIO(buffer.getvalue())) as archive:
@@ -134,10 +134,10 @@ def model_bytes(model: base_poses.BasePoses, meta: dict[str, Any], **arrays: Any
 
 BAD_MODELS: dict[str, tuple[dict[str, Any], Callable[[base_poses.BasePoses], dict[str, Any]], str]] = {
     'format': ({'format': 'x'}, lambda _: {}, "format 'x'"),
-    'provenance': ({'provenance': [1]}, lambda _: {}, 'provenance: no mapping'),
-    'name': ({'name': 'x' * 101}, lambda _: {}, 'name: no short text'),
+    'provenance': ({'provenance': [1]}, lambda _: {}, 'provenance: expected a mapping'),
+    'name': ({'name': 'x' * 101}, lambda _: {}, 'name: expected a text of at most 100 characters'),
     'stature': ({'stature': 170}, lambda _: {}, 'stature: 170, expected'),
-    'stature of nobody': ({'stature': math.nan}, lambda _: {}, 'stature: nan'),
+    'stature not a number': ({'stature': math.nan}, lambda _: {}, 'stature: nan'),
     'stature as text': ({'stature': 'tall'}, lambda _: {}, 'could not convert'),
     'skeleton': ({'skeleton': 'coco17'}, lambda _: {}, 'skeleton: coco17, expected cmu15'),
     'unknown skeleton': ({'skeleton': 3}, lambda _: {}, 'unknown keypoint layout 3'),
@@ -147,7 +147,7 @@ BAD_MODELS: dict[str, tuple[dict[str, Any], Callable[[base_poses.BasePoses], dic
     'none': ({}, lambda m: {'std': m.std[:0], 'components': m.components[:0], 'explained': m.std[:0]}, 'shape'),
     'zero': ({}, lambda m: {'std': m.std * 0}, 'std: outside'),
     'infinite': ({}, lambda m: {'std': m.std / 0.0}, 'std: numbers that are not finite'),
-    'rising': ({}, lambda m: {'std': m.std[::-1]}, 'std: not falling'),
+    'rising': ({}, lambda m: {'std': m.std[::-1]}, 'std: not decreasing'),
     'long': ({}, lambda m: {'components': m.components * 2}, 'components: not orthonormal'),
     'oblique': (
         {},
@@ -161,20 +161,20 @@ BAD_MODELS: dict[str, tuple[dict[str, Any], Callable[[base_poses.BasePoses], dic
 
 
 @pytest.mark.parametrize('case', BAD_MODELS)
-def test_models_are_checked_in_full(walk_model: base_poses.BasePoses, case: str) -> None:
+def test_every_value_of_a_model_is_checked(walk_model: base_poses.BasePoses, case: str) -> None:
     meta, arrays, message = BAD_MODELS[case]
     with np.errstate(divide='ignore'):
         data = model_bytes(walk_model, meta, **arrays(walk_model))
     with pytest.raises(ModelError, match=rf'm\.npz: not a base-pose model \(.*{message}') as caught:
-        model_file.base_poses_from_bytes(data, 'm.npz')
+        model_file.decode_base_poses(data, 'm.npz')
     assert 'pickle' not in str(caught.value)
 
 
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_a_mangled_model_is_read_or_refused(walk_model: base_poses.BasePoses, data: st.DataObject) -> None:
+def test_a_corrupted_model_is_read_or_refused(walk_model: base_poses.BasePoses, data: st.DataObject) -> None:
     content = bytearray(model_bytes(walk_model, {}))
     for _ in range(data.draw(st.integers(1, 4))):
         content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
     with contextlib.suppress(ModelError):
-        assert model_file.base_poses_from_bytes(bytes(content), 'm.npz').skeleton == CMU15
+        assert model_file.decode_base_poses(bytes(content), 'm.npz').skeleton == CMU15

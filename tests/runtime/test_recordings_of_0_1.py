@@ -1,4 +1,4 @@
-"""A bag recorded live by version 0.1 replays: same inputs, same parameters, same people."""
+"""A bag that version 0.1 recorded live gives the same people when it is replayed."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ BAG = ROOT / 'tests' / 'data' / 'recorded_by_0_1'
 FRAMES = 40
 
 
-def people(bag: Path) -> list[dict[str, np.ndarray]]:
-    """The joints (J, 3) m of everybody in each message on /skeletons, by id."""
+def read_people(bag: Path) -> list[dict[str, np.ndarray]]:
+    """Return the joints (J, 3) in m of all people in each message on /skeletons, by id."""
     with AnyReader([bag]) as reader:
         connections = [c for c in reader.connections if c.topic == '/skeletons']
         messages = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(connections)]
@@ -34,12 +34,12 @@ def test_it_replays_with_the_parameters_it_was_recorded_with(tmp_path: Path) -> 
     assert used['tracker.refine_seconds'] == 0.2
     assert used['solver.lifter_flip_factor'] == 0.3
     assert used['tracker.window'] == 1.0
-    recorded, again = people(BAG), people(tmp_path / 'out')
-    assert len(recorded) == len(again) == FRAMES
-    for before, now in zip(recorded, again, strict=True):
-        assert before.keys() == now.keys()
+    recorded, replayed = read_people(BAG), read_people(tmp_path / 'out')
+    assert len(recorded) == len(replayed) == FRAMES
+    for before, after in zip(recorded, replayed, strict=True):
+        assert before.keys() == after.keys()
         for person in before:
-            np.testing.assert_allclose(now[person], before[person], rtol=0, atol=1e-9)
+            np.testing.assert_allclose(after[person], before[person], rtol=0, atol=1e-9)
 
 
 def test_every_renamed_parameter_exists() -> None:

@@ -1,4 +1,4 @@
-"""Replay of other people's bags, of several, and of what was interrupted."""
+"""Replays of bags of every storage, version and origin, of several bags, and after an interruption."""
 
 from __future__ import annotations
 
@@ -21,51 +21,53 @@ from mocap_ros.bags.journal import JOURNAL, KEY_VALUE
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.cli.main import main
-from mocap_ros.config import Config, RecorderConfig, from_yaml, with_values
-from mocap_ros.demo.scene import make_recording
+from mocap_ros.config import RecorderConfig, from_yaml, with_values
 from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.messages import cdr
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import decode, encode, new, typestore
+from mocap_ros.messages.cdr import create_message, decode, encode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.runtime.replay import ReplayOptions, replay
-from mocap_ros.runtime.sequence_messages import sequence_samples
 from tests.support.camera_infos import camera_info
+from tests.support.pipeline_inputs import FAST_CONFIG, FAST_VALUES, encode_demo_frames
 
-FAST = {'tracker.model': 'walk', 'tracker.components': 8, 'tracker.iterations': 1}
-OPTIONS = ReplayOptions(with_values(Config(), FAST))
+OPTIONS = ReplayOptions(FAST_CONFIG)
+FAST_ARGUMENTS = [word for name, value in FAST_VALUES.items() for word in ('--set', f'{name}={value}')]
 FRAMES = 12
-START = 1_700_000_000_000_000_000
+MIN_SIZE_WITH_MESSAGES = 60_000  # bytes; the attachments of a bag take about 20,000
+STEP_NS = 33_000_000  # between two frames; about 30 Hz
+START_NS = 1_700_000_000_000_000_000  # since the epoch
 
 
 @pytest.fixture(scope='module')
 def stream() -> list[bytes]:
-    return [s.raw for s in islice(sequence_samples(make_recording().sequence()), FRAMES)]
+    return encode_demo_frames(FRAMES)
 
 
 @pytest.fixture(scope='module')
 def skeletons(stream: list[bytes], tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
-    """What a bag of ours gives."""
+    """Return the skeletons that the replay of a bag of this package gives."""
     folder = tmp_path_factory.mktemp('ours')
-    write(folder / 'bag', stream)
-    return replayed(folder / 'bag', folder / 'out')
+    write_bag(folder / 'bag', stream)
+    return replay_skeletons(folder / 'bag', folder / 'out')
 
 
-def write(folder: Path, stream: list[bytes]) -> None:
+def write_bag(folder: Path, stream: list[bytes]) -> None:
     with Recorder(folder, RecorderConfig()) as recorder:
-        recorder.write('/camera_info', CAMERA_INFO, camera_info(), START, START)
+        recorder.write('/camera_info', CAMERA_INFO, camera_info(), START_NS, START_NS)
         for i, raw in enumerate(stream):
-            recorder.write('/keypoints', KEYPOINTS, raw, START + i * 33_000_000, START)
+            recorder.write('/keypoints', KEYPOINTS, raw, START_NS + i * STEP_NS, START_NS)
 
 
-def replayed(path: Path, out: Path, options: ReplayOptions = OPTIONS) -> list[bytes]:
+def replay_skeletons(path: Path, out: Path, options: ReplayOptions = OPTIONS) -> list[bytes]:
     with Bag(path) as bag:
         replay(bag, out, options)
     with Bag(out) as bag:
         return [m.raw for m in bag.messages(['/skeletons'])]
 
 
-KINDS: list[Any] = [
+# Metadata version, storage plugin and compression of a bag.
+BAG_KINDS: list[Any] = [
     (8, StoragePlugin.SQLITE3, CompressionMode.NONE),
     (9, StoragePlugin.SQLITE3, CompressionMode.FILE),
     (8, StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
@@ -76,8 +78,8 @@ KINDS: list[Any] = [
 ]
 
 
-@pytest.mark.parametrize(('version', 'storage', 'compression'), KINDS)
-def test_bags_of_every_storage_and_version_give_the_same(
+@pytest.mark.parametrize(('version', 'storage', 'compression'), BAG_KINDS)
+def test_bags_of_every_storage_and_version_give_the_same_skeletons(
     tmp_path: Path, stream: list[bytes], skeletons: list[bytes], version: Any, storage: Any, compression: Any
 ) -> None:
     writer = Writer(tmp_path / 'bag', version=version, storage_plugin=storage)
@@ -85,20 +87,20 @@ def test_bags_of_every_storage_and_version_give_the_same(
     with writer:
         camera = writer.add_connection('/camera_info', CAMERA_INFO, typestore=typestore())
         points = writer.add_connection('/people/keypoints', KEYPOINTS, typestore=typestore())
-        writer.write(camera, START, camera_info())
+        writer.write(camera, START_NS, camera_info())
         for i, raw in enumerate(stream):
-            writer.write(points, START + i * 33_000_000, raw)
-    assert replayed(tmp_path / 'bag', tmp_path / 'out') == skeletons
+            writer.write(points, START_NS + i * STEP_NS, raw)
+    assert replay_skeletons(tmp_path / 'bag', tmp_path / 'out') == skeletons
     bare = [f for f in (tmp_path / 'bag').iterdir() if f.suffix in ('.db3', '.mcap')]
     if bare and compression in (CompressionMode.NONE, CompressionMode.STORAGE):
-        assert replayed(bare[0], tmp_path / 'out2') == skeletons
+        assert replay_skeletons(bare[0], tmp_path / 'out2') == skeletons
 
 
 @pytest.mark.parametrize('compression', [None, *Ros1Writer.CompressionFormat])
-def test_a_bag_of_ros_1_gives_the_same(
+def test_a_bag_of_ros_1_gives_the_same_skeletons(
     tmp_path: Path, stream: list[bytes], skeletons: list[bytes], compression: Any
 ) -> None:
-    """With the header and the CameraInfo of ROS 1, which differ from ours."""
+    """The bag has the header and the CameraInfo of ROS 1, which differ from those of ROS 2."""
     store = get_typestore(Stores.ROS1_NOETIC)
     texts = {Path(f).stem: f.read_text() for f in (Path(cdr.__file__).parent / 'msg').glob('Keypoints*.msg')}
     own: dict[str, Any] = {}
@@ -111,12 +113,12 @@ def test_a_bag_of_ros_1_gives_the_same(
     with writer:
         camera = writer.add_connection('/camera_info', CAMERA_INFO, typestore=store)
         points = writer.add_connection('/keypoints', KEYPOINTS, typestore=store)
-        writer.write(camera, START, store.serialize_ros1(ros1_camera_info(store), CAMERA_INFO))
+        writer.write(camera, START_NS, store.serialize_ros1(ros1_camera_info(store), CAMERA_INFO))
         for i, raw in enumerate(stream):
             message = decode(raw, KEYPOINTS)
             message.header = ros1_header(store, message.header)
-            writer.write(points, START + i * 33_000_000, store.serialize_ros1(message, KEYPOINTS))
-    assert replayed(tmp_path / 'old.bag', tmp_path / 'out') == skeletons
+            writer.write(points, START_NS + i * STEP_NS, store.serialize_ros1(message, KEYPOINTS))
+    assert replay_skeletons(tmp_path / 'old.bag', tmp_path / 'out') == skeletons
 
 
 def ros1_header(store: Typestore, header: Any) -> Any:
@@ -124,15 +126,16 @@ def ros1_header(store: Typestore, header: Any) -> Any:
 
 
 def ros1_camera_info(store: Typestore) -> Any:
-    ours = decode(camera_info(), CAMERA_INFO)
+    ros2 = decode(camera_info(), CAMERA_INFO)
     values = {
-        f: getattr(ours, f.lower() if len(f) == 1 else f)
+        f: getattr(ros2, f.lower() if len(f) == 1 else f)
         for f in store.types[CAMERA_INFO].__dataclass_fields__
         if f != '__msgtype__'
     }
-    return store.types[CAMERA_INFO](**{**values, 'header': ros1_header(store, ours.header)})
+    return store.types[CAMERA_INFO](**{**values, 'header': ros1_header(store, ros2.header)})
 
 
+# Definitions of the package's messages in another version.
 OTHER_VERSION = {
     'mocap_ros_msgs/msg/Keypoints2D': """
         string id
@@ -151,17 +154,17 @@ OTHER_VERSION = {
 }
 
 
-def test_another_version_of_a_message_is_taken_by_the_names_of_its_fields(
+def test_another_version_of_a_message_is_converted_by_the_names_of_its_fields(
     tmp_path: Path, stream: list[bytes], skeletons: list[bytes]
 ) -> None:
-    """As our messages may look to a later version of this package: one field less, one more, another order."""
+    """The type has one field less, one more, and another order, as in a later version of this package."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in OTHER_VERSION.items():
         store.register(get_types_from_msg(text, name))
     with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         camera = writer.add_connection('/camera_info', CAMERA_INFO, typestore=store)
         points = writer.add_connection('/keypoints', KEYPOINTS, typestore=store)
-        writer.write(camera, START, camera_info())
+        writer.write(camera, START_NS, camera_info())
         for i, raw in enumerate(stream):
             m = decode(raw, KEYPOINTS)
             person = store.types['mocap_ros_msgs/msg/Keypoints2D']
@@ -171,69 +174,72 @@ def test_another_version_of_a_message_is_taken_by_the_names_of_its_fields(
             other = store.types[KEYPOINTS](
                 header=m.header, people=people, image_height=m.image_height, image_width=m.image_width
             )
-            writer.write(points, START + i * 33_000_000, store.serialize_cdr(other, KEYPOINTS))
+            writer.write(points, START_NS + i * STEP_NS, store.serialize_cdr(other, KEYPOINTS))
     for path in (tmp_path / 'bag', tmp_path / 'bag' / 'bag.mcap'):
-        assert replayed(path, tmp_path / f'{path.name}.out') == skeletons
+        assert replay_skeletons(path, tmp_path / f'{path.name}.out') == skeletons
 
 
-def test_the_camera_info_beside_the_keypoints_is_taken(tmp_path: Path, stream: list[bytes]) -> None:
+def test_the_camera_info_in_the_namespace_of_the_keypoints_is_used(tmp_path: Path, stream: list[bytes]) -> None:
     with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
         for camera, width in (('left', 640), ('right', 1280)):
-            recorder.write(f'/{camera}/camera_info', CAMERA_INFO, camera_info(width), START, START)
+            recorder.write(f'/{camera}/camera_info', CAMERA_INFO, camera_info(width), START_NS, START_NS)
         for i, raw in enumerate(stream):
-            recorder.write('/left/keypoints', KEYPOINTS, raw, START + i, START)
-    assert len(replayed(tmp_path / 'bag', tmp_path / 'out')) == FRAMES
+            recorder.write('/left/keypoints', KEYPOINTS, raw, START_NS + i, START_NS)
+    assert len(replay_skeletons(tmp_path / 'bag', tmp_path / 'out')) == FRAMES
     options = ReplayOptions(OPTIONS.config, camera_info='/right/camera_info')
-    assert replayed(tmp_path / 'bag', tmp_path / 'wrong', options) == []  # 1280 px: every frame is refused
+    # CameraInfo is for 1280 px: every frame is rejected
+    assert replay_skeletons(tmp_path / 'bag', tmp_path / 'wrong', options) == []
     with pytest.raises(InputError, match='no CameraInfo on /up; there is /left/camera_info, /right/camera_info'):
-        replayed(tmp_path / 'bag', tmp_path / 'none', ReplayOptions(camera_info='/up'))
+        replay_skeletons(tmp_path / 'bag', tmp_path / 'none', ReplayOptions(camera_info='/up'))
 
 
 def test_a_split_bag_and_each_of_its_files_replay(
     tmp_path: Path, stream: list[bytes], skeletons: list[bytes]
 ) -> None:
-    write(tmp_path / 'bag', stream)
-    config = with_values(Config(), {**FAST, 'recorder.split_seconds': 0.1})
-    assert replayed(tmp_path / 'bag', tmp_path / 'split', ReplayOptions(config)) == skeletons
+    write_bag(tmp_path / 'bag', stream)
+    config = with_values(FAST_CONFIG, {'recorder.split_seconds': 0.1})
+    assert replay_skeletons(tmp_path / 'bag', tmp_path / 'split', ReplayOptions(config)) == skeletons
     files = sorted((tmp_path / 'split').glob('*.mcap'))
     assert len(files) > 2
-    assert replayed(tmp_path / 'split', tmp_path / 'again', ReplayOptions()) == skeletons
+    assert replay_skeletons(tmp_path / 'split', tmp_path / 'again', ReplayOptions()) == skeletons
     for file in files:
-        assert replayed(file, tmp_path / f'{file.stem}.out', ReplayOptions())
+        assert replay_skeletons(file, tmp_path / f'{file.stem}.out', ReplayOptions())
 
 
-def test_the_bag_says_what_it_was_made_with(tmp_path: Path, stream: list[bytes]) -> None:
+def test_the_bag_holds_parameters_versions_and_origin_of_the_models(tmp_path: Path, stream: list[bytes]) -> None:
     import json
 
     from mcap.reader import make_reader
 
-    write(tmp_path / 'bag', stream)
-    replayed(tmp_path / 'bag', tmp_path / 'out')
+    write_bag(tmp_path / 'bag', stream)
+    replay_skeletons(tmp_path / 'bag', tmp_path / 'out')
     with (tmp_path / 'out' / 'out_0.mcap').open('rb') as file:
         found = {a.name: a.data for a in make_reader(file).iter_attachments()}
     assert from_yaml(found['mocap_ros.yaml'].decode(), 'x') == OPTIONS.config
-    told = json.loads(found['provenance.json'])
-    assert told['versions']['mocap_ros']
-    assert told['models']['walk']['provenance']
+    provenance = json.loads(found['provenance.json'])
+    assert provenance['versions']['mocap_ros']
+    assert provenance['models']['walk']['provenance']
 
 
 @pytest.mark.parametrize(
     'values', [{}, {'input': '1e999'}, {'input': '[' * 5000}, {'input': '1', 'lost': '"many"'}]
 )
-def test_what_looks_like_a_journal_and_is_none_is_named(
+def test_an_invalid_journal_is_reported_with_its_topic(
     values: dict[str, str], tmp_path: Path, stream: list[bytes]
 ) -> None:
-    pairs = [new(KEY_VALUE, key=k, value=v) for k, v in values.items()]
-    line = new(JOURNAL, level=0, name='lost', message='', hardware_id='', values=pairs)
+    pairs = [create_message(KEY_VALUE, key=k, value=v) for k, v in values.items()]
+    line = create_message(JOURNAL, level=0, name='lost', message='', hardware_id='', values=pairs)
     with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        recorder.write('/keypoints', KEYPOINTS, stream[0], START, START)
-        recorder.write('/other/journal', JOURNAL, encode(line, JOURNAL), START, START)
-    with pytest.raises(InputError, match=r'^.*bag: /other/journal: not a line of a journal$'):
-        replayed(tmp_path / 'bag', tmp_path / 'out')
+        recorder.write('/keypoints', KEYPOINTS, stream[0], START_NS, START_NS)
+        recorder.write('/other/journal', JOURNAL, encode(line, JOURNAL), START_NS, START_NS)
+    with pytest.raises(InputError, match=r'^.*bag: /other/journal: the message is not a journal entry$'):
+        replay_skeletons(tmp_path / 'bag', tmp_path / 'out')
 
 
-def test_an_interrupted_replay_is_done_again(tmp_path: Path, stream: list[bytes], skeletons: list[bytes]) -> None:
-    write(tmp_path / 'bag', stream)
+def test_an_interrupted_replay_is_repeated_on_resume(
+    tmp_path: Path, stream: list[bytes], skeletons: list[bytes]
+) -> None:
+    write_bag(tmp_path / 'bag', stream)
 
     def interrupted(found: Any, _: int) -> Any:
         yield from islice(found, 5)
@@ -243,26 +249,24 @@ def test_an_interrupted_replay_is_done_again(tmp_path: Path, stream: list[bytes]
         replay(bag, tmp_path / 'out', OPTIONS, interrupted)
     with Bag(tmp_path / 'out.partial') as bag:
         assert [m.raw for m in bag.messages(['/skeletons'])] == skeletons[:4]
-    with pytest.raises(RecordingError, match=r'out\.partial: left by an interrupted replay; --resume'):
-        replayed(tmp_path / 'bag', tmp_path / 'out')
-    options = [word for name, value in FAST.items() for word in ('--set', f'{name}={value}')]
-    command = ['replay', str(tmp_path / 'bag'), '-o', str(tmp_path / 'out'), '--resume', *options]
+    with pytest.raises(RecordingError, match=r'out\.partial: an interrupted replay left this bag; --resume'):
+        replay_skeletons(tmp_path / 'bag', tmp_path / 'out')
+    command = ['replay', str(tmp_path / 'bag'), '-o', str(tmp_path / 'out'), '--resume', *FAST_ARGUMENTS]
     assert main(command) == 0
     with Bag(tmp_path / 'out') as bag:
         assert [m.raw for m in bag.messages(['/skeletons'])] == skeletons
     assert not (tmp_path / 'out.partial').exists()
-    assert main(command) == 0  # done already
+    assert main(command) == 0  # the bag is complete already
 
 
-def test_several_bags_in_several_processes(
+def test_several_bags_are_replayed_in_several_processes(
     tmp_path: Path, stream: list[bytes], skeletons: list[bytes], capfd: pytest.CaptureFixture[str]
 ) -> None:
     for name in ('a', 'b', 'c'):
-        write(tmp_path / name, stream)
+        write_bag(tmp_path / name, stream)
     (tmp_path / 'b' / 'b_0.mcap').write_bytes(b'')
-    options = [word for name, value in FAST.items() for word in ('--set', f'{name}={value}')]
     bags = [str(tmp_path / name) for name in ('a', 'b', 'c')]
-    assert main(['replay', *bags, '-o', str(tmp_path / 'out'), '--jobs', '2', *options]) == 1
+    assert main(['replay', *bags, '-o', str(tmp_path / 'out'), '--jobs', '2', *FAST_ARGUMENTS]) == 1
     out, err = capfd.readouterr()
     assert len(out.splitlines()) == 2
     (line,) = err.splitlines()
@@ -272,19 +276,19 @@ def test_several_bags_in_several_processes(
             assert [m.raw for m in bag.messages(['/skeletons'])] == skeletons
 
 
-def test_ctrl_c_ends_every_process_and_leaves_bags_that_can_be_read(tmp_path: Path, stream: list[bytes]) -> None:
-    long = [raw for _ in range(300) for raw in stream]
+def test_an_interrupt_ends_every_process_and_leaves_readable_bags(tmp_path: Path, stream: list[bytes]) -> None:
+    repeated = [raw for _ in range(300) for raw in stream]
     for name in ('a', 'b'):
-        write(tmp_path / name, long)
+        write_bag(tmp_path / name, repeated)
     command = [sys.executable, '-m', 'mocap_ros.cli.main', 'replay', 'a', 'b', '-o', 'out', '--jobs', '2']
     process = subprocess.Popen(
         command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
     )
-    end = time.monotonic() + 30
+    deadline = time.monotonic() + 30
     while len(list(tmp_path.glob('out/*.partial/*.mcap'))) < 2 or not all(
-        f.stat().st_size > 20_000 for f in tmp_path.glob('out/*.partial/*.mcap')
+        f.stat().st_size > MIN_SIZE_WITH_MESSAGES for f in tmp_path.glob('out/*.partial/*.mcap')
     ):
-        assert time.monotonic() < end
+        assert time.monotonic() < deadline
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=20)

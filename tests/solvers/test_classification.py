@@ -1,4 +1,4 @@
-"""Category by evidence, periodic by residual, and no chatter between."""
+"""Tests of the choice of category by evidence and of the periodic decision with its hysteresis."""
 
 import dataclasses
 
@@ -22,11 +22,11 @@ from tests.support.evaluation_data import shared
 QUICK = SolverConfig(components=20, max_iterations=30)
 
 
-def view(protocol, trial: str, heading: float) -> Window:
+def make_window(protocol, trial: str, heading: float) -> Window:
     data = np.load(shared('data/cmu/cmu15_30fps.npz'))
-    made = protocol.make_view(data[trial], data['_joints'], heading, noise=0.01, missing=0.05)
-    keypoints = np.nan_to_num(made['keypoints'].astype(float))
-    return Window(keypoints[..., :2], keypoints[..., 2], made['timestamps'])
+    view = protocol.make_view(data[trial], data['_joints'], heading, noise=0.01, missing=0.05)
+    keypoints = np.nan_to_num(view['keypoints'].astype(float))
+    return Window(keypoints[..., :2], keypoints[..., 2], view['timestamps'])
 
 
 @pytest.fixture(scope='module')
@@ -34,8 +34,8 @@ def models_without_35():
     trials = [t for t in load_trials(shared('data/cmu/cmu15_30fps.npz')) if t.subject != '35' and t.clean]
 
     def train(category: str):
-        chosen = [t.poses for t in trials if t.category == category]
-        return fit_base_poses(chosen, name=category, alignment='heading', mirror=True, bodies=1)
+        poses = [t.poses for t in trials if t.category == category]
+        return fit_base_poses(poses, name=category, alignment='heading', mirror=True, bodies=1)
 
     everything = fit_base_poses(
         [t.poses for t in trials if t.category in ('walk', 'run', 'jump', 'dance')], name='all'
@@ -48,7 +48,7 @@ def models_without_35():
 def test_evidence_finds_the_category_of_an_unseen_person(
     protocol, models_without_35, trial: str, category: str, heading: float
 ) -> None:
-    window = view(protocol, trial, heading)
+    window = make_window(protocol, trial, heading)
     assert choose_category(window, models_without_35, QUICK).category == category
     periodic = fit_periodic(window, models_without_35, QUICK)
     assert periodic.category == category
@@ -57,9 +57,9 @@ def test_evidence_finds_the_category_of_an_unseen_person(
 
 def test_a_jump_is_neither_a_walk_nor_periodic(protocol) -> None:
     models = {name: load_base_poses(name) for name in ('walk', 'run', 'jump')}
-    window = view(protocol, '13_11', 90)
-    late = slice(40, 100)
-    window = Window(window.points[late], window.weight[late], window.times[late])
+    window = make_window(protocol, '13_11', 90)
+    jump_frames = slice(40, 100)
+    window = Window(window.points[jump_frames], window.weight[jump_frames], window.times[jump_frames])
     assert choose_category(window, models, QUICK).category == 'jump'
     assert not is_periodic(fit_periodic(window, models, QUICK), ClassifierConfig())
 
@@ -68,12 +68,12 @@ def test_switch_has_hysteresis() -> None:
     config = ClassifierConfig()
 
     @dataclasses.dataclass
-    class Result:
+    class FakeReconstruction:
         cadence: float = 0.9
 
-    def at(share: float) -> PeriodicFit:
-        return PeriodicFit('walk', 9.9, share * config.walk_residual, 2 * config.amplitude, Result())  # type: ignore[arg-type]
+    def fit_with_residual(share: float) -> PeriodicFit:
+        return PeriodicFit('walk', 9.9, share * config.walk_residual, 2 * config.amplitude, FakeReconstruction())  # type: ignore[arg-type]
 
     switch = PeriodicSwitch(config)
-    answers = [switch.update(at(s)) for s in (1.5, 1.02, 0.98, 0.85, 0.98, 1.05, 1.2, 1.05)]
-    assert answers == [False, False, False, True, True, True, False, False]
+    decisions = [switch.update(fit_with_residual(s)) for s in (1.5, 1.02, 0.98, 0.85, 0.98, 1.05, 1.2, 1.05)]
+    assert decisions == [False, False, False, True, True, True, False, False]

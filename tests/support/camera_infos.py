@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import encode, new
+from mocap_ros.messages.cdr import create_message, encode
 
 
 def camera_info(
@@ -16,11 +16,13 @@ def camera_info(
     d: tuple[float, ...] = (0.0,) * 5,
     p: tuple[float, ...] = (0.0,) * 12,
 ) -> bytes:
-    region = new('sensor_msgs/msg/RegionOfInterest', x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
-    stamp = new('builtin_interfaces/msg/Time', sec=0, nanosec=0)
-    message = new(
+    region = create_message(
+        'sensor_msgs/msg/RegionOfInterest', x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+    )
+    stamp = create_message('builtin_interfaces/msg/Time', sec=0, nanosec=0)
+    message = create_message(
         CAMERA_INFO,
-        header=new('std_msgs/msg/Header', stamp=stamp, frame_id='camera'),
+        header=create_message('std_msgs/msg/Header', stamp=stamp, frame_id='camera'),
         height=height,
         width=width,
         distortion_model=model,

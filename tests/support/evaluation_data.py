@@ -1,4 +1,4 @@
-"""Where the evaluation data lies; users do not have it."""
+"""Access to the evaluation data, which is not part of the repository."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ SHARED = Path(os.environ.get('MOCAP_ROS_SHARED', ROOT.parent / 'shared'))
 
 
 def shared(relative: str) -> Path:
-    """A file of the evaluation data; where it is not here the test is skipped, and the report says so."""
+    """Return the path of a file of the evaluation data; skip the test if the file is missing."""
     path = SHARED / relative
     if not path.exists():
-        pytest.skip(f'evaluation data not here: shared/{relative}')
+        pytest.skip(f'evaluation data is missing: shared/{relative}')
     return path

@@ -1,12 +1,13 @@
-"""A body that stands and swings all its limbs."""
+"""A synthetic body that stands and swings all its limbs."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mocap_ros.offline.keyframes.interpolation import limb_directions, pose_of
+from mocap_ros.offline.keyframes.interpolation import assemble_poses, compute_limb_directions
 from mocap_ros.skeleton import CMU15
 
+# m, a standing pose (15, 3) of `CMU15` in the camera's optical frame: x right, y down, z away
 STANDING = np.array(
     [
         [0, -0.75, 0], [0, -0.5, 0], [0.18, -0.48, 0.02], [0.25, -0.2, 0.05], [0.28, 0.05, -0.1],
@@ -14,16 +15,16 @@ STANDING = np.array(
         [0.12, 0.45, -0.05], [0.13, 0.88, 0.05], [-0.1, 0.05, 0.01], [-0.12, 0.46, -0.02], [-0.12, 0.87, 0.1],
     ]
 )  # fmt: skip
-LENGTHS = CMU15.bone_lengths(STANDING)
+BONE_LENGTHS = CMU15.bone_lengths(STANDING)
 
 
-def swinging(frames: int, fps: float = 30.0) -> tuple[np.ndarray, np.ndarray]:
-    """(F, 15, 3) m of somebody who swings all limbs, and (F,) s."""
+def make_swinging_body(frames: int, fps: float = 30.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return poses (F, 15, 3) m of a body that swings all limbs, and times (F,) s."""
     times = np.arange(frames) / fps
-    directions = np.repeat(limb_directions(STANDING, CMU15.bones)[None], frames, axis=0)
+    directions = np.repeat(compute_limb_directions(STANDING, CMU15.bones)[None], frames, axis=0)
     for bone, (_, child) in enumerate(CMU15.bones):
         angle = 0.6 * np.sin(2 * np.pi * (0.4 + 0.03 * child) * times + child) * (child not in (0, 1, 2, 5, 9, 12))
         c, s = np.cos(angle), np.sin(angle)
         x, y, z = directions[:, bone].T
         directions[:, bone] = np.stack([x, c * y - s * z, s * y + c * z], axis=-1)
-    return pose_of(directions, LENGTHS, CMU15), times
+    return assemble_poses(directions, BONE_LENGTHS, CMU15), times

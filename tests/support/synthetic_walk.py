@@ -1,32 +1,34 @@
-"""A synthetic walk with known weights and cameras, and the error of what was reconstructed from it."""
+"""A synthetic walk with known weights and cameras, and the error of its reconstruction."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mocap_ros.geometry.rotations import small_rotation
-from mocap_ros.geometry.weak_perspective import Cameras
+from mocap_ros.geometry.rotations import rotation_from_vector
+from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.window import Reconstruction
 
-OPTICAL = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0.0]])  # body x forward, z up -> looking along x
+# Rotation from the body frame (x forward, z up) to the optical frame of a camera that looks along x.
+BODY_TO_OPTICAL = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0.0]])
 
 
-def scene(model: BasePoses, frames: int = 40, k: int = 4, seed: int = 0):
-    """Weights, cameras, projected points (px) and times of a smooth motion under a turning camera."""
+def make_walk(model: BasePoses, frames: int = 40, k: int = 4, seed: int = 0):
+    """Return weights (F, K) m, cameras, points (F, J, 2) px and times (F,) s of a motion."""
     rng = np.random.default_rng(seed)
     times = np.arange(frames) / 30
     phase = rng.uniform(0, 6, k)
     theta = np.zeros((frames, len(model.std)))
     theta[:, :k] = model.std[:k] * np.sin(6 * times[:, None] + phase)
     heading = 0.8 + 0.3 * times
-    rotation = OPTICAL @ small_rotation(heading[:, None] * [0, 0, 1])
-    cameras = Cameras(200 + 10 * times, rotation)
+    rotation = BODY_TO_OPTICAL @ rotation_from_vector(heading[:, None] * [0, 0, 1])
+    cameras = WeakPerspectiveCameras(200 + 10 * times, rotation)
     points = cameras.project(model.poses(theta)) + [320, 240]
     return theta, cameras, points, times
 
 
-def mpjpe(result: Reconstruction, model: BasePoses, theta, cameras) -> float:
+def compute_mpjpe(result: Reconstruction, model: BasePoses, theta, cameras) -> float:
+    """Return the mean joint error (mm) after one scale for the sequence."""
     truth = model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2)
     p = result.joints
     p = p * ((p * truth).sum() / (p * p).sum())

@@ -1,4 +1,4 @@
-"""The tracker: people come and go, stamps are what they are, the same input gives the same output."""
+"""Tests of the tracker: people who come and go, stamps out of order, and equal output for equal input."""
 
 from importlib.resources import files
 
@@ -12,17 +12,16 @@ from mocap_ros.errors import FrameDropped, SkeletonError
 from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.association import associate
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import MotionKind
 from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.tracker import Tracker
-from tests.support.synthetic_walk import scene
+from tests.support.synthetic_walk import make_walk
 
 DEMO = files('mocap_ros') / 'demo' / 'demo.npz'
-CAMERA = Intrinsics(500.0, (320.0, 240.0), known=True)
+CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
 STEP_NS = 33_333_333
 CONFIG = with_values(Config(), {'solver.components': 8, 'solver.prior_weight': 1e-5})
 
@@ -35,19 +34,19 @@ def people(points, frame: int, ids=('',), apart: float = 400.0) -> list[Person2D
 
 @pytest.fixture
 def walk(walk_model: BasePoses):
-    return scene(walk_model, frames=40)
+    return make_walk(walk_model, frames=40)
 
 
-def test_follows_a_walk(walk_model: BasePoses, walk) -> None:
+def test_a_walk_is_reconstructed(walk_model: BasePoses, walk) -> None:
     theta, cameras, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     error = []
     for frame in range(len(points)):
         (person,) = tracker.update(frame * STEP_NS, people(points, frame), CAMERA)
         truth = walk_model.poses(theta[frame]) @ cameras.rotation[frame].T
-        mine = person.joints - person.joints.mean(axis=0)
-        mine *= (mine * truth).sum() / (mine * mine).sum()
-        error.append(np.linalg.norm(mine - truth, axis=-1).mean() * 1e3)
+        pose = person.joints - person.joints.mean(axis=0)
+        pose *= (pose * truth).sum() / (pose * pose).sum()
+        error.append(np.linalg.norm(pose - truth, axis=-1).mean() * 1e3)
         assert person.id == 'person_1'
         assert not person.inferred.any()
     assert np.mean(error[10:]) < 40
@@ -56,7 +55,7 @@ def test_follows_a_walk(walk_model: BasePoses, walk) -> None:
     assert person.joints.mean(axis=0)[:2] == pytest.approx([0, 0], abs=0.05)
 
 
-def test_two_people_keep_their_names_when_the_detector_reorders_them(walk_model, walk) -> None:
+def test_two_people_keep_their_ids_when_the_detector_reorders_them(walk_model, walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     for frame in range(6):
@@ -91,7 +90,7 @@ def test_old_and_repeated_stamps_are_dropped_and_change_nothing(walk_model: Base
         assert (a.joints == b.joints).all()
 
 
-def test_stamps_that_go_far_back_start_it_afresh(walk_model: BasePoses, walk) -> None:
+def test_a_large_backward_jump_of_stamps_restarts_the_tracker(walk_model: BasePoses, walk) -> None:
     _, _, points, _ = walk
     tracker, fresh = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
     for frame in range(4):
@@ -106,10 +105,10 @@ def test_stamps_that_go_far_back_start_it_afresh(walk_model: BasePoses, walk) ->
         (a,) = tracker.update(start + frame * STEP_NS, people(points, frame), CAMERA)
         (b,) = fresh.update(start + frame * STEP_NS, people(points, frame), CAMERA)
         assert (a.joints == b.joints).all()
-        assert tracker.went_back == pytest.approx(0 if frame else 1.0)
+        assert tracker.backward_jump_s == pytest.approx(0 if frame else 1.0)
 
 
-def test_reset_begins_anew(walk_model: BasePoses, walk) -> None:
+def test_reset_restores_the_initial_state(walk_model: BasePoses, walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     first = [tracker.update(f * STEP_NS, people(points, f), CAMERA)[0].joints for f in range(5)]
@@ -118,7 +117,7 @@ def test_reset_begins_anew(walk_model: BasePoses, walk) -> None:
     assert all((a == b).all() for a, b in zip(first, again, strict=True))
 
 
-def test_nobody_is_a_normal_state_and_the_lost_are_predicted_then_forgotten(walk_model: BasePoses, walk) -> None:
+def test_lost_people_are_predicted_and_later_forgotten(walk_model: BasePoses, walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     assert tracker.update(0, [], CAMERA) == ()
@@ -137,23 +136,25 @@ def test_nobody_is_a_normal_state_and_the_lost_are_predicted_then_forgotten(walk
     assert tracker.update(200 * STEP_NS, people(points, 2), CAMERA)[0].id == 'person_2'
 
 
-def test_a_snapshot_restored_goes_on_as_if_nothing_had_happened(walk_model: BasePoses, walk) -> None:
+def test_a_restored_snapshot_gives_the_same_output(walk_model: BasePoses, walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     for frame in range(10):
         tracker.update(frame * STEP_NS, people(points, frame, ('a', '')), CAMERA)
     snapshot = tracker.snapshot()
-    on = [tracker.update(f * STEP_NS, people(points, f, ('a', '')), CAMERA) for f in range(10, 25)]
-    for other in (tracker, Tracker(walk_model, CONFIG)):
-        other.restore(snapshot)
-        again = [other.update(f * STEP_NS, people(points, f, ('a', '')), CAMERA) for f in range(10, 25)]
+    expected = [tracker.update(f * STEP_NS, people(points, f, ('a', '')), CAMERA) for f in range(10, 25)]
+    for restored in (tracker, Tracker(walk_model, CONFIG)):
+        restored.restore(snapshot)
+        again = [restored.update(f * STEP_NS, people(points, f, ('a', '')), CAMERA) for f in range(10, 25)]
         assert all(
-            (p.joints == q.joints).all() for x, y in zip(on, again, strict=True) for p, q in zip(x, y, strict=True)
+            (p.joints == q.joints).all()
+            for x, y in zip(expected, again, strict=True)
+            for p, q in zip(x, y, strict=True)
         )
 
 
 def test_swapped_frames_are_undone_and_counted(walk_model: BasePoses) -> None:
-    _, _, points, _ = scene(walk_model, frames=60)
+    _, _, points, _ = make_walk(walk_model, frames=60)
     mirror = np.array(CMU15.mirror)
     swapped = np.isin(np.arange(60), [20, 21, 22, 23, 40, 41])
     plain, disturbed = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
@@ -165,26 +166,26 @@ def test_swapped_frames_are_undone_and_counted(walk_model: BasePoses) -> None:
     assert (plain.swapped_frames, disturbed.swapped_frames) == (0, 6)
 
 
-def test_the_output_stays_behind_by_the_lag(walk_model: BasePoses, walk) -> None:
+def test_the_output_is_delayed_by_the_lag(walk_model: BasePoses, walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.09}))
     for frame in range(20):
         out = tracker.update(frame * STEP_NS, people(points, frame), CAMERA)
         assert len(out) == (1 if frame >= 3 else 0)
         if out:
-            assert tracker.output_ns == (frame - 3) * STEP_NS
+            assert tracker.output_stamp_ns == (frame - 3) * STEP_NS
 
 
-def test_people_in_one_place_are_nobody(walk_model: BasePoses) -> None:
+def test_a_detection_with_all_joints_in_one_place_is_unusable(walk_model: BasePoses) -> None:
     tracker = Tracker(walk_model, CONFIG)
     dot = Person2D('', CMU15.joints, np.full((15, 2), 100.0), np.ones(15))
     assert tracker.update(0, [dot], CAMERA) == ()
 
 
 @pytest.mark.parametrize('lens', [Distortion(), Distortion('plumb_bob', (-0.2, 0.05, 0.001, -0.002, 0.0))])
-def test_a_person_near_and_off_the_axis_is_where_they_are(walk_model: BasePoses, lens: Distortion) -> None:
-    theta, cameras, _, _ = scene(walk_model, frames=45)
-    camera = Intrinsics(500.0, (320.0, 240.0), known=True, distortion=lens)
+def test_a_person_near_the_camera_and_off_its_axis_is_located(walk_model: BasePoses, lens: Distortion) -> None:
+    theta, cameras, _, _ = make_walk(walk_model, frames=45)
+    camera = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True, distortion=lens)
     size = CONFIG.tracker.body_height / walk_model.stature
     tracker = Tracker(walk_model, CONFIG)
     for frame in range(45):
@@ -196,7 +197,7 @@ def test_a_person_near_and_off_the_axis_is_where_they_are(walk_model: BasePoses,
     assert camera.project(person.joints) == pytest.approx(seen[0].points, abs=8)
 
 
-def test_hidden_joints_are_filled_and_flagged(walk_model: BasePoses, walk) -> None:
+def test_hidden_joints_are_inferred_and_flagged(walk_model: BasePoses, walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     for frame in range(10):
@@ -211,7 +212,7 @@ def test_hidden_joints_are_filled_and_flagged(walk_model: BasePoses, walk) -> No
 
 @settings(max_examples=40, deadline=None)
 @given(data=st.data())
-def test_whatever_keypoints_come_the_tracker_lives(walk_model: BasePoses, data) -> None:
+def test_arbitrary_keypoints_give_finite_output(walk_model: BasePoses, data) -> None:
     tracker = Tracker(walk_model, CONFIG)
     number = st.one_of(st.just(float('nan')), st.floats(-1e7, 1e7))
     for frame in range(data.draw(st.integers(1, 5))):
@@ -229,48 +230,48 @@ def test_whatever_keypoints_come_the_tracker_lives(walk_model: BasePoses, data) 
             assert person.rotation @ person.rotation.T == pytest.approx(np.eye(3), abs=1e-6)
 
 
-def test_questions_asked_early_change_nothing(walk_model: BasePoses, walk) -> None:
+def test_early_deferred_work_does_not_change_the_output(walk_model: BasePoses, walk) -> None:
     _, _, points, _ = walk
     lazy, eager = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
     for frame in range(30):
         (a,) = lazy.update(frame * STEP_NS, people(points, frame), CAMERA)
         (b,) = eager.update(frame * STEP_NS, people(points, frame), CAMERA)
-        eager.examine()
+        eager.run_deferred_work()
         assert (a.joints == b.joints).all()
 
 
-def test_the_poses_of_a_person_who_was_lost_are_remembered(walk_model: BasePoses, walk) -> None:
+def test_poses_of_a_lost_person_are_remembered(walk_model: BasePoses, walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     for frame in range(20):
         (last,) = tracker.update(frame * STEP_NS, people(points, frame), CAMERA)
     tracker.update(20 * STEP_NS, [], CAMERA)
-    assert tracker.snapshot()['_memory'].poses == ()
+    assert tracker.snapshot()['_pose_memory'].poses == ()
     tracker.update(60 * STEP_NS, [], CAMERA)
-    recalled = tracker.snapshot()['_memory'].recall(points[19], np.ones(15))
+    recalled = tracker.snapshot()['_pose_memory'].recall(points[19], np.ones(15))
     pose = last.joints - last.joints.mean(axis=0)
     assert np.linalg.norm(recalled.pose - pose, axis=-1).mean() < 0.02
     tracker.reset()
-    assert tracker.snapshot()['_memory'].poses == ()
+    assert tracker.snapshot()['_pose_memory'].poses == ()
 
 
 @pytest.mark.parametrize('prior', ['learned', 'pca'])
-def test_a_walk_is_told_from_a_jump_under_either_prior(prior: str) -> None:
+def test_a_walk_is_classified_as_periodic_and_a_jump_is_not(prior: str) -> None:
     sequence = load_sequence(DEMO)
     tracker = Tracker(load_base_pose_models('auto'), with_values(Config(), {'solver.prior': prior}))
     camera = sequence.intrinsics(1.0)
-    told = {}
+    motions = {}
     for stamp, keypoints in zip(sequence.timestamps, sequence.keypoints, strict=True):
         seen = Person2D('p', sequence.joint_names, np.nan_to_num(keypoints[:, :2]), np.nan_to_num(keypoints[:, 2]))
         for person in tracker.update(round(stamp * 1e9), [seen], camera):
-            told[stamp] = person.motion
-    walk, jump = told[sequence.timestamps[120]], told[sequence.timestamps[280]]
+            motions[stamp] = person.motion
+    walk, jump = motions[sequence.timestamps[120]], motions[sequence.timestamps[280]]
     assert (walk.kind, walk.category) == (MotionKind.PERIODIC, 'walk')
     assert walk.cadence == pytest.approx(0.9, abs=0.1)
     assert jump.kind is MotionKind.NON_PERIODIC
 
 
-def test_scores_and_points_beyond_all_measure_are_not_seen(walk_model: BasePoses, walk) -> None:
+def test_infinite_scores_and_huge_points_count_as_not_seen(walk_model: BasePoses, walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     for frame in range(8):
@@ -283,17 +284,17 @@ def test_scores_and_points_beyond_all_measure_are_not_seen(walk_model: BasePoses
         assert out.inferred.sum() == (2 if frame == 3 else 0)
 
 
-def test_a_known_id_far_away_is_somebody_else(walk_model: BasePoses, walk) -> None:
+def test_a_known_id_far_away_belongs_to_another_person(walk_model: BasePoses, walk) -> None:
     _, _, points, _ = walk
     tracker, fresh = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
     for frame in range(10):
         tracker.update(frame * STEP_NS, people(points, frame, ['a']), CAMERA)
-    far_off = people(points + 4000, 10, ['a'])
-    (far, new) = (one.update(10 * STEP_NS, far_off, CAMERA)[0] for one in (tracker, fresh))
-    assert (far.id, far.joints.tolist()) == ('a', new.joints.tolist())
+    distant = people(points + 4000, 10, ['a'])
+    (person, first) = (t.update(10 * STEP_NS, distant, CAMERA)[0] for t in (tracker, fresh))
+    assert (person.id, person.joints.tolist()) == ('a', first.joints.tolist())
 
 
-def test_images_a_millisecond_apart_make_nobody_new(walk_model: BasePoses, walk) -> None:
+def test_images_a_millisecond_apart_create_no_new_person(walk_model: BasePoses, walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     noise = np.random.default_rng(0)
@@ -301,10 +302,3 @@ def test_images_a_millisecond_apart_make_nobody_new(walk_model: BasePoses, walk)
         moved = points + noise.normal(0, 2, points.shape)
         out = tracker.update(stamp, people(moved, frame, ('', '')), CAMERA)
         assert [p.id for p in out] == ['person_1', 'person_2']
-
-
-def test_a_detection_goes_to_whom_it_was_in_the_last_frame() -> None:
-    hidden, seen = (np.array([-0.1, 0.0]), 0.1, 0.13), (np.array([0.06, 0.0]), 0.1, 0.033)
-    assert associate([hidden, seen], [(np.array([0.08, 0.0]), 0.1)]) == [1]
-    assert associate([hidden], [(np.array([0.02, 0.0]), 0.1)]) == [0]
-    assert associate([hidden], [(np.array([0.5, 0.0]), 0.1)]) == [None]

@@ -1,1 +1,1 @@
-"""Files written for animation and biomechanics."""
+"""Writers of files for animation and biomechanics."""

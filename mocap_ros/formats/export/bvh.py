@@ -1,34 +1,36 @@
-"""BVH files written."""
+"""Writer of BVH files."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from mocap_ros.formats.mocap.bvh import END, Bvh
+from mocap_ros.formats.bvh_motion import END_SUFFIX, BvhMotion
 
-DECIMALS = 6
+DECIMALS = 6  # of lengths in cm and angles in degrees: far finer than any reconstruction
+FRAME_TIME_DECIMALS = 8  # of a time in s: an hour of frames drifts by less than 2 ms at 100 Hz
 
 
-def save_bvh(path: Path, bvh: Bvh) -> None:
-    """Write a file; one root."""
+def save_bvh(path: Path, bvh: BvhMotion) -> None:
+    """Write a BVH file; the hierarchy must have one root."""
     lines = ['HIERARCHY']
-    _write_node(bvh, 0, '', lines)
-    lines += ['MOTION', f'Frames: {len(bvh.motion)}', f'Frame Time: {bvh.frame_time:.{DECIMALS + 2}f}']
+    _append_node(bvh, 0, '', lines)
+    lines += ['MOTION', f'Frames: {len(bvh.motion)}', f'Frame Time: {bvh.frame_time:.{FRAME_TIME_DECIMALS}f}']
     lines += [' '.join(f'{value:.{DECIMALS}f}' for value in row) for row in bvh.motion]
     path.write_text('\n'.join(lines) + '\n', encoding='utf-8')
 
 
-def _write_node(bvh: Bvh, node: int, indent: str, lines: list[str]) -> None:
+def _append_node(bvh: BvhMotion, node: int, indent: str, lines: list[str]) -> None:
+    """Append the lines of a node and of all nodes below it."""
     children = [child for child, parent in enumerate(bvh.parents) if parent == node]
     name = bvh.names[node]
-    is_end = name.endswith(END)
-    kind = 'ROOT' if bvh.parents[node] < 0 else 'JOINT'
-    lines += [f'{indent}End Site' if is_end else f'{indent}{kind} {name}', f'{indent}{{']
-    inside = indent + '\t'
-    lines.append(f'{inside}OFFSET ' + ' '.join(f'{v:.{DECIMALS}f}' for v in bvh.offsets[node]))
-    if not is_end:
+    is_end_site = name.endswith(END_SUFFIX)
+    keyword = 'ROOT' if bvh.parents[node] < 0 else 'JOINT'
+    lines += [f'{indent}End Site' if is_end_site else f'{indent}{keyword} {name}', f'{indent}{{']
+    inner_indent = indent + '\t'
+    lines.append(f'{inner_indent}OFFSET ' + ' '.join(f'{v:.{DECIMALS}f}' for v in bvh.offsets[node]))
+    if not is_end_site:
         channels = bvh.channels[node]
-        lines.append(f'{inside}CHANNELS {len(channels)} {" ".join(channels)}')
+        lines.append(f'{inner_indent}CHANNELS {len(channels)} {" ".join(channels)}')
     for child in children:
-        _write_node(bvh, child, inside, lines)
+        _append_node(bvh, child, inner_indent, lines)
     lines.append(f'{indent}}}')

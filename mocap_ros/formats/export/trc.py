@@ -1,4 +1,4 @@
-"""TRC files, the marker files of OpenSim."""
+"""Writer of TRC files, the marker files of OpenSim."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-MM = 1000.0
+MM_PER_M = 1000.0  # TRC files are written in mm
+
+# The names of the values in the third line of a file.
 HEADINGS = 'DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames'
 
 
 def save_trc(path: Path, names: Sequence[str], joints: Array, fps: float) -> None:
-    """Write a file in mm.
+    """Write joints as the markers of a TRC file.
 
     Args:
-        path: of the file.
-        names: (J,) of the markers.
+        path: path of the file.
+        names: (J,) names of the joints.
         joints: (F, J, 3) m, y up.
-        fps: frames a second.
+        fps: frame rate in Hz.
     """
     frames = len(joints)
     numbers = range(1, len(names) + 1)
@@ -33,6 +35,6 @@ def save_trc(path: Path, names: Sequence[str], joints: Array, fps: float) -> Non
         '\t\t' + '\t'.join(f'X{n}\tY{n}\tZ{n}' for n in numbers),
         '',
     ]
-    for frame, row in enumerate(joints.reshape(frames, -1) * MM):
+    for frame, row in enumerate(joints.reshape(frames, -1) * MM_PER_M):
         lines.append(f'{frame + 1}\t{frame / fps:.6f}\t' + '\t'.join(f'{value:.4f}' for value in row))
     path.write_text('\n'.join(lines) + '\n', encoding='utf-8')

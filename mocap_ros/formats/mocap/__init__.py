@@ -1,1 +1,1 @@
-"""Motion capture files, read for training."""
+"""Readers of motion-capture files, for training."""

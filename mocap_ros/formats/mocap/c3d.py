@@ -1,4 +1,4 @@
-"""C3D files: labelled markers. The library `ezc3d` reads them; it comes with the extra `c3d`."""
+"""Reader of C3D files, which hold labelled markers; it needs the library `ezc3d` of the extra `c3d`."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import InputError, MocapError, reader_reason
+from mocap_ros.errors import InputError, MocapError, describe_read_error
 
 Array = NDArray[np.float64]
 
-METRES = {'m': 1.0, 'dm': 0.1, 'cm': 0.01, 'mm': 0.001}
-VERTICAL = {'x': 0, 'y': 1, 'z': 2}
+METRES_BY_UNIT = {'m': 1.0, 'dm': 0.1, 'cm': 0.01, 'mm': 0.001}  # length in m of each unit that a file may name
 
 
 def load_c3d(path: Path) -> tuple[dict[str, Array], float | None]:
-    """The markers over time.
+    """Read the positions of all markers.
 
     Returns:
-        (F, 3) positions by label, without the subject's name before a colon, in the file's frame and unit, NaN
-        where a marker was not seen; and that unit in m, or None where the file does not say.
+        The positions (F, 3) of each marker by its label, in the file's frame and unit, NaN where the marker was
+        not seen; the label is without the subject's name, which ends with a colon. And the unit in m, or None
+        where the file does not name it.
 
     Raises:
-        InputError: the file cannot be read; names it.
+        InputError: the file cannot be read; the error names the file.
         MocapError: `ezc3d` is not installed.
     """
     try:
@@ -38,8 +38,8 @@ def load_c3d(path: Path) -> tuple[dict[str, Array], float | None]:
         parameters = content['parameters']['POINT']
         labels = [str(label) for label in parameters['LABELS']['value']]
         unit = ''.join(parameters.get('UNITS', {}).get('value', [])[:1]).strip().lower()
-    except Exception as error:  # C++ behind it raises almost anything on garbage
-        raise InputError(f'{path}: not a C3D file ({reader_reason(error)})') from None
+    except Exception as error:  # the C++ library raises almost any exception on malformed bytes
+        raise InputError(f'{path}: not a C3D file ({describe_read_error(error)})') from None
     names = [label.rpartition(':')[2].strip() for label in labels]
     positions = np.moveaxis(points[:3], 0, -1)
-    return {name: positions[i] for i, name in enumerate(names) if i < len(positions)}, METRES.get(unit)
+    return {name: positions[i] for i, name in enumerate(names) if i < len(positions)}, METRES_BY_UNIT.get(unit)

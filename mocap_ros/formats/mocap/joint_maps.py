@@ -1,6 +1,7 @@
-"""Which joint or marker of a motion-capture rig is which joint of the model.
+"""Maps from the joints or markers of motion-capture rigs to the joints of the model.
 
-The model's head is the tip of the head bone, its neck the point where spine and collar bones meet.
+The head of the model is the tip of the head bone, and its neck is the point where the spine and the collar bones
+meet.
 """
 
 from __future__ import annotations
@@ -14,20 +15,31 @@ from numpy.typing import NDArray
 from mocap_ros.config import load_yaml
 from mocap_ros.errors import InputError
 from mocap_ros.formats.text_files import read_text
-from mocap_ros.skeleton import CMU15, own_names, stature
+from mocap_ros.skeleton import CMU15, canonical_joint_names, estimate_stature
 
 Array = NDArray[np.float64]
 
-Markers = Mapping[str, Sequence[str]]
+# For each joint of the model, the names of the joints or markers whose mean it is.
+MarkerMap = Mapping[str, Sequence[str]]
 
-CMU_UNIT = 0.0254 / 0.45
-UNITS = {'m': 1.0, 'cm': 0.01, 'mm': 0.001, 'inch': 0.0254, 'unit of the CMU database': CMU_UNIT}
-STATURES = 1.2, 2.2
-LONGEST_MAP = 1 << 20
+CMU_UNIT_M = 0.0254 / 0.45  # m; the CMU database's files give lengths in inches, scaled by 0.45
+
+# Units of length that are tried where a file does not name its unit, in m.
+LENGTH_UNITS_M = {'m': 1.0, 'cm': 0.01, 'mm': 0.001, 'inch': 0.0254, 'unit of the CMU database': CMU_UNIT_M}
+MIN_STATURE_M = 1.2  # m; the unit of a file is the one that makes people at least as tall as this,
+MAX_STATURE_M = 2.2  # m; and at most as tall as this; the factor between is below all factors between units
+MAX_MAP_BYTES = 1 << 20  # guards the YAML reader; a map has some hundred bytes
+MAX_LISTED_NAMES = 40  # names in an error message; keeps it readable
 
 
-def _rig(middle: str, sides: Mapping[str, str], limbs: str) -> dict[str, str]:
-    """Names of a rig by joint of the model; `{}` in `limbs` stands for the side."""
+def _build_rig(middle: str, sides: Mapping[str, str], limbs: str) -> dict[str, str]:
+    """Build the map from the joints of the model to the names of a rig.
+
+    Args:
+        middle: names of the head, the neck and the pelvis.
+        sides: the word of the rig for each side, by the first letter of the model's joints on that side.
+        limbs: names of the shoulder, elbow, wrist, hip, knee and ankle, in which `{}` stands for the side.
+    """
     rig = dict(zip(('head', 'neck', 'pelvis'), middle.split(), strict=True))
     joints = ('shoulder', 'elbow', 'wrist', 'hip', 'knee', 'ankle')
     for side, word in sides.items():
@@ -36,82 +48,89 @@ def _rig(middle: str, sides: Mapping[str, str], limbs: str) -> dict[str, str]:
     return rig
 
 
-_WORDS = {'l': 'left', 'r': 'right'}
-_LETTERS = {'l': 'l', 'r': 'r'}
+# The words for the sides, and the names of the limbs' joints, from which the rigs below are built.
+_SIDE_WORDS = {'l': 'left', 'r': 'right'}
+_SIDE_LETTERS = {'l': 'l', 'r': 'r'}
+_CMU_ASF_LIMBS = '{}clavicle {}humerus {}radius {}hipjoint {}femur {}tibia'
 _MIXAMO_LIMBS = '{}arm {}forearm {}hand {}upleg {}leg {}foot'
 _PLAIN_LIMBS = '{}shoulder {}elbow {}wrist {}hip {}knee {}ankle'
 
+# The known rigs: the name of each joint of the model, as `_simplify_names` writes it.
 RIGS = {
-    'CMU ASF': _rig('head thorax root', _LETTERS, '{}clavicle {}humerus {}radius {}hipjoint {}femur {}tibia'),
-    'Mixamo': _rig('headtopend neck hips', _WORDS, _MIXAMO_LIMBS),
-    'CMU BVH or MotionBuilder': _rig('headend neck hips', _WORDS, _MIXAMO_LIMBS),
-    'Poser': _rig('headend neck hip', _LETTERS, '{}shldr {}forearm {}hand {}thigh {}shin {}foot'),
-    'Biovision': _rig('headend neck hips', _WORDS, '{}uparm {}lowarm {}hand {}upleg {}lowleg {}foot'),
-    'joints by name': _rig('headend neck hips', _WORDS, _PLAIN_LIMBS),
+    'CMU ASF': _build_rig('head thorax root', _SIDE_LETTERS, _CMU_ASF_LIMBS),
+    'Mixamo': _build_rig('headtopend neck hips', _SIDE_WORDS, _MIXAMO_LIMBS),
+    'CMU BVH or MotionBuilder': _build_rig('headend neck hips', _SIDE_WORDS, _MIXAMO_LIMBS),
+    'Poser': _build_rig('headend neck hip', _SIDE_LETTERS, '{}shldr {}forearm {}hand {}thigh {}shin {}foot'),
+    'Biovision': _build_rig('headend neck hips', _SIDE_WORDS, '{}uparm {}lowarm {}hand {}upleg {}lowleg {}foot'),
+    'joints by name': _build_rig('headend neck hips', _SIDE_WORDS, _PLAIN_LIMBS),
     'the model': {joint: joint for joint in CMU15.joints},
 }
 
 
-def _plain(names: Sequence[str]) -> list[str]:
-    """Names in lower case without separators and without the prefix that all share, as of Mixamo."""
+def _simplify_names(names: Sequence[str]) -> list[str]:
+    """Return the names in lower case, without separators and without a common prefix such as `mixamorig:`."""
     bare = [name.rpartition(':')[2] for name in names]
-    starts = {name.partition('_')[0] for name in bare}
-    if len(starts) == 1 and len(bare) > 1:
+    prefixes = {name.partition('_')[0] for name in bare}
+    if len(prefixes) == 1 and len(bare) > 1:
         bare = [name.partition('_')[2] for name in bare]
     return [''.join(c for c in name.lower() if c.isalnum()) for name in bare]
 
 
-def model_joints(positions: Mapping[str, Array], markers: Markers | None = None) -> Array:
-    """The model's joints.
+def map_to_model(positions: Mapping[str, Array], markers: MarkerMap | None = None) -> Array:
+    """Compute the joints of the model from the joints or markers of a rig.
 
     Args:
-        positions: (F, 3) by name of joint or marker.
-        markers: for each joint of the model the names whose mean it is; by default those of a known rig.
+        positions: (F, 3) positions by the name of the joint or marker.
+        markers: names whose mean is each joint of the model; by default the map of the known rig that fits.
 
     Returns:
-        (F, 15, 3) in the same frame and unit, of `skeleton.CMU15`.
+        (F, 15, 3) positions in the same frame and unit, in the order of `skeleton.CMU15`.
 
     Raises:
-        InputError: names are missing; lists them.
+        InputError: joints or markers are missing; the error lists their names.
     """
     if markers is None:
-        markers = _known_rig(positions)
+        markers = _recognise_rig(positions)
     missing = [name for names in markers.values() for name in names if name not in positions]
     if missing:
-        raise InputError(f'no {", ".join(dict.fromkeys(missing))}; there are {_few(positions)}')
+        raise InputError(f'no {", ".join(dict.fromkeys(missing))}; there are {_list_names(positions)}')
     return np.stack([np.mean([positions[n] for n in markers[j]], axis=0) for j in CMU15.joints], axis=1)
 
 
-def _known_rig(positions: Mapping[str, Array]) -> Markers:
+def _recognise_rig(positions: Mapping[str, Array]) -> MarkerMap:
+    """Return the map of the known rig that has the fewest names missing; InputError where names are missing."""
     names = list(positions)
-    spelt = dict(zip(_plain(names), names, strict=True))
-    spelt |= {
-        own: name
-        for own, name in zip(own_names(names), names, strict=True)
-        if own in CMU15.joints and own not in spelt
+    name_by_spelling = dict(zip(_simplify_names(names), names, strict=True))
+    name_by_spelling |= {
+        joint: name
+        for joint, name in zip(canonical_joint_names(names), names, strict=True)
+        if joint in CMU15.joints and joint not in name_by_spelling
     }
-    lacking = {rig: [n for n in joints.values() if n not in spelt] for rig, joints in RIGS.items()}
-    nearest = min(lacking, key=lambda rig: len(lacking[rig]))
-    if lacking[nearest]:
+    missing_by_rig = {
+        rig: [n for n in joints.values() if n not in name_by_spelling] for rig, joints in RIGS.items()
+    }
+    nearest = min(missing_by_rig, key=lambda rig: len(missing_by_rig[rig]))
+    if missing_by_rig[nearest]:
         raise InputError(
-            f'joints of no known rig; for {nearest} it lacks {", ".join(lacking[nearest])}; '
-            f'there are {_few(positions)}; --markers says which is which'
+            f'joints of no known rig; for {nearest} it lacks {", ".join(missing_by_rig[nearest])}; '
+            f'there are {_list_names(positions)}; give the map by --markers'
         )
-    return {joint: [spelt[name]] for joint, name in RIGS[nearest].items()}
+    return {joint: [name_by_spelling[name]] for joint, name in RIGS[nearest].items()}
 
 
-def _few(names: Mapping[str, Array], most: int = 40) -> str:
-    return ', '.join(list(names)[:most]) + (', ...' if len(names) > most else '') or 'none'
+def _list_names(names: Mapping[str, Array]) -> str:
+    listed = ', '.join(list(names)[:MAX_LISTED_NAMES])
+    return listed + (', ...' if len(names) > MAX_LISTED_NAMES else '') or 'none'
 
 
-def load_markers(path: Path) -> Markers:
-    """A YAML file with, for each joint of the model, the name or the names whose mean it is.
+def load_marker_map(path: Path) -> MarkerMap:
+    """Read a map from a YAML file: for each joint of the model, a name, or a list of names whose mean it is.
 
     Raises:
-        InputError: not such a file; names the joint.
-        ConfigError: not YAML.
+        InputError: the file is not such a map; the error names the joint.
+        ConfigError: the file is not YAML.
     """
-    content = load_yaml(read_text(path, largest=LONGEST_MAP), str(path))
+    content = load_yaml(read_text(path, max_bytes=MAX_MAP_BYTES), str(path))
     if not isinstance(content, dict):
         raise InputError(f'{path}: expected joint: [marker, ...]')
     unknown = [str(joint) for joint in content if joint not in CMU15.joints]
@@ -126,15 +145,24 @@ def load_markers(path: Path) -> Markers:
     return markers
 
 
-def unit_of(joints: Array) -> float:
-    """m, the unit of length in which people of these joints (F, 15, 3) are as tall as people are.
+def infer_unit(joints: Array) -> float:
+    """Infer the unit of length from the stature of the people.
+
+    Args:
+        joints: (F, 15, 3) positions, in the order of `skeleton.CMU15`.
+
+    Returns:
+        The unit in m.
 
     Raises:
-        InputError: none of `UNITS` makes them so.
+        InputError: no unit of `LENGTH_UNITS_M` gives a stature from `MIN_STATURE_M` to `MAX_STATURE_M`.
     """
-    tall = stature(joints, CMU15)
-    low, high = STATURES
-    for metres in UNITS.values():
-        if low <= tall * metres <= high:
+    height = estimate_stature(joints, CMU15)
+    for metres in LENGTH_UNITS_M.values():
+        if MIN_STATURE_M <= height * metres <= MAX_STATURE_M:
             return metres
-    raise InputError(f'people {tall:.4g} units tall, in none of {", ".join(UNITS)}; --unit says the unit in m')
+    raise InputError(
+        f'people are {height:.4g} units tall, which is not the height of a person in any of '
+        f'{", ".join(LENGTH_UNITS_M)}; '
+        'give the unit in m by --unit'
+    )

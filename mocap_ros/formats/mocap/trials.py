@@ -1,6 +1,6 @@
-"""Motion capture for training: trials of joint positions, with what is known about them.
+"""Motion-capture trials for training: joint positions with the subject and the category of each trial.
 
-Read are ASF/AMC, BVH and C3D, files or folders of them, and .npz archives of joints.
+The trials are read from ASF/AMC, BVH and C3D files, from folders of such files, and from .npz archives of joints.
 """
 
 from __future__ import annotations
@@ -14,23 +14,25 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import InputError, reader_reason
+from mocap_ros.errors import InputError, describe_read_error
 from mocap_ros.formats.mocap.asf import load_amc
 from mocap_ros.formats.mocap.bvh import load_bvh
 from mocap_ros.formats.mocap.c3d import load_c3d
-from mocap_ros.formats.mocap.joint_maps import Markers, model_joints, unit_of
+from mocap_ros.formats.mocap.joint_maps import MarkerMap, infer_unit, map_to_model
 from mocap_ros.formats.text_files import read_text
 from mocap_ros.npz_file import open_npz
-from mocap_ros.skeleton import CMU15, own_names
+from mocap_ros.skeleton import CMU15, canonical_joint_names
 
 Array = NDArray[np.float64]
 
-RECORDINGS = ('.amc', '.bvh', '.c3d')
-ENDINGS = ('.npz', *RECORDINGS)
-LARGEST_ARCHIVE = 8 << 30
-MANIFEST = 'manifest.csv'
-MM = 1e-3
-CLEARLY_UPRIGHT = 0.8
+MOTION_SUFFIXES = ('.amc', '.bvh', '.c3d')  # files of one trial each; other files are read as .npz archives
+MAX_ARCHIVE_BYTES = 8 << 30  # unpacked; guards the memory; the CMU database (15 joints, 30 Hz) takes below 1 GB
+MANIFEST_NAME = 'manifest.csv'  # file with the subject, the category and the quality of each trial
+M_PER_MM = 1e-3  # archives of joints are in mm
+MIN_VERTICAL_COSINE = 0.8  # of 37 degrees between trunk and axis; beyond it the format's usual axis is taken
+
+# Rows of a manifest by the name of the trial; each row maps the columns to texts.
+Manifest = Mapping[str, Mapping[str, str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +40,11 @@ class Trial:
     """One motion-capture recording.
 
     Attributes:
-        name: such as `35_02`.
-        subject: who moved.
-        category: walk, run, jump, ...; empty if unknown.
-        clean: False where the recording is known to have glitches.
-        poses: (F, J, 3) m, z up, joints as `skeleton.CMU15`.
+        name: name of the trial, such as `35_02`.
+        subject: name of the person who moved.
+        category: category of motion, such as walk, run or jump; empty if unknown.
+        clean: False where the manifest counts glitches in the recording.
+        poses: (F, J, 3) m, z up, joints in the order of `skeleton.CMU15`.
     """
 
     name: str
@@ -53,65 +55,72 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Source:
-    """What the files do not say.
+class TrialOptions:
+    """How trials are read, where the files do not say it.
 
     Attributes:
-        manifest: CSV with columns trial, subject, category, interior_glitches; by default `MANIFEST` beside the
-            files, and optional.
-        markers: joint of the model -> names of joints or markers; by default those of known rigs.
-        unit: m, the unit of length; by default what the file says, or what makes people as tall as they are.
-        every: which frames to take: all, every second, ...
+        manifest: path of a CSV file with the columns trial, subject, category and interior_glitches; by default
+            `MANIFEST_NAME` beside the files, if it exists.
+        markers: names of the joints or markers whose mean is each joint of the model; by default those of a known
+            rig.
+        unit: unit of length in m; by default the unit that the file names, or that gives a
+            plausible body height.
+        every: step between the frames that are taken: 1 for all frames, 2 for every second frame.
     """
 
     manifest: Path | None = None
-    markers: Markers | None = None
+    markers: MarkerMap | None = None
     unit: float | None = None
     every: int = 1
 
 
-EVERYTHING = Source()
+DEFAULT_OPTIONS = TrialOptions()
 
 
 def load_trials(
-    path: Path, source: Source = EVERYTHING, watch: Callable[[list[Path]], Iterable[Path]] = iter
+    path: Path,
+    options: TrialOptions = DEFAULT_OPTIONS,
+    report_progress: Callable[[list[Path]], Iterable[Path]] = iter,
 ) -> list[Trial]:
-    """Trials of a file, or of all files below a folder.
+    """Load the trials of a file, or of all files in a folder and the folders below it.
 
-    An .npz holds (F, 15, 3) arrays in mm, y up, one key a trial, joint names under `_joints`. An .amc needs its
-    skeleton beside it: `35.asf` for `35_01.amc`, or the only .asf there. What is not in the manifest has the
-    part of its name before the `_` as subject, and the name of its folder as category.
+    An .npz archive holds (F, 15, 3) arrays in mm, y up, under one key for each trial, and the joint names under
+    `_joints`. The skeleton of an .amc file is beside it: `35.asf` for `35_01.amc`, or the only .asf file there. A
+    trial that is not in the manifest has as subject the part of its name before the `_`, and as category the name
+    of its folder.
 
     Args:
-        path: of the file or folder.
-        source: what they do not say.
-        watch: wrapped around the files.
+        path: path of the file or folder.
+        options: how the trials are read.
+        report_progress: function that iterates over the files and may show the progress.
 
     Raises:
-        InputError: nothing to read, or something that cannot be read; names file and place.
+        InputError: there is nothing to read, or a file is not valid; the error names the file and the place.
     """
     if path.is_dir():
-        files = sorted(f for f in path.rglob('*') if f.suffix.lower() in RECORDINGS)
+        files = sorted(f for f in path.rglob('*') if f.suffix.lower() in MOTION_SUFFIXES)
         if not files:
-            raise InputError(f'{path}: no {", ".join(RECORDINGS)} in it')
+            raise InputError(f'{path}: no {", ".join(MOTION_SUFFIXES)} in it')
     else:
         files = [path]
-    manifests: dict[Path, Mapping[str, Mapping[str, str]]] = {}
+    manifests: dict[Path, Manifest] = {}
     trials: list[Trial] = []
-    for file in watch(files):
-        manifest = source.manifest or file.with_name(MANIFEST)
-        if manifest not in manifests:
-            manifests[manifest] = _manifest(manifest, required=source.manifest is not None)
-        known = manifests[manifest]
-        if file.suffix.lower() in RECORDINGS:
-            trials.append(_trial(file.stem, _recording(file, source), known, file.parent.resolve().name))
+    for file in report_progress(files):
+        manifest_path = options.manifest or file.with_name(MANIFEST_NAME)
+        if manifest_path not in manifests:
+            manifests[manifest_path] = _read_manifest(manifest_path, required=options.manifest is not None)
+        manifest = manifests[manifest_path]
+        if file.suffix.lower() in MOTION_SUFFIXES:
+            poses = _read_motion(file, options)
+            trials.append(_create_trial(file.stem, poses, manifest, file.parent.resolve().name))
         else:
-            trials += _archive(file, known)
-    return [replace(trial, poses=trial.poses[:: source.every]) for trial in trials]
+            trials += _read_archive(file, manifest)
+    return [replace(trial, poses=trial.poses[:: options.every]) for trial in trials]
 
 
-def _trial(name: str, poses: Array, known: Mapping[str, Mapping[str, str]], category: str) -> Trial:
-    row = known.get(name, {'category': category})
+def _create_trial(name: str, poses: Array, manifest: Manifest, category: str) -> Trial:
+    """Create a trial; `category` holds if the trial is not in the manifest."""
+    row = manifest.get(name, {'category': category})
     return Trial(
         name,
         row.get('subject') or name.partition('_')[0],
@@ -121,12 +130,14 @@ def _trial(name: str, poses: Array, known: Mapping[str, Mapping[str, str]], cate
     )
 
 
-def _archive(path: Path, known: Mapping[str, Mapping[str, str]]) -> Iterator[Trial]:
+def _read_archive(path: Path, manifest: Manifest) -> Iterator[Trial]:
+    """Read the trials of an .npz archive."""
     key = ''
     try:
-        with open_npz(path, LARGEST_ARCHIVE) as archive:
+        with open_npz(path, MAX_ARCHIVE_BYTES) as archive:
             keys = [k for k in archive.files if not k.startswith('_')]
-            names = own_names([str(n) for n in archive['_joints']]) if '_joints' in archive.files else ()
+            has_names = '_joints' in archive.files
+            names = canonical_joint_names([str(n) for n in archive['_joints']]) if has_names else ()
             if sorted(names) != sorted(CMU15.joints):
                 raise InputError(f'key _joints must name the joints of {CMU15.name}')
             order = [names.index(j) for j in CMU15.joints]
@@ -136,69 +147,79 @@ def _archive(path: Path, known: Mapping[str, Mapping[str, str]]) -> Iterator[Tri
                     raise InputError(f'key {key} has shape {array.shape}')
                 if not np.isfinite(array).all():
                     raise InputError(f'key {key} holds numbers that are not finite')
-                yield _trial(key, _z_up(array[:, order], 1) * MM, known, '')
+                yield _create_trial(key, rotate_z_up(array[:, order], 1) * M_PER_MM, manifest, '')
     except InputError as error:
         raise InputError(f'{path}: {error}') from None
     except OSError as error:
         raise InputError(f'{path}: {error.strerror or error}') from None
-    except Exception as error:  # zip, npy and JSON readers raise almost anything on garbage
+    except Exception as error:  # NumPy's zip and array readers raise almost any exception on malformed bytes
         where = f'key {key}' if key else 'not motion capture in .npz form'
-        raise InputError(f'{path}: {where} ({reader_reason(error)})') from None
+        raise InputError(f'{path}: {where} ({describe_read_error(error)})') from None
 
 
-def _recording(path: Path, source: Source) -> Array:
-    """(F, 15, 3) m, z up; frames in which a joint is missing are left out."""
+def _read_motion(path: Path, options: TrialOptions) -> Array:
+    """Read (F, 15, 3) joints in m, z up, from a file of one trial; frames with a missing joint are left out."""
     unit = None
-    kind = path.suffix.lower()
-    if kind == '.amc':
-        positions = load_amc(path, _skeleton_beside(path))
-    elif kind == '.bvh':
+    suffix = path.suffix.lower()
+    if suffix == '.amc':
+        positions = load_amc(path, _find_skeleton(path))
+    elif suffix == '.bvh':
         bvh = load_bvh(path)
-        positions = dict(zip(bvh.names, np.moveaxis(bvh.positions(), 1, 0), strict=True))
+        positions = dict(zip(bvh.names, np.moveaxis(bvh.compute_positions(), 1, 0), strict=True))
     else:
         positions, unit = load_c3d(path)
     try:
-        joints = model_joints(positions, source.markers)
+        joints = map_to_model(positions, options.markers)
         joints = joints[np.isfinite(joints).all(axis=(1, 2))]
         if not len(joints):
             raise InputError('no frame with all joints')
-        return _z_up(joints, _vertical(joints, usual=2 if kind == '.c3d' else 1)) * (
-            source.unit or unit or unit_of(joints)
-        )
+        vertical = find_vertical_axis(joints, usual=2 if suffix == '.c3d' else 1)
+        return rotate_z_up(joints, vertical) * (options.unit or unit or infer_unit(joints))
     except InputError as error:
         raise InputError(f'{path}: {error}') from None
 
 
-def _skeleton_beside(motion: Path) -> Path:
-    own = [motion.with_suffix('.asf'), motion.with_name(motion.stem.rpartition('_')[0] + '.asf')]
-    beside = (
-        [f for f in sorted(motion.parent.iterdir()) if f.suffix.lower() == '.asf'] if motion.is_file() else own
-    )
-    found = [f for f in own if f in beside] or beside
+def _find_skeleton(motion: Path) -> Path:
+    """Return the .asf file of an .amc file."""
+    expected = [motion.with_suffix('.asf'), motion.with_name(motion.stem.rpartition('_')[0] + '.asf')]
+    if motion.is_file():
+        beside = [f for f in sorted(motion.parent.iterdir()) if f.suffix.lower() == '.asf']
+    else:
+        beside = expected
+    found = [f for f in expected if f in beside] or beside
     if not found or (len(beside) > 1 and found == beside):
-        raise InputError(f'{motion}: no skeleton beside it, {own[0].name} or {own[1].name}')
+        raise InputError(f'{motion}: no skeleton beside it, {expected[0].name} or {expected[1].name}')
     return found[0]
 
 
-def _vertical(joints: Array, usual: int) -> int:
-    """Which axis is up (0, 1, 2), negative where it points down (`~axis`): the way from ankles to neck."""
-    at = {name: joints[:, i] for i, name in enumerate(CMU15.joints)}
-    up = (at['neck'] - (at['lankle'] + at['rankle']) / 2).mean(axis=0)
+def find_vertical_axis(joints: Array, usual: int) -> int:
+    """Find the vertical axis from the mean direction from the ankles to the neck.
+
+    Args:
+        joints: (F, 15, 3) positions in any unit, in the order of `skeleton.CMU15`.
+        usual: axis that is returned if no axis is clearly vertical.
+
+    Returns:
+        The axis that points up (0, 1 or 2), or `~axis` if that axis points down.
+    """
+    position = {name: joints[:, i] for i, name in enumerate(CMU15.joints)}
+    up = (position['neck'] - (position['lankle'] + position['rankle']) / 2).mean(axis=0)
     axis = int(np.abs(up).argmax())
-    if abs(up[axis]) < CLEARLY_UPRIGHT * np.linalg.norm(up):
+    if abs(up[axis]) < MIN_VERTICAL_COSINE * np.linalg.norm(up):
         return usual
     return axis if up[axis] > 0 else ~axis
 
 
-def _z_up(joints: Array, vertical: int) -> Array:
-    """Joints (..., 3) turned so that the axis that `_vertical` found is z."""
+def rotate_z_up(joints: Array, vertical: int) -> Array:
+    """Rotate joints (..., 3) so that the vertical axis, as `find_vertical_axis` returns it, becomes z."""
     x, y, z = np.moveaxis(joints, -1, 0)
     if vertical < 0:
-        return _z_up(joints, ~vertical) * [1.0, -1.0, -1.0]
+        return rotate_z_up(joints, ~vertical) * [1.0, -1.0, -1.0]
     return np.stack(((y, z, x), (x, -z, y), (x, y, z))[vertical], axis=-1)
 
 
-def _manifest(path: Path, *, required: bool) -> dict[str, dict[str, str]]:
+def _read_manifest(path: Path, *, required: bool) -> Manifest:
+    """Read a manifest; one that does not exist is empty unless it is required."""
     if not required and not path.is_file():
         return {}
     try:
@@ -210,7 +231,7 @@ def _manifest(path: Path, *, required: bool) -> dict[str, dict[str, str]]:
     return {row['trial']: row for row in rows}
 
 
-def select(
+def select_trials(
     trials: Iterable[Trial],
     *,
     categories: Sequence[str] = (),
@@ -218,7 +239,15 @@ def select(
     without_trials: Sequence[str] = (),
     only_subjects: Sequence[str] = (),
 ) -> list[Trial]:
-    """The clean trials of these categories (all if none) less the excluded ones."""
+    """Select the clean trials.
+
+    Args:
+        trials: all trials.
+        categories: categories of the selected trials; empty for all categories.
+        without_subjects: subjects whose trials are excluded.
+        without_trials: names of trials that are excluded.
+        only_subjects: subjects of the selected trials; empty for all subjects.
+    """
     return [
         t
         for t in trials

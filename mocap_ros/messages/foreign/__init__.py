@@ -1,1 +1,1 @@
-"""Messages of other packages' detectors, a file a package."""
+"""Readers of the messages of other packages' detectors, with one file for each package."""

@@ -1,18 +1,16 @@
-"""Messages of other packages that are taken as keypoints: their fields, so that reading them needs none installed.
+"""Definitions of other packages' messages that are accepted as keypoints.
 
-The field lists are those of yolo_msgs (yolo_ros), hri_msgs (ROS4HRI, REP-155), zed_msgs (ZED wrapper) and
-openpose_ros2_msgs. Another version of a type is converted to these, field by field, live and in bags.
+With these definitions the messages are read although their packages are not installed. The definitions are those
+of yolo_msgs (yolo_ros), hri_msgs (ROS4HRI, REP-155), zed_msgs (ZED wrapper) and openpose_ros2_msgs. A message in
+another version of a type is converted to these fields by name, on live topics and in bags.
+
+The definitions are not beside the readers, because `cdr` registers them and the readers import `cdr`.
 """
 
 from __future__ import annotations
 
-YOLO = 'yolo_msgs/msg/DetectionArray'
-BODY = 'hri_msgs/msg/Skeleton2D'
-BODY_IDS = 'hri_msgs/msg/IdsList'
-ZED = 'zed_msgs/msg/ObjectsStamped'
-OPENPOSE = 'openpose_ros2_msgs/msg/PoseKeyPointsList'
-
-DEFINITIONS = {
+YOLO_DETECTIONS = 'yolo_msgs/msg/DetectionArray'
+YOLO_DEFINITIONS = {
     'yolo_msgs/msg/Point2D': 'float64 x\nfloat64 y',
     'yolo_msgs/msg/Vector2': 'float64 x\nfloat64 y',
     'yolo_msgs/msg/Pose2D': 'yolo_msgs/Point2D position\nfloat64 theta',
@@ -28,10 +26,19 @@ DEFINITIONS = {
         'yolo_msgs/BoundingBox3D bbox3d\nyolo_msgs/Mask mask\nyolo_msgs/KeyPoint2DArray keypoints\n'
         'yolo_msgs/KeyPoint3DArray keypoints3d'
     ),
-    YOLO: 'std_msgs/Header header\nyolo_msgs/Detection[] detections',
+    YOLO_DETECTIONS: 'std_msgs/Header header\nyolo_msgs/Detection[] detections',
+}
+
+HRI_SKELETON = 'hri_msgs/msg/Skeleton2D'
+HRI_IDS = 'hri_msgs/msg/IdsList'
+HRI_DEFINITIONS = {
     'hri_msgs/msg/NormalizedPointOfInterest2D': 'float32 x\nfloat32 y\nfloat32 c',
-    BODY: 'std_msgs/Header header\nhri_msgs/NormalizedPointOfInterest2D[18] skeleton',
-    BODY_IDS: 'std_msgs/Header header\nstring[] ids',
+    HRI_SKELETON: 'std_msgs/Header header\nhri_msgs/NormalizedPointOfInterest2D[18] skeleton',
+    HRI_IDS: 'std_msgs/Header header\nstring[] ids',
+}
+
+ZED_OBJECTS = 'zed_msgs/msg/ObjectsStamped'
+ZED_DEFINITIONS = {
     'zed_msgs/msg/Keypoint2Di': 'uint32[2] kp',
     'zed_msgs/msg/Keypoint2Df': 'float32[2] kp',
     'zed_msgs/msg/Keypoint3D': 'float32[3] kp',
@@ -49,8 +56,15 @@ DEFINITIONS = {
         'float32[3] head_position\nzed_msgs/Skeleton2D skeleton_2d\nzed_msgs/Skeleton3D skeleton_3d\n'
         'float32[70] skeleton_keypoint_confidence'
     ),
-    ZED: 'std_msgs/Header header\nzed_msgs/Object[] objects',
+    ZED_OBJECTS: 'std_msgs/Header header\nzed_msgs/Object[] objects',
+}
+
+OPENPOSE_POSES = 'openpose_ros2_msgs/msg/PoseKeyPointsList'
+OPENPOSE_DEFINITIONS = {
     'openpose_ros2_msgs/msg/PoseKeyPoint': 'float32 x\nfloat32 y\nfloat32 score',
     'openpose_ros2_msgs/msg/PoseKeyPoints': 'openpose_ros2_msgs/PoseKeyPoint[] pose_key_points',
-    OPENPOSE: 'std_msgs/Header header\nopenpose_ros2_msgs/PoseKeyPoints[] pose_key_points_list',
+    OPENPOSE_POSES: 'std_msgs/Header header\nopenpose_ros2_msgs/PoseKeyPoints[] pose_key_points_list',
 }
+
+# All definitions: the name of each message type and its fields as in a .msg file.
+DEFINITIONS = {**YOLO_DEFINITIONS, **HRI_DEFINITIONS, **ZED_DEFINITIONS, **OPENPOSE_DEFINITIONS}

@@ -1,4 +1,7 @@
-"""hri_msgs/Skeleton2D and IdsList (ROS4HRI, REP-155)."""
+"""hri_msgs/Skeleton2D and hri_msgs/IdsList of ROS4HRI (REP-155).
+
+ROS4HRI publishes the ids of all tracked bodies on one topic, and each body on a topic of its own.
+"""
 
 from __future__ import annotations
 
@@ -7,47 +10,57 @@ import numpy as np
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.cdr import Header, checked_header, checked_text
-from mocap_ros.messages.foreign.definitions import BODY, BODY_IDS
-from mocap_ros.messages.foreign.shared import Size, _decoded, _person
+from mocap_ros.messages.cdr import Header, validate_header, validate_text
+from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
+from mocap_ros.messages.foreign.shared import ImageSize, decode_foreign, validate_person_of_field
 from mocap_ros.messages.keypoints import check_count
-from mocap_ros.skeleton import layout
+from mocap_ros.skeleton import keypoint_layout
 
-HRI18 = layout('hri18').joints
+HRI18 = keypoint_layout('hri18').joints  # joints in the order of hri_msgs/Skeleton2D
 
 
-def decode_body(raw: bytes, name: str, size: Size, limits: NodeConfig) -> tuple[Header, Person2D]:
-    """The image and the person of a ROS4HRI Skeleton2D.
+def decode_body(raw: bytes, body_id: str, size: ImageSize, limits: NodeConfig) -> tuple[Header, Person2D]:
+    """Decode and validate a Skeleton2D.
 
     Args:
-        raw: CDR.
-        name: of the body, from its topic.
-        size: of the image in px, by which the shares of it are undone.
-        limits: most text.
+        raw: CDR bytes.
+        body_id: id of the body, from the name of its topic.
+        size: size of the image, by which the normalised coordinates are multiplied.
+        limits: the parameters that limit the length of a text.
+
+    Returns:
+        The header of the image, and the person.
 
     Raises:
-        InputError: names the field and the joint, or the size of the image is not known.
+        InputError: the message is not valid, or the size of the image is unknown; the error names the field.
     """
-    message = _decoded(raw, BODY)
-    header = checked_header(message.header, limits)
+    message = decode_foreign(raw, HRI_SKELETON)
+    header = validate_header(message.header, limits)
     if not all(size):
         raise InputError(
-            'skeleton: shares of an image whose size is not known: neither CameraInfo nor the parameters '
-            'node.image_width and node.image_height say it'
+            'skeleton: coordinates are normalised, and the size of the image is unknown: neither CameraInfo nor '
+            'the parameters node.image_width and node.image_height give it'
         )
-    shares = np.array([[p.x, p.y] for p in message.skeleton], np.float64)
+    normalised = np.array([[p.x, p.y] for p in message.skeleton], np.float64)
     score = np.array([p.c for p in message.skeleton], np.float64)
-    named = checked_text(name, 'id', limits)
-    return header, _person(named, HRI18, shares * np.array(size), score, 0, 'skeleton')
+    person_id = validate_text(body_id, 'id', limits)
+    return header, validate_person_of_field(person_id, HRI18, normalised * np.array(size), score, 0, 'skeleton')
 
 
 def decode_ids(raw: bytes, limits: NodeConfig) -> tuple[Header, tuple[str, ...]]:
-    """The image and the ids of a ROS4HRI IdsList.
+    """Decode and validate an IdsList.
+
+    Args:
+        raw: CDR bytes.
+        limits: the parameters that limit the number of people and the length of a text.
+
+    Returns:
+        The header of the image, and the ids of all bodies that are tracked in it.
 
     Raises:
-        InputError: too many, or a long one.
+        InputError: the message is not valid, there are too many ids, or an id is too long.
     """
-    message = _decoded(raw, BODY_IDS)
+    message = decode_foreign(raw, HRI_IDS)
     check_count('ids', len(message.ids), limits)
-    ids = tuple(checked_text(i, 'ids', limits) for i in message.ids)
-    return checked_header(message.header, limits), ids
+    ids = tuple(validate_text(i, 'ids', limits) for i in message.ids)
+    return validate_header(message.header, limits), ids

@@ -1,4 +1,4 @@
-"""openpose_ros2_msgs/PoseKeyPointsList."""
+"""openpose_ros2_msgs/PoseKeyPointsList, published by openpose_ros2."""
 
 from __future__ import annotations
 
@@ -9,22 +9,29 @@ import numpy as np
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.foreign.shared import Size, _person
-from mocap_ros.messages.foreign.yolo import COCO17
-from mocap_ros.messages.foreign.zed import COCO18
-from mocap_ros.skeleton import layout
+from mocap_ros.messages.foreign.shared import ImageSize, validate_person_of_field
+from mocap_ros.skeleton import keypoint_layout
 
-BODY25 = layout('body25').joints
-
-
-OPENPOSE_LAYOUTS = {len(joints): joints for joints in (COCO17, COCO18, BODY25)}
+# The joints of each layout that OpenPose publishes, by the number of keypoints, which identifies the layout.
+JOINTS_BY_COUNT = {
+    len(joints): joints for joints in (keypoint_layout(name).joints for name in ('coco17', 'coco18', 'body25'))
+}
 
 
-def _of_openpose(body: Any, size: Size, _: NodeConfig) -> Person2D | None:
-    found = body.pose_key_points
-    if len(found) not in OPENPOSE_LAYOUTS:
-        known = ', '.join(map(str, OPENPOSE_LAYOUTS))
-        raise InputError(f'pose_key_points: {len(found)} joints, expected {known}')
-    points = np.array([[p.x, p.y] for p in found], np.float64)
-    score = np.array([p.score for p in found], np.float64)
-    return _person('', OPENPOSE_LAYOUTS[len(found)], points, score, size[0], 'pose_key_points')
+def read_pose(pose: Any, size: ImageSize, _: NodeConfig) -> Person2D | None:
+    """Read the person of an openpose_ros2_msgs/PoseKeyPoints; the message has no ids.
+
+    Args:
+        pose: message object.
+        size: size of the image.
+
+    Raises:
+        InputError: no layout has that number of keypoints, or a keypoint is not valid; the error names the field.
+    """
+    keypoints = pose.pose_key_points
+    if len(keypoints) not in JOINTS_BY_COUNT:
+        expected = ', '.join(map(str, JOINTS_BY_COUNT))
+        raise InputError(f'pose_key_points: {len(keypoints)} joints, expected {expected}')
+    points = np.array([[p.x, p.y] for p in keypoints], np.float64)
+    score = np.array([p.score for p in keypoints], np.float64)
+    return validate_person_of_field('', JOINTS_BY_COUNT[len(keypoints)], points, score, size[0], 'pose_key_points')

@@ -1,4 +1,4 @@
-"""Filters over time for frames at any rate."""
+"""Low-pass filter, medians and gap interpolation over time, for frames at any rate."""
 
 from __future__ import annotations
 
@@ -9,33 +9,51 @@ from scipy.sparse import csr_array
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-REACH = 3.5
-SMALLEST = 1e-9
+FILTER_REACH = 3.5  # standard deviations; frames further away would weigh less than 0.3 % of the frame itself
+MIN_SECONDS = 1e-9  # s; guards divisions by a width or a time difference of zero
 
 
-def low_pass(times: Array, width: float) -> csr_array:
-    """(F, F) matrix that takes Gaussian means over time, sparse; `width` s, standard deviation."""
+def build_low_pass_matrix(times: Array, width: float) -> csr_array:
+    """Return the matrix of a Gaussian low-pass filter over time.
+
+        L(i, j) = g(t_i - t_j) / sum_k g(t_i - t_k)      with g(t) = exp(-t^2 / (2 width^2))
+
+    Args:
+        times: (F,) s, increasing.
+        width: s, standard deviation of the Gaussian.
+
+    Returns:
+        (F, F) sparse matrix; its product with (F, D) values is the filtered values.
+    """
     frames = len(times)
-    first = np.searchsorted(times, times - REACH * width)
-    last = np.searchsorted(times, times + REACH * width, side='right')
+    first = np.searchsorted(times, times - FILTER_REACH * width)
+    last = np.searchsorted(times, times + FILTER_REACH * width, side='right')
     count = last - first
     row = np.repeat(np.arange(frames), count)
-    start = np.concatenate([[0], np.cumsum(count)])
-    column = np.arange(start[-1]) - start[row] + first[row]
-    weight = np.exp(-0.5 * ((times[row] - times[column]) / max(width, SMALLEST)) ** 2)
+    row_start = np.concatenate([[0], np.cumsum(count)])
+    column = np.arange(row_start[-1]) - row_start[row] + first[row]
+    weight = np.exp(-0.5 * ((times[row] - times[column]) / max(width, MIN_SECONDS)) ** 2)
     total = np.bincount(row, weight, minlength=frames)
-    return csr_array((weight / total[row], column, start), shape=(frames, frames))
+    return csr_array((weight / total[row], column, row_start), shape=(frames, frames))
 
 
 def running_median(values: Array, reach: int) -> Array:
-    """(F, ...) median over so many frames before and after each, of those that are not NaN."""
+    """Return the running median over time of the values that are not NaN.
+
+    Args:
+        values: (F, ...) any unit.
+        reach: number of frames before and after each frame that take part.
+
+    Returns:
+        (F, ...) medians, NaN where every value of the window is NaN.
+    """
     edge = np.full((reach, *values.shape[1:]), np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(np.concatenate([edge, values, edge]), 2 * reach + 1, axis=0)
-    return median(windows, axis=-1)
+    return nan_median(windows, axis=-1)
 
 
-def median(values: Array, axis: int) -> Array:
-    """Median of what is not NaN along an axis, NaN where nothing is."""
+def nan_median(values: Array, axis: int) -> Array:
+    """Return the median along an axis of the values that are not NaN, or NaN where all are."""
     ranked = np.sort(values, axis=axis)
     count = np.isfinite(values).sum(axis=axis, keepdims=True)
     lower = np.take_along_axis(ranked, np.maximum((count - 1) // 2, 0), axis)
@@ -43,28 +61,29 @@ def median(values: Array, axis: int) -> Array:
     return np.asarray(np.squeeze((lower + upper) / 2, axis=axis))
 
 
-def bridged(points: Array, seen: Mask, times: Array, longest: float) -> tuple[Array, Mask]:
-    """Points with short gaps interpolated.
+def interpolate_gaps(points: Array, seen: Mask, times: Array, max_gap: float) -> tuple[Array, Mask]:
+    """Interpolate each point linearly through the short gaps in which it is not seen.
 
     Args:
-        points: (F, J, D), anything where not seen.
-        seen: (F, J).
+        points: (F, J, D) any unit, arbitrary where not seen.
+        seen: (F, J) True where a point is seen.
         times: (F,) s, increasing.
-        longest: s between the frames before and after a gap, at most.
+        max_gap: s, largest time between the frames before and after a gap that is interpolated.
 
     Returns:
-        (F, J, D) points and (F, J) where they are known now.
+        (F, J, D) points, and (F, J) True where a point is seen or interpolated.
     """
     out, known = points.copy(), seen.copy()
     for j in range(points.shape[1]):
-        at = np.flatnonzero(seen[:, j])
-        if len(at) in (0, len(times)):
+        seen_frames = np.flatnonzero(seen[:, j])
+        if len(seen_frames) in (0, len(times)):
             continue
-        after = np.minimum(np.searchsorted(at, np.arange(len(times))), len(at) - 1)
-        before = np.maximum(np.searchsorted(at, np.arange(len(times)), side='right') - 1, 0)
-        t0, t1 = times[at[before]], times[at[after]]
-        inside = ~seen[:, j] & (t0 < times) & (times < t1) & (t1 - t0 <= longest)
-        share = ((times - t0) / np.maximum(t1 - t0, SMALLEST))[inside, None]
-        out[inside, j] = (1 - share) * points[at[before][inside], j] + share * points[at[after][inside], j]
+        after = np.minimum(np.searchsorted(seen_frames, np.arange(len(times))), len(seen_frames) - 1)
+        before = np.maximum(np.searchsorted(seen_frames, np.arange(len(times)), side='right') - 1, 0)
+        t0, t1 = times[seen_frames[before]], times[seen_frames[after]]
+        inside = ~seen[:, j] & (t0 < times) & (times < t1) & (t1 - t0 <= max_gap)
+        share = ((times - t0) / np.maximum(t1 - t0, MIN_SECONDS))[inside, None]
+        point_before, point_after = points[seen_frames[before][inside], j], points[seen_frames[after][inside], j]
+        out[inside, j] = (1 - share) * point_before + share * point_after
         known[inside, j] = True
     return out, known

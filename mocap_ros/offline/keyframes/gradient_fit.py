@@ -1,8 +1,13 @@
-"""A motion fitted to its image (Loy et al. 2004, section 6.2, figure 9).
+"""Fit of the initial motion to the image points (Loy et al. 2004, section 6.2, figure 9).
 
-Step 1 brings each pose to its image points by translation, rotation and scale. Then gradient descent on the
-squared reprojection error (eq. 6), each step followed by the return to what a skeleton can do: limb lengths
-reset, those of left and right the same, the joints' trajectories low-passed.
+    X_hat = argmin_X E(X)  subject to X in M_N,      E(X) = || x' - x_hat ||^2                  (eq. 5 and 6)
+    X^i = X^{i-1} - lambda grad E(X^{i-1})                                                  (figure 9, step 3)
+
+x' is the projection of the motion X and x_hat the image points. Step 1 translates, rotates and scales the initial
+motion X^0 to fit the image points (`align_motion`). Each step of the gradient descent is followed by step 4, the
+approximate projection onto the manifold M_N of skeleton motions: limb lengths are reset and the joints'
+trajectories are low-passed. E is measured in metres at the body, under the perspective projection if the focal
+length is known.
 """
 
 from __future__ import annotations
@@ -14,129 +19,149 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.rotations import cross_matrix, small_rotation
-from mocap_ros.geometry.weak_perspective import centred_on_seen
-from mocap_ros.offline.keyframes.filters import low_pass, median
-from mocap_ros.offline.keyframes.interpolation import limb_directions, pose_of
+from mocap_ros.geometry.rotations import cross_matrix, rotation_from_vector
+from mocap_ros.geometry.weak_perspective import subtract_weighted_centroid
+from mocap_ros.offline.keyframes.filters import build_low_pass_matrix, nan_median
+from mocap_ros.offline.keyframes.interpolation import assemble_poses, compute_limb_directions
 from mocap_ros.skeleton import Skeleton
 
 Array = NDArray[np.float64]
 
-ROBUST = 0.06
-PLACING_STEPS = 8
-TURN_SPREAD = np.radians(3.0)
-POINT_SPREAD = 0.03
-SCALE_TIME = 0.6
-NEAREST = 0.2
-SMALLEST = 1e-9
+# the settings of rotation, scale and robustness were tuned on CMU motion capture (docs/keyframes.md)
+ROBUST_SCALE_M = 0.06  # m; scale of Cauchy's loss in the alignment, so that outliers do not pull a pose
+ALIGNMENT_ITERATIONS = 8  # Gauss-Newton iterations; a fixed number, since all frames are solved at once
+ROTATION_STD = np.radians(
+    3.0
+)  # rad, prior on the alignment's rotation: key poses are in the camera's frame already
+POINT_STD_M = 0.03  # m, standard deviation of an image point at the body; weighs the points against the prior
+LOG_SCALE_INFORMATION = 1.0  # 1 / std^2 of a weak prior on each step's log scale; keeps the equations solvable
+MAX_ALIGNMENT_STEP = 0.5  # rad and log scale; limits a Gauss-Newton step taken far from the solution
+SCALE_LOW_PASS_S = 0.6  # s, standard deviation; the scale follows the person's distance, which changes slowly
+MIN_ALIGNMENT_JOINTS = 3  # joints seen in a frame, below which its alignment is interpolated
+MIN_RELATIVE_DEPTH = 0.2  # share of the body's depth; guards the perspective division against joints at the camera
+EPSILON = 1e-9  # guards divisions by a radius (m or px) or a sum of weights of zero
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
-    """A motion in front of a camera.
+class AlignedMotion:
+    """A motion with a weak-perspective or perspective camera for each frame.
 
     Attributes:
-        joints: (F, J, 3) m, camera's axes, about a point near their mean.
-        scale: (F,) px/m at that point.
-        translation: (F, 2) px, its image.
+        joints: (F, J, 3) m, virtual camera's axes, relative to an origin near the mean of the joints.
+        scale: (F,) px/m, scale of the projection at the origin's depth.
+        translation: (F, 2) px, image of the origin.
     """
 
     joints: Array
     scale: Array
     translation: Array
 
-    def depth(self, focal: float) -> Array:
-        """(F, J) of each joint, of that of the body's point; 1 where the focal length is infinite."""
-        return np.maximum(1 + self.scale[:, None] * self.joints[..., 2] / focal, NEAREST)
+    def relative_depth(self, focal: float) -> Array:
+        """Return (F, J) depths divided by the origin's depth; 1 if the focal length (px) is infinite."""
+        return np.maximum(1 + self.scale[:, None] * self.joints[..., 2] / focal, MIN_RELATIVE_DEPTH)
 
-    def lifted(self, points: Array, focal: float) -> Array:
-        """(F, J, 2) m: x and y of the points, px, moved to the depth of their joints."""
-        away = points * self.depth(focal)[..., None] - self.translation[:, None]
-        return np.asarray(away / self.scale[:, None, None])
+    def back_project(self, points: Array, focal: float) -> Array:
+        """Return (F, J, 2) m, x and y of image points (F, J, 2) px at the depths of their joints."""
+        offset = points * self.relative_depth(focal)[..., None] - self.translation[:, None]
+        return np.asarray(offset / self.scale[:, None, None])
 
-    def image(self, focal: float) -> Array:
-        """(F, J, 2) px."""
+    def project(self, focal: float) -> Array:
+        """Return (F, J, 2) px, the joints' image x' for a focal length in px."""
         flat = self.scale[:, None, None] * self.joints[..., :2] + self.translation[:, None]
-        return np.asarray(flat / self.depth(focal)[..., None])
+        return np.asarray(flat / self.relative_depth(focal)[..., None])
 
 
-def placed(motion: Array, points: Array, weight: Array, times: Array, focal: float) -> Placed:
-    """Step 1: each pose translated, rotated and scaled to its image points, robustly.
+def align_motion(motion: Array, points: Array, weight: Array, times: Array, focal: float) -> AlignedMotion:
+    """Translate, rotate and scale each pose to fit its image points robustly (figure 9, step 1).
 
-    Rotations are held near none, since key poses are in the camera's frame already; scales are low-passed, and
-    both scale and place are interpolated where too little is seen.
+    Rotations have a prior of `ROTATION_STD` around none. Scales are low-passed. Scale and translation are
+    interpolated over the frames with fewer than three seen joints, whose poses are not rotated.
 
     Args:
-        motion: (F, J, 3) m, camera's axes.
-        points: (F, J, 2) px, anything where the weight is 0.
-        weight: (F, J).
+        motion: (F, J, 3) m, virtual camera's axes.
+        points: (F, J, 2) px, arbitrary where the weight is 0.
+        weight: (F, J) confidence scores, 0 where not seen.
         times: (F,) s, increasing.
-        focal: px, or infinite.
+        focal: px, focal length, or infinite.
+
+    Raises:
+        InputError: No frame has three seen joints.
     """
     joints = motion - motion.mean(axis=1, keepdims=True)
-    good = np.flatnonzero((weight > 0).sum(axis=1) >= 3)
-    if not len(good):
-        raise InputError('no frame has three joints that can be believed')
-    body, image, trust = joints[good], points[good], weight[good]
-    a, _ = centred_on_seen(body[..., :2], trust)
-    b, _ = centred_on_seen(image, trust)
-    radius = [np.sqrt((trust[..., None] * v**2).sum(axis=(1, 2))) for v in (a, b)]
-    log_scale = np.log(np.maximum(radius[1], SMALLEST) / np.maximum(radius[0], SMALLEST))
-    here = Placed(body, np.exp(log_scale), np.zeros((len(good), 2)))
-    for _ in range(PLACING_STEPS):
-        target = here.lifted(image, focal)
-        error = here.joints[..., :2] - target
-        middle = _middle(error, trust)
-        error = error - middle[:, None]
-        robust = trust / (1 + (error**2).sum(axis=-1) / ROBUST**2)
-        error, mean = centred_on_seen(error, robust)
-        turned, _ = centred_on_seen(here.joints, robust)
-        jac = np.concatenate([-cross_matrix(turned)[..., :2, :], turned[..., :2, None]], axis=-1)
-        w = robust[..., None, None] / POINT_SPREAD**2
-        normal = (np.swapaxes(jac, -1, -2) @ (w * jac)).sum(axis=1)
-        gradient = (np.swapaxes(jac, -1, -2) @ (w * error[..., None])).sum(axis=1)[..., 0]
-        normal += np.diag([*[TURN_SPREAD**-2] * 3, 1.0])
-        step = np.clip(-np.linalg.solve(normal, gradient[..., None])[..., 0], -0.5, 0.5)
-        turned = here.joints @ np.swapaxes(small_rotation(step[:, :3]), -1, -2)
-        shift = here.scale[:, None] * (middle + mean)
-        here = Placed(turned, here.scale * np.exp(step[:, 3]), here.translation - shift)
-    low = low_pass(times[good], SCALE_TIME)
-    scale = np.exp(low @ np.log(here.scale))
-    every = np.empty_like(joints)
-    every[:] = joints
-    every[good] = here.joints
-    knots = times[good]
-    translation = np.stack([np.interp(times, knots, here.translation[:, d]) for d in (0, 1)], axis=-1)
-    return Placed(every, np.exp(np.interp(times, knots, np.log(scale))), translation)
+    frames = np.flatnonzero((weight > 0).sum(axis=1) >= MIN_ALIGNMENT_JOINTS)
+    if not len(frames):
+        raise InputError('no frame has three joints that are not outliers')
+    body, image, score = joints[frames], points[frames], weight[frames]
+    a, _ = subtract_weighted_centroid(body[..., :2], score)
+    b, _ = subtract_weighted_centroid(image, score)
+    radius = [np.sqrt((score[..., None] * v**2).sum(axis=(1, 2))) for v in (a, b)]
+    log_scale = np.log(np.maximum(radius[1], EPSILON) / np.maximum(radius[0], EPSILON))
+    aligned = AlignedMotion(body, np.exp(log_scale), np.zeros((len(frames), 2)))
+    for _ in range(ALIGNMENT_ITERATIONS):
+        aligned = _take_alignment_step(aligned, image, score, focal)
+    low_pass = build_low_pass_matrix(times[frames], SCALE_LOW_PASS_S)
+    scale = np.exp(low_pass @ np.log(aligned.scale))
+    all_joints = np.empty_like(joints)
+    all_joints[:] = joints
+    all_joints[frames] = aligned.joints
+    knots = times[frames]
+    translation = np.stack([np.interp(times, knots, aligned.translation[:, d]) for d in (0, 1)], axis=-1)
+    return AlignedMotion(all_joints, np.exp(np.interp(times, knots, np.log(scale))), translation)
 
 
-def _middle(error: Array, weight: Array) -> Array:
-    """(F, 2) median error of the seen joints."""
-    return np.nan_to_num(median(np.where(weight[..., None] > 0, error, np.nan), axis=1))
+def _take_alignment_step(aligned: AlignedMotion, image: Array, score: Array, focal: float) -> AlignedMotion:
+    """Return the alignment after one reweighted Gauss-Newton step of each frame."""
+    target = aligned.back_project(image, focal)
+    error = aligned.joints[..., :2] - target
+    median = _compute_median_error(error, score)
+    error = error - median[:, None]
+    robust_weight = score / (1 + (error**2).sum(axis=-1) / ROBUST_SCALE_M**2)
+    error, mean = subtract_weighted_centroid(error, robust_weight)
+    centred, _ = subtract_weighted_centroid(aligned.joints, robust_weight)
+    jacobian = np.concatenate([-cross_matrix(centred)[..., :2, :], centred[..., :2, None]], axis=-1)
+    information = robust_weight[..., None, None] / POINT_STD_M**2
+    normal = (np.swapaxes(jacobian, -1, -2) @ (information * jacobian)).sum(axis=1)
+    gradient = (np.swapaxes(jacobian, -1, -2) @ (information * error[..., None])).sum(axis=1)[..., 0]
+    normal += np.diag([*[ROTATION_STD**-2] * 3, LOG_SCALE_INFORMATION])
+    step = -np.linalg.solve(normal, gradient[..., None])[..., 0]
+    step = np.clip(step, -MAX_ALIGNMENT_STEP, MAX_ALIGNMENT_STEP)
+    rotated = aligned.joints @ np.swapaxes(rotation_from_vector(step[:, :3]), -1, -2)
+    shift = aligned.scale[:, None] * (median + mean)
+    return AlignedMotion(rotated, aligned.scale * np.exp(step[:, 3]), aligned.translation - shift)
 
 
-def symmetric(lengths: Array, skeleton: Skeleton) -> Array:
-    """(B,) limb lengths with those of left and right made the same."""
+def _compute_median_error(error: Array, weight: Array) -> Array:
+    """Return (F, 2) the median error of the seen joints."""
+    return np.nan_to_num(nan_median(np.where(weight[..., None] > 0, error, np.nan), axis=1))
+
+
+def symmetrise_lengths(lengths: Array, skeleton: Skeleton) -> Array:
+    """Return limb lengths (B,) in which left and right limbs have the mean of both."""
     child = [c for _, c in skeleton.bones]
-    twin = [child.index(skeleton.mirror[c]) for c in child]
-    return np.asarray((lengths + lengths[twin]) / 2)
+    mirrored_bone = [child.index(skeleton.mirror[c]) for c in child]
+    return np.asarray((lengths + lengths[mirrored_bone]) / 2)
 
 
-def with_lengths(joints: Array, lengths: Array, skeleton: Skeleton) -> Array:
-    """Poses (F, J, 3) with limb lengths (B,) and their own limb directions, centred."""
-    return pose_of(limb_directions(joints, skeleton.bones), lengths, skeleton)
+def reset_limb_lengths(joints: Array, lengths: Array, skeleton: Skeleton) -> Array:
+    """Return poses (F, J, 3) with their limb directions but limb lengths (B,), centred (figure 9, step 4)."""
+    return assemble_poses(compute_limb_directions(joints, skeleton.bones), lengths, skeleton)
 
 
 @dataclass(frozen=True, eq=False)
-class Descent:
-    """A fitted motion, and the mean squared reprojection error, m^2, before each step and at the end."""
+class FitResult:
+    """The result of the projected gradient descent.
 
-    placed: Placed
-    error: tuple[float, ...]
+    Attributes:
+        motion: fitted motion X_hat.
+        mean_squared_errors: m^2, mean squared reprojection error before each step and at the end.
+    """
+
+    motion: AlignedMotion
+    mean_squared_errors: tuple[float, ...]
 
 
-def fitted(
-    start: Placed,
+def fit_motion(
+    start: AlignedMotion,
     points: Array,
     weight: Array,
     times: Array,
@@ -149,48 +174,50 @@ def fitted(
     iterations: int,
     tolerance: float = 1e-3,
     progress: Callable[[], None] = lambda: None,
-) -> Descent:
-    """Projected gradient descent on the reprojection error (figure 9).
+) -> FitResult:
+    """Fit a motion to its image points by projected gradient descent (figure 9, steps 2 to 5).
 
     Args:
-        start: step 1's motion.
-        points: (F, J, 2) px, anything where the weight is 0.
-        weight: (F, J) in [0, 1].
+        start: aligned initial motion from step 1.
+        points: (F, J, 2) px, arbitrary where the weight is 0.
+        weight: (F, J) weights in [0, 1].
         times: (F,) s, increasing.
-        lengths: (B,) m, of the limbs, left and right the same.
-        skeleton: of the joints.
-        focal: px, or infinite.
-        step: lambda, of the gradient of the squared error in m.
-        smoothing: s, standard deviation of the low-pass filter.
-        iterations: at most.
-        tolerance: relative change of the error that ends it.
-        progress: told of every step.
+        lengths: (B,) m, limb lengths, left and right equal.
+        skeleton: skeleton of the joints.
+        focal: px, focal length, or infinite.
+        step: lambda, factor of the gradient of the squared error.
+        smoothing: s, standard deviation of the low-pass filter; 0 for none.
+        iterations: maximum number of steps.
+        tolerance: relative change of the error below which the descent has converged.
+        progress: called after every step.
     """
-    low = low_pass(times, smoothing) if smoothing > 0 else None
-    here = replace(start, joints=with_lengths(start.joints, lengths, skeleton))
-    here, gradient, error = _gradient(here, points, weight, focal)
+    low_pass = build_low_pass_matrix(times, smoothing) if smoothing > 0 else None
+    motion = replace(start, joints=reset_limb_lengths(start.joints, lengths, skeleton))
+    motion, gradient, error = _evaluate_error(motion, points, weight, focal)
     errors = [error]
     for _ in range(iterations):
-        joints = here.joints.copy()
+        joints = motion.joints.copy()
         joints[..., :2] -= step * gradient
-        joints = with_lengths(joints, lengths, skeleton)
-        if low is not None:
-            joints = np.asarray(low @ joints.reshape(len(joints), -1)).reshape(joints.shape)
-        here, gradient, error = _gradient(replace(here, joints=joints), points, weight, focal)
+        joints = reset_limb_lengths(joints, lengths, skeleton)
+        if low_pass is not None:
+            joints = np.asarray(low_pass @ joints.reshape(len(joints), -1)).reshape(joints.shape)
+        motion, gradient, error = _evaluate_error(replace(motion, joints=joints), points, weight, focal)
         errors.append(error)
         progress()
         if abs(errors[-2] - error) <= tolerance * errors[-2]:
             break
-    joints = with_lengths(here.joints, lengths, skeleton)
-    return Descent(replace(here, joints=joints), tuple(errors))
+    joints = reset_limb_lengths(motion.joints, lengths, skeleton)
+    return FitResult(replace(motion, joints=joints), tuple(errors))
 
 
-def _gradient(here: Placed, points: Array, weight: Array, focal: float) -> tuple[Placed, Array, float]:
-    """The motion moved to the best translation, the gradient (F, J, 2) m of its error, and that error, m^2."""
-    error = here.joints[..., :2] - here.lifted(points, focal)
+def _evaluate_error(
+    motion: AlignedMotion, points: Array, weight: Array, focal: float
+) -> tuple[AlignedMotion, Array, float]:
+    """Return the motion with the best translation, its error's gradient (F, J, 2) m, and the mean error, m^2."""
+    error = motion.joints[..., :2] - motion.back_project(points, focal)
     total = weight.sum(axis=1)
-    mean = (weight[..., None] * error).sum(axis=1) / np.maximum(total, SMALLEST)[:, None]
-    here = replace(here, translation=here.translation - here.scale[:, None] * mean)
+    mean = (weight[..., None] * error).sum(axis=1) / np.maximum(total, EPSILON)[:, None]
+    motion = replace(motion, translation=motion.translation - motion.scale[:, None] * mean)
     error = (error - mean[:, None]) * weight[..., None]
-    squared = float((error**2).sum() / max(weight.sum(), SMALLEST))
-    return here, 2 * error, squared
+    mean_squared_error = float((error**2).sum() / max(weight.sum(), EPSILON))
+    return motion, 2 * error, mean_squared_error

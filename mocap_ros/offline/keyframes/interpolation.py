@@ -1,7 +1,10 @@
-"""From key poses to a smooth first motion (Loy et al. 2004, section 6.1).
+"""The initial smooth motion X^0 between key poses (Loy et al. 2004, section 6.1).
 
-Limbs are unit vectors in the camera's frame; a control point is a frame whose pose is taken for that of its
-keyframe. Between control points limbs turn at constant speed (Shoemake 1985, spherical linear interpolation).
+    slerp(a, b; u) = ( sin((1 - u) omega) a + sin(u omega) b ) / sin(omega)      with cos(omega) = a . b
+
+A control point is a frame of W whose pose is replaced by the key pose of its keyframe. Limbs are unit vectors in
+the camera's frame; between control points each limb turns at constant speed (spherical linear interpolation,
+Shoemake 1985).
 """
 
 from __future__ import annotations
@@ -11,96 +14,115 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.offline.keyframes.filters import median
+from mocap_ros.offline.keyframes.filters import nan_median
 from mocap_ros.skeleton import Skeleton
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-Bones = Sequence[tuple[int, int]]
+Bones = Sequence[tuple[int, int]]  # (parent, child) joint indices of each bone
 
-ROBUST = 0.1
-SMALLEST = 1e-9
-NEARLY_OPPOSITE = np.pi - 0.05
+ROBUST_SCALE = 0.1  # torso lengths; a joint this far from its key pose counts less than by its square
+EPSILON = 1e-9  # guards divisions by lengths (m), times (s) and counts of zero
+MIN_ANGLE = 1e-6  # rad; guards the division by sin(omega) when two directions are the same
+MAX_ANGLE = np.pi - 0.05  # rad; guards the division by sin(omega) when two directions are opposite
 
 
-def limb_directions(poses: Array, bones: Bones) -> Array:
-    """(..., J, 3) -> (..., B, 3) unit vectors from parent to child."""
+def compute_limb_directions(poses: Array, bones: Bones) -> Array:
+    """Return the (..., B, 3) unit vectors from parent to child joint of poses (..., J, 3)."""
     parents, children = (list(side) for side in zip(*bones, strict=True))
     limbs = poses[..., children, :] - poses[..., parents, :]
-    return np.asarray(limbs / np.maximum(np.linalg.norm(limbs, axis=-1, keepdims=True), SMALLEST))
+    return np.asarray(limbs / np.maximum(np.linalg.norm(limbs, axis=-1, keepdims=True), EPSILON))
 
 
-def pose_of(directions: Array, lengths: Array, skeleton: Skeleton) -> Array:
-    """(..., B, 3) limb directions and (..., B) lengths, of `skeleton.bones` -> (..., J, 3) about the mean."""
-    number = {bone: i for i, bone in enumerate(skeleton.bones)}
+def assemble_poses(directions: Array, lengths: Array, skeleton: Skeleton) -> Array:
+    """Return poses with given limb directions and limb lengths, centred on the mean of the joints.
+
+    Args:
+        directions: (..., B, 3) unit vectors, in the order of `skeleton.bones`.
+        lengths: (..., B) any unit.
+        skeleton: skeleton with J joints and B bones.
+
+    Returns:
+        (..., J, 3) in the unit of the lengths.
+    """
+    bone_index = {bone: i for i, bone in enumerate(skeleton.bones)}
     out = np.zeros((*directions.shape[:-2], len(skeleton.joints), 3))
-    for bone in skeleton.outward():
+    for bone in skeleton.outward_bones():
         parent, child = bone
-        i = number[bone]
+        i = bone_index[bone]
         out[..., child, :] = out[..., parent, :] + lengths[..., i, None] * directions[..., i, :]
     return out - out.mean(axis=-2, keepdims=True)
 
 
-def misfits(keys: Array, points: Array, seen: NDArray[np.bool_]) -> Array:
-    """(N,) robust mean distance of reprojected key poses from frames, torso lengths, translation removed.
+def compute_reprojection_distances(key_poses: Array, points: Array, seen: NDArray[np.bool_]) -> Array:
+    """Return the robust distances by which the fits of frames to their key poses are ranked (section 6.1).
+
+        e = r sqrt( mean_j log(1 + |x'_j - x_j|^2 / r^2) )      with r = `ROBUST_SCALE`
+
+    Each key pose is first translated by the median difference of the seen joints.
 
     Args:
-        keys: (N, J, 2) reprojected 3D key poses, torso lengths.
-        points: (N, J, 2) of the frames, torso lengths.
-        seen: (N, J) joints of the frames.
-    """
-    difference = np.where(seen[..., None], keys - points, np.nan)
-    difference = np.nan_to_num(difference - median(difference, axis=1)[:, None])
-    loss = np.where(seen, np.log1p((difference**2).sum(axis=-1) / ROBUST**2), 0.0)
-    return np.asarray(ROBUST * np.sqrt(loss.sum(axis=1) / np.maximum(seen.sum(axis=1), SMALLEST)))
-
-
-def thinned(keyframe: Indices, misfit: Array, times: Array, gap: float) -> Indices:
-    """Control points: of each run of frames with one keyframe, the worst fitting are dropped.
-
-    Args:
-        keyframe: (F,) which keyframe represents each frame, -1 for frames that none represents well.
-        misfit: (F,) of each frame to its key pose.
-        times: (F,) s, increasing.
-        gap: T, s; dropping a frame must not leave control points further apart. The best fitting one always stays.
+        key_poses: (N, J, 2) x', reprojected 3D key poses, torso lengths.
+        points: (N, J, 2) x, image points of the frames, torso lengths.
+        seen: (N, J) True where a joint of the frame is seen.
 
     Returns:
-        Frames, increasing.
+        (N,) e, torso lengths.
     """
-    at = np.flatnonzero(keyframe >= 0)
-    before = dict(zip(at[1:].tolist(), at[:-1].tolist(), strict=True))
-    after = dict(zip(at[:-1].tolist(), at[1:].tolist(), strict=True))
-    kept = dict.fromkeys(at.tolist(), True)
-    breaks = np.flatnonzero((np.diff(at) > 1) | (np.diff(keyframe[at]) != 0)) + 1
-    for run in np.split(at, breaks):
-        for frame in run[np.argsort(-misfit[run], kind='stable')][:-1].tolist():
+    difference = np.where(seen[..., None], key_poses - points, np.nan)
+    difference = np.nan_to_num(difference - nan_median(difference, axis=1)[:, None])
+    loss = np.where(seen, np.log1p((difference**2).sum(axis=-1) / ROBUST_SCALE**2), 0.0)
+    return np.asarray(ROBUST_SCALE * np.sqrt(loss.sum(axis=1) / np.maximum(seen.sum(axis=1), EPSILON)))
+
+
+def select_control_points(assignment: Indices, distance: Array, times: Array, gap: float) -> Indices:
+    """Select the control points: the worst fitting frames of each run assigned to one keyframe are omitted.
+
+    Args:
+        assignment: (F,) index of the keyframe that represents each frame well, -1 where none does.
+        distance: (F,) distance of each frame from its reprojected key pose.
+        times: (F,) s, increasing.
+        gap: T, s; a frame is omitted only if its neighbouring control points are at most T apart.
+
+    Returns:
+        Frame indices of the control points, increasing. The best fitting frame of a run is always among them.
+    """
+    represented = np.flatnonzero(assignment >= 0)
+    before = dict(zip(represented[1:].tolist(), represented[:-1].tolist(), strict=True))
+    after = dict(zip(represented[:-1].tolist(), represented[1:].tolist(), strict=True))
+    is_control = dict.fromkeys(represented.tolist(), True)
+    breaks = np.flatnonzero((np.diff(represented) > 1) | (np.diff(assignment[represented]) != 0)) + 1
+    for run in np.split(represented, breaks):
+        for frame in run[np.argsort(-distance[run], kind='stable')][:-1].tolist():
             a, b = before.get(frame), after.get(frame)
             if a is None or b is None or times[b] - times[a] > gap:
                 continue
-            kept[frame] = False
+            is_control[frame] = False
             after[a], before[b] = b, a
-    return np.array([frame for frame in at.tolist() if kept[frame]], int)
+    return np.array([frame for frame in represented.tolist() if is_control[frame]], int)
 
 
-def slerp(directions: Array, knots: Array, times: Array) -> Array:
-    """Unit vectors between those at some times; held before the first and after the last.
+def slerp(directions: Array, control_times: Array, times: Array) -> Array:
+    """Interpolate unit vectors between control points by spherical linear interpolation.
 
     Args:
-        directions: (C, B, 3) unit vectors.
-        knots: (C,) s, increasing.
-        times: (F,) s.
+        directions: (C, B, 3) unit vectors at the control points.
+        control_times: (C,) s, increasing.
+        times: (F,) s; before the first control point its directions are held, likewise after the last.
 
     Returns:
-        (F, B, 3) unit vectors. Nearly opposite ones are joined by way of whatever straight interpolation meets.
+        (F, B, 3) unit vectors. Opposite directions have no unique path between them; these turn through some
+        plane.
     """
-    after = np.clip(np.searchsorted(knots, times), 0, len(knots) - 1)
+    after = np.clip(np.searchsorted(control_times, times), 0, len(control_times) - 1)
     before = np.maximum(after - 1, 0)
-    share = np.clip((times - knots[before]) / np.maximum(knots[after] - knots[before], SMALLEST), 0, 1)
+    elapsed, duration = times - control_times[before], control_times[after] - control_times[before]
+    share = np.clip(elapsed / np.maximum(duration, EPSILON), 0, 1)
     share = np.where(before == after, 0.0, share)[:, None, None]
     a, b = directions[before], directions[after]
     cosine = np.clip((a * b).sum(axis=-1, keepdims=True), -1, 1)
-    angle = np.clip(np.arccos(cosine), 1e-6, NEARLY_OPPOSITE)
+    angle = np.clip(np.arccos(cosine), MIN_ANGLE, MAX_ANGLE)
     mixed = (np.sin((1 - share) * angle) * a + np.sin(share * angle) * b) / np.sin(angle)
     length = np.linalg.norm(mixed, axis=-1, keepdims=True)
-    return np.asarray(np.where(length > SMALLEST, mixed / np.maximum(length, SMALLEST), a))
+    return np.asarray(np.where(length > EPSILON, mixed / np.maximum(length, EPSILON), a))

@@ -1,4 +1,10 @@
-"""3D poses of keyframes: from the solver or the lifter, or by Taylor's method from somebody's choices."""
+"""3D key poses of the keyframes: from the solver, from the lifter, or by Taylor's method from a user's choices.
+
+    d_k = normalise( sum_{f in W_k} exp(-(D(k, f) / (beta / 2))^2 / 2) d_f )        for each limb
+
+d_k is the limb direction of the key pose of keyframe k, d_f that of the proposed pose of frame f, and W_k the
+frames that k represents well.
+"""
 
 from __future__ import annotations
 
@@ -11,171 +17,222 @@ from numpy.typing import NDArray
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.rotations import centred
+from mocap_ros.geometry.rotations import centre_poses
 from mocap_ros.models import model_file
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.offline.keyframes.filters import bridged, median
-from mocap_ros.offline.keyframes.gradient_fit import symmetric
-from mocap_ros.offline.keyframes.interpolation import limb_directions, pose_of
-from mocap_ros.offline.keyframes.keyframe_set import Keyframes
-from mocap_ros.offline.keyframes.observations import ENOUGH_FOR_A_POSE, Observed, sections
-from mocap_ros.offline.keyframes.taylor import HALVES, Choice, taylor_pose
+from mocap_ros.offline.keyframes.filters import interpolate_gaps, nan_median
+from mocap_ros.offline.keyframes.gradient_fit import symmetrise_lengths
+from mocap_ros.offline.keyframes.interpolation import assemble_poses, compute_limb_directions
+from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
+from mocap_ros.offline.keyframes.observations import MIN_POSE_JOINTS, Observations, split_into_sections
+from mocap_ros.offline.keyframes.taylor import HALF_NAMES, DepthChoice, reconstruct_limbs
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
-from mocap_ros.skeleton import CMU15, stature
+from mocap_ros.skeleton import CMU15, estimate_stature
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-SECTION, MARGIN, STEP = 20.0, 0.5, 0.1
-HISTORY = 1.0
-BRIDGE = 0.5
-SAME_FRAME = 0.002
-SMALLEST = 1e-9
-SMALLEST_BODY = 1e-6
+MAX_SECTION_S = 20.0  # s; bounds the memory and time of one solve
+SOLVER_MARGIN_S = 0.5  # s of frames on both sides of a section, so that its ends are smooth too
+LIFTER_MARGIN_S = 1.0  # s of frames on both sides of a section, for the lifter's temporal window
+SOLVER_STEP_S = 0.1  # s between the frames solved besides the keyframes; key poses average several frames
+MAX_BRIDGED_GAP_S = 0.5  # s; a joint of a keyframe that is not seen for longer is not interpolated
+TIME_TOLERANCE_S = 0.002  # s; times in a file are rounded, and frames are further apart than this
+EPSILON = 1e-9  # guards the normalisation of a direction of length zero
+MIN_BODY_SIZE = 1e-6  # unit of the poses; guards proportions against bodies with all joints in one place
 
 
-def proposals(
-    observed: Observed, keyframes: Indices, intrinsics: Intrinsics, models: Mapping[str, BasePoses], config: Config
+def propose_poses(
+    observed: Observations,
+    keyframes: Indices,
+    intrinsics: Intrinsics,
+    models: Mapping[str, BasePoses],
+    config: Config,
 ) -> tuple[str, Array]:
-    """3D poses of many frames, the keyframes among them, by what `keyframes.poses` says.
+    """Propose 3D poses for many frames, including the keyframes, by the source that `keyframes.poses` names.
+
+    Args:
+        observed: image points without suspect points.
+        keyframes: frame indices of the keyframes of both halves.
+        intrinsics: intrinsics of the camera.
+        models: base poses by name.
+        config: parameters of all parts.
 
     Returns:
-        Name of the base poses used, and (F, J, 3), any size, virtual camera's axes; NaN in other frames.
+        Name of the base poses used, and (F, J, 3) poses of any size, virtual camera's axes; NaN in frames without
+        one.
 
     Raises:
-        InputError: no frame has one.
+        InputError: No frame gives a pose.
     """
     if config.keyframes.poses == 'lifter':
-        category, poses = next(iter(models)), lifted_poses(observed, config.solver.prior)
+        category, poses = next(iter(models)), propose_lifted_poses(observed, config.solver.prior)
     else:
-        category, poses = solved_poses(observed, keyframes, intrinsics, models, config)
+        category, poses = propose_solved_poses(observed, keyframes, intrinsics, models, config)
     if not np.isfinite(poses).all(axis=(1, 2)).any():
         raise InputError('no frame is seen well enough for a 3D pose')
     return category, poses
 
 
-def lifted_poses(observed: Observed, prior: str) -> Array:
-    """(F, J, 3) px, virtual camera's axes, by the lifter that `prior` names; NaN where too little is seen."""
+def propose_lifted_poses(observed: Observations, prior: str) -> Array:
+    """Propose a 3D pose for every frame by the lifter that `solver.prior` names, or else by the shipped lifter.
+
+    Args:
+        observed: image points without suspect points.
+        prior: value of `solver.prior`.
+
+    Returns:
+        (F, J, 3) px, virtual camera's axes; NaN where too few joints are seen.
+    """
     out = np.empty((*observed.points.shape[:2], 3))
-    net = model_file.lifter_for_prior(prior, CMU15) or model_file.shipped_lifter()
-    for wide, own in sections(observed.times, SECTION, HISTORY):
-        part = net.lift_sequence(
-            observed.points[wide], observed.weight[wide], observed.times[wide], observed.focal
+    lifter = model_file.load_prior_lifter(prior, CMU15) or model_file.load_shipped_lifter()
+    for padded, section in split_into_sections(observed.times, MAX_SECTION_S, LIFTER_MARGIN_S):
+        lifted = lifter.lift_sequence(
+            observed.points[padded], observed.weight[padded], observed.times[padded], observed.focal
         )
-        out[own] = part.joints[own.start - wide.start : own.stop - wide.start]
+        out[section] = lifted.joints[section.start - padded.start : section.stop - padded.start]
     return out
 
 
-def solved_poses(
-    observed: Observed, keyframes: Indices, intrinsics: Intrinsics, models: Mapping[str, BasePoses], config: Config
+def propose_solved_poses(
+    observed: Observations,
+    keyframes: Indices,
+    intrinsics: Intrinsics,
+    models: Mapping[str, BasePoses],
+    config: Config,
 ) -> tuple[str, Array]:
-    """Poses of the keyframes and of frames `STEP` s apart by the whole-sequence solver, in sections.
+    """Propose 3D poses by the whole-sequence solver, section by section.
+
+    The solver gets the keyframes and a frame every `SOLVER_STEP_S`. Arguments are those of `propose_poses`.
 
     Returns:
-        The base poses used, and (F, J, 3) m, virtual camera's axes; NaN in other frames.
+        Name of the base poses used most, and (F, J, 3) m, virtual camera's axes; NaN in all other frames.
     """
-    as_they_are = replace(config.tracker, min_score=0.0, undo_swaps=False)
-    config = replace(config, tracker=as_they_are)
+    observed_as_given = replace(config.tracker, min_score=0.0, undo_swaps=False)
+    config = replace(config, tracker=observed_as_given)
     keypoints = np.concatenate([observed.pixels, observed.weight[..., None]], axis=-1)
     times = observed.times
     out = np.full((*observed.points.shape[:2], 3), np.nan)
-    grid = np.searchsorted(times, np.arange(times[0], times[-1], STEP))
-    wanted = np.zeros(len(times), bool)
-    wanted[grid], wanted[keyframes] = True, True
+    grid = np.searchsorted(times, np.arange(times[0], times[-1], SOLVER_STEP_S))
+    is_solved = np.zeros(len(times), bool)
+    is_solved[grid], is_solved[keyframes] = True, True
     categories = []
-    for wide, own in sections(times, SECTION, MARGIN):
-        at = np.flatnonzero(wanted[wide]) + wide.start
-        if not ((observed.weight[at] > 0).sum(axis=1) >= ENOUGH_FOR_A_POSE).any():
+    for padded, section in split_into_sections(times, MAX_SECTION_S, SOLVER_MARGIN_S):
+        frames = np.flatnonzero(is_solved[padded]) + padded.start
+        if not ((observed.weight[frames] > 0).sum(axis=1) >= MIN_POSE_JOINTS).any():
             continue
-        solved = reconstruct_sequence(keypoints[at], CMU15.joints, times[at], intrinsics, models, config)
-        inner = (at >= own.start) & (at < own.stop)
-        at = at[inner]
-        out[at] = centred(solved.joints[inner]) @ np.swapaxes(observed.view.turn[at], -1, -2)
-        categories.append(solved.category)
+        result = reconstruct_sequence(keypoints[frames], CMU15.joints, times[frames], intrinsics, models, config)
+        inner = (frames >= section.start) & (frames < section.stop)
+        frames = frames[inner]
+        out[frames] = centre_poses(result.joints[inner]) @ np.swapaxes(
+            observed.virtual_camera.rotation[frames], -1, -2
+        )
+        categories.append(result.category)
     return max(categories, key=categories.count, default=next(iter(models))), out
 
 
-def limb_lengths(poses: Array, body_height: float) -> Array:
-    """(B,) m, left and right the same: the median proportions of poses (F, J, 3) at that stature, m."""
-    lengths = CMU15.bone_lengths(poses)
-    good = np.isfinite(poses).all(axis=(1, 2)) & (np.nan_to_num(lengths).sum(axis=1) > SMALLEST_BODY)
-    if not good.any():
-        raise InputError('no frame shows a body: all joints are in one place')
-    poses, lengths = poses[good], lengths[good]
-    proportions = median(lengths / lengths.sum(axis=1, keepdims=True), axis=0)
-    lengths = symmetric(proportions, CMU15)
-    body = pose_of(limb_directions(poses[:1], CMU15.bones), lengths, CMU15)
-    return np.asarray(lengths * body_height / stature(body, CMU15))
-
-
-def key_directions(keyframes: Keyframes, poses: Array, beta: float) -> Array:
-    """(K, B, 3) limb directions of the key poses of one half.
-
-    Each is the mean over the frames that the keyframe represents, most of all the nearest ones; NaN where none of
-    them has a pose.
+def estimate_limb_lengths(poses: Array, body_height: float) -> Array:
+    """Estimate limb lengths from proposed poses: their median proportions, at the stature given.
 
     Args:
-        keyframes: of the half.
-        poses: (F, J, 3) proposals, any size, NaN where unknown.
-        beta: torso lengths.
+        poses: (F, J, 3) any size; NaN in frames without a pose.
+        body_height: m, stature.
+
+    Returns:
+        (B,) m, left and right equal.
+
+    Raises:
+        InputError: All joints are in one place in every frame.
     """
-    directions = limb_directions(poses, keyframes.half.bones)
-    known = np.isfinite(directions).all(axis=(1, 2))
-    weight = np.where(keyframes.well & known, np.exp(-0.5 * (keyframes.distance / (beta / 2)) ** 2), 0.0)
+    lengths = CMU15.bone_lengths(poses)
+    has_size = np.nan_to_num(lengths).sum(axis=1) > MIN_BODY_SIZE
+    usable = np.isfinite(poses).all(axis=(1, 2)) & has_size
+    if not usable.any():
+        raise InputError('no frame shows a body: all joints are in one place')
+    poses, lengths = poses[usable], lengths[usable]
+    proportions = nan_median(lengths / lengths.sum(axis=1, keepdims=True), axis=0)
+    lengths = symmetrise_lengths(proportions, CMU15)
+    body = assemble_poses(compute_limb_directions(poses[:1], CMU15.bones), lengths, CMU15)
+    return np.asarray(lengths * body_height / estimate_stature(body, CMU15))
+
+
+def average_key_directions(keyframes: KeyframeSet, poses: Array, beta: float) -> Array:
+    """Return the limb directions of the key poses of one half.
+
+    Each key pose is the mean over the frames that its keyframe represents well, weighted by nearness.
+
+    Args:
+        keyframes: keyframes of the half.
+        poses: (F, J, 3) proposed poses of any size; NaN in frames without one.
+        beta: torso lengths.
+
+    Returns:
+        (K, B, 3) unit vectors; NaN where no frame of a keyframe has a proposed pose.
+    """
+    directions = compute_limb_directions(poses, keyframes.body_half.bones)
+    has_pose = np.isfinite(directions).all(axis=(1, 2))
+    nearness = np.exp(-0.5 * (keyframes.distance / (beta / 2)) ** 2)
+    weight = np.where(keyframes.well_represented & has_pose, nearness, 0.0)
     total = np.zeros((len(keyframes.frames), *directions.shape[1:]))
     used = np.flatnonzero(weight > 0)
     np.add.at(total, keyframes.nearest[used], weight[used, None, None] * directions[used])
     length = np.linalg.norm(total, axis=-1, keepdims=True)
-    own = directions[keyframes.frames]
-    return np.where(length > SMALLEST, total / np.maximum(length, SMALLEST), own)
+    return np.where(length > EPSILON, total / np.maximum(length, EPSILON), directions[keyframes.frames])
 
 
-def adapted(keys: Array, own: Array, share: float) -> Array:
-    """(C, B, 3) limb directions of control points, between those of key poses and those proposed for the frames.
+def blend_directions(key_directions: Array, frame_directions: Array, frame_share: float) -> Array:
+    """Blend the key poses of control points with the poses proposed for the frames themselves.
 
     Args:
-        keys: (C, B, 3) of the key pose of each.
-        own: (C, B, 3) proposed for the frame itself.
-        share: of the latter; 0 is as in the paper.
+        key_directions: (C, B, 3) limb directions of each control point's key pose.
+        frame_directions: (C, B, 3) limb directions proposed for the control point's own frame.
+        frame_share: share of the latter; 0 is the paper's method.
+
+    Returns:
+        (C, B, 3) unit vectors.
     """
-    mixed = (1 - share) * keys + share * own
+    mixed = (1 - frame_share) * key_directions + frame_share * frame_directions
     length = np.linalg.norm(mixed, axis=-1, keepdims=True)
-    return np.where(length > SMALLEST, mixed / np.maximum(length, SMALLEST), keys)
+    return np.where(length > EPSILON, mixed / np.maximum(length, EPSILON), key_directions)
 
 
-def choose(
-    choice: Choice, keyframes: Sequence[Keyframes], keys: Sequence[Array], observed: Observed, lengths: Array
+def apply_depth_choice(
+    choice: DepthChoice,
+    keyframes: Sequence[KeyframeSet],
+    key_directions: Sequence[Array],
+    observed: Observations,
+    lengths: Array,
 ) -> None:
-    """Put the limbs that somebody chose in the place of a keyframe's (Taylor's method).
+    """Replace the key pose of one keyframe by the pose that Taylor's method gives for a user's choice.
 
     Args:
-        choice: which keyframe, and which limbs point towards the camera.
-        keyframes: of both halves.
-        keys: (K, B, 3) limb directions of each half's key poses; those of the keyframe are overwritten.
-        observed: believable image points.
-        lengths: (B,) m, of all limbs.
+        choice: keyframe, and the limbs that point towards the camera.
+        keyframes: keyframes of both halves.
+        key_directions: (K, B, 3) limb directions of each half's key poses; those of the keyframe are overwritten.
+        observed: image points without suspect points.
+        lengths: (B,) m, limb lengths of the whole skeleton.
 
     Raises:
-        InputError: there is no such keyframe, or Taylor's method cannot be had of it; names the choice.
+        InputError: There is no such keyframe, or Taylor's method fails for it; the message names the choice.
     """
-    which = HALVES.index(choice.half)
-    half, out = keyframes[which], keys[which]
-    times = observed.times[half.frames] - observed.times[0]
+    half_index = HALF_NAMES.index(choice.half)
+    half_keyframes, half_directions = keyframes[half_index], key_directions[half_index]
+    times = observed.times[half_keyframes.frames] - observed.times[0]
     if not len(times):
-        raise InputError(f'{choice.place}: the {choice.half} body has no keyframes')
-    key = int(np.abs(times - choice.time).argmin())
-    if abs(times[key] - choice.time) > SAME_FRAME:
+        raise InputError(f'{choice.location}: the {choice.half} body has no keyframes')
+    keyframe = int(np.abs(times - choice.time_s).argmin())
+    if abs(times[keyframe] - choice.time_s) > TIME_TOLERANCE_S:
         raise InputError(
-            f'{choice.place}: no keyframe of the {choice.half} body at {choice.time:g} s; the nearest is at '
-            f'{times[key]:.3f} s'
+            f'{choice.location}: no keyframe of the {choice.half} body at {choice.time_s:g} s; the nearest is at '
+            f'{times[keyframe]:.3f} s'
         )
-    points, known = bridged(observed.points, observed.weight > 0, observed.times, BRIDGE)
-    frame = half.frames[key]
-    points = np.where(known[frame][:, None], points[frame], np.nan)
-    bones = half.half.bones
-    own = np.array([lengths[CMU15.bones.index(bone)] for bone in bones])
+    points, known = interpolate_gaps(observed.points, observed.weight > 0, observed.times, MAX_BRIDGED_GAP_S)
+    frame = half_keyframes.frames[keyframe]
+    frame_points = np.where(known[frame][:, None], points[frame], np.nan)
+    bones = half_keyframes.body_half.bones
+    half_lengths = np.array([lengths[CMU15.bones.index(bone)] for bone in bones])
     try:
-        limbs, _ = taylor_pose(points, own, bones, choice.forward, choice.scale)
+        limbs, _ = reconstruct_limbs(frame_points, half_lengths, bones, choice.forward, choice.scale)
     except InputError as error:
-        raise InputError(f'{choice.place}: {error}') from None
-    out[key] = limbs / own[:, None]
+        raise InputError(f'{choice.location}: {error}') from None
+    half_directions[keyframe] = limbs / half_lengths[:, None]

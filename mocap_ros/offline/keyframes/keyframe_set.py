@@ -1,177 +1,212 @@
-"""The keyframes of a sequence, whatever its length (Loy et al. 2004, section 4).
+"""The set of keyframes of a sequence of any length (Loy et al. 2004, section 4).
 
-Up to `largest` frames the distance matrix is whole and the choice is the paper's. A longer sequence is taken
-section by section: keyframes found so far come first, by their distances to the section's frames, and the section
-then adds what it needs. Memory is bounded by the section; what is lost is that a later keyframe cannot replace
-earlier ones, and that a matrix is de-noised within its section alone, a keyframe from before by the mean pose of
-the frames near it.
+Up to `keyframes.max_matrix_frames` frames the distance matrix D covers the whole sequence, and the selection is
+the paper's. A longer sequence is processed section by section, so that a section bounds the memory. In each
+section the keyframes of earlier sections first represent the frames that they can; the section then adds the
+keyframes that it still needs. This differs from one whole matrix in three ways: a later keyframe cannot replace an
+earlier one, D is de-noised within its section only, and max B is that of the first section. An earlier keyframe is
+compared with the frames of later sections by the mean pose of the frames at a distance less than beta from it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import KeyframesConfig
-from mocap_ros.offline.keyframes.body_halves import Half, HalfPoses
-from mocap_ros.offline.keyframes.distance import averaging, denoised, distances
-from mocap_ros.offline.keyframes.selection import interpolatable, select
+from mocap_ros.offline.keyframes.body_halves import BodyHalf, HalfPoses
+from mocap_ros.offline.keyframes.distance import build_averaging_matrix, compute_distances, denoise_distances
+from mocap_ros.offline.keyframes.selection import find_interpolatable, select_keyframes
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
+MIN_WEIGHT = 1e-9  # guards the division by the number of frames that show a joint
+
 
 @dataclass(frozen=True, eq=False)
-class Keyframes:
-    """The keyframes of one half of the body.
+class KeyframeSet:
+    """The keyframes K of one half of the body, and the frames that they represent.
 
     Attributes:
-        half: of the body.
-        frames: (K,) of the sequence, in the order in which they were chosen.
-        nearest: (F,) index into `frames` of the keyframe nearest to each frame; -1 where too little is seen.
-        distance: (F,) torso lengths, to that keyframe; infinite where there is none.
-        well: (F,) frames that it represents well.
-        covered: (F,) well represented or interpolatable.
-        seen: (F,) frames with a pose of this half.
-        matrix: (N, N) the distance matrix of the first `largest` frames that have a pose, torso lengths.
-        matrix_frames: (N,) those frames.
+        body_half: half of the body.
+        frames: (K,) indices of the keyframes in the sequence, in the order of selection.
+        nearest: (F,) index into `frames` of the keyframe nearest to each frame; -1 where the frame has no pose.
+        distance: (F,) torso lengths, distance D to that keyframe; infinite where the frame has no pose.
+        well_represented: (F,) True for the frames of W: the nearest keyframe is closer than beta.
+        covered: (F,) True for the frames of W u J: well represented or interpolatable.
+        has_pose: (F,) True for the frames that show enough joints of this half.
+        distance_matrix: (N, N) torso lengths, D of the first section.
+        matrix_frames: (N,) frame indices of the rows and columns of `distance_matrix`.
     """
 
-    half: Half
+    body_half: BodyHalf
     frames: Indices
     nearest: Indices
     distance: Array
-    well: Mask
+    well_represented: Mask
     covered: Mask
-    seen: Mask
-    matrix: Array32
+    has_pose: Mask
+    distance_matrix: Array32
     matrix_frames: Indices
 
     @property
     def coverage(self) -> float:
-        """Share of the frames with a pose that are covered (eq. 1)."""
-        return float(self.covered.sum() / max(self.seen.sum(), 1))
+        """Share of the frames with a pose that are covered: |W u J| / N of eq. 1."""
+        return float(self.covered.sum() / max(self.has_pose.sum(), 1))
 
     @property
-    def by_time(self) -> Indices:
-        """(K,) which keyframe comes first in the sequence, which next, and so on."""
+    def chronological_order(self) -> Indices:
+        """(K,) indices into `frames` that sort the keyframes by time."""
         return np.argsort(self.frames, kind='stable')
 
-    def spans(self, key: int) -> list[tuple[int, int]]:
-        """First and last frame of every run of frames that a keyframe represents well."""
-        at = np.flatnonzero(self.assigned == key)
-        runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(at) else []
+    @property
+    def assignment(self) -> Indices:
+        """(F,) index into `frames` of the keyframe that represents each frame well, -1 where none does."""
+        return np.where(self.well_represented, self.nearest, -1)
+
+    def find_runs(self, keyframe: int) -> list[tuple[int, int]]:
+        """Return the first and last frame of every run of frames assigned to a keyframe.
+
+        Args:
+            keyframe: index into `frames`.
+        """
+        assigned = np.flatnonzero(self.assignment == keyframe)
+        runs = np.split(assigned, np.flatnonzero(np.diff(assigned) > 1) + 1) if len(assigned) else []
         return [(int(run[0]), int(run[-1])) for run in runs]
 
-    @property
-    def assigned(self) -> Indices:
-        """(F,) the keyframe that represents each frame well, -1 where none does."""
-        return np.where(self.well, self.nearest, -1)
 
-
-def summarised(
+def find_keyframe_set(
     poses: HalfPoses,
-    half: Half,
+    half: BodyHalf,
     frames: int,
-    rules: KeyframesConfig,
+    config: KeyframesConfig,
     progress: Callable[[int], None] = lambda _: None,
-) -> Keyframes:
-    """The keyframes of one half.
+) -> KeyframeSet:
+    """Find the keyframes of one half of the body.
 
     Args:
-        poses: of the frames in which it is seen.
-        half: of the body.
-        frames: of the sequence.
-        rules: `beta`, `alpha`, `gap` and `largest` apply.
-        progress: told how many more frames are done.
+        poses: 2D poses of the half.
+        half: half of the body.
+        frames: number of frames of the sequence.
+        config: parameters; `alpha`, `beta`, `gap` and `max_matrix_frames` apply.
+        progress: called after each section with its number of frames.
     """
     if not len(poses):
-        return _none(half, frames)
-    parts = np.array_split(np.arange(len(poses)), max(-(-len(poses) // rules.max_matrix_frames), 1))
-    chosen: list[Indices] = []
-    means: HalfPoses | None = None
+        return _build_empty_set(half, frames)
+    section_count = max(-(-len(poses) // config.max_matrix_frames), 1)
+    keyframes: list[Indices] = []
+    mean_poses: HalfPoses | None = None
     nearest, distance = np.full(len(poses), -1), np.full(len(poses), np.inf, np.float32)
-    first = np.zeros((0, 0), np.float32)
-    largest: float | None = None
-    for part in parts:
-        own = poses.take(part)
-        c, most = distances(own, own, largest)
-        largest = most if largest is None else largest
-        near = averaging(c, rules.beta)
-        matrix = denoised(c, near)
+    first_matrix = np.zeros((0, 0), np.float32)
+    max_b: float | None = None
+    for section in np.array_split(np.arange(len(poses)), section_count):
+        section_poses = poses.subset(section)
+        c, section_max_b = compute_distances(section_poses, section_poses, max_b)
+        max_b = section_max_b if max_b is None else max_b
+        averaging = build_averaging_matrix(c, config.beta)
+        matrix = denoise_distances(c, averaging)
         np.fill_diagonal(matrix, 0.0)
         rows = matrix[:0]
-        if means is not None and len(means):
-            rows = denoised(distances(means, own, largest)[0], near)
-        well = np.asarray((rows < rules.beta).any(axis=0))
-        selection = select(matrix < rules.beta, own.times, rules.alpha, rules.gap, well)
-        keys = selection.keyframes
-        chosen.append(part[keys])
-        rows = np.concatenate([rows, matrix[keys]])
+        if mean_poses is not None and len(mean_poses):
+            rows = denoise_distances(compute_distances(mean_poses, section_poses, max_b)[0], averaging)
+        represented_before = np.asarray((rows < config.beta).any(axis=0))
+        represents = matrix < config.beta
+        selection = select_keyframes(represents, section_poses.times, config.alpha, config.gap, represented_before)
+        selected = selection.keyframes
+        keyframes.append(section[selected])
+        rows = np.concatenate([rows, matrix[selected]])
         if len(rows):
-            nearest[part] = rows.argmin(axis=0)
-            distance[part] = rows.min(axis=0)
-        means = joined(means, averaged(own, near[keys], keys))
-        first = first if len(first) else matrix
-        progress(len(part))
-    keyframes = np.concatenate(chosen)
-    well = distance < rules.beta
-    covered = well | interpolatable(well, poses.times, rules.gap)
-    at = poses.frames
+            nearest[section] = rows.argmin(axis=0)
+            distance[section] = rows.min(axis=0)
+        section_means = average_similar_poses(section_poses, averaging[selected], selected)
+        mean_poses = section_means if mean_poses is None else concatenate_poses(mean_poses, section_means)
+        first_matrix = first_matrix if len(first_matrix) else matrix
+        progress(len(section))
+    return _expand_to_sequence(
+        poses, half, frames, np.concatenate(keyframes), nearest, distance, first_matrix, config
+    )
 
-    everywhere = np.full(frames, -1)
-    everywhere[at] = nearest
-    far = np.full(frames, np.inf)
-    far[at] = distance
 
-    def among(chosen: Mask) -> Mask:
+def _expand_to_sequence(
+    poses: HalfPoses,
+    half: BodyHalf,
+    frames: int,
+    keyframes: Indices,
+    nearest: Indices,
+    distance: Array32,
+    distance_matrix: Array32,
+    config: KeyframesConfig,
+) -> KeyframeSet:
+    """Return the keyframe set with arrays over all frames of the sequence, from arrays over those with a pose."""
+    well_represented = distance < config.beta
+    covered = well_represented | find_interpolatable(well_represented, poses.times, config.gap)
+    nearest_in_sequence = np.full(frames, -1)
+    nearest_in_sequence[poses.frames] = nearest
+    distance_in_sequence = np.full(frames, np.inf)
+    distance_in_sequence[poses.frames] = distance
+
+    def expand_mask(mask: Mask) -> Mask:
         out = np.zeros(frames, bool)
-        out[at] = chosen
+        out[poses.frames] = mask
         return out
 
-    return Keyframes(
-        half=half,
-        frames=at[keyframes],
-        nearest=everywhere,
-        distance=far,
-        well=among(well),
-        covered=among(covered),
-        seen=among(np.ones(len(poses), bool)),
-        matrix=first,
-        matrix_frames=at[: len(first)],
+    return KeyframeSet(
+        body_half=half,
+        frames=poses.frames[keyframes],
+        nearest=nearest_in_sequence,
+        distance=distance_in_sequence,
+        well_represented=expand_mask(well_represented),
+        covered=expand_mask(covered),
+        has_pose=expand_mask(np.ones(len(poses), bool)),
+        distance_matrix=distance_matrix,
+        matrix_frames=poses.frames[: len(distance_matrix)],
     )
 
 
-def _none(half: Half, frames: int) -> Keyframes:
-    """Of a half that is never seen."""
-    no, nowhere = np.zeros(frames, bool), np.full(frames, np.inf)
-    empty = np.zeros(0, int)
-    return Keyframes(half, empty, np.full(frames, -1), nowhere, no, no, no, np.zeros((0, 0), np.float32), empty)
+def _build_empty_set(half: BodyHalf, frames: int) -> KeyframeSet:
+    """Return the keyframe set of a half that no frame shows."""
+    no_frame, no_keyframes = np.zeros(frames, bool), np.zeros(0, int)
+    return KeyframeSet(
+        body_half=half,
+        frames=no_keyframes,
+        nearest=np.full(frames, -1),
+        distance=np.full(frames, np.inf),
+        well_represented=no_frame,
+        covered=no_frame,
+        has_pose=no_frame,
+        distance_matrix=np.zeros((0, 0), np.float32),
+        matrix_frames=no_keyframes,
+    )
 
 
-def averaged(poses: HalfPoses, near: Array32, keys: Indices) -> HalfPoses:
-    """The mean pose of the frames near each of some keyframes; near (K, N) rows of `averaging`.
+def average_similar_poses(poses: HalfPoses, averaging: Array32, keyframes: Indices) -> HalfPoses:
+    """Return, for each keyframe, the mean pose of the frames at a distance less than beta.
 
-    Joints that the keyframe does not have stay unknown.
+    Args:
+        poses: N poses.
+        averaging: (K, N) the keyframes' rows of the averaging matrix M.
+        keyframes: (K,) indices into `poses`.
+
+    Returns:
+        K poses; a joint that the keyframe does not show counts as not seen.
     """
-    weight = near[..., None] * poses.seen
+    weight = averaging[..., None] * poses.seen
     seen = poses.seen.astype(np.float32)
-    middle = (seen[..., None] * poses.points).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)[:, None]
-    centred = poses.points - middle[:, None]
-    total = np.maximum(weight.sum(axis=1), 1e-9)
+    centroid = (seen[..., None] * poses.points).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)[:, None]
+    centred = poses.points - centroid[:, None]
+    total = np.maximum(weight.sum(axis=1), MIN_WEIGHT)
     mean = np.einsum('knj,njd->kjd', weight, centred) / total[..., None]
-    return HalfPoses(poses.frames[keys], poses.times[keys], mean.astype(np.float32), poses.seen[keys])
-
-
-def joined(before: HalfPoses | None, after: HalfPoses) -> HalfPoses:
-    """Both sets of poses, one after the other."""
-    if before is None:
-        return after
     return HalfPoses(
-        *(np.concatenate([getattr(p, k) for p in (before, after)]) for k in ('frames', 'times', 'points', 'seen'))
+        poses.frames[keyframes], poses.times[keyframes], mean.astype(np.float32), poses.seen[keyframes]
     )
+
+
+def concatenate_poses(a: HalfPoses, b: HalfPoses) -> HalfPoses:
+    """Return the poses of `a` followed by those of `b`."""
+    return HalfPoses(*(np.concatenate([getattr(p, f.name) for p in (a, b)]) for f in fields(HalfPoses)))

@@ -1,9 +1,15 @@
 """Outliers as discontinuities of the 3D motion (Loy et al. 2004, section 7).
 
-Image points are lifted to the depths of the interpolated motion. A point in its right place stays near the place
-that motion expects it in, and near its own last right place; one that is wrong jumps away and back. For each
-joint the most likely set of right frames is found exactly by dynamic programming over pairs of successive right
-frames.
+For each joint, the set S of inlier frames that minimises
+
+    E(S) = sum_{t in S} (|d_t| / s)^2 + sum_{a, b successive in S} |d_b - d_a|^2 / (n^2 + (v (b - a))^2) + c |not
+    S|
+
+is found exactly by dynamic programming over pairs of successive inlier frames. d_t is the displacement (m) of the
+image point, back-projected to its joint's depth, from the interpolated motion. s (m) is the joint's spread, n
+(`POINT_NOISE_M`) and v (`MAX_SPEED`) limit how far d may move between inliers, and c (`OUTLIER_COST`) is the cost
+of an outlier. A term of the first sum is at most 2 c. A term of the second sum is at most c, and is c for two
+inliers more than `MAX_LINK_S` apart.
 """
 
 from __future__ import annotations
@@ -11,78 +17,92 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.offline.keyframes.filters import median, running_median
+from mocap_ros.offline.keyframes.filters import nan_median, running_median
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LONGEST = 0.7
-STILL, SPEED = 0.03, 3.0
-LEAST_SPREAD, SPREADS = 0.1, 3.0
-WRONG = 9.0
-MOST_FRAMES = 61
+# the costs and spreads below were tuned on CMU motion capture with injected outliers (docs/keyframes.md)
+MAX_LINK_S = 0.7  # s; two inliers further apart are not compared
+POINT_NOISE_M = 0.03  # m, n: noise of a correct point's displacement, without motion
+MAX_SPEED = 3.0  # m/s, v: speed of a correct point relative to the interpolated motion
+MIN_SPREAD_M = 0.1  # m, least s: a joint that hardly leaves the motion must not make small displacements outliers
+SPREAD_FACTOR = 3.0  # s divided by the joint's median displacement
+OUTLIER_COST = 9.0  # c: cost of an outlier, that of three standard deviations
+MAX_LINK_FRAMES = 61  # frames; bounds the work a frame at high frame rates
 
 
-def outliers(displacement: Array, seen: Mask, times: Array) -> Mask:
-    """(F, J) points that are wrong.
+def find_outliers(displacement: Array, seen: Mask, times: Array) -> Mask:
+    """Find the image points that make the 3D motion discontinuous.
 
     Args:
-        displacement: (F, J, 2) m, of lifted points from where the interpolated motion has them.
-        seen: (F, J).
+        displacement: (F, J, 2) m along the image axes, the image points, back-projected to the depths of their
+            joints, minus the joints of the interpolated motion; arbitrary but finite where a point is not seen.
+        seen: (F, J) True where a point is seen.
         times: (F,) s, increasing.
+
+    Returns:
+        (F, J) True for the outliers.
     """
     frames, joints = seen.shape
     magnitude = np.linalg.norm(displacement, axis=-1)
-    usual = np.nan_to_num(median(np.where(seen, magnitude, np.nan), axis=0))
-    spread = np.maximum(SPREADS * usual, LEAST_SPREAD)
-    alone = np.where(seen, np.minimum((magnitude / spread) ** 2, 2 * WRONG), np.inf)
-    # passed[t]: cost of calling every seen point up to and including t wrong
-    passed = np.cumsum(np.where(seen, WRONG, 0.0), axis=0)
-    best = np.full((frames, joints), np.inf)
-    origin = np.full((frames, joints), -1)
-    # the cheapest last right point so far, however long ago, less the cost of calling all up to it wrong
-    ago, ago_at = np.full(joints, np.inf), np.full(joints, -1)
-    first = np.maximum(np.searchsorted(times, times - LONGEST), np.arange(frames) - MOST_FRAMES)
+    median_magnitude = np.nan_to_num(nan_median(np.where(seen, magnitude, np.nan), axis=0))
+    spread = np.maximum(SPREAD_FACTOR * median_magnitude, MIN_SPREAD_M)
+    own_cost = np.where(seen, np.minimum((magnitude / spread) ** 2, 2 * OUTLIER_COST), np.inf)
+    # skipped[t]: cost if every seen point up to and including t is an outlier
+    skipped = np.cumsum(np.where(seen, OUTLIER_COST, 0.0), axis=0)
+    best = np.full((frames, joints), np.inf)  # least cost up to t if t is an inlier
+    previous = np.full((frames, joints), -1)  # the inlier before t at that cost
+    # the cheapest inlier so far, however long ago, relative to the cost if all points up to it are outliers
+    unlinked_cost, unlinked_frame = np.full(joints, np.inf), np.full(joints, -1)
+    first_link = np.maximum(np.searchsorted(times, times - MAX_LINK_S), np.arange(frames) - MAX_LINK_FRAMES)
     for t in range(frames):
-        before = passed[t - 1] if t else np.zeros(joints)
-        fresh = ago + before + WRONG
-        cost, source = np.where(fresh < before, fresh, before), np.where(fresh < before, ago_at, -1)
-        a = int(first[t])
+        skipped_before = skipped[t - 1] if t else np.zeros(joints)
+        restart = unlinked_cost + skipped_before + OUTLIER_COST
+        cost = np.where(restart < skipped_before, restart, skipped_before)
+        source = np.where(restart < skipped_before, unlinked_frame, -1)
+        a = int(first_link[t])
         if a < t:
             dt = (times[t] - times[a:t])[:, None]
-            jump = ((displacement[t] - displacement[a:t]) ** 2).sum(axis=-1) / (STILL**2 + (SPEED * dt) ** 2)
-            way = best[a:t] + jump + before - passed[a:t]
-            near = way.argmin(axis=0)
-            least = way[near, np.arange(joints)]
-            cost, source = np.where(least < cost, least, cost), np.where(least < cost, near + a, source)
-        best[t], origin[t] = cost + alone[t], source
-        newer = best[t] - passed[t] < ago
-        ago, ago_at = np.where(newer, best[t] - passed[t], ago), np.where(newer, t, ago_at)
-    return _traced(best, origin, passed, seen)
+            moved = ((displacement[t] - displacement[a:t]) ** 2).sum(axis=-1)
+            jump = moved / (POINT_NOISE_M**2 + (MAX_SPEED * dt) ** 2)
+            linked = best[a:t] + jump + skipped_before - skipped[a:t]
+            nearest = linked.argmin(axis=0)
+            least = linked[nearest, np.arange(joints)]
+            cost, source = np.where(least < cost, least, cost), np.where(least < cost, nearest + a, source)
+        best[t], previous[t] = cost + own_cost[t], source
+        is_cheaper = best[t] - skipped[t] < unlinked_cost
+        unlinked_cost = np.where(is_cheaper, best[t] - skipped[t], unlinked_cost)
+        unlinked_frame = np.where(is_cheaper, t, unlinked_frame)
+    return np.asarray(seen & ~_trace_inliers(best, previous, skipped))
 
 
-def jumps(points: Array, seen: Mask, times: Array) -> Mask:
-    """(F, J) points that jump away from where they mostly are within `LONGEST` s: a first look, without 3D.
-
-    Args:
-        points: (F, J, 2) m, about, at the depth of the body.
-        seen: (F, J).
-        times: (F,) s, increasing.
-    """
-    step = float(np.median(np.diff(times))) if len(times) > 1 else LONGEST
-    reach = min(max(round(LONGEST / step / 2), 1), MOST_FRAMES // 2)
-    away = np.nan_to_num(points - running_median(np.where(seen[..., None], points, np.nan), reach))
-    return outliers(away, seen, times)
-
-
-def _traced(best: Array, origin: Array, passed: Array, seen: Mask) -> Mask:
-    right = np.zeros(seen.shape, bool)
-    end = best + passed[-1] - passed
-    for j in range(seen.shape[1]):
-        t = int(end[:, j].argmin())
-        if end[t, j] >= passed[-1, j]:
+def _trace_inliers(best: Array, previous: Array, skipped: Array) -> Mask:
+    """Return (F, J) True for the inliers, followed back from each joint's cheapest last inlier."""
+    inliers = np.zeros(best.shape, bool)
+    total = best + skipped[-1] - skipped
+    for j in range(best.shape[1]):
+        t = int(total[:, j].argmin())
+        if total[t, j] >= skipped[-1, j]:
             continue
         while t >= 0:
-            right[t, j] = True
-            t = int(origin[t, j])
-    return np.asarray(seen & ~right)
+            inliers[t, j] = True
+            t = int(previous[t, j])
+    return inliers
+
+
+def find_jumping_points(points: Array, seen: Mask, times: Array) -> Mask:
+    """Find the image points that jump away from their running median, before a 3D motion exists.
+
+    Args:
+        points: (F, J, 2) m, image points back-projected to about the body's depth.
+        seen: (F, J) True where a point is seen.
+        times: (F,) s, increasing.
+
+    Returns:
+        (F, J) True for the points that jump.
+    """
+    step = float(np.median(np.diff(times))) if len(times) > 1 else MAX_LINK_S
+    reach = min(max(round(MAX_LINK_S / step / 2), 1), MAX_LINK_FRAMES // 2)
+    displacement = np.nan_to_num(points - running_median(np.where(seen[..., None], points, np.nan), reach))
+    return find_outliers(displacement, seen, times)

@@ -1,4 +1,8 @@
-"""Reconstruction of a long sequence by keyframes, from 2D to 3D (Loy et al. 2004, figure 1)."""
+"""Reconstruction of a long sequence by keyframes, from 2D keypoints to 3D motion (Loy et al. 2004, figure 1).
+
+The steps: observations in virtual cameras, suspect points, keyframes, key poses, interpolation between control
+points, alignment to the image, outliers, offsets of the detector's joints, projected gradient fit.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +15,31 @@ from numpy.typing import NDArray
 from mocap_ros.config import Config, KeyframesConfig
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.rotations import rotation_to
-from mocap_ros.geometry.weak_perspective import Cameras
+from mocap_ros.geometry.rotations import fit_rotation
+from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.offline.keyframes.body_halves import half_poses, halves, torso_lengths
-from mocap_ros.offline.keyframes.detector_offsets import joint_offsets, without_offsets
-from mocap_ros.offline.keyframes.filters import bridged
-from mocap_ros.offline.keyframes.gradient_fit import Placed, fitted, placed
-from mocap_ros.offline.keyframes.interpolation import limb_directions, misfits, pose_of, slerp, thinned
-from mocap_ros.offline.keyframes.key_poses import adapted, choose, key_directions, limb_lengths, proposals
-from mocap_ros.offline.keyframes.keyframe_set import Keyframes, summarised
-from mocap_ros.offline.keyframes.observations import Observed, observe, sections
-from mocap_ros.offline.keyframes.outliers import jumps, outliers
-from mocap_ros.offline.keyframes.taylor import Choice
+from mocap_ros.offline.keyframes.body_halves import estimate_torso_lengths, extract_half_poses, split_into_halves
+from mocap_ros.offline.keyframes.detector_offsets import estimate_joint_offsets, subtract_offsets
+from mocap_ros.offline.keyframes.filters import interpolate_gaps
+from mocap_ros.offline.keyframes.gradient_fit import AlignedMotion, align_motion, fit_motion
+from mocap_ros.offline.keyframes.interpolation import (
+    assemble_poses,
+    compute_limb_directions,
+    compute_reprojection_distances,
+    select_control_points,
+    slerp,
+)
+from mocap_ros.offline.keyframes.key_poses import (
+    apply_depth_choice,
+    average_key_directions,
+    blend_directions,
+    estimate_limb_lengths,
+    propose_poses,
+)
+from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet, find_keyframe_set
+from mocap_ros.offline.keyframes.observations import Observations, prepare_observations, split_into_sections
+from mocap_ros.offline.keyframes.outliers import find_jumping_points, find_outliers
+from mocap_ros.offline.keyframes.taylor import DepthChoice
 from mocap_ros.offline.whole_sequence import SequenceResult
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Reconstruction
@@ -32,10 +48,12 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
-SECTION, MARGIN = 60.0, 1.0
-FILL_TIME, FILL_TRUST = 1.0, 0.5
-BRIDGE = 0.5
-TORSO = 0.5
+MAX_SECTION_S = 60.0  # s; bounds the memory of the running medians
+SECTION_MARGIN_S = 1.0  # s on both sides of a section; longer than the links between inliers
+MAX_FILLED_GAP_S = 1.0  # s; a missing point's displacement from the motion is interpolated over at most this long
+FILLED_WEIGHT = 0.5  # weight of a filled point in the fit, less than that of a point seen with certainty
+MAX_BRIDGED_GAP_S = 0.5  # s; a joint missing for longer is not interpolated before poses are compared
+TORSO_M = 0.5  # m, torso length of an adult; turns torso lengths into metres before the 3D motion is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,37 +61,37 @@ class KeyframeResult:
     """A sequence reconstructed by keyframes.
 
     Attributes:
-        result: 3D joints; joints that were not seen or called outliers are not `seen` in it.
-        keyframes: of the upper and the lower half.
-        controls: for each half, the frames taken for their key poses.
-        motion: (F, J, 3) m, virtual camera's axes: the interpolation between key poses, before the fit.
-        outliers: (F, J) image points that were seen and not believed.
-        error: m^2, mean squared reprojection error before each step of the fit and at the end.
+        result: 3D joints; joints that were not seen or are outliers are not `seen` in it.
+        keyframes: keyframes of the upper and the lower half of the body.
+        control_points: frame indices of each half's control points.
+        motion: (F, J, 3) m, virtual camera's axes: the initial motion X^0 between key poses, before the fit.
+        outliers: (F, J) True for the image points that were seen and found to be outliers.
+        mean_squared_errors: m^2, mean squared reprojection error before each step of the fit and at the end.
     """
 
     result: SequenceResult
-    keyframes: tuple[Keyframes, Keyframes]
-    controls: tuple[Indices, Indices]
+    keyframes: tuple[KeyframeSet, KeyframeSet]
+    control_points: tuple[Indices, Indices]
     motion: Array
     outliers: Mask
-    error: tuple[float, ...]
+    mean_squared_errors: tuple[float, ...]
 
 
-def summarise(
-    observed: Observed, config: KeyframesConfig, progress: Callable[[str], None] = lambda _: None
-) -> tuple[Keyframes, Keyframes]:
-    """The keyframes of both halves of the body in a sequence.
+def find_keyframes(
+    observed: Observations, config: KeyframesConfig, progress: Callable[[str], None] = lambda _: None
+) -> tuple[KeyframeSet, KeyframeSet]:
+    """Find the keyframes of both halves of the body in a sequence (section 4).
 
     Args:
-        observed: believable image points.
-        config: when poses are alike, and when there are keyframes enough.
-        progress: told what is done next.
+        observed: image points without suspect points.
+        config: parameters of the keyframe method.
+        progress: called with the name of each stage before it begins.
     """
     out = []
-    for half in halves(CMU15):
+    for half in split_into_halves(CMU15):
         progress(f'keyframes, {half.name} body')
-        poses = half_poses(observed.points, observed.weight, observed.times, half, BRIDGE)
-        out.append(summarised(poses, half, len(observed.times), config))
+        poses = extract_half_poses(observed.points, observed.weight, observed.times, half, MAX_BRIDGED_GAP_S)
+        out.append(find_keyframe_set(poses, half, len(observed.times), config))
     return out[0], out[1]
 
 
@@ -84,54 +102,54 @@ def reconstruct(
     intrinsics: Intrinsics,
     models: Mapping[str, BasePoses],
     config: Config,
-    choices: Sequence[Choice] = (),
+    choices: Sequence[DepthChoice] = (),
     progress: Callable[[str], None] = lambda _: None,
 ) -> KeyframeResult:
     """Reconstruct a long sequence of one person's keypoints by keyframes.
 
     Args:
-        keypoints: (F, J, 3) x, y in px and score; NaN or score 0 where not seen.
-        joint_names: (J,) any names that `skeleton.joint_map` knows.
+        keypoints: (F, J, 3) x and y in px, and confidence score; NaN or score 0 where not seen.
+        joint_names: (J,) any names that `keypoints.joint_map` knows.
         times: (F,) s, increasing.
-        intrinsics: of the camera.
-        models: base poses by name, for the solver that makes key poses.
-        config: `keyframes`; `solver` and `tracker` as in `offline.reconstruct_sequence`.
-        choices: for keyframes whose poses are to be made by Taylor's method.
-        progress: told what is done next.
+        intrinsics: intrinsics of the camera.
+        models: base poses by name, for the solver that proposes poses.
+        config: parameters; those of `keyframes`, and those that apply to `whole_sequence.reconstruct_sequence`.
+        choices: forward/backward choices for the keyframes whose key poses Taylor's method is to make.
+        progress: called with the name of each stage before it begins.
 
     Raises:
-        SkeletonError: too few of the model's joints can be had from these names.
-        InputError: no frame has four seen joints, no 3D pose can be made of any, or a choice does not fit the
+        SkeletonError: These names give too few of the model's joints.
+        InputError: No frame has four seen joints, no frame gives a 3D pose, or a choice does not fit the
             keyframes.
     """
-    settings = config.keyframes
-    observed = observe(keypoints, joint_names, times, intrinsics, config.tracker)
-    plausible = observed.without(suspects(observed))
-    keyframes = summarise(plausible, settings, progress)
+    parameters = config.keyframes
+    observed = prepare_observations(keypoints, joint_names, times, intrinsics, config.tracker)
+    plausible = observed.exclude_points(find_suspect_points(observed))
+    keyframes = find_keyframes(plausible, parameters, progress)
     progress('key poses')
     frames = np.concatenate([half.frames for half in keyframes])
-    category, poses = proposals(plausible, frames, intrinsics, models, config)
-    lengths = limb_lengths(poses, config.tracker.body_height)
+    category, poses = propose_poses(plausible, frames, intrinsics, models, config)
+    lengths = estimate_limb_lengths(poses, config.tracker.body_height)
     progress('interpolation')
-    keys = tuple(key_directions(half, poses, settings.beta) for half in keyframes)
+    key_directions = tuple(average_key_directions(half, poses, parameters.beta) for half in keyframes)
     for choice in choices:
-        choose(choice, keyframes, keys, plausible, lengths)
-    if not any(np.isfinite(k).all(axis=(1, 2)).any() for k in keys):
-        raise InputError('no key poses: too little is seen, or alike (keyframes.beta)')
-    motion, controls = interpolated(plausible, keyframes, keys, poses, lengths, settings)
-    start = placed(motion, plausible.points, plausible.weight, times, observed.focal)
-    wrong = outliers(_displacement(start, observed), observed.weight > 0, times)
-    believed = observed.without(wrong)
-    start = placed(motion, believed.points, believed.weight, times, observed.focal)
-    model = models[category].rescaled(config.tracker.body_height / models[category].stature)
-    offsets = _offsets(poses, lengths, believed, model.mean)
-    believed = replace(
-        believed, points=without_offsets(offsets, start, believed.points, believed.focal, model.mean)
+        apply_depth_choice(choice, keyframes, key_directions, plausible, lengths)
+    if not any(np.isfinite(k).all(axis=(1, 2)).any() for k in key_directions):
+        raise InputError('no key poses: too few joints are seen, or too few poses are alike (keyframes.beta)')
+    motion, control_points = interpolate_key_poses(
+        plausible, keyframes, key_directions, poses, lengths, parameters
     )
-    start = placed(motion, believed.points, believed.weight, times, observed.focal)
+    start = align_motion(motion, plausible.points, plausible.weight, times, observed.focal)
+    outliers = find_outliers(_compute_displacement(start, observed), observed.weight > 0, times)
+    inliers = observed.exclude_points(outliers)
+    start = align_motion(motion, inliers.points, inliers.weight, times, observed.focal)
+    model = models[category].rescale(config.tracker.body_height / models[category].stature)
+    offsets = _estimate_detector_offsets(poses, lengths, inliers, model.mean)
+    inliers = replace(inliers, points=subtract_offsets(offsets, start, inliers.points, inliers.focal, model.mean))
+    start = align_motion(motion, inliers.points, inliers.weight, times, observed.focal)
     progress('fit')
-    points, weight = filled(start, believed)
-    descent = fitted(
+    points, weight = fill_missing_points(start, inliers)
+    fit = fit_motion(
         start,
         points,
         weight,
@@ -139,126 +157,168 @@ def reconstruct(
         lengths,
         CMU15,
         focal=observed.focal,
-        step=settings.step,
-        smoothing=settings.smoothing,
-        iterations=settings.iterations,
+        step=parameters.step,
+        smoothing=parameters.smoothing,
+        iterations=parameters.iterations,
     )
-    result = _result(descent.placed, believed, category, model, descent.error)
-    return KeyframeResult(result, keyframes, controls, motion, wrong, descent.error)
+    errors = fit.mean_squared_errors
+    result = _build_result(fit.motion, inliers, category, model, errors)
+    return KeyframeResult(result, keyframes, control_points, motion, outliers, errors)
 
 
-def suspects(observed: Observed) -> Mask:
-    """(F, J) points that jump in the image: left out of distances and key poses, judged again in 3D."""
+def find_suspect_points(observed: Observations) -> Mask:
+    """Find the points that jump in the image.
+
+    Suspect points are left out of distances and key poses, and are judged again once a 3D motion is known.
+
+    Returns:
+        (F, J) True for suspect points.
+    """
     out = np.zeros(observed.weight.shape, bool)
-    torso = torso_lengths(observed.points, observed.weight, observed.times)
-    in_metres = observed.points / torso[:, None, None] * TORSO
-    for wide, own in sections(observed.times, SECTION, MARGIN):
-        found = jumps(in_metres[wide], observed.weight[wide] > 0, observed.times[wide])
-        out[own] = found[own.start - wide.start : own.stop - wide.start]
+    torso = estimate_torso_lengths(observed.points, observed.weight, observed.times)
+    points_m = observed.points / torso[:, None, None] * TORSO_M
+    for padded, section in split_into_sections(observed.times, MAX_SECTION_S, SECTION_MARGIN_S):
+        found = find_jumping_points(points_m[padded], observed.weight[padded] > 0, observed.times[padded])
+        out[section] = found[section.start - padded.start : section.stop - padded.start]
     return out
 
 
-def interpolated(
-    observed: Observed,
-    keyframes: tuple[Keyframes, Keyframes],
-    keys: Sequence[Array],
+def interpolate_key_poses(
+    observed: Observations,
+    keyframes: tuple[KeyframeSet, KeyframeSet],
+    key_directions: Sequence[Array],
     poses: Array,
     lengths: Array,
     config: KeyframesConfig,
 ) -> tuple[Array, tuple[Indices, Indices]]:
-    """The motion between key poses (section 6.1).
+    """Interpolate between key poses to the initial motion X^0 (section 6.1).
+
+    A half without any key pose follows the proposed poses.
 
     Args:
-        observed: believable image points.
-        keyframes: of both halves.
-        keys: (K, B, 3) limb directions of the key poses of each.
-        poses: (F, J, 3) proposals of any size, NaN where unknown.
-        lengths: (B,) m.
-        config: `gap` and `frame_pose_share` apply.
+        observed: image points without suspect points.
+        keyframes: keyframes of both halves.
+        key_directions: (K, B, 3) limb directions of each half's key poses.
+        poses: (F, J, 3) proposed poses of any size; NaN in frames without one.
+        lengths: (B,) m, limb lengths.
+        config: parameters; `gap` and `frame_pose_share` apply.
 
     Returns:
-        (F, J, 3) m, and each half's control points.
+        (F, J, 3) m, virtual camera's axes; and frame indices of each half's control points.
     """
     times = observed.times
-    in_torsos = observed.points / torso_lengths(observed.points, observed.weight, times)[:, None, None]
     directions = np.zeros((len(times), len(CMU15.bones), 3))
-    number = {bone: i for i, bone in enumerate(CMU15.bones)}
-    torso = lengths[number[CMU15.index('pelvis'), CMU15.index('neck')]]
-    some = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
-    proposed = slerp(limb_directions(poses[some], CMU15.bones), times[some], times)
-    controls = []
-    for half, limbs in zip(keyframes, keys, strict=True):
-        known = np.asarray(np.isfinite(limbs).all(axis=(1, 2)))
-        bones = [number[b] for b in half.half.bones]
-        if not known.any():
+    has_pose = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+    proposed = slerp(compute_limb_directions(poses[has_pose], CMU15.bones), times[has_pose], times)
+    control_points = []
+    for half_keyframes, half_directions in zip(keyframes, key_directions, strict=True):
+        has_key_pose = np.asarray(np.isfinite(half_directions).all(axis=(1, 2)))
+        bones = [CMU15.bones.index(bone) for bone in half_keyframes.body_half.bones]
+        if not has_key_pose.any():
             directions[:, bones] = proposed[:, bones]
-            controls.append(half.frames[:0])
+            control_points.append(half_keyframes.frames[:0])
             continue
-        whole = np.zeros((len(limbs), len(CMU15.bones), 3))
-        whole[:, bones] = limbs
-        flat = pose_of(whole, lengths / torso, CMU15)[..., :2]
-        joints = list(half.half.joints)
-        at: Indices = np.where(known[half.nearest], half.assigned, -1)
-        misfit = np.full(len(times), np.inf)
-        some = np.flatnonzero(at >= 0)
-        misfit[some] = misfits(
-            flat[at[some]][:, joints], in_torsos[some][:, joints], observed.weight[some][:, joints] > 0
+        assignment: Indices = np.where(has_key_pose[half_keyframes.nearest], half_keyframes.assignment, -1)
+        distance = _rank_fits(observed, half_keyframes, half_directions, assignment, lengths)
+        control = select_control_points(assignment, distance, times, config.gap)
+        control_points.append(control)
+        blended = blend_directions(
+            half_directions[assignment[control]], proposed[control][:, bones], config.frame_pose_share
         )
-        control = thinned(at, np.nan_to_num(misfit, nan=np.inf), times, config.gap)
-        controls.append(control)
-        mixed = adapted(limbs[at[control]], proposed[control][:, bones], config.frame_pose_share)
-        directions[:, bones] = slerp(mixed, times[control], times)
-    return pose_of(directions, lengths, CMU15), (controls[0], controls[1])
+        directions[:, bones] = slerp(blended, times[control], times)
+    return assemble_poses(directions, lengths, CMU15), (control_points[0], control_points[1])
 
 
-def _offsets(poses: Array, lengths: Array, observed: Observed, body: Array) -> Array:
-    """(J, 3) m, offsets of the detector's joints from the model's by the frames with a proposed pose."""
-    at = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
-    proposed = pose_of(limb_directions(poses[at], CMU15.bones), lengths, CMU15)
-    points, weight = observed.points[at], observed.weight[at]
-    motion = placed(proposed, points, weight, observed.times[at], observed.focal)
-    return joint_offsets(motion, points, weight, observed.focal, body)
+def _rank_fits(
+    observed: Observations, keyframes: KeyframeSet, key_directions: Array, assignment: Indices, lengths: Array
+) -> Array:
+    """Return (F,) torso lengths, the distance of each frame from its key pose; huge without one.
+
+    Args:
+        observed: image points without suspect points.
+        keyframes: keyframes of one half.
+        key_directions: (K, B, 3) limb directions of its key poses.
+        assignment: (F,) index of each frame's keyframe, or -1.
+        lengths: (B,) m, limb lengths of the whole skeleton.
+    """
+    torso_px = estimate_torso_lengths(observed.points, observed.weight, observed.times)
+    points = observed.points / torso_px[:, None, None]
+    torso_m = lengths[CMU15.bones.index((CMU15.index('pelvis'), CMU15.index('neck')))]
+    bones = [CMU15.bones.index(bone) for bone in keyframes.body_half.bones]
+    all_directions = np.zeros((len(key_directions), len(CMU15.bones), 3))
+    all_directions[:, bones] = key_directions
+    key_poses = assemble_poses(all_directions, lengths / torso_m, CMU15)[..., :2]
+    joints = list(keyframes.body_half.joints)
+    out = np.full(len(assignment), np.inf)
+    frames = np.flatnonzero(assignment >= 0)
+    out[frames] = compute_reprojection_distances(
+        key_poses[assignment[frames]][:, joints], points[frames][:, joints], observed.weight[frames][:, joints] > 0
+    )
+    return np.nan_to_num(out, nan=np.inf)
 
 
-def _displacement(motion: Placed, observed: Observed) -> Array:
-    """(F, J, 2) m, of the image points from where the motion has them, at the depth of their joints."""
-    return motion.lifted(observed.points, observed.focal) - motion.joints[..., :2]
+def _estimate_detector_offsets(poses: Array, lengths: Array, observed: Observations, body: Array) -> Array:
+    """Return (J, 3) m, offsets of the detector's joints from the model's, from the frames with a proposed pose."""
+    frames = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+    proposed = assemble_poses(compute_limb_directions(poses[frames], CMU15.bones), lengths, CMU15)
+    points, weight = observed.points[frames], observed.weight[frames]
+    motion = align_motion(proposed, points, weight, observed.times[frames], observed.focal)
+    return estimate_joint_offsets(motion, points, weight, observed.focal, body)
 
 
-def filled(motion: Placed, observed: Observed) -> tuple[Array, Array]:
-    """Image points (F, J, 2) px and weights (F, J); what is not seen is interpolated beside the motion."""
+def _compute_displacement(motion: AlignedMotion, observed: Observations) -> Array:
+    """Return (F, J, 2) m, the image points, back-projected to their joints' depths, minus the motion's joints."""
+    return motion.back_project(observed.points, observed.focal) - motion.joints[..., :2]
+
+
+def fill_missing_points(motion: AlignedMotion, observed: Observations) -> tuple[Array, Array]:
+    """Fill the points that are not seen, as displacements from the motion interpolated over time.
+
+    Args:
+        motion: initial motion, aligned to the image points.
+        observed: image points without outliers.
+
+    Returns:
+        (F, J, 2) px, all points; and (F, J) weights, `FILLED_WEIGHT` for filled points.
+    """
     seen = observed.weight > 0
-    moved, known = bridged(_displacement(motion, observed), seen, observed.times, FILL_TIME)
+    displacement, known = interpolate_gaps(
+        _compute_displacement(motion, observed), seen, observed.times, MAX_FILLED_GAP_S
+    )
     joints = motion.joints.copy()
-    joints[..., :2] += np.where(known[..., None], moved, 0.0)
-    guess = Placed(joints, motion.scale, motion.translation).image(observed.focal)
-    points = np.where(seen[..., None], observed.points, guess)
-    return points, np.where(seen, observed.weight, FILL_TRUST)
+    joints[..., :2] += np.where(known[..., None], displacement, 0.0)
+    filled = AlignedMotion(joints, motion.scale, motion.translation).project(observed.focal)
+    points = np.where(seen[..., None], observed.points, filled)
+    return points, np.where(seen, observed.weight, FILLED_WEIGHT)
 
 
-def _result(
-    motion: Placed, observed: Observed, category: str, model: BasePoses, error: tuple[float, ...]
+def _build_result(
+    motion: AlignedMotion,
+    observed: Observations,
+    category: str,
+    model: BasePoses,
+    mean_squared_errors: tuple[float, ...],
 ) -> SequenceResult:
-    """The fitted motion in the form of all solvers; what was not believed is not seen."""
+    """Return the fitted motion as the result type of all solvers; outliers count as not seen in it."""
     joints, translation = motion.joints, motion.translation
     seen = observed.weight > 0
-    rotation = rotation_to(np.broadcast_to(model.mean, joints.shape), joints)
-    cameras = Cameras(motion.scale, rotation)
-    missed = ((motion.image(observed.focal) - observed.points) ** 2).sum(axis=-1)
+    rotation = fit_rotation(np.broadcast_to(model.mean, joints.shape), joints)
+    cameras = WeakPerspectiveCameras(motion.scale, rotation)
+    squared_error = ((motion.project(observed.focal) - observed.points) ** 2).sum(axis=-1)
     with np.errstate(invalid='ignore'):
-        residual = np.sqrt((missed * seen).sum(axis=1) / seen.sum(axis=1))
+        residual = np.sqrt((squared_error * seen).sum(axis=1) / seen.sum(axis=1))
     solution = Reconstruction(
         joints=joints,
         theta=model.weights(joints @ rotation),
         cameras=cameras,
         translation=translation,
         residual=residual,
-        objective=error,
-        iterations=len(error) - 1,
+        objective=mean_squared_errors,
+        iterations=len(mean_squared_errors) - 1,
         converged=True,
         noise=float('nan'),
-        spread=np.full(joints.shape[1], np.nan),
+        joint_std=np.full(joints.shape[1], np.nan),
     )
-    view = observed.view
-    in_camera = view.to_camera(joints) + view.roots(cameras, translation)[:, None]
+    camera = observed.virtual_camera
+    in_camera = camera.to_real_camera(joints) + camera.root_positions(cameras, translation)[:, None]
     return SequenceResult(in_camera, seen, CMU15, category, solution)

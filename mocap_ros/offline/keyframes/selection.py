@@ -1,14 +1,17 @@
-"""Greedy choice of keyframes (Loy et al. 2004, section 4.3, eq. 1 to 4), in seconds instead of frames.
+"""Greedy keyframe selection (Loy et al. 2004, section 4.3, eq. 1 to 4), in seconds instead of frames.
 
-Frame f is well represented by keyframe k where D(k, f) < beta, and always by itself. For a set W of well
-represented frames eq. 2 is
+    |W u J| >= alpha N                                                                              (eq. 1)
+    C_K = sum_i ( min_{f in W, f < i} |t_i - t_f| + min_{f in W, f > i} |t_i - t_f| )               (eq. 2)
+    K <- K u {j},   j = argmin_k C_{K u {k}}                                                  (eq. 3 and 4)
 
-    C = sum_i ( min_{f in W, f < i} |t_i - t_f| + min_{f in W, f > i} |t_i - t_f| )
+W is the set of frames well represented by a keyframe of K: frame f is well represented by keyframe k if
+D(k, f) < beta or f = k. J is the set of interpolatable frames: those between two frames of W that are less than T
+apart. At the ends of the sequence, where no frame of W lies on one side of i, one frame interval before the first
+frame and one after the last count as well represented.
 
-Convention where no frame of W is on one side of i: one interval before the first frame and one after the last
-count as well represented. Between two neighbours in W, T_ab apart with g frames between them, all terms together
-are (g + 2) T_ab, so eq. 2 is a sum over gaps, and a keyframe changes only the gaps it reaches into: that is what
-makes the incremental choice fast and equal to the direct one.
+Incremental selection: let a and b be neighbours in W, T_ab seconds apart, with g frames between them. All terms of
+eq. 2 between a and b sum to (g + 2) T_ab, so C_K is a sum over gaps, and a new keyframe changes only the gaps in
+which it represents a frame. The result equals that of eq. 2 evaluated directly.
 """
 
 from __future__ import annotations
@@ -24,151 +27,183 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
-LONE_FRAME = 1 / 30
+SINGLE_FRAME_INTERVAL_S = 1 / 30  # s; stands for the frame interval of a sequence of one frame, which has none
+# relative; incremental sums differ by rounding from direct ones, so equal costs count as ties
+TIE_TOLERANCE = 1e-9
 
 
-def interval(times: Array) -> float:
-    """s, the usual one between frames."""
-    return float(np.median(np.diff(times))) if len(times) > 1 else LONE_FRAME
+def estimate_frame_interval(times: Array) -> float:
+    """Return the median time between successive frames, s."""
+    return float(np.median(np.diff(times))) if len(times) > 1 else SINGLE_FRAME_INTERVAL_S
 
 
-def mean_gap_cost(well: Mask, times: Array) -> float:
-    """Eq. 2 as it stands, s; `well` (N,) the well-represented frames, times (N,) s."""
-    step = interval(times)
+def compute_selection_cost(well_represented: Mask, times: Array) -> float:
+    """Return C_K by direct evaluation of eq. 2.
+
+    Args:
+        well_represented: (N,) True for the frames of W.
+        times: (N,) s, increasing.
+
+    Returns:
+        Cost in s.
+    """
+    step = estimate_frame_interval(times)
     total = 0.0
     for i, t in enumerate(times):
-        left = times[:i][well[:i]]
-        right = times[i + 1 :][well[i + 1 :]]
+        left = times[:i][well_represented[:i]]
+        right = times[i + 1 :][well_represented[i + 1 :]]
         total += t - (left[-1] if len(left) else times[0] - step)
         total += (right[0] if len(right) else times[-1] + step) - t
     return float(total)
 
 
-def interpolatable(well: Mask, times: Array, gap: float) -> Mask:
-    """(N,) J: frames between two well-represented ones less than `gap` s apart, themselves not in W."""
-    at = np.flatnonzero(well)
-    out = np.zeros(len(well), bool)
-    if len(at) > 1:
-        right = np.searchsorted(at, np.arange(len(well)))
-        inside = ~well & (right > 0) & (right < len(at))
+def find_interpolatable(well_represented: Mask, times: Array, gap: float) -> Mask:
+    """Return J: the frames outside W between two frames of W that are less than T apart.
+
+    Args:
+        well_represented: (N,) True for the frames of W.
+        times: (N,) s, increasing.
+        gap: T, s.
+
+    Returns:
+        (N,) True for the frames of J.
+    """
+    w_frames = np.flatnonzero(well_represented)
+    out = np.zeros(len(well_represented), bool)
+    if len(w_frames) > 1:
+        right = np.searchsorted(w_frames, np.arange(len(well_represented)))
+        inside = ~well_represented & (right > 0) & (right < len(w_frames))
         right = right[inside]
-        out[inside] = times[at[right]] - times[at[right - 1]] < gap
+        out[inside] = times[w_frames[right]] - times[w_frames[right - 1]] < gap
     return out
 
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Keyframes in the order in which they were chosen, over N frames.
+    """Keyframes selected from N frames, in the order of selection.
 
     Attributes:
-        keyframes: (K,) indices.
-        well: (N,) frames that one of them represents well: W.
-        covered: (N,) W and the frames that can be interpolated: W u J.
-        coverage: (K,) share of covered frames with that keyframe and those before it.
+        keyframes: (K,) frame indices.
+        well_represented: (N,) True for the frames of W.
+        covered: (N,) True for the frames of W u J.
+        coverage: (K,) share of covered frames after each keyframe was added.
     """
 
     keyframes: Indices
-    well: Mask
+    well_represented: Mask
     covered: Mask
     coverage: Array
 
 
-def select(
+def select_keyframes(
     represents: Mask,
     times: Array,
     alpha: float,
     gap: float,
-    well: Mask | None = None,
+    well_represented: Mask | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Selection:
-    """The keyframes, by eq. 3 and 4 until eq. 1 holds.
+    """Select keyframes by eq. 3 and 4 until eq. 1 holds.
 
     Args:
-        represents: (N, N) row k: the frames that k represents well, D(k, .) < beta.
+        represents: (N, N) True in row k for the frames that k represents well, D(k, .) < beta.
         times: (N,) s, increasing.
         alpha: share of the frames to cover.
         gap: T, s.
-        well: (N,) frames represented well already, by keyframes from elsewhere.
-        progress: told the share of covered frames.
+        well_represented: (N,) True for the frames that keyframes of earlier sections represent well already.
+        progress: called with the share of covered frames after each keyframe.
 
     Returns:
-        The selection; of equal candidates the earliest frame is chosen.
+        The selection; among candidates of equal cost the earliest frame is selected.
     """
     represents = represents | np.eye(len(times), dtype=bool)
-    gaps = _Gaps(represents, times, np.zeros(len(times), bool) if well is None else well.copy())
-    chosen: list[int] = []
+    initial = np.zeros(len(times), bool) if well_represented is None else well_represented.copy()
+    costs = _CandidateCosts(represents, times, initial)
+    keyframes: list[int] = []
     coverage: list[float] = []
-    covered = gaps.well | interpolatable(gaps.well, times, gap)
-    while covered.sum() < alpha * len(times) and len(chosen) < len(times):
-        best = gaps.best()
-        gaps.add(best)
-        chosen.append(best)
-        covered = gaps.well | interpolatable(gaps.well, times, gap)
+    covered = costs.well_represented | find_interpolatable(costs.well_represented, times, gap)
+    while covered.sum() < alpha * len(times) and len(keyframes) < len(times):
+        keyframe = costs.find_best_candidate()
+        costs.add_keyframe(keyframe)
+        keyframes.append(keyframe)
+        covered = costs.well_represented | find_interpolatable(costs.well_represented, times, gap)
         coverage.append(float(covered.mean()))
         progress(coverage[-1])
-    return Selection(np.array(chosen, int), gaps.well, covered, np.array(coverage))
+    return Selection(np.array(keyframes, int), costs.well_represented, covered, np.array(coverage))
 
 
 @dataclass(eq=False)
-class _Gaps:
-    """Eq. 2 of W with each candidate added, kept up to date: the sum over the gaps of W."""
+class _CandidateCosts:
+    """The costs C_{K u {k}} (eq. 2 to 4) of adding each frame k to the keyframes K.
+
+    The costs are sums over the gaps between neighbours in W, the set of well-represented frames. A new keyframe
+    changes only the terms of the gaps in which it represents a frame.
+
+    Attributes:
+        represents: (N, N) True in row k for the frames that keyframe k represents well, k itself included.
+        times: (N,) s, increasing.
+        well_represented: (N,) True for the frames of W.
+        cost: (N,) s, C_{K u {k}} of each frame k.
+        is_keyframe: (N,) True for the frames of K.
+        padded_times: (N + 2,) s; `times` with one frame interval added before the first and after the last.
+    """
 
     represents: Mask
     times: Array
-    well: Mask
+    well_represented: Mask
     cost: Array = field(init=False)
-    taken: Mask = field(init=False)
+    is_keyframe: Mask = field(init=False)
+    padded_times: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        step = interval(self.times)
-        self.padded = np.concatenate([[self.times[0] - step], self.times, [self.times[-1] + step]])
+        step = estimate_frame_interval(self.times)
+        self.padded_times = np.concatenate([[self.times[0] - step], self.times, [self.times[-1] + step]])
         self.cost = np.zeros(len(self.times))
-        self.taken = np.zeros(len(self.times), bool)
-        for first, last in self._borders(-1, len(self.times)):
-            self.cost += self._within(first, last)
+        self.is_keyframe = np.zeros(len(self.times), bool)
+        for first, last in self._split_gap(-1, len(self.times)):
+            self.cost += self._compute_gap_costs(first, last)
 
-    def _borders(self, first: int, last: int) -> list[tuple[int, int]]:
-        """Neighbours in W from `first` to `last`, which count as members; -1 and N are the ends."""
-        inside = np.flatnonzero(self.well[max(first + 1, 0) : last]) + first + 1
-        at = [first, *inside.tolist(), last]
-        return list(pairwise(at))
-
-    def _within(self, first: int, last: int) -> Array:
-        """(N,) terms of eq. 2 of the gap between two members of W, for each candidate added to W."""
-        block = self.represents[:, first + 1 : last]
-        row, frame = np.nonzero(block)
-        frame = frame + first + 1
-        heads = np.searchsorted(row, np.arange(len(block)))
-        filled = np.diff(heads, append=len(row)) > 0
-        # from each represented frame to the next one of its candidate, or to the end of the gap
-        following = np.append(frame[1:], last)
-        following[heads[filled][1:] - 1] = last
-        following[-1:] = last
-        terms = np.bincount(row, self._pair(frame, following), minlength=len(block))
-        start = np.full(len(block), last)
-        start[filled] = frame[heads[filled]]
-        return np.asarray(terms + self._pair(np.full(len(block), first), start))
-
-    def _pair(self, a: Indices, b: Indices) -> Array:
-        """All terms of eq. 2 between neighbours a < b of W; the ends have no terms of their own."""
-        own = (a >= 0).astype(int) + (b < len(self.times))
-        return np.asarray((b - a - 1 + own) * (self.padded[b + 1] - self.padded[a + 1]))
-
-    def best(self) -> int:
-        """The candidate with the least cost, the earliest of those that differ by rounding only."""
-        cost = np.where(self.taken, np.inf, self.cost)
+    def find_best_candidate(self) -> int:
+        """Return the candidate of least cost, or the earliest of those that differ by rounding only."""
+        cost = np.where(self.is_keyframe, np.inf, self.cost)
         least = cost.min()
-        return int(np.argmax(cost <= least + 1e-9 * max(abs(least), 1.0)))
+        return int(np.argmax(cost <= least + TIE_TOLERANCE * max(abs(least), 1.0)))
 
-    def add(self, keyframe: int) -> None:
-        """Take a keyframe: only gaps that it reaches into change."""
-        new = np.flatnonzero(self.represents[keyframe] & ~self.well)
-        members = np.concatenate([[-1], np.flatnonzero(self.well), [len(self.well)]])
-        reached = np.unique(np.searchsorted(members, new))
-        self.well = self.well | self.represents[keyframe]
-        self.taken[keyframe] = True
-        for right in reached.tolist():
+    def add_keyframe(self, keyframe: int) -> None:
+        """Add a keyframe to K, and update the costs of the gaps in which it represents a frame."""
+        newly_represented = np.flatnonzero(self.represents[keyframe] & ~self.well_represented)
+        members = np.concatenate([[-1], np.flatnonzero(self.well_represented), [len(self.well_represented)]])
+        changed_gaps = np.unique(np.searchsorted(members, newly_represented))
+        self.well_represented = self.well_represented | self.represents[keyframe]
+        self.is_keyframe[keyframe] = True
+        for right in changed_gaps.tolist():
             first, last = int(members[right - 1]), int(members[right])
-            self.cost -= self._within(first, last)
-            for a, b in self._borders(first, last):
-                self.cost += self._within(a, b)
+            self.cost -= self._compute_gap_costs(first, last)
+            for a, b in self._split_gap(first, last):
+                self.cost += self._compute_gap_costs(a, b)
+
+    def _split_gap(self, first: int, last: int) -> list[tuple[int, int]]:
+        """Return the pairs of neighbours in W from `first` to `last`; -1 and N stand for the sequence's ends."""
+        inside = np.flatnonzero(self.well_represented[max(first + 1, 0) : last]) + first + 1
+        return list(pairwise([first, *inside.tolist(), last]))
+
+    def _compute_gap_costs(self, first: int, last: int) -> Array:
+        """Return (N,) s, the terms of eq. 2 between two neighbours in W, for each candidate added to W."""
+        block = self.represents[:, first + 1 : last]
+        candidate, frame = np.nonzero(block)
+        frame = frame + first + 1
+        head = np.searchsorted(candidate, np.arange(len(block)))
+        has_frames = np.diff(head, append=len(candidate)) > 0
+        # the next frame that the same candidate represents, or the end of the gap
+        following = np.append(frame[1:], last)
+        following[head[has_frames][1:] - 1] = last
+        following[-1:] = last
+        terms = np.bincount(candidate, self._compute_pair_cost(frame, following), minlength=len(block))
+        first_frame = np.full(len(block), last)
+        first_frame[has_frames] = frame[head[has_frames]]
+        return np.asarray(terms + self._compute_pair_cost(np.full(len(block), first), first_frame))
+
+    def _compute_pair_cost(self, a: Indices, b: Indices) -> Array:
+        """Return (g + 2) T_ab in s for neighbours a < b in W; the sequence's ends have no terms of their own."""
+        end_terms = (a >= 0).astype(int) + (b < len(self.times))
+        return np.asarray((b - a - 1 + end_terms) * (self.padded_times[b + 1] - self.padded_times[a + 1]))

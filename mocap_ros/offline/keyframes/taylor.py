@@ -1,12 +1,11 @@
-"""Key poses from the image and a person's eye (Taylor, CVIU 80(3), 2000, as Loy et al. 2004 use it).
-
-Under scaled orthography the image of a limb of length l is foreshortened by what it points towards or away from
-the camera:
+"""Key poses by Taylor's method (Taylor, CVIU 80(3), 2000, as used by Loy et al. 2004, section 6).
 
     dz^2 = l^2 - (du^2 + dv^2) / s^2
 
-The scale s must be large enough for every limb; of each limb somebody must say whether its outer joint is nearer
-to the camera than its inner one.
+Under scaled orthographic projection with scale s, the image (du, dv) of a limb of length l gives the limb's extent
+dz along the optical axis up to its sign. The scale must be large enough for every limb. A user chooses the sign:
+for each limb whether its outer joint is nearer to the camera than its inner joint (the forward/backward
+ambiguity).
 """
 
 from __future__ import annotations
@@ -22,32 +21,34 @@ from mocap_ros.skeleton import CMU15, Skeleton
 
 Array = NDArray[np.float64]
 
-HALVES = ('upper', 'lower')
-LONGEST_LIST = 100_000
-LARGEST = 1e15
-SHOWN = {'time', 'half', 'represents', 'spans', 'forward', 'scale'}
+HALF_NAMES = ('upper', 'lower')  # names of the body halves, in the order of `split_into_halves`
+MAX_ENTRIES = 100_000  # keyframes in a file; guards against files that are not lists of keyframes
+MAX_NUMBER = 1e15  # s or px/m; guards the arithmetic against overflow
+MIN_SCALE = 1e-6  # px/m; guards divisions by the scale
+SCALE_TOLERANCE = 1e-9  # relative; a scale equal to the minimum must not be refused for rounding
+ENTRY_KEYS = {'time', 'half', 'represents', 'spans', 'forward', 'scale'}  # keys that an entry of the file may have
 
 
 @dataclass(frozen=True)
-class Choice:
-    """What somebody says of one keyframe.
+class DepthChoice:
+    """A user's forward/backward choice for the limbs of one keyframe.
 
     Attributes:
         half: `upper` or `lower`.
-        time: s, of the keyframe, from the beginning of the sequence.
-        forward: outer joints of the limbs that point towards the camera; the others point away.
-        scale: px per m, or None for the least that every limb allows.
-        place: where it was said, for errors.
+        time_s: s, time of the keyframe since the beginning of the sequence.
+        forward: outer joints of the limbs that point towards the camera; all other limbs point away from it.
+        scale: px/m, scale of the projection; None for the minimum that every limb allows.
+        location: file and entry of the choice, for error messages.
     """
 
     half: str
-    time: float
+    time_s: float
     forward: frozenset[str]
     scale: float | None
-    place: str
+    location: str
 
 
-def taylor_pose(
+def reconstruct_limbs(
     points: Array,
     lengths: Array,
     bones: Sequence[tuple[int, int]],
@@ -55,37 +56,40 @@ def taylor_pose(
     scale: float | None = None,
     skeleton: Skeleton = CMU15,
 ) -> tuple[Array, float]:
-    """Limbs in 3D from one image, up to the depth of the whole.
+    """Reconstruct limbs in 3D from one image by Taylor's method, up to the depth of the whole body.
 
     Args:
-        points: (J, 2) px, x right and y down; NaN where not seen.
-        lengths: (B,) m or any unit: relative lengths are enough.
-        bones: (B,) inner and outer joint.
-        forward: names of the outer joints nearer to the camera than their inner ones.
-        scale: px per unit of the lengths; None for the least possible.
-        skeleton: names the joints.
+        points: (J, 2) px, x to the right and y down; NaN where not seen.
+        lengths: (B,) limb lengths in m or any other unit, since only their ratios matter if `scale` is None.
+        bones: (B,) pairs of inner and outer joint index.
+        forward: names of the outer joints that are nearer to the camera than their inner joints.
+        scale: px per unit of the lengths; None for the minimum that every limb allows.
+        skeleton: skeleton that names the joints.
 
     Returns:
-        (B, 3) limbs from inner to outer joint, unit of the lengths, camera's axes (z away from it); and the scale.
+        (B, 3) vectors from inner to outer joint in the unit of the lengths, camera's axes (z away from the
+        camera); and the scale used.
 
     Raises:
-        InputError: a joint is not seen or not one of these limbs', or the scale is too small; names it.
+        InputError: A joint is not seen or is no outer joint of these limbs, or the scale is too small. The message
+            names the joint.
     """
     outer = [skeleton.joints[child] for _, child in bones]
     for name in sorted(forward):
         if name not in outer:
-            raise InputError(f'no limb ends in {name!r}; there are {", ".join(outer)}')
+            raise InputError(f'no limb of this half ends in {name!r}; expected {", ".join(outer)}')
     unseen = [skeleton.joints[j] for bone in bones for j in bone if not np.isfinite(points[j]).all()]
     if unseen:
         raise InputError(f'{unseen[0]} is not seen')
     flat = np.array([points[child] - points[parent] for parent, child in bones])
-    needed = np.linalg.norm(flat, axis=-1) / lengths
-    least = float(needed.max())
+    needed_scale = np.linalg.norm(flat, axis=-1) / lengths
+    min_scale = float(needed_scale.max())
     if scale is None:
-        scale = least
-    elif scale < least * (1 - 1e-9):
+        scale = min_scale
+    elif scale < min_scale * (1 - SCALE_TOLERANCE):
         raise InputError(
-            f'scale: {scale:g} px/m is too small for {outer[int(needed.argmax())]}, least {least:.4g}'
+            f'scale: {scale:g} px/m is too small for the limb to {outer[int(needed_scale.argmax())]}; '
+            f'the minimum is {min_scale:.4g}'
         )
     flat = flat / scale
     depth = np.sqrt(np.maximum(lengths**2 - (flat**2).sum(axis=-1), 0.0))
@@ -93,45 +97,46 @@ def taylor_pose(
     return np.concatenate([flat, (sign * depth)[:, None]], axis=-1), scale
 
 
-def choices_from(tree: object, source: str) -> tuple[Choice, ...]:
-    """The choices in a file as `mocap-ros keyframes` writes it; entries without `forward` have none.
+def parse_depth_choices(tree: object, source: str) -> tuple[DepthChoice, ...]:
+    """Parse the choices in a file of keyframes as `mocap-ros keyframes` writes it.
 
     Args:
-        tree: what the YAML holds.
-        source: names the file in errors.
+        tree: content of the YAML file; an entry without `forward` holds no choice.
+        source: name of the file, for error messages.
 
     Raises:
-        InputError: it is not as it should be; names the entry.
+        InputError: The file or an entry is malformed; the message names the entry.
     """
     entries = tree.get('keyframes') if isinstance(tree, Mapping) else None
-    if not isinstance(entries, list) or len(entries) > LONGEST_LIST:
+    if not isinstance(entries, list) or len(entries) > MAX_ENTRIES:
         raise InputError(f'{source}: expected a list named keyframes')
     out = []
     for number, entry in enumerate(entries):
-        place = f'{source}: keyframes[{number}]'
+        location = f'{source}: keyframes[{number}]'
         if not isinstance(entry, Mapping):
-            raise InputError(f'{place}: expected time, half and forward')
-        unknown = sorted(str(k) for k in entry.keys() - SHOWN)
+            raise InputError(f'{location}: expected time, half and forward')
+        unknown = sorted(str(k) for k in entry.keys() - ENTRY_KEYS)
         if unknown:
-            raise InputError(f'{place}: unknown {unknown[0]!r}; known: {", ".join(sorted(SHOWN))}')
+            raise InputError(f'{location}: unknown {unknown[0]!r}; expected {", ".join(sorted(ENTRY_KEYS))}')
         if 'forward' in entry:
-            out.append(_choice(entry, place))
+            out.append(_parse_depth_choice(entry, location))
     return tuple(out)
 
 
-def _choice(entry: Mapping[str, object], place: str) -> Choice:
+def _parse_depth_choice(entry: Mapping[str, object], location: str) -> DepthChoice:
     half, forward = entry.get('half'), entry['forward']
-    if half not in HALVES:
-        raise InputError(f'{place}: half: expected {" or ".join(HALVES)}')
+    if half not in HALF_NAMES:
+        raise InputError(f'{location}: half: expected {" or ".join(HALF_NAMES)}')
     if not (isinstance(forward, list) and all(isinstance(name, str) for name in forward)):
-        raise InputError(f'{place}: forward: expected a list of joints')
-    scale = None if entry.get('scale') is None else _positive(entry['scale'], f'{place}: scale', least=1e-6)
-    time = _positive(entry.get('time'), f'{place}: time', least=0.0)
-    return Choice(str(half), time, frozenset(forward), scale, place)
+        raise InputError(f'{location}: forward: expected a list of joints')
+    has_scale = entry.get('scale') is not None
+    scale = _parse_number(entry['scale'], f'{location}: scale', minimum=MIN_SCALE) if has_scale else None
+    time_s = _parse_number(entry.get('time'), f'{location}: time', minimum=0.0)
+    return DepthChoice(str(half), time_s, frozenset(forward), scale, location)
 
 
-def _positive(value: object, place: str, least: float) -> float:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not (number and least <= value <= LARGEST):  # type: ignore[operator]
-        raise InputError(f'{place}: expected a number from {least:g} to {LARGEST:g}')
+def _parse_number(value: object, location: str, minimum: float) -> float:
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not (is_number and minimum <= value <= MAX_NUMBER):  # type: ignore[operator]
+        raise InputError(f'{location}: expected a number from {minimum:g} to {MAX_NUMBER:g}')
     return float(value)  # type: ignore[arg-type]

@@ -1,9 +1,13 @@
-"""The lifter's poses in the factorisation: where it starts, and a term of its objective.
+"""The lifted-pose term: the poses that the lifter network proposes are a robust prior (beyond TPAMI 2016).
 
-The term is `omega sum_tjc rho_tj (turned_tjc - lifted_tjc)^2 / spread_tjc^2` over joints and camera coordinates,
-`turned = s_t R_t P_tj` being the pose about the body's origin in the camera's frame: linear in the weights, free
-of the translation, and under Cauchy's loss of each joint's whitened distance, so that the network proposes and
-never insists. x and y of seen joints count too: the network has smoothed them over its history.
+    omega sum_tj rho( sum_c (q_tjc - y_tjc)^2 / v_tjc ),    q_tj = s_t R_t P_tj,    rho(a) = c^2 log(1 + a / c^2)
+
+with y the lifted pose and v its variances along the camera's axes (the lifter gives both), and rho Cauchy's loss
+of the whitened distance of a joint: the network proposes, and the image may overrule it. The term is linear in the
+weights and free of the translation. The x and y coordinates of seen joints take part as well, since the network
+has smoothed them over time.
+
+The lifted poses also give the initial values of the weights and cameras (`fit_initial_values`).
 """
 
 from __future__ import annotations
@@ -16,99 +20,112 @@ from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.rotations import cross_matrix, rotation_to
-from mocap_ros.geometry.weak_perspective import Cameras
+from mocap_ros.geometry.rotations import cross_matrix, fit_rotation
+from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.lifter import Lifted, joined
-from mocap_ros.solvers.window import Start, Window
+from mocap_ros.models.lifter import LiftedPoses, concatenate_lifted
+from mocap_ros.solvers.joint.batch import Subsample
+from mocap_ros.solvers.joint.normal_equations import NormalEquations
+from mocap_ros.solvers.joint.state import CAMERA_UNKNOWNS, Fit
+from mocap_ros.solvers.window import InitialValues, Window
 
 Array = NDArray[np.float64]
 
-ROUNDS = 6
-LEAST_SPREAD = 0.01
+ALTERNATIONS = (
+    6  # rounds of weights and cameras for the initial values; later ones move them by under a millimetre
+)
+MIN_STD_M = (
+    0.01  # m; a smaller standard deviation of the lifter is not believed: its poses are no better than that
+)
+MIN_SCALE = 1e-9  # guards against a scale of zero where a pose is degenerate
 
 
 @dataclass(frozen=True, eq=False)
-class LiftedTerm:
-    """The lifter's poses beside those of a batch of frames.
+class LiftedPoseTerm:
+    """The term of a batch.
 
     Attributes:
-        joints: (N, J, 3) m at the body, about the mean of the joints.
-        precision: (N, J, 3) 1 / m^2, inverse variances of these coordinates; 0 where nothing is known.
-        weight: m^2, of the term.
-        robust: standard deviations from which Cauchy's loss discounts a joint.
+        joints: (N, J, 3) m, lifted poses in the sequence's unit, about the mean of the joints.
+        precision: (N, J, 3) 1/m^2, inverse variances of these coordinates; 0 where nothing is known.
+        weight: m^2, omega.
+        robust_scale: standard deviations, scale c of Cauchy's loss.
     """
 
     joints: Array
     precision: Array
     weight: float
-    robust: float
+    robust_scale: float
 
     @staticmethod
-    def of(windows: Sequence[Window], units: Array, config: SolverConfig) -> LiftedTerm | None:
-        """The term of a batch of sequences, one after the other; None where none was lifted.
+    def build(windows: Sequence[Window], units: Array, config: SolverConfig) -> LiftedPoseTerm | None:
+        """Return the term of a batch of windows, or None where none has lifted poses.
 
         Args:
-            windows: all lifted or none; frames may be NaN.
-            units: (P,) px/m, as in `Window`.
+            windows: all of them with lifted poses, or none; frames of these may be NaN.
+            units: (P,) px/m, by which image points and lifted poses are divided.
             config: weight and robustness of the term.
 
         Raises:
-            InputError: some were lifted and some were not.
+            InputError: only some of the windows have lifted poses.
         """
         given = [w.lifted for w in windows if w.lifted is not None]
         if not given:
             return None
         if len(given) < len(windows):
             raise InputError('some windows of the batch have lifted poses and some have not')
-        lifted = joined([x.times(1 / unit) for x, unit in zip(given, units, strict=True)])
+        lifted = concatenate_lifted([poses.scale_by(1 / unit) for poses, unit in zip(given, units, strict=True)])
         known = np.isfinite(lifted.joints)
-        precision = np.where(known, 1 / np.maximum(np.where(known, lifted.spread, 1.0), LEAST_SPREAD) ** 2, 0.0)
+        precision = np.where(known, 1 / np.maximum(np.where(known, lifted.std, 1.0), MIN_STD_M) ** 2, 0.0)
         joints = np.where(known, lifted.joints, 0.0)
-        return LiftedTerm(joints, precision, config.lifter_weight, config.lifter_robust_scale)
+        return LiftedPoseTerm(joints, precision, config.lifter_weight, config.lifter_robust_scale)
 
-    def take(self, frames: NDArray[np.intp]) -> LiftedTerm:
-        """The term of these frames alone."""
-        return replace(self, joints=self.joints[frames], precision=self.precision[frames])
-
-    def cost(self, turned: Array) -> Array:
-        """(N,) m^2, value of the term for poses (N, J, 3) in m, scaled, in the camera's frame."""
-        loss = self.robust**2 * np.log1p(self._squared(turned) / self.robust**2)
+    def cost(self, fit: Fit) -> Array:
+        """(N,) m^2, value of the term in each frame."""
+        squared = self._squared_distance(fit)
+        loss = self.robust_scale**2 * np.log1p(squared / self.robust_scale**2)
         return np.asarray(self.weight * loss.sum(axis=1))
 
-    def _squared(self, turned: Array) -> Array:
-        return np.asarray((self.precision * (turned - self.joints) ** 2).sum(axis=-1))
+    def add_to(self, equations: NormalEquations, fit: Fit) -> None:
+        """Add the matrix and the gradient, in place."""
+        equations.add_rows(*self.rows(fit))
 
-    def rows(self, turned: Array, scaled: Array, basis: Array) -> tuple[Array, Array]:
-        """Residuals (N, 3J) and their derivatives (N, 3J, K + 4), weighted for Gauss and Newton.
-
-        Args:
-            turned: (N, J, 3) as in `cost`.
-            scaled: (N, 3, 3) scale times rotation.
-            basis: (J, 3, K) base poses.
-
-        The derivatives are by the weights, a rotation vector on the camera's side and the log of the scale; half
-        the gradient of the term is their transpose times the residuals.
-        """
-        frames, joints, _ = turned.shape
-        k = basis.shape[-1]
-        root = np.sqrt(self.weight * self.precision / (1 + self._squared(turned) / self.robust**2)[..., None])
-        jac = np.empty((frames, joints, 3, k + 4))
+    def rows(self, fit: Fit) -> tuple[Array, Array]:
+        """Return the weighted residuals (N, 3 J) and their derivatives (N, 3 J, n)."""
+        scaled_poses, state = fit.scaled_poses, fit.state
+        frames, joints, _ = scaled_poses.shape
+        k = state.theta.shape[1]
+        basis = np.moveaxis(fit.model.components, 0, -1)  # (J, 3, K)
+        camera = np.exp(state.log_scale)[:, None, None] * state.rotation
+        discount = 1 + self._squared_distance(fit) / self.robust_scale**2
+        root = np.sqrt(self.weight * self.precision / discount[..., None])
+        jacobian = np.empty((frames, joints, 3, k + CAMERA_UNKNOWNS))
         flat = np.swapaxes(basis, 0, 1).reshape(3, -1)
-        by_theta = (scaled.reshape(-1, 3) @ flat).reshape(frames, 3, joints, k)
-        jac[..., :k] = np.swapaxes(by_theta, 1, 2)
-        jac[..., k : k + 3] = -cross_matrix(turned)
-        jac[..., k + 3] = turned
-        jac *= root[..., None]
-        residual = root * (turned - self.joints)
-        return residual.reshape(frames, -1), jac.reshape(frames, 3 * joints, k + 4)
+        by_theta = (camera.reshape(-1, 3) @ flat).reshape(frames, 3, joints, k)
+        jacobian[..., :k] = np.swapaxes(by_theta, 1, 2)
+        jacobian[..., k : k + 3] = -cross_matrix(scaled_poses)
+        jacobian[..., k + 3] = scaled_poses
+        jacobian *= root[..., None]
+        residual = root * (scaled_poses - self.joints)
+        return residual.reshape(frames, -1), jacobian.reshape(frames, 3 * joints, -1)
+
+    def subsampled(self, kept: Subsample) -> LiftedPoseTerm:
+        """Return the term of some frames only."""
+        return replace(self, joints=self.joints[kept.frames], precision=self.precision[kept.frames])
+
+    def with_components(self, k: int) -> LiftedPoseTerm:  # noqa: ARG002, part of the protocol
+        """Return the term itself, which does not depend on the number of base poses."""
+        return self
+
+    def _squared_distance(self, fit: Fit) -> Array:
+        """(N, J) squared whitened distances of the joints from the lifted ones."""
+        return np.asarray((self.precision * (fit.scaled_poses - self.joints) ** 2).sum(axis=-1))
 
 
-def lifted_start(lifted: Lifted, window: Window, model: BasePoses) -> Start | None:
-    """The base poses and cameras nearest to the lifted poses, frame by frame.
+def fit_initial_values(lifted: LiftedPoses, window: Window, model: BasePoses) -> InitialValues | None:
+    """Fit base-pose weights and cameras to the lifted poses, frame by frame.
 
     Weights and cameras are found in turn: rotation and scale by Procrustes' analysis, weights by least squares
-    under their prior. Frames that were not lifted take the nearest that was.
+    under their Gaussian prior. A frame that was not lifted takes the values of the nearest one that was.
 
     Args:
         lifted: (F, J, 3) poses in px.
@@ -121,24 +138,24 @@ def lifted_start(lifted: Lifted, window: Window, model: BasePoses) -> Start | No
     good = np.flatnonzero(np.isfinite(lifted.joints).all(axis=(1, 2)))
     if not len(good):
         return None
-    joints, spread = lifted.joints[good], lifted.spread[good]
+    joints, std = lifted.joints[good], lifted.std[good]
     k = len(model.std)
     flat = model.components.reshape(k, -1).T
     theta = np.zeros((len(good), k))
     scale = np.ones(len(good))
     rotation = np.broadcast_to(np.eye(3), (len(good), 3, 3))
-    for _ in range(ROUNDS):
+    for _ in range(ALTERNATIONS):
         poses = model.poses(theta)
-        rotation = rotation_to(poses, joints)
+        rotation = fit_rotation(poses, joints)
         turned = poses @ np.swapaxes(rotation, -1, -2)
         scale = (turned * joints).sum(axis=(1, 2)) / (turned**2).sum(axis=(1, 2))
-        scale = np.maximum(scale, 1e-9)
-        back = (joints / scale[:, None, None]) @ rotation - model.mean
-        # one variance a joint, the same along all axes of the body
-        variance = np.maximum((spread / scale[:, None, None]) ** 2, LEAST_SPREAD**2).mean(axis=-1)
+        scale = np.maximum(scale, MIN_SCALE)
+        in_body_frame = (joints / scale[:, None, None]) @ rotation - model.mean
+        # a joint has one variance, the same along all axes of the body
+        variance = np.maximum((std / scale[:, None, None]) ** 2, MIN_STD_M**2).mean(axis=-1)
         weight = np.repeat(1 / variance, 3, axis=1)
         normal = np.swapaxes(flat * weight[..., None], -1, -2) @ flat + np.diag(model.std**-2.0)
-        side = (weight * back.reshape(len(good), -1)) @ flat
-        theta = np.linalg.solve(normal, side[..., None])[..., 0]
+        right = (weight * in_body_frame.reshape(len(good), -1)) @ flat
+        theta = np.linalg.solve(normal, right[..., None])[..., 0]
     nearest = np.abs(window.times[:, None] - window.times[good]).argmin(axis=1)
-    return Start(theta[nearest], Cameras(scale[nearest], rotation[nearest]))
+    return InitialValues(theta[nearest], WeakPerspectiveCameras(scale[nearest], rotation[nearest]))

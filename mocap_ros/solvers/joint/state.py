@@ -1,4 +1,4 @@
-"""What the joint solver moves: the unknowns of all frames, how they fit the image, and the equations of a step."""
+"""The unknowns of the joint solver, and what follows from them for the terms of its objective."""
 
 from __future__ import annotations
 
@@ -7,102 +7,96 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.geometry.rotations import small_rotation
-from mocap_ros.solvers.block_banded import Coupling
+from mocap_ros.geometry.rotations import rotation_from_vector
+from mocap_ros.models.base_poses import BasePoses
 
 Array = NDArray[np.float64]
+
+CAMERA_UNKNOWNS = 4  # unknowns of a frame's camera: a rotation vector (3) and the logarithm of the scale
+MAX_LOG_SCALE_STEP = (
+    1.0  # change of the logarithm of the scale in one step; a larger step is a failed linearisation
+)
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Unknowns of all frames: weights (N, K), rotation (N, 3, 3), log scale (N,), translation (N, 2)."""
+    """The unknowns of all frames.
+
+    A step of the solver has K + 4 numbers a frame: changes of the weights, a rotation vector on the camera's side,
+    and the change of the logarithm of the scale. The translation always follows from the others.
+
+    Attributes:
+        theta: (N, K) m, base-pose weights.
+        rotation: (N, 3, 3) body frame to camera frame.
+        log_scale: (N,) logarithm of the scale, which is measured in the sequence's unit (1 at its median start).
+        translation: (N, 2) m, image of the body's origin in the sequence's unit.
+    """
 
     theta: Array
     rotation: Array
     log_scale: Array
     translation: Array
 
-    def moved(self, step: Array) -> State:
-        """The state after a step (N, K + 4) of weights, rotation vector and log scale."""
+    def advanced(self, step: Array) -> State:
+        """Return the state after a step (N, K + 4)."""
         k = self.theta.shape[1]
+        change = np.clip(step[:, k + 3], -MAX_LOG_SCALE_STEP, MAX_LOG_SCALE_STEP)
         return State(
             self.theta + step[:, :k],
-            small_rotation(step[:, k : k + 3]) @ self.rotation,
-            self.log_scale + np.clip(step[:, k + 3], -1, 1),
+            rotation_from_vector(step[:, k : k + 3]) @ self.rotation,
+            self.log_scale + change,
             self.translation,
         )
 
-    def take(self, frames: NDArray[np.intp]) -> State:
-        """The state of these frames."""
+    def select(self, frames: NDArray[np.intp]) -> State:
+        """Return the state of some frames."""
         return State(self.theta[frames], self.rotation[frames], self.log_scale[frames], self.translation[frames])
 
-    def truncated(self, k: int) -> State:
-        """The state without the weights after the first `k`."""
+    def with_components(self, k: int) -> State:
+        """Return the state with the first `k` weights only."""
         return replace(self, theta=self.theta[:, :k])
 
-    def with_first(self, other: State) -> State:
-        """The other state, its missing weights from this one."""
+    def with_leading_weights(self, other: State) -> State:
+        """Return the other state, with the weights that it lacks taken from this one."""
         k = other.theta.shape[1]
         return replace(other, theta=np.concatenate([other.theta, self.theta[:, k:]], axis=1))
 
-    def where(self, take: NDArray[np.bool_], other: State) -> State:
-        """This state in the frames where `take` (N,), the other elsewhere."""
+    def where(self, chosen: NDArray[np.bool_], other: State) -> State:
+        """Return this state in the frames that are `chosen` (N,), and the other state elsewhere."""
         return State(
-            np.where(take[:, None], self.theta, other.theta),
-            np.where(take[:, None, None], self.rotation, other.rotation),
-            np.where(take, self.log_scale, other.log_scale),
-            np.where(take[:, None], self.translation, other.translation),
+            np.where(chosen[:, None], self.theta, other.theta),
+            np.where(chosen[:, None, None], self.rotation, other.rotation),
+            np.where(chosen, self.log_scale, other.log_scale),
+            np.where(chosen[:, None], self.translation, other.translation),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A state, and how it fits the image.
+    """A state, and the quantities that the terms of the objective measure in it.
 
     Attributes:
-        turned: (N, J, 3) m, scaled poses in the camera frame.
-        depth: (N, J) of a joint over that of the body's origin.
+        state: the unknowns.
+        model: base poses.
+        scaled_poses: (N, J, 3) m, s_t R_t P_tj: the scaled poses about the body's origin, in the camera's frame.
+        depth: (N, J) depth of a joint over that of the body's origin; 1 under weak perspective.
         error: (N, J, 2) m, reprojection errors.
-        squared: (N, J) m^2, their squares.
-        bones: (N, B, 3) unit vectors in the body frame; length: (N, B) m.
-        excess: (N, B) m, of the lengths over their sequence's mean; means: (P, B) m.
-        turning: (N, 9) m's six elements, two of the vertical's image, and the log scale.
+        squared_error: (N, J) m^2, squared lengths of these.
+        bone_direction: (N, B, 3) unit vectors along the bones, body frame.
+        bone_length: (N, B) m.
+        bone_excess: (N, B) m, bone lengths less their mean over the sequence.
+        mean_bone_length: (P, B) m, mean of the bone lengths over the sequence and what came before it.
+        camera_features: (N, 9) what the camera terms compare between neighbours (`camera_smoothness`).
     """
 
     state: State
-    turned: Array
+    model: BasePoses
+    scaled_poses: Array
     depth: Array
     error: Array
-    squared: Array
-    bones: Array
-    length: Array
-    excess: Array
-    means: Array
-    turning: Array
-
-
-@dataclass(frozen=True, eq=False)
-class NormalEquations:
-    """Gauss-Newton's equations of a batch, the translations eliminated.
-
-    Attributes:
-        diagonal: (N, n, n) blocks of the frames; coupling: those between them.
-        gradient: (N, n), halved like the matrix.
-        data: (N, 2 J, n) Jacobian of the reprojection, weighted.
-        bones: (N, n, B) gradients of the bone lengths times the root of their weights.
-    """
-
-    data: Array
-    diagonal: Array
-    coupling: Coupling
-    gradient: Array
-    bones: Array
-
-    def frozen(self, frames: NDArray[np.bool_], old: NormalEquations) -> NormalEquations:
-        """These with the old matrices in the given frames (N,), all or none of a sequence."""
-        if frames.any():
-            for new, before in ((self.data, old.data), (self.diagonal, old.diagonal)):
-                new[frames] = before[frames]
-            for new, before in zip(vars(self.coupling).values(), vars(old.coupling).values(), strict=True):
-                new[frames[:-1]] = before[frames[:-1]]
-        return self
+    squared_error: Array
+    bone_direction: Array
+    bone_length: Array
+    bone_excess: Array
+    mean_bone_length: Array
+    camera_features: Array

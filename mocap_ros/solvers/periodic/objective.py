@@ -1,4 +1,19 @@
-"""The objective of the periodic model."""
+"""The objective of the periodic model (TPAMI 2016, section 3.3).
+
+    E = sum_tj w_tj rho(|s_t C_t[:2] Rz(psi_t) P_tj + t_t - x_tj|^2 / s0^2)    reprojection error (eq. 18)
+      + beta   sum_tb (length_tb - mean_b)^2                                   bone lengths (eq. 20)
+      + lambda sum_pl c_pl^2 / var_pl                                          Gaussian prior of the coefficients
+      + gamma  int |dM / dt|^2 dt                                              velocity of the camera
+      + kappa  int |d^2 M / dt^2|^2 dt                                         acceleration of the camera
+      + nu     mean_t |tilt_t|^2                                               level cameras
+
+The pose P_tj has the weights theta_t, and (theta_t, psi_t) = u(t) are the Fourier series of module `fourier` with
+the coefficients c_pl. Base poses have no heading, but a body turns with every stride: psi is this turn, Rz a
+rotation about the vertical of the body, and C_t the rotation of the camera, which does not contain the strides.
+M_t = s_t C_t[:2], and tilt_t are the x and z components of the vertical C_t e_z in the camera frame; this term is
+for models whose base poses were aligned by heading. The prior occurs once a window, not once a frame, since the
+coefficients do. rho is Cauchy's loss, and the first two terms are those of the joint solver.
+"""
 
 from __future__ import annotations
 
@@ -8,121 +23,117 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
-from mocap_ros.geometry.rotations import small_rotation
+from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.joint.objective import Problem
+from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.joint.state import State
-from mocap_ros.solvers.periodic.fourier import Series, shares
+from mocap_ros.solvers.periodic.fourier import FourierSeries, variance_shares
 from mocap_ros.solvers.window import Window
 
 Array = NDArray[np.float64]
 
+# Properties of walks and runs.
+CONSTANT_STD = 0.008  # m; of the constant coefficients: a person's mean pose is near that of the model
+HEADING_STD = 0.25  # rad; of the heading: the body turns by 7 degrees RMS in CMU walks, by 15 in runs
+MODEL_ERROR = 0.01  # m; error of a coordinate from what a periodic motion cannot explain, added to the image noise
+LEVEL_STD = 0.17  # rad; of the tilt of the camera: 10 degrees, a weak prior
 
-# what walks and runs are like; rad and m
-CONSTANT_STD = 0.008
-
-
-HEADING_STD = 0.25
-
-
-MODEL_ERROR = 0.01
-
-
-LEVEL_STD = 0.17
+CONSTANT_HEADING_STD = 1e-3  # rad; of the constant of the heading: the rotation of the camera already contains it
+STILL_CAMERA_FACTOR = 300.0  # on the weight of the camera's velocity if the camera is supposed to stand still
+MIN_FREE_FRACTION = 0.05  # of the coordinates; guards the noise estimate against too many unknowns
+MIN_TIME_STEP_S = 1e-4  # s; guards divisions by the time step; far below the period of any camera
 
 
-NO_CONSTANT_HEADING = 1e-3  # which would be the camera's
-
-
-STILL = 300.0
-
-
-LEAST_FREE = 0.05
-
-
-SHORTEST_STEP = 1e-4
-
-
-def about_vertical(angle: Array) -> Array:
-    """(N,) rad -> (N, 3, 3) turns of the body."""
-    return small_rotation(np.stack([0 * angle, 0 * angle, angle], axis=-1))
+def rotations_about_vertical(angle: Array) -> Array:
+    """Return the rotations (N, 3, 3) of the body about its vertical axis (z) by angles (N,) in rad."""
+    return rotation_from_vector(np.stack([0 * angle, 0 * angle, angle], axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
-class Objective:
-    """What a series and cameras are judged by.
+class PeriodicObjective:
+    """Constants of the objective E of one window of N frames.
 
     Attributes:
-        problem: reprojection and bone lengths.
+        problem: reprojection and bone-length terms, as in the joint solver.
         times: (N,) s.
-        prior: (P, K + 1) weight of each coefficient squared.
-        level: weight of the squared tilt of each frame's camera.
-        roughness: (3, N) bands, the diagonal and two below, of the quadratic form of an entry of M over time.
+        prior: (P, K + 1) weights lambda / var_pl of the squared coefficients.
+        camera_bands: (3, N) main diagonal and the two below it of the symmetric matrix Q of the camera terms,
+            which are sum_tu Q_tu <M_t, M_u>.
+        level_weight: nu / N, weight of the squared tilt of a frame.
     """
 
-    problem: Problem
+    problem: JointObjective
     times: Array
     prior: Array
-    roughness: Array
-    level: float
+    camera_bands: Array
+    level_weight: float
 
     @staticmethod
-    def build(window: Window, unit: float, model: BasePoses, config: SolverConfig) -> Objective:
-        """The objective of one window, errors in metres by `unit` px/m."""
-        bare = replace(
+    def build(window: Window, unit: float, model: BasePoses, config: SolverConfig) -> PeriodicObjective:
+        """Return the objective of a window; `unit` px/m converts image errors to metres."""
+        data_terms = replace(
             config, smooth_weight=0.0, prior_weight=0.0, flip_weight=0.0, tilt_weight=0.0, scale_weight=0.0
         )
-        problem = Problem.build([window], np.array([unit]), model, bare)
-        sines = config.paper_sines
-        share = shares(2 if sines else 2 * config.harmonics + 1, sines)[:, None]
+        problem = JointObjective.build([window], np.array([unit]), model, data_terms)
+        is_sine_form = config.paper_sines
+        share = variance_shares(2 if is_sine_form else 2 * config.harmonics + 1, is_sine_form)[:, None]
         variance = share * np.append(model.std, HEADING_STD) ** 2
-        if not sines:
+        if not is_sine_form:
             variance[0] = 1 / (1 / variance[0] + 1 / CONSTANT_STD**2)
-            variance[0, -1] = NO_CONSTANT_HEADING**2
-        level = config.prior_weight / LEVEL_STD**2 if model.upright else 0.0
-        return Objective(
+            variance[0, -1] = CONSTANT_HEADING_STD**2
+        level_weight = config.prior_weight / LEVEL_STD**2 if model.aligned_by_heading else 0.0
+        return PeriodicObjective(
             problem,
             window.times,
             config.prior_weight * config.periodic_prior_factor / variance,
-            roughness(window.times, config.camera_velocity_weight, config.camera_acceleration_weight),
-            level / len(window.times),
+            make_camera_bands(window.times, config.camera_velocity_weight, config.camera_acceleration_weight),
+            level_weight / len(window.times),
         )
 
-    def under_noise(self, noise: float) -> Objective:
-        """The same objective under image noise of this standard deviation (m) and the model's own error."""
-        return replace(self, problem=self.problem.under_noise(np.array([np.hypot(noise, MODEL_ERROR)])))
+    def with_noise(self, noise: float) -> PeriodicObjective:
+        """Return the objective for this image noise (standard deviation, m), to which `MODEL_ERROR` is added."""
+        return replace(self, problem=self.problem.with_noise(np.array([np.hypot(noise, MODEL_ERROR)])))
 
-    def of_still_camera(self, config: SolverConfig) -> Objective:
-        """The same objective for a camera that hardly moves."""
+    def with_still_camera(self, config: SolverConfig) -> PeriodicObjective:
+        """Return the objective for a camera that hardly moves."""
         return replace(
             self,
-            roughness=roughness(
-                self.times, STILL * config.camera_velocity_weight, config.camera_acceleration_weight
+            camera_bands=make_camera_bands(
+                self.times,
+                STILL_CAMERA_FACTOR * config.camera_velocity_weight,
+                config.camera_acceleration_weight,
             ),
         )
 
-    def body(self, series: Series, cameras: State) -> State:
-        """Weights and rotations of the bodies; the `cameras` hold the rest, their theta is not looked at."""
-        values = series.values(self.times)
-        return replace(cameras, theta=values[:, :-1], rotation=cameras.rotation @ about_vertical(values[:, -1]))
-
-    def best_translation(self, series: Series, cameras: State) -> State:
-        """The cameras with each translation at its optimum (a step of the robust fit)."""
-        return replace(cameras, translation=self.problem.settled(self.body(series, cameras)).state.translation)
-
-    def cost(self, series: Series, cameras: State) -> float:
-        """Value of the objective, m^2."""
-        matrix = np.exp(cameras.log_scale)[:, None, None] * cameras.rotation[:, :2]
-        return float(
-            self.problem.cost(self.problem.fit(self.body(series, cameras)))[0]
-            + (self.prior * series.coefficients**2).sum()
-            + (matrix * self.pull(matrix)).sum()
-            + self.level * (cameras.rotation[:, ::2, 2] ** 2).sum()
+    def body_state(self, series: FourierSeries, cameras: State) -> State:
+        """Return the state with weights theta_t and rotations C_t Rz(psi_t); the theta of `cameras` is ignored."""
+        values = series.evaluate(self.times)
+        return replace(
+            cameras,
+            theta=values[:, :-1],
+            rotation=cameras.rotation @ rotations_about_vertical(values[:, -1]),
         )
 
-    def pull(self, matrix: Array) -> Array:
-        """(N, 2, 3) half the gradient of the cameras' terms by M."""
-        bands = self.roughness[..., None, None]
+    def with_optimal_translation(self, series: FourierSeries, cameras: State) -> State:
+        """Return the cameras with each translation at its optimum (for a robust loss, after one step to it)."""
+        return replace(
+            cameras,
+            translation=self.problem.with_optimal_translation(self.body_state(series, cameras)).state.translation,
+        )
+
+    def cost(self, series: FourierSeries, cameras: State) -> float:
+        """Return the value of the objective, m^2."""
+        matrix = np.exp(cameras.log_scale)[:, None, None] * cameras.rotation[:, :2]
+        return float(
+            self.problem.cost(self.problem.fit(self.body_state(series, cameras)))[0]
+            + (self.prior * series.coefficients**2).sum()
+            + (matrix * self.camera_half_gradient(matrix)).sum()
+            + self.level_weight * (cameras.rotation[:, ::2, 2] ** 2).sum()
+        )
+
+    def camera_half_gradient(self, matrix: Array) -> Array:
+        """Return sum_u Q_tu M_u (N, 2, 3), half the gradient of velocity and acceleration terms by M (N, 2, 3)."""
+        bands = self.camera_bands[..., None, None]
         out = bands[0] * matrix
         for below in (1, 2):
             band = bands[below, :-below]
@@ -130,21 +141,43 @@ class Objective:
             out[:-below] += band * matrix[below:]
         return np.asarray(out)
 
-    def noise(self, series: Series, cameras: State, absorbed: float) -> float:
-        """m, standard deviation of a coordinate from the residual, less what the unknowns have absorbed."""
-        image = replace(self.problem, bone_weight=np.zeros_like(self.problem.bone_weight))
-        loss = float(image.cost(image.fit(self.body(series, cameras)))[0] * self.problem.level[0])
-        coordinates = 2 * int((self.problem.weight > 0).sum())
-        return float(np.sqrt(loss / max(coordinates - absorbed, LEAST_FREE * coordinates + 1)))
+    def estimate_noise(self, series: FourierSeries, cameras: State, effective_parameters: float) -> float:
+        """Return the standard deviation (m) of a coordinate of a point of weight 1.
+
+        The squared residuals are shared among the coordinates that the parameters leave free:
+
+            noise^2 = sum of squared residuals / (number of coordinates - effective number of parameters)
+        """
+        reprojection = self.problem.reprojection
+        fit = self.problem.fit(self.body_state(series, cameras))
+        loss = float(reprojection.cost(fit).sum() * reprojection.variance_ratio[0])
+        coordinates = 2 * int((reprojection.weight > 0).sum())
+        free = max(coordinates - effective_parameters, MIN_FREE_FRACTION * coordinates + 1)
+        return float(np.sqrt(loss / free))
 
 
-def roughness(times: Array, drift: float, steady: float) -> Array:
-    """(3, N) bands of `drift` times the integral of the squared first, `steady` times the second derivative."""
+def make_camera_bands(times: Array, velocity_weight: float, acceleration_weight: float) -> Array:
+    """Return the bands of Q, the quadratic form of velocity and acceleration at irregular times.
+
+        sum_tu Q_tu m_t m_u = gamma sum_t d_t^2 dt_t + kappa sum_t (d_(t+1) - d_t)^2 / h_t
+        d_t = (m_(t+1) - m_t) / dt_t,    dt_t = times_(t+1) - times_t,    h_t = (dt_t + dt_(t+1)) / 2
+
+    Args:
+        times: (N,) s.
+        velocity_weight: gamma, m^2 s.
+        acceleration_weight: kappa, m^2 s^3.
+
+    Returns:
+        (3, N), row d the d-th diagonal of Q below the main one: bands[d, u] = Q_(u+d)u.
+    """
     bands = np.zeros((3, len(times)))
-    dt = np.maximum(np.diff(times), SHORTEST_STEP)
-    slope = np.stack([-1 / dt, 1 / dt], axis=-1)
-    bend = np.stack([1 / dt[:-1], -1 / dt[:-1] - 1 / dt[1:], 1 / dt[1:]], axis=-1)
-    for stencil, weight in ((slope, drift * dt), (bend, 2 * steady / (dt[:-1] + dt[1:]))):
+    dt = np.maximum(np.diff(times), MIN_TIME_STEP_S)
+    velocity = np.stack([-1 / dt, 1 / dt], axis=-1)
+    velocity_change = np.stack([1 / dt[:-1], -1 / dt[:-1] - 1 / dt[1:], 1 / dt[1:]], axis=-1)
+    for stencil, weight in (
+        (velocity, velocity_weight * dt),
+        (velocity_change, 2 * acceleration_weight / (dt[:-1] + dt[1:])),
+    ):
         for i in range(stencil.shape[1]):
             for j in range(i + 1):
                 bands[i - j, j : j + len(stencil)] += weight * stencil[:, i] * stencil[:, j]

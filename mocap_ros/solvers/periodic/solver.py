@@ -1,24 +1,19 @@
-"""The periodic model: base-pose weights as harmonic functions of time (TPAMI 2016, section 3.3).
+"""The solver of the periodic model: Levenberg-Marquardt over Fourier series and cameras.
 
-A weight is a Fourier series with a constant term and `harmonics` harmonics of one fundamental that all base poses
-share,
+It minimises the objective E of module `periodic.objective` over the coefficients of the series, their frequency
+omega and the cameras, as follows.
 
-    theta_l(t) = c_l0 + sum_h a_lh cos(h omega t) + b_lh sin(h omega t),
+1. Initial values: the weights theta of a reconstruction without periodicity; a series fitted to them, its cadence
+   from a scan (`fourier.fit_initial_series`).
+2. Hypotheses, if the noise is large: a second cadence, and a camera that hardly moves. E is minimised from each,
+   and the one with the highest evidence is kept, the cameras integrated over by Laplace's method:
 
-or, with `paper_sines`, the paper's form (eq. 17): one sine a base pose, each with its own omega, no constant.
+       -2 log p(x | hypothesis) = min E / (10 mm)^2 + log det C - log det C_prior + constant
 
-Base poses know no heading, but a body turns with every stride. That turn is periodic too and has a series of its
-own, psi: the rotation of a frame is C_t Rz(psi(t)), with C_t the camera's, which no stride moves and which may be
-held the more firmly. To reprojection and bone lengths as in `nonperiodic` the objective adds
-
-    lambda sum_lp c_lp^2 / var_lp          Gaussian prior of the coefficients, once a window
-  + gamma  int |dM / dt|^2 dt              velocity of the camera, M = s C[:2]
-  + kappa  int |d^2 M / dt^2|^2 dt         its acceleration
-  + nu     mean_t |tilt_t|^2               upright models only: cameras are held level, more or less
-
-Where the image is noisy, another cadence and a camera that hardly moves are tried too, and the likeliest stays.
-In each Levenberg-Marquardt step the cameras, a banded system of 4 unknowns a frame, are eliminated, which leaves a
-dense one of (2 H + 1) (K + 1) + 1.
+   with C the normal matrix of the cameras and C_prior the part of it that does not come from the image.
+3. Image noise: the noise is estimated from the residual and E is minimised under it, in alternation.
+4. E is minimised under the final noise. Every step eliminates the cameras, 4 unknowns a frame, which leaves a
+   dense system of (2 H + 1) (K + 1) + 1 unknowns (module `periodic.normal_equations`).
 """
 
 from __future__ import annotations
@@ -32,85 +27,100 @@ from scipy.linalg import LinAlgError
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.rotations import rotation_to
-from mocap_ros.geometry.weak_perspective import Cameras
+from mocap_ros.geometry.rotations import fit_rotation
+from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint
-from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, initial_state
-from mocap_ros.solvers.joint.solver import ACCEPTED, LEAST_DAMPING, MOST_DAMPING, REJECTED, WARM_DAMPING
-from mocap_ros.solvers.joint.solver import result as joint_result
+from mocap_ros.solvers.joint.levenberg_marquardt import (
+    DAMPING_AFTER_FAILURE,
+    DAMPING_AFTER_SUCCESS,
+    MAX_DAMPING,
+    MIN_DAMPING,
+)
+from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
+from mocap_ros.solvers.joint.solver import WARM_DAMPING, make_reconstruction
 from mocap_ros.solvers.joint.state import State
-from mocap_ros.solvers.periodic.fourier import Series, first_series
-from mocap_ros.solvers.periodic.normal_equations import Reduced
-from mocap_ros.solvers.periodic.objective import Objective, about_vertical
-from mocap_ros.solvers.window import Reconstruction, Start, Window
+from mocap_ros.solvers.periodic.fourier import FourierSeries, fit_initial_series
+from mocap_ros.solvers.periodic.normal_equations import ReducedNormalEquations
+from mocap_ros.solvers.periodic.objective import PeriodicObjective, rotations_about_vertical
+from mocap_ros.solvers.window import InitialValues, Reconstruction, Window
 
 Array = NDArray[np.float64]
 
-FIRST_ITERATIONS = 12
-NOISE_ROUNDS = 2
-NOISE_ROUND_TOLERANCE = 0.05
-RIVALS_FROM, RIVAL_TOLERANCE = 0.03, 2e-3
+MAX_INITIAL_ITERATIONS = 12  # steps of the joint solver for initial values; a coarse result is sufficient
+NOISE_ROUNDS = 2  # estimates of the image noise, each after a minimisation under the last estimate
+NOISE_ROUND_TOLERANCE = 0.05  # relative decrease of E that ends a round, whose minimum need not be exact
+# m; image noise from which further hypotheses are tried. Under less, a still camera is wrong too often: clean
+# views from an orbiting camera had an error of 33 mm instead of 18 (docs/solvers.md).
+MIN_NOISE_FOR_HYPOTHESES = 0.03
+# relative decrease of E; hypotheses compared before they had converged selected half the true cadence.
+HYPOTHESIS_TOLERANCE = 2e-3
+INITIAL_TRANSLATION_STEPS = 2  # the first least squares step is not yet at the optimum of the robust loss
 
 
 @dataclass(frozen=True, eq=False)
 class PeriodicReconstruction(Reconstruction):
-    """A reconstruction under the periodic model.
+    """Reconstruction under the periodic model.
 
     Attributes:
-        cadence: Hz, full cycles (two steps of a walk).
-        series: coefficients and frequencies.
+        cadence: Hz, full cycles (two steps of a walk) per second.
+        series: Fourier series of the weights and the heading.
     """
 
     cadence: float
-    series: Series
+    series: FourierSeries
 
 
 def solve(
     windows: Sequence[Window],
     model: BasePoses,
     config: SolverConfig,
-    begun: Sequence[Reconstruction | None] | None = None,
-    series: Sequence[Series | None] | None = None,
+    initial: Sequence[Reconstruction | None] | None = None,
+    initial_series: Sequence[FourierSeries | None] | None = None,
 ) -> tuple[PeriodicReconstruction, ...]:
-    """Reconstruct sequences under the periodic model.
+    """Reconstruct windows under the periodic model.
 
     Args:
-        windows: the sequences; each should hold a cycle or more. Times may be irregular. Lifted poses are for
-            motion that is not periodic.
+        windows: image points; each window should contain a cycle or more. Times may be irregular. Lifted poses,
+            fixed frames and earlier frames are ignored.
         model: base poses of a periodic motion.
-        config: weights of the terms, `harmonics`, `paper_sines`. `max_iterations` bounds all steps together, taken
-            or not.
-        begun: a reconstruction of each window to start from, under any model of this skeleton; None makes one.
-        series: where each motion was before, its `origin` on the window's clock; None scans the cadences. One of
-            another shape is passed over.
+        config: weights of the terms, `harmonics` and `paper_sines`. `max_iterations` limits the number of steps
+            that are tried for a window, in all its searches together.
+        initial: a reconstruction of each window under any model of the same skeleton, from which to start; None
+            computes one.
+        initial_series: a series for each window, from which to start, its `origin` on the clock of the window;
+            None scans the cadences. A series of another shape than `config` selects is ignored.
 
     Raises:
-        InputError: a window without four seen joints in any frame, or with numbers beyond all measure.
+        InputError: the equations cannot be solved, or the result is not finite because numbers are too large.
     """
-    model = model.truncated(config.components)
-    count = len(windows)
-    before = begun or [None] * count
-    known = series or [None] * count
-    with np.errstate(all='ignore'):
+    model = model.truncate(config.components)
+    reconstructions = initial or [None] * len(windows)
+    all_series = initial_series or [None] * len(windows)
+    with np.errstate(all='ignore'):  # numbers that overflow are found in the result
         return tuple(
-            _solve_one(replace(window, lifted=None), start, last, model, config)
-            for window, start, last in zip(windows, before, known, strict=True)
+            _solve_window(replace(window, lifted=None), reconstruction, series, model, config)
+            for window, reconstruction, series in zip(windows, reconstructions, all_series, strict=True)
         )
 
 
-def _solve_one(
-    window: Window, begun: Reconstruction | None, last: Series | None, model: BasePoses, config: SolverConfig
+def _solve_window(
+    window: Window,
+    initial: Reconstruction | None,
+    initial_series: FourierSeries | None,
+    model: BasePoses,
+    config: SolverConfig,
 ) -> PeriodicReconstruction:
-    exponent = _exponent(window)
-    own = _times_two_to(window, -exponent)
+    """Reconstruct one window in a length unit of 2^exponent px, which changes no digit of the result."""
+    exponent = _extent_exponent(window)
+    scaled = _scale_window(window, -exponent)
     try:
-        start, noise = _start(own, begun, exponent, model, config)
-        unit = own.unit or float(np.median(start.cameras.scale))
-        fit = _fit(own, start, noise, unit, last, model, config)
+        start, noise = _choose_initial_values(scaled, initial, exponent, model, config)
+        unit = scaled.unit or float(np.median(start.cameras.scale))
+        fit = _fit_window(scaled, start, noise, unit, initial_series, model, config)
     except LinAlgError as error:
         raise InputError(f'no periodic motion can be fitted: {error}') from None
-    cameras = Cameras(np.ldexp(fit.cameras.scale, exponent), fit.cameras.rotation)
+    cameras = WeakPerspectiveCameras(np.ldexp(fit.cameras.scale, exponent), fit.cameras.rotation)
     result = replace(
         fit,
         cameras=cameras,
@@ -119,163 +129,223 @@ def _solve_one(
     )
     numbers = (result.joints, cameras.scale, result.translation, result.series.coefficients, result.objective)
     if not all(np.isfinite(n).all() for n in numbers):
-        raise InputError('no periodic motion can be fitted: image points or weights beyond all measure')
+        raise InputError('no periodic motion can be fitted: image points or weights are too large')
     return result
 
 
-def _exponent(window: Window) -> int:
-    """Power of two by which the seen points are spread, so that no square of theirs overflows."""
+def _extent_exponent(window: Window) -> int:
+    """Return the exponent of the smallest power of two (px) above the extent of the seen points.
+
+    In units of this power no square of an image length overflows.
+    """
     seen = window.points[window.weight > 0]
     return int(np.frexp(np.ptp(seen / 2, axis=0).max())[1]) + 1
 
 
-def _times_two_to(window: Window, exponent: int) -> Window:
-    """The window in other units than px, and free from its first frame on."""
+def _scale_window(window: Window, exponent: int) -> Window:
+    """Return the window with all image lengths times 2^exponent, without fixed or earlier frames."""
     start = window.start
     return replace(
         window,
         points=np.ldexp(np.where(window.weight[..., None] > 0, window.points, 0.0), exponent),
         focal=float(np.ldexp(window.focal, exponent)),
-        held=0,
-        older=None,
+        fixed_frames=0,
+        earlier_frames=None,
         unit=None if window.unit is None else float(np.ldexp(window.unit, exponent)),
         start=start
-        and Start(start.theta, Cameras(np.ldexp(start.cameras.scale, exponent), start.cameras.rotation)),
+        and InitialValues(
+            start.theta,
+            WeakPerspectiveCameras(np.ldexp(start.cameras.scale, exponent), start.cameras.rotation),
+        ),
     )
 
 
-def _start(
-    window: Window, begun: Reconstruction | None, exponent: int, model: BasePoses, config: SolverConfig
-) -> tuple[Start, float]:
-    """Weights and cameras of the given reconstruction in terms of this model, or of a short one; and its noise."""
-    if begun is None:
-        short = replace(config, max_iterations=min(FIRST_ITERATIONS, config.max_iterations))
-        (own,) = joint.solve([window], model, short)
-        return Start(own.theta, own.cameras), own.noise
-    to_body = rotation_to(begun.joints, model.mean)
-    theta = model.weights(begun.joints @ np.swapaxes(to_body, -1, -2))
-    scale = np.ldexp(begun.cameras.scale, -exponent)
-    return Start(theta, Cameras(scale, np.swapaxes(to_body, -1, -2))), begun.noise
+def _choose_initial_values(
+    window: Window, initial: Reconstruction | None, exponent: int, model: BasePoses, config: SolverConfig
+) -> tuple[InitialValues, float]:
+    """Return weights of this model's base poses and cameras, and the image noise (m).
+
+    They are those of the given reconstruction, whose image lengths have not been scaled by 2^-exponent, or if it
+    is None those of a few steps of the joint solver.
+    """
+    if initial is None:
+        short = replace(config, max_iterations=min(MAX_INITIAL_ITERATIONS, config.max_iterations))
+        (coarse,) = joint.solve([window], model, short)
+        return InitialValues(coarse.theta, coarse.cameras), coarse.noise
+    to_body = fit_rotation(initial.joints, model.mean)
+    theta = model.weights(initial.joints @ np.swapaxes(to_body, -1, -2))
+    scale = np.ldexp(initial.cameras.scale, -exponent)
+    return InitialValues(theta, WeakPerspectiveCameras(scale, np.swapaxes(to_body, -1, -2))), initial.noise
 
 
-def _fit(
+def _fit_window(
     window: Window,
-    start: Start,
+    start: InitialValues,
     noise: float,
     unit: float,
-    last: Series | None,
+    initial_series: FourierSeries | None,
     model: BasePoses,
     config: SolverConfig,
 ) -> PeriodicReconstruction:
+    """Carry out steps 2 to 4 of the head of this module; `noise` in m, `unit` in px/m."""
     noise = float(np.fmax(window.noise or noise, config.noise_floor))
-    objective = Objective.build(window, unit, model, config)
+    objective = PeriodicObjective.build(window, unit, model, config)
     if config.adapt_noise:
-        objective = objective.under_noise(noise)
+        objective = objective.with_noise(noise)
     searches = []
-    for series in _first_guesses(start.theta, window.times, last, noise, config):
-        cameras = initial_state(objective.problem, [start], np.array([unit]))
-        cameras = replace(cameras, rotation=cameras.rotation @ about_vertical(-series.heading(window.times)))
-        for _ in range(2):
-            cameras = objective.best_translation(series, cameras)
-        searches.append(_Search(objective, series, cameras, config.max_iterations))
-    search = _likeliest(searches)
-    if noise >= RIVALS_FROM:
-        still = _Search(objective.of_still_camera(config), search.series, search.cameras, search.tries)
-        search = _likeliest([search, still])
-    rough = max(NOISE_ROUND_TOLERANCE, config.tolerance)
+    for series in _make_series_hypotheses(start.theta, window.times, initial_series, noise, config):
+        cameras = _initial_cameras(objective, series, start, unit)
+        searches.append(_LevenbergMarquardtSearch(objective, series, cameras, config.max_iterations))
+    search = _select_most_likely(searches)
+    if noise >= MIN_NOISE_FOR_HYPOTHESES:
+        still_camera = objective.with_still_camera(config)
+        still = _LevenbergMarquardtSearch(still_camera, search.series, search.cameras, search.remaining_trials)
+        search = _select_most_likely([search, still])
+    round_tolerance = max(NOISE_ROUND_TOLERANCE, config.tolerance)
     if config.adapt_noise and window.noise is None:
         for _ in range(NOISE_ROUNDS):
-            search.run(rough)
-            noise = max(search.noise(), config.noise_floor)
-            search.take(search.objective.under_noise(noise))
+            search.run(round_tolerance)
+            noise = max(search.estimate_noise(), config.noise_floor)
+            search.set_objective(search.objective.with_noise(noise))
     converged = search.run(config.tolerance)
-    problem, series = search.objective.problem, search.series
-    fit = problem.fit(search.objective.body(series, search.cameras))
-    result = joint_result(problem, 0, window, unit, fit, search.history, converged, float(noise))
-    plain = {f.name: getattr(result, f.name) for f in fields(Reconstruction)}
-    moving = (series.coefficients[:, :-1] ** 2).sum(axis=0) if series.sines else None
-    cadence = float(np.average(series.omega[:-1], weights=moving) / (2 * np.pi))
-    return PeriodicReconstruction(**plain, cadence=cadence, series=series)
+    return _make_reconstruction(search, window, unit, converged, noise)
 
 
-def _first_guesses(
-    theta: Array, times: Array, last: Series | None, noise: float, config: SolverConfig
-) -> list[Series]:
-    """The last series if it fits the configuration, else that of the likeliest cadence; under much noise two."""
-    first = first_series(theta, times, config)
-    if last is not None and last.sines == first.sines and last.coefficients.shape == first.coefficients.shape:
-        return [last]
-    if noise < RIVALS_FROM or config.paper_sines:
+def _initial_cameras(
+    objective: PeriodicObjective, series: FourierSeries, start: InitialValues, unit: float
+) -> State:
+    """Return C_t = R_t Rz(-psi_t) for the initial rotations R_t, with optimal translations."""
+    cameras = objective.problem.initial_state([start], np.array([unit]))
+    without_heading = rotations_about_vertical(-series.evaluate_heading(objective.times))
+    cameras = replace(cameras, rotation=cameras.rotation @ without_heading)
+    for _ in range(INITIAL_TRANSLATION_STEPS):
+        cameras = objective.with_optimal_translation(series, cameras)
+    return cameras
+
+
+def _make_series_hypotheses(
+    theta: Array, times: Array, initial_series: FourierSeries | None, noise: float, config: SolverConfig
+) -> list[FourierSeries]:
+    """Return the series from which to start.
+
+    These are the given series if its shape is that which `config` selects, otherwise the series of the most likely
+    cadence, and for a noise from `MIN_NOISE_FOR_HYPOTHESES` also that of a second cadence.
+    """
+    first = fit_initial_series(theta, times, config)
+    if (
+        initial_series is not None
+        and initial_series.is_sine_form == first.is_sine_form
+        and initial_series.coefficients.shape == first.coefficients.shape
+    ):
+        return [initial_series]
+    if noise < MIN_NOISE_FOR_HYPOTHESES or config.paper_sines:
         return [first]
-    return [first, first_series(theta, times, config, unlike=float(first.omega[0]))]
+    return [first, fit_initial_series(theta, times, config, excluded_omega=float(first.omega[0]))]
 
 
-class _Search:
-    """Levenberg-Marquardt over series and cameras, with so many tries in all its runs together."""
+class _LevenbergMarquardtSearch:
+    """Levenberg-Marquardt search over series and cameras.
 
-    def __init__(self, objective: Objective, series: Series, cameras: State, tries: int) -> None:
-        self.series, self.cameras, self.tries = series, cameras, tries
+    Attributes:
+        objective: the objective E that is minimised.
+        series: current series.
+        cameras: current cameras; their theta is ignored.
+        equations: normal equations at the current point, or if `is_outdated`, at an earlier one.
+        history: m^2, values of E at the point where the current objective was set and after each accepted step.
+        damping: current relative damping.
+        remaining_trials: number of steps that may still be tried, accepted or not.
+    """
+
+    def __init__(
+        self, objective: PeriodicObjective, series: FourierSeries, cameras: State, max_trials: int
+    ) -> None:
+        self.series = series
+        self.cameras = cameras
+        self.remaining_trials = max_trials
         self.damping = WARM_DAMPING
-        self.equations = Reduced.build(objective, series, cameras)
-        self.take(objective)
-        self.behind = False
+        self.equations = ReducedNormalEquations.build(objective, series, cameras)
+        self.set_objective(objective)
+        self.is_outdated = False
 
-    def take(self, objective: Objective) -> None:
-        """Go on under another objective."""
+    def set_objective(self, objective: PeriodicObjective) -> None:
+        """Continue from the current point under another objective."""
         self.objective = objective
         self.history = [objective.cost(self.series, self.cameras)]
-        self.behind = True
+        self.is_outdated = True
 
-    def noise(self) -> float:
-        """m, of the image; what the unknowns absorb is counted a step ago."""
-        return self.objective.noise(self.series, self.cameras, self.equations.absorbed())
+    def estimate_noise(self) -> float:
+        """Return the image noise (m); the effective parameters may be those of the point before the last step."""
+        return self.objective.estimate_noise(self.series, self.cameras, self.equations.effective_parameters())
 
-    def evidence(self) -> float:
-        """Minus twice the log evidence, cameras integrated over (Laplace, a step ago), up to a constant."""
-        return self.history[-1] / NOISE_REFERENCE**2 + self.equations.volume()
+    def minus_twice_log_evidence(self) -> float:
+        """Return the value at the head of this module; C may be that of the point before the last step."""
+        return self.history[-1] / NOISE_REFERENCE**2 + self.equations.camera_log_determinant_ratio()
 
     def run(self, tolerance: float) -> bool:
-        """Descend until a step gains less than this share of the cost; whether it came to that."""
-        while self.tries > 0:
-            self.tries -= 1
+        """Minimise until a step decreases E by less than the relative tolerance, or no trials remain.
+
+        Returns:
+            True if the search converged: a step gained little, or no step decreased E under the largest damping.
+        """
+        while self.remaining_trials > 0:
+            self.remaining_trials -= 1
             cost = self.history[-1]
-            if self._step():
-                self.damping = max(self.damping * ACCEPTED, LEAST_DAMPING)
+            if self._try_step():
+                self.damping = max(self.damping * DAMPING_AFTER_SUCCESS, MIN_DAMPING)
                 if cost - self.history[-1] <= tolerance * cost:
                     return True
             else:
-                self.damping *= REJECTED
-                if self.damping > MOST_DAMPING:
+                self.damping *= DAMPING_AFTER_FAILURE
+                if self.damping > MAX_DAMPING:
                     return True
         return False
 
-    def _step(self) -> bool:
-        if self.behind:
-            self.equations = Reduced.build(self.objective, self.series, self.cameras)
-            self.behind = False
-        step = self.equations.step(self.damping)
+    def _try_step(self) -> bool:
+        """Make a step if it decreases E; return whether it did."""
+        if self.is_outdated:
+            self.equations = ReducedNormalEquations.build(self.objective, self.series, self.cameras)
+            self.is_outdated = False
+        step = self.equations.solve_step(self.damping)
         if step is None:
             return False
-        series = self.series.moved(step[0])
-        cameras = self.cameras.moved(np.concatenate([np.zeros_like(self.cameras.theta), step[1]], axis=1))
-        cameras = self.objective.best_translation(series, cameras)
+        series_step, camera_step = step
+        series = self.series.with_step(series_step)
+        cameras = self.cameras.advanced(np.concatenate([np.zeros_like(self.cameras.theta), camera_step], axis=1))
+        cameras = self.objective.with_optimal_translation(series, cameras)
         cost = self.objective.cost(series, cameras)
         if not cost < self.history[-1]:
             return False
-        self.series, self.cameras, self.behind = series, cameras, True
+        self.series, self.cameras, self.is_outdated = series, cameras, True
         self.history.append(cost)
         return True
 
 
-def _likeliest(rivals: Sequence[_Search]) -> _Search:
-    """The one of the highest evidence once all have come near their ends, on the tries of one together."""
-    if len(rivals) == 1:
-        return rivals[0]
-    left = rivals[0].tries
-    for rival in rivals:
-        rival.tries = left
-        rival.run(RIVAL_TOLERANCE)
-        left = rival.tries
-    best = min(rivals, key=_Search.evidence)
-    best.tries = left
+def _select_most_likely(hypotheses: Sequence[_LevenbergMarquardtSearch]) -> _LevenbergMarquardtSearch:
+    """Run the searches almost to convergence and return the one with the highest evidence.
+
+    All searches together have the trials of the first one; what remains of these is left to the selected one.
+    """
+    if len(hypotheses) == 1:
+        return hypotheses[0]
+    remaining_trials = hypotheses[0].remaining_trials
+    for search in hypotheses:
+        search.remaining_trials = remaining_trials
+        search.run(HYPOTHESIS_TOLERANCE)
+        remaining_trials = search.remaining_trials
+    best = min(hypotheses, key=_LevenbergMarquardtSearch.minus_twice_log_evidence)
+    best.remaining_trials = remaining_trials
     return best
+
+
+def _make_reconstruction(
+    search: _LevenbergMarquardtSearch, window: Window, unit: float, converged: bool, noise: float
+) -> PeriodicReconstruction:
+    """Return the result of a search; `unit` in px/m, `noise` in m."""
+    problem, series = search.objective.problem, search.series
+    fit = problem.fit(search.objective.body_state(series, search.cameras))
+    result = make_reconstruction(problem, 0, window, unit, fit, search.history, converged, float(noise))
+    values = {f.name: getattr(result, f.name) for f in fields(Reconstruction)}
+    # In the sine form, where every base pose has its own frequency, the cadence is their mean, weighted by power.
+    power = (series.coefficients[:, :-1] ** 2).sum(axis=0) if series.is_sine_form else None
+    cadence = float(np.average(series.omega[:-1], weights=power) / (2 * np.pi))
+    return PeriodicReconstruction(**values, cadence=cadence, series=series)

@@ -1,4 +1,4 @@
-"""Keyframes: the choice is the paper's, step by step; the fit descends; wrong points are found."""
+"""Parts of the keyframe method: distances and selection follow the paper, the fit descends, outliers are found."""
 
 from dataclasses import replace
 
@@ -9,31 +9,31 @@ from hypothesis import strategies as st
 
 from mocap_ros.config import KeyframesConfig
 from mocap_ros.errors import InputError
-from mocap_ros.offline.keyframes.body_halves import HalfPoses, halves
-from mocap_ros.offline.keyframes.distance import averaging, denoised, distances
-from mocap_ros.offline.keyframes.filters import bridged, low_pass, median
-from mocap_ros.offline.keyframes.gradient_fit import Placed, fitted, placed
-from mocap_ros.offline.keyframes.interpolation import slerp, thinned
-from mocap_ros.offline.keyframes.keyframe_set import summarised
-from mocap_ros.offline.keyframes.outliers import outliers
-from mocap_ros.offline.keyframes.selection import interpolatable, mean_gap_cost, select
-from mocap_ros.offline.keyframes.taylor import choices_from, taylor_pose
+from mocap_ros.offline.keyframes.body_halves import HalfPoses, split_into_halves
+from mocap_ros.offline.keyframes.distance import build_averaging_matrix, compute_distances, denoise_distances
+from mocap_ros.offline.keyframes.filters import build_low_pass_matrix, interpolate_gaps, nan_median
+from mocap_ros.offline.keyframes.gradient_fit import AlignedMotion, align_motion, fit_motion
+from mocap_ros.offline.keyframes.interpolation import select_control_points, slerp
+from mocap_ros.offline.keyframes.keyframe_set import find_keyframe_set
+from mocap_ros.offline.keyframes.outliers import find_outliers
+from mocap_ros.offline.keyframes.selection import compute_selection_cost, find_interpolatable, select_keyframes
+from mocap_ros.offline.keyframes.taylor import parse_depth_choices, reconstruct_limbs
 from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
-from tests.support.swinging_body import LENGTHS, STANDING, swinging
+from tests.support.swinging_body import BONE_LENGTHS, STANDING, make_swinging_body
 
 
-def flat_poses(points: np.ndarray, seen: np.ndarray | None = None) -> HalfPoses:
+def make_half_poses(points: np.ndarray, seen: np.ndarray | None = None) -> HalfPoses:
     frames = np.arange(len(points))
     seen = np.ones(points.shape[:2], bool) if seen is None else seen
     return HalfPoses(frames, frames / 30, points.astype('f4'), seen)
 
 
-def test_distances_are_those_of_the_formula(rng) -> None:
+def test_distances_follow_the_formulas_of_sections_4_1_and_4_2(rng) -> None:
     points, seen = rng.normal(size=(9, 6, 2)), rng.random((9, 6)) < 0.7
     seen[:, :2] = True
-    poses = flat_poses(points, seen)
-    c, _ = distances(poses, poses)
+    poses = make_half_poses(points, seen)
+    c, _ = compute_distances(poses, poses)
     b, a = np.zeros((9, 9)), np.zeros((9, 9))
     for i in range(9):
         for j in range(9):
@@ -43,27 +43,30 @@ def test_distances_are_those_of_the_formula(rng) -> None:
             a[i, j] = both.sum() / (seen[i] | seen[j]).sum()
     assert c == pytest.approx(a * b + (1 - a) * b.max(), abs=1e-5)
     beta = float(np.median(c))
-    d = denoised(c, averaging(c, beta))
+    d = denoise_distances(c, build_averaging_matrix(c, beta))
     near = [np.flatnonzero((c[i] < beta) | (np.arange(9) == i)) for i in range(9)]
     expected = [[c[np.ix_(near[i], near[j])].mean() for j in range(9)] for i in range(9)]
     assert d == pytest.approx(np.array(expected), abs=1e-5)
 
 
-def direct(represents: np.ndarray, times: np.ndarray, alpha: float, gap: float) -> list[int]:
-    """Equations 1 to 4 as they stand."""
+def select_directly(represents: np.ndarray, times: np.ndarray, alpha: float, gap: float) -> list[int]:
+    """Select keyframes by direct evaluation of equations 1 to 4."""
     represents = represents | np.eye(len(times), dtype=bool)
-    chosen: list[int] = []
+    keyframes: list[int] = []
     while True:
-        well = represents[chosen].any(axis=0) if chosen else np.zeros(len(times), bool)
-        if (well | interpolatable(well, times, gap)).sum() >= alpha * len(times):
-            return chosen
-        cost = [np.inf if k in chosen else mean_gap_cost(well | represents[k], times) for k in range(len(times))]
-        chosen.append(int(np.argmax(np.array(cost) <= min(cost) + 1e-9 * max(min(cost), 1.0))))
+        well_represented = represents[keyframes].any(axis=0) if keyframes else np.zeros(len(times), bool)
+        if (well_represented | find_interpolatable(well_represented, times, gap)).sum() >= alpha * len(times):
+            return keyframes
+        cost = [
+            np.inf if k in keyframes else compute_selection_cost(well_represented | represents[k], times)
+            for k in range(len(times))
+        ]
+        keyframes.append(int(np.argmax(np.array(cost) <= min(cost) + 1e-9 * max(min(cost), 1.0))))
 
 
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_the_incremental_choice_is_the_direct_one(data) -> None:
+def test_incremental_selection_equals_direct_selection(data) -> None:
     frames = data.draw(st.integers(1, 24))
     seed, density = data.draw(st.integers(0, 10**6)), data.draw(st.sampled_from([0.0, 0.05, 0.2, 0.6]))
     rng = np.random.default_rng(seed)
@@ -71,40 +74,40 @@ def test_the_incremental_choice_is_the_direct_one(data) -> None:
     represents = rng.random((frames, frames)) < density
     alpha = data.draw(st.sampled_from([0.0, 0.5, 0.9, 1.0]))
     gap = data.draw(st.sampled_from([0.0, 0.1, 0.3]))
-    found = select(represents, times, alpha, gap)
-    assert found.keyframes.tolist() == direct(represents, times, alpha, gap)
+    found = select_keyframes(represents, times, alpha, gap)
+    assert found.keyframes.tolist() == select_directly(represents, times, alpha, gap)
     assert found.covered.mean() >= alpha
 
 
 def test_interpolatable_frames_lie_between_well_represented_ones_less_than_the_gap_apart() -> None:
     well = np.array([0, 1, 0, 0, 1, 0, 0, 0, 1, 0], bool)
-    assert np.flatnonzero(interpolatable(well, np.arange(10.0), 3.5)).tolist() == [2, 3]
+    assert np.flatnonzero(find_interpolatable(well, np.arange(10.0), 3.5)).tolist() == [2, 3]
 
 
-def test_a_long_sequence_needs_hardly_more_keyframes_in_sections() -> None:
-    poses, times = swinging(600)
-    half = halves()[1]
-    own = flat_poses(poses[:, list(half.joints), :2] / 0.5)
-    own = replace(own, times=times)
-    whole = summarised(own, half, 600, KeyframesConfig(beta=0.1, max_matrix_frames=600))
-    parts = summarised(own, half, 600, KeyframesConfig(beta=0.1, max_matrix_frames=150))
-    assert len(parts.matrix) == 150
-    assert whole.coverage >= 0.95
-    assert parts.coverage >= 0.95
-    assert len(parts.frames) <= 1.5 * len(whole.frames)
-    assert (parts.distance[parts.frames] == 0).all()
+def test_sections_need_hardly_more_keyframes_than_one_matrix() -> None:
+    poses, times = make_swinging_body(600)
+    half = split_into_halves()[1]
+    half_poses = make_half_poses(poses[:, list(half.joints), :2] / 0.5)
+    half_poses = replace(half_poses, times=times)
+    one_matrix = find_keyframe_set(half_poses, half, 600, KeyframesConfig(beta=0.1, max_matrix_frames=600))
+    in_sections = find_keyframe_set(half_poses, half, 600, KeyframesConfig(beta=0.1, max_matrix_frames=150))
+    assert len(in_sections.distance_matrix) == 150
+    assert one_matrix.coverage >= 0.95
+    assert in_sections.coverage >= 0.95
+    assert len(in_sections.frames) <= 1.5 * len(one_matrix.frames)
+    assert (in_sections.distance[in_sections.frames] == 0).all()
 
 
-def test_control_points_thin_out_by_fit_and_stay_near() -> None:
+def test_control_points_keep_the_best_fits_and_stay_within_the_gap() -> None:
     times = np.arange(30) / 30
-    keyframe = np.repeat([0, 1, -1, 1], [12, 8, 4, 6])
-    misfit = np.abs(np.arange(30) - 5.0)
-    kept = thinned(keyframe, misfit, times, 0.2)
-    assert 5 in kept
-    gaps = np.diff(times[kept])
+    assignment = np.repeat([0, 1, -1, 1], [12, 8, 4, 6])
+    distance = np.abs(np.arange(30) - 5.0)
+    control_points = select_control_points(assignment, distance, times, 0.2)
+    assert 5 in control_points
+    gaps = np.diff(times[control_points])
     assert (gaps <= 0.2 + 1e-9).all()
-    assert len(kept) < 12
-    assert (keyframe[kept] >= 0).all()
+    assert len(control_points) < 12
+    assert (assignment[control_points] >= 0).all()
 
 
 def test_slerp_turns_at_constant_speed_and_holds_the_ends() -> None:
@@ -117,88 +120,88 @@ def test_slerp_turns_at_constant_speed_and_holds_the_ends() -> None:
 
 
 def test_the_fit_descends_and_keeps_limbs() -> None:
-    poses, times = swinging(90)
+    poses, times = make_swinging_body(90)
     scale, shift = 200.0, np.array([30.0, -10.0])
     points = scale * poses[..., :2] + shift
     weight = np.ones(poses.shape[:2])
     stiff = np.repeat(STANDING[None], 90, axis=0)
-    start = placed(stiff, points, weight, times, np.inf)
+    start = align_motion(stiff, points, weight, times, np.inf)
     assert start.scale == pytest.approx(scale, rel=0.15)
-    done = fitted(
-        start, points, weight, times, LENGTHS, CMU15, focal=np.inf, step=0.2, smoothing=0.03, iterations=40
+    fit = fit_motion(
+        start, points, weight, times, BONE_LENGTHS, CMU15, focal=np.inf, step=0.2, smoothing=0.03, iterations=40
     )
-    assert (np.diff(done.error[:-1]) <= 0).all()
-    assert done.error[-1] < 0.25 * done.error[0]
-    assert np.ptp(CMU15.bone_lengths(done.placed.joints), axis=0).max() < 1e-9
+    assert (np.diff(fit.mean_squared_errors[:-1]) <= 0).all()
+    assert fit.mean_squared_errors[-1] < 0.25 * fit.mean_squared_errors[0]
+    assert np.ptp(CMU15.bone_lengths(fit.motion.joints), axis=0).max() < 1e-9
 
 
-def test_true_perspective_is_undone() -> None:
-    poses, times = swinging(60)
-    here = Placed(poses, np.full(60, 300.0), np.tile([40.0, -20.0], (60, 1)))
-    points, weight = here.image(600.0), np.ones(poses.shape[:2])
-    found = placed(poses, points, weight, times, 600.0)
+def test_alignment_recovers_a_perspective_camera() -> None:
+    poses, times = make_swinging_body(60)
+    motion = AlignedMotion(poses, np.full(60, 300.0), np.tile([40.0, -20.0], (60, 1)))
+    points, weight = motion.project(600.0), np.ones(poses.shape[:2])
+    found = align_motion(poses, points, weight, times, 600.0)
     assert found.scale == pytest.approx(300.0, rel=1e-3)
-    assert found.translation == pytest.approx(here.translation, abs=0.2)
+    assert found.translation == pytest.approx(motion.translation, abs=0.2)
     assert found.joints == pytest.approx(poses, abs=1e-3)
 
 
-def test_outliers_are_found_and_little_else(rng) -> None:
+def test_outliers_are_found_with_few_false_ones(rng) -> None:
     times = np.arange(300) / 30
     truth = 0.04 * np.sin(2 * np.pi * times / 1.5)[:, None, None] * rng.normal(size=(1, 15, 2))
     seen = rng.random((300, 15)) > 0.05
-    away = truth + rng.normal(0, 0.012, (300, 15, 2))
-    wrong = np.zeros((300, 15), bool)
+    displacement = truth + rng.normal(0, 0.012, (300, 15, 2))
+    is_outlier = np.zeros((300, 15), bool)
     for _ in range(40):
         start, joint, length = rng.integers([0, 0, 1], [290, 15, 9])
-        wrong[start : start + length, joint] = True
+        is_outlier[start : start + length, joint] = True
         angle = rng.uniform(0, 2 * np.pi)
-        away[start : start + length, joint] += 0.4 * np.array([np.cos(angle), np.sin(angle)])
-    found = outliers(away, seen, times)
+        displacement[start : start + length, joint] += 0.4 * np.array([np.cos(angle), np.sin(angle)])
+    found = find_outliers(displacement, seen, times)
     assert not (found & ~seen).any()
-    assert found[wrong & seen].mean() > 0.9
-    assert found[~wrong & seen].mean() < 0.01
-    late = np.zeros((300, 15), bool)
-    late[150:] = True
-    assert outliers(truth, late, times).sum() == 0
+    assert found[is_outlier & seen].mean() > 0.9
+    assert found[~is_outlier & seen].mean() < 0.01
+    seen_late = np.zeros((300, 15), bool)
+    seen_late[150:] = True
+    assert find_outliers(truth, seen_late, times).sum() == 0
 
 
-def test_short_gaps_are_bridged_and_medians_ignore_what_is_missing() -> None:
+def test_short_gaps_are_interpolated_and_medians_ignore_nan() -> None:
     times = np.array([0.0, 0.1, 0.2, 0.3, 0.9])
     points = np.array([0.0, 9, 2, 9, 8])[:, None, None]
-    out, known = bridged(points, np.array([1, 0, 1, 0, 1], bool)[:, None], times, 0.3)
+    out, known = interpolate_gaps(points, np.array([1, 0, 1, 0, 1], bool)[:, None], times, 0.3)
     assert known[:, 0].tolist() == [True, True, True, False, True]
     assert out[1, 0, 0] == pytest.approx(1.0)
     values = np.array([[np.nan, np.nan], [3.0, np.nan], [1.0, np.nan]])
-    assert median(values, axis=0) == pytest.approx([2.0, np.nan], nan_ok=True)
-    assert low_pass(times, 0.1) @ np.ones(5) == pytest.approx(np.ones(5))
+    assert nan_median(values, axis=0) == pytest.approx([2.0, np.nan], nan_ok=True)
+    assert build_low_pass_matrix(times, 0.1) @ np.ones(5) == pytest.approx(np.ones(5))
 
 
-@pytest.mark.parametrize('half', halves(), ids=lambda half: half.name)
+@pytest.mark.parametrize('half', split_into_halves(), ids=lambda half: half.name)
 def test_taylors_method_recovers_a_pose(half) -> None:
-    poses, _ = swinging(40)
+    poses, _ = make_swinging_body(40)
     pose = poses[17]
     lengths = np.array([np.linalg.norm(pose[c] - pose[p]) for p, c in half.bones])
     forward = frozenset(CMU15.joints[c] for p, c in half.bones if pose[c, 2] < pose[p, 2])
-    limbs, scale = taylor_pose(180.0 * pose[:, :2] + [50, 60], lengths, half.bones, forward, 180.0)
+    limbs, scale = reconstruct_limbs(180.0 * pose[:, :2] + [50, 60], lengths, half.bones, forward, 180.0)
     assert limbs == pytest.approx(np.array([pose[c] - pose[p] for p, c in half.bones]), abs=1e-9)
     assert scale == 180.0
     flat = pose * [1, 1, 0]
     lengths = np.array([np.linalg.norm(flat[c] - flat[p]) for p, c in half.bones])
-    least = taylor_pose(70.0 * flat[:, :2], lengths, half.bones, frozenset())[1]
-    assert least == pytest.approx(70.0)
+    min_scale = reconstruct_limbs(70.0 * flat[:, :2], lengths, half.bones, frozenset())[1]
+    assert min_scale == pytest.approx(70.0)
 
 
-def test_taylors_method_says_what_it_cannot_do() -> None:
-    half = halves()[0]
+def test_taylors_method_names_the_joint_that_it_refuses() -> None:
+    half = split_into_halves()[0]
     lengths = np.full(len(half.bones), 0.3)
     points = 100.0 * STANDING[:, :2]
-    with pytest.raises(InputError, match="no limb ends in 'lknee'"):
-        taylor_pose(points, lengths, half.bones, frozenset({'lknee'}))
-    with pytest.raises(InputError, match='scale: 1 px/m is too small for neck'):
-        taylor_pose(points, lengths, half.bones, frozenset(), 1.0)
+    with pytest.raises(InputError, match="no limb of this half ends in 'lknee'"):
+        reconstruct_limbs(points, lengths, half.bones, frozenset({'lknee'}))
+    with pytest.raises(InputError, match='scale: 1 px/m is too small for the limb to neck'):
+        reconstruct_limbs(points, lengths, half.bones, frozenset(), 1.0)
     points[4] = np.nan
     with pytest.raises(InputError, match='lwrist is not seen'):
-        taylor_pose(points, lengths, half.bones, frozenset())
+        reconstruct_limbs(points, lengths, half.bones, frozenset())
 
 
 @pytest.mark.parametrize(
@@ -213,13 +216,13 @@ def test_taylors_method_says_what_it_cannot_do() -> None:
         ({'keyframes': [{'half': 'upper', 'time': 1, 'forward': [], 'scale': 0}]}, 'scale: expected a number'),
     ],
 )
-def test_choices_that_are_none(tree: object, message: str) -> None:
+def test_malformed_depth_choices_are_refused(tree: object, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        choices_from(tree, 'c.yaml')
+        parse_depth_choices(tree, 'c.yaml')
 
 
 def test_a_remembered_pose_is_recalled_and_the_memory_is_bounded() -> None:
-    poses, _ = swinging(200)
+    poses, _ = make_swinging_body(200)
     weight = np.ones(15)
 
     def image(pose: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Keyframes from 2D to 3D, and on the command line with real files."""
+"""The keyframe method from 2D to 3D, and on the command line with real files."""
 
 from pathlib import Path
 
@@ -10,28 +10,28 @@ from mocap_ros.bags.reader import is_bag
 from mocap_ros.cli.main import main
 from mocap_ros.config import Config, with_values
 from mocap_ros.demo.scene import make_recording
-from mocap_ros.formats.sequence_file import Sequence, load_sequence, save_sequence
+from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence, save_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.keyframes.reconstruct import reconstruct
 from mocap_ros.skeleton import CMU15
 from tests.support.evaluation_data import shared
-from tests.support.swinging_body import swinging
+from tests.support.swinging_body import make_swinging_body
 
-CAMERA = Intrinsics(900.0, (640.0, 360.0), known=True)
+CAMERA = Intrinsics(900.0, (640.0, 360.0), is_focal_known=True)
 CONFIG = with_values(Config(), {'keyframes.poses': 'lifter'})
 MODELS = load_base_pose_models('all')
 
 
-def mpjpe(found: np.ndarray, truth: np.ndarray) -> float:
+def compute_mpjpe(found: np.ndarray, truth: np.ndarray) -> float:
     a, b = (p - p.mean(axis=1, keepdims=True) for p in (found, truth))
     a = a * (a * b).sum() / (a * a).sum()
     return float(np.linalg.norm(a - b, axis=-1).mean() * 1e3)
 
 
-def walking_about(frames: int = 240) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def make_walk(frames: int = 240) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Keypoints (F, 15, 3), times (F,) and truth (F, 15, 3) m in the camera's frame."""
-    poses, times = swinging(frames)
+    poses, times = make_swinging_body(frames)
     c, s = np.cos(0.9), np.sin(0.9)
     poses = poses @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
     place = np.stack([0.5 * np.sin(0.6 * times), 0 * times, 4 + 0.5 * np.cos(0.6 * times)], axis=-1)
@@ -39,10 +39,10 @@ def walking_about(frames: int = 240) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return np.concatenate([CAMERA.project(truth), np.ones((frames, 15, 1))], axis=-1), times, truth
 
 
-def test_a_motion_synthesised_and_projected_is_reconstructed_and_outliers_hardly_matter() -> None:
-    keypoints, times, truth = walking_about()
+def test_a_projected_motion_is_reconstructed_with_and_without_outliers() -> None:
+    keypoints, times, truth = make_walk()
     clean = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, CONFIG)
-    assert mpjpe(clean.result.joints, truth) < 90
+    assert compute_mpjpe(clean.result.joints, truth) < 90
     assert np.linalg.norm(clean.result.joints.mean(axis=1) - truth.mean(axis=1), axis=-1).mean() < 0.5
     assert CAMERA.project(clean.result.joints) == pytest.approx(keypoints[..., :2], abs=45)
     assert np.ptp(CMU15.bone_lengths(clean.result.joints), axis=0).max() < 1e-6
@@ -50,21 +50,21 @@ def test_a_motion_synthesised_and_projected_is_reconstructed_and_outliers_hardly
 
     rng = np.random.default_rng(1)
     wrong = rng.random(keypoints.shape[:2]) < 0.04
-    disturbed = keypoints.copy()
-    disturbed[wrong, :2] += 100 * np.sign(rng.normal(size=(wrong.sum(), 2)))
-    disturbed[100:112] = [np.nan, np.nan, 0]
+    corrupted = keypoints.copy()
+    corrupted[wrong, :2] += 100 * np.sign(rng.normal(size=(wrong.sum(), 2)))
+    corrupted[100:112] = [np.nan, np.nan, 0]
     wrong[100:112] = False
-    found = reconstruct(disturbed, CMU15.joints, times, CAMERA, MODELS, CONFIG)
+    found = reconstruct(corrupted, CMU15.joints, times, CAMERA, MODELS, CONFIG)
     assert found.outliers[wrong].mean() > 0.9
     assert found.outliers[~wrong].mean() < 0.02
     assert not found.result.seen[found.outliers].any()
-    assert mpjpe(found.result.joints, truth) < 1.3 * mpjpe(clean.result.joints, truth)
+    assert compute_mpjpe(found.result.joints, truth) < 1.3 * compute_mpjpe(clean.result.joints, truth)
 
 
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('case', ['one frame', 'still', 'half hidden', 'one point'])
 def test_degenerate_keypoints(case: str) -> None:
-    keypoints, times, _ = walking_about(1 if case == 'one frame' else 40)
+    keypoints, times, _ = make_walk(1 if case == 'one frame' else 40)
     if case == 'still':
         keypoints[:] = keypoints[0]
     elif case == 'one point':
@@ -76,10 +76,10 @@ def test_degenerate_keypoints(case: str) -> None:
 
 @pytest.mark.filterwarnings('error')
 def test_a_half_that_is_never_seen_has_no_keyframes(tmp_path: Path, capsys) -> None:
-    keypoints, times, _ = walking_about(40)
+    keypoints, times, _ = make_walk(40)
     keypoints[:, 9:] = [np.nan, np.nan, 0]
     path = tmp_path / 'desk.npz'
-    save_sequence(path, Sequence(keypoints, CMU15.joints, times, (1280, 720)))
+    save_sequence(path, KeypointSequence(keypoints, CMU15.joints, times, (1280, 720)))
     assert main(['keyframes', str(path), '-o', str(tmp_path / 'k.yaml')]) == 0
     assert 'lower body: 0 keyframes' in capsys.readouterr().out
 
@@ -95,7 +95,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_the_commands_on_a_bag(bag: Path, tmp_path: Path, capsys) -> None:
+def test_the_commands_read_a_bag(bag: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / 'k.yaml'
     assert main(['keyframes', str(bag), '-o', str(out)]) == 0
     said = capsys.readouterr().out
@@ -123,8 +123,8 @@ def test_the_commands_on_a_bag(bag: Path, tmp_path: Path, capsys) -> None:
     ('arguments', 'message'),
     [
         (['keyframes', 'nothing.npz'], 'nothing.npz: No such file'),
-        (['keyframes', 'BAG', '-o', 'k.txt'], 'k.txt: can write .yaml'),
-        (['reconstruct', 'BAG', '--choices', 'c.yaml'], 'c.yaml: choices are for --method keyframes'),
+        (['keyframes', 'BAG', '-o', 'k.txt'], 'k.txt: unknown file type; expected .yaml'),
+        (['reconstruct', 'BAG', '--choices', 'c.yaml'], 'c.yaml: --choices needs --method keyframes'),
         (['reconstruct', 'BAG', '--method', 'keyframes', '--choices', 'no.yaml'], 'no.yaml: No such file'),
         (['reconstruct', 'BAG', '--method', 'keyframes', '--choices', 'c.yaml'], 'c.yaml: not YAML'),
         (
@@ -142,8 +142,8 @@ def test_bad_input_is_one_line(bag: Path, tmp_path: Path, monkeypatch, capsys, a
     assert message in error
 
 
-def test_real_detections_from_a_second_camera() -> None:
-    """Reconstructed from camera 1, seen from camera 3: nearer to what that one saw than half a torso."""
+def test_real_detections_are_reconstructed() -> None:
+    """Reconstruct real detections of one camera, and compare them with the measured 3D joints."""
     one, other = (load_sequence(shared(f'data/detections/balance_openpose_cam{c}.npz')) for c in (1, 3))
     result = reconstruct(
         one.keypoints, one.joint_names, one.timestamps, one.intrinsics(1.0), MODELS, CONFIG
@@ -155,4 +155,4 @@ def test_real_detections_from_a_second_camera() -> None:
     mine = [CMU15.index(n) for n in names]
     theirs = [one.truth.joint_names.index(n) for n in names]
     known = np.isfinite(one.truth.joints[:, theirs]).all(axis=(1, 2))
-    assert mpjpe(result.joints[known][:, mine], one.truth.joints[known][:, theirs]) < 110
+    assert compute_mpjpe(result.joints[known][:, mine], one.truth.joints[known][:, theirs]) < 110

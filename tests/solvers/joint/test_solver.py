@@ -10,15 +10,18 @@ from hypothesis import strategies as st
 from scipy.linalg import solve
 
 from mocap_ros.config import SolverConfig
-from mocap_ros.geometry.weak_perspective import Cameras
+from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.lifter import Lifted
+from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers import alternation, joint
-from mocap_ros.solvers.block_banded import Coupling, factor, solve_less_low_rank
-from mocap_ros.solvers.joint.objective import Problem, initial_state
+from mocap_ros.solvers.block_banded import Coupling, factorise_banded, solve_low_rank_downdate
+from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
+from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness
+from mocap_ros.solvers.joint.objective import JointObjective
+from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
 from mocap_ros.solvers.joint.state import State
-from mocap_ros.solvers.window import Reconstruction, Start, Window, mean_pose_start
-from tests.support.synthetic_walk import scene
+from mocap_ros.solvers.window import InitialValues, Reconstruction, Window, initialise_from_mean_pose
+from tests.support.synthetic_walk import make_walk
 
 PLAIN = SolverConfig(
     components=10,
@@ -44,7 +47,7 @@ def window(
     lifted: bool = False,
 ) -> Window:
     """A noisy window with missing points and irregular times, perhaps with lifted poses of a kind."""
-    theta, _, points, times = scene(model, frames=frames, seed=seed)
+    theta, _, points, times = make_walk(model, frames=frames, seed=seed)
     rng = np.random.default_rng(seed)
     weight = rng.uniform(0.3, 1, points.shape[:2]) * (rng.random(points.shape[:2]) > 0.1)
     times = times + rng.uniform(0, 0.01, frames)
@@ -54,22 +57,22 @@ def window(
         wrong = 200 * model.poses(theta)
         wrong = wrong + 30 * rng.normal(size=wrong.shape)
         wrong[1] = np.nan
-        learned = Lifted(wrong, rng.uniform(5, 50, wrong.shape))
+        learned = LiftedPoses(wrong, rng.uniform(5, 50, wrong.shape))
     return Window(noisy, weight, times, focal=focal, lifted=learned)
 
 
-def problem_and_state(
+def objective_and_state(
     model: BasePoses, config: SolverConfig, rng: np.random.Generator, focal: float = math.inf, lifted: bool = False
-) -> tuple[Problem, State]:
+) -> tuple[JointObjective, State]:
     windows = [window(model, frames, seed=frames, focal=focal, lifted=lifted) for frames in (7, 5)]
-    starts = [mean_pose_start(w, model, 1.0) for w in windows]
+    starts = [initialise_from_mean_pose(w, model, 1.0) for w in windows]
     s0 = np.array([np.median(s.cameras.scale) for s in starts])
-    problem = Problem.build(windows, s0, model, config)
-    state = initial_state(problem, starts, s0)
-    state = state.moved(0.03 * rng.normal(size=(12, len(model.std) + 4)))
+    objective = JointObjective.build(windows, s0, model, config)
+    state = objective.initial_state(starts, s0)
+    state = state.advanced(0.03 * rng.normal(size=(12, len(model.std) + 4)))
     for _ in range(100):
-        state = problem.settled(state).state
-    return problem, state
+        state = objective.with_optimal_translation(state).state
+    return objective, state
 
 
 @pytest.mark.parametrize('robust', [0.0, 0.03])
@@ -79,17 +82,17 @@ def problem_and_state(
 def test_gradient_agrees_with_finite_differences(
     walk_model: BasePoses, rng: np.random.Generator, robust: float, relative: bool, focal: float, lifted: bool
 ) -> None:
-    model = walk_model.truncated(6)
+    model = walk_model.truncate(6)
     config = SolverConfig(smooth_weight=1e-4, robust_scale=robust, relative_bones=relative, flip_weight=0.01)
-    problem, state = problem_and_state(model, config, rng, focal, lifted)
-    gradient = problem.normal_equations(problem.fit(state)).gradient
+    objective, state = objective_and_state(model, config, rng, focal, lifted)
+    gradient = objective.normal_equations(objective.fit(state)).gradient
     numeric = np.empty_like(gradient)
     h = 1e-5
     for frame in range(gradient.shape[0]):
         for unknown in range(gradient.shape[1]):
             step = np.zeros_like(gradient)
             step[frame, unknown] = h
-            up, down = (problem.cost(problem.fit(state.moved(s))).sum() for s in (step, -step))
+            up, down = (objective.cost(objective.fit(state.advanced(s))).sum() for s in (step, -step))
             numeric[frame, unknown] = (up - down) / (2 * h) / 2
     assert np.abs(gradient - numeric).max() < 1e-6 * np.abs(gradient).max()
 
@@ -102,25 +105,27 @@ def test_normal_matrix_is_that_of_the_residuals(
 
     What the matrix holds beyond it, the curvature of bones, is positive semidefinite.
     """
-    model = walk_model.truncated(4)
+    model = walk_model.truncate(4)
     config = SolverConfig(
         smooth_weight=1e-3, flip_weight=0.02, tilt_weight=0.1, scale_weight=0.01, robust_scale=0.0
     )
-    problem, state = problem_and_state(model, config, rng, focal)
-    equations = problem.normal_equations(problem.fit(state))
+    objective, state = objective_and_state(model, config, rng, focal)
+    equations = objective.normal_equations(objective.fit(state))
     frames, n = equations.gradient.shape
 
     def residuals(step: np.ndarray) -> np.ndarray:
-        moved = state.moved(step[:, :n])
+        moved = state.advanced(step[:, :n])
         moved = dataclasses.replace(moved, translation=moved.translation + step[:, n:])
-        fit = problem.fit(moved)
-        smooth = np.sqrt(problem.smooth)[:, None] * np.diff(moved.theta, axis=0) / model.std
+        fit = objective.fit(moved)
+        smooth = (
+            np.sqrt(objective.find_term(PoseSmoothness).weight)[:, None] * np.diff(moved.theta, axis=0) / model.std
+        )
         parts = [
-            np.sqrt(problem.weight)[..., None] * fit.error,
-            np.sqrt(problem.bone_weight) * fit.excess,
-            np.sqrt(problem.prior) * moved.theta,
+            np.sqrt(objective.reprojection.weight)[..., None] * fit.error,
+            np.sqrt(objective.bones.weight) * fit.bone_excess,
+            np.sqrt(objective.find_term(BasePosePrior).precision) * moved.theta,
             smooth,
-            np.sqrt(problem.turn) * np.diff(fit.turning, axis=0),
+            np.sqrt(objective.find_term(CameraSmoothness).weight) * np.diff(fit.camera_features, axis=0),
         ]
         return np.concatenate([p.ravel() for p in parts])
 
@@ -136,22 +141,22 @@ def test_normal_matrix_is_that_of_the_residuals(
     expected = rest @ rest.T
 
     matrix = np.zeros((frames, n, frames, n))
-    below = equations.coupling.dense()
+    below = equations.coupling.to_dense()
     for t in range(frames):
         matrix[t, :, t] = equations.diagonal[t]
         if t:
             matrix[t, :, t - 1] = below[t - 1]
             matrix[t - 1, :, t] = below[t - 1].T
-    for start, count in zip(problem.starts, problem.counts, strict=True):
+    for start, count in zip(objective.batch.starts, objective.batch.counts, strict=True):
         own = slice(start, start + count)
         g = equations.bones[own]
         matrix[own, :, own] -= np.einsum('tib,ujb->tiuj', g, g) / count
     matrix = matrix.reshape(frames * n, frames * n)
     assert np.linalg.eigvalsh(matrix - expected).min() > -1e-6 * np.abs(expected).max()
-    own = dataclasses.replace(problem, bone_weight=0 * problem.bone_weight)
-    diagonal = own.normal_equations(own.fit(state)).diagonal
+    without_bones, _ = objective_and_state(model, dataclasses.replace(config, bone_weight=0.0), rng, focal)
+    diagonal = without_bones.normal_equations(without_bones.fit(state)).diagonal
     jac_rows = rest.reshape(frames, n, -1)
-    bones_at = problem.weight.size * 2
+    bones_at = objective.reprojection.weight.size * 2
     kept = np.delete(jac_rows, np.s_[bones_at : bones_at + frames * 14], axis=-1)
     exact = kept @ np.swapaxes(kept, -1, -2)
     assert np.abs(diagonal - exact).max() < 1e-6 * np.abs(exact).max()
@@ -166,7 +171,7 @@ def test_banded_solution_equals_the_dense_one(rng: np.random.Generator) -> None:
     diagonal = a @ np.swapaxes(a, 1, 2) + 10 * np.eye(n)
     coupling = Coupling(0.3 * rng.normal(size=(frames - 1, n)), 0.3 * rng.normal(size=(frames - 1, 2, 2)))
     coupling.diagonal[3] = coupling.corner[3] = 0
-    below = coupling.dense()
+    below = coupling.to_dense()
     dense = np.zeros((frames, n, frames, n))
     for t in range(frames):
         dense[t, :, t] = diagonal[t]
@@ -177,11 +182,11 @@ def test_banded_solution_equals_the_dense_one(rng: np.random.Generator) -> None:
         own = slice(start, start + count)
         dense[own, :, own] -= s * np.einsum('tib,ujb->tiuj', vectors[own], vectors[own])
     right = rng.normal(size=(frames, n))
-    banded = factor(diagonal, coupling)
+    banded = factorise_banded(diagonal, coupling)
     assert banded is not None
-    x = solve_less_low_rank(banded, right, vectors, strength, starts)
+    x = solve_low_rank_downdate(banded, right, vectors, strength, starts)
     assert x.ravel() == pytest.approx(solve(dense.reshape(frames * n, -1), right.ravel()), rel=1e-9)
-    assert factor(-diagonal, coupling) is None
+    assert factorise_banded(-diagonal, coupling) is None
 
 
 def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) -> None:
@@ -194,8 +199,8 @@ def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) 
         assert fast.objective[-1] <= slow.objective[-1] * (1 + 1e-3), 'the same or a neighbouring minimum'
         further = dataclasses.replace(
             w,
-            start=Start(slow.theta, slow.cameras),
-            unit=float(np.median(mean_pose_start(w, walk_model, config.start_window).cameras.scale)),
+            start=InitialValues(slow.theta, slow.cameras),
+            unit=float(np.median(initialise_from_mean_pose(w, walk_model, config.start_window).cameras.scale)),
         )
         (refined,) = joint.solve([further], walk_model, config)
         assert refined.objective[0] == pytest.approx(slow.objective[-1], rel=1e-6)
@@ -257,10 +262,12 @@ def test_gross_outliers_are_discounted_by_the_robust_loss(walk_model: BasePoses)
 
 def test_hypotheses_mend_a_wrong_first_camera(walk_model: BasePoses) -> None:
     clean = window(walk_model, noise=0.5)
-    start = mean_pose_start(clean, walk_model.truncated(10), 1.0)
+    start = initialise_from_mean_pose(clean, walk_model.truncate(10), 1.0)
     (right,) = joint.solve([clean], walk_model, SolverConfig(components=10))
     half_turn = np.diag([-1.0, -1.0, 1.0])
-    wrong = Start(start.theta, Cameras(start.cameras.scale, start.cameras.rotation @ half_turn))
+    wrong = InitialValues(
+        start.theta, WeakPerspectiveCameras(start.cameras.scale, start.cameras.rotation @ half_turn)
+    )
     misled = dataclasses.replace(clean, start=wrong, unit=float(np.median(start.cameras.scale)))
     (one,) = joint.solve_hypotheses([misled], walk_model, SolverConfig(components=10, hypotheses=1))
     (best,) = joint.solve_hypotheses([misled], walk_model, SolverConfig(components=10, heading_hypotheses=9))
@@ -273,7 +280,7 @@ def test_hypotheses_mend_a_wrong_first_camera(walk_model: BasePoses) -> None:
 
 
 def test_noise_is_found(walk_model: BasePoses) -> None:
-    _, _, points, times = scene(walk_model, frames=60)
+    _, _, points, times = make_walk(walk_model, frames=60)
     rng = np.random.default_rng(5)
     for px in (1.0, 4.0):
         noisy = Window(points + px * rng.normal(size=points.shape), np.ones(points.shape[:2]), times)

@@ -1,0 +1,37 @@
+"""The configuration: every parameter with its default, access by name, and parameter files."""
+
+from mocap_ros.config.access import Parameter, format_value, parameters, suggest_parameter, values, with_values
+from mocap_ros.config.defaults import (
+    ClassifierConfig,
+    Config,
+    KeyframesConfig,
+    NodeConfig,
+    RecorderConfig,
+    SolverConfig,
+    TrackerConfig,
+    Value,
+)
+from mocap_ros.config.renamed import RENAMED_SINCE_0_1, current_names
+from mocap_ros.config.yaml_file import from_yaml, load_yaml, to_yaml
+
+__all__ = [
+    'RENAMED_SINCE_0_1',
+    'ClassifierConfig',
+    'Config',
+    'KeyframesConfig',
+    'NodeConfig',
+    'Parameter',
+    'RecorderConfig',
+    'SolverConfig',
+    'TrackerConfig',
+    'Value',
+    'current_names',
+    'format_value',
+    'from_yaml',
+    'load_yaml',
+    'parameters',
+    'suggest_parameter',
+    'to_yaml',
+    'values',
+    'with_values',
+]

@@ -1,0 +1,399 @@
+"""Every parameter of the package: its default, its meaning and its range, which have no other home.
+
+The ROS parameters, the parameter file and the defaults of the command line are made from these dataclasses. A
+parameter is called `group.field`, for example `solver.bone_weight`. A description begins with the unit, if any.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+Value = bool | int | float | str  # the types that a parameter may have
+
+# Limit of all weights and factors. It guards the solvers against overflow by senseless weights;
+# the largest default is 60.
+MAX_WEIGHT = 1e6
+
+
+def define_parameter(
+    default: Value,
+    description: str,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+    read_only: bool = False,
+) -> Any:
+    """Return a dataclass field that is a parameter.
+
+    Args:
+        default: value of the parameter unless the user sets it.
+        description: meaning of the parameter, beginning with its unit, if any.
+        low: smallest valid value, or None.
+        high: largest valid value, or None.
+        choices: valid values of a text; empty if any text is valid.
+        read_only: whether the value is fixed when the node starts.
+    """
+    return field(
+        default=default,
+        metadata={
+            'description': description,
+            'low': low,
+            'high': high,
+            'choices': choices,
+            'read_only': read_only,
+        },
+    )
+
+
+def define_weight(default: float, description: str) -> Any:
+    """Return a dataclass field that is a number from 0 to `MAX_WEIGHT`."""
+    return define_parameter(default, description, low=0.0, high=MAX_WEIGHT)
+
+
+@dataclass(frozen=True)
+class SolverConfig:
+    """Weights of the objective's terms, and when the solvers stop."""
+
+    components: int = define_parameter(
+        40, 'maximum number of base poses; a model that has fewer uses all of them', low=1, high=60
+    )
+    prior: str = define_parameter(
+        'learned',
+        'prior of non-periodic motion: learned (the shipped lifter together with the base poses), pca (the '
+        'base poses alone, as in the paper), or the path of a lifter trained by train-lifter',
+        read_only=True,
+    )
+    lifter_weight: float = define_weight(
+        2e-4,
+        "m^2, weight of the squared distance between a pose and the lifter's estimate of it (the lifted pose), "
+        'in the standard deviations that the lifter predicts',
+    )
+    lifter_robust_scale: float = define_parameter(
+        3.0,
+        "standard deviations, distance from the lifted pose beyond which Cauchy's loss discounts a joint",
+        low=0.1,
+        high=1e3,
+    )
+    lifter_prior_factor: float = define_weight(0.3, 'factor on prior_weight where there are lifted poses')
+    lifter_flip_factor: float = define_weight(0.25, 'factor on flip_weight where there are lifted poses')
+    lifter_smooth_factor: float = define_weight(5.0, 'factor on smooth_weight where there are lifted poses')
+    prior_weight: float = define_weight(
+        1e-4, 'm^2, weight of the Gaussian prior of the base-pose weights, per squared standard deviation'
+    )
+    heading_prior_factor: float = define_weight(
+        0.25,
+        'factor on prior_weight for base poses that were aligned by heading: one category of motion varies '
+        'less than people do, so its prior has to be weaker',
+    )
+    bone_weight: float = define_weight(60.0, 'weight of the variance of the bone lengths over time (beta, eq. 20)')
+    flip_weight: float = define_weight(
+        0.02, 'm^2 s, weight of the squared change of the camera between frames (gamma, eq. 12)'
+    )
+    heading_flip_factor: float = define_weight(
+        0.025,
+        'factor on flip_weight for base poses that were aligned by heading: there the camera also takes up how '
+        'the body turns with every stride',
+    )
+    tilt_weight: float = define_weight(
+        1.0,
+        'm^2 s, weight of the squared change between frames of the projected vertical axis, for base poses '
+        'that were aligned by heading; only a turn of the camera changes that projection',
+    )
+    scale_weight: float = define_weight(
+        0.02, "m^2 s, weight of the squared change of the logarithm of the camera's scale between frames"
+    )
+    smooth_weight: float = define_weight(
+        3e-6, 'm^2 s, weight of the squared change of the base-pose weights between frames, in standard deviations'
+    )
+    robust_scale: float = define_weight(
+        0.05, "m, reprojection error beyond which Cauchy's loss discounts a point; 0 selects least squares"
+    )
+    adapt_noise: bool = define_parameter(
+        True,
+        'estimate the image noise from the residual and adapt all weights of this group to it: they are given '
+        'for a noise of 10 mm and are multiplied by (noise / 10 mm)^2; robust_scale is multiplied by noise / '
+        '10 mm where the noise is above 10 mm. The alternation does not adapt',
+    )
+    noise_floor: float = define_parameter(
+        0.0005, 'm, lower limit of the estimated image noise', low=1e-5, high=1.0
+    )
+    relative_bones: bool = define_parameter(
+        False, 'measure the variance of a bone length relative to the length of that bone'
+    )
+    harmonics: int = define_parameter(3, 'number of harmonics of the periodic model', low=1, high=8)
+    periodic_prior_factor: float = define_weight(
+        1.0,
+        'factor on prior_weight for the coefficients of the periodic model, which occur once a window and not '
+        'once a frame',
+    )
+    camera_velocity_weight: float = define_weight(
+        0.001, 'm^2 s, weight of the squared velocity of the camera in the periodic model'
+    )
+    camera_acceleration_weight: float = define_weight(
+        0.0003, 'm^2 s^3, weight of the squared acceleration of the camera in the periodic model'
+    )
+    paper_sines: bool = define_parameter(
+        False, "use the paper's periodic model: one sine for each base pose, with a frequency of its own (eq. 17)"
+    )
+    method: str = define_parameter(
+        'joint',
+        'joint: Levenberg-Marquardt over cameras and weights together; alternation: Algorithm 1 of the paper',
+        choices=('joint', 'alternation'),
+    )
+    norm: str = define_parameter(
+        'squared',
+        'norms of the alternation: squared, or frobenius as printed in the paper (eq. 13 and 21)',
+        choices=('squared', 'frobenius'),
+    )
+    hypotheses: int = define_parameter(
+        2,
+        'number of initial cameras that are tried: the closed-form one, its Necker reversal, then a ring of '
+        'headings',
+        low=1,
+        high=10,
+    )
+    start_window: float = define_parameter(
+        1.0, 's, span of the frames that share one closed-form initial camera', low=0.0, high=60.0
+    )
+    heading_hypotheses: int = define_parameter(
+        1, 'number of initial cameras that are tried for base poses that were aligned by heading', low=1, high=10
+    )
+    max_iterations: int = define_parameter(60, 'maximum number of solver iterations', low=1, high=10_000)
+    tolerance: float = define_weight(3e-4, 'relative decrease of the objective below which the solver stops')
+
+
+@dataclass(frozen=True)
+class ClassifierConfig:
+    """Thresholds between periodic and non-periodic motion.
+
+    They were chosen on CMU walk, run and jump trials (benchmarks/classification.py).
+    """
+
+    section: float = define_parameter(
+        2.0, 's, length of the newest section of the window, which is classified', low=0.3, high=20.0
+    )
+    walk_residual: float = define_parameter(
+        0.0175, 'largest RMS 2D residual of a walk, as a fraction of body height', low=0.0, high=1.0
+    )
+    run_residual: float = define_parameter(
+        0.021, 'largest RMS 2D residual of a run, as a fraction of body height', low=0.0, high=1.0
+    )
+    walk_cadence: float = define_parameter(0.5, 'Hz, smallest cadence of a walk (full cycles)', low=0.0, high=5.0)
+    run_cadence: float = define_parameter(1.0, 'Hz, smallest cadence of a run (full cycles)', low=0.0, high=5.0)
+    amplitude: float = define_parameter(
+        0.03,
+        'smallest RMS movement of a joint in a periodic motion, as a fraction of body height',
+        low=0.0,
+        high=1.0,
+    )
+    components: int = define_parameter(25, 'maximum number of base poses of the periodic model', low=1, high=60)
+    hysteresis: float = define_parameter(
+        1.1, 'factor by which a threshold must be passed before the classification changes', low=1.0, high=3.0
+    )
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """The sliding window of each person."""
+
+    model: str = define_parameter(
+        'auto',
+        'name of a shipped base-pose model, path of a trained one, or auto: the most likely shipped model of '
+        'each person (with the learned prior: the model of all motions)',
+        read_only=True,
+    )
+    window: float = define_parameter(2.0, 's, length of the sliding window', low=0.1, high=20.0)
+    components: int = define_parameter(
+        40, 'maximum number of base poses of the live tracker, at most solver.components', low=1, high=60
+    )
+    refine_seconds: float = define_parameter(
+        0.15, 's, newest part of the window, which is solved again at every frame', low=0.0, high=20.0
+    )
+    iterations: int = define_parameter(2, 'number of solver iterations at every frame', low=1, high=100)
+    hypothesis_check_interval: float = define_parameter(
+        0.5,
+        's, time between hypothesis checks of a person: the window is fitted with another candidate model, '
+        'whose solution replaces the current one if it is more likely',
+        low=0.05,
+    )
+    lag: float = define_parameter(
+        0.0,
+        's, delay of the output behind the newest frame; a longer delay makes the output steadier',
+        low=0.0,
+        high=5.0,
+    )
+    undo_swaps: bool = define_parameter(
+        True, 'detect frames in which the detector exchanged left and right joints, and undo the exchange'
+    )
+    min_score: float = define_parameter(
+        0.1, 'confidence score below which a keypoint counts as not seen', low=0.0, high=1.0
+    )
+    min_joints: int = define_parameter(
+        6, 'smallest number of seen joints that makes a detection usable', low=4, high=15
+    )
+    forget_after: float = define_parameter(
+        1.0, 's, time without a detection after which a person is forgotten', low=0.0, high=60.0
+    )
+    predict_for: float = define_parameter(
+        0.5,
+        's, time without a detection during which a person is predicted, and flagged as predicted',
+        low=0.0,
+        high=10.0,
+    )
+    restart_after: float = define_parameter(
+        1.0,
+        's; tracking starts afresh if a stamp is older than the newest one by more than this, and the frame is '
+        'dropped if the stamp is older by less',
+        low=0.0,
+    )
+    body_height: float = define_parameter(1.70, 'm, body height that is assumed of everybody', low=0.3, high=2.6)
+    perspective: bool = define_parameter(True, 'use the true perspective projection where CameraInfo is known')
+    nominal_focal_length: float = define_parameter(
+        1.0, 'image widths, focal length that is assumed where no CameraInfo is known', low=0.1, high=20.0
+    )
+
+
+@dataclass(frozen=True)
+class NodeConfig:
+    """Topics and limits of the live node."""
+
+    autostart: bool = define_parameter(True, 'the node configures and activates itself', read_only=True)
+    input_type: str = define_parameter(
+        'mocap_ros_msgs/msg/Keypoints2DArray',
+        'message type of the keypoints: mocap_ros_msgs/msg/Keypoints2DArray, yolo_msgs/msg/DetectionArray, '
+        'hri_msgs/msg/Skeleton2D (one topic for each body that /humans/bodies/tracked lists), '
+        'zed_msgs/msg/ObjectsStamped or openpose_ros2_msgs/msg/PoseKeyPointsList',
+        read_only=True,
+    )
+    rectified_input: bool = define_parameter(
+        False,
+        'the keypoints belong to the rectified image, so the distortion of CameraInfo is not undone',
+        read_only=True,
+    )
+    image_width: int = define_parameter(
+        0, 'px, image width where neither the message nor CameraInfo gives it; 0: unknown', low=0, high=100_000
+    )
+    image_height: int = define_parameter(
+        0, 'px, image height where neither the message nor CameraInfo gives it; 0: unknown', low=0, high=100_000
+    )
+    queue: int = define_parameter(
+        10,
+        'maximum number of waiting messages; if there are more, all but the newest are dropped',
+        low=1,
+        high=1000,
+    )
+    max_people: int = define_parameter(
+        20, 'maximum number of people in a message; a message with more is refused', low=1, high=1000
+    )
+    max_joints: int = define_parameter(
+        200, 'maximum number of joints of a person; a message with more is refused', low=4, high=10_000
+    )
+    max_text: int = define_parameter(
+        100,
+        'maximum number of characters of an id or a joint name; a message with a longer one is refused',
+        low=8,
+        high=1000,
+    )
+    silence_warning: float = define_parameter(5.0, 's, time without keypoints after which the node warns', low=0.1)
+    publish_tf: bool = define_parameter(
+        False, 'publish people as frames on /tf, where CameraInfo gives a true scale', read_only=True
+    )
+    frame_prefix: str = define_parameter(
+        '',
+        'prefix of the names of the frames on /tf, which distinguishes the people of several cameras',
+        read_only=True,
+    )
+    marker_lifetime: float = define_parameter(
+        0.5, 's, time for which a marker stays after the last message that holds it', low=0.0, high=60.0
+    )
+
+
+@dataclass(frozen=True)
+class RecorderConfig:
+    """Recording to MCAP."""
+
+    enabled: bool = define_parameter(False, 'record while the node is active; may be changed at any time')
+    folder: str = define_parameter('mocap_recordings', 'folder that bags are written into', read_only=True)
+    compression: str = define_parameter(
+        'zstd', 'compression of the chunks', choices=('zstd', 'lz4', 'none'), read_only=True
+    )
+    chunk_bytes: int = define_parameter(
+        65_536, 'bytes, size at which a chunk is closed', low=1024, high=16_777_216
+    )
+    chunk_seconds: float = define_parameter(0.25, 's, time after which a chunk is closed', low=0.01, high=10.0)
+    split_mb: int = define_parameter(
+        0, 'MB, size at which a bag continues in a new file; 0: never', low=0, high=1_000_000
+    )
+    split_seconds: float = define_parameter(
+        0.0, 's, time after which a bag continues in a new file; 0: never', low=0.0
+    )
+    min_free_mb: int = define_parameter(
+        200, 'MB, free disk space below which a recording is finished and none is started', low=0, high=1_000_000
+    )
+    backlog: int = define_parameter(
+        1000,
+        'maximum number of inputs that wait for the disk; further inputs are counted, but not recorded',
+        low=1,
+        high=100_000,
+    )
+
+
+@dataclass(frozen=True)
+class KeyframesConfig:
+    """Reconstruction of long sequences by keyframes (Loy et al., ECCV 2004)."""
+
+    alpha: float = define_parameter(
+        0.95,
+        'share (alpha) of the frames that a keyframe represents or that can be interpolated',
+        low=0.0,
+        high=1.0,
+    )
+    gap: float = define_parameter(
+        0.2,
+        's, time (T) between two well-represented frames below which the frames between them can be interpolated',
+        low=0.0,
+        high=1e6,
+    )
+    beta: float = define_parameter(
+        0.18, 'torso lengths, distance (beta) below which two poses count as the same', low=0.01, high=10.0
+    )
+    max_matrix_frames: int = define_parameter(
+        3600,
+        'maximum number of frames of one distance matrix; a longer sequence is processed in sections',
+        low=2,
+        high=20_000,
+    )
+    poses: str = define_parameter(
+        'solver',
+        'source of the 3D key poses: solver (as for whole sequences) or lifter (the lifter alone, which is '
+        'faster)',
+        choices=('solver', 'lifter'),
+    )
+    frame_pose_share: float = define_parameter(
+        0.8,
+        "share of a control frame's own pose estimate in its pose; the rest is the key pose's, and 0 takes the "
+        'key pose alone',
+        low=0.0,
+        high=1.0,
+    )
+    step: float = define_parameter(
+        0.2, 'step of the gradient descent on the reprojection error (lambda)', low=0.0, high=0.5
+    )
+    smoothing: float = define_parameter(
+        0.04, 's, standard deviation of the low-pass filter after each step', low=0.0, high=1.0
+    )
+    iterations: int = define_parameter(40, 'maximum number of steps of the gradient descent', low=0, high=10_000)
+
+
+@dataclass(frozen=True)
+class Config:
+    """All parameters by group."""
+
+    solver: SolverConfig = SolverConfig()
+    classifier: ClassifierConfig = ClassifierConfig()
+    tracker: TrackerConfig = TrackerConfig()
+    node: NodeConfig = NodeConfig()
+    recorder: RecorderConfig = RecorderConfig()
+    keyframes: KeyframesConfig = KeyframesConfig()

@@ -1,0 +1,144 @@
+"""Parameter files: configurations from YAML and to YAML."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import yaml
+
+from mocap_ros.config.access import Parameter, format_value, parameters, values, with_values
+from mocap_ros.config.defaults import Config, Value
+from mocap_ros.errors import ConfigError
+
+COMMENT_WIDTH = 90  # characters of a comment line, so that a line with its indentation stays below 100
+
+HEADER = """\
+# Every parameter of the node with its default. Made by `mocap-ros config`.
+# The comment of a parameter gives its unit first, if it has one, and its range or choices last, in brackets.
+"""
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """A YAML loader that refuses aliases, which can make a small file huge, and repeated keys."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Compose a node as the base class does, and refuse aliases."""
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            raise yaml.MarkedYAMLError(problem='aliases are not allowed', problem_mark=mark)
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        """Construct a mapping as the base class does, and refuse keys that are repeated or not text."""
+        seen = set()
+        for key, _ in node.value:
+            name = key.value if key.tag == 'tag:yaml.org,2002:str' else None
+            if name is None or name in seen:
+                problem = 'a key is not text' if name is None else f'the key {format_value(name)} occurs twice'
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
+            seen.add(name)
+        return super().construct_mapping(node, deep)
+
+
+def load_yaml(text: str, source: str) -> Any:
+    """Return the content of a YAML text without aliases, in which each key is text and occurs once.
+
+    Args:
+        text: the YAML text.
+        source: name of the text in error messages, such as the path of the file.
+
+    Raises:
+        ConfigError: the text is not such YAML; the message names `source`.
+    """
+    try:
+        return yaml.load(text, _StrictLoader)  # noqa: S506, the loader is a SafeLoader
+    except yaml.MarkedYAMLError as error:
+        line = f'line {error.problem_mark.line + 1}: ' if error.problem_mark else ''
+        raise ConfigError(f'{source}: not YAML: {line}{error.problem}') from None
+    except yaml.YAMLError as error:
+        raise ConfigError(f'{source}: not YAML: {" ".join(str(error).split())}') from None
+    except RecursionError:
+        raise ConfigError(f'{source}: not YAML: nested too deep') from None
+    except ValueError as error:  # numbers and dates that Python refuses
+        raise ConfigError(f'{source}: not YAML: {error}') from None
+
+
+def from_yaml(text: str, source: str) -> Config:
+    """Return the configuration of a ROS parameter file (of any node name) or of a plain nested mapping.
+
+    Args:
+        text: the YAML text; parameters that it does not set have their defaults.
+        source: name of the text in error messages, such as the path of the file.
+
+    Raises:
+        ConfigError: `load_yaml` refuses the text, it is not a mapping, or a parameter is wrong; the message names
+            `source`.
+    """
+    tree = load_yaml(text, source)
+    tree = {} if tree is None else tree
+    if isinstance(tree, dict) and len(tree) == 1:
+        (content,) = tree.values()
+        if isinstance(content, dict) and 'ros__parameters' in content:
+            tree = content['ros__parameters']
+    if not isinstance(tree, dict):
+        raise ConfigError(f'{source}: expected a mapping of parameters')
+    try:
+        return with_values(Config(), dict(_flatten(tree)))
+    except ConfigError as error:
+        raise ConfigError(f'{source}: {error}') from None
+
+
+def _flatten(tree: Mapping[object, object], prefix: str = '') -> Iterator[tuple[str, object]]:
+    """Yield the values of a nested mapping with their dotted names."""
+    for key, value in tree.items():
+        name = f'{prefix}{key}'
+        if isinstance(value, dict):
+            yield from _flatten(value, name + '.')
+        else:
+            yield name, value
+
+
+def to_yaml(config: Config, node: str = 'mocap_node') -> str:
+    """Return a commented ROS parameter file that sets every parameter.
+
+    Args:
+        config: the values.
+        node: name of the node that the file is for.
+    """
+    lines = [*HEADER.splitlines(), f'{node}:', '  ros__parameters:']
+    value_of = values(config)
+    previous_group = ''
+    for parameter in parameters():
+        group, _, field = parameter.name.partition('.')
+        if group != previous_group:
+            previous_group = group
+            lines.append(f'    {group}:')
+        comment = textwrap.wrap(_describe(parameter), COMMENT_WIDTH, break_on_hyphens=False)
+        lines += ['      # ' + line for line in comment]
+        lines.append(f'      {field}: {_format_scalar(value_of[parameter.name])}')
+    return '\n'.join(lines) + '\n'
+
+
+def _describe(parameter: Parameter) -> str:
+    """Return the description of a parameter with its limits in brackets."""
+    limits = [', '.join(parameter.choices), _format_range(parameter.low, parameter.high)]
+    in_brackets = [limit for limit in limits if limit] + ['read-only'] * parameter.read_only
+    return parameter.description + (f' [{"; ".join(in_brackets)}]' if in_brackets else '')
+
+
+def _format_scalar(value: Value) -> str:
+    """Return a value as YAML, on one line."""
+    style = '"' if isinstance(value, str) and not value.isprintable() else None
+    return yaml.safe_dump(value, default_style=style, width=math.inf).split('\n')[0]
+
+
+def _format_range(low: float | None, high: float | None) -> str:
+    """Return the range of a parameter in words; empty if it has none."""
+    if low is None and high is None:
+        return ''
+    if high is None:
+        return f'at least {low:g}'
+    return f'{low:g} to {high if isinstance(high, int) else format(high, "g")}'

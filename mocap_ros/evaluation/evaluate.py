@@ -1,0 +1,163 @@
+"""Evaluation of one reconstructed sequence against its truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.errors import InputError
+from mocap_ros.evaluation import metrics
+from mocap_ros.skeleton import Skeleton
+
+Array = NDArray[np.float64]
+
+MIN_PERSON_SIZE_M = 0.01  # m; a smaller truth is a single place, against which no pose can be compared
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The errors of one sequence; an error is None if no compared frame has a prediction.
+
+    Attributes:
+        mpjpe_mm: mean joint error after one scale for the sequence.
+        metric_mpjpe_mm: mean joint error without a scale.
+        abs_mpjpe_mm: mean joint error without any alignment.
+        root_mm: mean error of the poses' centroids.
+        seq_mpjpe_mm: mean joint error after one similarity transform for the sequence.
+        pa_mpjpe_mm: mean joint error after one similarity transform for each frame.
+        e_paper_cm: eq. 25 of TPAMI 2016 after one similarity transform for the sequence.
+        accel_mm_s2: mean error of the joints' accelerations; NaN without three successive frames.
+        joints: number of compared joints.
+        frames: number of compared frames.
+        failed_frames: number of these without a prediction.
+        bone_std_mm: standard deviation of bone lengths over time, mean over the bones.
+        residual_px: mean reprojection residual.
+        fps: frames a second; NaN for a sequence of one frame.
+    """
+
+    mpjpe_mm: float | None
+    metric_mpjpe_mm: float | None
+    abs_mpjpe_mm: float | None
+    root_mm: float | None
+    seq_mpjpe_mm: float | None
+    pa_mpjpe_mm: float | None
+    e_paper_cm: float | None
+    accel_mm_s2: float | None
+    joints: int
+    frames: int
+    failed_frames: int
+    bone_std_mm: float
+    residual_px: float
+    fps: float
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the record that `mocap-ros evaluate --json` writes, without the errors that are None."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: value for name, value in values.items() if value is not None}
+
+
+def evaluate(
+    joints: Array,
+    skeleton: Skeleton,
+    residual: Array,
+    truth: Array,
+    truth_names: Sequence[str],
+    fps: float,
+    keypoint_names: Sequence[str] = (),
+    keypoint_scores: Array | None = None,
+) -> Evaluation:
+    """Compare a reconstructed sequence with its truth.
+
+    Joints of the truth that are known in no frame are left out, then frames in which another joint is unknown.
+
+    Args:
+        joints: (F, J, 3) m, camera optical frame; NaN in frames without a prediction.
+        skeleton: skeleton of the joints.
+        residual: (F,) px, reprojection residual of each frame; NaN where there is none.
+        truth: (F, J3, 3) m, camera optical frame; NaN where unknown.
+        truth_names: (J3,) joint names of the truth.
+        fps: frames a second.
+        keypoint_names: (Jk,) names of the keypoints, if `keypoint_scores` is given.
+        keypoint_scores: (F, Jk) confidence scores. If given, only the twelve limb joints are compared, in the
+            frames in which most of them are seen; None compares all joints that both skeletons have.
+
+    Raises:
+        InputError: A shape does not fit, or nothing is left to compare; the message names the field.
+    """
+    check_truth(truth)
+    _check_shapes(joints, skeleton, residual, truth, truth_names, keypoint_names, keypoint_scores)
+    limbs_only = keypoint_scores is not None
+    is_known = np.asarray(np.isfinite(truth).all(axis=-1))
+    known_names = tuple(n if is_known[:, i].any() else '' for i, n in enumerate(truth_names))
+    predicted_index, truth_index = metrics.match_joints(skeleton.joints, known_names, limbs_only)
+    frames = np.asarray(is_known[:, truth_index].all(axis=1))
+    if keypoint_scores is not None:
+        frames &= metrics.find_well_seen_frames(keypoint_names, keypoint_scores)
+    if frames.any() and measure_person_size(truth[frames][:, truth_index]) < MIN_PERSON_SIZE_M:
+        raise InputError('joints3d: all joints at one place')
+    if not frames.any():
+        raise InputError('joints3d: no frame in which all joints are known' + ' and most are seen' * limbs_only)
+    errors = metrics.compute_errors(joints[:, predicted_index], truth[:, truth_index], fps, frames)
+    return Evaluation(
+        mpjpe_mm=errors.get('mpjpe_mm'),
+        metric_mpjpe_mm=errors.get('metric_mpjpe_mm'),
+        abs_mpjpe_mm=errors.get('abs_mpjpe_mm'),
+        root_mm=errors.get('root_mm'),
+        seq_mpjpe_mm=errors.get('seq_mpjpe_mm'),
+        pa_mpjpe_mm=errors.get('pa_mpjpe_mm'),
+        e_paper_cm=errors.get('e_paper_cm'),
+        accel_mm_s2=errors.get('accel_mm_s2'),
+        joints=int(errors['joints']),
+        frames=int(errors['frames']),
+        failed_frames=int(errors['failed_frames']),
+        bone_std_mm=metrics.compute_bone_std_mm(joints, skeleton),
+        residual_px=float(np.nanmean(residual)),
+        fps=fps,
+    )
+
+
+def check_truth(truth: Array) -> None:
+    """Check that a truth (F, J3, 3) can be compared with anything.
+
+    Raises:
+        InputError: No joint is known in any frame; the message names the field.
+    """
+    if not np.isfinite(truth).all(axis=-1).any():
+        raise InputError('joints3d: no joint is known in any frame')
+
+
+def measure_person_size(joints: Array) -> float:
+    """Return the median longest side (m) of the box around joints (F, J, 3), 0 if no frame is complete."""
+    complete = joints[np.isfinite(joints).all(axis=(1, 2))]
+    return float(np.median(np.ptp(complete, axis=1).max(axis=-1))) if len(complete) else 0.0
+
+
+def estimate_frame_rate(times: Array) -> float:
+    """Return the frames a second by the median time (s) between frames (F,), or NaN for a single frame."""
+    return 1 / float(np.median(np.diff(times))) if len(times) > 1 else math.nan
+
+
+def _check_shapes(
+    joints: Array,
+    skeleton: Skeleton,
+    residual: Array,
+    truth: Array,
+    truth_names: Sequence[str],
+    keypoint_names: Sequence[str],
+    keypoint_scores: Array | None,
+) -> None:
+    frames = len(truth)
+    expected = {
+        'joints': (joints, (frames, len(skeleton.joints), 3)),
+        'residual': (residual, (frames,)),
+        'joints3d': (truth, (frames, len(truth_names), 3)),
+    }
+    if keypoint_scores is not None:
+        expected['keypoint_scores'] = (keypoint_scores, (frames, len(keypoint_names)))
+    for field, (array, shape) in expected.items():
+        if array.shape != shape:
+            raise InputError(f'{field}: shape {array.shape}, expected {shape}')

@@ -1,0 +1,177 @@
+"""Linear maps from a detector's keypoints to the joints of the reconstruction's skeleton.
+
+y_t = sum_s W_ts x_s, with sum_s W_ts = 1: target joint t as a weighted sum of source keypoints s, in 2D or 3D.
+
+A target joint that the detector has is taken as it is. A joint that the detector lacks is derived from keypoints
+around it; each joint has a list of such derivations, the most precise first, and the first one that has all of its
+keypoints is used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.errors import SkeletonError
+from mocap_ros.skeleton import CMU15, Skeleton, canonical_joint_names
+
+Array = NDArray[np.float64]
+
+MIN_TARGET_JOINTS = 4  # joints; the 2x4 camera matrix M has 8 unknowns, and each image point gives 2 equations
+MAX_NAMES_IN_ERROR = 5  # joint names; keeps the error message on one line for layouts with many keypoints
+MAX_CACHED_MAPS = 64  # maps; bounds the memory when messages name ever new joints, far above detectors in use
+
+
+@dataclass(frozen=True)
+class _Derivation:
+    """One way to derive a joint from other keypoints.
+
+    Attributes:
+        weights: weight of each keypoint in the sum, by joint name.
+        score_factor: factor on the keypoints' least confidence score; below 1 if the derivation is imprecise.
+    """
+
+    weights: dict[str, float]
+    score_factor: float
+
+
+_SHOULDERS = {'lshoulder': 0.5, 'rshoulder': 0.5}  # weights of the point midway between the shoulders
+_HIPS = {'lhip': 0.5, 'rhip': 0.5}  # weights of the point midway between the hips
+
+
+def _extrapolate_from_shoulders(end: dict[str, float], fraction: float) -> dict[str, float]:
+    """Return the weights of the point at `fraction` of the way from between the shoulders to the point `end`."""
+    towards = {j: fraction * w for j, w in end.items()}
+    return towards | {j: (1 - fraction) * w for j, w in _SHOULDERS.items()}
+
+
+# How to derive joints, the most precise way first. The model's head joint is the tip of the CMU head bone, about a
+# hand's breadth above the ears. The fractions of the way from the shoulders to a keypoint of the head were read
+# off CMU motion capture and anthropometric tables and are good to about 3 cm. The score factors were chosen by
+# judgement, not measured: the less certain a derivation is, the less it counts.
+_DERIVATIONS: dict[str, tuple[_Derivation, ...]] = {
+    'neck': (_Derivation(_SHOULDERS, 1.0), _Derivation({'upperneck': 1.0}, 0.25)),
+    'pelvis': (_Derivation(_HIPS, 1.0),),
+    'head': (
+        _Derivation(_extrapolate_from_shoulders({'headtop': 1.0}, 0.8), 0.5),
+        _Derivation(_extrapolate_from_shoulders({'lear': 0.5, 'rear': 0.5}, 1.3), 0.5),
+        _Derivation(_extrapolate_from_shoulders({'leye': 0.5, 'reye': 0.5}, 1.2), 0.2),
+        _Derivation(_extrapolate_from_shoulders({'nose': 1.0}, 1.3), 0.1),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class JointMap:
+    """Linear maps from source keypoints to target joints: alternatives, tried in order until one can be used.
+
+    Attributes:
+        source: (Js,) canonical names of the source keypoints.
+        target: skeleton that is mapped to, with Jt joints.
+        weights: (A, Jt, Js) weights of the A alternatives. A row sums to one, or is zero if the joint has fewer
+            alternatives.
+        score_factor: (A, Jt) factor on the confidence score, 0 if the joint has fewer alternatives.
+    """
+
+    source: tuple[str, ...]
+    target: Skeleton
+    weights: Array
+    score_factor: Array
+
+    def apply(self, points: Array, score: Array) -> tuple[Array, Array]:
+        """Map keypoints to the target skeleton.
+
+        Args:
+            points: (..., Js, D) coordinates in any unit; NaN for keypoints that were not seen.
+            score: (..., Js) confidence scores in [0, 1]; 0 for keypoints that were not seen.
+
+        Returns:
+            (..., Jt, D) points, NaN for joints without an alternative whose keypoints were all seen, and (..., Jt)
+            scores: the least score of the keypoints used, times the score factor.
+        """
+        seen = (score > 0) & np.isfinite(points).all(-1)
+        clean = np.where(seen[..., None], points, 0.0)
+        lead = points.shape[:-2]
+        out = np.full((*lead, len(self.target.joints), points.shape[-1]), np.nan)
+        out_score = np.zeros(out.shape[:-1])
+        for weights, factor in zip(self.weights, self.score_factor, strict=True):
+            used = weights != 0
+            usable = ~(used & ~seen[..., None, :]).any(-1) & (factor > 0)
+            chosen = usable & (out_score == 0)
+            least = np.where(used, score[..., None, :], np.inf).min(-1)
+            out = np.where(chosen[..., None], weights @ clean, out)
+            out_score = np.where(chosen, np.where(chosen, least, 0.0) * factor, out_score)
+        return out, out_score
+
+
+def map_to_model_joints(
+    points: Array, score: Array, names: tuple[str, ...], min_score: float, target: Skeleton = CMU15
+) -> tuple[Array, Array]:
+    """Convert a detector's keypoints to the input of the solvers.
+
+    Args:
+        points: (..., Js, 2) image points in any unit; NaN for keypoints that were not seen.
+        score: (..., Js) confidence scores; keypoints below `min_score` count as not seen.
+        names: (Js,) joint names, in any spelling.
+        min_score: least confidence score of a keypoint that counts as seen.
+        target: skeleton with the joints of the model.
+
+    Returns:
+        (..., Jt, 2) points and (..., Jt) scores of the joints of `target`; both are 0 for joints not seen.
+
+    Raises:
+        SkeletonError: A name repeats, or fewer than `MIN_TARGET_JOINTS` joints can be mapped.
+    """
+    score = np.where(score >= min_score, score, 0.0)
+    points, weight = build_joint_map(names, target).apply(points, score)
+    return np.where(weight[..., None] > 0, points, 0.0), weight
+
+
+@lru_cache(maxsize=MAX_CACHED_MAPS)
+def build_joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointMap:
+    """Build the map from keypoints to the joints of a skeleton: the joint itself first, then its derivations.
+
+    Args:
+        source: (Js,) names of the keypoints, in any spelling.
+        target: skeleton to map to.
+
+    Raises:
+        SkeletonError: A name repeats, or fewer than `MIN_TARGET_JOINTS` joints of `target` can be mapped; the
+            message then lists the names that can be used.
+    """
+    source = canonical_joint_names(source)
+    if len(set(source)) != len(source):
+        repeated = max(source, key=source.count)
+        raise SkeletonError(f'joint names repeat: {repeated}')
+    alternatives = [
+        [
+            d
+            for d in (_Derivation({joint: 1.0}, 1.0), *_DERIVATIONS.get(joint, ()))
+            if all(j in source for j in d.weights)
+        ]
+        for joint in target.joints
+    ]
+    if sum(bool(a) for a in alternatives) < MIN_TARGET_JOINTS:
+        shown = ', '.join(source[:MAX_NAMES_IN_ERROR]) + (', ...' if len(source) > MAX_NAMES_IN_ERROR else '')
+        raise SkeletonError(
+            f'{shown or "no names"}: fewer than four joints of the body; '
+            f'known: {", ".join(_list_usable_names(target))}'
+        )
+    count = max(map(len, alternatives))
+    weights = np.zeros((count, len(target.joints), len(source)))
+    score_factor = np.zeros(weights.shape[:2])
+    for t, derivations in enumerate(alternatives):
+        for a, derivation in enumerate(derivations):
+            score_factor[a, t] = derivation.score_factor
+            for joint, weight in derivation.weights.items():
+                weights[a, t, source.index(joint)] = weight
+    return JointMap(source, target, weights, score_factor)
+
+
+def _list_usable_names(target: Skeleton) -> list[str]:
+    """Return the joint names of `target`, then the other keypoints from which its joints can be derived."""
+    derived = [j for joint in target.joints for d in _DERIVATIONS.get(joint, ()) for j in d.weights]
+    return list(dict.fromkeys([*target.joints, *derived]))

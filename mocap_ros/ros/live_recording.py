@@ -1,0 +1,199 @@
+"""Record a live run: its inputs, its outputs and the journal from which a replay repeats the run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mocap_ros.bags.background import BackgroundRecorder
+from mocap_ros.bags.journal import Journal, Verdict
+from mocap_ros.bags.recorder import RecordedMessage, choose_bag_folder
+from mocap_ros.bags.rosbag2 import Topic, make_topic
+from mocap_ros.config import Config, values
+from mocap_ros.errors import RecordingError
+from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.cdr import OutputMessage
+from mocap_ros.ros.throttled_log import Logger
+from mocap_ros.runtime.pipeline import LATCHED_OUTPUTS, Pipeline, ProcessingResult, build_skeleton_definition
+from mocap_ros.runtime.provenance import provenance_attachments
+
+# A function that returns the QoS profiles, by rosbag2's names, that the publishers of a topic offer.
+FindOfferedQos = Callable[[str], Sequence[Mapping[str, Any]]]
+
+
+class LiveRecording:
+    """Recorder of a live run; it writes in its own thread and can be started and finished at any time.
+
+    While no recording is running, the methods that write do nothing. A recording that fails is logged and ends;
+    the run continues without it.
+
+    Args:
+        names: Absolute name of each topic by its relative name; the key of the journal's topic is `journal`.
+        logger: Logger of the run.
+        find_offered_qos: Function that returns the QoS profiles that the publishers of a topic offer.
+    """
+
+    def __init__(self, names: Mapping[str, str], logger: Logger, find_offered_qos: FindOfferedQos) -> None:
+        self._names = names
+        self._logger = logger
+        self._find_offered_qos = find_offered_qos
+        self._recorder: BackgroundRecorder | None = None
+        self._journal = Journal(names['journal'])
+        self._declared_inputs: set[str] = set()
+        self._unrecorded_count = 0
+
+    @property
+    def is_running(self) -> bool:
+        """Whether a recording is running."""
+        return self._recorder is not None
+
+    @property
+    def state(self) -> str:
+        """The state of the recorder in words, for diagnostics."""
+        recorder = self._recorder
+        if recorder is None:
+            return 'off'
+        missing = f'; {self._unrecorded_count} inputs missing' if self._unrecorded_count else ''
+        return f'recording to {recorder.folder}{missing}'
+
+    def start(self, pipeline: Pipeline, start_ns: int) -> Path:
+        """Start a recording with the latched messages and the parameters, and return the folder of the bag.
+
+        Args:
+            pipeline: Pipeline of the run; its parameters say where and how to record.
+            start_ns: Wall-clock time of the first records.
+
+        Raises:
+            RecordingError: A recording is already running, or the folder cannot be written.
+        """
+        if self._recorder is not None:
+            raise RecordingError(f'a recording to {self._recorder.folder} is already running')
+        config = pipeline.config
+        folder = choose_bag_folder(Path(config.recorder.folder), start_ns)
+        attachments = provenance_attachments(config, pipeline.models)
+        self._recorder = BackgroundRecorder(folder, config.recorder, attachments)
+        self._declared_inputs = set()
+        self._journal = Journal(self._names['journal'])
+        self._unrecorded_count = 0
+        self._put(self._make_first_records(pipeline, start_ns))
+        return folder
+
+    def finish(self) -> Path | None:
+        """Finish the recording and return its folder, or None if no recording is running.
+
+        Raises:
+            RecordingError: The recording could not be finished; this has been logged.
+        """
+        recorder, self._recorder = self._recorder, None
+        if recorder is None:
+            return None
+        try:
+            recorder.close()
+        except RecordingError as error:
+            self._logger.error(
+                f'{error}; the recording could not be finished: `mocap-ros recover {recorder.folder}` '
+                'restores what has been written'
+            )
+            raise
+        if self._unrecorded_count:
+            self._logger.info(
+                f'the recording to {recorder.folder} is finished, but {self._unrecorded_count} inputs are missing '
+                'in it, as the disk was too slow; record to a faster disk or raise recorder.backlog'
+            )
+        else:
+            self._logger.info(f'the recording to {recorder.folder} is finished')
+        return recorder.folder
+
+    def check(self) -> None:
+        """Log whether the recording has failed since the last call of any method that writes."""
+        self._put([])
+
+    def write_input(
+        self,
+        topic: str,
+        msgtype: str,
+        raw: bytes,
+        times_ns: tuple[int, int],
+        result: ProcessingResult,
+        published_ns: int,
+    ) -> bool:
+        """Write an input, its journal entry and its outputs.
+
+        Args:
+            topic: Absolute name of the input's topic.
+            msgtype: Type of the message.
+            raw: The message as CDR.
+            times_ns: Wall-clock times of receipt and of sending.
+            result: Result of the input.
+            published_ns: Wall-clock time at which the outputs were published.
+
+        Returns:
+            False if the disk is too slow to write them; the journal then notes that the input is missing.
+        """
+        if self._recorder is None:
+            return True
+        records: list[RecordedMessage | Topic] = [*self._declare_input(topic, msgtype)]
+        records += self._journal.make_input_records(topic, msgtype, raw, times_ns, result.verdict, result.reason)
+        records += [self._make_output_record(output, published_ns) for output in result.outputs]
+        if self._put(records, even_if_full=False):
+            return True
+        self._journal.mark_last_input_lost()
+        self._declared_inputs.discard(topic)
+        self._unrecorded_count += 1
+        return False
+
+    def write_output(self, output: OutputMessage, published_ns: int) -> None:
+        """Write an output that no input caused."""
+        self._put([self._make_output_record(output, published_ns)])
+
+    def write_reset(self, now_ns: int) -> None:
+        """Write that the tracker is reset."""
+        self._put([self._journal.make_reset_record(now_ns)])
+
+    def write_parameters(self, config: Config, now_ns: int) -> None:
+        """Write the parameters that hold from now on."""
+        self._put([self._journal.make_parameters_record(values(config), now_ns)])
+
+    def _make_first_records(self, pipeline: Pipeline, start_ns: int) -> list[RecordedMessage | Topic]:
+        definition = build_skeleton_definition()
+        records: list[RecordedMessage | Topic] = [
+            *(make_topic(self._names[t], msgtype, latched=True) for t, msgtype in LATCHED_OUTPUTS.items()),
+            self._journal.make_parameters_record(values(pipeline.config), start_ns),
+            self._make_output_record(definition, start_ns),
+        ]
+        if pipeline.camera_info is not None:
+            topic = self._names['camera_info']
+            records += self._declare_input(topic, CAMERA_INFO)
+            records += self._journal.make_input_records(
+                topic, CAMERA_INFO, pipeline.camera_info, (start_ns, start_ns), Verdict.ACCEPTED
+            )
+        return records
+
+    def _declare_input(self, topic: str, msgtype: str) -> list[Topic]:
+        """Return the topic of an input, with the QoS that its publishers offer, before its first message."""
+        if topic in self._declared_inputs:
+            return []
+        self._declared_inputs.add(topic)
+        return [make_topic(topic, msgtype, qos=self._find_offered_qos(topic))]
+
+    def _make_output_record(self, output: OutputMessage, published_ns: int) -> RecordedMessage:
+        return RecordedMessage(self._names[output.topic], output.type, output.data, published_ns, published_ns)
+
+    def _put(self, records: Iterable[RecordedMessage | Topic], *, even_if_full: bool = True) -> bool:
+        """Hand records to the recorder; if the recording has failed, log it and end the recording.
+
+        Returns:
+            False if the disk is too slow to take the records.
+        """
+        if self._recorder is None:
+            return True
+        try:
+            return self._recorder.put(records, even_if_full=even_if_full)
+        except RecordingError as error:
+            self._logger.error(
+                f'{error}; the recording has ended, and the node continues without it: set recorder.enabled '
+                'again to start another recording'
+            )
+            self._recorder = None
+            return True

@@ -1,0 +1,84 @@
+"""Publish the outputs of the node."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.lifecycle import LifecycleNode
+from rclpy.qos import QoSProfile
+
+from mocap_ros.errors import ConfigError
+from mocap_ros.messages.cdr import OutputMessage
+from mocap_ros.ros.diagnostics import DIAGNOSTICS
+from mocap_ros.ros.message_types import load_interface_class
+from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS, TF_QOS, QosWarnings
+from mocap_ros.runtime.pipeline import LATCHED_OUTPUTS, OUTPUTS, TF_OUTPUT
+
+DIAGNOSTICS_TOPIC = '/diagnostics'
+
+
+class OutputPublishers:
+    """Publishers of all outputs, which publish only while the lifecycle node is active.
+
+    Args:
+        node: The node that publishes.
+        qos_warnings: Log of subscribers with an incompatible QoS.
+    """
+
+    def __init__(self, node: LifecycleNode, qos_warnings: QosWarnings) -> None:
+        self._node = node
+        self._qos_warnings = qos_warnings
+        self._publishers: dict[str, Any] = {}  # by relative topic name
+
+    def create(self, *, publishes_tf: bool) -> None:
+        """Create the publishers.
+
+        Args:
+            publishes_tf: Whether to publish transforms on /tf.
+
+        Raises:
+            ConfigError: A message type is not installed.
+        """
+        for topics, qos in ((OUTPUTS, OUTPUT_QOS), (LATCHED_OUTPUTS, LATCHED_QOS)):
+            for topic, msgtype in topics.items():
+                self._create_publisher(topic, msgtype, qos)
+        self._create_publisher(DIAGNOSTICS_TOPIC, DIAGNOSTICS, OUTPUT_QOS)
+        if publishes_tf:
+            self._create_tf_publisher()
+
+    def destroy(self) -> None:
+        """Destroy all publishers."""
+        for publisher in self._publishers.values():
+            self._node.destroy_lifecycle_publisher(publisher)
+        self._publishers = {}
+
+    def publish(self, output: OutputMessage) -> None:
+        """Publish an output, if its topic has a publisher."""
+        publisher = self._publishers.get(output.topic)
+        if publisher is not None:
+            publisher.publish(output.data)
+
+    def publish_diagnostics(self, raw: bytes) -> None:
+        """Publish a DiagnosticArray, given as CDR."""
+        self._publishers[DIAGNOSTICS_TOPIC].publish(raw)
+
+    def _create_tf_publisher(self) -> None:
+        ((topic, msgtype),) = TF_OUTPUT.items()
+        try:
+            self._create_publisher(topic, msgtype, TF_QOS)
+        except ConfigError as error:
+            package = msgtype.partition('/')[0]
+            self._node.get_logger().warning(
+                f'node.publish_tf: {error}; transforms are recorded but not published; install {package}'
+            )
+
+    def _create_publisher(self, topic: str, msgtype: str, qos: QoSProfile) -> None:
+        self._publishers[topic] = self._node.create_lifecycle_publisher(
+            load_interface_class(msgtype),
+            topic,
+            qos,
+            event_callbacks=PublisherEventCallbacks(
+                incompatible_qos=lambda event: self._qos_warnings.warn_of_subscriber(topic, event.last_policy_kind)
+            ),
+        )

@@ -1,0 +1,123 @@
+"""Subscribe to the inputs of the node."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from mocap_ros.bags.topics import Source, list_input_types, make_body_topic
+from mocap_ros.config import NodeConfig
+from mocap_ros.errors import InputError
+from mocap_ros.messages.foreign.hri import decode_ids
+from mocap_ros.ros.message_types import build_converter, load_interface_class
+from mocap_ros.ros.qos import INPUT_QOS, QosWarnings
+from mocap_ros.ros.silence import SilenceMonitor
+
+# A body id that may be part of a topic name: letters, digits and single underscores, without a leading digit.
+BODY_ID_IN_TOPIC = re.compile(r'(?!\w*__)[A-Za-z_][A-Za-z0-9_]*')
+
+# A function that takes a message: its source, its CDR bytes, the time of sending in ns, and its topic.
+Receive = Callable[[Source, bytes, int, str], None]
+
+
+class InputSubscriptions:
+    """Subscriptions to keypoints and CameraInfo, and for ROS4HRI to each tracked body.
+
+    Args:
+        node: The node that subscribes.
+        input_type: Message type of the keypoints, as in `node.input_type`.
+        get_limits: Function that returns the limits on the content of a message.
+        qos_warnings: Log of publishers with an incompatible QoS.
+
+    Attributes:
+        types: Message type of each source.
+
+    Raises:
+        ConfigError: The type is not supported or not installed.
+    """
+
+    def __init__(
+        self, node: Node, input_type: str, get_limits: Callable[[], NodeConfig], qos_warnings: QosWarnings
+    ) -> None:
+        self._node = node
+        self._get_limits = get_limits
+        self._qos_warnings = qos_warnings
+        self.types = list_input_types(input_type)
+        self._converters = {source: build_converter(msgtype) for source, msgtype in self.types.items()}
+        self._subscriptions: list[Any] = []
+        self._body_subscriptions: dict[str, Any] = {}  # by topic
+        self._receive: Receive | None = None
+        self._silence: SilenceMonitor | None = None
+
+    @property
+    def topics(self) -> list[str]:
+        """Absolute names of the subscribed topics, without those of ROS4HRI bodies."""
+        return [self._node.resolve_topic_name(s.value) for s in self.types if s is not Source.BODY]
+
+    def subscribe(self, receive: Receive) -> None:
+        """Subscribe to all inputs and pass their messages to `receive`, in the thread of the executor."""
+        self._receive = receive
+        for source in self.types:
+            if source is not Source.BODY:
+                self._subscriptions.append(self._subscribe_to(source, source.value))
+        people_source = next(iter(self.types))
+        self._silence = SilenceMonitor(self._node, people_source.value, self.types[people_source])
+
+    def unsubscribe(self) -> None:
+        """Destroy all subscriptions."""
+        for subscription in (*self._subscriptions, *self._body_subscriptions.values()):
+            self._node.destroy_subscription(subscription)
+        self._subscriptions, self._body_subscriptions = [], {}
+
+    def check_silence(self, limit: float) -> None:
+        """Log a warning if no people have arrived for `limit` seconds."""
+        if self._silence is not None:
+            self._silence.check(limit)
+
+    def _subscribe_to(self, source: Source, name: str) -> Any:
+        topic = self._node.resolve_topic_name(name)
+        # rclpy declares parameters for overrides, which would stay behind for every body that leaves
+        overridable = None if source is Source.BODY else QoSOverridingOptions.with_default_policies()
+        return self._node.create_subscription(
+            load_interface_class(self.types[source]),
+            name,
+            lambda raw, info: self._take(source, raw, info['source_timestamp'], topic),
+            INPUT_QOS,
+            raw=True,
+            qos_overriding_options=overridable,
+            event_callbacks=SubscriptionEventCallbacks(
+                incompatible_qos=lambda event: self._qos_warnings.warn_of_publisher(name, event.last_policy_kind)
+            ),
+        )
+
+    def _take(self, source: Source, raw: bytes, sent_ns: int, topic: str) -> None:
+        """Convert a message to the package's version of its type and pass it on."""
+        convert = self._converters[source]
+        if convert is not None:
+            with suppress(InputError):  # the pipeline reports the unconverted message as invalid
+                raw = convert(raw)
+        assert self._receive is not None  # noqa: S101
+        self._receive(source, raw, sent_ns, topic)
+        if source is not Source.CAMERA_INFO and self._silence is not None:
+            self._silence.note_input()
+        if source is Source.TRACKED_BODIES:
+            self._follow_bodies(raw)
+
+    def _follow_bodies(self, raw: bytes) -> None:
+        """Subscribe to the tracked bodies and unsubscribe from those that are no longer tracked."""
+        try:
+            _, ids = decode_ids(raw, self._get_limits())
+        except InputError:  # the pipeline reports the message as invalid
+            return
+        tracked_topic = self._node.resolve_topic_name(Source.TRACKED_BODIES.value)
+        wanted = {make_body_topic(tracked_topic, i) for i in ids if BODY_ID_IN_TOPIC.fullmatch(i)}
+        for topic in self._body_subscriptions.keys() - wanted:
+            self._node.destroy_subscription(self._body_subscriptions.pop(topic))
+        for topic in wanted - self._body_subscriptions.keys():
+            self._body_subscriptions[topic] = self._subscribe_to(Source.BODY, topic)

@@ -1,0 +1,74 @@
+"""Log what is wrong with the messages of a topic without flooding the log."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections import Counter
+from typing import Protocol
+
+MAX_KINDS_PER_TOPIC = 30  # kinds of remarks; guards log and memory against senders of ever new kinds of errors
+MAX_LINE_LENGTH = 400  # characters; guards the log against long texts in messages; the node's own reasons fit
+# Parts of a remark that may differ between remarks of one kind: addresses, numbers and quoted names.
+VARIABLE_PARTS = re.compile(r"0x\w+|\d+|'.*'|\".*\"", re.DOTALL)
+
+
+class Logger(Protocol):
+    """Logger of a run; rclpy's loggers are such loggers."""
+
+    def info(self, message: str) -> object:
+        """Log a normal event."""
+
+    def warning(self, message: str) -> object:
+        """Log a problem that the run copes with."""
+
+    def error(self, message: str) -> object:
+        """Log a failure."""
+
+
+class ThrottledLog:
+    """Log of remarks on messages in which each kind of remark appears only the 1st, 10th, 100th, ... time.
+
+    Two remarks on a topic are of one kind if they differ only in numbers and quoted names. The kinds after the
+    first `MAX_KINDS_PER_TOPIC` kinds of a topic count as one kind.
+    """
+
+    def __init__(self, logger: Logger) -> None:
+        self._logger = logger
+        self._counts_by_topic: dict[str, Counter[str]] = {}  # of each kind
+
+    def report(self, topic: str, number: int, remark: str, *, is_error: bool = True) -> None:
+        """Log a remark on a message, unless remarks of its kind are being held back.
+
+        Args:
+            topic: Name of the topic.
+            number: Number of the message on its topic.
+            remark: What is wrong with the message.
+            is_error: Whether the remark is logged as an error instead of a warning.
+        """
+        counts = self._counts_by_topic.setdefault(topic, Counter())
+        kind = VARIABLE_PARTS.sub('#', remark)
+        if kind not in counts and len(counts) >= MAX_KINDS_PER_TOPIC:
+            kind = ''
+        counts[kind] += 1
+        if not _is_power_of_ten(counts[kind]):
+            return
+        line = _make_printable(f'{topic}: message {number}: {remark}')
+        if not kind:
+            line += ' (further kinds of errors on this topic are not listed one by one)'
+        if counts[kind] > 1:
+            line += f' (this kind of message has been seen {counts[kind]} times)'
+        if is_error:
+            self._logger.error(line)
+        else:
+            self._logger.warning(line)
+
+
+def _is_power_of_ten(count: int) -> bool:
+    return str(count).strip('0') == '1'
+
+
+def _make_printable(text: str) -> str:
+    """Return text that may contain parts of a received message as one printable line of limited length."""
+    printable = ''.join(c if c.isprintable() else ' ' for c in text)
+    return textwrap.shorten(printable, MAX_LINE_LENGTH, placeholder=' ...')

@@ -1,0 +1,3 @@
+"""Units that several folders convert."""
+
+NS_PER_S = 1_000_000_000  # ns/s; stamps are whole nanoseconds, times in the mathematics are seconds

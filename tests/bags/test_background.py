@@ -1,0 +1,49 @@
+"""Recording in the background: the caller never waits for the disk."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from mocap_ros.bags.background import BackgroundRecorder
+from mocap_ros.bags.journal import Journal, Verdict, read_run
+from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recorder import RecordedMessage, Recorder
+from mocap_ros.config import RecorderConfig
+from mocap_ros.messages.keypoints import KEYPOINTS
+from tests.support.bag_writing import START_NS, make_keypoints
+
+
+def test_a_slow_disk_loses_inputs_without_delaying_the_caller(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk_is_ready = threading.Event()
+    write = Recorder.write
+    monkeypatch.setattr(Recorder, 'write', lambda *a: disk_is_ready.wait() and write(*a))
+    background = BackgroundRecorder(tmp_path / 'bag', RecorderConfig(backlog=5))
+    journal = Journal('/mocap_node/journal')
+    start_s = time.monotonic()
+    queued = 0
+
+    def make_records(i: int) -> list[RecordedMessage]:
+        times_ns = (START_NS + i, START_NS)
+        return journal.make_input_records('/keypoints', KEYPOINTS, make_keypoints(i), times_ns, Verdict.ACCEPTED)
+
+    for i in range(20):
+        if background.put(make_records(i)):
+            queued += 1
+        else:
+            journal.mark_last_input_lost()
+    assert time.monotonic() - start_s < 1
+    assert queued in (5, 6)
+    disk_is_ready.set()
+    while not background.put([]):
+        time.sleep(0.01)
+    assert background.put(make_records(20))
+    background.close()
+    with Bag(tmp_path / 'bag') as bag:
+        assert read_run(bag).lost_count == 20 - queued
+        assert bag.count(['/keypoints']) == queued + 1

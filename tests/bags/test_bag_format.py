@@ -1,0 +1,109 @@
+"""Format of recorded bags: other readers (rosbags, mcap, rerun, mcap_ros2) and our own read every message."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
+
+from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.topics import find_people_topics
+from mocap_ros.config import RecorderConfig
+from mocap_ros.messages.cdr import decode, typestore
+from mocap_ros.messages.keypoints import KEYPOINTS
+from tests.support.bag_writing import FRAMES, START_NS, STEP_NS, Message, write_bag
+
+
+@pytest.fixture(scope='module', params=['zstd', 'lz4', 'none'])
+def recorded(request: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Message]]:
+    """Return the folder and the messages of a bag, for each compression."""
+    folder = tmp_path_factory.mktemp('bags') / request.param
+    return folder, write_bag(folder, RecorderConfig(compression=request.param))
+
+
+def test_rosbags_reads_the_folder_and_the_bare_file(recorded: tuple[Path, list[Message]]) -> None:
+    folder, written = recorded
+    expected = [(topic, log_time_ns, data) for topic, log_time_ns, _, data in written]
+    for path in (folder, folder / f'{folder.name}_0.mcap'):
+        with Reader(path) as reader:
+            assert [(c.topic, t, bytes(raw)) for c, t, raw in reader.messages()] == expected
+            assert reader.message_count == FRAMES + 1
+            durability = {c.topic: c.ext.offered_qos_profiles[0].durability.name for c in reader.connections}
+            assert durability == {'/keypoints': 'VOLATILE', '/skeleton_definition': 'TRANSIENT_LOCAL'}
+        with AnyReader([path]) as any_reader:  # checks the type hashes of metadata.yaml against the definitions
+            for connection, _, raw in any_reader.messages():
+                message = any_reader.deserialize(raw, connection.msgtype)
+                assert repr(message) == repr(decode(bytes(raw), connection.msgtype))
+
+
+def test_mcap_reads_the_file_by_its_index(recorded: tuple[Path, list[Message]]) -> None:
+    folder, written = recorded
+    with (folder / f'{folder.name}_0.mcap').open('rb') as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics.message_count == FRAMES + 1
+        assert len(summary.chunk_indexes) >= FRAMES * STEP_NS / 0.4e9
+        read = [(c.topic, m.log_time, m.publish_time, m.data) for _, c, m in reader.iter_messages()]
+        assert read == written
+        assert reader.get_header().profile == 'ros2'
+        for channel in summary.channels.values():
+            schema = summary.schemas[channel.schema_id]
+            assert (schema.encoding, channel.message_encoding) == ('ros2msg', 'cdr')
+            assert channel.metadata['topic_type_hash'] == typestore().hash_rihs01(schema.name)
+            assert yaml.safe_load(channel.metadata['offered_qos_profiles'])[0]['history'] == 'keep_last'
+        (metadata,) = [m for m in reader.iter_metadata() if m.name == 'rosbag2']
+        inside = yaml.safe_load(metadata.metadata['serialized_metadata'])
+    beside = yaml.safe_load((folder / 'metadata.yaml').read_text())
+    assert beside == {'rosbag2_bagfile_information': inside}
+    assert inside['version'] == 9
+    assert inside['storage_identifier'] == 'mcap'
+    assert inside['relative_file_paths'] == [f'{folder.name}_0.mcap']
+    assert inside['starting_time']['nanoseconds_since_epoch'] == START_NS
+    assert inside['duration']['nanoseconds'] == (FRAMES - 1) * STEP_NS
+
+
+@pytest.mark.skipif(shutil.which('rerun') is None, reason='rerun (pip install rerun-sdk) is not on the PATH')
+def test_rerun_accepts_every_topic(recorded: tuple[Path, list[Message]]) -> None:
+    folder, _ = recorded
+    command = ['rerun', 'mcap', 'check', '--full', folder / f'{folder.name}_0.mcap']
+    completed = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert completed.returncode == 0, completed.stdout + completed.stderr
+    assert re.findall(r'^(\w+) +\d+ +\d+ +(/\S+)', completed.stdout, re.MULTILINE) == [
+        ('ok', '/skeleton_definition'),
+        ('ok', '/keypoints'),
+    ]
+
+
+def test_mcap_ros2_decodes_the_messages(recorded: tuple[Path, list[Message]]) -> None:
+    folder, written = recorded
+    with (folder / f'{folder.name}_0.mcap').open('rb') as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        read = [(m.log_time, message) for _, _, m, message in reader.iter_decoded_messages(['/keypoints'])]
+    assert len(read) == FRAMES
+    for (time_ns, decoded), (_, log_time_ns, _, data) in zip(read, written[1:], strict=True):
+        expected = decode(data, KEYPOINTS)
+        assert time_ns == log_time_ns
+        assert decoded.header.stamp.nanosec == expected.header.stamp.nanosec
+        np.testing.assert_array_equal(decoded.people[0].x, expected.people[0].x)
+
+
+def test_our_reader_returns_the_recorded_messages(recorded: tuple[Path, list[Message]]) -> None:
+    folder, written = recorded
+    with Bag(folder) as bag:
+        (topic,) = find_people_topics(bag)
+        read = list(bag.messages([topic]))
+        assert bag.count([topic]) == FRAMES
+    expected = [(topic, log_time_ns, data) for topic, log_time_ns, _, data in written[1:]]
+    assert [(m.topic, m.time_ns, m.raw) for m in read] == expected
+    assert {m.type for m in read} == {KEYPOINTS}

@@ -1,0 +1,32 @@
+"""Recordings that the tests of the commands share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from mocap_ros.demo.scene import make_recording
+from mocap_ros.formats.sequence_file import GroundTruth, load_sequence, save_sequence
+
+
+@pytest.fixture(scope='session')
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The demo recording as a sequence file."""
+    path = tmp_path_factory.mktemp('cli') / 'demo.npz'
+    save_sequence(path, make_recording().sequence())
+    return path
+
+
+@pytest.fixture
+def short_recording(recording: Path, tmp_path: Path) -> Path:
+    """Twenty frames of the demo recording, in a file whose name matplotlib could take for a formula."""
+    whole = load_sequence(recording)
+    assert whole.truth is not None
+    truth = GroundTruth(whole.truth.joints[:20], whole.truth.joint_names)
+    path = tmp_path / '$x^{_$.npz'
+    save_sequence(
+        path, replace(whole, keypoints=whole.keypoints[:20], timestamps=whole.timestamps[:20], truth=truth)
+    )
+    return path

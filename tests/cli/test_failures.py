@@ -1,0 +1,119 @@
+"""Failures of the commands: one line on stderr, and no file is lost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocap_ros.bags.recorder import Recorder
+from mocap_ros.cli.main import main
+from mocap_ros.config import RecorderConfig
+from mocap_ros.formats.sequence_file import load_sequence
+from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.runtime.sequence_messages import encode_sequence
+from mocap_ros.skeleton import CMU15
+from tests.support.quick_options import QUICK_OPTIONS
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'message'),
+    [
+        (['reconstruct', 'nowhere.npz'], 'nowhere.npz'),
+        (
+            ['reconstruct', 'RECORDING', '-o', 'x.docx'],
+            'x.docx: unknown file type; expected .npz, .csv, .mcap, .bvh, .trc',
+        ),
+        (['reconstruct', 'RECORDING', '--model', 'moonwalk'], "no base-pose model 'moonwalk'"),
+        (
+            ['reconstruct', 'RECORDING', '--set', 'solver.speed=1'],
+            "unknown parameter 'solver.speed'; `mocap-ros config`",
+        ),
+        (
+            ['plot', 'RECORDING', '--set', 'solver.bone_wait=1'],
+            "'solver.bone_wait'; did you mean 'solver.bone_weight'?",
+        ),
+        (['evaluate', 'BAG'], 'bag: is a bag, expected a sequence file'),
+        (['replay', 'BAG', '-o', 'bag'], 'bag: exists already; choose another -o'),
+        (['reconstruct', 'RECORDING', '-o', '/nowhere/x.npz'], '/nowhere/x.npz'),
+        (['evaluate', 'GARBAGE'], 'garbage.npz'),
+        (['train', 'GARBAGE', '-o', 'x.npz'], 'garbage.npz'),
+        (['train', 'RECORDING', '-o', 'x.npz'], '_joints'),
+        (['replay', 'nowhere', '-o', 'x'], 'nowhere'),
+        (['config', '--config', 'nowhere.yaml'], 'nowhere.yaml'),
+        (['config', '--config', 'FOLDER'], 'folder: Is a directory'),
+        (['config', '--config', 'BOMB'], 'bomb.yaml: not YAML: line 2: aliases are not allowed'),
+        (['config', '--set', f'solver.components=1{"0" * 400}'], 'expected 1 to 60'),
+        (
+            ['config', '--set', f'solver.components={"[" * 9999}'],
+            '--set solver.components: not YAML: nested too deep',
+        ),
+        (['reconstruct', 'FOLDER'], 'folder: no *_keypoints.json in it'),
+        (
+            ['reconstruct', 'RECORDING', '--fps', '30'],
+            'demo.npz: --person, --topic, --fps, --image-size and --layout do not apply',
+        ),
+        (['evaluate', 'FOLDER'], 'folder: Is a directory'),
+        (['train', 'FOLDER', '-o', 'x.npz'], 'folder: no .amc, .bvh, .c3d in it'),
+        (['plot', 'RECORDING', '-o', 'x.xyz'], 'x.xyz: unknown picture format; can write'),
+        (['plot', 'RECORDING', '-o', 'picture'], 'picture: unknown picture format; can write'),
+        (['train', 'TRIALS', '--manifest', 'LATIN', '-o', 'x.npz'], 'latin.csv: not UTF-8 at byte 14'),
+        (['train', 'TRIALS', '-o', 'x.npz'], 'trial 1_1: a body 0 m tall'),
+    ],
+)
+def test_a_failure_is_one_line_on_stderr(recording, tmp_path, monkeypatch, capsys, arguments, message) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'garbage.npz').write_bytes(b'PK\x03\x04 and then nothing of use')
+    (tmp_path / 'bag').mkdir()
+    (tmp_path / 'bag' / 'metadata.yaml').touch()
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'bomb.yaml').write_text('a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]')
+    (tmp_path / 'latin.csv').write_bytes(b'trial,subject\n\xff')
+    np.savez(tmp_path / 'trials.npz', **{'_joints': np.array(CMU15.joints), '1_1': np.zeros((9, 15, 3))})
+    path_of = {
+        'RECORDING': str(recording),
+        'GARBAGE': 'garbage.npz',
+        'BAG': 'bag',
+        'FOLDER': 'folder',
+        'BOMB': 'bomb.yaml',
+        'LATIN': 'latin.csv',
+        'TRIALS': 'trials.npz',
+    }
+    assert main([path_of.get(a, a) for a in arguments]) == 1
+    error = capsys.readouterr().err
+    assert error.count('\n') == 1
+    assert message in error
+    assert 'pickle' not in error
+
+
+@pytest.mark.skipif(not Path('/dev/full').exists(), reason='no /dev/full here')
+@pytest.mark.parametrize('ending', ['.npz', '.csv', '.bvh', '.trc', '.png', '.json'])
+def test_a_full_disk_is_reported_with_the_name_of_the_file(
+    short_recording: Path, tmp_path: Path, capsys, ending: str
+) -> None:
+    out = tmp_path / f'full{ending}'
+    out.symlink_to('/dev/full')
+    command, option = {'.png': ('plot', '-o'), '.json': ('evaluate', '--json')}.get(ending, ('reconstruct', '-o'))
+    assert main([command, str(short_recording), option, str(out), *QUICK_OPTIONS]) == 1
+    assert capsys.readouterr().err == f'mocap-ros: {out}: cannot be written: No space left on device\n'
+
+
+def test_an_input_file_is_never_overwritten(short_recording: Path, tmp_path: Path, capsys) -> None:
+    bag = tmp_path / 'bag'
+    with Recorder(bag, RecorderConfig()) as recorder:
+        for due_ns, raw in encode_sequence(load_sequence(short_recording)):
+            recorder.write('/keypoints', KEYPOINTS, raw, due_ns, due_ns)
+    (tmp_path / 'link.npz').symlink_to(short_recording)
+    for command, source, out in (
+        ('reconstruct', short_recording, tmp_path / 'link.npz'),
+        ('reconstruct', bag, bag / 'bag_0.mcap'),
+        ('reconstruct', bag / 'bag_0.mcap', bag / 'bag_0.mcap'),
+        ('evaluate', short_recording, short_recording),
+    ):
+        before = out.read_bytes()
+        option = '--json' if command == 'evaluate' else '-o'
+        assert main([command, str(source), option, str(out), *QUICK_OPTIONS]) == 1
+        message = capsys.readouterr().err.splitlines()[-1]
+        assert message == f'mocap-ros: {out}: not written, because it is the input file'
+        assert out.read_bytes() == before

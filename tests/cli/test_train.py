@@ -1,0 +1,46 @@
+"""The command `train`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocap_ros.cli.main import main
+from mocap_ros.formats.export.armature import build_armature
+from mocap_ros.formats.export.bvh import save_bvh
+from mocap_ros.formats.mocap.joint_maps import map_to_model
+from mocap_ros.models.model_file import load_base_poses
+from mocap_ros.training.base_poses import fit_base_poses
+from tests.support.evaluation_data import shared
+from tests.support.motion_files import Z_UP_TO_Y_UP, make_poses
+
+
+def test_train_on_motion_capture(tmp_path: Path, capsys) -> None:
+    data = shared('data/cmu/cmu15_30fps.npz')
+    model = tmp_path / 'm.npz'
+    arguments = ['train', str(data), '--category', 'run', '--without-subject', '35', '-o', str(model)]
+    assert main(arguments) == 0
+    assert 'base poses from' in capsys.readouterr().out
+    trained = load_base_poses(model)
+    assert trained.name == 'run'
+    assert not any(str(t).startswith('35_') for t in trained.provenance['trials'])
+
+
+def test_train_on_bvh_files_gives_the_model_of_their_poses(tmp_path: Path, capsys) -> None:
+    bvh = build_armature(make_poses() @ Z_UP_TO_Y_UP.T, 30.0)
+    positions = np.moveaxis(bvh.compute_positions() / 100, 1, 0)
+    expected = fit_base_poses(
+        [map_to_model(dict(zip(bvh.names, positions, strict=True))) @ Z_UP_TO_Y_UP], alignment='heading'
+    )
+    for name in ('one_1.bvh', 'one_2.bvh'):
+        save_bvh(tmp_path / name, bvh)
+    options = ['--alignment', 'heading', '--no-mirror', '--bodies', '0', '-o', str(tmp_path / 'm.npz')]
+    assert main(['train', str(tmp_path), *options]) == 0
+    assert '2 trials, 80 poses' in capsys.readouterr().out
+    model = load_base_poses(tmp_path / 'm.npz')
+    assert model.mean == pytest.approx(expected.mean, abs=1e-4)
+    assert model.std[:4] == pytest.approx(expected.std[:4], rel=1e-3)
+    assert main(['train', str(tmp_path), '--every', '4', *options]) == 0
+    assert '2 trials, 20 poses' in capsys.readouterr().out

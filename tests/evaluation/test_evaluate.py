@@ -1,0 +1,123 @@
+"""The evaluation of one sequence: what is compared, what is left out, and what is refused."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from mocap_ros.errors import InputError
+from mocap_ros.evaluation.evaluate import (
+    Evaluation,
+    check_truth,
+    estimate_frame_rate,
+    evaluate,
+    measure_person_size,
+)
+from mocap_ros.evaluation.metrics import LIMB_JOINTS
+from mocap_ros.skeleton import CMU15
+from tests.support.swinging_body import make_swinging_body
+
+FRAMES = 20
+RECORD_KEYS = [
+    'mpjpe_mm', 'metric_mpjpe_mm', 'abs_mpjpe_mm', 'root_mm', 'seq_mpjpe_mm', 'pa_mpjpe_mm', 'e_paper_cm',
+    'accel_mm_s2', 'joints', 'frames', 'failed_frames', 'bone_std_mm', 'residual_px', 'fps',
+]  # fmt: skip
+
+
+@pytest.fixture
+def truth() -> np.ndarray:
+    poses, _ = make_swinging_body(FRAMES)
+    return poses + [0.2, -0.1, 4.0]
+
+
+def evaluate_joints(joints: np.ndarray, truth: np.ndarray, **arguments: object) -> Evaluation:
+    given = {'residual': np.full(len(truth), 2.0), 'truth_names': CMU15.joints, 'fps': 30.0, **arguments}
+    return evaluate(joints, CMU15, truth=truth, **given)
+
+
+def test_a_perfect_reconstruction_has_no_errors(truth: np.ndarray) -> None:
+    evaluation = evaluate_joints(truth, truth)
+    record = evaluation.as_dict()
+    assert list(record) == RECORD_KEYS
+    for key in RECORD_KEYS[:8]:
+        assert record[key] == pytest.approx(0, abs=1e-6), key
+    assert (evaluation.joints, evaluation.frames, evaluation.failed_frames) == (15, FRAMES, 0)
+    assert evaluation.bone_std_mm == pytest.approx(0, abs=1e-9)
+    assert (evaluation.residual_px, evaluation.fps) == (2.0, 30.0)
+    assert json.loads(json.dumps(record)) == record
+
+
+def test_unknown_joints_and_frames_of_the_truth_are_left_out(truth: np.ndarray) -> None:
+    partly_known = truth.copy()
+    partly_known[:, CMU15.index('head')] = np.nan
+    partly_known[:5, CMU15.index('lknee')] = np.nan
+    joints = truth.copy()
+    joints[:, CMU15.index('head')] += 1.0
+    joints[:5] += np.random.default_rng(0).normal(size=joints[:5].shape)
+    evaluation = evaluate_joints(joints, partly_known)
+    assert (evaluation.joints, evaluation.frames) == (14, FRAMES - 5)
+    assert evaluation.mpjpe_mm == pytest.approx(0, abs=1e-6)
+
+
+def test_the_truth_is_matched_by_name(truth: np.ndarray) -> None:
+    order = np.arange(15)[::-1]
+    evaluation = evaluate_joints(truth, truth[:, order], truth_names=tuple(CMU15.joints[i] for i in order))
+    assert evaluation.mpjpe_mm == pytest.approx(0, abs=1e-6)
+
+
+def test_scores_restrict_the_comparison_to_limb_joints_of_well_seen_frames(truth: np.ndarray) -> None:
+    scores = np.ones((FRAMES, 15))
+    scores[:4] = 0.0
+    joints = truth.copy()
+    joints[:, [CMU15.index(j) for j in ('head', 'neck', 'pelvis')]] += 1.0
+    joints[:4] *= 2.0
+    evaluation = evaluate_joints(joints, truth, keypoint_names=CMU15.joints, keypoint_scores=scores)
+    assert (evaluation.joints, evaluation.frames) == (len(LIMB_JOINTS), FRAMES - 4)
+    assert evaluation.mpjpe_mm == pytest.approx(0, abs=1e-6)
+
+
+def test_failed_frames_are_counted_and_leave_no_errors_if_all_fail(truth: np.ndarray) -> None:
+    joints = truth.copy()
+    joints[3] = np.nan
+    assert evaluate_joints(joints, truth).failed_frames == 1
+    counts_only = Evaluation(*[None] * 8, 15, FRAMES, FRAMES, math.nan, math.nan, 30.0)
+    assert list(counts_only.as_dict()) == RECORD_KEYS[8:]
+
+
+@pytest.mark.parametrize(
+    ('change', 'message'),
+    [
+        ({'truth': np.full((FRAMES, 15, 3), np.nan)}, 'joints3d: no joint is known in any frame'),
+        ({'truth': np.zeros((FRAMES, 15, 3))}, 'joints3d: all joints at one place'),
+        ({'truth': np.zeros((FRAMES, 14, 3))}, r'joints3d: shape \(20, 14, 3\), expected \(20, 15, 3\)'),
+        ({'joints': np.zeros((3, 15, 3))}, r'joints: shape \(3, 15, 3\), expected \(20, 15, 3\)'),
+        ({'residual': np.zeros(3)}, r'residual: shape \(3,\), expected \(20,\)'),
+        ({'keypoint_names': CMU15.joints, 'keypoint_scores': np.ones((2, 15))}, 'keypoint_scores: shape'),
+        (
+            {'keypoint_names': CMU15.joints, 'keypoint_scores': np.zeros((FRAMES, 15))},
+            'joints3d: no frame in which all joints are known and most are seen',
+        ),
+        ({'truth_names': tuple('abcdefghijklmno')}, 'only 0 joints in common'),
+    ],
+)
+def test_refusals_name_the_field(truth: np.ndarray, change: dict[str, object], message: str) -> None:
+    arguments = {'joints': truth, 'truth': truth, **change}
+    with pytest.raises(InputError, match=message):
+        evaluate_joints(**arguments)
+
+
+def test_a_truth_with_no_complete_frame_is_refused(truth: np.ndarray) -> None:
+    never_complete = truth.copy()
+    for frame in range(FRAMES):
+        never_complete[frame, frame % 2] = np.nan
+    with pytest.raises(InputError, match='joints3d: no frame in which all joints are known'):
+        evaluate_joints(truth, never_complete)
+    check_truth(never_complete)
+
+
+def test_size_and_frame_rate(truth: np.ndarray) -> None:
+    assert 1.0 < measure_person_size(truth) < 2.0
+    assert measure_person_size(np.full((2, 15, 3), np.nan)) == 0.0
+    assert estimate_frame_rate(np.arange(5) / 25) == pytest.approx(25.0)
+    assert math.isnan(estimate_frame_rate(np.zeros(1)))

@@ -1,0 +1,96 @@
+"""Trials are read from files and folders in all formats of motion capture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mocap_ros.errors import InputError, MocapError
+from mocap_ros.formats.export.armature import build_armature
+from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, RIGS, infer_unit, map_to_model
+from mocap_ros.formats.mocap.trials import find_vertical_axis, load_trials, rotate_z_up
+from mocap_ros.skeleton import CMU15
+from tests.support.motion_files import AMC, ASF, Z_UP_TO_Y_UP, make_bvh, rotation_matrix
+
+
+def make_cmu_asf(pose: np.ndarray) -> str:
+    """Return a skeleton with CMU's names and the rest pose (15, 3) in CMU's unit, y up."""
+    position = dict(zip(CMU15.joints, pose, strict=True))
+    names = RIGS['CMU ASF']
+    pairs = [(CMU15.joints[parent], CMU15.joints[child]) for parent, child in CMU15.outward_bones()]
+    bones = ''
+    for parent, child in pairs:
+        bone = position[child] - position[parent]
+        length = np.linalg.norm(bone)
+        direction = ' '.join(f'{v:.12f}' for v in bone / length)
+        freedom = 'dof rx ry rz\n' if child == 'lknee' else ''
+        bones += f'begin\nname {names[child]}\ndirection {direction}\nlength {length:.12f}\n'
+        bones += f'axis 0 0 0 XYZ\n{freedom}end\n'
+    tree = ''.join(f'{names[p]} {names[c]}\n' for p, c in pairs)
+    return (
+        ':units\nangle deg\n:root\norder TX TY TZ RX RY RZ\naxis XYZ\nposition 0 0 0\norientation 0 0 0\n'
+        f':bonedata\n{bones}:hierarchy\nbegin\n{tree}end\n'
+    )
+
+
+def test_a_trial_has_the_subject_and_category_of_its_name_or_manifest(tmp_path: Path, poses: np.ndarray) -> None:
+    folder = tmp_path / 'walk'
+    folder.mkdir()
+    unit = LENGTH_UNITS_M['unit of the CMU database']
+    rest = (poses[0] - poses[0, 8]) @ Z_UP_TO_Y_UP.T / unit
+    (folder / '99.asf').write_text(make_cmu_asf(rest))
+    (folder / '99_03.amc').write_text(':DEGREES\n1\nroot 0 0 0 0 0 0\n2\nroot 10 0 0 0 90 0\n')
+    (trial,) = load_trials(tmp_path)
+    assert (trial.name, trial.subject, trial.category) == ('99_03', '99', 'walk')
+    assert trial.poses[0] == pytest.approx(poses[0] - poses[0, 8], abs=1e-6)
+    rotated = (poses[0] - poses[0, 8]) @ rotation_matrix('z', 90).T + [10 * unit, 0, 0]
+    assert trial.poses[1] == pytest.approx(rotated, abs=1e-6)
+    (folder / 'manifest.csv').write_text('trial,subject,category,interior_glitches\n99_03,5,run,2\n')
+    (trial,) = load_trials(tmp_path)
+    assert (trial.subject, trial.category, trial.clean) == ('5', 'run', False)
+
+
+@pytest.mark.parametrize('up', range(3))
+def test_unit_and_vertical_axis_are_found(poses: np.ndarray, up: int) -> None:
+    bvh = build_armature(poses @ Z_UP_TO_Y_UP.T, 30.0)
+    positions = dict(zip(bvh.names, np.moveaxis(bvh.compute_positions(), 1, 0), strict=True))
+    joints = map_to_model(positions)
+    for name, metres in LENGTH_UNITS_M.items():
+        rolled = np.roll(joints * 0.01 / metres, up - 1, axis=-1)
+        assert infer_unit(rolled) == metres, name
+        vertical = find_vertical_axis(rolled, usual=0)
+        assert vertical == up
+        upright = rotate_z_up(rolled, vertical)
+        assert np.linalg.det(np.linalg.lstsq(rolled[0], upright[0], rcond=None)[0]) == pytest.approx(1)
+        assert (upright[:, 0, 2] > upright[:, 11, 2]).all()
+        assert find_vertical_axis(-rolled, usual=0) == ~up
+
+
+@pytest.mark.filterwarnings('error')
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_mangled_motion_capture_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, data) -> None:
+    folder = tmp_path_factory.mktemp('mangled')
+    for name, content in (('a.asf', ASF), ('a.amc', AMC), ('b.bvh', make_bvh(lambda t: t))):
+        start = data.draw(st.integers(0, len(content)))
+        end = data.draw(st.integers(start, min(start + 20, len(content))))
+        replacement = data.draw(st.text('0 123eE.-{}\n:naifr', max_size=5))
+        (folder / name).write_text(content[:start] + replacement + content[end:])
+    for name in ('a.amc', 'b.bvh'):
+        with pytest.raises(MocapError, match=str(folder)):
+            load_trials(folder / name)
+
+
+def test_missing_files_are_named(tmp_path: Path) -> None:
+    (tmp_path / '35_01.amc').write_text(AMC)
+    with pytest.raises(InputError, match=r'35_01\.amc: no skeleton beside it, 35_01\.asf or 35\.asf'):
+        load_trials(tmp_path)
+    (tmp_path / 'empty').mkdir()
+    with pytest.raises(InputError, match=r'no \.amc, \.bvh, \.c3d in it'):
+        load_trials(tmp_path / 'empty')
+    with pytest.raises(InputError, match=r'none\.amc: no skeleton|none\.amc: No such'):
+        load_trials(tmp_path / 'none.amc')

@@ -1,0 +1,135 @@
+"""COCO keypoints in JSON, in the forms of several detectors."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mocap_ros.errors import InputError
+from mocap_ros.formats.coco_json import load_coco
+from mocap_ros.formats.detections import Video, select_person
+from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.runtime.load_keypoints import load_input
+from mocap_ros.skeleton import keypoint_layout
+from tests.support.keypoint_files import FPS, FRAMES, LIMITS, VIDEO, check_same_keypoints, flatten_keypoints
+
+COCO17 = keypoint_layout('coco17').joints
+
+
+def make_mmpose_frames(frames: list[list[float]]) -> list[dict[str, Any]]:
+    return [
+        {
+            'frame_id': f,
+            'instances': [
+                {
+                    'keypoints': np.reshape(k, (-1, 3))[:, :2].tolist(),
+                    'keypoint_scores': k[2::3],
+                    'bbox_score': 0.9,
+                }
+            ],
+        }
+        for f, k in enumerate(frames)
+    ]
+
+
+def make_yolo_person(keypoints: list[float]) -> dict[str, Any]:
+    """Return a person as YOLO's `to_json` writes it."""
+    x, y, visible = keypoints[::3], keypoints[1::3], keypoints[2::3]
+    return {'name': 'person', 'confidence': 0.8, 'keypoints': {'x': x, 'y': y, 'visible': visible}}
+
+
+def make_annotations(frames: list[list[float]]) -> dict[str, Any]:
+    """Return COCO annotations with image ids in reverse order."""
+    numbers = range(len(frames))
+    return {
+        'images': [
+            {'id': 900 - f, 'file_name': f'cam1/{f:05d}.png', 'width': 640, 'height': 480} for f in numbers
+        ],
+        'categories': [
+            {
+                'id': 1,
+                'name': 'person',
+                'keypoints': [n.replace('l', 'left_', 1) if n[0] == 'l' else n for n in COCO17],
+            }
+        ],
+        'annotations': [{'image_id': 900 - f, 'category_id': 1, 'keypoints': frames[f]} for f in numbers],
+    }
+
+
+FORMS: dict[str, Callable[[list[list[float]]], Any]] = {
+    'COCO results': lambda k: [{'image_id': i + 100, 'keypoints': p, 'score': 0.9} for i, p in enumerate(k)],
+    'AlphaPose': lambda k: [
+        {'image_id': f'{i}.jpg', 'category_id': 1, 'keypoints': p, 'score': 2.9, 'idx': [3.0]}
+        for i, p in enumerate(k)
+    ],
+    'MMPose': make_mmpose_frames,
+    'MMPose demo': lambda k: {'meta_info': {}, 'instance_info': make_mmpose_frames(k)},
+    'YOLO to_json': lambda k: [[make_yolo_person(p)] for p in k],
+    'YOLO save_json with improbable people': lambda k: [
+        *({'image_id': i, 'keypoints': p, 'score': 0.9} for i, p in enumerate(k)),
+        *({'image_id': i, 'keypoints': p, 'score': 0.01} for i, p in enumerate(k)),
+    ],
+}
+
+
+@pytest.mark.parametrize('form', FORMS)
+def test_every_form_gives_the_same_keypoints(tmp_path: Path, walker: KeypointSequence, form: str) -> None:
+    path = tmp_path / 'people.json'
+    path.write_text(json.dumps(FORMS[form](flatten_keypoints(walker))))
+    check_same_keypoints(load_coco(path, VIDEO), walker)
+
+
+def test_annotations_give_names_size_and_visibility(tmp_path: Path, walker: KeypointSequence) -> None:
+    path = tmp_path / 'people.json'
+    visibility = np.nan_to_num(walker.keypoints).reshape(FRAMES, -1, 3).copy()
+    visibility[..., 2] = np.where(visibility[..., 2] > 0, 2, 0)
+    visibility[3, 0, 2] = 1
+    path.write_text(json.dumps(make_annotations(visibility.reshape(FRAMES, -1).tolist())))
+    sequence, _ = select_person(load_coco(path, Video(fps=FPS)))
+    assert sequence.image_size == (640, 480)
+    assert sequence.joint_names == COCO17
+    assert sequence.keypoints[0, :, :2] == pytest.approx(walker.keypoints[0, :, :2], nan_ok=True)
+    assert set(np.unique(sequence.keypoints[..., 2])) == {0.0, 0.5, 1.0}
+
+
+INVALID = {
+    'not json': ('{', 'not JSON'),
+    'deep': ('[' * 100_000, 'nested too deep'),
+    'number': ('3', 'expected a list'),
+    'unknown mapping': ('{"a": 1}', 'neither annotations nor instance_info'),
+    'openpose frame': ('{"people": []}', 'one frame of OpenPose, give its folder'),
+    'empty': ('[]', 'no frames'),
+    'no image': ('[{"keypoints": [1, 2, 3]}]', r'\[0\]: expected image_id'),
+    'text': ('[{"image_id": 1, "keypoints": "abc"}]', r'\[0\]: keypoints: expected x, y, score'),
+    'odd length': ('[{"image_id": 1, "keypoints": [1, 2, 3, 4]}]', r'\[0\]: keypoints: expected x, y, score'),
+    'one number': ('[{"image_id": 1, "keypoints": 7}]', r'\[0\]: keypoints: expected x, y, score'),
+    'too few keypoints': ('[{"image_id": 1, "keypoints": [1, 2, 1]}]', r'\[0\]: 1 keypoints: no layout known'),
+    'infinite': (
+        json.dumps([{'image_id': 1, 'keypoints': [1e300] * 51}]),
+        r'\[0\]: x of nose is 1e\+300',
+    ),
+    'far apart': (
+        json.dumps([{'image_id': i, 'keypoints': [100.0, 100.0, 1.0] * 17} for i in (1, 2, 10**9)]),
+        'frames are numbered 1 to 1000000000',
+    ),
+    'normalised': (
+        json.dumps([{'image_id': i, 'keypoints': [0.5, 0.5, 1.0] * 17} for i in (1, 2)]),
+        'look normalised',
+    ),
+    'nobody': (json.dumps([{'image_id': i, 'keypoints': [0] * 51} for i in (1, 2)]), 'nobody is seen'),
+}
+
+
+@pytest.mark.parametrize('case', INVALID)
+def test_invalid_json_is_refused_in_one_line(tmp_path: Path, case: str) -> None:
+    content, message = INVALID[case]
+    path = tmp_path / 'people.json'
+    path.write_text(content)
+    with pytest.raises(InputError, match=rf'people\.json: .*{message}') as caught:
+        load_input(path, VIDEO, LIMITS)
+    assert '\n' not in str(caught.value)

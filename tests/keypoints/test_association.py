@@ -1,0 +1,79 @@
+"""Tests of the association of detections with expected people."""
+
+import numpy as np
+import pytest
+
+from mocap_ros.keypoints.association import (
+    BASE_GATE,
+    GATE_GROWTH_PER_S,
+    ExpectedExtent,
+    Extent,
+    associate,
+    compute_distance,
+    compute_gate,
+    measure_extent,
+)
+
+FRAME_S = 1 / 30
+
+
+def expected(x: float, size: float = 0.1, age_s: float = FRAME_S) -> ExpectedExtent:
+    return ExpectedExtent(np.array([x, 0.0]), size, age_s)
+
+
+def detected(x: float, size: float = 0.1) -> Extent:
+    return Extent(np.array([x, 0.0]), size)
+
+
+def test_the_extent_is_the_centre_and_rms_radius_of_the_seen_joints() -> None:
+    points = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 2.0], [np.nan, 50.0]])
+    centre, size = measure_extent(points, np.array([1.0, 0.5, 0.2, 0.0]))
+    assert centre == pytest.approx([0.0, 2 / 3])
+    assert size == pytest.approx(np.sqrt(np.mean([1 + 4 / 9, 1 + 4 / 9, 16 / 9])))
+
+
+def test_the_distance_and_the_gate_are_those_of_the_formula() -> None:
+    assert compute_distance(expected(0.0, 0.1), detected(0.3, 0.2)) == pytest.approx(0.3 / 0.2 + np.log(2))
+    assert compute_distance(expected(0.0, 0.2), detected(0.3, 0.1)) == pytest.approx(0.3 / 0.2 + np.log(2))
+    assert compute_gate(expected(0.0, age_s=0.5)) == pytest.approx(BASE_GATE + 0.5 * GATE_GROWTH_PER_S)
+
+
+def test_crossing_people_keep_their_ids_by_position_and_size() -> None:
+    """Two people walk past each other, one of them 1.5 times as far away; detections come in changing order."""
+    steps = np.linspace(-0.3, 0.3, 31)
+    swapped_size_is_near = 0
+    for number, x in enumerate(steps[1:], start=1):
+        last = steps[number - 1]
+        people = [expected(last, 0.15), expected(-last, 0.10)]
+        detections = [detected(x, 0.15), detected(-x, 0.10)]
+        swapped_size_is_near += abs(2 * x) < 0.1
+        assert associate(people, detections) == [0, 1]
+        assert associate(people, detections[::-1]) == [1, 0]
+    assert swapped_size_is_near > 2
+
+
+def test_at_equal_positions_the_size_decides() -> None:
+    people = [expected(0.0, 0.15), expected(0.0, 0.10)]
+    assert associate(people, [detected(0.0, 0.11), detected(0.0, 0.14)]) == [1, 0]
+
+
+def test_the_sum_of_distances_is_least_not_each_distance() -> None:
+    people = [expected(0.0), expected(0.06)]
+    assert associate(people, [detected(0.05), detected(0.12)]) == [0, 1]
+
+
+def test_of_two_people_the_one_who_was_seen_more_recently_gets_the_detection() -> None:
+    hidden, seen = expected(-0.1, age_s=0.13), expected(0.06, age_s=0.033)
+    assert associate([hidden, seen], [detected(0.08)]) == [1]
+    assert associate([expected(0.0, age_s=0.5), expected(0.02)], [detected(0.0)]) == [1]
+
+
+def test_the_gate_widens_while_a_person_is_not_seen() -> None:
+    assert associate([expected(-0.1, age_s=0.13)], [detected(0.02)]) == [0]
+    assert associate([expected(-0.1, age_s=0.0)], [detected(0.02)]) == [None]
+    assert associate([expected(-0.1, age_s=0.13)], [detected(0.5)]) == [None]
+
+
+def test_nobody_expected_or_nobody_detected() -> None:
+    assert associate([], [detected(0.0)]) == [None]
+    assert associate([expected(0.0)], []) == []

@@ -1,0 +1,45 @@
+"""Fixtures of the tests over DDS: a domain for each test, a peer, and the node."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from itertools import count
+from pathlib import Path
+
+import pytest
+
+from tests.support.ros_node import Peer, Process, StartNode, launch_node
+
+DOMAINS = count(os.getpid())  # every test has its own, also where several test processes run
+MAX_DOMAIN_ID = 101  # the largest that is safe on every operating system
+
+
+@pytest.fixture
+def env(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, str]:
+    """Environment of the node: this machine only, and a domain of this test's own."""
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(next(DOMAINS) % MAX_DOMAIN_ID + 1))
+    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
+    return dict(os.environ)
+
+
+@pytest.fixture
+def peer(env: dict[str, str]) -> Iterator[Peer]:
+    peer = Peer(int(env['ROS_DOMAIN_ID']))
+    yield peer
+    peer.close()
+
+
+@pytest.fixture
+def start_node(env: dict[str, str], tmp_path: Path) -> Iterator[StartNode]:
+    started: list[Process] = []
+
+    def start(*parameters: str, ros: Sequence[str] = ()) -> Process:
+        started.append(launch_node(env, tmp_path, parameters, ros))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()

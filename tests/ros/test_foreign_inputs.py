@@ -1,0 +1,135 @@
+"""Messages of other packages over DDS: YOLO with transforms, and the bodies of ROS4HRI."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mocap_ros.bags.reader import Bag
+from mocap_ros.demo.scene import make_recording
+from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.cdr import decode
+from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.ros.message_types import load_interface_class
+from mocap_ros.runtime.replay import replay
+from mocap_ros.skeleton import keypoint_layout
+from tests.support import foreign_packages
+from tests.support.camera_infos import camera_info
+from tests.support.paths import ROOT
+from tests.support.ros_node import Peer, StartNode, stack_joints, stop_node
+
+pytest.importorskip('rclpy')
+pytest.importorskip('mocap_ros_msgs')
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+DETECTOR = ROOT / 'tests' / 'support' / 'foreign_detector.py'
+
+
+@pytest.fixture(scope='module', autouse=True)
+def foreign() -> None:
+    foreign_packages.build()
+
+
+def run_detector(env: dict[str, str], kind: str, frames: list[Any], *options: str) -> str:
+    """Publish frames as messages of this kind; return what the detector prints."""
+    done = subprocess.run(
+        [sys.executable, str(DETECTOR), kind, *options],
+        env=foreign_packages.environment(env),
+        input=json.dumps(frames),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def place_people(frame: int, *names: str) -> dict[str, list[list[float]]]:
+    """Return the demo person's (x, y, score) in COCO order under each name, side by side."""
+    points = make_recording().keypoints[frame].astype(float)
+    return {
+        name: [[x + 100 * i, y, s] if s > 0 else [0.0, 0.0, 0.0] for x, y, s in points.tolist()]
+        for i, name in enumerate(names)
+    }
+
+
+def assert_replay_gives_the_same(bag_folder: Path, out: Path, skeletons: list[bytes]) -> None:
+    with Bag(bag_folder) as bag:
+        replay(bag, out)
+    with Bag(out) as again:
+        replayed = [m.raw for m in again.messages(['/skeletons'])]
+    np.testing.assert_allclose(stack_joints(replayed), stack_joints(skeletons), atol=1e-9, rtol=0)
+
+
+def test_yolo_detections_with_transforms(
+    env: dict[str, str], peer: Peer, start_node: StartNode, tmp_path: Path
+) -> None:
+    env.update(foreign_packages.environment(env))
+    node = start_node(
+        'node.input_type:=yolo_msgs/msg/DetectionArray',
+        'node.publish_tf:=true',
+        'node.frame_prefix:=left_',
+        'node.silence_warning:=60.0',
+        'recorder.enabled:=true',
+        f'recorder.folder:={tmp_path}/bags',
+    )
+    peer.wait_for_node()
+    info = peer.node.create_publisher(load_interface_class(CAMERA_INFO), 'camera_info', 1)
+    peer.wait_until(info.get_subscription_count)
+    time.sleep(0.3)
+    info.publish(camera_info())
+    time.sleep(0.3)
+    frames = [[(f + 1) * 10**8, place_people(f, 'anna', 'b/ob')] for f in range(8)]
+    transforms = json.loads(run_detector(env, 'yolo', frames, 'tf'))
+    peer.wait_for_frames(len(frames))
+    assert stop_node(node) == []
+    for raw in peer.received['skeletons']:
+        assert [p.id for p in decode(raw, SKELETONS).people] == ['anna', 'b/ob']
+    parents_and_children = {tuple(t) for message in transforms for t in message}
+    assert ('camera', 'left_body_anna') in parents_and_children
+    assert ('left_body_b_ob', 'left_l_shoulder_b_ob') in parents_and_children
+    (bag_folder,) = (tmp_path / 'bags').iterdir()
+    with Bag(bag_folder) as bag:
+        assert bag.topics['/keypoints'] == 'yolo_msgs/msg/DetectionArray'
+        assert bag.count(['/tf']) == len(frames)
+    assert_replay_gives_the_same(bag_folder, tmp_path / 'again', peer.received['skeletons'])
+
+
+def test_bodies_of_ros4hri_that_come_and_go(
+    env: dict[str, str], peer: Peer, start_node: StartNode, tmp_path: Path
+) -> None:
+    env.update(foreign_packages.environment(env))
+    node = start_node(
+        'node.input_type:=hri_msgs/msg/Skeleton2D',
+        'node.image_width:=640',
+        'node.image_height:=480',
+        'recorder.enabled:=true',
+        f'recorder.folder:={tmp_path}/bags',
+    )
+    peer.wait_for_node()
+    ids = [['b1'], ['b1', 'b2'], ['b1', 'b2'], ['b2']]  # of the bodies in each frame
+    coco_joints = keypoint_layout('coco17').joints
+    order = [coco_joints.index(j) if j != 'neck' else -1 for j in keypoint_layout('hri18').joints]
+    frames = []
+    for i, present in enumerate(ids):
+        people = {
+            name: [[p[j][0] / 640, p[j][1] / 480, p[j][2]] if j >= 0 else [0.0, 0.0, 0.0] for j in order]
+            for name, p in place_people(i, *present).items()
+        }
+        frames.append([(i + 1) * 10**8, people])
+    run_detector(env, 'hri', frames)
+    peer.wait_until(lambda: len(peer.received['skeletons']) >= len(frames))
+    assert [line for line in stop_node(node) if 'no message has arrived' not in line] == []
+    people_seen = [decode(raw, SKELETONS).people for raw in peer.received['skeletons']]
+    assert [[p.id for p in people if not p.predicted] for people in people_seen] == ids
+    (bag_folder,) = (tmp_path / 'bags').iterdir()
+    assert_replay_gives_the_same(bag_folder, tmp_path / 'again', peer.received['skeletons'])

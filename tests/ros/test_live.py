@@ -1,0 +1,253 @@
+"""A live run without ROS: what it publishes, logs and records, and that a replay of its bag gives the same."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mocap_ros.bags.journal import JOURNAL, read_run
+from mocap_ros.bags.mcap_file import McapFile
+from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.topics import Source
+from mocap_ros.config import Config, with_values
+from mocap_ros.errors import RecordingError
+from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.cdr import Header, OutputMessage, create_header, decode, encode
+from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints
+from mocap_ros.ros.live import LiveRun
+from mocap_ros.runtime.pipeline import OUTPUTS, Pipeline
+from mocap_ros.runtime.replay import replay
+from mocap_ros.tracking.tracker import Tracker
+from tests.support.camera_infos import camera_info
+from tests.support.line_log import LineLog
+from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames
+
+FRAMES = 25
+TIMEOUT_S = 20
+NAMES = {t: f'/{t}' for t in ('keypoints', 'camera_info', *OUTPUTS, 'skeleton_definition')} | {
+    'journal': '/mocap_node/journal'
+}
+
+
+@pytest.fixture(scope='module')
+def stream() -> list[bytes]:
+    return encode_demo_frames(FRAMES)
+
+
+class CollectingRun:
+    """A live run whose outputs and log lines are collected."""
+
+    def __init__(self, config: Config, tracker: Any = Tracker) -> None:
+        self.log = LineLog()
+        self.published: list[OutputMessage] = []
+        types = {Source.KEYPOINTS: KEYPOINTS, Source.CAMERA_INFO: CAMERA_INFO}
+        pipeline = Pipeline(config, None, tracker)
+        self.run = LiveRun(pipeline, types, NAMES, self.published.append, self.log)
+        self.run.start()
+
+    @property
+    def skeletons(self) -> list[OutputMessage]:
+        return [o for o in self.published if o.topic == 'skeletons']
+
+    def enqueue(self, *messages: bytes, sent_ns: int = 5) -> None:
+        for raw in messages:
+            self.run.enqueue(Source.KEYPOINTS, raw, sent_ns)
+
+    def wait_for_frames(self, count: int) -> None:
+        deadline = time.monotonic() + TIMEOUT_S
+        while len(self.skeletons) < count:
+            assert time.monotonic() < deadline
+            time.sleep(0.002)
+
+
+def read_messages(bag_folder: Path, topic: str) -> list[bytes]:
+    with Bag(bag_folder) as bag:
+        return [m.raw for m in bag.messages([topic])]
+
+
+def recording_to(folder: Path, **values: object) -> Config:
+    return with_values(FAST_CONFIG, {'recorder.enabled': True, 'recorder.folder': str(folder), **values})
+
+
+def assert_replay_gives_the_same(bag_folder: Path, out: Path) -> None:
+    with Bag(bag_folder) as bag:
+        replay(bag, out)
+    for topic in ('/keypoints', '/camera_info', '/skeletons', '/cameras'):
+        assert read_messages(out, topic) == read_messages(bag_folder, topic)
+
+
+def test_a_replay_repeats_resets_parameters_and_bad_inputs(tmp_path: Path, stream: list[bytes]) -> None:
+    live = CollectingRun(recording_to(tmp_path / 'live'))
+    live.enqueue(*stream[:8])
+    live.wait_for_frames(8)
+    live.run.enqueue(Source.CAMERA_INFO, camera_info(), 5)
+    live.enqueue(stream[3], stream[8][:60], stream[8])
+    live.wait_for_frames(9)
+    live.run.reset()
+    live.enqueue(*stream[5:9])
+    live.wait_for_frames(13)
+    live.run.reconfigure(recording_to(tmp_path / 'live', **{'tracker.components': 5}))
+    live.enqueue(*stream[9:13])
+    live.wait_for_frames(17)
+    live.run.stop()
+
+    (bag,) = (tmp_path / 'live').iterdir()
+    assert read_messages(bag, '/skeletons') == [o.data for o in live.skeletons]
+    assert len(read_messages(bag, '/keypoints')) == 19
+    assert_replay_gives_the_same(bag, tmp_path / 'again')
+    first, *remarks = [line for line in live.log.lines if '/keypoints' in line]
+    assert first == 'info /keypoints: the first message was accepted, and people are being published'
+    assert len(remarks) == 2
+    assert remarks[0].startswith('warning /keypoints: message 9: stamp ')
+    assert remarks[1].startswith('error /keypoints: message 10: not a mocap_ros_msgs/msg/Keypoints2DArray')
+
+
+def with_stamp(raw: bytes, stamp_ns: int) -> bytes:
+    message = decode(raw, KEYPOINTS)
+    message.header = create_header(Header(stamp_ns, 'camera'))
+    return encode(message, KEYPOINTS)
+
+
+def test_tracking_restarts_when_stamps_go_back_both_live_and_replayed(tmp_path: Path, stream: list[bytes]) -> None:
+    live = CollectingRun(recording_to(tmp_path / 'live'))
+    seconds = [5.0, 5.1, 900.0, 5.2, 5.3, 0.0, 0.1, 0.05]  # one from the future, and then a loop
+    live.enqueue(*(with_stamp(raw, round(second * 1e9)) for raw, second in zip(stream, seconds, strict=False)))
+    live.wait_for_frames(len(seconds) - 1)
+    live.run.stop()
+    assert [o.stamp_ns for o in live.skeletons] == [round(s * 1e9) for s in seconds[:-1]]
+    restarts = [line for line in live.log.lines if 'tracking was restarted' in line]
+    expected = 'warning /keypoints: message 4: the stamp went back by 894.8 s, so tracking was restarted'
+    assert restarts == [expected]
+    (bag,) = (tmp_path / 'live').iterdir()
+    assert_replay_gives_the_same(bag, tmp_path / 'again')
+
+
+def test_a_backlog_is_skipped_counted_and_left_out_of_a_replay(tmp_path: Path, stream: list[bytes]) -> None:
+    has_started, may_continue = threading.Event(), threading.Event()
+
+    class BlockedTracker(Tracker):
+        """A tracker that does not finish its first frame before `may_continue` is set."""
+
+        def update(self, *frame: Any) -> Any:
+            has_started.set()
+            assert may_continue.wait(TIMEOUT_S)
+            return super().update(*frame)
+
+    live = CollectingRun(recording_to(tmp_path / 'live', **{'node.queue': 2}), BlockedTracker)
+    live.enqueue(stream[0], sent_ns=0)
+    assert has_started.wait(TIMEOUT_S)
+    live.enqueue(*stream[1:], sent_ns=0)
+    may_continue.set()
+    live.wait_for_frames(2)
+    live.run.stop()
+    stamps = [decode_keypoints(raw, FAST_CONFIG.node).header.stamp_ns for raw in (stream[0], stream[-1])]
+    assert [o.stamp_ns for o in live.skeletons] == stamps
+    skipped = [line for line in live.log.lines if 'newer messages were waiting' in line]
+    assert [line.partition(': message ')[2].partition(':')[0] for line in skipped] == ['2', '11']  # 1st, 10th
+
+    (bag,) = (tmp_path / 'live').iterdir()
+    assert read_messages(bag, '/keypoints') == stream
+    with Bag(bag) as opened:
+        assert read_run(opened).skipped_inputs == set(range(2, FRAMES))
+    assert_replay_gives_the_same(bag, tmp_path / 'again')
+
+
+def test_a_recording_that_cannot_start_is_logged_once_and_the_run_continues(
+    tmp_path: Path, stream: list[bytes]
+) -> None:
+    (tmp_path / 'file').write_text('')
+    live = CollectingRun(recording_to(tmp_path / 'file' / 'bags'))
+    live.enqueue(stream[0])
+    live.wait_for_frames(1)
+    live.run.stop()
+    (error,) = [line for line in live.log.lines if line.startswith('error')]
+    assert error.endswith(
+        'Not a directory; nothing is recorded: correct the cause, then set recorder.enabled again'
+    )
+
+
+def test_a_repeated_error_is_logged_the_1st_10th_and_100th_time(stream: list[bytes]) -> None:
+    live = CollectingRun(FAST_CONFIG)
+    for _ in range(120):
+        live.enqueue(stream[0][:40])
+        time.sleep(0.001)
+    live.enqueue(stream[0])
+    live.wait_for_frames(1)
+    live.run.stop()
+    lines = [line for line in live.log.lines if 'not a mocap' in line]
+    assert len(lines) == 3
+    assert lines[-1].endswith('(this kind of message has been seen 100 times)')
+
+
+class FaultyTracker:
+    """A tracker that fails at every third frame, and from the ninth until it is reset at every frame."""
+
+    backward_jump_s = 0.0
+    output_stamp_ns = 0
+
+    def __init__(self, *_: object) -> None:
+        self.frames = 0
+
+    def update(self, *_: object) -> tuple[()]:
+        self.frames += 1
+        if self.frames % 3 == 0 or self.frames > 8:
+            raise ZeroDivisionError('a fault of ours')
+        return ()
+
+    def run_deferred_work(self) -> None: ...
+
+    def reset(self) -> None:
+        self.frames = 0
+
+
+def test_an_internal_error_costs_its_frame_and_is_logged_once(tmp_path: Path, stream: list[bytes]) -> None:
+    live = CollectingRun(recording_to(tmp_path / 'live', **{'node.queue': 100}), FaultyTracker)
+    live.enqueue(*stream[:14])
+    live.wait_for_frames(8)  # 1, 2, 4, 5, 7, 8 and after the reset two more
+    live.run.stop()
+    assert [line.count('Traceback') for line in live.log.lines].count(1) == 1
+    dropped = [line for line in live.log.lines if 'internal error: ZeroDivisionError: a fault of ours' in line]
+    assert len(dropped) == 1
+    (bag,) = (tmp_path / 'live').iterdir()
+    with Bag(bag) as opened:
+        verdicts = [decode(m.raw, JOURNAL).level for m in opened.messages(['/mocap_node/journal'])]
+    assert verdicts[1:] == [0, 0, 1, 0, 0, 1, 0, 0, 1, 1, 1, 0, 0, 1]
+
+
+def test_an_internal_error_outside_the_tracker_does_not_end_the_run(
+    stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = CollectingRun(FAST_CONFIG)
+    publish = live.published.append
+
+    def fail_once(_: OutputMessage) -> None:
+        monkeypatch.setattr(live.run, '_publish', publish)
+        raise RuntimeError('no middleware')
+
+    monkeypatch.setattr(live.run, '_publish', fail_once)
+    live.enqueue(*stream[:3])
+    live.wait_for_frames(2)
+    live.run.stop()
+    assert sum('RuntimeError: no middleware' in line for line in live.log.lines) == 1
+
+
+def test_a_recording_that_cannot_be_finished_is_reported_as_a_failure(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = CollectingRun(recording_to(tmp_path / 'live'))
+    live.enqueue(stream[0])
+    live.wait_for_frames(1)
+
+    def fail(*_: object) -> None:
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(McapFile, 'finish', fail)
+    with pytest.raises(RecordingError, match='No space left'):
+        live.run.finish_recording()
+    assert live.run.finish_recording() is None
+    live.run.stop()
+    assert sum('No space left' in line for line in live.log.lines) == 1

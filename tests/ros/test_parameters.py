@@ -1,0 +1,59 @@
+"""ROS parameters of the node: values out of range, unknown names, changes at run time."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import pytest
+
+from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, keypoints_at, stop_node, stop_node_and_read_log
+
+pytest.importorskip('rclpy')
+pytest.importorskip('mocap_ros_msgs')
+
+pytestmark = pytest.mark.ros
+
+
+def test_a_parameter_out_of_range_ends_the_start_with_one_line(start_node: StartNode) -> None:
+    process = start_node('tracker.min_score:=2.0')
+    _, log = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 1
+    (line,) = log.splitlines()
+    assert 'tracker.min_score' in line
+
+
+def test_parameters_are_checked_when_they_are_set(peer: Peer, start_node: StartNode) -> None:
+    node = start_node()
+    peer.wait_for_node()
+    assert peer.set_parameter('tracker.min_score', 0.2).successful
+    assert not peer.set_parameter('tracker.min_score', 1.5).successful
+    assert 'squared, frobenius' in peer.set_parameter('solver.norm', 'none').reason
+    assert not peer.set_parameter('recorder.folder', '/').successful
+    stop_node(node)
+
+
+def test_the_node_logs_its_topics_and_the_parameters_that_it_does_not_have(
+    peer: Peer, start_node: StartNode, tmp_path: Path
+) -> None:
+    (tmp_path / 'p.yaml').write_text('mocap_node: {ros__parameters: {tracker: {windw: 2.0}, queue: 3}}')
+    node = start_node('use_sim_time:=false', 'trackr.model:=walk', ros=['--params-file', f'{tmp_path}/p.yaml'])
+    peer.wait_for_node()
+    peer.wait_for_keypoints_subscription()
+    for second in (1, 2):
+        peer.keypoints.publish(keypoints_at(second))
+    peer.wait_for_frames(2)
+    lines = [line.partition('[mocap_node]: ')[2] for line in stop_node_and_read_log(node, signal.SIGINT)]
+
+    unknown, others = lines[:3], lines[3:]
+    assert sorted(unknown) == [
+        "unknown parameter 'queue' has no effect; did you mean 'node.queue'?",
+        "unknown parameter 'tracker.windw' has no effect; did you mean 'tracker.window'?",
+        "unknown parameter 'trackr.model' has no effect; did you mean 'tracker.model'?",
+    ]
+    published = '/skeletons, /cameras, /markers, /points, /skeleton_definition'
+    heard = '/keypoints and /camera_info'
+    assert others == [
+        f'the node is active: it listens on {heard}, publishes {published}, and uses the model walk',
+        '/keypoints: the first message was accepted, and people are being published',
+    ]

@@ -1,0 +1,174 @@
+"""Bags that the node records: what is in them, how recordings start and end, and their replay."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recorder import Recorder
+from mocap_ros.config import RecorderConfig
+from mocap_ros.demo.scene import make_recording
+from mocap_ros.messages.cdr import decode
+from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.messages.skeletons import SKELETON_DEFINITION
+from mocap_ros.runtime.pipeline import OUTPUTS
+from mocap_ros.runtime.replay import replay
+from mocap_ros.runtime.sequence_messages import encode_sequence
+from tests.support.ros_node import (
+    MAX_STOP_S,
+    TIMEOUT_S,
+    Peer,
+    StartNode,
+    keypoints_at,
+    run_cli,
+    stack_joints,
+    stop_node,
+)
+
+pytest.importorskip('rclpy')
+pytest.importorskip('mocap_ros_msgs')
+
+pytestmark = pytest.mark.ros
+
+FRAMES = 60
+
+
+def test_a_live_run_is_received_recorded_and_replayed(
+    env: dict[str, str], peer: Peer, start_node: StartNode, tmp_path: Path
+) -> None:
+    sequence = make_recording().sequence()
+    frames = list(islice(encode_sequence(sequence), FRAMES))
+    with Recorder(tmp_path / 'played', RecorderConfig()) as recorder:
+        for frame in frames:
+            recorder.write('/detections', KEYPOINTS, frame.raw, frame.stamp_ns, frame.stamp_ns)
+
+    patient = ('node.silence_warning:=60.0', 'node.queue:=100')  # the machine may be busy
+    node = start_node('recorder.enabled:=true', f'recorder.folder:={tmp_path}/bags', *patient)
+    peer.wait_for_node()
+    started = time.monotonic()
+    player = subprocess.Popen(
+        [sys.executable, '-m', 'mocap_ros.cli.main', 'play', str(tmp_path / 'played')],
+        env=env,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    peer.wait_until(lambda: all(len(peer.received[t]) >= FRAMES for t in OUTPUTS))
+    assert time.monotonic() - started > (FRAMES - 1) / 30
+    out, _ = player.communicate(timeout=TIMEOUT_S)
+    assert out == f'{tmp_path}/played: {FRAMES} messages published on keypoints\n'
+    warnings = stop_node(node)
+    peer.wait_until(peer.are_markers_deleted)
+
+    assert warnings == []
+    for topic in OUTPUTS:
+        assert peer.received_stamps(topic) == sequence.stamps_ns[:FRAMES]
+    (definition,) = peer.received['skeleton_definition']
+    assert decode(definition, SKELETON_DEFINITION).name == 'cmu15'
+
+    (bag_folder,) = (tmp_path / 'bags').iterdir()
+    with Bag(bag_folder) as bag:
+        recorded = {t: [m.raw for m in bag.messages(['/' + t])] for t in (*peer.received, 'keypoints')}
+        times = [m.time_ns for m in bag.messages(bag.topics)]
+    assert recorded.pop('keypoints') == [frame.raw for frame in frames]
+    markers = peer.received['markers']
+    del markers[: len(markers) - FRAMES - 1]  # the recording starts after all markers were deleted
+    assert recorded == peer.received
+    assert times == sorted(times)
+    assert abs(times[-1] - time.time_ns()) < 60e9
+    with (bag_folder / f'{bag_folder.name}_0.mcap').open('rb') as file:
+        messages: dict[str, list[bytes]] = {}
+        for _, channel, message in make_reader(file).iter_messages():
+            messages.setdefault(channel.topic, []).append(message.data)
+            assert abs(message.publish_time - message.log_time) < 1e9
+    assert {t: messages['/' + t] for t in recorded} == recorded
+
+    done = run_cli(env, 'replay', bag_folder, '-o', tmp_path / 'again')
+    assert (done.returncode, done.stderr) == (0, '')
+    with Bag(tmp_path / 'again') as again:
+        replayed = [m.raw for m in again.messages(['/skeletons'])]
+    assert len(replayed) == FRAMES
+    np.testing.assert_allclose(stack_joints(replayed), stack_joints(recorded['skeletons']), atol=1e-9, rtol=0)
+
+
+def test_the_services_record_and_reset(peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
+    from std_srvs.srv import Trigger
+
+    node = start_node(f'recorder.folder:={tmp_path}/bags')
+    peer.wait_for_node()
+    peer.wait_for_keypoints_subscription()
+    assert peer.record(True).success
+    assert 'already' in peer.record(True).message
+    peer.keypoints.publish(keypoints_at(1))
+    peer.wait_for_frames(1)
+    assert peer.call_service(Trigger, 'mocap_node/reset').success
+    peer.keypoints.publish(keypoints_at(1))
+    peer.wait_for_frames(2)
+    done = peer.record(False)
+    assert done.success
+    with Bag(done.message) as bag:
+        assert bag.count(['/skeletons']) == 2
+        replay(bag, tmp_path / 'again')
+    (line,) = stop_node(node)
+    assert re.search(r'a recording to \S+ is already running; the service ~/record did not start', line)
+
+
+def test_a_recording_switched_by_parameter_ends_when_its_folder_is_removed(
+    peer: Peer, start_node: StartNode, tmp_path: Path
+) -> None:
+    node = start_node(f'recorder.folder:={tmp_path}/bags')
+    peer.wait_for_node()
+    peer.wait_for_keypoints_subscription()
+    assert peer.set_parameter('recorder.enabled', True).successful
+    peer.keypoints.publish(keypoints_at(1))
+    peer.wait_for_frames(1)
+    assert peer.set_parameter('recorder.enabled', False).successful
+    (first,) = (tmp_path / 'bags').iterdir()
+    with Bag(first) as bag:
+        assert bag.count(['/keypoints']) == 1
+        assert [q.history.name for q in bag.qos['/keypoints']] == ['UNKNOWN']  # discovery does not tell it
+
+    assert not peer.record(False).success
+    assert peer.set_parameter('recorder.enabled', True).successful
+    peer.wait_until(lambda: len(list((tmp_path / 'bags').glob('*/*.mcap'))) == 2)
+    (second,) = set((tmp_path / 'bags').iterdir()) - {first}
+    shutil.rmtree(second)
+    time.sleep(0.8)
+    assert not peer.record(False).success
+    peer.keypoints.publish(keypoints_at(2))
+    peer.wait_for_frames(2)
+    (line,) = stop_node(node)
+    assert re.search(r'removed or moved while it was written; the recording has ended, and the node', line)
+
+
+@pytest.mark.slow
+def test_a_bag_is_complete_whenever_the_node_is_stopped(peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for trial in range(4):
+        folder = tmp_path / f'bags{trial}'
+        node = start_node('recorder.enabled:=true', f'recorder.folder:={folder}')
+        peer.wait_for_keypoints_subscription()
+        publish_until = time.monotonic() + rng.uniform(0, 0.8)
+        frame = 0
+        while time.monotonic() < publish_until:
+            frame += 1
+            peer.keypoints.publish(keypoints_at(frame / 30))
+            time.sleep(0.01)
+        stop = time.monotonic()
+        node.send_signal(signal.SIGTERM if trial % 2 else signal.SIGINT)
+        assert node.wait(TIMEOUT_S) == 0
+        assert time.monotonic() - stop < MAX_STOP_S
+        for bag_folder in folder.iterdir():
+            with Bag(bag_folder) as bag:
+                assert bag.count(['/skeletons']) <= bag.count(['/keypoints']) <= frame
+        peer.wait_until(lambda: peer.keypoints.get_subscription_count() == 0)

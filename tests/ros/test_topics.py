@@ -1,0 +1,103 @@
+"""What the node publishes: people for good messages, a log line for bad ones, diagnostics."""
+
+from __future__ import annotations
+
+import re
+import signal
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
+from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.ros.message_types import load_interface_class
+from tests.support.ros_node import Peer, StartNode, keypoints_at, stop_node
+
+pytest.importorskip('rclpy')
+pytest.importorskip('mocap_ros_msgs')
+
+pytestmark = pytest.mark.ros
+
+X = np.arange(17, dtype='f4')
+# Bad messages, and the reason that the node logs for each.
+BAD_MESSAGES = {
+    keypoints_at(10, x=np.where(X == 3, np.inf, X)): r'people\[0\]\.x\[3\]: inf',
+    keypoints_at(10, score=np.full(17, 1.5, 'f4')): r'people\[0\]\.score\[0\]: 1\.5',
+    keypoints_at(10, score=np.full(17, -1, 'f4')): r'people\[0\]\.score\[0\]: -1',
+    keypoints_at(10, y=X[:5]): r'people\[0\]\.x, y, score: unequal lengths 17, 5, 17',
+    keypoints_at(10, skeleton='coco99'): r"people\[0\]\.skeleton: unknown .* 'coco99'; known: .*coco17",
+    keypoints_at(10, skeleton='body25'): r"people\[0\]\.skeleton: 'body25' has 25 joints, x has 17",
+    keypoints_at(10)[:-6]: 'not a mocap_ros_msgs/msg/Keypoints2DArray',
+    b'\0\1\0\0rubbish': 'not a mocap_ros_msgs/msg/Keypoints2DArray',
+    keypoints_at(27.5): 'stamp 27500000000 ns is older than',
+}
+
+
+def test_each_bad_message_is_logged_once_and_good_ones_are_processed(peer: Peer, start_node: StartNode) -> None:
+    node = start_node()
+    peer.wait_for_node()
+    peer.wait_for_keypoints_subscription()
+    sent = []
+    for i, bad in enumerate(BAD_MESSAGES):
+        sent.append(20 + i)
+        peer.keypoints.publish(keypoints_at(20 + i))
+        peer.wait_for_frames(len(sent))
+        peer.keypoints.publish(bad)
+    unseen = keypoints_at(50, x=np.full(17, np.nan, 'f4'))
+    nobody = encode_keypoints(Header(51 * 10**9, 'camera'), (640, 480), [])
+    for raw in (unseen, nobody, keypoints_at(52)):
+        peer.keypoints.publish(raw)
+    peer.wait_for_frames(len(sent) + 3)
+    lines = stop_node(node, signal.SIGINT)
+
+    assert peer.received_stamps('skeletons') == [s * 10**9 for s in (*sent, 50, 51, 52)]
+    assert len(lines) == len(BAD_MESSAGES)
+    for number, (line, reason) in enumerate(zip(lines, BAD_MESSAGES.values(), strict=True)):
+        assert re.search(rf': /keypoints: message {2 * number + 2}: {reason}', line), line
+
+
+def test_diagnostics_count_accepted_invalid_and_dropped_messages(peer: Peer, start_node: StartNode) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    received: list[Any] = []
+    subscription = peer.node.create_subscription(DiagnosticArray, '/diagnostics', received.append, 10)
+    peer.subscriptions.append(subscription)
+    node = start_node()
+    peer.wait_for_node()
+    peer.wait_for_keypoints_subscription()
+    peer.keypoints.publish(keypoints_at(1))
+    peer.keypoints.publish(keypoints_at(1))
+    peer.keypoints.publish(keypoints_at(2)[:50])
+    peer.wait_until(lambda: received and 'invalid in the last second' in received[-1].status[0].message)
+    values = {v.key: v.value for v in received[-1].status[0].values}
+    assert received[-1].status[0].name == '/mocap_node'
+    counts = [values[key] for key in ('accepted', 'invalid', 'dropped: stamp', 'people')]
+    assert counts == ['1', '1', '1', '1']
+    assert float(values['solve time p99 (ms)']) > 0
+    assert values['recorder'] == 'off'
+    stop_node(node)
+
+
+@pytest.mark.filterwarnings('ignore:Deprecated in favor of:DeprecationWarning')  # rclpy's own log calls
+def test_peers_with_an_incompatible_qos_are_logged_once(peer: Peer, start_node: StartNode) -> None:
+    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+    node = start_node()  # subscribes to keypoints as reliable
+    peer.wait_for_node()
+    best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    for _ in range(2):
+        peer.node.create_publisher(load_interface_class(KEYPOINTS), 'keypoints', best_effort)
+        peer.subscriptions.append(
+            peer.node.create_subscription(load_interface_class(SKELETONS), 'skeletons', print, latched)
+        )
+    end = time.monotonic() + 1.0
+    peer.wait_until(lambda: time.monotonic() > end)
+    publisher, subscriber = sorted(line.partition('[mocap_node]: ')[2] for line in stop_node(node))
+    assert publisher.startswith(
+        '/keypoints: a publisher offers a weaker RELIABILITY policy than this node requests'
+    )
+    assert subscriber.startswith('/skeletons: a subscriber requests a stricter DURABILITY policy than this node')

@@ -1,0 +1,107 @@
+"""Bodies of ROS4HRI are assembled into images; late and repeated bodies are dropped and counted."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from mocap_ros.bags.journal import Verdict
+from mocap_ros.bags.topics import Source, make_body_topic
+from mocap_ros.config import with_values
+from mocap_ros.errors import FrameDropped
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.foreign.definitions import HRI_SKELETON
+from mocap_ros.messages.foreign.yolo import COCO17
+from mocap_ros.runtime.frame_assembly import BodyAssembler
+from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
+from mocap_ros.tracking.tracker import Tracker
+from tests.support.foreign_messages import (
+    HRI_IDS_TOPIC,
+    IMAGE_SIZE,
+    Input,
+    decode_skeletons,
+    encode_body,
+    encode_ids,
+    feed_all,
+    make_config,
+    make_header,
+    make_hri_inputs,
+    make_people,
+)
+
+
+def test_a_message_that_completes_two_images_outputs_the_accepted_one() -> None:
+    """If the tracker refuses one of two images, the image before or after it is still output."""
+    first, second = make_people(0)
+
+    def make_body_input(person: Person2D, frame: int) -> Input:
+        return Source.BODY, encode_body(person, make_header(frame)), make_body_topic(HRI_IDS_TOPIC, person.id)
+
+    class RefusingTracker(Tracker):
+        """A tracker that refuses images that show only the second person."""
+
+        def update(self, stamp_ns: int, people: tuple[Person2D, ...], intrinsics: Intrinsics) -> Any:
+            if [p.id for p in people] == [second.id]:
+                raise FrameDropped('refused')
+            return super().update(stamp_ns, people, intrinsics)
+
+    pipeline = Pipeline(make_config(HRI_SKELETON), None, RefusingTracker)
+    feed_all(
+        pipeline, [(Source.TRACKED_BODIES, encode_ids(0, 'b0', 'b1'), HRI_IDS_TOPIC), make_body_input(first, 0)]
+    )
+    feed_all(pipeline, [(Source.TRACKED_BODIES, encode_ids(1, 'b1'), HRI_IDS_TOPIC)])
+    result = pipeline.feed(*make_body_input(second, 1))  # completes image 1, and ends image 0 without b1
+    assert [o.stamp_ns for o in result.outputs if o.topic == 'skeletons'] == [make_header(0).stamp_ns]
+    assert (result.verdict, result.reason) == (Verdict.DROPPED, 'refused')
+
+    feed_all(
+        pipeline, [(Source.TRACKED_BODIES, encode_ids(2, 'b0', 'b1'), HRI_IDS_TOPIC), make_body_input(second, 2)]
+    )
+    # Nobody is tracked: this ends image 2, and completes image 3, which shows nobody.
+    result = pipeline.feed(Source.TRACKED_BODIES, encode_ids(3), HRI_IDS_TOPIC)
+    assert [o.stamp_ns for o in result.outputs if o.topic == 'skeletons'] == [make_header(3).stamp_ns]
+    assert (result.verdict, result.reason) == (Verdict.DROPPED, 'refused')
+    assert pipeline.counters.dropped == {'stamp': 2}
+
+
+def test_images_are_complete_when_all_tracked_bodies_have_arrived() -> None:
+    pipeline = Pipeline(make_config(HRI_SKELETON))
+    first, second = make_people(0)
+
+    def feed_body(person: Person2D, frame: int) -> ProcessingResult:
+        return pipeline.feed(
+            Source.BODY, encode_body(person, make_header(frame)), make_body_topic(HRI_IDS_TOPIC, person.id)
+        )
+
+    assert pipeline.feed(Source.TRACKED_BODIES, encode_ids(0, 'b0', 'b1'), HRI_IDS_TOPIC).outputs == ()
+    assert feed_body(first, 0).outputs == ()
+    assert feed_body(first, 0).verdict is Verdict.DROPPED  # the body repeats in the image
+    assert feed_body(first, 1).outputs[0].stamp_ns == make_header(0).stamp_ns  # the next image ends it without b1
+    assert feed_body(second, 0).verdict is Verdict.DROPPED  # the image has ended
+    assert feed_body(second, 1).outputs[0].stamp_ns == make_header(1).stamp_ns  # complete at once
+    assert pipeline.feed(Source.TRACKED_BODIES, encode_ids(2, 'b1'), HRI_IDS_TOPIC).outputs == ()
+    assert feed_body(second, 2).outputs[0].stamp_ns == make_header(2).stamp_ns
+    (nobody,) = decode_skeletons([pipeline.feed(Source.TRACKED_BODIES, encode_ids(3), HRI_IDS_TOPIC)])
+    assert [p.predicted for p in nobody.people] == [True, True]
+    assert pipeline.counters.dropped['stamp'] == 2
+
+
+def test_a_late_body_is_dropped() -> None:
+    assembler = BodyAssembler()
+    assembler.set_tracked_ids(make_header(0), ['a'], IMAGE_SIZE)
+    person = Person2D('a', COCO17, make_people(0)[0].points, make_people(0)[0].score)
+    assert len(assembler.add_body(make_header(1), person, IMAGE_SIZE, 1.0)) == 1
+    with pytest.raises(FrameDropped, match='after its image was complete'):
+        assembler.add_body(make_header(1), person, IMAGE_SIZE, 1.0)
+    assert assembler.add_body(Header(10 * 10**9, ''), person, IMAGE_SIZE, 1.0)
+    assert len(assembler.add_body(make_header(1), person, IMAGE_SIZE, 1.0)) == 1  # a bag that loops
+
+
+def test_normalised_coordinates_without_an_image_size_are_invalid() -> None:
+    pipeline = Pipeline(with_values(make_config(HRI_SKELETON), {'node.image_width': 0}))
+    result = feed_all(pipeline, make_hri_inputs(0))[1]
+    assert result.verdict is Verdict.INVALID
+    assert 'node.image_width' in result.reason

@@ -1,0 +1,144 @@
+"""Every accepted message type gives the same results, live and from a bag, also among garbage."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mocap_ros.bags.journal import Verdict
+from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recorder import Recorder
+from mocap_ros.bags.topics import list_input_types
+from mocap_ros.config import RecorderConfig
+from mocap_ros.errors import RecordingError
+from mocap_ros.formats.detections import Video
+from mocap_ros.keypoints.joint_map import build_joint_map
+from mocap_ros.messages.foreign.definitions import HRI_SKELETON
+from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.runtime.load_keypoints import load_bag, load_input
+from mocap_ros.runtime.pipeline import Pipeline
+from mocap_ros.runtime.replay import ReplayOptions, replay
+from tests.support.foreign_messages import (
+    BASE_CONFIG,
+    IMAGE_SIZE,
+    INPUT_TYPES,
+    LIMITS,
+    decode_skeletons,
+    feed_all,
+    make_config,
+    make_header,
+    make_inputs,
+    make_people,
+)
+
+FRAMES = 10
+
+
+@pytest.mark.parametrize('msgtype', INPUT_TYPES)
+def test_every_input_type_gives_the_same_people_live_and_from_a_bag(msgtype: str, tmp_path: Path) -> None:
+    pipeline, reference = Pipeline(make_config(msgtype)), Pipeline(make_config(KEYPOINTS))
+    inputs = [i for frame in range(FRAMES) for i in make_inputs(msgtype, frame)]
+    results = feed_all(pipeline, inputs)
+    assert [o.reason for o in results if o.verdict is not Verdict.ACCEPTED] == []
+    skeletons = decode_skeletons(results)
+    expected = decode_skeletons(feed_all(reference, [i for f in range(FRAMES) for i in make_inputs(KEYPOINTS, f)]))
+    assert [len(s.people) for s in skeletons] == [2] * FRAMES
+    for skeleton, reference_skeleton in zip(skeletons, expected, strict=True):
+        assert skeleton.header == reference_skeleton.header
+        for pair in zip(skeleton.people, reference_skeleton.people, strict=True):
+            joints = np.array([[[j.x, j.y, j.z] for j in person.joints] for person in pair])
+            assert np.linalg.norm(joints[0] - joints[1], axis=-1).max() < (1e-9 if msgtype == KEYPOINTS else 0.08)
+
+    types = list_input_types(msgtype)
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        for number, (source, raw, topic) in enumerate(inputs):
+            recorder.write(topic, types[source], raw, number + 1, number + 1)
+    with Bag(tmp_path / 'bag') as bag:
+        replay(bag, tmp_path / 'out')
+    with Bag(tmp_path / 'bag') as bag, pytest.raises(RecordingError, match='exists already'):
+        replay(bag, tmp_path / 'out')
+    with Bag(tmp_path / 'bag') as bag:
+        replay(bag, tmp_path / 'same', ReplayOptions(config=BASE_CONFIG))
+    with Bag(tmp_path / 'same') as out:
+        raws = [m.raw for m in out.messages(['/skeletons'])]
+    assert raws == [o.data for c in results for o in c.outputs if o.topic == 'skeletons']
+
+
+@pytest.mark.parametrize('msgtype', INPUT_TYPES)
+def test_a_bag_of_any_detector_is_a_sequence(msgtype: str, tmp_path: Path) -> None:
+    inputs = [i for frame in range(FRAMES) for i in make_inputs(msgtype, frame)]
+    last = make_inputs(msgtype, FRAMES)
+    if msgtype == HRI_SKELETON:
+        last = last[::2]  # the body b1 is tracked, but its message is missing
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        for number, (source, raw, topic) in enumerate([*inputs, *last, inputs[-1]], 1):
+            recorder.write(topic, list_input_types(msgtype)[source], raw, number, number)
+    detections = load_bag(tmp_path / 'bag', LIMITS)
+    assert list(detections.stamps_ns) == [make_header(frame).stamp_ns for frame in range(FRAMES + 1)]
+    assert [len(p) for p in detections.people] == [2] * FRAMES + [1 if msgtype == HRI_SKELETON else 2]
+    (remark,) = detections.remarks
+    assert re.match(r'1 messages left out; /\S+: message \d\d: (its )?stamp ', remark)
+    sequence, _ = load_input(tmp_path / 'bag', Video(), LIMITS)
+    assert (len(sequence), sequence.image_size, sequence.frame_id) == (FRAMES + 1, IMAGE_SIZE, 'camera')
+    for frame in (0, FRAMES - 1):
+        expected, points = (
+            build_joint_map(p.joints).apply(p.points, p.score)[0]
+            for p in (make_people(frame)[0], sequence.person(frame))
+        )
+        np.testing.assert_allclose(points, expected, atol=1e-3)
+
+
+CLEAN_OUTPUTS: dict[str, list[bytes]] = {}
+
+
+def compute_clean_outputs(msgtype: str) -> list[bytes]:
+    """Return the skeletons of the messages without garbage."""
+    if msgtype not in CLEAN_OUTPUTS:
+        inputs = [i for frame in range(3) for i in make_inputs(msgtype, frame)]
+        results = feed_all(Pipeline(make_config(msgtype)), inputs)
+        CLEAN_OUTPUTS[msgtype] = [o.data for c in results for o in c.outputs if o.topic == 'skeletons']
+    return CLEAN_OUTPUTS[msgtype]
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.data())
+@pytest.mark.parametrize('msgtype', INPUT_TYPES)
+def test_garbage_among_good_messages_is_counted_and_changes_nothing(msgtype: str, data: st.DataObject) -> None:
+    pipeline, outputs, invalid_count = Pipeline(make_config(msgtype)), [], 0
+    for frame in range(3):
+        for source, raw, topic in make_inputs(msgtype, frame):
+            for garbage in data.draw(st.lists(garbage_like(raw), max_size=3)):
+                Pipeline(make_config(msgtype)).feed(source, garbage, topic)  # also as the first message
+                invalid_count += 1
+                result = pipeline.feed(source, garbage, topic)
+                assert result.verdict is Verdict.INVALID, result.reason
+                assert not result.error_traceback
+            outputs += [o.data for o in pipeline.feed(source, raw, topic).outputs if o.topic == 'skeletons']
+    assert outputs == compute_clean_outputs(msgtype)
+    assert pipeline.counters.invalid == invalid_count
+
+
+def garbage_like(raw: bytes) -> st.SearchStrategy[bytes]:
+    """Return bytes that are never a valid message: the message cut short, or short random bytes."""
+    cut = st.integers(0, len(raw) - 9).map(lambda n: raw[:n])
+    return st.one_of(cut, st.binary(max_size=60))
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.data())
+@pytest.mark.parametrize('msgtype', INPUT_TYPES)
+def test_any_damage_is_accepted_or_counted(msgtype: str, data: st.DataObject) -> None:
+    pipeline = Pipeline(make_config(msgtype))
+    for source, raw, topic in make_inputs(msgtype, 0):
+        damaged = bytearray(raw)
+        for at, value in data.draw(st.lists(st.tuples(st.integers(0, len(raw) - 1), st.integers(0, 255)))):
+            damaged[at] = value
+        result = pipeline.feed(source, bytes(damaged), topic)
+        assert not result.error_traceback, result.error_traceback
+    counters = pipeline.counters
+    assert counters.accepted + counters.invalid + counters.dropped.total() == len(make_inputs(msgtype, 0))

@@ -1,0 +1,44 @@
+"""Keypoints are loaded from bags, and a bag is refused where a sequence file is expected."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mocap_ros.bags.recorder import Recorder
+from mocap_ros.config import RecorderConfig
+from mocap_ros.errors import InputError
+from mocap_ros.formats.detections import Video
+from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
+from mocap_ros.runtime.load_keypoints import load_input, load_sequence_file
+from mocap_ros.units import NS_PER_S
+from tests.support.keypoint_files import FRAMES, LIMITS, make_walker
+
+
+def test_a_bag_gives_the_keypoints_and_their_stamps(tmp_path: Path) -> None:
+    walker = make_walker()
+    start = 1_760_000_000_123_456_789
+    stamps = [start + f * NS_PER_S // 25 for f in range(FRAMES)]
+    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
+        for frame, stamp in enumerate(stamps):
+            data = encode_keypoints(Header(stamp, 'cam'), (640, 480), [walker.person(frame, 'anna')])
+            recorder.write('/k', KEYPOINTS, data, stamp, stamp)
+        recorder.write('/k', KEYPOINTS, b'\0\1\0\0', stamps[-1] + 1, stamps[-1] + 1)
+    sequence, lines = load_input(tmp_path / 'bag', Video(), LIMITS)
+    assert sequence.stamps_ns == stamps
+    assert (sequence.person_id, sequence.frame_id, sequence.image_size) == ('anna', 'cam', (640, 480))
+    assert sequence.keypoints == pytest.approx(walker.keypoints, nan_ok=True, abs=1e-3)
+    assert "'anna', seen in 40 of 40 frames" in lines[0]
+    assert '1 messages left out; /k: message 41' in lines[1]
+    with pytest.raises(InputError, match="bag: no person 'bob'; there are anna"):
+        load_input(tmp_path / 'bag', Video(), LIMITS, person='bob')
+
+
+def test_a_bag_is_refused_where_a_sequence_file_is_expected(tmp_path: Path) -> None:
+    for bag in (tmp_path / 'bag', tmp_path / 'bag.mcap', tmp_path / 'bag.npz'):
+        bag.mkdir()
+        (bag / 'bag_0.db3').touch()
+        with pytest.raises(InputError, match=f'{bag.name}: is a bag, expected a sequence file'):
+            load_sequence_file(bag)

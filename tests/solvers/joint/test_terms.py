@@ -1,0 +1,149 @@
+"""Every term of the joint objective alone: its gradient is that of its cost, its matrix that of its squares."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from mocap_ros.config import SolverConfig
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.solvers.block_banded import Coupling
+from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
+from mocap_ros.solvers.joint.bone_lengths import BoneLengths
+from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness
+from mocap_ros.solvers.joint.lifted_pose import LiftedPoseTerm
+from mocap_ros.solvers.joint.normal_equations import NormalEquations
+from mocap_ros.solvers.joint.objective import JointObjective
+from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
+from mocap_ros.solvers.joint.state import CAMERA_UNKNOWNS, State
+from mocap_ros.solvers.window import EarlierFrames, Window, initialise_from_mean_pose
+from tests.support.synthetic_walk import make_walk
+
+COMPONENTS = 6
+STEP = 1e-5  # of the finite differences: errors of rounding and of the third order are about equal
+TERMS = (BoneLengths, BasePosePrior, PoseSmoothness, CameraSmoothness, LiftedPoseTerm)
+
+
+@pytest.fixture
+def objective_and_state(walk_model: BasePoses, rng: np.random.Generator) -> tuple[JointObjective, State]:
+    """Two sequences under perspective, with missing points, lifted poses and frames before the first window."""
+    model = walk_model.truncate(COMPONENTS)
+    windows = []
+    for frames in (7, 5):
+        theta, _, points, times = make_walk(walk_model, frames=frames, seed=frames)
+        weight = rng.uniform(0.3, 1, points.shape[:2]) * (rng.random(points.shape[:2]) > 0.1)
+        poses = 200 * walk_model.poses(theta) + 30 * rng.normal(size=(*points.shape[:2], 3))
+        lifted = LiftedPoses(poses, rng.uniform(5, 50, poses.shape))
+        lengths = 1.1 * model.skeleton.bone_lengths(model.mean)
+        earlier = EarlierFrames(4, lengths) if frames == 7 else None
+        windows.append(Window(points, weight, times, focal=300.0, earlier_frames=earlier, lifted=lifted))
+    starts = [initialise_from_mean_pose(w, model, 1.0) for w in windows]
+    units = np.array([np.median(s.cameras.scale) for s in starts])
+    config = SolverConfig(
+        prior_weight=1e-2,
+        smooth_weight=1e-3,
+        flip_weight=0.5,
+        tilt_weight=0.3,
+        scale_weight=0.2,
+        lifter_weight=0.1,
+    )
+    objective = JointObjective.build(windows, units, model, config)
+    state = objective.initial_state(starts, units)
+    return objective, state.advanced(0.1 * rng.normal(size=(12, COMPONENTS + CAMERA_UNKNOWNS)))
+
+
+def empty_equations(objective: JointObjective) -> NormalEquations:
+    frames, n = len(objective.fixed), COMPONENTS + CAMERA_UNKNOWNS
+    coupling = Coupling(np.zeros((frames - 1, n)), np.zeros((frames - 1, CAMERA_UNKNOWNS, CAMERA_UNKNOWNS)))
+    bones = np.zeros((frames, n, len(objective.bones.weight)))
+    return NormalEquations(
+        np.zeros((frames, 1, n)), np.zeros((frames, n, n)), coupling, np.zeros((frames, n)), bones
+    )
+
+
+def differentiate(cost: Callable[[State], float], state: State) -> np.ndarray:
+    """(N, n) central differences of a function of the state."""
+    out = np.empty((len(state.theta), COMPONENTS + CAMERA_UNKNOWNS))
+    for index in np.ndindex(*out.shape):
+        step = np.zeros_like(out)
+        step[index] = STEP
+        out[index] = (cost(state.advanced(step)) - cost(state.advanced(-step))) / (2 * STEP)
+    return out
+
+
+@pytest.mark.parametrize('kind', TERMS)
+def test_gradient_is_half_that_of_the_cost(objective_and_state: tuple[JointObjective, State], kind: type) -> None:
+    objective, state = objective_and_state
+    term = objective.find_term(kind)
+    equations = empty_equations(objective)
+    term.add_to(equations, objective.fit(state))
+    numeric = differentiate(lambda s: float(term.cost(objective.fit(s)).sum()), state) / 2
+    assert np.abs(numeric).max() > 0
+    assert np.abs(equations.gradient - numeric).max() < 1e-6 * np.abs(numeric).max()
+
+
+@pytest.mark.parametrize('kind', [BasePosePrior, PoseSmoothness])
+def test_matrix_of_quadratic_terms_is_their_second_derivative(
+    objective_and_state: tuple[JointObjective, State], kind: type
+) -> None:
+    objective, state = objective_and_state
+    term = objective.find_term(kind)
+
+    def gradient(at: State) -> np.ndarray:
+        equations = empty_equations(objective)
+        term.add_to(equations, objective.fit(at))
+        return equations.gradient
+
+    equations = empty_equations(objective)
+    term.add_to(equations, objective.fit(state))
+    below = equations.coupling.to_dense()
+    frames, n = equations.gradient.shape
+    for frame, unknown in ((0, 0), (3, 2), (6, 1), (7, 4), (11, 5)):
+        step = np.zeros((frames, n))
+        step[frame, unknown] = STEP
+        column = (gradient(state.advanced(step)) - gradient(state.advanced(-step))) / (2 * STEP)
+        expected = np.zeros((frames, n))
+        expected[frame] = equations.diagonal[frame, :, unknown]
+        if frame + 1 < frames:
+            expected[frame + 1] = below[frame][:, unknown]
+        if frame:
+            expected[frame - 1] = below[frame - 1][unknown]
+        assert column == pytest.approx(expected, abs=1e-6 * np.abs(equations.diagonal).max())
+
+
+@pytest.mark.parametrize('kind', TERMS)
+def test_nothing_couples_two_sequences(objective_and_state: tuple[JointObjective, State], kind: type) -> None:
+    objective, state = objective_and_state
+    equations = empty_equations(objective)
+    objective.find_term(kind).add_to(equations, objective.fit(state))
+    seam = objective.batch.starts[1] - 1
+    assert (equations.coupling.to_dense()[seam] == 0).all()
+
+
+@pytest.mark.parametrize('kind', TERMS)
+def test_first_base_poses_alone_are_all_of_them_with_the_others_at_zero(
+    objective_and_state: tuple[JointObjective, State], kind: type
+) -> None:
+    objective, state = objective_and_state
+    few = objective.with_components(3)
+    theta = np.where(np.arange(COMPONENTS) < 3, state.theta, 0.0)
+    whole = State(theta, state.rotation, state.log_scale, state.translation)
+    costs = [o.find_term(kind).cost(o.fit(s)) for o, s in ((objective, whole), (few, whole.with_components(3)))]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-12)
+
+
+def test_reprojection_of_a_far_camera_is_weak_perspective(
+    objective_and_state: tuple[JointObjective, State],
+) -> None:
+    objective, state = objective_and_state
+    near = objective.reprojection
+    far = type(near)(near.image, near.weight, near.variance_ratio, near.robust_scale, near.focal * 1e9)
+    flat = type(near)(near.image, near.weight, near.variance_ratio, near.robust_scale, near.focal * math.inf)
+    scaled = objective.fit(state).scaled_poses
+    errors = [r.depth_and_error(scaled, state.translation)[1] for r in (far, flat, near)]
+    assert errors[0] == pytest.approx(errors[1], abs=1e-9)
+    assert np.abs(errors[2] - errors[1]).max() > 1e-3

@@ -1,0 +1,84 @@
+"""A detector that publishes YOLO or ROS4HRI messages; run as a program, with the foreign packages on its path.
+
+Its arguments are `yolo` or `hri`, and `tf` if it is to wait for transforms and print their frames as JSON. Its
+standard input is JSON: for each frame its stamp in ns, and for each person the (x, y, score) of each joint.
+"""
+
+import json
+import sys
+import time
+
+import rclpy
+from hri_msgs.msg import IdsList, Skeleton2D
+from tf2_msgs.msg import TFMessage
+from yolo_msgs.msg import Detection, DetectionArray, KeyPoint2D
+
+TIMEOUT_S = 15
+
+kind, frames = sys.argv[1], json.loads(sys.stdin.read())
+rclpy.init()
+node = rclpy.create_node('detector')
+transforms = []
+node.create_subscription(TFMessage, '/tf', transforms.append, 1000)
+
+
+def wait_until(condition):
+    deadline = time.monotonic() + TIMEOUT_S
+    while not condition():
+        assert time.monotonic() < deadline
+        rclpy.spin_once(node, timeout_sec=0.02)
+
+
+def with_header(message, stamp_ns):
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    message.header.frame_id = 'camera'
+    return message
+
+
+def publish_yolo():
+    publisher = node.create_publisher(DetectionArray, 'keypoints', 100)
+    wait_until(publisher.get_subscription_count)
+    for stamp_ns, people in frames:
+        array = with_header(DetectionArray(), stamp_ns)
+        for name, points in people.items():
+            detection = Detection(id=name)
+            for i, (x, y, score) in enumerate(points):
+                if score > 0:
+                    keypoint = KeyPoint2D(id=i + 1, score=score)
+                    keypoint.point.x, keypoint.point.y = x, y
+                    detection.keypoints.data.append(keypoint)
+            array.detections.append(detection)
+        publisher.publish(array)
+
+
+def publish_hri():
+    tracked = node.create_publisher(IdsList, '/humans/bodies/tracked', 100)
+    wait_until(tracked.get_subscription_count)
+    bodies = {}
+    for stamp_ns, people in frames:
+        for name in people.keys() - bodies.keys():
+            tracked.publish(with_header(IdsList(ids=list(people)), stamp_ns - 1))
+            bodies[name] = node.create_publisher(Skeleton2D, f'/humans/bodies/{name}/skeleton2d', 100)
+            wait_until(bodies[name].get_subscription_count)
+        for name in bodies.keys() - people.keys():
+            tracked.publish(with_header(IdsList(ids=list(people)), stamp_ns - 1))
+            wait_until(lambda: not bodies[name].get_subscription_count())  # noqa: B023
+            node.destroy_publisher(bodies.pop(name))
+        for name, points in people.items():
+            message = with_header(Skeleton2D(), stamp_ns)
+            for joint, (x, y, score) in zip(message.skeleton, points, strict=False):
+                joint.x, joint.y, joint.c = x, y, score
+            bodies[name].publish(message)
+        time.sleep(0.03)
+
+
+if kind == 'yolo':
+    publish_yolo()
+else:
+    publish_hri()
+if 'tf' in sys.argv:
+    wait_until(lambda: len(transforms) >= len(frames))
+    print(json.dumps([[(t.header.frame_id, t.child_frame_id) for t in m.transforms] for m in transforms]))
+time.sleep(0.3)
+node.destroy_node()
+rclpy.shutdown()

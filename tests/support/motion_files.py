@@ -1,0 +1,103 @@
+"""A motion and small motion-capture files, and rotation matrices to check them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocap_ros.errors import InputError
+from mocap_ros.formats.mocap.trials import load_trials
+from mocap_ros.models.model_file import load_base_poses
+
+FRAMES = 40
+Z_UP_TO_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+
+
+def make_poses() -> np.ndarray:
+    """Return poses (F, 15, 3) in m, z up, of a walker who moves through space."""
+    model = load_base_poses('walk')
+    theta = np.sin(np.arange(FRAMES)[:, None] / 5 + np.arange(4)) * model.std[:4]
+    return model.poses(theta) + np.linspace([0, 0, 0.9], [2, 1, 0.9], FRAMES)[:, None]
+
+
+def rotation_matrix(axis: str, degrees: float) -> np.ndarray:
+    """Return the (3, 3) rotation about the axis x, y or z."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array({
+        'x': [[1, 0, 0], [0, c, -s], [0, s, c]],
+        'y': [[c, 0, s], [0, 1, 0], [-s, 0, c]],
+        'z': [[c, -s, 0], [s, c, 0], [0, 0, 1]],
+    }[axis])  # fmt: skip
+
+
+# A skeleton of two bones, and a motion of two frames.
+ASF = """# made for a test
+:version 1.10
+:name x
+:units
+  mass 1.0
+  length 0.45
+  angle deg
+:root
+   order TX TY TZ RX RY RZ
+   axis XYZ
+   position 0 0 0
+   orientation 0 0 0
+:bonedata
+  begin
+     id 1
+     name upper
+     direction 0 -1 0
+     length 3
+     axis 20 30 40   XYZ
+    dof rx ry rz
+    limits (-160.0 20.0)
+           (-70.0 70.0)
+           (-60.0 70.0)
+  end
+  begin
+     id 2
+     name lower
+     direction 0.6 -0.8 0
+     length 2
+     axis 5 0 -7  XYZ
+    dof rx
+    limits (-10.0 170.0)
+  end
+:hierarchy
+  begin
+    root upper
+    upper lower
+  end
+"""
+AMC = """:FULLY-SPECIFIED
+:DEGREES
+1
+root 1 2 3 10 20 30
+upper 15 25 35
+lower 45
+2
+root 0 0 0 0 0 0
+upper 0 0 0
+lower 0
+"""
+
+
+def make_bvh(change: Callable[[str], str]) -> str:
+    """Return a BVH file of one joint and one frame after a change."""
+    return change(
+        'HIERARCHY\nROOT Hips\n{\nOFFSET 0 0 0\nCHANNELS 3 Zrotation Xrotation Yrotation\nEnd Site\n{\n'
+        'OFFSET 0 1 0\n}\n}\nMOTION\nFrames: 1\nFrame Time: 0.1\n1 2 3\n'
+    )
+
+
+def check_refusal(path: Path, content: str, message: str) -> None:
+    """Check that a file is refused by an error of one line that names it, when its folder is loaded."""
+    path.write_text(content)
+    with pytest.raises(InputError, match=message) as caught:
+        load_trials(path.parent)
+    assert path.name in str(caught.value)
+    assert '\n' not in str(caught.value)

@@ -1,0 +1,182 @@
+"""The node as its users run it, a process of its own, and a peer in this process that talks to it over DDS."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from mocap_ros.demo.scene import make_recording
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.messages.cdr import Header, decode, encode
+from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
+from mocap_ros.messages.markers import DELETE_ALL, MARKERS
+from mocap_ros.messages.skeletons import SKELETON_DEFINITION, SKELETONS
+from mocap_ros.ros.message_types import load_interface_class
+from mocap_ros.runtime.pipeline import OUTPUTS
+from mocap_ros.skeleton import keypoint_layout
+
+TIMEOUT_S = 20.0  # s; far above what anything here takes on a busy machine
+MAX_STOP_S = 2.0  # s; 1 s where nothing else is running
+FAST_PARAMETERS = ('tracker.model:=walk', 'tracker.iterations:=1', 'tracker.components:=8')
+# A best-effort subscription may miss the first messages.
+RELIABLE_INPUT = 'qos_overrides./keypoints.subscription.reliability:=reliable'
+DEACTIVATE, ACTIVATE, CLEAN_UP, CONFIGURE = 4, 3, 2, 1  # of lifecycle_msgs/Transition
+
+Process = subprocess.Popen[str]
+
+
+class StartNode(Protocol):
+    """The fixture that starts the node with these parameters and further ROS arguments."""
+
+    def __call__(self, *parameters: str, ros: Sequence[str] = ()) -> Process: ...
+
+
+class Peer:
+    """A node in this process that sends keypoints and keeps the outputs of `mocap_node` as bytes."""
+
+    def __init__(self, domain: int) -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from rclpy.signals import SignalHandlerOptions
+
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = rclpy.create_node('peer', context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.received: dict[str, list[bytes]] = {}
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.subscriptions = []
+        for topic, msgtype in (*OUTPUTS.items(), ('skeleton_definition', SKELETON_DEFINITION)):
+            self.received[topic] = []
+            qos = QoSProfile(depth=1000) if topic in OUTPUTS else latched
+            keep = self.received[topic].append
+            message_class = load_interface_class(msgtype)
+            self.subscriptions.append(self.node.create_subscription(message_class, topic, keep, qos, raw=True))
+        self.keypoints = self.node.create_publisher(load_interface_class(KEYPOINTS), 'keypoints', 10)
+
+    def close(self) -> None:
+        import rclpy
+
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+    def wait_until(self, condition: Callable[[], object]) -> None:
+        deadline = time.monotonic() + TIMEOUT_S
+        while not condition():
+            assert time.monotonic() < deadline
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def wait_for_node(self) -> None:
+        """Wait until the node publishes its outputs."""
+        self.wait_until(lambda: all(s.get_publisher_count() for s in self.subscriptions))
+        self.wait_until(lambda: self.received['skeleton_definition'])
+
+    def wait_for_keypoints_subscription(self) -> None:
+        self.wait_until(lambda: self.keypoints.get_subscription_count() == 1)
+
+    def wait_for_frames(self, count: int) -> None:
+        self.wait_until(lambda: len(self.received['skeletons']) >= count)
+        assert len(self.received['skeletons']) == count
+
+    def call_service(self, service_class: Any, name: str, **request: object) -> Any:
+        client = self.node.create_client(service_class, name)
+        self.wait_until(client.service_is_ready)
+        future = client.call_async(service_class.Request(**request))
+        self.wait_until(future.done)
+        return future.result()
+
+    def set_parameter(self, name: str, value: object) -> Any:
+        """Set a parameter of the node and return the result, which says whether this was successful."""
+        from rcl_interfaces.srv import SetParameters
+        from rclpy.parameter import Parameter
+
+        request = [Parameter(name, value=value).to_parameter_msg()]
+        return self.call_service(SetParameters, 'mocap_node/set_parameters', parameters=request).results[0]
+
+    def record(self, is_wanted: bool) -> Any:
+        """Call ~/record of the node."""
+        from std_srvs.srv import SetBool
+
+        return self.call_service(SetBool, 'mocap_node/record', data=is_wanted)
+
+    def change_state(self, *transitions: int) -> None:
+        from lifecycle_msgs.srv import ChangeState
+
+        for transition in transitions:
+            request = ChangeState.Request()
+            request.transition.id = transition
+            answer = self.call_service(ChangeState, 'mocap_node/change_state', transition=request.transition)
+            assert answer.success
+
+    def are_markers_deleted(self) -> bool:
+        """Return whether the last markers delete all markers."""
+        return bool(decode(self.received['markers'][-1], MARKERS).markers[0].action == DELETE_ALL)
+
+    def received_stamps(self, topic: str) -> list[int]:
+        """Return the stamps in ns of the messages received on a topic, without those that delete all markers."""
+        stamps = []
+        for raw in self.received[topic]:
+            message = decode(raw, OUTPUTS[topic])
+            if topic == 'markers' and message.markers[0].action == DELETE_ALL:
+                continue
+            header = message.markers[0].header if topic == 'markers' else message.header
+            stamps.append(header.stamp.sec * 10**9 + header.stamp.nanosec)
+        return stamps
+
+
+def launch_node(env: dict[str, str], folder: Path, parameters: Sequence[str], ros: Sequence[str]) -> Process:
+    """Start the node in a working folder."""
+    options = [word for p in (*FAST_PARAMETERS, RELIABLE_INPUT, *parameters) for word in ('-p', p)]
+    command = [sys.executable, '-m', 'mocap_ros.ros.main', '--ros-args', *options, *ros]
+    return subprocess.Popen(
+        command, env=env, cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+
+
+def stop_node(process: Process, by: signal.Signals = signal.SIGTERM) -> list[str]:
+    """Stop the node; return the warnings and errors that it logged."""
+    return [line for line in stop_node_and_read_log(process, by) if not line.startswith('[INFO]')]
+
+
+def stop_node_and_read_log(process: Process, by: signal.Signals = signal.SIGTERM) -> list[str]:
+    """Stop the node; return all that it logged."""
+    start = time.monotonic()
+    process.send_signal(by)
+    _, log = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 0
+    assert time.monotonic() - start < MAX_STOP_S
+    return log.splitlines()
+
+
+def run_cli(env: dict[str, str], *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run `mocap-ros` with these arguments."""
+    command = [sys.executable, '-m', 'mocap_ros.cli.main', *map(str, arguments)]
+    return subprocess.run(command, env=env, capture_output=True, text=True, check=False, timeout=60)
+
+
+def stack_joints(skeletons: Sequence[bytes]) -> np.ndarray:
+    """Return the joints (N, 3) in m of all people in these messages."""
+    people = [decode(raw, SKELETONS).people for raw in skeletons]
+    return np.array([[p.x, p.y, p.z] for frame in people for person in frame for p in person.joints])
+
+
+def keypoints_at(seconds: float, **changed_fields: Any) -> bytes:
+    """Return a valid message with this stamp, or one in which some fields of its person are changed."""
+    names = keypoint_layout('coco17').joints
+    points = make_recording().keypoints[0]
+    person = Person2D('', names, np.nan_to_num(points[:, :2]), points[:, 2])
+    raw = encode_keypoints(Header(round(seconds * 1e9), 'camera'), (640, 480), [person])
+    message = decode(raw, KEYPOINTS)
+    for field, value in changed_fields.items():
+        setattr(message.people[0], field, value)
+    return encode(message, KEYPOINTS)

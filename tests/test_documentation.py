@@ -1,0 +1,62 @@
+"""The documents name files that exist, and the code keeps the rules that a reader relies on."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.support.paths import ROOT
+
+PACKAGE = ROOT / 'mocap_ros'
+PAGES = [*ROOT.glob('*.md'), *ROOT.glob('docs/*.md')]
+MODULES = sorted(PACKAGE.rglob('*.py'))
+
+
+def code_paths(page: Path) -> Iterator[str]:
+    """Paths between back quotes that look like files or folders of the package or of the repository."""
+    yield from re.findall(r'`([a-z0-9_]+(?:/[a-z0-9_]+)*(?:\.py|/))`', page.read_text(encoding='utf-8'))
+
+
+@pytest.mark.parametrize(
+    'name', ['architecture.md', 'glossary.md', 'tracker.md', 'solvers.md', 'keyframes.md', 'lifter.md']
+)
+def test_every_file_that_a_page_names_exists(name: str) -> None:
+    for path in code_paths(ROOT / 'docs' / name):
+        places = [PACKAGE / path, ROOT / path, *PACKAGE.glob(f'*/{path}'), *PACKAGE.glob(f'*/*/{path}')]
+        assert any(p.exists() for p in places), f'docs/{name}: {path}'
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda p: p.name)
+def test_every_link_leads_somewhere(page: Path) -> None:
+    for target in re.findall(r'\]\(([^)#\s]+)', page.read_text(encoding='utf-8')):
+        if '://' not in target:
+            assert (page.parent / target).exists(), f'{page.name}: {target}'
+
+
+def test_the_glossary_has_every_folder_of_the_mathematics() -> None:
+    named = {path.split('/')[0] for path in code_paths(ROOT / 'docs' / 'glossary.md')}
+    assert named >= {'geometry', 'keypoints', 'models', 'solvers', 'tracking', 'offline', 'evaluation', 'training'}
+
+
+@pytest.mark.parametrize('module', MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_every_number_among_the_constants_has_a_comment(module: Path) -> None:
+    """A comment on the line of the constant, or above the block of constants it is in, gives unit and reason."""
+    text = module.read_text(encoding='utf-8')
+    lines = text.split('\n')
+    for node in ast.parse(text).body:
+        if not isinstance(node, ast.Assign | ast.AnnAssign):
+            continue
+        targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+        names = [n.id for t in targets for n in ast.walk(t) if isinstance(n, ast.Name)]
+        numbers = [n for n in ast.walk(node) if isinstance(n, ast.Constant) and type(n.value) in (int, float)]
+        if not numbers or not any(name.lstrip('_').isupper() for name in names):
+            continue
+        inside = any('#' in line for line in lines[node.lineno - 1 : node.end_lineno])
+        block = '\n'.join(lines[: node.lineno - 1]).rpartition('\n\n')[2]
+        assert inside or block.startswith('#') or lines[node.lineno - 2].startswith('#'), (
+            f'{module.name}:{node.lineno}: {names[0]} has neither unit nor reason'
+        )
