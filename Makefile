@@ -48,8 +48,8 @@ setup: $(STAMPS)/package $(STAMPS)/messages  ## make .venv with everything in it
 demo: setup  ## run the node on the demo recording, into demo_output/
 	@$(BIN)/mocap-ros demo -o demo_output
 
-test: setup  ## run the tests
-	@$(BIN)/python -m pytest
+test: setup  ## run the tests and print what they cover
+	@$(BIN)/python -m pytest --cov
 
 lint: setup  ## check style, types and the import contract
 	@$(BIN)/ruff check

@@ -4,17 +4,41 @@ from pathlib import Path
 
 from setuptools import find_packages, setup
 
-PACKAGE = ET.parse(Path(__file__).with_name('package.xml')).getroot()
+ROOT = Path(__file__).parent
+PACKAGE = ET.parse(ROOT / 'package.xml').getroot()
 NAME = PACKAGE.findtext('name')
 MAINTAINER = PACKAGE.find('maintainer')
+URLS = {url.get('type'): url.text for url in PACKAGE.findall('url')}
 
 setup(
     name=NAME,
     version=PACKAGE.findtext('version'),
     description=PACKAGE.findtext('description'),
+    long_description=(ROOT / 'README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
+    url=URLS['website'],
+    project_urls={
+        'Source': URLS['repository'],
+        'Issues': URLS['bugtracker'],
+        'Changelog': f'{URLS["repository"]}/blob/main/CHANGELOG.md',
+    },
     maintainer=MAINTAINER.text,
     maintainer_email=MAINTAINER.get('email'),
     license=PACKAGE.findtext('license'),
+    license_files=[PACKAGE.find('license').get('file')],
+    keywords=['motion capture', 'human pose', '3D reconstruction', 'monocular', 'keypoints', 'ROS 2'],
+    classifiers=[
+        'Development Status :: 4 - Beta',
+        'Intended Audience :: Developers',
+        'Intended Audience :: Science/Research',
+        'License :: OSI Approved :: Apache Software License',
+        'Operating System :: POSIX :: Linux',
+        'Programming Language :: Python :: 3',
+        *(f'Programming Language :: Python :: 3.{minor}' for minor in range(10, 15)),
+        'Topic :: Multimedia :: Graphics :: 3D Modeling',
+        'Topic :: Scientific/Engineering :: Image Processing',
+        'Typing :: Typed',
+    ],
     python_requires='>=3.10',
     packages=find_packages(include=[f'{NAME}*']),
     package_data={NAME: ['models/shipped/*.npz', 'demo/*.npz', 'messages/msg/*.msg', 'py.typed']},
@@ -45,6 +69,7 @@ setup(
         'test': [
             'ezc3d>=1.6,<2',
             'pytest>=7.4,<10',
+            'pytest-cov>=5,<8',
             'hypothesis>=6.90,<7',
             'mcap-ros2-support>=0.5.5,<0.7',
         ],
@@ -52,6 +77,7 @@ setup(
             'ruff==0.17.*',
             'mypy==2.4.*',
             'import-linter==2.16.*',
+            'pre-commit>=4,<5',
             'types-PyYAML>=6.0,<7',
             'types-tqdm>=4.64,<5',
         ],

@@ -12,13 +12,17 @@ from __future__ import annotations
 import argparse
 import csv
 import itertools
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import common
 import numpy as np
 
 from mocap_ros.config import ClassifierConfig, TrackerConfig
+from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.classification import PeriodicFit, PeriodicSwitch, fit_periodic, is_periodic
 from mocap_ros.solvers.window import Window
 
@@ -29,12 +33,12 @@ NOISE = 0.01  # option `noise` of the protocol, as of a good detector
 # Trials of --quick, from each category.
 QUICK_TRIALS = ('35_02', '35_17', '07_04', '09_01', '13_11', '16_01', '02_04')
 # Thresholds that are compared, by parameter of the group `classifier`.
-GRID = {
-    'walk_residual': np.arange(0.010, 0.0205, 0.00125),
-    'run_residual': np.arange(0.014, 0.0285, 0.002),
+GRID: dict[str, Sequence[float]] = {
+    'walk_residual': np.arange(0.010, 0.0205, 0.00125).tolist(),
+    'run_residual': np.arange(0.014, 0.0285, 0.002).tolist(),
     'walk_cadence': (0.5, 0.55, 0.6, 0.65),
     'run_cadence': (0.9, 1.0, 1.1),
-    'amplitude': np.arange(0.020, 0.035, 0.002),
+    'amplitude': np.arange(0.020, 0.035, 0.002).tolist(),
 }
 
 
@@ -58,7 +62,7 @@ def load_labels() -> dict[str, list[str]]:
     return found
 
 
-def train_models_without(subject: str) -> dict[str, common.BasePoses]:
+def train_models_without(subject: str) -> dict[str, BasePoses]:
     """Train base poses of walks and of runs without a subject."""
     return {c: common.train_base_poses(c, without_subjects=(subject,)) for c in ('walk', 'run')}
 
@@ -148,7 +152,8 @@ def main() -> None:
     found = [s for s in fit_sections(chosen) if s.label != 'transition']
     true = np.array([s.label == 'periodic' for s in found])
     thresholds = [
-        ClassifierConfig(**dict(zip(GRID, map(float, v), strict=True))) for v in itertools.product(*GRID.values())
+        replace(ClassifierConfig(), **dict[str, Any](zip(GRID, v, strict=True)))
+        for v in itertools.product(*GRID.values())
     ]
     shipped = np.array([is_periodic(s.fit, ClassifierConfig()) for s in found])
     record = {'seconds': len(found), 'balanced_accuracy_defaults': compute_balanced_accuracy(shipped, true)}
@@ -169,11 +174,10 @@ def main() -> None:
         plateau = np.median(values[accuracy >= accuracy.max() - 0.003], axis=0)
         middle = dict(zip(GRID, plateau.round(4).tolist(), strict=True))
         print('\nMedian of the best thresholds over all subjects:', middle)
-        wrong = {}
-        for s, a in zip(found, said, strict=True):
-            if a != (s.label == 'periodic'):
-                wrong[f'{s.trial} ({s.label})'] = wrong.get(f'{s.trial} ({s.label})', 0) + 1
-        print('Wrongly classified seconds by trial:', dict(sorted(wrong.items(), key=lambda kv: -kv[1])[:12]))
+        wrong = Counter(
+            f'{s.trial} ({s.label})' for s, a in zip(found, said, strict=True) if a != (s.label == 'periodic')
+        )
+        print('Wrongly classified seconds by trial:', dict(wrong.most_common(12)))
     print('\nSplice of 35/17 (run), 16/02 (jump), 35/18 (run), sections of 1 s, with hysteresis:\n')
     print(classify_splice())
     common.write_json(args.json, record)

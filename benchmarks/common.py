@@ -274,9 +274,9 @@ def mean_error(records: Sequence[dict[str, float]], key: str = 'mpjpe_mm') -> fl
     return float(np.mean([r[key] for r in records]))
 
 
-def worst_error(records: Sequence[dict[str, float]], key: str = 'mpjpe_mm') -> float:
-    """Return the largest value of an error over the records."""
-    return float(np.max([r[key] for r in records]))
+def worst_error(records: Sequence[dict[str, float]]) -> float:
+    """Return the largest MPJPE of the records in mm."""
+    return float(np.max([r['mpjpe_mm'] for r in records]))
 
 
 def compute_frame_errors(view: View, result: Reconstruction, *, per_frame_similarity: bool = False) -> Array:

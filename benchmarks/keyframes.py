@@ -16,7 +16,7 @@ import multiprocessing
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
@@ -38,10 +38,11 @@ from mocap_ros.offline.keyframes import reconstruct as keyframe_method
 from mocap_ros.offline.keyframes.body_halves import extract_half_poses, split_into_halves
 from mocap_ros.offline.keyframes.distance import build_averaging_matrix, compute_distances, denoise_distances
 from mocap_ros.offline.keyframes.gradient_fit import align_motion, fit_motion
-from mocap_ros.offline.keyframes.observations import Observations, prepare_observations
 from mocap_ros.offline.keyframes.selection import select_keyframes
+from mocap_ros.offline.keyframes.shots import observe_shots
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.viewing.keyframe_plots import draw_distances_figure, draw_keyframes_figure
 from mocap_ros.viewing.plots import TRUTH_COLOUR, draw_bones, project_from_side, save_figure
 
@@ -109,9 +110,9 @@ def make_mixed_view(trials: Sequence[str], seconds: float, heading: float = 30.0
     return common.make_views(xyz, (heading,), frames=len(xyz), **CAMERA_OPTIONS)[0]
 
 
-def degrade_view(clean: View, seed: int = 0) -> DegradedView:
+def degrade_view(clean: View) -> DegradedView:
     """Add gross outliers in runs, gaps without detection, and bursts of noise as from motion blur."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     keypoints = clean.sequence['keypoints'].astype(float)
     frames, joints = keypoints.shape[:2]
     height = BODY_HEIGHT_M * clean.sequence['camera_matrix'][0, 0] / clean.truth[..., 2].mean(axis=1)
@@ -126,7 +127,7 @@ def degrade_view(clean: View, seed: int = 0) -> DegradedView:
             wrong[run, joint] = True
     for marked, longest, every in ((blurred, MAX_BLUR_S, BLUR_INTERVAL_S), (gone, MAX_GAP_S, GAP_INTERVAL_S)):
         for _ in range(int(frames / common.FPS / every)):
-            length = int(rng.integers(2, longest * common.FPS + 1))
+            length = int(rng.integers(2, int(longest * common.FPS) + 1))
             first = int(rng.integers(frames - length))
             marked[first : first + length] = True
     noise = BLUR_NOISE * height[:, None, None] * rng.standard_normal((frames, joints, 2))
@@ -169,10 +170,10 @@ def reconstruct_live(view: View, config: Config) -> Array:
     return track(view, train_test_base_poses(), config).joints
 
 
-def observe_view(view: View, config: Config) -> Observations:
+def observe_view(view: View, config: Config) -> ObservedWindow:
     keypoints = view.sequence['keypoints'].astype(float)
     times = view.sequence['timestamps']
-    return prepare_observations(keypoints, CMU15.joints, times, choose_intrinsics(view), config.tracker)
+    return observe_shots(keypoints, CMU15.joints, times, choose_intrinsics(view), config.tracker)
 
 
 def compute_frame_errors(view: View, joints: Array) -> Array:
@@ -185,7 +186,8 @@ def compute_frame_errors(view: View, joints: Array) -> Array:
 
 def compare_methods(quick: bool) -> tuple[list[dict[str, Any]], dict[str, float]]:
     """Compare the keyframe method, the tracker and the whole-sequence solver on clean and corrupted views."""
-    config, rows = make_config(), []
+    config = make_config()
+    rows: list[dict[str, Any]] = []
     figures: dict[str, float] = {}
     kinds = {'mixed': MIXED_TRIALS, 'unseen by the lifter': UNSEEN_TRIALS}
     methods: dict[str, Callable[[View], Array]] = {
@@ -199,7 +201,7 @@ def compare_methods(quick: bool) -> tuple[list[dict[str, Any]], dict[str, float]
         seconds = clean.frames / common.FPS
         for name, reconstruct in common.show_progress(methods.items(), kind):
             best = reconstruct(clean)
-            found, took = measure_cpu_seconds(lambda r=reconstruct, v=bad.view: r(v))
+            found, took = measure_cpu_seconds(partial(reconstruct, bad.view))
             one, two = compute_frame_errors(clean, best), compute_frame_errors(clean, found)
             there = bad.corrupted
             rows.append(
@@ -416,10 +418,12 @@ def _draw_second_camera(a: KeypointSequence, b: KeypointSequence, view: Array) -
 
 def observe_pixels(recorded: KeypointSequence) -> tuple[Array, Array]:
     """Return the image points (F, J, 2) px of the model's joints and their weights (F, J)."""
-    seen = prepare_observations(
-        recorded.keypoints, recorded.joint_names, recorded.timestamps, recorded.intrinsics(1.0), Config().tracker
+    intrinsics = recorded.intrinsics(1.0)
+    seen = observe_shots(
+        recorded.keypoints, recorded.joint_names, recorded.timestamps, intrinsics, Config().tracker
     )
-    return seen.pixels, seen.weight
+    pixels = intrinsics.project(np.concatenate([seen.rays, np.ones_like(seen.rays[..., :1])], axis=-1))
+    return pixels, seen.weight
 
 
 def measure_paper_length() -> dict[str, float]:
@@ -476,7 +480,7 @@ def find_keyframes_in_process(path: str, connection: Any) -> None:
     before = read_peak_mb()
     start_s = time.process_time()
     intrinsics = choose_intrinsics(View({'image_size': np.array([640, 800])}))
-    seen = prepare_observations(keypoints, CMU15.joints, times, intrinsics, Config().tracker)
+    seen = observe_shots(keypoints, CMU15.joints, times, intrinsics, Config().tracker)
     found = keyframe_method.find_keyframes(
         seen.exclude_points(keyframe_method.find_suspect_points(seen)), Config().keyframes
     )

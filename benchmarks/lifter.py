@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from common import View
@@ -25,15 +26,14 @@ from mocap_ros.config import Config, SolverConfig
 from mocap_ros.formats.mocap.trials import Trial
 from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.geometry.virtual_camera import VirtualCamera
-from mocap_ros.keypoints.joint_map import build_joint_map, map_to_model_joints
-from mocap_ros.keypoints.left_right import find_swapped_frames
+from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.models import lifter, model_file
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import HISTORY_SLOTS_S, LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_base_poses
-from mocap_ros.offline.whole_sequence import VIEW_SMOOTHING_S
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.joint.solver import solve_hypotheses
+from mocap_ros.solvers.observed_window import observe_sequence
 from mocap_ros.solvers.window import Window
 
 # Rows of the table of motion capture: which trials belong to the row, and the target of its MPJPE in mm.
@@ -69,20 +69,14 @@ class Detections:
         file = common.data_path('data', 'detections', f'balance_{detector}_cam{camera}.npz')
         with np.load(file) as archive:
             sequence = {k: archive[k] for k in archive.files}
-        settings = Config().tracker
-        intrinsics = load_sequence(file).intrinsics(settings.nominal_focal_length)
-        keypoints, times = sequence['keypoints'].astype(float), sequence['timestamps']
-        names = tuple(str(n) for n in sequence['joint_names'])
-        points, weight = map_to_model_joints(keypoints[..., :2], keypoints[..., 2], names, settings.min_score)
-        if undo_swaps:
-            mirror = np.array(CMU15.mirror)
-            wrong = find_swapped_frames(times, points, weight, mirror)
-            points = np.where(wrong[:, None, None], points[:, mirror], points)
-            weight = np.where(wrong[:, None], weight[:, mirror], weight)
-        rays = intrinsics.pixels_to_rays(points)
-        virtual_camera = VirtualCamera.look_at_person(rays, weight, times, VIEW_SMOOTHING_S, intrinsics)
-        image = np.where(weight[..., None] > 0, virtual_camera.project_rays(rays), 0.0)
-        return Detections(View(sequence), virtual_camera, Window(image, weight, times, focal=intrinsics.focal))
+        settings = replace(Config().tracker, undo_swaps=undo_swaps)
+        recorded = load_sequence(file)
+        intrinsics = recorded.intrinsics(settings.nominal_focal_length)
+        seen = observe_sequence(
+            recorded.keypoints, recorded.joint_names, recorded.timestamps, intrinsics, settings, CMU15
+        )
+        window = replace(seen, focal=intrinsics.focal).build_solver_window()
+        return Detections(View(sequence), seen.virtual_camera, window)
 
     def score(self, joints: np.ndarray) -> dict[str, float]:
         return common.compute_errors(self.view, self.virtual_camera.to_real_camera(joints), CMU15.joints, 'limbs')
@@ -108,7 +102,7 @@ def load_scaled_base_poses(without: tuple[str, ...] = ()) -> BasePoses:
     return model.rescale(Config().tracker.body_height / model.stature)
 
 
-def evaluate_detections(model: Lifter, cameras: Sequence[int], solved: bool) -> list[dict[str, object]]:
+def evaluate_detections(model: Lifter, cameras: Sequence[int], solved: bool) -> list[dict[str, Any]]:
     records = []
     for detector in DETECTOR_TARGETS_MM:
         for camera in cameras:
@@ -132,7 +126,7 @@ def evaluate_detections(model: Lifter, cameras: Sequence[int], solved: bool) -> 
     return records
 
 
-def print_detections(records: Sequence[dict[str, object]], cameras: Sequence[int]) -> None:
+def print_detections(records: Sequence[dict[str, Any]], cameras: Sequence[int]) -> None:
     print('\n## Real detections: MPJPE / PA-MPJPE, mm, twelve joints of the limbs\n')
     rows = []
     for key in dict.fromkeys((r['detector'], r['method'], r['labels']) for r in records):
@@ -161,7 +155,7 @@ def make_row_views(row: str, stride: int, frames: int, headings: Sequence[float]
     return [v for t in chosen for v in common.make_views(t, headings, frames=frames, **options)]
 
 
-def evaluate_capture(model: Lifter, quick: bool) -> list[dict[str, object]]:
+def evaluate_capture(model: Lifter, quick: bool) -> list[dict[str, Any]]:
     """Evaluate the network alone on all frames; with `--quick`, on a few trials, three headings and 120 frames."""
     stride, frames = (4, MAX_SOLVED_FRAMES) if quick else (1, 1_000_000)
     headings = common.HEADINGS_DEG[::3] if quick else common.HEADINGS_DEG
@@ -179,7 +173,7 @@ def evaluate_capture(model: Lifter, quick: bool) -> list[dict[str, object]]:
     return records
 
 
-def print_capture(records: Sequence[dict[str, object]]) -> None:
+def print_capture(records: Sequence[dict[str, Any]]) -> None:
     print('\n## Motion capture, subject left out, network alone: MPJPE / PA-MPJPE, mm, 15 joints\n')
     rows = []
     for row, (_, reach) in TEST_ROWS.items():
@@ -205,7 +199,7 @@ def compute_all_errors(tests: Sequence[View], found: Sequence[np.ndarray]) -> li
     return [common.compute_errors(v, joints, CMU15.joints) for v, joints in zip(tests, found, strict=True)]
 
 
-def evaluate_with_solver(model: Lifter, quick: bool) -> list[dict[str, object]]:
+def evaluate_with_solver(model: Lifter, quick: bool) -> list[dict[str, Any]]:
     """Evaluate the network, the solver without it, and both, on the first frames of some trials of each row."""
     rows = list(TEST_ROWS)[:1] if quick else list(TEST_ROWS)
     records = []
@@ -243,7 +237,7 @@ def evaluate_with_solver(model: Lifter, quick: bool) -> list[dict[str, object]]:
     return records
 
 
-def print_with_solver(records: Sequence[dict[str, object]]) -> None:
+def print_with_solver(records: Sequence[dict[str, Any]]) -> None:
     print(
         f'\n## Motion capture, at most {MAX_SOLVED_FRAMES} frames: network, solver without it, and both: '
         'MPJPE, mm\n'
@@ -351,7 +345,7 @@ def main() -> None:
     machine = common.describe_machine()
     print(f'# Lifter\n\n{machine}')
     shipped = model_file.load_shipped_lifter()
-    record: dict[str, object] = {'machine': machine}
+    record: dict[str, Any] = {'machine': machine}
     record['cost_ms'] = found = measure_cost(shipped, args.quick)
     print_cost(found)
     record['detections'] = detections = evaluate_detections(shipped, cameras, solved=True)

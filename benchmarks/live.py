@@ -117,7 +117,7 @@ class Peer:
         self.wait(lambda: self.keypoints.get_subscription_count() and self.skeletons.get_publisher_count())
 
     def call(self, kind: Any, name: str, **request: object) -> Any:
-        client = self.node.create_client(kind, name)
+        client: Any = self.node.create_client(kind, name)
         self.wait(client.service_is_ready)
         future = client.call_async(kind.Request(**request))
         self.wait(future.done)

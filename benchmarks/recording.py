@@ -29,6 +29,7 @@ from mocap_ros.bags.journal import Journal, Verdict
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import RecordedMessage, Recorder
 from mocap_ros.bags.recovery import recover
+from mocap_ros.bags.topics import Source
 from mocap_ros.config import Config, RecorderConfig, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import MocapError
@@ -40,7 +41,8 @@ from mocap_ros.messages.markers import MARKERS
 from mocap_ros.people import Person3D
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.runtime import replay as replaying
-from mocap_ros.runtime.pipeline import LATCHED_OUTPUTS, OUTPUTS, Pipeline, Source
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS
+from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import replay
 from mocap_ros.runtime.sequence_messages import EncodedFrame, encode_sequence
 from mocap_ros.tracking.tracker import Tracker
@@ -76,6 +78,8 @@ class ConstantTracker:
 
     backward_jump_s = 0.0
     output_stamp_ns = 0
+    swapped_frames = 0
+    unusable_people = 0
     person: Person3D | None = None
 
     def __init__(self, *_: object) -> None:
@@ -186,7 +190,7 @@ def measure_mcap_writer(path: Path, data: Sequence[bytes], count: int) -> float:
         start = time.perf_counter()
         for n in range(count):
             writer.add_message(channel, START_NS + n * 50_000, data[n % len(data)], START_NS)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
         return count / (time.perf_counter() - start)
 
 
@@ -241,7 +245,7 @@ def measure_pipeline(frames: Sequence[EncodedFrame]) -> float:
 def replay_with_constant_tracker(path: Path, out: Path, person: Person3D) -> float:
     """Replay a bag with the tracker that takes no time, and return the duration in s."""
     ConstantTracker.person = person
-    replaying.Pipeline = partial(Pipeline, make_tracker=ConstantTracker)  # type: ignore[misc, assignment]
+    replaying.Pipeline = partial(Pipeline, make_tracker=ConstantTracker)  # type: ignore[attr-defined, assignment]
     return replay_bag(path, out)
 
 

@@ -29,7 +29,7 @@ CLOSE_TO_OPTIMUM = (
 )
 TARGET_COMPONENTS = 30  # number of base poses for which the targets hold
 # Options of the joint solver that let it converge as far as it can.
-TO_CONVERGENCE = {'tolerance': 1e-10, 'max_iterations': 500}
+TO_CONVERGENCE: dict[str, Any] = {'tolerance': 1e-10, 'max_iterations': 500}
 # Options of `least_squares` by their names in the tables.
 SCIPY_OPTIONS: dict[str, dict[str, Any]] = {
     'analytic sparse Jacobian': {'x_scale': 'jac', 'tr_solver': 'lsmr'},
@@ -102,13 +102,11 @@ def check_same_objective(problem: JointObjective, state: State, result: Reconstr
         squares = float((sparse.residuals(sparse.pack(at)) ** 2).sum())
         if not np.isclose(squares, problem.cost(problem.fit(at))[0], rtol=1e-9):
             raise AssertionError(f'objectives differ: {squares} and {problem.cost(problem.fit(at))[0]}')
-    if not np.isclose(
-        result.objective[-1], problem.cost(problem.fit(convert_to_state(result, unit)))[0], rtol=1e-9
-    ):
+    if not np.isclose(result.cost, problem.cost(problem.fit(convert_to_state(result, unit)))[0], rtol=1e-9):
         raise AssertionError('the solver reports an objective that its solution does not have')
-    if not np.isclose(result.objective[0], problem.cost(problem.fit(state))[0], rtol=1e-9):
+    if not np.isclose(result.history[0], problem.cost(problem.fit(state))[0], rtol=1e-9):
         raise AssertionError('the solver starts from a different state')
-    if np.any(np.diff(result.objective) > 0):
+    if np.any(np.diff(result.history) > 0):
         raise AssertionError('the objective rose')
 
 
@@ -128,8 +126,8 @@ def compare_with_scipy(case: Case, settings: Sequence[str], repeats: int) -> dic
     record: dict[str, Any] = {
         'case': case.label,
         'frames': len(window.times),
-        'joint optimum': exact.objective[-1],
-        'iterations': find_first_close(exact.objective, exact.objective[-1]),
+        'joint optimum': exact.cost,
+        'iterations': find_first_close(exact.history, exact.cost),
         'scipy': {},
     }
     stopped = replace(config, tolerance=0.0, max_iterations=max(record['iterations'] or 0, 1))
@@ -137,7 +135,7 @@ def compare_with_scipy(case: Case, settings: Sequence[str], repeats: int) -> dic
     for name in settings:
         _, progress, jacobians = SparseProblem(problem, state).solve(**SCIPY_OPTIONS[name], **SCIPY_TOLERANCES)
         found = _summarise_progress(progress, jacobians)
-        found['joint iterations'] = find_first_close(exact.objective, found['optimum'])
+        found['joint iterations'] = find_first_close(exact.history, found['optimum'])
         found['times faster'] = found['seconds'] / record['seconds']
         record['scipy'][name] = found
     return record
@@ -168,7 +166,7 @@ def compare_with_alternation(case: Case, components: int, prior: bool, repeats: 
     (jointly,), joint_seconds = common.measure_time(lambda: joint.solve([window], model, exact), repeats)
     end = replace(window, start=InitialValues(plain.theta, plain.cameras))
     (onwards,) = joint.solve([end], model, replace(exact, max_iterations=1))
-    for theirs, ours in ((plain.objective[0], jointly.objective[0]), (plain.objective[-1], onwards.objective[0])):
+    for theirs, ours in ((plain.history[0], jointly.history[0]), (plain.cost, onwards.history[0])):
         if not np.isclose(theirs, ours, rtol=1e-6):
             raise AssertionError(f'objectives differ: {theirs} and {ours}')
     return {
@@ -178,9 +176,9 @@ def compare_with_alternation(case: Case, components: int, prior: bool, repeats: 
         'alternation': {
             'seconds': plain_seconds,
             'iterations': plain.iterations,
-            'objective': plain.objective[-1],
+            'objective': plain.cost,
         },
-        'joint': {'seconds': joint_seconds, 'iterations': jointly.iterations, 'objective': jointly.objective[-1]},
+        'joint': {'seconds': joint_seconds, 'iterations': jointly.iterations, 'objective': jointly.cost},
     }
 
 

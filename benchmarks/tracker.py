@@ -67,7 +67,6 @@ class TrackedSequence:
     joints: Array
     std: Array
     inferred: NDArray[np.bool_]
-    milliseconds: Array
     kinds: list[MotionKind]
     tracker: Tracker
 
@@ -91,16 +90,14 @@ def track(view: common.View, models: Mapping[str, BasePoses], config: Config) ->
     stamps = [round(t * NS_PER_S) + 1 for t in view.sequence['timestamps']]
     joints = np.full(view.truth.shape, np.nan)
     std, inferred = np.full(joints.shape[:2], np.nan), np.zeros(joints.shape[:2], bool)
-    spent, kinds = [], []
+    kinds = []
     for frame, stamp in enumerate(stamps):
-        start_s = time.process_time()
         people = tracker.update(stamp, make_people([view], frame), camera)
-        spent.append((time.process_time() - start_s) * 1e3)
         kinds.append(people[0].motion.kind if people else MotionKind.UNKNOWN)
         if people:
             at = stamps.index(tracker.output_stamp_ns)
             joints[at], std[at], inferred[at] = people[0].joints, people[0].std, people[0].inferred
-    return TrackedSequence(joints, std, inferred, np.array(spent), kinds, tracker)
+    return TrackedSequence(joints, std, inferred, kinds, tracker)
 
 
 def reconstruct_whole(view: common.View, models: Mapping[str, BasePoses], config: Config) -> Array:

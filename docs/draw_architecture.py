@@ -55,9 +55,12 @@ def read_purpose(folder: str) -> str:
 
 
 def find_imports() -> set[tuple[str, str]]:
-    """Return the pairs of folders of which the first imports the second."""
+    """Return the pairs of folders of which the first imports the second.
+
+    The root of the package, which exports the public names of `api`, is no folder.
+    """
     pairs = set()
-    for path in PACKAGE.rglob('*.py'):
+    for path in set(PACKAGE.rglob('*.py')) - {PACKAGE / '__init__.py'}:
         importer = path.relative_to(PACKAGE).parts[0].removesuffix('.py')
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith('mocap_ros'):

@@ -8,6 +8,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.skeleton import CMU15
+
 Array = NDArray[np.float64]
 
 
@@ -34,6 +36,10 @@ class Motion:
     category: str
     residual: float
     cadence: float
+
+    def __str__(self) -> str:
+        words = [self.category, self.kind.name.lower().replace('_', '-') + ' motion']
+        return ', '.join(w for w in words if w) + (f' of {self.cadence:.2f} Hz' if self.cadence > 0 else '')
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,3 +71,15 @@ class Person3D:
     residual: float
     scale_known: bool
     predicted: bool
+
+    def __repr__(self) -> str:
+        if self.predicted:
+            how = 'predicted'
+        else:
+            how = f'{(~self.inferred).sum()} of {len(self.inferred)} joints seen, residual {self.residual:.1f} px'
+        return f'Person3D {self.id!r}: {self.joints.mean(axis=0)[2]:.1f} m away, {how}, {self.motion}'
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names (J,) of the joints."""
+        return CMU15.joints

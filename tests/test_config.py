@@ -38,6 +38,12 @@ def test_yaml_round_trip() -> None:
     ('text', 'message'),
     [
         ('solver: {bone_wait: 1}', r"f\.yaml: unknown parameter 'solver\.bone_wait'"),
+        (
+            'solver: {norm: frobenius}',
+            r"'solver\.norm'; version 0\.2 removed it .* benchmarks/experiments/variants$",
+        ),
+        ('solver: {paper_sines: false}', r"unknown parameter 'solver\.paper_sines'; version 0\.2 removed it"),
+        ('solver: {hypotheses: 3}', r'solver\.hypotheses = 3: expected 1 to 2'),
         ('solver: {components: many}', r'solver\.components = .many.: expected an int'),
         ('solver: {components: 0}', r'solver\.components = 0: expected 1 to 60'),
         ('solver: {bone_weight: .nan}', r'solver\.bone_weight = nan'),

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from mocap_ros.config import RENAMED_SINCE_0_1
 from tests.support.paths import ROOT
 
 PACKAGE = ROOT / 'mocap_ros'
@@ -25,7 +26,9 @@ def code_paths(page: Path) -> Iterator[str]:
     'name', ['architecture.md', 'glossary.md', 'tracker.md', 'solvers.md', 'keyframes.md', 'lifter.md']
 )
 def test_every_file_that_a_page_names_exists(name: str) -> None:
-    for path in code_paths(ROOT / 'docs' / name):
+    paths = list(code_paths(ROOT / 'docs' / name))
+    assert paths
+    for path in paths:
         places = [PACKAGE / path, ROOT / path, *PACKAGE.glob(f'*/{path}'), *PACKAGE.glob(f'*/*/{path}')]
         assert any(p.exists() for p in places), f'docs/{name}: {path}'
 
@@ -40,6 +43,11 @@ def test_every_link_leads_somewhere(page: Path) -> None:
 def test_the_glossary_has_every_folder_of_the_mathematics() -> None:
     named = {path.split('/')[0] for path in code_paths(ROOT / 'docs' / 'glossary.md')}
     assert named >= {'geometry', 'keypoints', 'models', 'solvers', 'tracking', 'offline', 'evaluation', 'training'}
+
+
+def test_the_changelog_lists_every_renamed_parameter() -> None:
+    changelog = (ROOT / 'CHANGELOG.md').read_text(encoding='utf-8')
+    assert dict(re.findall(r'\| `(\S+\.\S+)` \| `(\S+)` \|', changelog)) == RENAMED_SINCE_0_1
 
 
 @pytest.mark.parametrize('module', MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))

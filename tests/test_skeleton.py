@@ -1,5 +1,7 @@
 """Keypoint layouts are consistent forests, and other spellings of joint names are understood."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,9 @@ def test_layout_is_a_forest_with_left_and_right(name: str) -> None:
     mirror = np.array(skeleton.mirror)
     assert (mirror[mirror] == np.arange(len(mirror))).all()
     for left, right in skeleton.left_right_pairs:
-        assert skeleton.joints[left] != skeleton.joints[right]
+        assert mirror[left] == right
+        assert re.sub('^l|_l$', '', skeleton.joints[left]) == re.sub('^r|_r$', '', skeleton.joints[right])
+        assert skeleton.joints[left] != re.sub('^l|_l$', '', skeleton.joints[left])
     assert {'lshoulder', 'rankle'} <= set(skeleton.joints)
 
 

@@ -1,6 +1,7 @@
 """The repository as a whole: packages, messages, metadata, and the imports between modules."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+import yaml
 
 from tests.support.paths import ROOT
 
@@ -74,6 +76,14 @@ def test_message_definitions_in_the_package_link_to_their_only_home() -> None:
     assert (ROOT / 'mocap_ros' / 'messages' / 'msg').resolve() == ROOT / 'msg_defs' / 'msg'
 
 
+def test_the_hooks_before_a_commit_are_the_checks_of_make_lint() -> None:
+    recipe = re.search(r'^lint:.*\n((?:\t.*\n)+)', (ROOT / 'Makefile').read_text(encoding='utf-8'), re.MULTILINE)
+    assert recipe is not None
+    checks = [line.strip().removeprefix('@').replace('$(BIN)', '.venv/bin') for line in recipe[1].splitlines()]
+    (repository,) = yaml.safe_load((ROOT / '.pre-commit-config.yaml').read_text(encoding='utf-8'))['repos']
+    assert [hook['entry'] for hook in repository['hooks']] == checks
+
+
 @pytest.mark.ros
 @pytest.mark.slow
 def test_colcon_builds_both_packages(tmp_path: Path) -> None:
@@ -108,7 +118,7 @@ from rclpy.serialization import serialize_message
 serialize_message(mocap_ros_msgs.msg.Keypoints2DArray())
 assert all(module.__file__.startswith({str(install)!r}) for module in (mocap_ros, mocap_ros_msgs))
 """
-    command = ['bash', '-c', script, install, sys.executable, use_install]
+    command = ['bash', '-c', script, str(install), sys.executable, use_install]
     subprocess.run(command, cwd=tmp_path, env=env, check=True)
 
 

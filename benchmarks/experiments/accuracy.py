@@ -10,8 +10,12 @@ import numpy as np
 from common import View, make_paper_config
 
 from experiments.report import CATEGORY_COLOURS, NEUTRAL, RUN, WALK, Section, label_axes, make_panels
+from experiments.variants.frobenius import reconstruct_with_printed_norms
+from experiments.variants.relative_bones import solve_with_relative_bones
+from experiments.variants.sines import solve_with_sines
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.solvers import alternation
 from mocap_ros.solvers.window import Reconstruction
 
 # Trial of each category in table 1.
@@ -40,6 +44,14 @@ def train_like_paper(category: str, trial: str, *, own: bool = False) -> BasePos
     """Train base poses on the poses alone as the paper does, without the trial, and with the heading aligned."""
     only = (trial[:2],) if own else ()
     return common.train_base_poses(category, without_trials=(trial,), only_subjects=only, plain=True)
+
+
+def solve_with_paper_sines(
+    tests: Sequence[View], model: BasePoses, components: int = 4, bone_weight: float = 1.0
+) -> Sequence[Reconstruction]:
+    """Solve the views with the paper's periodic model, one sine for each base pose."""
+    config = make_paper_config(components=components, bone_weight=bone_weight)
+    return solve_with_sines([v.window for v in tests], model, config)
 
 
 def find_best_regulariser(
@@ -72,10 +84,13 @@ def measure_table_1(quick: bool) -> Section:
             if category != 'jump':
                 rows['periodic'] = {
                     'paper': (
-                        _score_periodic(tests, paper, make_paper_config(components=4, paper_sines=True)),
+                        common.compute_all_errors(tests, solve_with_paper_sines(tests, paper), paper),
                         'K = 4',
                     ),
-                    'joint': (_score_periodic(tests, ours, defaults), f'H = {defaults.harmonics}'),
+                    'joint': (
+                        common.compute_all_errors(tests, common.solve_periodically(tests, ours), ours),
+                        f'H = {defaults.harmonics}',
+                    ),
                 }
             rows['np (beta = 0)'] = {
                 'paper': _make_row(find_best_regulariser(tests, paper, {0.0: make_paper_config(bone_weight=0.0)})),
@@ -111,10 +126,6 @@ def measure_table_1(quick: bool) -> Section:
 
 def _with_beta(beta: float) -> SolverConfig:
     return common.make_config(bone_weight=beta)
-
-
-def _score_periodic(tests: Sequence[View], model: BasePoses, config: SolverConfig) -> list[dict[str, float]]:
-    return common.compute_all_errors(tests, common.solve_periodically(tests, model, config), model)
 
 
 def _make_row(best: tuple[float, list[dict[str, float]]]) -> tuple[list[dict[str, float]], str]:
@@ -192,8 +203,7 @@ def measure_number_of_base_poses(quick: bool) -> Section:
         paper, ours = train_like_paper(motion, trial), common.train_base_poses(motion, without_trials=(trial,))
         for k in counts:
             if category == 'periodic':
-                sines = make_paper_config(components=k, paper_sines=True)
-                solved = [common.solve_periodically(tests, paper, sines)]
+                solved = [solve_with_paper_sines(tests, paper, k)]
                 solved.append(common.solve_periodically(tests, ours, common.make_config(components=k)))
             else:
                 solved = [
@@ -317,11 +327,7 @@ def measure_bone_lengths(quick: bool) -> Section:
         'unconstrained, 07/01': (
             other, other_model, common.solve_by_alternation(others, other_model, make_paper_config(**free))[0],
         ),
-        'periodic (the paper\'s sines)': (
-            view,
-            model,
-            common.solve_periodically(tests, model, make_paper_config(components=4, paper_sines=True))[0],
-        ),
+        "periodic (the paper's sines)": (view, model, solve_with_paper_sines(tests, model)[0]),
     }  # fmt: skip
     candidates = {
         b: common.solve_by_alternation(tests, model, make_paper_config(bone_weight=b))[0] for b in (0.3, 1.0, 3.0)
@@ -331,9 +337,10 @@ def measure_bone_lengths(quick: bool) -> Section:
         key=lambda b: common.compute_errors(view, candidates[b].joints, model.skeleton.joints)['mpjpe_mm'],
     )
     kinds[f'best beta ({best:g})'] = (view, model, candidates[best])
-    for name, beta, relative in (('beta = 1e4', 1e4, False), ('relative variance', best, True)):
-        config = make_paper_config(bone_weight=beta, relative_bones=relative, method='joint')
-        kinds[name] = (view, model, common.solve_jointly(tests, model, config)[0])
+    stiff = common.solve_jointly(tests, model, make_paper_config(bone_weight=1e4))[0]
+    kinds['beta = 1e4'] = (view, model, stiff)
+    relative = solve_with_relative_bones(view.window, model, make_paper_config(bone_weight=best))
+    kinds['relative variance'] = (view, model, relative)
     shipped = common.train_base_poses('walk', without_trials=(trial,))
     kinds['project, defaults'] = (view, shipped, common.solve_jointly(tests, shipped)[0])
     rows = []
@@ -367,4 +374,32 @@ def measure_bone_lengths(quick: bool) -> Section:
     )
     section.data['rows'] = rows
     section.figure('fig06_11_bone_lengths', figure, 'Bone lengths over time under different regularisation')
+    return section
+
+
+def measure_printed_norms(quick: bool) -> Section:
+    """Measure Algorithm 1 with squared norms and with the norms as the paper prints them (eq. 13 and 21)."""
+    section = Section('Squared norms and norms as printed (eq. 13 and 21)')
+    betas = (1.0,) if quick else (0.0, 0.1, 1.0, 10.0, 100.0)
+    trials = dict(list(TABLE_1_TRIALS.items())[: 1 if quick else 3])
+    forms = {'squared': alternation.reconstruct, 'as printed': reconstruct_with_printed_norms}
+    rows = []
+    for category, trial in trials.items():
+        tests = common.make_views(trial, choose_few_headings(quick))
+        model = train_like_paper(category, trial)
+        for form, solve in forms.items():
+            errors = {}
+            for beta in betas:
+                config = make_paper_config(bone_weight=beta, tolerance=1e-3)
+                found = [solve(v.window, model, config) for v in tests]
+                errors[beta] = common.mean_error(common.compute_all_errors(tests, found, model))
+            best = min(errors, key=lambda beta: errors[beta])
+            rows.append([f'{category} {trial.replace("_", "/")}', form, f'{best:g}', f'{errors[best]:.1f}'])
+    section.text(
+        f"""MPJPE of Algorithm 1 in mm, category model without the trial, headings
+        {', '.join(map(str, choose_few_headings(quick)))}, the best beta of {', '.join(f'{b:g}' for b in betas)}.
+        Everywhere else on this page the norms are squared."""
+    )
+    section.table(['motion', 'norms', 'best beta', 'MPJPE, mm'], rows)
+    section.data['rows'] = rows
     return section

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import common
 import numpy as np
@@ -10,13 +11,12 @@ from common import View, make_paper_config
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from experiments.accuracy import choose_few_headings, train_like_paper
+from experiments.accuracy import choose_few_headings, solve_with_paper_sines, train_like_paper
 from experiments.report import JUMP, NEUTRAL, RUN, WALK, Section, label_axes, make_panels
-from mocap_ros.config import SolverConfig
+from experiments.variants.sines import solve_with_sines
 from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation
-from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import periodic
-from mocap_ros.solvers.window import Window
+from mocap_ros.solvers.window import Reconstruction, Window
 
 Array = NDArray[np.float64]
 
@@ -137,16 +137,20 @@ def measure_classification(quick: bool) -> Section:
     tests = common.make_views(body, headings, frames=len(body))
     starts = range(0, len(body) - SECTION_FRAMES + 1, SECTION_FRAMES // (1 if quick else 2))
     forms = {
-        'project': (common.make_config(bone_weight=0.0), model),
+        'project': (periodic.solve, common.make_config(bone_weight=0.0), model),
         "the paper's sines, K = 6": (
-            make_paper_config(paper_sines=True),
+            solve_with_sines,
+            make_paper_config(),
             common.train_base_poses('run', only_subjects=('35',), without_trials=('35_17', '35_18'), plain=True),
         ),
     }
     residuals: dict[str, Array] = {}
     size = float(np.linalg.norm(centre_poses(body), axis=(1, 2)).mean() / np.sqrt(body.shape[1])) * 1e-3
-    for name, (config, used) in forms.items():
-        per_view = [[measure_section_residual(v, s, used, config) for s in starts] for v in tests]
+    for name, (solve, config, used) in forms.items():
+        per_view = [
+            [measure_section_residual(v, s, partial(solve, model=used, config=config)) for s in starts]
+            for v in tests
+        ]
         residuals[name] = np.mean(per_view, axis=0) / (size * 1e3)
     middle = np.array([s + SECTION_FRAMES / 2 for s in starts])
     jumping = np.array([parts[1][1] <= m < parts[1][2] for m in middle])
@@ -184,11 +188,12 @@ def measure_classification(quick: bool) -> Section:
     return section
 
 
-def measure_section_residual(view: View, start: int, model: BasePoses, config: SolverConfig) -> float:
-    """Return the 2D error of the periodic model on one section in mm."""
+def measure_section_residual(
+    view: View, start: int, solve: Callable[[Sequence[Window]], Sequence[Reconstruction]]
+) -> float:
+    """Return the 2D error of a periodic model on one section in mm."""
     w, own = view.window, slice(start, start + SECTION_FRAMES)
-    part = Window(w.points[own], w.weight[own], w.times[own])
-    (result,) = periodic.solve([part], model, config)
+    (result,) = solve([Window(w.points[own], w.weight[own], w.times[own])])
     return float(np.sqrt((result.residual**2).mean()) / common.load_protocol().PX_PER_M * 1e3)
 
 
@@ -248,9 +253,11 @@ def _measure_periodic_bones(section: Section, quick: bool) -> None:
                 train_like_paper(category, trial),
                 common.train_base_poses(category, without_trials=(trial,)),
             )
-            sines = make_paper_config(paper_sines=True, components=4, bone_weight=beta)
-            for model, config in ((paper, sines), (ours, common.make_config(bone_weight=beta))):
-                found = common.solve_periodically(tests, model, config)
+            by_model = (
+                (paper, solve_with_paper_sines(tests, paper, bone_weight=beta)),
+                (ours, common.solve_periodically(tests, ours, common.make_config(bone_weight=beta))),
+            )
+            for model, found in by_model:
                 cells.append(f'{common.mean_error(common.compute_all_errors(tests, found, model)):.1f}')
         rows.append([f'{beta:g}', *cells])
     section.text(

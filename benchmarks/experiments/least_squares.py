@@ -139,9 +139,9 @@ class SparseProblem:
         camera = np.zeros((frames, 4, 2, 4))
         camera[..., :3] = (-cross_matrix(of_columns) @ turn[:, None])[..., :2, :]
         camera[:, :3, :, 3] = scaled[..., :2]
-        camera = np.swapaxes(camera, 1, 2).reshape(frames, 8, 4)
+        camera_rows = np.swapaxes(camera, 1, 2).reshape(frames, 8, 4)
         root_flip = np.sqrt(p.find_term(CameraSmoothness).weight[:, :8, None])
-        both = np.concatenate([-root_flip * camera[:-1], root_flip * camera[1:]], axis=-1)
+        both = np.concatenate([-root_flip * camera_rows[:-1], root_flip * camera_rows[1:]], axis=-1)
         blocks.add_difference(np.sqrt(p.find_term(CameraSmoothness).weight[:, 8:]), own[:, k + 3 : k + 4])
         columns_of = own[:, k : k + 4]
         blocks.add(both, np.concatenate([columns_of[:-1], columns_of[1:]], axis=1))

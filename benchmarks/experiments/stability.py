@@ -12,8 +12,9 @@ from common import View, make_paper_config
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from experiments.accuracy import choose_few_headings, train_like_paper
+from experiments.accuracy import choose_few_headings, solve_with_paper_sines, train_like_paper
 from experiments.report import JUMP, NEUTRAL, PERIODIC, RUN, TRUTH, WALK, Section, label_axes, make_panels
+from experiments.variants.heading_ring import solve_from_ring
 from mocap_ros.config import SolverConfig
 from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation
 from mocap_ros.geometry.weak_perspective import (
@@ -34,6 +35,7 @@ Array = NDArray[np.float64]
 SUBJECTS = ('07', '09', '13', '16', '35')
 CATEGORIES = ('walk', 'run', 'jump')
 HEADING = 45  # degrees, direction of the views where only one is used
+BEHIND = 180  # degrees, direction of a view from behind
 # Joints that are hidden in figures 14 and 15.
 ARM = ('lshoulder', 'lelbow', 'lwrist')
 LEGS = ('lknee', 'lankle', 'rknee', 'rankle')
@@ -212,6 +214,29 @@ def solve_window(window: Window, model: BasePoses, config: SolverConfig) -> Reco
     return joint.solve([window], model, config)[0]
 
 
+def measure_initial_cameras(quick: bool) -> Section:
+    """Measure the error from one, two and a ring of initial cameras, for people seen from behind."""
+    section = Section('One, two and nine initial cameras')
+    counts = (1, 2, 9)
+    trials = {'35_02': 'walk'} if quick else {'35_02': 'walk', '09_01': 'run'}
+    rows = []
+    for trial, category in trials.items():
+        (view,) = tests = common.make_views(trial, [BEHIND])
+        for motions in (category, ''):
+            model = common.train_base_poses(motions, without_subjects=(trial[:2],))
+            found = [solve_from_ring([view.window], model, SolverConfig(), count) for count in counts]
+            errors = [common.mean_error(common.compute_all_errors(tests, f, model)) for f in found]
+            rows.append([trial.replace('_', '/'), motions or 'all motions', *(f'{e:.1f}' for e in errors)])
+    section.text(
+        """MPJPE of the joint solver in mm, seen from behind, model without the subject. The second camera is the
+        Necker reversal of the first, and the others turn the first about the vertical in steps of 45 degrees; the
+        likeliest result counts."""
+    )
+    section.table(['trial', 'base poses', *(f'{c} cameras' if c > 1 else '1 camera' for c in counts)], rows)
+    section.data['rows'] = rows
+    return section
+
+
 # Solvers in the tables; np means non-periodic.
 SOLVERS = ('np, Algorithm 1', 'np, joint', "periodic, the paper's sines", 'periodic, project')
 # Colour of each solver in the figures.
@@ -224,7 +249,7 @@ def solve_with_all(tests: Sequence[View], trial: str, category: str) -> dict[str
     found = (
         common.solve_by_alternation(tests, paper, make_paper_config(tolerance=1e-3)),
         common.solve_jointly(tests, ours),
-        common.solve_periodically(tests, paper, make_paper_config(components=4, paper_sines=True)),
+        solve_with_paper_sines(tests, paper),
         common.solve_periodically(tests, ours),
     )
     return dict(zip(SOLVERS, found, strict=True))
@@ -328,7 +353,8 @@ def _draw_hidden_limbs(cases: dict[str, Any], shown: dict[str, Reconstruction]) 
     skeleton = common.train_base_poses('walk').skeleton
     instants = (29, 34, 39, 44)
     figure, axes = make_panels(len(instants) * len(cases), rows=3, height=6.2, width=8.2)
-    figure.get_layout_engine().set(rect=(0.03, 0, 0.97, 0.95), wspace=0, hspace=0, w_pad=0, h_pad=0)
+    layout: Any = figure.get_layout_engine()
+    layout.set(rect=(0.03, 0, 0.97, 0.95), wspace=0, hspace=0, w_pad=0, h_pad=0)
     for case, (name, (view, _, _)) in enumerate(cases.items()):
         order = [list(view.sequence['joints3d_names']).index(j) for j in skeleton.joints]
         truth, found = centre_poses(view.truth[:, order]), centre_poses(shown[name].joints)

@@ -6,14 +6,15 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import inf
 from pathlib import Path
+from types import MappingProxyType
 
 from mocap_ros.bags.mcap_file import Attachment
 from mocap_ros.bags.recorder import RecordedMessage, Recorder
-from mocap_ros.bags.rosbag2 import Topic
+from mocap_ros.bags.rosbag2 import Topic, TypeDefinition
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import RecordingError
 
@@ -25,6 +26,7 @@ class BackgroundRecorder:
         folder: Folder of the new bag.
         config: Configuration of the recorder; `backlog` limits the number of waiting batches.
         attachments: Files to attach to each file of the bag.
+        definitions: Definitions of message types, by name, that differ from this package's.
 
     Attributes:
         folder: Folder of the bag.
@@ -33,9 +35,16 @@ class BackgroundRecorder:
         RecordingError: The folder exists or cannot be written, or too little disk space is left.
     """
 
-    def __init__(self, folder: Path, config: RecorderConfig, attachments: Sequence[Attachment] = ()) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        config: RecorderConfig,
+        attachments: Sequence[Attachment] = (),
+        definitions: Mapping[str, TypeDefinition] = MappingProxyType({}),
+    ) -> None:
         self.folder = folder
-        self._recorder = Recorder(folder, replace(config, chunk_seconds=inf), attachments)
+        recorder_config = replace(config, chunk_seconds=inf)
+        self._recorder = Recorder(folder, recorder_config, attachments, definitions=definitions)
         self._config = config
         self._batches: deque[tuple[RecordedMessage | Topic, ...]] = deque()
         self._wake = threading.Condition()

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from itertools import takewhile
 from os import SEEK_END
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rosbags.convert.converter import migrate_bytes
 from rosbags.interfaces import Connection, MessageDefinitionFormat, Qos
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
@@ -25,7 +24,8 @@ from mocap_ros.bags.mcap_layout import CRC_BYTES, FOOTER, MAGIC
 from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.errors import InputError
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES, typestore
+from mocap_ros.messages.cdr import typestore
+from mocap_ros.messages.versions import Convert, VersionConverter, convert_or_keep, make_ros1_converter
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -33,9 +33,6 @@ if TYPE_CHECKING:
 ROS2_SUFFIXES = ('.mcap', '.db3')  # of the files of ROS 2 bags
 ROS1_SUFFIX = '.bag'  # of ROS 1 bags
 IDL_HEADING = re.compile(r'^={80}\nIDL: .*\n', re.MULTILINE)  # separates the types in a definition in IDL
-
-# A function from the bytes of a message in the bag to CDR of this package's definition of the type.
-Converter = Callable[[bytes], bytes]
 
 
 class BagMessage(NamedTuple):
@@ -58,7 +55,8 @@ class Bag:
     """A bag that is open for reading; a context manager that closes it.
 
     Messages of types that this package defines are returned as CDR of that definition. If the bag holds another
-    version of the type, or is a ROS 1 bag, the messages are converted field by field.
+    version of the type, or is a ROS 1 bag, the messages are converted field by field. Bytes that are no message of
+    their type are returned as they are; whoever decodes them reports them.
 
     Args:
         path: Folder with a metadata.yaml, or a .mcap, .db3 or .bag file.
@@ -162,7 +160,7 @@ class Bag:
         connections: list[Connection] = self._reader.connections
         return connections
 
-    def _make_converter(self, connection: Connection) -> Converter:
+    def _make_converter(self, connection: Connection) -> Convert:
         """Return the converter of a topic's messages; types unknown to this package stay as they are."""
         msgtype = connection.msgtype
         is_defined = msgtype in typestore().types
@@ -175,26 +173,17 @@ class Bag:
         recorded_types = self._load_types(connection)
         if not self._is_ros1 and recorded_types.hash_rihs01(msgtype) == own_hash:
             return bytes
-        cache: dict[str, object] = {}
+        if not self._is_ros1:
+            return convert_or_keep(VersionConverter(recorded_types, typestore(), msgtype))
+        convert = make_ros1_converter(recorded_types, typestore(), msgtype)
 
-        def convert(raw: bytes) -> bytes:
+        def convert_ros1(raw: bytes) -> bytes:
             try:
-                migrated = migrate_bytes(
-                    recorded_types,
-                    typestore(),
-                    msgtype,
-                    msgtype,
-                    cache,
-                    raw,
-                    src_is2=not self._is_ros1,
-                    dst_is2=True,
-                )
-                data = bytes(migrated)
-            except Exception as error:  # the converter may raise anything for damaged bytes
-                raise InputError(f'{self.path}: {connection.topic}: not a {msgtype} ({error})') from None
-            return data + bytes(-len(data) % CDR_ALIGNMENT_BYTES)
+                return convert(raw)
+            except InputError as error:
+                raise InputError(f'{self.path}: {connection.topic}: {error}') from None
 
-        return convert
+        return convert_ros1
 
     def _load_types(self, connection: Connection) -> Typestore:
         """Return the message types as the bag defines them.

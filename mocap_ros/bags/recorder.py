@@ -14,16 +14,28 @@ messages that reached the disk.
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from itertools import count
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mocap_ros.bags.mcap_file import Attachment, McapFile
-from mocap_ros.bags.rosbag2 import METADATA, MessageStatistics, Topic, describe_bag, encode_yaml, make_topic
+from mocap_ros.bags.rosbag2 import (
+    METADATA,
+    MessageStatistics,
+    Topic,
+    TypeDefinition,
+    describe_bag,
+    encode_yaml,
+    find_ros_distro,
+    make_topic,
+)
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import RecordingError
 from mocap_ros.units import NS_PER_S
@@ -82,18 +94,27 @@ class Recorder:
         config: Compression, limits of chunks and files, and the disk space to leave free.
         attachments: Files to attach to each file of the bag.
         name: Beginning of the file names; by default the name of the folder.
+        definitions: Definitions of message types, by name, that differ from this package's.
 
     Attributes:
         folder: Folder of the bag.
+        ros_distro: Distribution of ROS 2 that the bag names; by default the one on which this program runs.
 
     Raises:
         RecordingError: The folder exists or cannot be written, or too little disk space is left.
     """
 
     def __init__(
-        self, folder: Path, config: RecorderConfig, attachments: Sequence[Attachment] = (), name: str = ''
+        self,
+        folder: Path,
+        config: RecorderConfig,
+        attachments: Sequence[Attachment] = (),
+        name: str = '',
+        definitions: Mapping[str, TypeDefinition] = MappingProxyType({}),
     ) -> None:
         self.folder = folder
+        self.ros_distro = find_ros_distro()
+        self._definitions = definitions
         self._name = name or folder.name
         self._config = config
         self._attachments = attachments
@@ -125,7 +146,8 @@ class Recorder:
         """
         declared = self._topics.get(topic)
         if declared is None:
-            self.add_topic(make_topic(topic, msgtype, latched=latched))
+            definition = self._definitions.get(msgtype)
+            self.add_topic(make_topic(topic, msgtype, latched=latched, definition=definition))
         elif declared.type != msgtype:
             raise RecordingError(f'{self.folder}: topic {topic} has the type {declared.type}, not {msgtype}')
 
@@ -202,7 +224,7 @@ class Recorder:
         file = self._open_file
         with self._finish_on_disk_error():
             if not file.is_in_place:
-                raise FileNotFoundError(0, 'the file was removed or moved while it was written', file.path)
+                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), file.path)
             file.flush()
             self._check_space()
 
@@ -266,11 +288,12 @@ class Recorder:
         self._file = None
 
     def _describe_file(self, file: McapFile) -> dict[str, Any]:
-        return describe_bag(self._topics.values(), {file.path.name: file.statistics})
+        return describe_bag(self._topics.values(), {file.path.name: file.statistics}, self.ros_distro)
 
     def _write_metadata(self) -> None:
         """Write metadata.yaml under a temporary name and rename it, so that it is never incomplete."""
-        content = {'rosbag2_bagfile_information': describe_bag(self._topics.values(), self._finished_files)}
+        description = describe_bag(self._topics.values(), self._finished_files, self.ros_distro)
+        content = {'rosbag2_bagfile_information': description}
         temporary = self.folder / f'{METADATA}.tmp'
         temporary.write_text(encode_yaml(content), encoding='utf-8')
         temporary.replace(self.folder / METADATA)
@@ -290,9 +313,12 @@ class Recorder:
         try:
             yield
         except OSError as error:
+            was_removed = self._file is not None and isinstance(error, FileNotFoundError)
+            reason = (
+                'the file was removed or moved while it was written' if was_removed else error.strerror or error
+            )
             self._finish_after_failure()
-            where = error.filename or self.folder
-            raise RecordingError(f'{where}: {error.strerror or error}') from None
+            raise RecordingError(f'{error.filename or self.folder}: {reason}') from None
 
     def _finish_after_failure(self) -> None:
         """Finish the bag with the data that have reached the disk, unless the disk fails again."""

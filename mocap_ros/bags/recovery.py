@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import yaml
 from mcap.records import Attachment as AttachmentRecord
 from mcap.records import Metadata as MetadataRecord
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
@@ -19,7 +20,7 @@ from mocap_ros.bags.mcap_file import Attachment
 from mocap_ros.bags.mcap_scan import McapScan, ScannedMessage
 from mocap_ros.bags.reader import ROS2_SUFFIXES, list_bag_files
 from mocap_ros.bags.recorder import Recorder, choose_partial_path
-from mocap_ros.bags.rosbag2 import ROSBAG2, Topic, make_topic
+from mocap_ros.bags.rosbag2 import METADATA, ROSBAG2, Topic, make_topic
 from mocap_ros.bags.sqlite_scan import SQLITE_ERRORS, MessageRows
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
@@ -45,7 +46,8 @@ class RecoveryReport:
 def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: None) -> RecoveryReport:
     """Write a new bag with everything that can be read of another bag.
 
-    The new bag is written as `<out>.partial` and renamed when it is complete. If the recovery fails or is
+    The new bag names the distribution that the other bag names, or none where that is lost. It is written as
+    `<out>.partial` and renamed when it is complete. If the recovery fails or is
     interrupted, the new bag is deleted.
 
     Args:
@@ -65,6 +67,7 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
     partial = choose_partial_path(out)
     with Recorder(partial, RecorderConfig(min_free_mb=0), name=out.name) as recorder:
         try:
+            recorder.ros_distro = _read_ros_distro(path / METADATA)
             for number, file in enumerate(files):
                 recovery = _FileRecovery(file, recorder, report)
                 bytes_before = sum(sizes[:number])
@@ -82,6 +85,26 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
                 raise RecordingError(f'{out}: {error.strerror}') from None
             raise
     return report
+
+
+def _read_ros_distro(metadata: Path) -> str:
+    """Return the distribution that a metadata.yaml names; an empty string where it cannot be read."""
+    try:
+        return _parse_ros_distro(metadata.read_text(encoding='utf-8'))
+    except (OSError, UnicodeDecodeError):
+        return ''
+
+
+def _parse_ros_distro(description: str) -> str:
+    """Return the distribution that the description (YAML) of a bag names; an empty string where it names none."""
+    try:
+        content = yaml.safe_load(description)
+    except yaml.YAMLError:
+        return ''
+    if isinstance(content, dict):
+        content = content.get('rosbag2_bagfile_information', content)
+    ros_distro = content.get('ros_distro') if isinstance(content, dict) else None
+    return ros_distro if isinstance(ros_distro, str) else ''
 
 
 def _get_size(file: Path) -> int:
@@ -130,6 +153,8 @@ class _FileRecovery:
             elif isinstance(item, MetadataRecord):
                 if item.name != ROSBAG2:
                     self._recorder.add_metadata(item.name, item.metadata)
+                elif ros_distro := _parse_ros_distro(item.metadata.get('serialized_metadata', '')):
+                    self._recorder.ros_distro = ros_distro
             else:
                 self._copy_mcap_message(item)
             yield scan.scanned_bytes

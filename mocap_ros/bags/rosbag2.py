@@ -2,22 +2,38 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, NamedTuple
 
 import yaml
 
 from mocap_ros.errors import RecordingError
-from mocap_ros.messages.cdr import ROS_DISTRO, typestore
+from mocap_ros.messages.cdr import DEFINITIONS_DISTRO, typestore
 
 METADATA = 'metadata.yaml'  # name of the file that describes a bag folder
 METADATA_VERSION = 9  # layout of metadata.yaml; version 9 lists QoS profiles with the names of their policies
 ROSBAG2 = 'rosbag2'  # name of the metadata record that holds the same description inside an MCAP file
+# Distribution by the first two numbers of the version of rclpy, which differ between all distributions.
+DISTRO_BY_RCLPY_RELEASE = {'3.3': 'humble', '4.1': 'iron', '7.1': 'jazzy', '9.1': 'kilted'}
 TRANSIENT_LOCAL = 'transient_local'  # durability with which late subscribers receive the last message
 UNLIMITED = {'sec': 9223372036, 'nsec': 854775807}  # 2**63 - 1 ns, the infinite duration of the ROS middleware
+
+
+class TypeDefinition(NamedTuple):
+    """The definition of a message type.
+
+    Attributes:
+        text: Text of the message type and of all types that it contains, in the language of .msg files.
+        type_hash: Hash of the message type (RIHS01).
+    """
+
+    text: str
+    type_hash: str
 
 
 @dataclass(frozen=True)
@@ -85,29 +101,55 @@ class MessageStatistics:
         }
 
 
-def make_topic(name: str, msgtype: str, *, latched: bool = False, qos: Sequence[Mapping[str, Any]] = ()) -> Topic:
-    """Describe a topic whose message type this package defines.
+def make_topic(
+    name: str,
+    msgtype: str,
+    *,
+    latched: bool = False,
+    qos: Sequence[Mapping[str, Any]] = (),
+    definition: TypeDefinition | None = None,
+) -> Topic:
+    """Describe a topic.
 
     Args:
         name: Absolute name.
         msgtype: Message type.
         latched: Whether the durability is transient local.
         qos: QoS profiles that the publishers offer; by default, one reliable profile.
+        definition: Definition of the message type; by default, this package's.
 
     Raises:
-        RecordingError: This package does not define the message type.
+        RecordingError: No definition is given, and this package does not define the message type.
     """
-    definition, type_hash = _generate_definition(msgtype)
+    text, type_hash = definition or _generate_definition(msgtype)
     profiles = tuple(qos) or (_make_qos_profile(latched=latched),)
-    return Topic(name, msgtype, definition, type_hash=type_hash, qos=profiles)
+    return Topic(name, msgtype, text, type_hash=type_hash, qos=profiles)
 
 
-def describe_bag(topics: Iterable[Topic], files: Mapping[str, MessageStatistics]) -> dict[str, Any]:
+def find_ros_distro() -> str:
+    """Return the name of the ROS 2 distribution on which a bag is recorded.
+
+    This is the distribution of the sourced workspace (the environment variable ROS_DISTRO), else that of the
+    installed rclpy, else the one whose definitions of the standard messages this package uses.
+    """
+    if name := os.environ.get('ROS_DISTRO'):
+        return name
+    try:
+        release = '.'.join(version('rclpy').split('.')[:2])
+    except PackageNotFoundError:
+        return DEFINITIONS_DISTRO
+    return DISTRO_BY_RCLPY_RELEASE.get(release, DEFINITIONS_DISTRO)
+
+
+def describe_bag(
+    topics: Iterable[Topic], files: Mapping[str, MessageStatistics], ros_distro: str
+) -> dict[str, Any]:
     """Return the content of metadata.yaml.
 
     Args:
         topics: All topics, including those without messages.
         files: Statistics of the files by name, in the order of recording.
+        ros_distro: Name of the distribution on which the bag was recorded; empty where it is unknown.
     """
     total = MessageStatistics()
     for statistics in files.values():
@@ -136,7 +178,7 @@ def describe_bag(topics: Iterable[Topic], files: Mapping[str, MessageStatistics]
         'relative_file_paths': list(files),
         'files': [{'path': name, **statistics.to_metadata()} for name, statistics in files.items()],
         'custom_data': None,
-        'ros_distro': ROS_DISTRO,
+        'ros_distro': ros_distro,
     }
 
 
@@ -154,13 +196,13 @@ class _PlainDumper(yaml.SafeDumper):
 
 
 @cache
-def _generate_definition(msgtype: str) -> tuple[str, str]:
-    """Return the text of a message type with all types that it contains, and its hash."""
+def _generate_definition(msgtype: str) -> TypeDefinition:
+    """Return this package's definition of a message type."""
     store = typestore()
     if msgtype not in store.types:
         raise RecordingError(f'message type {msgtype} is not known and cannot be recorded')
     text, _ = store.generate_msgdef(msgtype, ros_version=2)
-    return text, store.hash_rihs01(msgtype)
+    return TypeDefinition(text, store.hash_rihs01(msgtype))
 
 
 def _make_qos_profile(*, latched: bool) -> dict[str, Any]:

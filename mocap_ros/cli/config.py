@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 from mocap_ros.cli.options import add_config_options, load_config
 from mocap_ros.config import to_yaml
 
 
-def add_parser(subparsers: Any) -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser(
-        'config',
-        help='print a parameter file with every parameter',
-        description='Prints every parameter with its meaning, its range and its value as a ROS parameter file. '
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the subcommand and add its options."""
+    parser.description = (
+        'Prints every parameter with its meaning, its range and its value as a ROS parameter file. '
         'Pass the file to `mocap_node --ros-args --params-file` or to the option `--config` of the other '
-        'commands.',
+        'commands.'
     )
     add_config_options(parser)
     parser.set_defaults(run=run)

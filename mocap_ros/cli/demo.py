@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,14 +37,12 @@ PICTURE_TIMES_S = (1.0, 2.6, 4.0, 5.2, 6.6, 7.9, 8.7, 10.6, 12.2)
 STOP_TIMEOUT_S = 10.0  # s; guards against a node that does not stop after an interrupt, which takes it under 1 s
 
 
-def add_parser(subparsers: Any) -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser(
-        'demo',
-        help='run the live node on the embedded recording',
-        description='Starts the node in a process of its own, plays the embedded synthetic recording to it over '
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the subcommand and add its options."""
+    parser.description = (
+        'Starts the node in a process of its own, plays the embedded synthetic recording to it over '
         'ROS 2 topics at the recorded pace, records the outputs in a bag, and draws the result beside the input '
-        'and the truth.',
+        'and the truth.'
     )
     parser.add_argument(
         '-o',

@@ -1,4 +1,4 @@
-"""`mocap-ros evaluate`: reconstruct sequence files that contain the truth, and print every error."""
+"""`mocap-ros evaluate`: compare results, or reconstructions of sequence files, with the truth."""
 
 from __future__ import annotations
 
@@ -7,26 +7,38 @@ import json
 import math
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mocap_ros.cli.options import (
-    add_config_options,
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.cli.keypoint_input import (
     add_model_option,
-    load_config,
     load_models,
     name_file_in_errors,
 )
+from mocap_ros.cli.options import add_config_options, load_config
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.cli.reconstruct import reconstruct_file
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
-from mocap_ros.evaluation.evaluate import check_truth, estimate_frame_rate, evaluate, measure_person_size
-from mocap_ros.formats.sequence_file import KeypointSequence
-from mocap_ros.formats.text_files import guard_output
+from mocap_ros.evaluation.evaluate import (
+    MAX_PERSON_SIZE_M,
+    Evaluation,
+    check_truth,
+    estimate_frame_rate,
+    evaluate,
+    measure_person_size,
+)
+from mocap_ros.formats.result_file import StoredResult
+from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence
+from mocap_ros.formats.text_files import check_output, guard_output
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.runtime.input_kind import InputKind, require_kind
 from mocap_ros.runtime.load_keypoints import load_sequence_file
+from mocap_ros.runtime.load_results import load_result
 
 # Columns of the table: key of the record, title, unit and number format.
 COLUMNS = (
@@ -49,19 +61,36 @@ LEGEND = (
     'metric: without scale; e: eq. 25 of TPAMI 2016; bone std: standard deviation of the bone lengths over time; '
     'residual: mean reprojection error.'
 )
-MAX_PERSON_SIZE_M = 10.0  # m; a larger truth is probably in mm
+MAX_TIME_DIFFERENCE_NS = 1_000_000  # ns; between equal times of two files, of which one may be rounded to ms
+ACCEPTED_KINDS = (InputKind.SEQUENCE, InputKind.RESULT, InputKind.BAG)
+ACCEPTED_FORMATS = 'a result of reconstruct (.npz, .mcap), a bag of skeletons, or a sequence file (.npz)'
 
 
-def add_parser(subparsers: Any) -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser(
-        'evaluate',
-        help='print the errors of the reconstruction of sequence files that contain the truth',
-        description='Reconstructs sequence files as a whole and compares the results with the truth in the files. '
-        f'{LEGEND}',
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the subcommand and add its options."""
+    parser.description = (
+        'Compares results of `reconstruct` (.npz or .mcap), or the skeletons in bags, with the truth in the '
+        'sequence file that --truth names, at the times that both have. Reconstructs sequence files as a whole '
+        f'first, and compares them with the truth in them, unless --truth is given. {LEGEND}'
     )
     parser.add_argument(
-        'input', type=Path, nargs='+', metavar='SEQUENCE.npz', help='sequence file with the true joints, joints3d'
+        'input',
+        type=Path,
+        nargs='+',
+        metavar='IN',
+        help='result (.npz or .mcap), bag of skeletons, or sequence file',
+    )
+    parser.add_argument(
+        '--truth',
+        type=Path,
+        metavar='SEQUENCE.npz',
+        help='sequence file with the true joints, joints3d, such as the one that a result was made from (default: '
+        'the input, if it is a sequence file)',
+    )
+    parser.add_argument(
+        '--person',
+        metavar='ID',
+        help='person in a bag of skeletons (default: the person with most skeletons)',
     )
     add_model_option(parser)
     parser.add_argument(
@@ -77,66 +106,127 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate every file, and print a table of the errors."""
+    """Evaluate every input, and print a table of the errors."""
+    if args.json is not None:
+        check_output(args.json, *args.input)
     config = load_config(args)
     models = load_models(args, config)
-    records, warnings = [], []
+    given_truth = None if args.truth is None else _load_truth(args.truth)
+    truths = {} if given_truth is None else {args.truth: given_truth}
+    records = []
     for path in show_progress(args.input, 'evaluate'):
-        sequence = load_sequence_file(path)
-        if sequence.truth is None:
-            raise InputError(f'{path}: joints3d: missing, but the evaluation needs the truth')
-        if measure_person_size(sequence.truth.joints) > MAX_PERSON_SIZE_M:
-            warnings.append(f'{path}: joints3d: the values look like mm, but m are expected')
+        timing = {}
+        if require_kind(path, ACCEPTED_KINDS, ACCEPTED_FORMATS) is InputKind.SEQUENCE:
+            _refuse_options(path, {'--person': args.person}, 'a sequence file')
+            sequence = load_sequence_file(path) if given_truth is not None else _load_truth(path)
+            truth = sequence if given_truth is None else given_truth
+            start_s = time.perf_counter()
+            with name_file_in_errors(path):
+                result = _reconstruct(sequence, models, config)
+            timing = {'seconds': time.perf_counter() - start_s}
+            truths.setdefault(path if given_truth is None else args.truth, truth)
+        else:
+            options = {'--model': args.model, '--config': args.config, '--set': args.set}
+            _refuse_options(path, options, 'a result, which is compared as it is')
+            result, _ = load_result(path, args.person)
+            if given_truth is None:
+                raise InputError(f'{path}: holds no truth; give the sequence file that does by --truth')
+            truth = given_truth
         with name_file_in_errors(path):
-            record = reconstruct_and_evaluate(sequence, models, config, args.joints == 'limbs')
-        records.append({'file': path.name, **record})
+            evaluation = compare_with_truth(result, truth, args.joints == 'limbs')
+        records.append({'file': path.name, **evaluation.as_dict(), **timing})
     if args.json is not None:
         with guard_output(args.json, *args.input):
             args.json.write_text(_format_json(records), encoding='utf-8')
     print_table(records)
-    for warning in warnings:
-        print(f'mocap-ros: {warning}', file=sys.stderr)
+    for path, sequence in truths.items():
+        if sequence.truth is not None and measure_person_size(sequence.truth.joints) > MAX_PERSON_SIZE_M:
+            print(f'mocap-ros: {path}: joints3d: the values look like mm, but m are expected', file=sys.stderr)
     return 0
 
 
-def reconstruct_and_evaluate(
-    sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config, limbs_only: bool
-) -> dict[str, float]:
-    """Reconstruct one sequence and compare it with its truth.
+def _refuse_options(path: Path, value_by_option: Mapping[str, object], kind: str) -> None:
+    """Refuse options that do not apply to an input of this kind.
+
+    Raises:
+        InputError: one of the options has a value.
+    """
+    given = [option for option, value in value_by_option.items() if value]
+    if given:
+        raise InputError(f'{path}: {given[0]} does not apply to {kind}')
+
+
+def _load_truth(path: Path) -> KeypointSequence:
+    """Load a sequence file that holds the truth.
+
+    Raises:
+        InputError: the file cannot be read, or holds no truth; the error names the file.
+    """
+    sequence = load_sequence_file(path)
+    with name_file_in_errors(path):
+        check_truth(_get_truth(sequence).joints)
+    return sequence
+
+
+def _get_truth(sequence: KeypointSequence) -> GroundTruth:
+    if sequence.truth is None:
+        raise InputError('joints3d: missing, but the evaluation needs the truth')
+    return sequence.truth
+
+
+def _reconstruct(sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config) -> StoredResult:
+    """Reconstruct the content of a sequence file as a whole."""
+    found = reconstruct_file(sequence, models, config)
+    return StoredResult(sequence.timestamps, found.joints, found.seen, found.solution.residual, found.skeleton)
+
+
+def compare_with_truth(result: StoredResult, reference: KeypointSequence, limbs_only: bool) -> Evaluation:
+    """Compare a result with the truth in the frames whose times both have.
 
     Joints that are unknown in every frame of the truth are not compared. Of the frames, only those are compared in
     which the truth of all other joints is known.
 
     Args:
-        sequence: the keypoints and the truth.
-        models: base poses by name.
-        config: parameters of the reconstruction.
+        result: the reconstruction.
+        reference: the truth, and the keypoints that say which joints are seen.
         limbs_only: True to compare the twelve limb joints only, in the frames in which most of them are seen.
 
-    Returns:
-        The record of `Evaluation.as_dict`, with `seconds` added: the time that the reconstruction took.
-
     Raises:
-        InputError: the sequence has no truth or cannot be reconstructed, or nothing is left to compare.
+        InputError: the two have no time in common, or nothing is left to compare.
     """
-    truth = sequence.truth
-    if truth is None:
-        raise InputError('joints3d: missing')
-    check_truth(truth.joints)
-    start_s = time.perf_counter()
-    result = reconstruct_file(sequence, models, config)
-    seconds = time.perf_counter() - start_s
-    evaluation = evaluate(
-        result.joints,
+    truth = _get_truth(reference)
+    frames, reference_frames = _match_times(result.stamps_ns, reference.stamps_ns)
+    if not len(frames):
+        raise InputError(
+            f'timestamps: none of {result.times[0]:.3f} to {result.times[-1]:.3f} s is that of a frame of the '
+            f'truth, {reference.timestamps[0]:.3f} to {reference.timestamps[-1]:.3f} s'
+        )
+    return evaluate(
+        result.joints[frames],
         result.skeleton,
-        result.solution.residual,
-        truth.joints,
+        result.residual[frames],
+        truth.joints[reference_frames],
         truth.joint_names,
-        estimate_frame_rate(sequence.timestamps),
-        sequence.joint_names,
-        sequence.keypoints[..., 2] if limbs_only else None,
+        estimate_frame_rate(result.times[frames]),
+        reference.joint_names,
+        reference.keypoints[reference_frames, :, 2] if limbs_only else None,
     )
-    return {**evaluation.as_dict(), 'seconds': seconds}
+
+
+def _match_times(
+    stamps_ns: Sequence[int], reference_ns: Sequence[int]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Match the frames of a result and of the truth by stamps that differ by `MAX_TIME_DIFFERENCE_NS` at most.
+
+    Returns:
+        Indices of the frames of the result, and of the frames of the truth that they match.
+    """
+    stamps, reference = np.array(stamps_ns, np.int64), np.array(reference_ns, np.int64)
+    after = np.minimum(np.searchsorted(reference, stamps), len(reference) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(reference[before] - stamps) < np.abs(reference[after] - stamps), before, after)
+    frames = np.flatnonzero(np.abs(reference[nearest] - stamps) <= MAX_TIME_DIFFERENCE_NS)
+    return frames, nearest[frames]
 
 
 def print_table(records: list[dict[str, Any]]) -> None:

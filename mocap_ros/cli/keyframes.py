@@ -8,21 +8,20 @@ from typing import Any
 
 import yaml
 
-from mocap_ros.cli.options import (
-    add_config_options,
+from mocap_ros.cli.keypoint_input import (
     add_input_options,
-    derive_output_stem,
     extract_observations,
-    load_config,
     load_input_sequence,
     name_file_in_errors,
 )
+from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
 from mocap_ros.cli.progress import StageDisplay
 from mocap_ros.errors import InputError
-from mocap_ros.formats.text_files import guard_output
+from mocap_ros.formats.text_files import check_output, guard_output
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
-from mocap_ros.offline.keyframes.observations import Observations, prepare_observations
 from mocap_ros.offline.keyframes.reconstruct import find_keyframes, find_suspect_points
+from mocap_ros.offline.keyframes.shots import observe_shots
+from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.keyframe_plots import draw_distances_figure, draw_keyframes_figure
 
@@ -39,15 +38,13 @@ HEADER = """\
 """
 
 
-def add_parser(subparsers: Any) -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser(
-        'keyframes',
-        help='summarise a long sequence by a few poses',
-        description='Finds the poses that recur in the motion of one person (Loy et al. 2004), separately for the '
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the subcommand and add its options."""
+    parser.description = (
+        'Finds the poses that recur in the motion of one person (Loy et al. 2004), separately for the '
         'upper and the lower body. Prints a table of these keyframes and saves them with two pictures: the '
         'keyframes with the times at which they occur, and the distances between the poses of all frames. '
-        '`reconstruct --method keyframes` computes 3D poses from the keyframes.',
+        '`reconstruct --method keyframes` computes 3D poses from the keyframes.'
     )
     add_input_options(parser)
     parser.add_argument(
@@ -67,29 +64,30 @@ def run(args: argparse.Namespace) -> int:
     output = args.output or Path(f'{derive_output_stem(args.input)}_keyframes.yaml')
     if output.suffix not in ('.yaml', '.yml'):
         raise InputError(f'{output}: unknown file type; expected .yaml')
+    check_output(output, args.input)
     config = load_config(args)
     sequence = load_input_sequence(args, config)
     with name_file_in_errors(args.input), StageDisplay() as set_stage:
         set_stage('keypoints')
-        observations = prepare_observations(*extract_observations(sequence, config), config.tracker)
-        observations = observations.exclude_points(find_suspect_points(observations))
-        keyframes = find_keyframes(observations, config.keyframes, set_stage)
+        observed = observe_shots(*extract_observations(sequence, config), config.tracker)
+        observed = observed.exclude_points(find_suspect_points(observed))
+        keyframes = find_keyframes(observed, config.keyframes, set_stage)
         set_stage('pictures')
-        poses = draw_keyframes_figure(observations, keyframes, args.input.name)
-        distances = draw_distances_figure(observations, keyframes, config.keyframes.beta, args.input.name)
+        poses = draw_keyframes_figure(observed, keyframes, args.input.name)
+        distances = draw_distances_figure(observed, keyframes, config.keyframes.beta, args.input.name)
     pictures = {output.with_suffix('.png'): poses, output.with_name(f'{output.stem}_distances.png'): distances}
     with guard_output(output):
-        output.write_text(format_yaml(observations, keyframes, args.input.name), encoding='utf-8')
+        output.write_text(format_yaml(observed, keyframes, args.input.name), encoding='utf-8')
     for path, figure in pictures.items():
         with guard_output(path):
             plots.save_figure(figure, path)
-    print_table(observations, keyframes)
+    print_table(observed, keyframes)
     print(*(str(path) for path in (output, *pictures)), sep='\n')
     return 0
 
 
 def list_keyframe_entries(
-    observations: Observations, keyframes: tuple[KeyframeSet, KeyframeSet]
+    observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet]
 ) -> list[dict[str, Any]]:
     """Return the entry of every keyframe in the YAML file, upper body first, sorted by time.
 
@@ -97,7 +95,7 @@ def list_keyframe_entries(
         Mappings with the keys `half` (upper or lower), `time` (s from the beginning), `represents` (number of
         frames) and `spans` (pairs of times in s).
     """
-    times = observations.times - observations.times[0]
+    times = observed.times - observed.times[0]
     return [
         {
             'half': half.body_half.name,
@@ -113,22 +111,22 @@ def list_keyframe_entries(
     ]
 
 
-def format_yaml(observations: Observations, keyframes: tuple[KeyframeSet, KeyframeSet], name: str) -> str:
+def format_yaml(observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet], name: str) -> str:
     """Return the text of the YAML file of keyframes, which `reconstruct --choices` reads."""
     content = yaml.safe_dump(
-        {'keyframes': list_keyframe_entries(observations, keyframes)}, sort_keys=False, default_flow_style=None
+        {'keyframes': list_keyframe_entries(observed, keyframes)}, sort_keys=False, default_flow_style=None
     )
     return HEADER.format(name=' '.join(name.split())) + content
 
 
-def print_table(observations: Observations, keyframes: tuple[KeyframeSet, KeyframeSet]) -> None:
+def print_table(observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet]) -> None:
     """Print a table with a line for each keyframe, and the coverage of each half of the body."""
     print(f'{"half":<6} {"time, s":>9} {"frames":>7}  spans, s')
-    for entry in list_keyframe_entries(observations, keyframes):
+    for entry in list_keyframe_entries(observed, keyframes):
         spans = [f'{start:.1f}-{end:.1f}' for start, end in entry['spans'][:MAX_PRINTED_SPANS]]
         more = ', ...' if len(entry['spans']) > MAX_PRINTED_SPANS else ''
         print(f'{entry["half"]:<6} {entry["time"]:>9.2f} {entry["represents"]:>7}  {", ".join(spans)}{more}')
-    seconds = float(observations.times[-1] - observations.times[0])
+    seconds = float(observed.times[-1] - observed.times[0])
     for half in keyframes:
         print(
             f'{half.body_half.name} body: {len(half.frames)} keyframes cover {half.coverage:.1%} of '

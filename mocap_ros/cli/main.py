@@ -6,13 +6,30 @@ Exit codes: 0 for success; 1 for a failure, which one line on stderr describes; 
 from __future__ import annotations
 
 import argparse
+import difflib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from importlib import import_module
 from typing import Any
 
 from mocap_ros.errors import MocapError
 from mocap_ros.runtime.cpu_setup import configure_process
+
+# The line of each subcommand in the help, by its name, which is also the name of its module in this folder.
+COMMANDS = {
+    'demo': 'run the live node on the embedded recording',
+    'reconstruct': 'reconstruct a whole sequence in 3D',
+    'replay': 'run the live pipeline over bags',
+    'play': 'publish recorded keypoints at the recorded pace',
+    'recover': 'recover the messages of a bag that was cut off or damaged',
+    'keyframes': 'summarise a long sequence by a few poses',
+    'plot': 'draw a picture of the 2D input and the 3D result',
+    'evaluate': 'print the errors of a reconstruction against the truth',
+    'train': 'train base poses from motion capture',
+    'train-lifter': 'train the network that estimates 3D poses, from motion capture',
+    'config': 'print a parameter file with every parameter',
+}
 
 
 class _HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
@@ -30,48 +47,57 @@ class _Parser(argparse.ArgumentParser):
         super().__init__(**options, formatter_class=_HelpFormatter)
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Build the command-line parser with all subcommands."""
-    from mocap_ros.cli import (
-        config,
-        demo,
-        evaluate,
-        keyframes,
-        play,
-        plot,
-        reconstruct,
-        recover,
-        replay,
-        train,
-        train_lifter,
-    )
+class _PrintVersion(argparse.Action):
+    """Option that prints the version; it is looked up only then, because that takes longer than the help."""
 
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version
+
+        print(f'mocap-ros {version("mocap_ros")}')
+        parser.exit()
+
+
+def build_parser(selected: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
+    """Build the command-line parser.
+
+    Args:
+        selected: subcommands that get their options. Of the others only the names are known, because their modules
+            import SciPy, matplotlib and rosbags, for which nobody who asks for help should have to wait.
+    """
     parser = _Parser(
         prog='mocap-ros', description='Reconstructs people in 3D from the 2D keypoints of one camera.'
     )
+    parser.add_argument('--version', action=_PrintVersion, nargs=0, help='print the version and exit')
     subparsers = parser.add_subparsers(metavar='COMMAND', required=True)
-    for command in (
-        demo,
-        reconstruct,
-        replay,
-        play,
-        recover,
-        keyframes,
-        plot,
-        evaluate,
-        train,
-        train_lifter,
-        config,
-    ):
-        command.add_parser(subparsers)
+    for name, summary in COMMANDS.items():
+        command = subparsers.add_parser(name, help=summary)
+        if name in selected:
+            import_module(f'mocap_ros.cli.{name.replace("-", "_")}').add_options(command)
     return parser
+
+
+def explain_missing_command(arguments: Sequence[str]) -> str:
+    """Explain why the first argument is no subcommand; return an empty string if it is one or asks for help."""
+    first = arguments[0] if arguments else '--help'
+    if first in COMMANDS or first in ('-h', '--help', '--version'):
+        return ''
+    later = next((argument for argument in arguments if argument in COMMANDS), '')
+    if later:
+        return f'{first!r} comes before the command; write: mocap-ros {later} ...'
+    close = difflib.get_close_matches(first, COMMANDS, n=1)
+    advice = f'did you mean {close[0]!r}?' if close else f'there are {", ".join(COMMANDS)}'
+    return f'no command {first!r}; {advice}'
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one subcommand and return the exit code."""
     configure_process()
     try:
-        args = build_parser().parse_args(argv)
+        arguments = sys.argv[1:] if argv is None else list(argv)
+        parser = build_parser(arguments[:1])
+        if reason := explain_missing_command(arguments):
+            parser.error(reason)
+        args = parser.parse_args(arguments)
         return int(args.run(args))
     except MocapError as error:
         return _report_failure(str(error))

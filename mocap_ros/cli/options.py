@@ -1,32 +1,19 @@
-"""Options that several subcommands share, and what these options load."""
+"""Options that several subcommands share, and the configuration that they load.
+
+This module imports neither NumPy nor anything slow, so that `mocap-ros config --help` is fast.
+"""
 
 from __future__ import annotations
 
 import argparse
 import math
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from mocap_ros.config import Config, format_value, from_yaml, load_yaml, with_values
-from mocap_ros.errors import ConfigError, InputError, MocapError
-from mocap_ros.formats.detections import Video
-from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX, KeypointSequence
+from mocap_ros.errors import ConfigError
 from mocap_ros.formats.text_files import read_text
-from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.runtime.load_keypoints import load_input
-from mocap_ros.skeleton import LAYOUT_NAMES
-
-Array = NDArray[np.float64]
 
 MAX_CONFIG_BYTES = 1 << 20  # bytes; guards against reading a huge file as parameters (the full file has 10 kB)
-MAX_IMAGE_SIZE_CHARACTERS = 20  # characters of --image-size; guards int() below against thousands of digits
 
 
 def add_config_options(parser: argparse.ArgumentParser) -> None:
@@ -42,124 +29,20 @@ def add_config_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_model_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option `--model`."""
-    parser.add_argument(
-        '--model',
-        metavar='NAME',
-        help='base poses: the name of a shipped model, a model file, or auto for the most likely shipped model '
-        '(default: the parameter tracker.model)',
-    )
-
-
-def add_input_options(parser: argparse.ArgumentParser) -> None:
-    """Add the input file and the options that describe its keypoints."""
-    parser.add_argument(
-        'input',
-        type=Path,
-        metavar='IN',
-        help='sequence file (.npz), bag, folder of OpenPose JSON, or COCO keypoints (.json)',
-    )
-    parser.add_argument(
-        '--person',
-        metavar='ID',
-        help='person to reconstruct if the input shows several (default: the person seen in most frames)',
-    )
-    parser.add_argument(
-        '--topic', metavar='NAME', help='topic of the keypoints in a bag (default: the only one in the bag)'
-    )
-    parser.add_argument(
-        '--fps',
-        type=parse_positive,
-        metavar='N',
-        help='frames per second of the video; required for JSON (default: none)',
-    )
-    parser.add_argument(
-        '--image-size',
-        type=_parse_image_size,
-        metavar='WxH',
-        help='px, size of the image if JSON does not give it (default: a common size that contains all points)',
-    )
-    parser.add_argument(
-        '--layout',
-        choices=LAYOUT_NAMES,
-        help='keypoint layout of JSON (default: the layout with that number of keypoints)',
-    )
-
-
-def load_input_sequence(args: argparse.Namespace, config: Config) -> KeypointSequence:
-    """Load the sequence that the options of `add_input_options` describe.
-
-    The chosen person and the assumptions about the input are printed on stderr.
-
-    Raises:
-        InputError: the input cannot be used; the message names the place.
-    """
-    video = Video(args.fps, args.image_size, args.layout or '')
-    sequence, lines = load_input(args.input, video, config.node, args.person, args.topic)
-    for line in lines:
-        print(f'mocap-ros: {line}', file=sys.stderr)
-    return sequence
-
-
 def derive_output_stem(input_path: Path) -> str:
     """Return the stem of the names of files that are made from this input."""
     return input_path.stem or input_path.resolve().stem
 
 
-def extract_observations(
-    sequence: KeypointSequence, config: Config
-) -> tuple[Array, tuple[str, ...], Array, Intrinsics]:
-    """Return the arguments of a reconstruction: keypoints, joint names, times and camera intrinsics.
-
-    Returns:
-        Keypoints (F, J, 3) with x, y in px and a score, the J joint names, times (F,) in s, and the intrinsics.
-    """
-    intrinsics = sequence.intrinsics(config.tracker.nominal_focal_length)
-    return sequence.keypoints, sequence.joint_names, sequence.timestamps, intrinsics
-
-
-@contextmanager
-def name_file_in_errors(path: Path) -> Iterator[None]:
-    """Put the path in front of the messages of all errors that occur in this context.
-
-    Raises:
-        MocapError: an error of the same type occurred in the context.
-        InputError: the linear algebra in the context failed.
-    """
-    try:
-        yield
-    except MocapError as error:
-        raise type(error)(f'{path}: {error}') from None
-    except np.linalg.LinAlgError as error:
-        raise InputError(f'{path}: the reconstruction failed ({error})') from None
-
-
 def parse_positive(text: str) -> float:
     """Parse a positive, finite number for argparse."""
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f'{text!r} is not a number') from None
     if not 0 < value < math.inf:
         raise argparse.ArgumentTypeError(f'{text} is not positive and finite')
     return value
-
-
-def _parse_image_size(text: str) -> tuple[int, int]:
-    """Parse a width and a height in px, such as 1920x1080, for argparse."""
-    width, _, height = text.lower().partition('x')
-    is_number_pair = width.isdecimal() and height.isdecimal() and len(text) < MAX_IMAGE_SIZE_CHARACTERS
-    if not (is_number_pair and 0 < int(width) <= MAX_IMAGE_SIDE_PX and 0 < int(height) <= MAX_IMAGE_SIDE_PX):
-        raise argparse.ArgumentTypeError(f'{text!r}: expected a size such as 1920x1080')
-    return int(width), int(height)
-
-
-def load_models(args: argparse.Namespace, config: Config) -> dict[str, BasePoses]:
-    """Load the base poses that `--model` selects, by name; `auto` selects all shipped models.
-
-    Raises:
-        ModelError: there is no model of that name, or its file cannot be used.
-    """
-    name = args.model or config.tracker.model
-    return load_base_pose_models(name)
 
 
 def load_config(args: argparse.Namespace) -> Config:

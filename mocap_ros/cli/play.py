@@ -6,24 +6,22 @@ import argparse
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from mocap_ros.cli.options import parse_positive
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import MocapError
+from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
 from mocap_ros.runtime.playback import Playback
 
 CLOCK_HZ = 40.0  # Hz, the default rate of /clock, that of `ros2 bag play --clock`
 
 
-def add_parser(subparsers: Any) -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser(
-        'play',
-        help='publish recorded keypoints at the recorded pace',
-        description='Publishes the Keypoints2DArray messages of a bag, or the frames of a sequence file, on the '
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the subcommand and add its options."""
+    parser.description = (
+        'Publishes the Keypoints2DArray messages of a bag, or the frames of a sequence file, on the '
         'topic `keypoints`, and the CameraInfo messages of a bag on `camera_info`. The messages keep their stamps '
-        'and the QoS with which they were recorded. Needs ROS 2.',
+        'and the QoS with which they were recorded. Needs ROS 2.'
     )
     parser.add_argument(
         'input', type=Path, metavar='IN', help='bag (folder, .mcap, .db3 or .bag) or sequence file (.npz)'
@@ -70,10 +68,14 @@ def run(args: argparse.Namespace) -> int:
         raise MocapError(
             f'play needs ROS 2, which this Python does not have ({error}); `make setup` installs it'
         ) from None
+    require_kind(args.input, [InputKind.BAG, InputKind.SEQUENCE], f'{BAG_FORMATS} or a sequence file (.npz)')
     playback = Playback(args.input, args.topic, args.to, args.all)
     player = Player(playback, PlaybackOptions(args.rate, args.wait, args.loop, args.clock or 0.0))
     with suppress(*([KeyboardInterrupt] if args.loop else [])):  # an interrupt is the only way to end a loop
-        player.play(lambda messages, total: show_progress(messages, 'play', total))
+        player.play(
+            lambda messages, total: show_progress(messages, 'play', total),
+            lambda line: print(f'{args.input}: {line}', flush=True),
+        )
     for reason in player.skipped_topics:
         print(f'not played: {reason}', file=sys.stderr)
     topics = ', '.join(topic.name for topic in playback.topics)

@@ -3,38 +3,41 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from mocap_ros.cli.options import (
-    add_config_options,
+from mocap_ros.cli.keypoint_input import (
     add_input_options,
     add_model_option,
-    derive_output_stem,
-    load_config,
     load_input_sequence,
     load_models,
     name_file_in_errors,
 )
+from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
 from mocap_ros.cli.reconstruct import reconstruct_file
+from mocap_ros.config import Config
 from mocap_ros.errors import InputError
-from mocap_ros.formats.text_files import guard_output
+from mocap_ros.formats.detections import Video
+from mocap_ros.formats.text_files import check_output, guard_output
+from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
+from mocap_ros.runtime.load_keypoints import load_input
+from mocap_ros.runtime.load_results import holds_result, load_result
 from mocap_ros.skeleton import skeleton_from_joints
 from mocap_ros.viewing import plots
 
 MAX_POSES = 30  # frames in a picture; more would be too small to see
 
 
-def add_parser(subparsers: Any) -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser(
-        'plot',
-        help='draw a picture of the 2D input and the 3D result',
-        description='Reconstructs any input that `reconstruct` accepts and draws some frames of it: the '
-        'keypoints and the 3D result as seen from the camera and from the side. If the file contains the true 3D '
-        'joints, the error over time is drawn as well.',
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the subcommand and add its options."""
+    parser.description = (
+        'Draws some frames of a result of `reconstruct` (.npz or .mcap), or of a bag that holds skeletons, as '
+        'they are. Reconstructs any other input that `reconstruct` accepts, and draws some frames of it. Each '
+        'frame shows the keypoints and the 3D result as seen from the camera and from the side; a result in .npz '
+        'does not hold the keypoints. If a sequence file contains the true 3D joints, the error over time is '
+        'drawn as well.'
     )
     add_input_options(parser)
     parser.add_argument(
@@ -53,9 +56,26 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Reconstruct the input and draw the result."""
+    """Draw the result that the input holds, or reconstruct the input and draw the result."""
     output = args.output or Path(f'{derive_output_stem(args.input)}.png')
     plots.check_picture_format(output)
+    if not 1 <= args.poses <= MAX_POSES:
+        raise InputError(f'--poses {args.poses}: expected 1 to {MAX_POSES}')
+    require_kind(args.input, (*KEYPOINT_KINDS, InputKind.RESULT), f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)')
+    check_output(output, args.input)
+    drawn = _load_result(args) if holds_result(args.input) else _reconstruct(args)
+    count = min(args.poses, len(drawn.times))
+    frames = np.linspace(0, len(drawn.times) - 1, count).round().astype(int).tolist()
+    labels = [f'{drawn.times[f] - drawn.times[0]:.2f} s' for f in frames]
+    figure = plots.draw_poses_figure(drawn, frames, args.input.name, labels)
+    with guard_output(output, args.input):
+        plots.save_figure(figure, output)
+    print(output)
+    return 0
+
+
+def _reconstruct(args: argparse.Namespace) -> plots.PlotData:
+    """Reconstruct the keypoints of the input."""
     config = load_config(args)
     models = load_models(args, config)
     sequence = load_input_sequence(args, config)
@@ -66,22 +86,40 @@ def run(args: argparse.Namespace) -> int:
         names = list(sequence.truth.joint_names)
         if set(result.skeleton.joints) <= set(names):
             truth = sequence.truth.joints[:, [names.index(n) for n in result.skeleton.joints]]
-    drawn = plots.PlotData(
+    return plots.PlotData(
         times=sequence.timestamps,
-        keypoints=sequence.keypoints,
-        keypoint_skeleton=skeleton_from_joints(sequence.joint_names),
         joints=result.joints,
         seen=result.seen,
         skeleton=result.skeleton,
         truth=truth,
+        keypoints=sequence.keypoints,
+        keypoint_skeleton=skeleton_from_joints(sequence.joint_names),
     )
-    if not 1 <= args.poses <= MAX_POSES:
-        raise InputError(f'--poses {args.poses}: expected 1 to {MAX_POSES}')
-    count = min(args.poses, len(sequence))
-    frames = np.linspace(0, len(sequence) - 1, count).round().astype(int).tolist()
-    labels = [f'{sequence.timestamps[f] - sequence.timestamps[0]:.2f} s' for f in frames]
-    figure = plots.draw_poses_figure(drawn, frames, args.input.name, labels)
-    with guard_output(output, args.input):
-        plots.save_figure(figure, output)
-    print(output)
-    return 0
+
+
+def _load_result(args: argparse.Namespace) -> plots.PlotData:
+    """Load the result that the input holds, and from a bag the keypoints of the same person as well.
+
+    Raises:
+        InputError: the result cannot be read, or an option is given that only applies to a reconstruction.
+    """
+    given = (args.topic, args.fps, args.image_size, args.layout, args.model, args.config, args.set)
+    if any(given):
+        raise InputError(
+            f'{args.input}: holds a result, which is drawn as it is; --topic, --fps, --image-size, --layout, '
+            '--model, --config and --set apply to keypoints only'
+        )
+    result, person = load_result(args.input, args.person)
+    drawn = plots.PlotData(result.times, result.joints, result.seen, result.skeleton)
+    if not person:
+        return drawn
+    try:
+        sequence, _ = load_input(args.input, Video(), Config().node, person)
+    except InputError:  # the bag holds no keypoints, or the tracker chose another id than the detector
+        return drawn
+    keypoints = np.full((len(result.times), *sequence.keypoints.shape[1:]), [np.nan, np.nan, 0.0])
+    frame_of = {stamp: frame for frame, stamp in enumerate(result.stamps_ns)}
+    for stamp, points in zip(sequence.stamps_ns, sequence.keypoints, strict=True):
+        if stamp in frame_of:
+            keypoints[frame_of[stamp]] = points
+    return replace(drawn, keypoints=keypoints, keypoint_skeleton=skeleton_from_joints(sequence.joint_names))

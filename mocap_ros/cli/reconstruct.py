@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from mocap_ros.bags.reader import list_bag_files
-from mocap_ros.cli.options import (
-    add_config_options,
+from mocap_ros.cli.keypoint_input import (
     add_input_options,
     add_model_option,
-    derive_output_stem,
     extract_observations,
-    load_config,
     load_input_sequence,
     load_models,
     name_file_in_errors,
 )
+from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
 from mocap_ros.cli.progress import StageDisplay
 from mocap_ros.config import Config, load_yaml
 from mocap_ros.errors import InputError
+from mocap_ros.formats.export.bvh import BLENDER_IMPORT
 from mocap_ros.formats.sequence_file import KeypointSequence
-from mocap_ros.formats.text_files import guard_output, read_text
+from mocap_ros.formats.text_files import check_output, guard_output, read_text
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.keyframes import reconstruct
 from mocap_ros.offline.keyframes.taylor import DepthChoice, parse_depth_choices
@@ -35,15 +34,13 @@ from mocap_ros.runtime import save_results
 MAX_CHOICES_BYTES = 16 << 20  # bytes; guards against parsing a huge file as keyframes
 
 
-def add_parser(subparsers: Any) -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser(
-        'reconstruct',
-        help='reconstruct a whole sequence in 3D',
-        description='Reconstructs one person over a whole sequence, so that every frame supports the others. The '
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the subcommand and add its options."""
+    parser.description = (
+        'Reconstructs one person over a whole sequence, so that every frame supports the others. The '
         'input is a sequence file, a bag, OpenPose JSON or COCO keypoints. The ending of the output file selects '
         'its format: .npz, .csv, .mcap (a bag of skeletons, cameras and markers), .bvh (for animation, in cm) or '
-        '.trc (for OpenSim, in mm). In .bvh and .trc, y points up and the frame rate is constant.',
+        '.trc (for OpenSim, in mm). In .bvh and .trc, y points up and the frame rate is constant.'
     )
     add_input_options(parser)
     parser.add_argument(
@@ -77,6 +74,7 @@ def run(args: argparse.Namespace) -> int:
     output = args.output or Path(f'{derive_output_stem(args.input)}_3d.npz')
     if output.suffix not in save_results.SUFFIXES:
         raise InputError(f'{output}: unknown file type; expected {", ".join(save_results.SUFFIXES)}')
+    check_output(output, args.input, *list_bag_files(args.input))
     config = load_config(args)
     models = load_models(args, config)
     sequence = load_input_sequence(args, config)
@@ -87,17 +85,21 @@ def run(args: argparse.Namespace) -> int:
     else:
         with name_file_in_errors(args.input):
             result = reconstruct_file(sequence, models, config)
-        summary = f'{result.solution.iterations} iterations' + (
-            '' if result.solution.converged else ' (not converged)'
-        )
+        summary = f'{result.solution.iterations} iterations'
     with guard_output(output, args.input, *list_bag_files(args.input)):
-        intrinsics = sequence.intrinsics(config.tracker.nominal_focal_length)
-        save_results.save(output, save_results.ReconstructedSequence(sequence, result, intrinsics))
+        save_results.save(output, save_results.ReconstructedSequence(sequence, result))
     solution = result.solution
+    warning = '' if solution.success else f'. {solution.message}'
+    missing = int(np.isnan(result.joints).any(axis=(1, 2)).sum())
+    if missing:
+        line = f'{missing} frames before the first and after the last sight of the person have no skeleton'
+        print(f'mocap-ros: {args.input}: {line}', file=sys.stderr)
     print(
         f'{output}: {len(sequence)} frames, base poses {result.category}, residual '
-        f'{np.nanmean(solution.residual):.2f} px, {summary}'
+        f'{np.nanmean(solution.residual):.2f} px, {summary}{warning}'
     )
+    if output.suffix == '.bvh':
+        print(f'{output}: in cm, y up, as for a level camera. In Blender: {BLENDER_IMPORT}')
     return 0
 
 

@@ -5,21 +5,19 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
 from mocap_ros.bags.recovery import recover
+from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
 
 
-def add_parser(subparsers: Any) -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser(
-        'recover',
-        help='recover the messages of a bag that was cut off or damaged',
-        description='Writes a new bag with every message that can still be read from a damaged bag, and lists '
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the subcommand and add its options."""
+    parser.description = (
+        'Writes a new bag with every message that can still be read from a damaged bag, and lists '
         'what could not be read. A bag is damaged if, for example, its recorder was killed or its disk was full. '
-        'The command reads rosbag2 bags of any recorder, in MCAP or SQLite3, and does not change the damaged bag.',
+        'The command reads rosbag2 bags of any recorder, in MCAP or SQLite3, and does not change the damaged bag.'
     )
     parser.add_argument('bag', type=Path, metavar='BAG', help='damaged bag: folder, .mcap or .db3')
     parser.add_argument(
@@ -34,6 +32,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Recover a bag, and print what was recovered and what was not."""
+    require_kind(args.bag, [InputKind.BAG], BAG_FORMATS)
     out = args.output or args.bag.with_name(f'{args.bag.resolve().stem}_recovered')
     with tqdm(desc='recover', unit='B', unit_scale=True, disable=not sys.stderr.isatty(), leave=False) as bar:
 

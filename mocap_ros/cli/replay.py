@@ -21,6 +21,7 @@ from mocap_ros.cli.options import add_config_options, load_config
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import InputError, MocapError, RecordingError
 from mocap_ros.runtime.cpu_setup import configure_process
+from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
 from mocap_ros.runtime.replay import ProgressWrapper, ReplayOptions, ReplayResult, remove_partial, replay
 
 PROGRESS_INTERVAL_S = 0.3  # s between updates of the progress bar; often enough to look continuous
@@ -47,15 +48,13 @@ class _FinishedReplay(NamedTuple):
     seconds: float
 
 
-def add_parser(subparsers: Any) -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser(
-        'replay',
-        help='run the live pipeline over bags',
-        description='Runs the keypoints of a bag through the pipeline of the live node, as fast as the machine '
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the subcommand and add its options."""
+    parser.description = (
+        'Runs the keypoints of a bag through the pipeline of the live node, as fast as the machine '
         'allows, and writes a new bag with the keypoints and the outputs. A bag that the node recorded is '
         'replayed with the parameters of the recording, unless --config or --set is given, and gives the same '
-        'skeletons. A new bag is called NAME.partial until it is complete.',
+        'skeletons. A new bag is called NAME.partial until it is complete.'
     )
     parser.add_argument(
         'bags', type=Path, nargs='+', metavar='BAG', help='bag to replay: folder, .mcap, .db3, or .bag of ROS 1'
@@ -142,6 +141,7 @@ def _prepare_to_resume(job: _Job) -> bool:
 def _replay_one(job: _Job, progress: ProgressWrapper) -> _FinishedReplay:
     """Replay one bag in this process."""
     start = time.monotonic()
+    require_kind(job.bag, [InputKind.BAG], BAG_FORMATS)
     with Bag(job.bag) as bag:
         result = replay(bag, job.out, job.options, progress)
     return _FinishedReplay(result, time.monotonic() - start)
@@ -238,7 +238,6 @@ def _count_processed(messages: Iterable[BagMessage], _: int) -> Iterator[BagMess
 
 def _parse_count(text: str) -> int:
     """Parse a positive integer for argparse."""
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f'{text} is not positive')
-    return value
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f'{text!r} is not a positive whole number')
+    return int(text)

@@ -4,27 +4,24 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from mocap_ros.cli.options import parse_positive
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import MocapError
 from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, load_marker_map
 from mocap_ros.formats.mocap.trials import TrialOptions, load_trials, select_trials
-from mocap_ros.formats.text_files import guard_output
+from mocap_ros.formats.text_files import check_output, guard_output
 from mocap_ros.models import model_file
 from mocap_ros.training.base_poses import fit_base_poses
 
 
-def add_parser(subparsers: Any) -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser(
-        'train',
-        help='train base poses from motion capture',
-        description='Trains base poses from motion capture: folders or files of ASF/AMC, BVH and C3D, or .npz. '
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the subcommand and add its options."""
+    parser.description = (
+        'Trains base poses from motion capture: folders or files of ASF/AMC, BVH and C3D, or .npz. '
         'An .npz file holds an (F, 15, 3) array in mm with y up for each trial, and the joint names under the '
         'key _joints. A manifest.csv beside the data gives the subject and the category of each trial; without '
-        'it, the category of a file is the name of its folder.',
+        'it, the category of a file is the name of its folder.'
     )
     parser.add_argument(
         'data', nargs='+', type=Path, metavar='DATA', help='motion capture: folder, .amc, .bvh, .c3d or .npz'
@@ -109,6 +106,7 @@ def run(args: argparse.Namespace) -> int:
     """Train and save a model, and print a summary of it."""
     if min(args.components, args.every) < 1 or (args.bodies or 0) < 0:
         raise MocapError('--components and --every must be positive, and --bodies must not be negative')
+    check_output(args.output, *args.data)
     markers = None if args.markers is None else load_marker_map(args.markers)
     options = TrialOptions(args.manifest, markers, args.unit, args.every)
     trials = select_trials(

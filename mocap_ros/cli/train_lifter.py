@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import MocapError
@@ -15,15 +14,13 @@ from mocap_ros.models import model_file
 DEFAULT_STEPS = 20000  # optimiser steps with which the shipped lifter was trained
 
 
-def add_parser(subparsers: Any) -> None:
-    """Register the subcommand."""
-    parser = subparsers.add_parser(
-        'train-lifter',
-        help='train the network that estimates 3D poses, from motion capture',
-        description='Trains the lifter, a small network that estimates 3D poses from 2D joints. The training '
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the subcommand and add its options."""
+    parser.description = (
+        'Trains the lifter, a small network that estimates 3D poses from 2D joints. The training '
         'images are synthesised from motion capture at 30 frames per second with random cameras and the errors '
         'of a detector. The data has the formats of `mocap-ros train`. Needs PyTorch: pip install '
-        'mocap_ros[train].',
+        'mocap_ros[train].'
     )
     parser.add_argument(
         'data', nargs='+', type=Path, metavar='DATA', help='motion capture: folder, .amc, .bvh, .c3d or .npz'

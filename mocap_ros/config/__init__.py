@@ -11,10 +11,11 @@ from mocap_ros.config.defaults import (
     TrackerConfig,
     Value,
 )
-from mocap_ros.config.renamed import RENAMED_SINCE_0_1, current_names
+from mocap_ros.config.renamed import REMOVED_SINCE_0_1, RENAMED_SINCE_0_1, current_names
 from mocap_ros.config.yaml_file import from_yaml, load_yaml, to_yaml
 
 __all__ = [
+    'REMOVED_SINCE_0_1',
     'RENAMED_SINCE_0_1',
     'ClassifierConfig',
     'Config',

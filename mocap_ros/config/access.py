@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, cast, get_type_hints
 
 from mocap_ros.config.defaults import Config, Value
-from mocap_ros.config.renamed import RENAMED_SINCE_0_1
+from mocap_ros.config.renamed import REMOVED_SINCE_0_1, RENAMED_SINCE_0_1, describe_removal
 from mocap_ros.errors import ConfigError
 
 MAX_SHOWN_CHARACTERS = 60  # characters of a value in an error message; keeps the message on one readable line
@@ -124,6 +124,8 @@ def suggest_parameter(unknown_name: str, names: Iterable[str]) -> str:
     """
     if unknown_name in RENAMED_SINCE_0_1:
         return f'it is {RENAMED_SINCE_0_1[unknown_name]!r} since version 0.2'
+    if unknown_name in REMOVED_SINCE_0_1:
+        return describe_removal(unknown_name)
     name_of_field = {name.rpartition('.')[2]: name for name in names}
     close = difflib.get_close_matches(unknown_name.rpartition('.')[2], name_of_field, n=1)
     return f'did you mean {name_of_field[close[0]]!r}?' if close else '`mocap-ros config` lists all parameters'

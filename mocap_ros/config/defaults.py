@@ -119,9 +119,6 @@ class SolverConfig:
     noise_floor: float = define_parameter(
         0.0005, 'm, lower limit of the estimated image noise', low=1e-5, high=1.0
     )
-    relative_bones: bool = define_parameter(
-        False, 'measure the variance of a bone length relative to the length of that bone'
-    )
     harmonics: int = define_parameter(3, 'number of harmonics of the periodic model', low=1, high=8)
     periodic_prior_factor: float = define_weight(
         1.0,
@@ -134,33 +131,26 @@ class SolverConfig:
     camera_acceleration_weight: float = define_weight(
         0.0003, 'm^2 s^3, weight of the squared acceleration of the camera in the periodic model'
     )
-    paper_sines: bool = define_parameter(
-        False, "use the paper's periodic model: one sine for each base pose, with a frequency of its own (eq. 17)"
-    )
     method: str = define_parameter(
         'joint',
         'joint: Levenberg-Marquardt over cameras and weights together; alternation: Algorithm 1 of the paper',
         choices=('joint', 'alternation'),
     )
-    norm: str = define_parameter(
-        'squared',
-        'norms of the alternation: squared, or frobenius as printed in the paper (eq. 13 and 21)',
-        choices=('squared', 'frobenius'),
-    )
     hypotheses: int = define_parameter(
         2,
-        'number of initial cameras that are tried: the closed-form one, its Necker reversal, then a ring of '
-        'headings',
+        'number of initial cameras that are tried: 1 is the closed-form one alone, 2 also its Necker reversal',
         low=1,
-        high=10,
+        high=2,
     )
     start_window: float = define_parameter(
         1.0, 's, span of the frames that share one closed-form initial camera', low=0.0, high=60.0
     )
     heading_hypotheses: int = define_parameter(
-        1, 'number of initial cameras that are tried for base poses that were aligned by heading', low=1, high=10
+        1, 'number of initial cameras that are tried for base poses that were aligned by heading', low=1, high=2
     )
-    max_iterations: int = define_parameter(60, 'maximum number of solver iterations', low=1, high=10_000)
+    max_iterations: int = define_parameter(
+        60, 'maximum number of solver iterations, in each round under another image noise', low=1, high=10_000
+    )
     tolerance: float = define_weight(3e-4, 'relative decrease of the objective below which the solver stops')
 
 

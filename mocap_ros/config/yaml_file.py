@@ -101,14 +101,9 @@ def _flatten(tree: Mapping[object, object], prefix: str = '') -> Iterator[tuple[
             yield name, value
 
 
-def to_yaml(config: Config, node: str = 'mocap_node') -> str:
-    """Return a commented ROS parameter file that sets every parameter.
-
-    Args:
-        config: the values.
-        node: name of the node that the file is for.
-    """
-    lines = [*HEADER.splitlines(), f'{node}:', '  ros__parameters:']
+def to_yaml(config: Config) -> str:
+    """Return a commented ROS parameter file that sets every parameter of the node to its value in `config`."""
+    lines = [*HEADER.splitlines(), 'mocap_node:', '  ros__parameters:']
     value_of = values(config)
     previous_group = ''
     for parameter in parameters():

@@ -24,6 +24,7 @@ from scipy.fft import dct
 from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation
 from mocap_ros.models import model_file
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.npz_file import write_npz
 
 Array = NDArray[np.float64]
 
@@ -141,7 +142,7 @@ def save_motions(model: BasePoses, motions: Mapping[str, Motion], path: Path) ->
     arrays: dict[str, Any] = {f'motion_{name}': motion.table.astype('f4') for name, motion in motions.items()}
     arrays['model'] = np.frombuffer(buffer.getvalue(), dtype=np.uint8)
     arrays['meta'] = np.array(json.dumps(meta, sort_keys=True))
-    np.savez_compressed(path, **arrays)
+    write_npz(path, arrays)
 
 
 def load_motions() -> tuple[BasePoses, dict[str, Motion]]:

@@ -27,7 +27,7 @@ CAMERA_HEIGHT_M = 1.3  # m, height of a robot's head above the ground
 CIRCLE_RADIUS_M = 2.8  # m, radius of the path, so that the person is seen from all sides
 CIRCLE_DISTANCE_M = 6.5  # m, from the camera to the centre of the path, so that the whole body is in the image
 BLEND_S = 0.4  # s, time over which one motion turns into the next
-SEED = 7  # default random seed, with which the shipped recording was made
+SEED = 7  # random seed with which the shipped recording was made
 
 # The motions of the person in order: name, duration in s, and the second of the motion at which it starts.
 SCRIPT = (('walk', 4.5, 0.0), ('run', 3.0, 0.0), ('jump', 2.2, 0.5), ('walk', 3.3, 0.4))
@@ -90,9 +90,9 @@ def motion_name_at(time_s: float) -> str:
     return SCRIPT[-1][0]
 
 
-def make_recording(seed: int = SEED) -> Recording:
-    """Generate the recording; the same seed gives the same recording."""
-    rng = np.random.default_rng(seed)
+def make_recording() -> Recording:
+    """Generate the recording, the same every time."""
+    rng = np.random.default_rng(SEED)
     model, motions = load_motions()
     parts = [
         motions[name].sample(start + np.arange(round(duration * FRAME_RATE_HZ)) / FRAME_RATE_HZ)

@@ -16,6 +16,7 @@ from mocap_ros.skeleton import Skeleton
 Array = NDArray[np.float64]
 
 MIN_PERSON_SIZE_M = 0.01  # m; a smaller truth is a single place, against which no pose can be compared
+MAX_PERSON_SIZE_M = 10.0  # m; a larger truth is probably in mm
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Evaluation:
         frames: number of compared frames.
         failed_frames: number of these without a prediction.
         bone_std_mm: standard deviation of bone lengths over time, mean over the bones.
-        residual_px: mean reprojection residual.
+        residual_px: mean reprojection residual; NaN if it is unknown in all frames.
         fps: frames a second; NaN for a sequence of one frame.
     """
 
@@ -53,6 +54,16 @@ class Evaluation:
     bone_std_mm: float
     residual_px: float
     fps: float
+
+    def __repr__(self) -> str:
+        errors = (
+            ('MPJPE', self.mpjpe_mm),
+            ('PA-MPJPE', self.pa_mpjpe_mm),
+            ('without a scale', self.metric_mpjpe_mm),
+        )
+        shown = ''.join(f'{name} {error:.1f} mm, ' for name, error in errors if error is not None)
+        counts = f'{self.joints} joints in {self.frames} frames, {self.failed_frames} of them failed'
+        return f'Evaluation: {shown}{counts}'
 
     def as_dict(self) -> dict[str, float]:
         """Return the record that `mocap-ros evaluate --json` writes, without the errors that are None."""
@@ -115,7 +126,7 @@ def evaluate(
         frames=int(errors['frames']),
         failed_frames=int(errors['failed_frames']),
         bone_std_mm=metrics.compute_bone_std_mm(joints, skeleton),
-        residual_px=float(np.nanmean(residual)),
+        residual_px=float(np.nanmean(residual)) if np.isfinite(residual).any() else math.nan,
         fps=fps,
     )
 

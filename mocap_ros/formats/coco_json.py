@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.formats.detections import Detections, Video, arrange_frames, create_person
 from mocap_ros.formats.text_files import read_json
+from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.skeleton import canonical_joint_names
 
@@ -87,7 +88,7 @@ def load_coco(path: Path, video: Video) -> Detections:
         sizes = {size for _, size in images.values() if size is not None}
         if len(sizes) > 1:
             raise InputError('images: of different sizes; a file must hold one video')
-        size = sizes.pop() if sizes else video.image_size
+        size = resolve_image_size(stated=sizes.pop() if sizes else None, configured=video.image_size)
         return arrange_frames(people_by_number, Video(video.fps, size, video.layout))
     except InputError as error:
         raise InputError(f'{path}: {error}') from None

@@ -1,12 +1,7 @@
 """All people that a detector saw in the images of one camera, and the choice of the person to reconstruct.
 
-People with an id are identified by it. People without an id are associated by position. The cost of a detection
-that continues a track is
-
-    c = d / (MAX_MATCH_DISTANCE + MAX_SPEED dt),
-
-where d is the median distance of their keypoints in body sizes, and dt the time in s since the track was last
-seen. The assignment with the smallest sum of costs is taken, except its pairs with c >= 1.
+People with an id are identified by it. People without an id are associated by position
+(`keypoints.association.associate_keypoints`).
 """
 
 from __future__ import annotations
@@ -19,11 +14,12 @@ from math import gcd
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.association import associate_keypoints
+from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import find_first_fault, looks_normalised, mark_unseen
@@ -44,16 +40,8 @@ LAYOUT_BY_KEYPOINT_COUNT = {
     136: 'halpe26',
 }
 
-# (width, height) in px of common videos, smallest first; the smallest that holds the keypoints is assumed.
-COMMON_IMAGE_SIZES = ((640, 480), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160), (7680, 4320))
-IMAGE_SIZE_PERCENTILE = 99  # percent of the keypoints that the assumed image holds; the others may be outliers
-
 MAX_FRAMES = 1_000_000  # guards the memory against frame numbers that are not of one video; 9 h at 30 Hz
 MAX_GAP_S = 3.0  # s without a detection after which a track without an id ends; documented in docs/files.md
-MAX_MATCH_DISTANCE = 1.0  # body sizes (RMS radius of the keypoints); people who stand nearer overlap anyway
-MAX_SPEED = 3.0  # body sizes per s; adds to MAX_MATCH_DISTANCE over the time without a detection
-MAX_COST = 1e6  # bounds the costs of the assignment, which must be finite
-MIN_BODY_SIZE_PX = 1.0  # px; guards a division by the size of a body seen as a single point
 MAX_LISTED_PEOPLE = 5  # people named in a line of output
 
 
@@ -63,13 +51,13 @@ class Video:
 
     Attributes:
         fps: frame rate in Hz, or None where unknown.
-        image_size: (width, height) in px, or None where unknown.
+        image_size: (width, height) in px, or None where it is not given.
         layout: name of the keypoint layout, one of `skeleton.LAYOUT_NAMES`; empty where the number of keypoints
             tells the layout.
     """
 
     fps: float | None = None
-    image_size: tuple[int, int] | None = None
+    image_size: ImageSize | None = None
     layout: str = ''
 
 
@@ -80,7 +68,7 @@ class Detections:
     Attributes:
         people: (F,) the people in each frame; people without an id are identified by position.
         stamps_ns: (F,) ns, strictly increasing.
-        image_size: (width, height) in px, or None where unknown.
+        image_size: (width, height) in px, (0, 0) where unknown.
         intrinsics: intrinsics of the camera, or None where unknown.
         frame_id: name of the camera's optical frame, or empty.
         remarks: lines that say what the reader left out.
@@ -88,7 +76,7 @@ class Detections:
 
     people: Sequence[Sequence[Person2D]]
     stamps_ns: Sequence[int]
-    image_size: tuple[int, int] | None = None
+    image_size: ImageSize = UNKNOWN_SIZE
     intrinsics: Intrinsics | None = None
     frame_id: str = ''
     remarks: tuple[str, ...] = ()
@@ -168,7 +156,8 @@ def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Vi
     if len(all_numbers) > MAX_FRAMES:
         raise InputError(f'frames are numbered {numbers[0]} to {numbers[-1]}: not those of one video')
     stamps = [round((number - numbers[0]) / video.fps * NS_PER_S) for number in all_numbers]
-    return Detections([people_by_number.get(number, ()) for number in all_numbers], stamps, video.image_size)
+    people = [people_by_number.get(number, ()) for number in all_numbers]
+    return Detections(people, stamps, resolve_image_size(configured=video.image_size))
 
 
 def associate_people(detections: Detections) -> list[PersonTrack]:
@@ -196,63 +185,19 @@ def associate_people(detections: Detections) -> list[PersonTrack]:
                     tracks.append(track_by_id.setdefault(person.id, PersonTrack(person.id)))
                 track_by_id[person.id].detection_by_frame[frame] = person
         unnamed = [p for p in people if not p.id and (p.score > 0).any()]
-        if not is_alone:
+        if is_alone:
+            indices: list[int | None] = [0 if unnamed_tracks else None for _ in unnamed]
+        else:
             unnamed_tracks = [t for t in unnamed_tracks if compute_gap_s(t, frame) <= MAX_GAP_S]
-        gaps_s = [compute_gap_s(t, frame) for t in unnamed_tracks]
-        matches = _match_by_position(unnamed, unnamed_tracks, gaps_s, is_alone)
-        for i, person in enumerate(unnamed):
-            if i not in matches:
-                matches[i] = PersonTrack(next(unused_ids))
-                unnamed_tracks.append(matches[i])
-                tracks.append(matches[i])
-            matches[i].detection_by_frame[frame] = person
+            ages_s = [compute_gap_s(t, frame) for t in unnamed_tracks]
+            indices = associate_keypoints([t.last_detection for t in unnamed_tracks], ages_s, unnamed)
+        for index, person in zip(indices, unnamed, strict=True):
+            track = PersonTrack(next(unused_ids)) if index is None else unnamed_tracks[index]
+            track.detection_by_frame[frame] = person
+            if index is None:
+                unnamed_tracks.append(track)
+                tracks.append(track)
     return tracks
-
-
-def _match_by_position(
-    people: Sequence[Person2D], tracks: Sequence[PersonTrack], gaps_s: Sequence[float], is_alone: bool
-) -> dict[int, PersonTrack]:
-    """Find the track that each person continues.
-
-    Args:
-        people: the people in a frame.
-        tracks: the tracks before that frame.
-        gaps_s: time in s since each track was last seen.
-        is_alone: whether all frames show one person at most; then that person continues the only track.
-
-    Returns:
-        The track by the index of the person, for the people who continue one.
-    """
-    if not people or not tracks:
-        return {}
-    if is_alone:
-        return {0: tracks[0]}
-    cost = np.array(
-        [
-            [
-                _compute_distance(p, t.last_detection) / (MAX_MATCH_DISTANCE + MAX_SPEED * gap_s)
-                for t, gap_s in zip(tracks, gaps_s, strict=True)
-            ]
-            for p in people
-        ]
-    )
-    rows, columns = linear_sum_assignment(np.minimum(cost, MAX_COST))
-    return {int(r): tracks[c] for r, c in zip(rows, columns, strict=True) if cost[r, c] < 1}
-
-
-def _compute_distance(a: Person2D, b: Person2D) -> float:
-    """Compute the distance of two detections in body sizes (RMS radius of the keypoints)."""
-    both_seen = (a.score > 0) & (b.score > 0) if a.joints == b.joints else np.zeros(0, bool)
-    size = max(_compute_rms_radius(a), _compute_rms_radius(b), MIN_BODY_SIZE_PX)
-    if both_seen.any():
-        return float(np.median(np.linalg.norm(a.points[both_seen] - b.points[both_seen], axis=1))) / size
-    return float(np.linalg.norm(np.nanmean(a.points, axis=0) - np.nanmean(b.points, axis=0))) / size
-
-
-def _compute_rms_radius(person: Person2D) -> float:
-    """Compute the RMS distance in px of the seen keypoints from their mean."""
-    seen = person.points[person.score > 0]
-    return float(np.sqrt(((seen - seen.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
 def select_person(detections: Detections, person_id: str | None = None) -> tuple[KeypointSequence, list[str]]:
@@ -285,9 +230,8 @@ def select_person(detections: Detections, person_id: str | None = None) -> tuple
         + (f'; {len(tracks) - 1} more, choose by --person: {_list_people(tracks)}' if len(tracks) > 1 else ''),
         *detections.remarks,
     ]
-    size = detections.image_size
-    if size is None:
-        size = _assume_image_size(keypoints)
+    size = resolve_image_size(stated=detections.image_size, keypoints=keypoints)
+    if not all(detections.image_size):
         lines.append(f'image size not known, {size[0]}x{size[1]} px assumed; give it by --image-size')
     if looks_normalised(keypoints[..., :2], keypoints[..., 2], size[0]):
         raise InputError('keypoints look normalised; px expected')
@@ -324,10 +268,3 @@ def _list_people(tracks: Sequence[PersonTrack]) -> str:
     frame_counts = Counter({track.id: len(track.detection_by_frame) for track in tracks})
     listed = ', '.join(f'{person_id} ({n})' for person_id, n in frame_counts.most_common(MAX_LISTED_PEOPLE))
     return listed + (', ...' if len(tracks) > MAX_LISTED_PEOPLE else '')
-
-
-def _assume_image_size(keypoints: Array) -> tuple[int, int]:
-    """Return the smallest common image size in px that holds nearly all seen keypoints (F, J, 3)."""
-    seen = keypoints[keypoints[..., 2] > 0][:, :2]
-    extent = np.percentile(seen, IMAGE_SIZE_PERCENTILE, axis=0) if len(seen) else np.zeros(2)
-    return next((size for size in COMMON_IMAGE_SIZES if (extent <= size).all()), COMMON_IMAGE_SIZES[-1])

@@ -9,20 +9,28 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import InputError, SkeletonError, describe_read_error
+from mocap_ros.errors import InputError, SkeletonError
+from mocap_ros.formats.npz_arrays import ArrayReader, list_keys, read_arrays
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import find_first_fault, looks_normalised, mark_unseen
-from mocap_ros.npz_file import open_npz
-from mocap_ros.skeleton import canonical_joint_names
+from mocap_ros.keypoints.validation import (
+    describe_transposed_size,
+    find_first_fault,
+    looks_normalised,
+    mark_unseen,
+)
+from mocap_ros.npz_file import write_npz
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
-MAX_FILE_BYTES = 1 << 30  # unpacked; guards the memory against files that unpack to much more than their size
 MAX_TIMESTAMP_S = 2.0**31  # s; the seconds of a ROS stamp are an int32
+MAX_MEDIAN_STEP_S = 1.0  # s; a person moves too much in it to be followed from frame to frame
+MIN_JUDGED_FRAMES = 30  # frames; fewer at long intervals may be single pictures instead of a video
+# Units for which timestamps may be mistaken, each with its number in a second.
+OTHER_TIME_UNITS = {'milliseconds': 1e3, 'microseconds': 1e6, 'nanoseconds': 1e9}
 MAX_IMAGE_SIDE_PX = 100_000  # px; guard against garbage, far above any real image
 MAX_COORDINATE_M = 1e6  # m; guard against garbage, far above any real distance
 MAX_PLUMB_BOB_COEFFICIENTS = 5  # OpenCV's k1, k2, p1, p2, k3; with more coefficients the model is rational
@@ -38,7 +46,8 @@ SEQUENCE_KEYS = (
     'joints3d',
     'joints3d_names',
 )
-RESULT_KEYS = {'joints3d', 'theta', 'residual_px'}  # a file with all of these keys is a result of `reconstruct`
+# A file with all of these keys is a result of `reconstruct`.
+RESULT_KEYS = frozenset(('joints3d', 'theta', 'residual_px'))
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +61,9 @@ class GroundTruth:
 
     joints: Array
     joint_names: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f'GroundTruth: {len(self.joints)} frames, {len(self.joint_names)} joints'
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +102,15 @@ class KeypointSequence:
         """Return the number of frames."""
         return len(self.timestamps)
 
+    def __repr__(self) -> str:
+        is_camera_known = self.camera_matrix is not None or self.calibration is not None
+        return (
+            f'KeypointSequence: {describe_frames(self.timestamps)}, {len(self.joint_names)} joints '
+            f'({(self.keypoints[..., 2] > 0).mean():.0%} seen) in {self.image_size[0]} x {self.image_size[1]} px, '
+            f'camera {"known" if is_camera_known else "unknown"}, '
+            f'{"no truth" if self.truth is None else f"truth of {len(self.truth.joint_names)} joints"}'
+        )
+
     @property
     def stamps_ns(self) -> list[int]:
         """Timestamps (F,) in ns."""
@@ -108,9 +129,28 @@ class KeypointSequence:
         """
         if self.calibration is not None:
             return self.calibration
-        if self.camera_matrix is not None:
-            return Intrinsics.from_matrix(self.camera_matrix, _create_distortion(self.distortion))
-        return Intrinsics.from_image_size(*self.image_size, focal_in_widths)
+        return create_intrinsics(self.image_size, self.camera_matrix, self.distortion, focal_in_widths)
+
+
+def describe_frames(times: Array) -> str:
+    """Return the number and the duration of frames at times (F,) in s, such as `390 frames in 13.0 s`."""
+    return f'{len(times)} frames' + (f' in {times[-1] - times[0]:.1f} s' if len(times) > 1 else '')
+
+
+def create_intrinsics(
+    image_size: tuple[int, int], camera_matrix: Array | None, distortion: Array | None, focal_in_widths: float
+) -> Intrinsics:
+    """Return the intrinsics of a camera matrix or, where there is none, nominal ones for the image size.
+
+    Args:
+        image_size: (width, height) in px.
+        camera_matrix: (3, 3) px, or None where the camera is unknown.
+        distortion: distortion coefficients in OpenCV's order, or None.
+        focal_in_widths: focal length in image widths that is assumed where the camera is unknown.
+    """
+    if camera_matrix is not None:
+        return Intrinsics.from_matrix(camera_matrix, _create_distortion(distortion))
+    return Intrinsics.from_image_size(*image_size, focal_in_widths)
 
 
 def save_sequence(path: str | Path, sequence: KeypointSequence) -> None:
@@ -128,8 +168,7 @@ def save_sequence(path: str | Path, sequence: KeypointSequence) -> None:
     if sequence.truth is not None:
         arrays['joints3d'] = sequence.truth.joints.astype(np.float32)
         arrays['joints3d_names'] = np.array(sequence.truth.joint_names)
-    with Path(path).open('wb') as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+    write_npz(path, arrays)
 
 
 def load_sequence(path: str | Path) -> KeypointSequence:
@@ -140,78 +179,25 @@ def load_sequence(path: str | Path) -> KeypointSequence:
             and the frame.
     """
     try:
-        return _validate(_ArrayReader(_read_arrays(Path(path))))
+        if list_keys(Path(path)) >= RESULT_KEYS:
+            raise InputError('is a result of reconstruct; give the sequence file that it was made from')
+        return validate_sequence(read_arrays(Path(path), SEQUENCE_KEYS, 'a sequence file'))
     except InputError as error:
         raise InputError(f'{path}: {error}') from None
 
 
-def _read_arrays(path: Path) -> dict[str, NDArray[np.generic]]:
-    arrays = {}
-    key = ''
-    try:
-        with open_npz(path, MAX_FILE_BYTES) as archive:
-            if set(archive.files) >= RESULT_KEYS:
-                raise InputError('a result of reconstruct; give the sequence file that it was made from')
-            for key in (k for k in SEQUENCE_KEYS if k in archive.files):
-                arrays[key] = archive[key]
-    except InputError as error:
-        raise InputError(f'not a sequence file: {error}') from None
-    except OSError as error:
-        raise InputError(error.strerror or str(error)) from None
-    except Exception as error:  # NumPy's zip and array readers raise almost any exception on malformed bytes
-        where = f'{key}: ' if key else 'not a sequence file: '
-        raise InputError(f'{where}{describe_read_error(error)}') from None
-    return arrays
+def validate_sequence(array_by_key: Mapping[str, NDArray[np.generic]]) -> KeypointSequence:
+    """Return the sequence of arrays that have the keys, the shapes and the units of a sequence file.
 
-
-@dataclass(frozen=True, eq=False)
-class _ArrayReader:
-    """The arrays of a file, with the checks that all of them need.
-
-    Attributes:
-        array_by_key: arrays of the file by key, without the keys that are not in `SEQUENCE_KEYS`.
+    Raises:
+        InputError: an array is missing or not valid; the error names the key and the frame.
     """
-
-    array_by_key: Mapping[str, NDArray[np.generic]]
-
-    def __contains__(self, key: str) -> bool:
-        return key in self.array_by_key
-
-    def read_numbers(self, key: str, shape: tuple[int | None, ...]) -> Array:
-        """Return the array of a key as float64.
-
-        Args:
-            key: key of the array.
-            shape: expected shape; None stands for any length.
-        """
-        array = self._get(key)
-        if array.dtype.kind not in 'fiu':
-            raise InputError(f'{key}: holds {array.dtype}, expected numbers')
-        wrong = [w for w, h in zip(shape, array.shape, strict=False) if w is not None and w != h]
-        if wrong or len(shape) != array.ndim:
-            expected = ', '.join('n' if n is None else str(n) for n in shape)
-            raise InputError(f'{key}: shape {array.shape}, expected ({expected})')
-        return array.astype(np.float64)
-
-    def read_joint_names(self, key: str) -> tuple[str, ...]:
-        """Return the joint names of a key in the spelling of this package."""
-        array = self._get(key)
-        if array.dtype.kind != 'U' or array.ndim != 1:
-            raise InputError(f'{key}: holds {array.dtype} of shape {array.shape}, expected names')
-        return canonical_joint_names([str(n) for n in array])
-
-    def _get(self, key: str) -> NDArray[np.generic]:
-        if key not in self.array_by_key:
-            raise InputError(f'{key}: missing; the file has {", ".join(self.array_by_key) or "no known key"}')
-        return self.array_by_key[key]
-
-
-def _validate(arrays: _ArrayReader) -> KeypointSequence:
+    arrays = ArrayReader(array_by_key)
     timestamps = arrays.read_numbers('timestamps', (None,))
     frames = len(timestamps)
     if not frames:
         raise InputError('timestamps: no frames')
-    _check_timestamps(timestamps)
+    check_timestamps(timestamps)
 
     joint_names = arrays.read_joint_names('joint_names')
     try:
@@ -224,10 +210,35 @@ def _validate(arrays: _ArrayReader) -> KeypointSequence:
         frame, joint = fault.index
         raise InputError(f'keypoints: frame {frame}: {fault.field} of {joint_names[joint]} is {fault.what}')
     points, score = mark_unseen(raw[..., :2], raw[..., 2])
-    image_size = _read_image_size(arrays)
+    image_size, camera_matrix, distortion = validate_camera(array_by_key)
     if looks_normalised(points, score, image_size[0]):
         raise InputError('keypoints: looks normalised; px expected')
+    transposed = describe_transposed_size(points, score, image_size)
+    if transposed:
+        raise InputError(f'image_size: {transposed}')
+    return KeypointSequence(
+        keypoints=np.concatenate([points, score[..., None]], axis=-1),
+        joint_names=joint_names,
+        timestamps=timestamps,
+        image_size=image_size,
+        camera_matrix=camera_matrix,
+        distortion=distortion,
+        truth=_read_truth(arrays, frames) if 'joints3d' in arrays else None,
+    )
 
+
+def validate_camera(
+    array_by_key: Mapping[str, NDArray[np.generic]],
+) -> tuple[tuple[int, int], Array | None, Array | None]:
+    """Return the image size (width, height) in px, the camera matrix and the distortion of a file's arrays.
+
+    The camera matrix (3, 3) in px and the distortion coefficients are None where they are missing.
+
+    Raises:
+        InputError: an array is not valid, or `image_size` is missing; the error names the key.
+    """
+    arrays = ArrayReader(array_by_key)
+    image_size = _read_image_size(arrays)
     camera_matrix = None
     if 'camera_matrix' in arrays:
         camera_matrix = arrays.read_numbers('camera_matrix', (3, 3))
@@ -235,37 +246,46 @@ def _validate(arrays: _ArrayReader) -> KeypointSequence:
             Intrinsics.from_matrix(camera_matrix)
         except InputError as error:
             raise InputError(f'camera_matrix: {error}') from None
-    return KeypointSequence(
-        keypoints=np.concatenate([points, score[..., None]], axis=-1),
-        joint_names=joint_names,
-        timestamps=timestamps,
-        image_size=image_size,
-        camera_matrix=camera_matrix,
-        distortion=_read_distortion(arrays) if 'distortion' in arrays else None,
-        truth=_read_truth(arrays, frames) if 'joints3d' in arrays else None,
-    )
+    return image_size, camera_matrix, _read_distortion(arrays) if 'distortion' in arrays else None
 
 
-def _check_timestamps(timestamps: Array) -> None:
+def check_timestamps(timestamps: Array) -> None:
+    """Check that timestamps (F,) in s can be those of a video.
+
+    Raises:
+        InputError: a timestamp is out of range or not later than the one before, or the unit seems to be another.
+    """
     invalid = ~(np.abs(timestamps) < MAX_TIMESTAMP_S) | (timestamps < 0)
     if invalid.any():
         frame = int(invalid.argmax())
-        raise InputError(f'timestamps: frame {frame}: {timestamps[frame]:g} s')
+        raise InputError(f'timestamps: frame {frame}: {timestamps[frame]:g} s{_guess_time_unit(timestamps)}')
     not_increasing = np.diff(timestamps) < 1 / NS_PER_S
     if not_increasing.any():
         frame = int(not_increasing.argmax()) + 1
         relation = 'repeats' if timestamps[frame] == timestamps[frame - 1] else 'is not later than'
         raise InputError(f'timestamps: frame {frame}: {timestamps[frame]:.9g} s {relation} frame {frame - 1}')
+    if len(timestamps) >= MIN_JUDGED_FRAMES and (unit := _guess_time_unit(timestamps)):
+        raise InputError(f'timestamps: {np.median(np.diff(timestamps)):.9g} s from frame to frame{unit}')
 
 
-def _read_image_size(arrays: _ArrayReader) -> tuple[int, int]:
+def _guess_time_unit(timestamps: Array) -> str:
+    """Return a clause that names the unit in which timestamps (F,) seem to be, or nothing if it may be seconds."""
+    finite = timestamps[np.isfinite(timestamps)]
+    step = float(np.median(np.diff(finite))) if len(finite) > 1 else 0.0
+    if step <= MAX_MEDIAN_STEP_S:
+        return ''
+    suitable = [unit for unit, per_s in OTHER_TIME_UNITS.items() if step <= MAX_MEDIAN_STEP_S * per_s]
+    return f': looks like {suitable[0]}; s expected' if suitable else ''
+
+
+def _read_image_size(arrays: ArrayReader) -> tuple[int, int]:
     size = arrays.read_numbers('image_size', (2,))
     if not ((size >= 1) & (size <= MAX_IMAGE_SIDE_PX)).all():
         raise InputError(f'image_size: {size[0]:g} x {size[1]:g} px')
     return int(size[0]), int(size[1])
 
 
-def _read_distortion(arrays: _ArrayReader) -> Array:
+def _read_distortion(arrays: ArrayReader) -> Array:
     values = arrays.read_numbers('distortion', (None,))
     _create_distortion(values)
     return values
@@ -278,7 +298,7 @@ def _create_distortion(distortion: Array | None) -> Distortion:
     return Distortion.from_coefficients(model, coefficients)
 
 
-def _read_truth(arrays: _ArrayReader, frames: int) -> GroundTruth:
+def _read_truth(arrays: ArrayReader, frames: int) -> GroundTruth:
     names = arrays.read_joint_names('joints3d_names')
     joints = arrays.read_numbers('joints3d', (frames, len(names), 3))
     too_far = np.abs(joints) > MAX_COORDINATE_M

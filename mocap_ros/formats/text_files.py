@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -52,6 +54,27 @@ def read_json(path: Path) -> Any:
         raise InputError(f'{path}: not JSON: nested too deep') from None
 
 
+def check_output(path: Path, *sources: Path) -> None:
+    """Check that a file can be written, before the work that produces its content.
+
+    Args:
+        path: path of the file.
+        sources: input files, which must not be overwritten.
+
+    Raises:
+        MocapError: `path` is one of the sources or a folder, or its folder does not exist or is not writable; the
+            error names the file.
+    """
+    if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
+        raise MocapError(f'{path}: not written, because it is the input file')
+    if path.is_dir():
+        raise MocapError(f'{path}: cannot be written: is a folder')
+    if not path.parent.is_dir():
+        raise MocapError(f'{path}: cannot be written: there is no folder {path.parent}')
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise MocapError(f'{path}: cannot be written: {os.strerror(errno.EACCES)}')
+
+
 @contextmanager
 def guard_output(path: Path, *sources: Path) -> Iterator[None]:
     """Guard the code that writes a file.
@@ -61,10 +84,9 @@ def guard_output(path: Path, *sources: Path) -> Iterator[None]:
         sources: input files, which must not be overwritten.
 
     Raises:
-        MocapError: `path` is one of the sources, or the file cannot be written; the error names the file.
+        MocapError: `check_output` refuses the path, or the file cannot be written; the error names the file.
     """
-    if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
-        raise MocapError(f'{path}: not written, because it is the input file')
+    check_output(path, *sources)
     try:
         yield
     except OSError as error:

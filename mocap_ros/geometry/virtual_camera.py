@@ -25,6 +25,9 @@ MIN_RAY_DEPTH = 0.05
 MIN_TOTAL_WEIGHT = 1e-12  # 1; guards the division by the sum of confidence scores in frames without seen joints
 MIN_FRAME_WEIGHT = 1e-12  # 1; lets distant frames define the direction where no near frame has a seen joint
 MIN_DIVISOR = 1e-300  # 1; guards the division when no frame at all has a seen joint
+MIN_DEPTH_M = 1e-3  # m; guards the division by the depth of the body's origin
+SMOOTHING_REACH_STD = 10.0  # standard deviations; frames farther away would weigh less than 1e-21
+FRAMES_PER_BLOCK = 1024  # frames averaged at once; bounds the memory, which grows with its square
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,17 +59,37 @@ class VirtualCamera:
         """
         total = weight.sum(axis=1)
         centroid = (weight[..., None] * rays).sum(axis=1) / np.maximum(total, MIN_TOTAL_WEIGHT)[:, None]
-        nearness = np.exp(-0.5 * ((times[:, None] - times) / (smoothing_s / 2)) ** 2)
-        kernel = nearness * (total > 0) + MIN_FRAME_WEIGHT * (total > 0)
-        direction = kernel @ centroid / np.maximum(kernel.sum(axis=1, keepdims=True), MIN_DIVISOR)
+        seen = np.concatenate([centroid, np.ones_like(centroid[:, :1])], axis=-1) * (total > 0)[:, None]
+        std_s = smoothing_s / 2
+        sums = np.empty_like(seen)
+        for start in range(0, len(times), FRAMES_PER_BLOCK):
+            block = slice(start, start + FRAMES_PER_BLOCK)
+            reach_s = SMOOTHING_REACH_STD * std_s * np.array([-1.0, 1.0])
+            near = slice(*np.searchsorted(times, times[block][[0, -1]] + reach_s).tolist())
+            sums[block] = np.exp(-0.5 * ((times[block, None] - times[near]) / std_s) ** 2) @ seen[near]
+        sums += MIN_FRAME_WEIGHT * seen.sum(axis=0)
+        direction = sums[:, :2] / np.maximum(sums[:, 2:], MIN_DIVISOR)
         return VirtualCamera(rotation_to_optical_axis(direction), intrinsics)
 
-    def project_rays(self, rays: Array) -> Array:
-        """Convert rays (F, J, 2) of the real camera to image points (F, J, 2) of the virtual ones.
+    @staticmethod
+    def look_at_mean_position(rays: Array, weight: Array, intrinsics: Intrinsics) -> VirtualCamera:
+        """Return one virtual camera for all frames, which looks at the weighted centroid of all their seen joints.
 
-        The image points are in px, relative to the virtual cameras' optical axes.
+        Args:
+            rays: (F, J, 2) rays from `Intrinsics.pixels_to_rays`; finite where the weight is 0.
+            weight: (F, J) confidence scores.
+            intrinsics: intrinsics of the real camera.
         """
-        return self.intrinsics.focal * rotate_rays(rays, self.rotation)
+        centre = np.einsum('fj,fjd->d', weight, rays) / max(weight.sum(), MIN_TOTAL_WEIGHT)
+        return VirtualCamera(rotation_to_optical_axis(centre), intrinsics)
+
+    def select_frames(self, frames: NDArray[np.intp] | slice) -> VirtualCamera:
+        """Return the virtual cameras of the given frames."""
+        return self if self.rotation.ndim == 2 else VirtualCamera(self.rotation[frames], self.intrinsics)
+
+    def to_virtual_rays(self, rays: Array) -> Array:
+        """Convert rays (F, J, 2) of the real camera to rays (F, J, 2) of the virtual ones."""
+        return rotate_rays(rays, self.rotation)
 
     def root_positions(self, cameras: WeakPerspectiveCameras, translation: Array) -> Array:
         """Z = f / s, X = t_x Z / f, Y = t_y Z / f, rotated into the real camera's frame.
@@ -87,9 +110,24 @@ class VirtualCamera:
         """Rotate vectors (F, J, 3) from the virtual cameras' frames into the real camera's frame."""
         return np.asarray(vectors @ self.rotation)
 
+    def to_virtual_camera(self, vectors: Array) -> Array:
+        """Rotate vectors (F, J, 3) from the real camera's frame into the virtual cameras' frames."""
+        return np.asarray(vectors @ np.swapaxes(self.rotation, -1, -2))
+
     def body_rotations(self, cameras: WeakPerspectiveCameras) -> Array:
         """Return the rotations (F, 3, 3) from the body frame to the real camera's optical frame."""
         return np.asarray(np.swapaxes(self.rotation, -1, -2) @ cameras.rotation)
+
+    def weak_perspective_cameras(self, rotation: Array, roots: Array) -> WeakPerspectiveCameras:
+        """Return the cameras whose `body_rotations` and `root_positions` these are: s = f / Z.
+
+        Args:
+            rotation: (F, 3, 3) rotations from the body frame to the real camera's optical frame.
+            roots: (F, 3) m, positions of the body's origin in the real camera's optical frame.
+        """
+        depth = self.to_virtual_camera(roots[:, None])[:, 0, 2]
+        scale = self.intrinsics.focal / np.maximum(depth, MIN_DEPTH_M)
+        return WeakPerspectiveCameras(scale, self.rotation @ rotation)
 
 
 def solver_focal(intrinsics: Intrinsics, use_perspective: bool) -> float:

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.geometry.rotations import cross_matrix, nearest_rotation, rotation_from_vector
+from mocap_ros.geometry.camera_jacobian import camera_jacobian
+from mocap_ros.geometry.rotations import nearest_rotation, rotation_from_vector
 
 Array = NDArray[np.float64]
 
@@ -28,6 +29,7 @@ MIN_TOTAL_WEIGHT = 1e-12  # 1; guards the division by the sum of weights in fram
 TIME_TOLERANCE_S = 1e-9  # s; includes frames that are exactly half a window away despite rounding
 MIN_DIAGONAL = 1e-12  # 1; keeps the normal equations of a frame without seen joints regular
 MAX_LOG_SCALE_STEP = 1  # 1; bounds the change of scale in one step to a factor of e
+CAMERA_SWEEPS = 2  # passes over all frames in a camera step; the next iteration goes on from there
 INITIAL_DAMPING = 1e-3  # 1, share of the diagonal; nearly a Gauss-Newton step, as the start is close
 DAMPING_DECREASE = 3  # 1; damping is divided by it after an accepted step (usual Levenberg-Marquardt values)
 DAMPING_INCREASE = 10  # 1; damping is multiplied by it after a rejected step
@@ -152,9 +154,8 @@ class CameraStepObjective:
             cameras: cameras of F frames.
             damping: (F,) factor by which the diagonal of the normal equations grows (Levenberg-Marquardt).
         """
-        # d(scale * R[:2] P) = scale * ((omega x R P)[:2]) + dlog(scale) * scale * (R P)[:2]
         turned = cameras.scale[:, None, None] * (self.body @ np.swapaxes(cameras.rotation, -1, -2))
-        jacobian = np.concatenate([-cross_matrix(turned)[..., :2, :], turned[..., :2, None]], axis=-1)
+        jacobian = camera_jacobian(turned, rows=2)
         error = turned[..., :2] - self.image
         w = self.weight[..., None, None]
         normal = (np.swapaxes(jacobian, -1, -2) @ (w * jacobian)).sum(axis=1)
@@ -162,7 +163,7 @@ class CameraStepObjective:
 
         rows = cameras.scale[:, None, None] * cameras.rotation
         columns = np.swapaxes(rows, -1, -2)
-        m_jacobian = np.concatenate([-cross_matrix(columns)[..., :2, :], columns[..., :2, None]], axis=-1)
+        m_jacobian = camera_jacobian(columns, rows=2)
         m_normal = (np.swapaxes(m_jacobian, -1, -2) @ m_jacobian).sum(axis=1)
         change = np.diff(columns[..., :2], axis=0)
         pull = np.zeros_like(columns[..., :2])
@@ -184,9 +185,7 @@ class CameraStepObjective:
         )
 
 
-def run_camera_step(
-    objective: CameraStepObjective, cameras: WeakPerspectiveCameras, sweeps: int = 2
-) -> WeakPerspectiveCameras:
+def run_camera_step(objective: CameraStepObjective, cameras: WeakPerspectiveCameras) -> WeakPerspectiveCameras:
     """Run the camera step of Algorithm 1: improve the cameras of all frames with the poses held (eq. 13).
 
     The paper goes through the frames one after the other. The objective couples a camera only with the cameras of
@@ -197,11 +196,10 @@ def run_camera_step(
     Args:
         objective: objective with the poses held.
         cameras: initial cameras of F frames.
-        sweeps: number of passes over all frames.
     """
     frames = len(cameras.scale)
     damping = np.full(frames, INITIAL_DAMPING)
-    for _ in range(sweeps):
+    for _ in range(CAMERA_SWEEPS):
         for parity in (0, 1):
             moving = np.arange(frames) % 2 == parity
             candidate = objective.gauss_newton_step(cameras, damping).where(moving, cameras)

@@ -223,3 +223,20 @@ def find_swapped_frames(times: Array, points: Array, weight: Array, mirror: NDAr
         swap_filter = swap_filter.update(float(times[frame]), points[frame], weight[frame], body_size)
     is_swapped[seen_frames] = swap_filter.is_swapped
     return is_swapped
+
+
+def exchange_sides(
+    points: Array, weight: Array, is_swapped: NDArray[np.bool_], mirror: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """Return points (F, J, 2) and weights (F, J) with left and right exchanged in some frames.
+
+    Args:
+        points: (F, J, 2) image points in any unit.
+        weight: (F, J) confidence scores.
+        is_swapped: (F,) frames whose sides are exchanged.
+        mirror: (J,) index of each joint's counterpart on the other side.
+    """
+    if not is_swapped.any():
+        return points, weight
+    exchanged_points = np.where(is_swapped[:, None, None], points[:, mirror], points)
+    return exchanged_points, np.where(is_swapped[:, None], weight[:, mirror], weight)

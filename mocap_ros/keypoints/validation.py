@@ -14,6 +14,8 @@ MAX_SCORE = 1.25  # no unit; the scores of some detectors exceed 1 a little
 NORMALISED_RANGE = -0.5, 1.5  # shares of the image; a normalised point may lie outside the image by half of it
 TINY_IMAGE_WIDTH = 16  # px; in an image up to this wide, real px look like normalised coordinates
 MAX_COORDINATE_PX = 1e6  # px; far outside any image
+MAX_SHARE_OUTSIDE = 0.5  # share of the points; with more of them outside the image, its size is probably wrong
+MIN_SHARE_HELD = 0.95  # share of the points that an image must hold to be the right one; a few may be outliers
 MIN_JUDGED_POINTS = 4  # points; fewer may lie in the corner of the image by chance
 
 
@@ -82,3 +84,41 @@ def looks_normalised(points: Array, score: Array, image_width: int) -> bool:
     low, high = NORMALISED_RANGE
     is_tiny = 0 < image_width <= TINY_IMAGE_WIDTH
     return not is_tiny and len(seen) >= MIN_JUDGED_POINTS and bool(((seen >= low) & (seen <= high)).all())
+
+
+def describe_points_outside(points: Array, score: Array, image_size: tuple[int, int]) -> str:
+    """Describe in a clause that most keypoints lie outside the image, or return an empty string.
+
+    Args:
+        points: (..., J, 2) px, as `mark_unseen` returns them.
+        score: (..., J) as `mark_unseen` returns them.
+        image_size: (width, height) in px.
+    """
+    seen = points[score > 0]
+    outside = 1 - _measure_share_inside(seen, *image_size)
+    if len(seen) < MIN_JUDGED_POINTS or outside <= MAX_SHARE_OUTSIDE:
+        return ''
+    return f'{outside:.0%} of the seen keypoints lie outside {image_size[0]} x {image_size[1]} px'
+
+
+def describe_transposed_size(points: Array, score: Array, image_size: tuple[int, int]) -> str:
+    """Describe in a clause that width and height of the image seem to be exchanged, or return an empty string.
+
+    They seem so if most keypoints lie outside the image, but inside an image of the exchanged width and height.
+
+    Args:
+        points: (..., J, 2) px, as `mark_unseen` returns them.
+        score: (..., J) as `mark_unseen` returns them.
+        image_size: (width, height) in px.
+    """
+    fault = describe_points_outside(points, score, image_size)
+    height, width = image_size
+    if not fault or _measure_share_inside(points[score > 0], width, height) < MIN_SHARE_HELD:
+        return ''
+    return f'{fault}, but inside {width} x {height} px: width and height look transposed'
+
+
+def _measure_share_inside(points: Array, width: int, height: int) -> float:
+    """Return the share of points (N, 2) that lie in an image, 1 if there are none."""
+    inside = ((points >= 0) & (points <= [width, height])).all(axis=-1)
+    return float(inside.mean()) if len(points) else 1.0

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KeypointsFrame
 
@@ -21,29 +21,12 @@ class CameraInfo:
     """The parts of a sensor_msgs/CameraInfo that are used.
 
     Attributes:
-        width: width of the image in px, 0 where unknown.
-        height: height of the image in px, 0 where unknown.
+        size: (width, height) of the image in px, with 0 where unknown.
         intrinsics: focal length, principal point and distortion.
     """
 
-    width: int
-    height: int
+    size: ImageSize
     intrinsics: Intrinsics
-
-
-def resolve_image_size(camera: CameraInfo | None, node: NodeConfig) -> tuple[int, int]:
-    """Return the image size that holds for messages without a size of their own.
-
-    Args:
-        camera: the received CameraInfo, whose size comes first, or None.
-        node: the parameters, whose size is used otherwise.
-
-    Returns:
-        (width, height) in px, (0, 0) where neither gives a size.
-    """
-    if camera is not None and camera.width and camera.height:
-        return camera.width, camera.height
-    return (node.image_width, node.image_height) if node.image_width and node.image_height else (0, 0)
 
 
 def check_image_size(frame: KeypointsFrame, camera: CameraInfo) -> None:
@@ -52,11 +35,11 @@ def check_image_size(frame: KeypointsFrame, camera: CameraInfo) -> None:
     Raises:
         InputError: the image and the CameraInfo both give a size, and the sizes differ.
     """
-    frame_size, camera_size = (frame.image_width, frame.image_height), (camera.width, camera.height)
-    if all(frame_size) and all(camera_size) and frame_size != camera_size:
+    frame_size = frame.image_width, frame.image_height
+    if all(frame_size) and all(camera.size) and frame_size != camera.size:
         raise InputError(
             'image_width, image_height: {} x {} px, but CameraInfo is for {} x {} px'.format(
-                *frame_size, *camera_size
+                *frame_size, *camera.size
             )
         )
 
@@ -83,4 +66,4 @@ def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
         intrinsics = Intrinsics.from_matrix(matrix, distortion)
     except InputError as error:
         raise InputError(f'{field}: {error}; the camera is not calibrated') from None
-    return CameraInfo(message.width, message.height, intrinsics)
+    return CameraInfo((message.width, message.height), intrinsics)

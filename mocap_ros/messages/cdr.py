@@ -19,7 +19,7 @@ from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
-ROS_DISTRO = 'kilted'  # the distribution that defines the standard messages; written to the metadata of bags
+DEFINITIONS_DISTRO = 'kilted'  # the distribution whose definitions of the standard messages are used
 CDR_ALIGNMENT_BYTES = 4  # DDS (RTPS) pads every payload to a multiple of this length
 MOCAP_ROS_MSGS = 'mocap_ros_msgs/msg/'  # prefix of the type names of this package's own messages
 

@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
+from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import validate_header
 from mocap_ros.messages.foreign.definitions import OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
 from mocap_ros.messages.foreign.openpose import read_pose
-from mocap_ros.messages.foreign.shared import ImageSize, decode_foreign
+from mocap_ros.messages.foreign.shared import decode_foreign
 from mocap_ros.messages.foreign.yolo import read_detection
 from mocap_ros.messages.foreign.zed import read_object
 from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, check_count, check_ids, decode_keypoints

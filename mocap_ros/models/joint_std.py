@@ -31,7 +31,7 @@ def estimate_joint_std(
     learned which poses an image leaves uncertain. For the others it rests on the solver's posterior.
 
     Args:
-        posterior_std: (J,) m, posterior standard deviation of each joint (`joint_std` of `Reconstruction`).
+        posterior_std: (J,) m, posterior standard deviation of each joint (`joint_std` of `JointReconstruction`).
         inferred: (J,) True for joints that were not seen.
         lifter_std: (J, 3) m, standard deviations of the joints' coordinates (`LiftedPoses.std`), NaN for frames
             that the lifter did not lift; None without a lifter.

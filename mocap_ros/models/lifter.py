@@ -141,8 +141,6 @@ class Lifter:
         weight: Array,
         times: Array,
         focal: float = float('inf'),
-        *,
-        use_mirror_image: bool = True,
     ) -> LiftedPoses:
         """Estimate the pose of every frame of a sequence from the frame itself and the frames before it.
 
@@ -151,10 +149,9 @@ class Lifter:
             weight: (F, J) confidence scores, 0 for joints that were not seen.
             times: (F,) s, increasing.
             focal: focal length in the unit of the points; infinite if unknown.
-            use_mirror_image: lift the mirror image as well and return the mean.
         """
         histories = sample_histories(points, weight, times, np.arange(len(times)))
-        return self.lift(*histories, focal, use_mirror_image=use_mirror_image)
+        return self.lift(*histories, focal)
 
 
 def view_from_facing_camera(points: Array, weight: Array, focal: float) -> tuple[Array, Array]:

@@ -10,21 +10,17 @@ from numpy.typing import NDArray
 
 from mocap_ros.config import Config, SolverConfig
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.virtual_camera import VirtualCamera, solver_focal
-from mocap_ros.keypoints.joint_map import map_to_model_joints
-from mocap_ros.keypoints.left_right import find_swapped_frames
+from mocap_ros.geometry.virtual_camera import VirtualCamera
+from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.model_file import load_prior_lifter
 from mocap_ros.skeleton import Skeleton, estimate_stature
 from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.classification import choose_category
+from mocap_ros.solvers.observed_window import ObservedWindow, observe_sequence
 from mocap_ros.solvers.window import Reconstruction, Window
 
 Array = NDArray[np.float64]
-
-# s; the virtual cameras' directions are averaged over it, so that they follow a walk, but not the joints that come
-# and go in single frames
-VIEW_SMOOTHING_S = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +28,14 @@ class SequenceResult:
     """A reconstructed sequence.
 
     Attributes:
-        joints: (F, J, 3) m, real camera's optical frame, joints of `skeleton`.
+        joints: (F, J, 3) m, real camera's optical frame, joints of `skeleton`; NaN before the first and after the
+            last frame in which a joint was seen, where nobody knows whether the person is there.
         seen: (F, J) True where the joint was seen in the image, False where it was inferred.
         skeleton: skeleton of the joints.
         category: name of the base poses used.
         solution: weights, cameras and residuals in the images of the virtual cameras, before the body was scaled
             to `tracker.body_height`.
+        virtual_camera: the virtual cameras of `solution`, one a frame, with the real camera's intrinsics.
     """
 
     joints: Array
@@ -45,6 +43,20 @@ class SequenceResult:
     skeleton: Skeleton
     category: str
     solution: Reconstruction
+    virtual_camera: VirtualCamera
+
+    def cameras_in_real_image(self) -> tuple[WeakPerspectiveCameras, Array]:
+        """Return the weak-perspective cameras that show the body where the real camera shows it.
+
+        Returns:
+            Scale (F,) in px/m and rotation (F, 3, 3) from the body frame to the real camera's optical frame; and
+            (F, 2) px, image of the body's origin in the real camera. All are NaN where the joints are.
+        """
+        intrinsics, roots = self.virtual_camera.intrinsics, self.joints.mean(axis=1)
+        rotation = self.virtual_camera.body_rotations(self.solution.cameras)
+        rotation = np.where(np.isfinite(roots[:, :1, None]), rotation, np.nan)
+        cameras = WeakPerspectiveCameras(intrinsics.focal / roots[:, 2], rotation)
+        return cameras, intrinsics.project(roots)
 
 
 def reconstruct_sequence(
@@ -72,33 +84,59 @@ def reconstruct_sequence(
         InputError: No frame has four seen joints.
         ModelError: The lifter that `solver.prior` names cannot be loaded.
     """
-    tracker = config.tracker
     models = {model.name: model} if isinstance(model, BasePoses) else model
-    scaled_models = {name: m.rescale(tracker.body_height / m.stature) for name, m in models.items()}
-    skeleton = next(iter(scaled_models.values())).skeleton
-    points, weight = map_to_model_joints(
-        keypoints[..., :2], keypoints[..., 2], joint_names, tracker.min_score, skeleton
-    )
-    if tracker.undo_swaps:
-        mirror = np.array(skeleton.mirror)
-        swapped = find_swapped_frames(times, points, weight, mirror)
-        points = np.where(swapped[:, None, None], points[:, mirror], points)
-        weight = np.where(swapped[:, None], weight[:, mirror], weight)
-    rays = intrinsics.pixels_to_rays(points)
-    camera = VirtualCamera.look_at_person(rays, weight, times, VIEW_SMOOTHING_S, intrinsics)
-    focal = solver_focal(intrinsics, tracker.perspective)
-    window = Window(np.where(weight[..., None] > 0, camera.project_rays(rays), 0.0), weight, times, focal=focal)
+    skeleton = next(iter(models.values())).skeleton
+    observed = observe_sequence(keypoints, joint_names, times, intrinsics, config.tracker, skeleton)
+    result = reconstruct_window(observed, models, config)
+    in_sight = find_frames_in_sight(result.seen)
+    return replace(result, joints=np.where(in_sight[:, None, None], result.joints, np.nan))
+
+
+def reconstruct_window(
+    observed: ObservedWindow, models: Mapping[str, BasePoses], config: Config
+) -> SequenceResult:
+    """Reconstruct one person's motion from all frames of a window together.
+
+    Args:
+        observed: the person's joints in F frames, not lifted yet.
+        models: base poses by name, as in `reconstruct_sequence`.
+        config: parameters of the solver; `body_height` of `tracker` applies.
+
+    Returns:
+        The motion in all frames, also before the first and after the last in which a joint was seen.
+
+    Raises:
+        InputError: No frame has four seen joints.
+        ModelError: The lifter that `solver.prior` names cannot be loaded.
+    """
+    body_height = config.tracker.body_height
+    models = {name: model.rescale(body_height / model.stature) for name, model in models.items()}
+    skeleton = next(iter(models.values())).skeleton
     lifter = load_prior_lifter(config.solver.prior, skeleton) if config.solver.method == 'joint' else None
     if lifter is not None:
-        lifted = lifter.lift_sequence(window.points, weight, times, intrinsics.focal)
-        window = replace(window, lifted=lifted)
-        if ALL_MOTIONS in scaled_models:
-            scaled_models = {ALL_MOTIONS: scaled_models[ALL_MOTIONS]}
-    category, solution = _solve(window, scaled_models, config.solver)
+        observed = observed.lift(lifter)
+        if ALL_MOTIONS in models:
+            models = {ALL_MOTIONS: models[ALL_MOTIONS]}
+    category, solution = _solve(observed.build_solver_window(), models, config.solver)
+    camera = observed.virtual_camera
     root = camera.root_positions(solution.cameras, solution.translation)
     joints = camera.to_real_camera(solution.joints) + root[:, None]
-    joints *= tracker.body_height / estimate_stature(solution.joints, skeleton)
-    return SequenceResult(joints, weight > 0, skeleton, category, solution)
+    joints *= body_height / estimate_stature(solution.joints, skeleton)
+    return SequenceResult(joints, observed.weight > 0, skeleton, category, solution, camera)
+
+
+def find_frames_in_sight(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Find the frames from the first to the last in which a joint was seen.
+
+    Args:
+        seen: (F, J) True where the joint was seen.
+
+    Returns:
+        (F,) True for these frames, gaps between them included.
+    """
+    seen_frames = np.flatnonzero(seen.any(axis=1))
+    frames = np.arange(len(seen))
+    return np.asarray((frames >= seen_frames.min(initial=len(seen))) & (frames <= seen_frames.max(initial=-1)))
 
 
 def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> tuple[str, Reconstruction]:

@@ -45,13 +45,13 @@ class RunStatistics:
         """Record how many seconds the processing of a message took."""
         self._solve_seconds.append(seconds)
 
-    def compute_input_rate(self, window_s: float = RATE_WINDOW_S) -> float:
-        """Return the mean number of messages per second over the last `window_s` seconds.
+    def compute_input_rate(self) -> float:
+        """Return the mean number of messages per second over the last `RATE_WINDOW_S` seconds.
 
         At most the last `MAX_REMEMBERED_FRAMES` messages are counted, which limits the rate that can be returned.
         """
-        since = time.monotonic() - window_s
-        return sum(t > since for t in tuple(self._received)) / window_s
+        since = time.monotonic() - RATE_WINDOW_S
+        return sum(t > since for t in tuple(self._received)) / RATE_WINDOW_S
 
     def seconds_since_input(self) -> float:
         """Return the seconds since the last message; infinity before the first."""

@@ -10,7 +10,7 @@ from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.foreign.definitions import HRI_SKELETON
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.runtime.pipeline import LATCHED_OUTPUTS, OUTPUTS, TF_OUTPUT
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, TF_OUTPUT
 
 # Type of each service of the node, by name.
 SERVICES = {'~/reset': 'std_srvs/srv/Trigger', '~/record': 'std_srvs/srv/SetBool'}

@@ -14,7 +14,7 @@ import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mocap_ros.bags.journal import Verdict
@@ -24,6 +24,7 @@ from mocap_ros.errors import RecordingError
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.ros.diagnostics import RunStatistics
 from mocap_ros.ros.live_recording import FindOfferedQos, LiveRecording
+from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.throttled_log import Logger, ThrottledLog
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 
@@ -68,9 +69,11 @@ class LiveRun:
         pipeline: Pipeline with a tracker that has processed nothing yet.
         input_types: Message type of each source.
         names: Absolute names of all topics by relative name, and of the journal as `journal`.
-        publish: Function that publishes an output; it is called from the worker thread and from the caller's.
+        publish: Function that publishes an output, in the installed version of its type; it is called from the
+            worker thread and from the caller's.
         logger: Logger for invalid inputs and failing recordings.
         find_offered_qos: Function that returns the QoS profiles that the publishers of a topic offer.
+        versions: Installed versions of the message types; by default all equal this package's.
 
     Attributes:
         statistics: Input rate and processing times.
@@ -84,8 +87,10 @@ class LiveRun:
         publish: Callable[[OutputMessage], None],
         logger: Logger,
         find_offered_qos: FindOfferedQos = lambda _: (),
+        versions: MessageVersions | None = None,
     ) -> None:
         self._pipeline = pipeline
+        self._versions = versions or MessageVersions()
         self._types = input_types
         self._names = names
         self._publish = publish
@@ -98,7 +103,7 @@ class LiveRun:
         self._pipeline_lock = threading.Lock()  # guards the pipeline and the recording
         self._stop_deadline: float | None = None  # s, steady clock; set by `stop`
         self._has_accepted = self._has_warned_of_frame_id = False
-        self._recording = LiveRecording(names, logger, find_offered_qos)
+        self._recording = LiveRecording(names, logger, find_offered_qos, self._versions)
         self._logged_tracebacks: set[str] = set()
         self._received_counts: Counter[str] = Counter()  # by topic
         self._first_unskipped: dict[str, int] = {}  # by topic: messages with smaller numbers are skipped
@@ -120,7 +125,7 @@ class LiveRun:
         with self._pipeline_lock:
             while self._queue:
                 self._publish_result(self._queue.popleft(), self._pipeline.note_backlog())
-            self._publish_and_record(self._pipeline.reset())
+            self._publish_and_record(self._reset_pipeline())
             with suppress(RecordingError):  # it has been logged
                 self._recording.finish()
 
@@ -153,7 +158,7 @@ class LiveRun:
         """Discard all people."""
         with self._pipeline_lock:
             self._recording.write_reset(self._clock.now_ns())
-            self._publish_and_record(self._pipeline.reset())
+            self._publish_and_record(self._reset_pipeline())
 
     def reconfigure(self, config: Config) -> None:
         """Use other parameters from now on."""
@@ -170,7 +175,7 @@ class LiveRun:
         """
         with self._pipeline_lock:
             folder = self._recording.start(self._pipeline, self._find_recording_start_ns())
-            self._publish(self._pipeline.reset())
+            self._publish(self._reset_pipeline())
             self._logger.info(f'the recording to {folder} has started')
             return folder
 
@@ -237,11 +242,21 @@ class LiveRun:
 
     def _process(self, message: ReceivedMessage) -> None:
         start = time.monotonic()
-        self._publish_result(message, self._pipeline.feed(message.source, message.raw, message.topic))
+        self._publish_result(message, self._feed(message))
         if message.source in PEOPLE_SOURCES:
             self.statistics.record_solve(time.monotonic() - start)
             if error_traceback := self._pipeline.run_deferred_work():
                 self._log_traceback(error_traceback)
+
+    def _feed(self, message: ReceivedMessage) -> ProcessingResult:
+        """Feed a message to the pipeline; its outputs are in the installed versions of their types."""
+        raw = self._versions.read(self._types[message.source], message.raw)
+        result = self._pipeline.feed(message.source, raw, message.topic)
+        return replace(result, outputs=tuple(map(self._versions.write_output, result.outputs)))
+
+    def _reset_pipeline(self) -> OutputMessage:
+        """Discard all people; return the message that deletes all markers, in the installed version."""
+        return self._versions.write_output(self._pipeline.reset())
 
     def _log_traceback(self, error_traceback: str) -> None:
         """Log the traceback of an internal error unless it has been logged before."""

@@ -14,8 +14,10 @@ from mocap_ros.config import Config, values
 from mocap_ros.errors import RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import OutputMessage
+from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.throttled_log import Logger
-from mocap_ros.runtime.pipeline import LATCHED_OUTPUTS, Pipeline, ProcessingResult, build_skeleton_definition
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, build_skeleton_definition
+from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
 
 # A function that returns the QoS profiles, by rosbag2's names, that the publishers of a topic offer.
@@ -32,9 +34,17 @@ class LiveRecording:
         names: Absolute name of each topic by its relative name; the key of the journal's topic is `journal`.
         logger: Logger of the run.
         find_offered_qos: Function that returns the QoS profiles that the publishers of a topic offer.
+        versions: Installed versions of the message types, in which messages are written and defined.
     """
 
-    def __init__(self, names: Mapping[str, str], logger: Logger, find_offered_qos: FindOfferedQos) -> None:
+    def __init__(
+        self,
+        names: Mapping[str, str],
+        logger: Logger,
+        find_offered_qos: FindOfferedQos,
+        versions: MessageVersions,
+    ) -> None:
+        self._versions = versions
         self._names = names
         self._logger = logger
         self._find_offered_qos = find_offered_qos
@@ -72,7 +82,7 @@ class LiveRecording:
         config = pipeline.config
         folder = choose_bag_folder(Path(config.recorder.folder), start_ns)
         attachments = provenance_attachments(config, pipeline.models)
-        self._recorder = BackgroundRecorder(folder, config.recorder, attachments)
+        self._recorder = BackgroundRecorder(folder, config.recorder, attachments, self._versions.definitions)
         self._declared_inputs = set()
         self._journal = Journal(self._names['journal'])
         self._unrecorded_count = 0
@@ -123,7 +133,7 @@ class LiveRecording:
         Args:
             topic: Absolute name of the input's topic.
             msgtype: Type of the message.
-            raw: The message as CDR.
+            raw: The message as it was received.
             times_ns: Wall-clock times of receipt and of sending.
             result: Result of the input.
             published_ns: Wall-clock time at which the outputs were published.
@@ -156,17 +166,17 @@ class LiveRecording:
         self._put([self._journal.make_parameters_record(values(config), now_ns)])
 
     def _make_first_records(self, pipeline: Pipeline, start_ns: int) -> list[RecordedMessage | Topic]:
-        definition = build_skeleton_definition()
+        definition = self._versions.write_output(build_skeleton_definition())
         records: list[RecordedMessage | Topic] = [
-            *(make_topic(self._names[t], msgtype, latched=True) for t, msgtype in LATCHED_OUTPUTS.items()),
+            *(self._make_topic(self._names[t], msgtype, latched=True) for t, msgtype in LATCHED_OUTPUTS.items()),
             self._journal.make_parameters_record(values(pipeline.config), start_ns),
             self._make_output_record(definition, start_ns),
         ]
         if pipeline.camera_info is not None:
-            topic = self._names['camera_info']
+            topic, raw = self._names['camera_info'], self._versions.write(CAMERA_INFO, pipeline.camera_info)
             records += self._declare_input(topic, CAMERA_INFO)
             records += self._journal.make_input_records(
-                topic, CAMERA_INFO, pipeline.camera_info, (start_ns, start_ns), Verdict.ACCEPTED
+                topic, CAMERA_INFO, raw, (start_ns, start_ns), Verdict.ACCEPTED
             )
         return records
 
@@ -175,7 +185,14 @@ class LiveRecording:
         if topic in self._declared_inputs:
             return []
         self._declared_inputs.add(topic)
-        return [make_topic(topic, msgtype, qos=self._find_offered_qos(topic))]
+        return [self._make_topic(topic, msgtype, qos=self._find_offered_qos(topic))]
+
+    def _make_topic(
+        self, name: str, msgtype: str, *, latched: bool = False, qos: Sequence[Mapping[str, Any]] = ()
+    ) -> Topic:
+        """Describe a topic by the installed version of its type."""
+        definition = self._versions.definitions.get(msgtype)
+        return make_topic(name, msgtype, latched=latched, qos=qos, definition=definition)
 
     def _make_output_record(self, output: OutputMessage, published_ns: int) -> RecordedMessage:
         return RecordedMessage(self._names[output.topic], output.type, output.data, published_ns, published_ns)

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
-from rosbags.convert.converter import migrate_bytes
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
-from mocap_ros.errors import ConfigError, InputError
-from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES, typestore
+from mocap_ros.bags.rosbag2 import TypeDefinition
+from mocap_ros.errors import ConfigError
+from mocap_ros.messages.cdr import OutputMessage, typestore
+from mocap_ros.messages.versions import Convert, VersionConverter, convert_or_keep
 
 # Names of basic types in .msg files, where rclpy's names of the same types differ.
 MSG_FILE_NAMES = {'boolean': 'bool', 'octet': 'byte', 'float': 'float32', 'double': 'float64'}
-
-# A function that converts a message, as CDR, from the installed version of its type to the package's version.
-Convert = Callable[[bytes], bytes]
 
 
 def load_interface_class(kind: str) -> Any:
@@ -33,14 +33,76 @@ def load_interface_class(kind: str) -> Any:
         raise ConfigError(f'type {kind} is not installed ({error})') from None
 
 
-def build_converter(kind: str) -> Convert | None:
-    """Return a function that converts messages of the installed version of a type to the package's version.
+class MessageVersions:
+    """The installed versions of message types, and the conversion between them and this package's versions.
 
-    Fields are matched by name. The function raises InputError for bytes that are not a message of the installed
-    version.
+    Attributes:
+        definitions: Definition of each type whose installed version differs from this package's, by its name.
+    """
 
-    Returns:
-        The function, or None if the two versions are equal.
+    def __init__(self) -> None:
+        self._readers: dict[str, Convert] = {}  # by message type; none where the versions are equal
+        self._writers: dict[str, VersionConverter] = {}  # likewise
+        self.definitions: dict[str, TypeDefinition] = {}
+
+    def add_input(self, kind: str) -> None:
+        """Add a type of messages to receive.
+
+        Raises:
+            ConfigError: The type is not installed, or the definitions of its fields cannot be parsed.
+        """
+        installed = self._load_if_different(kind)
+        if installed is not None:
+            self._readers[kind] = convert_or_keep(VersionConverter(installed, typestore(), kind))
+
+    def add_output(self, kind: str) -> list[str]:
+        """Add a type of messages to publish.
+
+        Returns:
+            Names of the fields that the messages lose because the installed version does not have them.
+
+        Raises:
+            ConfigError: The type is not installed, the definitions of its fields cannot be parsed, or the
+                installed version cannot hold the content of this package's messages.
+        """
+        installed = self._load_if_different(kind)
+        if installed is None:
+            return []
+        writer = VersionConverter(typestore(), installed, kind)
+        if writer.unconvertible:
+            raise ConfigError(
+                f'the installed version of {kind} cannot hold the messages of this package: '
+                + '; '.join(writer.unconvertible)
+            )
+        self._writers[kind] = writer
+        return writer.left_out
+
+    def read(self, kind: str, raw: bytes) -> bytes:
+        """Convert a received message to this package's version of its type; return invalid bytes as they are."""
+        reader = self._readers.get(kind)
+        return raw if reader is None else reader(raw)
+
+    def write(self, kind: str, raw: bytes) -> bytes:
+        """Convert a message of this package to the installed version of its type."""
+        writer = self._writers.get(kind)
+        return raw if writer is None else writer(raw)
+
+    def write_output(self, output: OutputMessage) -> OutputMessage:
+        """Convert an output to the installed version of its type."""
+        return replace(output, data=self.write(output.type, output.data))
+
+    def _load_if_different(self, kind: str) -> Typestore | None:
+        """Return the installed version of a type, or None if it equals this package's."""
+        installed = load_installed_types(kind)
+        type_hash = installed.hash_rihs01(kind)
+        if type_hash == typestore().hash_rihs01(kind):
+            return None
+        self.definitions[kind] = TypeDefinition(installed.generate_msgdef(kind, ros_version=2)[0], type_hash)
+        return installed
+
+
+def load_installed_types(kind: str) -> Typestore:
+    """Return the installed versions of a message type and of all types that it contains.
 
     Raises:
         ConfigError: The type is not installed, or the definitions of its fields cannot be parsed.
@@ -49,22 +111,12 @@ def build_converter(kind: str) -> Convert | None:
     try:
         for name, text in interface_definitions(kind, set()):
             store.register(get_types_from_msg(text, name))
-        if store.hash_rihs01(kind) == typestore().hash_rihs01(kind):
-            return None
+        store.hash_rihs01(kind)  # fails where the type of a field is not defined
     except ConfigError:
         raise
     except Exception as error:  # the parser raises many types of errors for definitions of other packages
         raise ConfigError(f'the fields of {kind} cannot be read ({error})') from None
-    cache: dict[str, object] = {}
-
-    def convert(raw: bytes) -> bytes:
-        try:
-            data = bytes(migrate_bytes(store, typestore(), kind, kind, cache, raw, src_is2=True, dst_is2=True))
-        except Exception as error:  # the decoder raises many types of errors for invalid bytes
-            raise InputError(f'not a {kind} ({error})') from None
-        return data + bytes(-len(data) % CDR_ALIGNMENT_BYTES)
-
-    return convert
+    return store
 
 
 def interface_definitions(kind: str, visited: set[str]) -> Iterator[tuple[str, str]]:

@@ -22,15 +22,17 @@ from rclpy.signals import SignalHandlerOptions
 from mocap_ros.bags.topics import Source
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import ConfigError, MocapError, RecordingError
-from mocap_ros.ros.diagnostics import DiagnosticsReporter
+from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter
 from mocap_ros.ros.help import SERVICES
 from mocap_ros.ros.live import LiveRun
-from mocap_ros.ros.message_types import load_interface_class
+from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.parameters import declare_parameters, select_config_values, warn_of_unknown_parameters
 from mocap_ros.ros.publications import OutputPublishers
 from mocap_ros.ros.qos import QosWarnings, profile_to_rosbag2
 from mocap_ros.ros.subscriptions import InputSubscriptions
-from mocap_ros.runtime.pipeline import LATCHED_OUTPUTS, OUTPUTS, TF_OUTPUT, Pipeline, build_skeleton_definition
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, TF_OUTPUT, build_skeleton_definition
+from mocap_ros.runtime.pipeline import Pipeline
 
 NODE_NAME = 'mocap_node'
 RECORDING_PARAMETER = 'recorder.enabled'  # switched by the service ~/record, too
@@ -50,6 +52,7 @@ class MocapNode(LifecycleNode):
         super().__init__(NODE_NAME)
         self._qos_warnings = QosWarnings(self)
         self._outputs = OutputPublishers(self, self._qos_warnings)
+        self._versions = MessageVersions()  # of the types in use while the node is configured
         self._inputs: InputSubscriptions | None = None  # while configured
         self._pipeline: Pipeline | None = None  # while configured
         self._provided_services: list[Any] = []  # while configured
@@ -90,7 +93,7 @@ class MocapNode(LifecycleNode):
         """Subscribe to the inputs and process them."""
         result = super().on_activate(state)
         try:
-            self._outputs.publish(build_skeleton_definition())
+            self._outputs.publish(self._versions.write_output(build_skeleton_definition()))
             self._start_run()
         except Exception as error:
             self._log_failure('activated', 'activate', error)
@@ -123,11 +126,13 @@ class MocapNode(LifecycleNode):
 
     def _configure(self) -> None:
         config = self._config
+        self._versions = MessageVersions()
         self._inputs = InputSubscriptions(
-            self, config.node.input_type, lambda: self._config.node, self._qos_warnings
+            self, config.node.input_type, self._versions, lambda: self._config.node, self._qos_warnings
         )
+        self._versions.add_output(CAMERA_INFO)  # a recording begins with the CameraInfo in use
         self._pipeline = Pipeline(config)
-        self._outputs.create(publishes_tf=config.node.publish_tf)
+        self._outputs.create(self._versions, publishes_tf=config.node.publish_tf)
         callbacks = {'~/reset': self._on_reset, '~/record': self._on_record}
         self._provided_services = [
             self.create_service(load_interface_class(srvtype), name, callbacks[name])
@@ -153,6 +158,7 @@ class MocapNode(LifecycleNode):
             self._outputs.publish,
             self.get_logger(),
             self._find_offered_qos,
+            self._versions,
         )
         self._run.start()
         self._inputs.subscribe(self._run.enqueue)
@@ -234,7 +240,7 @@ class MocapNode(LifecycleNode):
             return
         now_ns = self.get_clock().now().nanoseconds
         status = reporter.encode_status(pipeline, run.statistics, run.recorder_state, now_ns)
-        self._outputs.publish_diagnostics(status)
+        self._outputs.publish_diagnostics(self._versions.write(DIAGNOSTICS, status))
 
     def _find_offered_qos(self, topic: str) -> list[dict[str, Any]]:
         """Return the QoS profiles that the publishers of a topic offer, as a bag describes them."""

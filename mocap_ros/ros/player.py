@@ -14,7 +14,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from mocap_ros.errors import ConfigError, MocapError
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.ros.message_types import load_interface_class
+from mocap_ros.messages.cdr import typestore
+from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.qos import choose_playback_profile
 from mocap_ros.runtime.playback import Playback, PlaybackMessage, PlayedTopic
 from mocap_ros.units import NS_PER_S
@@ -48,7 +49,10 @@ class PlaybackOptions:
 
 
 class Player:
-    """Publisher of recorded messages, unchanged, with the QoS with which they were recorded.
+    """Publisher of recorded messages with the QoS with which they were recorded.
+
+    Messages of this package's types are converted to the installed versions where these differ; all others are
+    published unchanged.
 
     The player pauses for `SETTLE_SECONDS` before the first message: a best-effort subscriber misses the messages
     that are sent before it has discovered the publisher. A reliable subscriber misses nothing.
@@ -59,22 +63,28 @@ class Player:
 
     Attributes:
         published_count: Number of messages published so far.
-        skipped_topics: A line for each topic whose message type is not installed.
+        skipped_topics: A line for each topic whose message type is not installed, or cannot hold the messages.
     """
 
     def __init__(self, playback: Playback, options: PlaybackOptions) -> None:
         self._playback = playback
         self._options = options
         self._publishers: dict[int, Any] = {}  # by index of the topic in the playback
+        self._versions = MessageVersions()
         self._clock: _ClockPublisher | None = None
         self.published_count = 0
         self.skipped_topics: list[str] = []
 
-    def play(self, progress: ProgressWrapper = lambda messages, _: messages) -> None:
+    def play(
+        self,
+        progress: ProgressWrapper = lambda messages, _: messages,
+        announce: Callable[[str], None] = lambda _: None,
+    ) -> None:
         """Publish all messages once, or repeatedly until interrupted.
 
         Args:
             progress: Function that shows progress.
+            announce: Called with a line that says for what the player waits, as soon as it waits.
 
         Raises:
             MocapError: No subscriber appeared in time, or no message type is installed.
@@ -84,7 +94,7 @@ class Player:
         node = rclpy.create_node('mocap_player', context=context)
         try:
             self._create_publishers(node)
-            self._wait_for_subscriber()
+            self._wait_for_subscriber(announce)
             while True:
                 self._publish_once(progress(self._playback, self._playback.count))
                 if not self._options.loop:
@@ -107,23 +117,26 @@ class Player:
             self._clock = _ClockPublisher(node, self._options.clock)
 
     def _find_class(self, topic: PlayedTopic) -> Any:
-        """Return the message class of a topic; if it is not installed, return None and note that it is skipped."""
+        """Return the message class of a topic; if it cannot be used, return None and note that it is skipped."""
         try:
+            if topic.type in typestore().types:
+                self._versions.add_output(topic.type)
             return load_interface_class(topic.type)
         except ConfigError as error:
             self.skipped_topics.append(f'{topic.name}: {error}')
             return None
 
-    def _wait_for_subscriber(self) -> None:
+    def _wait_for_subscriber(self, announce: Callable[[str], None]) -> None:
         """Wait for a subscriber to any topic but CameraInfo, unless CameraInfo is all there is."""
         types = {i: t.type for i, t in enumerate(self._playback.topics)}
         awaited = [p for i, p in self._publishers.items() if types[i] != CAMERA_INFO] or [
             *self._publishers.values()
         ]
+        names = ', '.join(p.topic_name for p in awaited)
+        announce(f'waiting for a subscriber to {names}, for at most {self._options.wait:g} s')
         deadline = time.monotonic() + self._options.wait
         while not any(p.get_subscription_count() for p in awaited):
             if time.monotonic() > deadline:
-                names = ', '.join(p.topic_name for p in awaited)
                 raise MocapError(f'nobody subscribed to {names} within {self._options.wait:g} s')
             time.sleep(DISCOVERY_POLL_SECONDS)
         time.sleep(SETTLE_SECONDS)
@@ -136,7 +149,8 @@ class Player:
             self._sleep_until(start + elapsed_s, message.due_ns)
             publisher = self._publishers.get(message.topic)
             if publisher is not None:
-                publisher.publish(message.raw)
+                msgtype = self._playback.topics[message.topic].type
+                publisher.publish(self._versions.write(msgtype, message.raw))
                 self.published_count += 1
 
     def _sleep_until(self, end: float, end_ns: int) -> None:

@@ -11,9 +11,9 @@ from rclpy.qos import QoSProfile
 from mocap_ros.errors import ConfigError
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.ros.diagnostics import DIAGNOSTICS
-from mocap_ros.ros.message_types import load_interface_class
+from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS, TF_QOS, QosWarnings
-from mocap_ros.runtime.pipeline import LATCHED_OUTPUTS, OUTPUTS, TF_OUTPUT
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, TF_OUTPUT
 
 DIAGNOSTICS_TOPIC = '/diagnostics'
 
@@ -31,21 +31,22 @@ class OutputPublishers:
         self._qos_warnings = qos_warnings
         self._publishers: dict[str, Any] = {}  # by relative topic name
 
-    def create(self, *, publishes_tf: bool) -> None:
+    def create(self, versions: MessageVersions, *, publishes_tf: bool) -> None:
         """Create the publishers.
 
         Args:
+            versions: Versions of the message types, to which those of the outputs are added.
             publishes_tf: Whether to publish transforms on /tf.
 
         Raises:
-            ConfigError: A message type is not installed.
+            ConfigError: A message type is not installed, or the installed version cannot hold the outputs.
         """
         for topics, qos in ((OUTPUTS, OUTPUT_QOS), (LATCHED_OUTPUTS, LATCHED_QOS)):
             for topic, msgtype in topics.items():
-                self._create_publisher(topic, msgtype, qos)
-        self._create_publisher(DIAGNOSTICS_TOPIC, DIAGNOSTICS, OUTPUT_QOS)
+                self._create_publisher(topic, msgtype, qos, versions)
+        self._create_publisher(DIAGNOSTICS_TOPIC, DIAGNOSTICS, OUTPUT_QOS, versions)
         if publishes_tf:
-            self._create_tf_publisher()
+            self._create_tf_publisher(versions)
 
     def destroy(self) -> None:
         """Destroy all publishers."""
@@ -54,26 +55,33 @@ class OutputPublishers:
         self._publishers = {}
 
     def publish(self, output: OutputMessage) -> None:
-        """Publish an output, if its topic has a publisher."""
+        """Publish an output, in the installed version of its type, if its topic has a publisher."""
         publisher = self._publishers.get(output.topic)
         if publisher is not None:
             publisher.publish(output.data)
 
     def publish_diagnostics(self, raw: bytes) -> None:
-        """Publish a DiagnosticArray, given as CDR."""
+        """Publish a DiagnosticArray, given as CDR of the installed version."""
         self._publishers[DIAGNOSTICS_TOPIC].publish(raw)
 
-    def _create_tf_publisher(self) -> None:
+    def _create_tf_publisher(self, versions: MessageVersions) -> None:
         ((topic, msgtype),) = TF_OUTPUT.items()
         try:
-            self._create_publisher(topic, msgtype, TF_QOS)
+            load_interface_class(msgtype)
         except ConfigError as error:
             package = msgtype.partition('/')[0]
             self._node.get_logger().warning(
                 f'node.publish_tf: {error}; transforms are recorded but not published; install {package}'
             )
+        else:
+            self._create_publisher(topic, msgtype, TF_QOS, versions)
 
-    def _create_publisher(self, topic: str, msgtype: str, qos: QoSProfile) -> None:
+    def _create_publisher(self, topic: str, msgtype: str, qos: QoSProfile, versions: MessageVersions) -> None:
+        if left_out := versions.add_output(msgtype):
+            self._node.get_logger().warning(
+                f'{topic}: the installed version of {msgtype} has no field {", ".join(left_out)}; '
+                'it is published without them'
+            )
         self._publishers[topic] = self._node.create_lifecycle_publisher(
             load_interface_class(msgtype),
             topic,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -14,8 +13,9 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from mocap_ros.bags.topics import Source, list_input_types, make_body_topic
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
+from mocap_ros.messages.foreign.definitions import HRI_IDS
 from mocap_ros.messages.foreign.hri import decode_ids
-from mocap_ros.ros.message_types import build_converter, load_interface_class
+from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.qos import INPUT_QOS, QosWarnings
 from mocap_ros.ros.silence import SilenceMonitor
 
@@ -32,6 +32,7 @@ class InputSubscriptions:
     Args:
         node: The node that subscribes.
         input_type: Message type of the keypoints, as in `node.input_type`.
+        versions: Versions of the message types, to which those of the inputs are added.
         get_limits: Function that returns the limits on the content of a message.
         qos_warnings: Log of publishers with an incompatible QoS.
 
@@ -43,13 +44,20 @@ class InputSubscriptions:
     """
 
     def __init__(
-        self, node: Node, input_type: str, get_limits: Callable[[], NodeConfig], qos_warnings: QosWarnings
+        self,
+        node: Node,
+        input_type: str,
+        versions: MessageVersions,
+        get_limits: Callable[[], NodeConfig],
+        qos_warnings: QosWarnings,
     ) -> None:
         self._node = node
+        self._versions = versions
         self._get_limits = get_limits
         self._qos_warnings = qos_warnings
         self.types = list_input_types(input_type)
-        self._converters = {source: build_converter(msgtype) for source, msgtype in self.types.items()}
+        for msgtype in self.types.values():
+            versions.add_input(msgtype)
         self._subscriptions: list[Any] = []
         self._body_subscriptions: dict[str, Any] = {}  # by topic
         self._receive: Receive | None = None
@@ -97,11 +105,7 @@ class InputSubscriptions:
         )
 
     def _take(self, source: Source, raw: bytes, sent_ns: int, topic: str) -> None:
-        """Convert a message to the package's version of its type and pass it on."""
-        convert = self._converters[source]
-        if convert is not None:
-            with suppress(InputError):  # the pipeline reports the unconverted message as invalid
-                raw = convert(raw)
+        """Pass a message on as it was received."""
         assert self._receive is not None  # noqa: S101
         self._receive(source, raw, sent_ns, topic)
         if source is not Source.CAMERA_INFO and self._silence is not None:
@@ -112,7 +116,7 @@ class InputSubscriptions:
     def _follow_bodies(self, raw: bytes) -> None:
         """Subscribe to the tracked bodies and unsubscribe from those that are no longer tracked."""
         try:
-            _, ids = decode_ids(raw, self._get_limits())
+            _, ids = decode_ids(self._versions.read(HRI_IDS, raw), self._get_limits())
         except InputError:  # the pipeline reports the message as invalid
             return
         tracked_topic = self._node.resolve_topic_name(Source.TRACKED_BODIES.value)

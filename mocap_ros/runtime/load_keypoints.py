@@ -7,7 +7,10 @@ from dataclasses import replace
 from math import inf
 from pathlib import Path
 
-from mocap_ros.bags.reader import Bag, BagMessage, is_bag
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import FrameDropped, InputError
@@ -15,9 +18,14 @@ from mocap_ros.formats.coco_json import load_coco
 from mocap_ros.formats.detections import Detections, Video, select_person
 from mocap_ros.formats.openpose_json import load_openpose
 from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence
-from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info, resolve_image_size
+from mocap_ros.keypoints.image_size import resolve_image_size
+from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
+from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.runtime.frame_assembly import FrameAssembler
+from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
+
+Array = NDArray[np.float64]
 
 
 def load_input(
@@ -42,33 +50,57 @@ def load_input(
     Raises:
         InputError: The file has none of these formats or is damaged; the error names the place.
     """
-    if is_bag(path):
-        detections = load_bag(path, limits, topic)
-    elif path.is_dir():
-        detections = load_openpose(path, video)
-    elif path.suffix == '.json':
-        detections = load_coco(path, video)
-    else:
+    kind = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS)
+    if kind is InputKind.SEQUENCE:
         if person or topic or video != Video():
             raise InputError(
                 f'{path}: --person, --topic, --fps, --image-size and --layout do not apply to a sequence file'
             )
-        return load_sequence(path), []
-    try:
-        sequence, lines = select_person(detections, person)
-    except InputError as error:
-        raise InputError(f'{path}: {error}') from None
+        sequence = load_sequence(path)
+        lines: list[str] = []
+    else:
+        if kind is InputKind.BAG:
+            detections = load_bag(path, limits, topic)
+        else:
+            detections = load_openpose(path, video) if kind is InputKind.OPENPOSE else load_coco(path, video)
+        try:
+            sequence, lines = select_person(detections, person)
+            _check_image_size(sequence, video.image_size)
+        except InputError as error:
+            raise InputError(f'{path}: {error}') from None
+    outside = describe_points_outside(*_split_keypoints(sequence), sequence.image_size)
+    lines += [f'image size: {outside}'] if outside else []
     return sequence, [f'{path}: {line}' for line in lines]
 
 
-def load_sequence_file(path: str | Path) -> KeypointSequence:
-    """Load a sequence file; refuse a bag with an error that says what was expected.
+def _split_keypoints(sequence: KeypointSequence) -> tuple[Array, Array]:
+    """Return the image points (F, J, 2) in px and the scores (F, J) of a sequence."""
+    return sequence.keypoints[..., :2], sequence.keypoints[..., 2]
+
+
+def _check_image_size(sequence: KeypointSequence, option: tuple[int, int] | None) -> None:
+    """Refuse the size of an image whose width and height are exchanged.
+
+    Args:
+        sequence: The keypoints and the size of their image.
+        option: Value of `--image-size`, (width, height) in px, or None.
 
     Raises:
-        InputError: The path is a bag, or not a valid sequence file; the error names the place.
+        InputError: The size looks transposed; the error names the option or `image size`.
     """
-    if is_bag(Path(path)):
-        raise InputError(f'{path}: is a bag, expected a sequence file (.npz)')
+    fault = describe_transposed_size(*_split_keypoints(sequence), sequence.image_size)
+    if fault:
+        name = '--image-size' if sequence.image_size == option else 'image size'
+        raise InputError(f'{name}: {fault}')
+
+
+def load_sequence_file(path: str | Path) -> KeypointSequence:
+    """Load a sequence file; refuse anything else with an error that says what it is and what was expected.
+
+    Raises:
+        InputError: The path is something else, or not a valid sequence file; the error names the place.
+    """
+    require_kind(Path(path), [InputKind.SEQUENCE], 'a sequence file (.npz)')
     return load_sequence(path)
 
 
@@ -91,17 +123,18 @@ def load_bag(path: Path, limits: NodeConfig, topic: str | None = None) -> Detect
         topics = find_people_topics(bag, topic)
         node = replace(limits, input_type=find_people_type(bag, topics))
         camera = _find_camera(bag, next(iter(topics)), node)
-        size = resolve_image_size(camera, node)
+        camera_size, configured = camera.size if camera else None, (node.image_width, node.image_height)
+        size = resolve_image_size(camera=camera_size, configured=configured)
         frames, skipped_count, first_reason = _decode_frames(bag, topics, node, camera, size)
     if not frames:
         raise InputError(f'{path}: {first_reason or "no keypoints"}')
     stamps = sorted(frames)
     last = frames[stamps[-1]]
-    message_size = last.image_width, last.image_height
+    stated = (last.image_width, last.image_height)
     return Detections(
         people=[frames[s].people for s in stamps],
         stamps_ns=stamps,
-        image_size=message_size if all(message_size) else size if all(size) else None,
+        image_size=resolve_image_size(stated=stated, camera=camera_size, configured=configured),
         intrinsics=camera.intrinsics if camera else None,
         frame_id=next((f.header.frame_id for f in frames.values() if f.header.frame_id), ''),
         remarks=(f'{skipped_count} messages left out; {first_reason}',) if skipped_count else (),

@@ -19,38 +19,17 @@ from mocap_ros.bags.topics import PEOPLE_SOURCES, Source
 from mocap_ros.config import Config
 from mocap_ros.errors import FrameDropped, InputError, SkeletonError
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info, resolve_image_size
-from mocap_ros.messages.cameras import CAMERAS, encode_cameras
+from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
 from mocap_ros.messages.cdr import Header, OutputMessage
 from mocap_ros.messages.keypoints import KeypointsFrame
-from mocap_ros.messages.markers import MARKERS, MarkerEncoder
-from mocap_ros.messages.point_cloud import POINTS, encode_points
-from mocap_ros.messages.skeletons import (
-    SKELETON_DEFINITION,
-    SKELETONS,
-    encode_skeleton_definition,
-    encode_skeletons,
-)
-from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler
-from mocap_ros.skeleton import CMU15
+from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.tracking.tracker import Tracker
-
-# Message type of every output that each accepted image causes, by relative topic name.
-OUTPUTS = {
-    'skeletons': SKELETONS,
-    'cameras': CAMERAS,
-    'markers': MARKERS,
-    'points': POINTS,
-}
-# The further output if the parameter node.publish_tf is set.
-TF_OUTPUT = {'/tf': TRANSFORMS}
-# Message type of the output that is published once and kept for late subscribers, by relative topic name.
-LATCHED_OUTPUTS = {'skeleton_definition': SKELETON_DEFINITION}
 
 MAX_CONSECUTIVE_ERRORS = 3  # messages; after as many internal errors in a row the tracker's state is discarded
 BACKLOG_REASON = (
@@ -115,8 +94,21 @@ class Counters:
 class FrameTracker(Protocol):
     """The part of `tracker.Tracker` that the pipeline uses; attributes and methods have the same meaning."""
 
-    backward_jump_s: float
-    output_stamp_ns: int
+    @property
+    def backward_jump_s(self) -> float:
+        """Time in s by which the last accepted stamp went back, so that tracking restarted; else 0."""
+
+    @property
+    def output_stamp_ns(self) -> int:
+        """Stamp in ns of the frame whose people `update` last returned."""
+
+    @property
+    def swapped_frames(self) -> int:
+        """Number of frames so far in which a person's left and right were swapped back."""
+
+    @property
+    def unusable_people(self) -> int:
+        """Number of detections so far of whom too little was seen."""
 
     def update(self, stamp_ns: int, people: tuple[Person2D, ...], intrinsics: Intrinsics) -> tuple[Person3D, ...]:
         """Track the people of an image; see `tracker.Tracker.update`."""
@@ -161,7 +153,7 @@ class Pipeline:
         self.models = models or load_base_pose_models(config.tracker.model)
         self._make_tracker = make_tracker
         self._tracker = make_tracker(self.models, config)
-        self._markers = MarkerEncoder()
+        self._outputs = OutputEncoder()
         self._assembler = FrameAssembler()
         self._consecutive_errors = 0
         self.header = Header(0, '')
@@ -170,12 +162,12 @@ class Pipeline:
     @property
     def swapped_frames(self) -> int:
         """Number of detections so far whose swapped left and right labels the tracker corrected."""
-        return int(getattr(self._tracker, 'swapped_frames', 0))
+        return self._tracker.swapped_frames
 
     @property
     def unusable_people(self) -> int:
         """Number of detections so far with too few visible joints to be tracked."""
-        return int(getattr(self._tracker, 'unusable_people', 0))
+        return self._tracker.unusable_people
 
     def feed(self, source: Source, raw: bytes, topic: str = '') -> ProcessingResult:
         """Process an input message; the result reports invalid inputs and internal errors, and nothing is raised.
@@ -217,15 +209,19 @@ class Pipeline:
         if source is Source.CAMERA_INFO:
             self.set_camera_info(raw)
             return []
-        node = self.config.node
-        size = resolve_image_size(self._camera, node)
+        node, camera = self.config.node, self._camera
+        configured = (node.image_width, node.image_height)
+        size = resolve_image_size(camera=camera.size if camera else None, configured=configured)
         return self._assembler.assemble(source, raw, topic, node, size, self.config.tracker.restart_after)
 
     def _process_frame(self, frame: KeypointsFrame) -> ProcessingResult:
         """Track the people of an image; the result of an accepted image has one message for each of `OUTPUTS`."""
+        node = self.config.node
         try:
             people = self._track(frame, self._find_intrinsics(frame))
-            outputs = self._encode_outputs(Header(self._tracker.output_stamp_ns, frame.header.frame_id), people)
+            header = Header(self._tracker.output_stamp_ns, frame.header.frame_id)
+            prefix = node.frame_prefix if node.publish_tf else None
+            outputs = self._outputs.encode(header, people, node.marker_lifetime, prefix)
         except Exception as error:
             if isinstance(error, FrameDropped) and frame.header.stamp_ns == self.header.stamp_ns == 0:
                 error = FrameDropped(MISSING_STAMP)
@@ -268,8 +264,7 @@ class Pipeline:
         self._tracker.reset()
         self._assembler.reset()
         self.people = ()
-        cleared = self._markers.encode_clear(self.header)
-        return OutputMessage('markers', MARKERS, self.header.stamp_ns, cleared)
+        return self._outputs.encode_clear(self.header)
 
     def reconfigure(self, config: Config) -> bool:
         """Use other parameters; return whether the tracker had to be restarted for them."""
@@ -282,18 +277,17 @@ class Pipeline:
     def _find_intrinsics(self, frame: KeypointsFrame) -> Intrinsics:
         """Return the intrinsics of CameraInfo, or nominal ones from the size in the message or the parameters."""
         camera, node = self._camera, self.config.node
-        message_size = (frame.image_width, frame.image_height)
         if camera is not None:
             check_image_size(frame, camera)
             return camera.intrinsics
-        for width, height in (message_size, (node.image_width, node.image_height)):
-            if width and height:
-                focal = self.config.tracker.nominal_focal_length
-                return Intrinsics.from_image_size(width, height, focal)
-        raise InputError(
-            'image_width, image_height: not set, and neither CameraInfo nor the parameters '
-            'node.image_width and node.image_height give the size of the image'
-        )
+        stated, configured = (frame.image_width, frame.image_height), (node.image_width, node.image_height)
+        size = resolve_image_size(stated=stated, configured=configured)
+        if not all(size):
+            raise InputError(
+                'image_width, image_height: not set, and neither CameraInfo nor the parameters '
+                'node.image_width and node.image_height give the size of the image'
+            )
+        return Intrinsics.from_image_size(*size, self.config.tracker.nominal_focal_length)
 
     def _track(self, frame: KeypointsFrame, intrinsics: Intrinsics) -> tuple[Person3D, ...]:
         try:
@@ -302,23 +296,3 @@ class Pipeline:
             raise InputError(f'people: {error}') from None
         except np.linalg.LinAlgError as error:
             raise InputError(f'people: the reconstruction failed ({error})') from None
-
-    def _encode_outputs(self, header: Header, people: tuple[Person3D, ...]) -> tuple[OutputMessage, ...]:
-        node = self.config.node
-        data = {
-            'skeletons': encode_skeletons(header, people),
-            'cameras': encode_cameras(header, people),
-            'markers': self._markers.encode_update(header, people, node.marker_lifetime),
-            'points': encode_points(header, people),
-        }
-        types = OUTPUTS
-        if node.publish_tf:
-            types = OUTPUTS | TF_OUTPUT
-            data['/tf'] = encode_transforms(header, people, node.frame_prefix)
-        return tuple(OutputMessage(t, types[t], header.stamp_ns, data[t]) for t in data)
-
-
-def build_skeleton_definition() -> OutputMessage:
-    """Return the latched message that names the joints of the skeletons."""
-    data = encode_skeleton_definition(CMU15)
-    return OutputMessage('skeleton_definition', SKELETON_DEFINITION, 0, data)

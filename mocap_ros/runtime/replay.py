@@ -19,13 +19,8 @@ from mocap_ros.config import Config, RecorderConfig, Value, current_names, value
 from mocap_ros.errors import ConfigError, InputError, RecordingError
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.models.model_file import AUTO, PRIORS, list_shipped_base_poses
-from mocap_ros.runtime.pipeline import (
-    LATCHED_OUTPUTS,
-    Counters,
-    Pipeline,
-    ProcessingResult,
-    build_skeleton_definition,
-)
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, build_skeleton_definition
+from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
 
 JOURNAL_TOPIC = '/mocap_replay/journal'  # ends as the journal of a live run, so that a replay can be replayed

@@ -18,16 +18,12 @@ from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.bvh import save_bvh
 from mocap_ros.formats.export.trc import save_trc
 from mocap_ros.formats.sequence_file import KeypointSequence
-from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.rotations import fit_rotation
-from mocap_ros.messages.cameras import encode_cameras
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.messages.markers import MarkerEncoder
-from mocap_ros.messages.skeletons import encode_skeletons
+from mocap_ros.npz_file import write_npz
 from mocap_ros.offline.whole_sequence import SequenceResult
 from mocap_ros.people import Motion, MotionKind, Person3D
-from mocap_ros.runtime.pipeline import LATCHED_OUTPUTS, OUTPUTS, build_skeleton_definition
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
 from mocap_ros.runtime.sequence_messages import DEFAULT_FRAME_ID
 
 Array = NDArray[np.float64]
@@ -45,27 +41,10 @@ class ReconstructedSequence:
     Attributes:
         sequence: The keypoints.
         result: The reconstruction, with joints (F, J, 3) in m in the camera's optical frame.
-        intrinsics: The camera that the reconstruction assumed.
     """
 
     sequence: KeypointSequence
     result: SequenceResult
-    intrinsics: Intrinsics
-
-    def estimate_cameras(self) -> tuple[Array, Array, Array]:
-        """Return the weak-perspective camera of each frame that shows the joints where the intrinsics show them.
-
-        Returns:
-            (F,) scale px/m, (F, 3, 3) rotation from the body's frame to the camera's, and (F, 2) translation px.
-        """
-        root = self.result.joints.mean(axis=1)
-        solution = self.result.solution
-        solution_to_result = fit_rotation(solution.joints, self.result.joints - root[:, None])
-        return (
-            self.intrinsics.focal / root[:, 2],
-            solution_to_result @ solution.cameras.rotation,
-            self.intrinsics.project(root),
-        )
 
 
 def save(path: Path, reconstruction: ReconstructedSequence) -> None:
@@ -81,20 +60,20 @@ def save(path: Path, reconstruction: ReconstructedSequence) -> None:
 
 def _save_npz(path: Path, reconstruction: ReconstructedSequence) -> None:
     result = reconstruction.result
-    scale, rotation, translation = reconstruction.estimate_cameras()
-    np.savez_compressed(
-        path,
-        joints3d=result.joints.astype('f4'),
-        joint_names=np.array(result.skeleton.joints),
-        parents=np.array(result.skeleton.parents),
-        timestamps=reconstruction.sequence.timestamps,
-        seen=result.seen,
-        scale=scale,
-        rotation=rotation,
-        translation=translation,
-        residual_px=result.solution.residual,
-        theta=result.solution.theta,
-    )
+    cameras, translation = result.cameras_in_real_image()
+    arrays: dict[str, NDArray[np.generic]] = {
+        'joints3d': result.joints.astype('f4'),
+        'joint_names': np.array(result.skeleton.joints),
+        'parents': np.array(result.skeleton.parents),
+        'timestamps': reconstruction.sequence.timestamps,
+        'seen': result.seen,
+        'scale': cameras.scale,
+        'rotation': cameras.rotation,
+        'translation': translation,
+        'residual_px': result.solution.residual,
+        'theta': result.solution.theta,
+    }
+    write_npz(path, arrays)
 
 
 def _save_csv(path: Path, reconstruction: ReconstructedSequence) -> None:
@@ -122,15 +101,16 @@ def _save_bag(path: Path, reconstruction: ReconstructedSequence) -> None:
 
 def _record(recorder: Recorder, reconstruction: ReconstructedSequence) -> None:
     sequence = reconstruction.sequence
-    markers = MarkerEncoder()
+    encoder = OutputEncoder()
     stamps = sequence.stamps_ns
     for topic, msgtype in LATCHED_OUTPUTS.items():
         recorder.declare_topic('/' + topic, msgtype, latched=True)
     definition = build_skeleton_definition()
     recorder.write('/' + definition.topic, definition.type, definition.data, stamps[0], stamps[0])
+    person_id = sequence.person_id or DEFAULT_PERSON_ID
     for frame, (stamp, person) in enumerate(zip(stamps, _iterate_people(reconstruction), strict=True)):
         header = Header(stamp, sequence.frame_id or DEFAULT_FRAME_ID)
-        keypoints = [sequence.person(frame, person.id)]
+        keypoints = [sequence.person(frame, person_id)]
         recorder.write(
             '/keypoints',
             KEYPOINTS,
@@ -138,62 +118,67 @@ def _record(recorder: Recorder, reconstruction: ReconstructedSequence) -> None:
             stamp,
             stamp,
         )
-        outputs = {
-            'skeletons': encode_skeletons(header, [person]),
-            'cameras': encode_cameras(header, [person]),
-            'markers': markers.encode_update(header, [person], MARKER_LIFETIME_S),
-        }
-        for topic, data in outputs.items():
-            recorder.write('/' + topic, OUTPUTS[topic], data, stamp, stamp)
+        for output in encoder.encode(header, [person] if person else [], MARKER_LIFETIME_S):
+            recorder.write('/' + output.topic, output.type, output.data, stamp, stamp)
 
 
-def _iterate_people(reconstruction: ReconstructedSequence) -> Iterator[Person3D]:
-    """Yield the person of each frame."""
+def _iterate_people(reconstruction: ReconstructedSequence) -> Iterator[Person3D | None]:
+    """Yield the person of each frame, or None where the result has no skeleton."""
     result, nan = reconstruction.result, float('nan')
-    for frame, (scale, rotation, translation) in enumerate(zip(*reconstruction.estimate_cameras(), strict=True)):
-        seen = result.seen[frame]
+    cameras, translation = result.cameras_in_real_image()
+    for frame, seen in enumerate(result.seen):
+        if np.isnan(result.joints[frame]).any():
+            yield None
+            continue
         yield Person3D(
             id=reconstruction.sequence.person_id or DEFAULT_PERSON_ID,
             joints=result.joints[frame],
             std=np.full(len(seen), nan),
             inferred=~seen,
-            scale=float(scale),
-            rotation=rotation,
-            translation=translation,
+            scale=float(cameras.scale[frame]),
+            rotation=cameras.rotation[frame],
+            translation=translation[frame],
             motion=Motion(MotionKind.UNKNOWN, result.category, nan, nan),
             residual=float(result.solution.residual[frame]),
-            scale_known=reconstruction.intrinsics.is_focal_known,
+            scale_known=result.virtual_camera.intrinsics.is_focal_known,
             predicted=not seen.any(),
         )
 
 
 def _save_bvh(path: Path, reconstruction: ReconstructedSequence) -> None:
-    fps, joints = _resample_at_constant_rate(reconstruction)
+    fps, joints, _ = _resample_at_constant_rate(reconstruction)
     save_bvh(path, build_armature(joints, fps))
 
 
 def _save_trc(path: Path, reconstruction: ReconstructedSequence) -> None:
-    fps, joints = _resample_at_constant_rate(reconstruction)
+    fps, joints, in_sight = _resample_at_constant_rate(reconstruction)
+    joints[~in_sight] = np.nan
     save_trc(path, reconstruction.result.skeleton.joints, joints, fps)
 
 
-def _resample_at_constant_rate(reconstruction: ReconstructedSequence) -> tuple[float, Array]:
+def _resample_at_constant_rate(reconstruction: ReconstructedSequence) -> tuple[float, Array, NDArray[np.bool_]]:
     """Interpolate the joints linearly at a constant frame rate, about the median rate of the sequence.
 
     Returns:
-        Frames per second, and joints (F, J, 3) in m, y up.
+        Frames per second; joints (F, J, 3) in m, y up, which keep the nearest pose before the first and after the
+        last skeleton of the result; and (F,) True for the frames from the first to the last skeleton.
     """
     result = reconstruction.result
     times = reconstruction.sequence.timestamps - reconstruction.sequence.timestamps[0]
+    has_skeleton = np.asarray(np.isfinite(result.joints).all(axis=(1, 2)))
     if len(times) < 2:
-        return 1.0, result.joints * CAMERA_TO_Y_UP
+        return 1.0, result.joints * CAMERA_TO_Y_UP, has_skeleton
     frame_count = round(float(times[-1] / np.median(np.diff(times)))) + 1
     if frame_count > MAX_RESAMPLED_FRAMES:
         raise InputError(f'timestamps: {times[-1]:.0f} s would be {frame_count} frames at a constant rate')
     grid = np.linspace(0.0, times[-1], frame_count)
-    columns = result.joints.reshape(len(times), -1)
-    resampled = np.stack([np.interp(grid, times, column) for column in columns.T], axis=1)
-    return (frame_count - 1) / float(times[-1]), resampled.reshape(frame_count, -1, 3) * CAMERA_TO_Y_UP
+    known_times, known_joints = times[has_skeleton], result.joints[has_skeleton]
+    columns = known_joints.reshape(len(known_times), -1)
+    resampled = np.stack([np.interp(grid, known_times, column) for column in columns.T], axis=1)
+    half_step = times[-1] / (frame_count - 1) / 2
+    in_sight = (grid > known_times[0] - half_step) & (grid < known_times[-1] + half_step)
+    joints = resampled.reshape(frame_count, -1, 3) * CAMERA_TO_Y_UP
+    return (frame_count - 1) / float(times[-1]), joints, in_sight
 
 
 # The function that writes each format, by file suffix.

@@ -24,9 +24,9 @@ class EncodedFrame(NamedTuple):
     raw: bytes
 
 
-def encode_sequence(sequence: KeypointSequence, frame_id: str = DEFAULT_FRAME_ID) -> Iterator[EncodedFrame]:
-    """Encode every frame of a sequence as a message with the frame's stamp and the given `frame_id`."""
+def encode_sequence(sequence: KeypointSequence) -> Iterator[EncodedFrame]:
+    """Encode every frame of a sequence as a message with the frame's stamp and `DEFAULT_FRAME_ID`."""
     for frame, stamp_ns in enumerate(sequence.stamps_ns):
         people = [sequence.person(frame)]
-        raw = encode_keypoints(Header(stamp_ns, frame_id), sequence.image_size, people)
+        raw = encode_keypoints(Header(stamp_ns, DEFAULT_FRAME_ID), sequence.image_size, people)
         yield EncodedFrame(stamp_ns, raw)

@@ -13,24 +13,13 @@ weighted centroids. The paper's box, and where each of its lines is found here:
 
     Algorithm 1: recover camera and shape
     Q <- base shapes                                              `BasePoses.truncate`
-    while no convergence do                                       `reconstruct`
+    while no convergence do                                       `alternate`
         for t = 1 -> f do                                         all frames at once
             calculate starting values for M_t    (eq. 10, 11)     `choose_initial_values`, only before the loop
-            optimise |w_t - M_t Theta_t Q|_F + r_K,t    (eq. 13)  `_AlternationProblem.optimise_cameras`
+            optimise |w_t - M_t Theta_t Q|_F + r_K,t    (eq. 13)  `AlternationProblem.optimise_cameras`
         end for
-        optimise |W - M Theta Q|_F + r_B                (eq. 21)  `_AlternationProblem.optimise_weights`
+        optimise |W - M Theta Q|_F + r_B                (eq. 21)  `AlternationProblem.optimise_weights`
     end while
-
-`norm='frobenius'` selects the paper's printed terms, whose norms are not squared and whose r_B is a variance, not
-a sum:
-
-    (sum_tj w_tj |M_t P_tj + t_t - x_tj|^2 / s0^2)^(1/2)          eq. 9
-  + beta   sum_b Var(length_b)                                    eq. 20
-  + gamma  sum_t |M_t - M_(t-1)|_F / dt_t                         eq. 12
-
-A norm lies below the parabola |x| <= x^2 / (2 |x'|) + |x'| / 2 that touches it at the current x'. Each step
-therefore lowers the squared form with every norm's weight divided by 2 |x'| (iteratively reweighted least
-squares).
 """
 
 from __future__ import annotations
@@ -48,11 +37,16 @@ from mocap_ros.geometry.weak_perspective import (
     subtract_weighted_centroid,
 )
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.window import Reconstruction, Window, choose_initial_values
+from mocap_ros.solvers.window import (
+    InitialValues,
+    Reconstruction,
+    SolverStatus,
+    Window,
+    choose_initial_values,
+)
 
 Array = NDArray[np.float64]
 
-NORM_SMOOTHING = 1e-6  # m; makes sqrt(x^2 + NORM_SMOOTHING^2) differentiable at x = 0, far below any image noise
 MIN_TIME_STEP_S = 1e-4  # s; guards the division by dt; far below the period of any camera
 MIN_BONE_LENGTH_M = 1e-9  # m; guards the division by the length of a bone
 MIN_COUPLING = 1e-12  # beta / F below which the frames are independent; guards the division by it
@@ -75,12 +69,24 @@ def reconstruct(window: Window, model: BasePoses, config: SolverConfig) -> Recon
     """
     model = model.truncate(config.components)  # Q <- base shapes
     start, s0 = choose_initial_values(window, model, config.start_window)  # theta = 0; M_t from eq. 10 and 11
-    theta = start.theta
-    problem = _AlternationProblem.build(model, window, s0, config)
-    cameras = WeakPerspectiveCameras(start.cameras.scale / s0, start.cameras.rotation)
+    return alternate(AlternationProblem.build(model, window, s0, config), start, s0, config)
 
+
+def alternate(
+    problem: AlternationProblem, start: InitialValues, s0: float, config: SolverConfig
+) -> Reconstruction:
+    """Minimise the objective of a problem over cameras and weights in turn, from these initial values.
+
+    Args:
+        problem: objective, and the steps that lower it.
+        start: initial values, scales in px/m.
+        s0: px/m, by which the image points of the problem were divided.
+        config: `max_iterations` and `tolerance` apply.
+    """
+    theta = start.theta
+    cameras = WeakPerspectiveCameras(start.cameras.scale / s0, start.cameras.rotation)
     progress = _Progress([problem.objective(cameras, theta)])
-    while not progress.converged and progress.iterations < config.max_iterations:
+    while progress.status is SolverStatus.MAX_ITERATIONS and progress.iterations < config.max_iterations:
         cameras = problem.optimise_cameras(cameras, theta)  # all M_t by eq. 13, which is eq. 9 + eq. 12
         objective_after_cameras = problem.objective(cameras, theta)
         theta = problem.optimise_weights(cameras, theta)  # Theta by eq. 21, which is eq. 9 of all frames + eq. 20
@@ -92,21 +98,22 @@ def reconstruct(window: Window, model: BasePoses, config: SolverConfig) -> Recon
 class _Progress:
     """Objective (m^2) after every half iteration, and the test for convergence."""
 
-    objective: list[float]
+    history: list[float]
     iterations: int = 0
-    converged: bool = False
+    status: SolverStatus = SolverStatus.MAX_ITERATIONS
 
     def record(self, after_cameras: float, after_weights: float, tolerance: float) -> None:
         """Append the objective after both halves of an iteration; `tolerance` is a relative decrease."""
-        before = self.objective[-1]
-        self.objective += [after_cameras, after_weights]
+        before = self.history[-1]
+        self.history += [after_cameras, after_weights]
         self.iterations += 1
-        self.converged = before - after_weights <= tolerance * before
+        if before - after_weights <= tolerance * before:
+            self.status = SolverStatus.CONVERGED if after_weights < before else SolverStatus.NO_LOWER_STEP
 
 
 @dataclass(frozen=True, eq=False)
-class _AlternationProblem:
-    """Constants of the objective of one sequence.
+class AlternationProblem:
+    """The objective of one sequence, and the steps that lower it.
 
     Attributes:
         model: K base poses.
@@ -116,7 +123,6 @@ class _AlternationProblem:
         flip: (F - 1,) gamma / dt.
         beta: weight of the bone-length term.
         prior: (K,) lambda / sigma_l^2.
-        frobenius: True selects the norms as printed in the paper.
         parents: (B,) index of each bone's inner joint.
         children: (B,) index of each bone's outer joint.
         bone_components: (K, B, 3) change of each bone's vector by each base pose.
@@ -129,17 +135,16 @@ class _AlternationProblem:
     flip: Array
     beta: float
     prior: Array
-    frobenius: bool
     parents: NDArray[np.intp]
     children: NDArray[np.intp]
     bone_components: Array
 
     @staticmethod
-    def build(model: BasePoses, window: Window, s0: float, config: SolverConfig) -> _AlternationProblem:
+    def build(model: BasePoses, window: Window, s0: float, config: SolverConfig) -> AlternationProblem:
         """Return the problem of a window; `s0` in px/m."""
         parents, children = (np.array(side) for side in zip(*model.skeleton.bones, strict=True))
         image, centroid = subtract_weighted_centroid(window.points / s0, window.weight)
-        return _AlternationProblem(
+        return AlternationProblem(
             model=model,
             image=image,
             centroid=centroid,
@@ -147,7 +152,6 @@ class _AlternationProblem:
             flip=config.flip_weight / np.maximum(np.diff(window.times), MIN_TIME_STEP_S),
             beta=config.bone_weight,
             prior=config.prior_weight / model.std**2,
-            frobenius=config.norm == 'frobenius',
             parents=parents,
             children=children,
             bone_components=model.components[:, children] - model.components[:, parents],
@@ -172,27 +176,11 @@ class _AlternationProblem:
         deviation = float(((length - length.mean(axis=0)) ** 2).sum())
         prior = float((self.prior * theta**2).sum())
         data, flip = camera_objective.data_cost(cameras), camera_objective.flip_cost(cameras)
-        bones = self.beta * deviation
-        if not self.frobenius:
-            return float(data.sum() + flip.sum() + bones + prior)
-        gamma = np.sqrt(self.flip)
-        return float(
-            _smoothed_norm(data.sum()) + (gamma * _smoothed_norm(flip)).sum() + bones / len(theta) + prior
-        )
+        return float(data.sum() + flip.sum() + self.beta * deviation + prior)
 
     def optimise_cameras(self, cameras: WeakPerspectiveCameras, theta: Array) -> WeakPerspectiveCameras:
         """Return cameras that lower eq. 13 (eq. 9 + eq. 12), the poses fixed."""
-        problem = self.camera_objective(theta)
-        if self.frobenius:
-            norm = _smoothed_norm(problem.data_cost(cameras).sum())
-            change = _smoothed_norm(problem.flip_cost(cameras))
-            problem = CameraStepObjective(
-                problem.body,
-                problem.image,
-                problem.weight / (2 * norm),
-                self.flip * np.sqrt(self.flip) / (2 * change),
-            )
-        return run_camera_step(problem, cameras)
+        return run_camera_step(self.camera_objective(theta), cameras)
 
     def optimise_weights(self, cameras: WeakPerspectiveCameras, theta: Array) -> Array:
         """Return weights (F, K) that lower eq. 21 (eq. 9 of all frames + eq. 20), the cameras fixed.
@@ -210,7 +198,7 @@ class _AlternationProblem:
             damping = max(damping * DAMPING_GROWTH, MIN_RAISED_DAMPING)
         return theta
 
-    def weight_equations(self, cameras: WeakPerspectiveCameras, theta: Array) -> _WeightEquations:
+    def weight_equations(self, cameras: WeakPerspectiveCameras, theta: Array) -> WeightEquations:
         """Return the Gauss-Newton equations of eq. 21.
 
         With the reprojection Jacobian A_t, the reprojection error e_t, the bone-length Jacobian B_t and the bone
@@ -222,12 +210,7 @@ class _AlternationProblem:
         The mean bone lengths couple all frames: they subtract (beta / F) G G^T, where G stacks the B_t^T.
         """
         frames, k = theta.shape
-        data_weight, bone_weight = 1.0, self.beta
-        if self.frobenius:
-            data = self.camera_objective(theta).data_cost(cameras)
-            data_weight = float(1 / (2 * _smoothed_norm(data.sum())))
-            bone_weight = self.beta / frames
-        root = np.sqrt(data_weight * self.weight)[..., None]
+        root = np.sqrt(self.weight)[..., None]
         basis = np.moveaxis(self.model.components, 0, -1).reshape(len(self.model.mean), -1)
         centred_basis, _ = subtract_weighted_centroid(np.broadcast_to(basis, (frames, *basis.shape)), self.weight)
         centred_basis = centred_basis.reshape(frames, -1, 3, k)
@@ -241,14 +224,14 @@ class _AlternationProblem:
         bone_error = length - length.mean(axis=0)
         jac_t = np.swapaxes(jac, -1, -2)
         bone_t = np.swapaxes(bone_jac, -1, -2)
-        blocks = jac_t @ jac + bone_weight * (bone_t @ bone_jac) + np.diag(self.prior)
-        gradient = jac_t @ error + bone_weight * (bone_t @ bone_error[..., None])
+        blocks = jac_t @ jac + self.beta * (bone_t @ bone_jac) + np.diag(self.prior)
+        gradient = jac_t @ error + self.beta * (bone_t @ bone_error[..., None])
         gradient = gradient[..., 0] + self.prior * theta
-        return _WeightEquations(blocks, gradient, bone_t, bone_weight / frames)
+        return WeightEquations(blocks, gradient, bone_t, self.beta / frames)
 
 
 @dataclass(frozen=True, eq=False)
-class _WeightEquations:
+class WeightEquations:
     """Gauss-Newton equations (blockdiag(blocks) - coupling_weight G G^T) step = gradient of all weights.
 
     Attributes:
@@ -295,13 +278,8 @@ def solve_coupled_blocks(
     return np.asarray(uncoupled + solved_coupling @ correction)
 
 
-def _smoothed_norm(squared: Array) -> Array:
-    """Return (squared + NORM_SMOOTHING^2)^(1/2), a norm that has a gradient at zero."""
-    return np.asarray(np.sqrt(squared + NORM_SMOOTHING**2))
-
-
 def _make_reconstruction(
-    problem: _AlternationProblem,
+    problem: AlternationProblem,
     cameras: WeakPerspectiveCameras,
     theta: Array,
     s0: float,
@@ -322,9 +300,7 @@ def _make_reconstruction(
         cameras=cameras_px,
         translation=problem.centroid * s0 - offset,
         residual=residual,
-        objective=tuple(progress.objective),
+        status=progress.status,
+        history=tuple(progress.history),
         iterations=progress.iterations,
-        converged=progress.converged,
-        noise=float('nan'),
-        joint_std=np.full(poses.shape[1], np.nan),
     )

@@ -51,20 +51,6 @@ class Coupling:
     diagonal: Array
     corner: Array
 
-    @property
-    def bandwidth(self) -> int:
-        """Number of diagonals of B below the main one."""
-        return self.diagonal.shape[1] + self.corner.shape[1] - 1
-
-    def to_dense(self) -> Array:
-        """Return the blocks as a dense array (F - 1, n, n)."""
-        frames, n = self.diagonal.shape
-        out = np.zeros((frames, n, n))
-        np.einsum('nii->ni', out)[:] = self.diagonal
-        c = self.corner.shape[1]
-        out[:, n - c :, n - c :] += self.corner
-        return out
-
 
 def pack_lower_band(diagonal: Array, coupling: Coupling) -> Array:
     """Return B in LAPACK's lower band storage.

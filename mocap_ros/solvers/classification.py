@@ -32,9 +32,9 @@ from mocap_ros.errors import InputError
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint, periodic
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
-from mocap_ros.solvers.periodic.fourier import FourierSeries
-from mocap_ros.solvers.periodic.solver import PeriodicReconstruction
-from mocap_ros.solvers.window import InitialValues, Reconstruction, Window
+from mocap_ros.solvers.joint.solver import JointReconstruction
+from mocap_ros.solvers.periodic.solver import EstimatedPoses, PeriodicReconstruction
+from mocap_ros.solvers.window import InitialValues, Window
 
 # Names of the models whose motion can be periodic.
 PERIODIC_CATEGORIES = ('walk', 'run')
@@ -58,7 +58,7 @@ class CategoryChoice:
     """
 
     category: str
-    reconstruction: Reconstruction
+    reconstruction: JointReconstruction
     minus_twice_log_evidence: Mapping[str, float]
 
 
@@ -84,7 +84,7 @@ def choose_category(window: Window, models: Mapping[str, BasePoses], config: Sol
 
 def minus_twice_log_evidence(
     window: Window, model: BasePoses, noise: float, config: SolverConfig
-) -> tuple[float, Reconstruction]:
+) -> tuple[float, JointReconstruction]:
     """Return -2 log p(x | model) up to a constant (formula at the head of this module), and the reconstruction.
 
     Args:
@@ -98,7 +98,7 @@ def minus_twice_log_evidence(
     model = model.truncate(config.components)
     (fit,) = joint.solve([replace(window, noise=noise)], model, replace(config, adapt_noise=True))
     occam = len(window.times) * np.log1p(OBSERVED_FRACTION * (model.std / noise) ** 2).sum()
-    return fit.objective[-1] / NOISE_REFERENCE**2 + float(occam), fit
+    return fit.cost / NOISE_REFERENCE**2 + float(occam), fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +125,7 @@ def fit_periodic(
     window: Window,
     models: Mapping[str, BasePoses],
     config: SolverConfig,
-    initial: Reconstruction | None = None,
-    initial_series: Mapping[str, FourierSeries] | None = None,
+    initial: EstimatedPoses | None = None,
 ) -> PeriodicFit:
     """Fit the periodic model of every periodic category and return the fit with the smallest residual.
 
@@ -134,20 +133,18 @@ def fit_periodic(
         window: image points of a cycle or more.
         models: base poses by name of category; those of `PERIODIC_CATEGORIES` are used.
         config: weights of the solver.
-        initial: a reconstruction of the window under any model, from which to start; it also gives the image
-            noise. None computes one for each model.
-        initial_series: series by name of category, from which to start, as for `periodic.solve`.
+        initial: poses of the window, from which to start; they also give the image noise. None computes poses for
+            each model.
 
     Raises:
         InputError: none of `models` is of a periodic category, or the periodic solver rejects the window.
     """
-    initial_series = initial_series or {}
     config = replace(config, tolerance=max(config.tolerance, PERIODIC_FIT_TOLERANCE))
     fits = []
     for name in PERIODIC_CATEGORIES:
         if name in models:
             model = models[name]
-            (result,) = periodic.solve([window], model, config, [initial], [initial_series.get(name)])
+            (result,) = periodic.solve([window], model, config, [initial])
             fits.append(_measure_periodic_fit(name, model, result, initial))
     if not fits:
         raise InputError(f'no model of {" or ".join(PERIODIC_CATEGORIES)} to fit')
@@ -155,13 +152,13 @@ def fit_periodic(
 
 
 def _measure_periodic_fit(
-    name: str, model: BasePoses, result: PeriodicReconstruction, initial: Reconstruction | None
+    name: str, model: BasePoses, result: PeriodicReconstruction, initial: EstimatedPoses | None
 ) -> PeriodicFit:
     """Return the measures of a periodic reconstruction."""
     movement = result.theta - result.theta.mean(axis=0)
     amplitude = np.sqrt((movement**2).sum(axis=1).mean() / len(model.mean))
     residual = np.sqrt(np.nanmean((result.residual / result.cameras.scale) ** 2))
-    noise = 0.0 if initial is None or np.isnan(initial.noise) else min(initial.noise, MAX_SUBTRACTED_NOISE)
+    noise = 0.0 if initial is None else min(initial.noise, MAX_SUBTRACTED_NOISE)
     excess = np.sqrt(max(residual**2 - 2 * noise**2, 0.0))
     stature = model.stature
     return PeriodicFit(

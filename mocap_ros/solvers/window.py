@@ -17,12 +17,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras, fit_cameras_closed_form
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
@@ -35,8 +35,6 @@ MIN_JOINTS_FOR_CAMERA = 4
 DEPTH_REFLECTION = np.diag([1.0, 1.0, -1.0])
 # Reflection of the body frame that exchanges front and back (x).
 BODY_REFLECTION = np.diag([-1.0, 1.0, 1.0])
-# degrees; changes of heading that are tried after the depth reversal. Steps of 45 cover all headings.
-HEADING_OFFSETS_DEG = (45.0, 90.0, 135.0, 180.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,13 +108,47 @@ class Window:
             )
         if self.lifted is not None and self.lifted.joints.shape != (frames, joints, 3):
             raise InputError(f'lifted poses {self.lifted.joints.shape} do not fit points {self.points.shape}')
-        if not ((self.weight > 0).sum(axis=1) >= MIN_JOINTS_FOR_CAMERA).any():
-            raise InputError('no frame has four seen joints: nothing to reconstruct')
+        require_camera_frame(self.weight)
+
+
+def require_camera_frame(weight: Array) -> None:
+    """Check that some frame of weights (F, J) has `MIN_JOINTS_FOR_CAMERA` seen joints.
+
+    Raises:
+        InputError: no frame has as many.
+    """
+    if not ((weight > 0).sum(axis=1) >= MIN_JOINTS_FOR_CAMERA).any():
+        raise InputError('no frame has four seen joints: nothing to reconstruct')
+
+
+class SolverStatus(IntEnum):
+    """Why a solver stopped. As in `scipy.optimize`, positive values are successes."""
+
+    SINGULAR = -1
+    MAX_ITERATIONS = 0
+    CONVERGED = 1
+    NO_LOWER_STEP = 2
+
+    @property
+    def message(self) -> str:
+        """The reason as a sentence."""
+        return STATUS_MESSAGES[self]
+
+
+STATUS_MESSAGES = {
+    SolverStatus.SINGULAR: 'Not converged: the equations for the next step have no finite solution.',
+    SolverStatus.MAX_ITERATIONS: 'Not converged: the largest number of iterations was reached.',
+    SolverStatus.CONVERGED: 'Converged: the last iteration changed the objective by less than the tolerance.',
+    SolverStatus.NO_LOWER_STEP: 'Converged: no step lowers the objective any further.',
+}
 
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """3D poses and cameras of the frames of a window.
+    """3D poses and cameras of the frames of a window, and how the solver ended.
+
+    The names of the latter are those of `scipy.optimize.OptimizeResult` where it has them. Every field holds what
+    was computed; what only some solvers compute is in subclasses.
 
     Attributes:
         joints: (F, J, 3) m, poses along the axes of the camera optical frame (x right, y down, z forward), each
@@ -125,13 +157,11 @@ class Reconstruction:
         cameras: scale (F,) in px/m and rotation (F, 3, 3) from the body frame to the camera frame.
         translation: (F, 2) px, image of the origin of the body frame.
         residual: (F,) px, RMS reprojection error over the seen joints; NaN for a frame without any.
-        objective: m^2, value of the objective at the initial values and after every step; it never rises.
-        iterations: number of steps.
-        converged: False if the solver stopped at `max_iterations`.
-        noise: m, standard deviation of a coordinate of a point of weight 1, estimated from the residual; NaN if it
-            was not estimated.
-        joint_std: (J,) m, posterior standard deviation (root of the trace of the covariance) of each joint of the
-            last frame relative to the origin of the body frame; NaN if it was not computed.
+        status: why the solver stopped.
+        history: m^2, values of the objective at the initial values and after the steps. A solver that estimates
+            the image noise in rounds gives those of its last round, since objectives under different noise are not
+            comparable.
+        iterations: number of steps that were tried, in all rounds together.
     """
 
     joints: Array
@@ -139,11 +169,24 @@ class Reconstruction:
     cameras: WeakPerspectiveCameras
     translation: Array
     residual: Array
-    objective: tuple[float, ...]
+    status: SolverStatus
+    history: tuple[float, ...]
     iterations: int
-    converged: bool
-    noise: float
-    joint_std: Array
+
+    @property
+    def cost(self) -> float:
+        """Final value of the objective, m^2."""
+        return self.history[-1]
+
+    @property
+    def success(self) -> bool:
+        """Whether the solver converged."""
+        return self.status > 0
+
+    @property
+    def message(self) -> str:
+        """Why the solver stopped, as a sentence."""
+        return self.status.message
 
 
 def choose_initial_values(window: Window, model: BasePoses, camera_window_s: float) -> tuple[InitialValues, float]:
@@ -160,30 +203,15 @@ def choose_initial_values(window: Window, model: BasePoses, camera_window_s: flo
     return InitialValues(start.theta[:, :k], start.cameras), unit
 
 
-def make_camera_hypotheses(start: InitialValues, count: int) -> list[InitialValues]:
-    """Return `count` alternative initial values: `start`, its Necker reversal, then changed headings.
+def reverse_depth(start: InitialValues) -> InitialValues:
+    """Return the initial values with the same weights and scales and the Necker reversal of the cameras.
 
     The Necker reversal R -> diag(1, 1, -1) R diag(-1, 1, 1) reverses the depth. A body seen from the front is
     nearly planar, so its projection hardly changes under it, and for such a body the reversal is half a turn about
-    the vertical. The changed headings R -> R Rz(angle) cover other wrong initial headings.
-
-    Args:
-        start: initial values; all hypotheses have their weights and scales.
-        count: number of hypotheses, 1 to 10.
+    the vertical.
     """
-    cameras = start.cameras
-    rotations = [cameras.rotation, DEPTH_REFLECTION @ cameras.rotation @ BODY_REFLECTION]
-    for offset in HEADING_OFFSETS_DEG:
-        rotations += [cameras.rotation @ _rotation_about_vertical(sign * offset) for sign in (1, -1)]
-    return [
-        InitialValues(start.theta, WeakPerspectiveCameras(cameras.scale, rotation))
-        for rotation in rotations[:count]
-    ]
-
-
-def _rotation_about_vertical(degrees: float) -> Array:
-    """Return the (3, 3) rotation of the body about its vertical axis (z)."""
-    return rotation_from_vector(np.radians([0.0, 0.0, degrees]))
+    rotation = DEPTH_REFLECTION @ start.cameras.rotation @ BODY_REFLECTION
+    return InitialValues(start.theta, WeakPerspectiveCameras(start.cameras.scale, rotation))
 
 
 def initialise_from_mean_pose(window: Window, model: BasePoses, camera_window_s: float) -> InitialValues:

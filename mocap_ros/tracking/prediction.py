@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
 from mocap_ros.tracking.person_in_frame import make_person
@@ -23,31 +22,31 @@ PREDICTION_STD_PER_S = 0.5  # m/s; growth of the std in a prediction, for limbs 
 MIN_CLEARANCE_M = 0.1  # m; a predicted body must stay this far in front of the camera, or its image is meaningless
 
 
-def predict_person(track: Track, stamp_ns: int, model: BasePoses, camera: Intrinsics) -> Person3D:
+def predict_person(track: Track, stamp_ns: int, model: BasePoses) -> Person3D:
     """Return the person of a track at a time after its last detection: the last pose, moved with its velocity.
 
     A movement that would bring the body behind the camera is left out. The standard deviation grows with time.
 
     Args:
-        track: the track.
+        track: a solved track.
         stamp_ns: ns, time of the prediction.
         model: base poses of the track's solution.
-        camera: intrinsics of the real camera.
     """
-    age_s = (stamp_ns - track.stamps_ns[-1]) / NS_PER_S
-    last = make_person(track, len(track.stamps_ns) - 1, model, camera)
-    movement = track.estimate_velocity() * age_s / track.stature_ratio
-    root = track.roots[-1] / track.stature_ratio + movement
+    solution, stamps_ns, intrinsics = track.solved, track.seen.stamps_ns, track.seen.intrinsics
+    age_s = (stamp_ns - stamps_ns[-1]) / NS_PER_S
+    last = make_person(track, len(stamps_ns) - 1, model)
+    movement = solution.estimate_velocity(stamps_ns) * age_s / solution.stature_ratio
+    root = solution.roots[-1] / solution.stature_ratio + movement
     joints = last.joints + movement
     if root[2] < joints[:, 2].max() - root[2] + MIN_CLEARANCE_M:
-        joints, root = last.joints, track.roots[-1] / track.stature_ratio
+        joints, root = last.joints, solution.roots[-1] / solution.stature_ratio
     return replace(
         last,
         joints=joints,
         std=np.sqrt(last.std**2 + (PREDICTION_STD_PER_S * age_s) ** 2),
         inferred=np.ones_like(last.inferred),
-        scale=float(camera.focal / root[2]),
-        translation=camera.project(root),
+        scale=float(intrinsics.focal / root[2]),
+        translation=intrinsics.project(root),
         residual=float('nan'),
         predicted=True,
     )

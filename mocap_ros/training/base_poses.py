@@ -21,12 +21,14 @@ from mocap_ros.skeleton import CMU15, Skeleton, estimate_stature
 
 Array = NDArray[np.float64]
 
+MAX_ALIGNMENT_PASSES = 50  # passes over the poses in `align_to_mean`; CMU motions need 8 to 16
+ALIGNMENT_TOLERANCE_M = 1e-7  # m; the alignment ends when every coordinate of the mean changes by less
+BODY_SPREAD = 0.05  # share; standard deviation of bone lengths among random bodies, about that among adults
+BODY_SEED = 0  # of these factors; any fixed number, so that training can be repeated
 MIN_WEIGHT_STD_M = 1e-4  # m; base poses that vary less are numerical noise, and solvers divide by their variance
 
 
-def align_to_mean(
-    poses: Array, align: Callable[[Array, Array], Array], max_iterations: int = 50, tolerance: float = 1e-7
-) -> tuple[Array, Array]:
+def align_to_mean(poses: Array, align: Callable[[Array, Array], Array]) -> tuple[Array, Array]:
     """Align all poses to their own mean by rotations (generalised Procrustes analysis).
 
     The first pose is the first estimate of the mean, and so determines the orientation of the result.
@@ -35,19 +37,17 @@ def align_to_mean(
         poses: (N, J, 3) m, centred poses.
         align: function of the poses and a target (J, 3) that returns the rotations (N, 3, 3) that bring the poses
             closest to the target: `fit_rotation` or `fit_heading_rotation`.
-        max_iterations: largest number of passes over the poses.
-        tolerance: m; the iteration ends when every coordinate of the mean changes by less.
 
     Returns:
         (J, 3) m, mean pose, and (N, J, 3) m, aligned poses.
     """
     mean = poses[0]
-    for _ in range(max_iterations):
+    for _ in range(MAX_ALIGNMENT_PASSES):
         aligned = poses @ np.swapaxes(align(poses, mean), -1, -2)
         updated_mean = aligned.mean(axis=0)
         change = np.abs(updated_mean - mean).max()
         mean = updated_mean
-        if change < tolerance:
+        if change < ALIGNMENT_TOLERANCE_M:
             break
     return mean, aligned
 
@@ -77,14 +77,14 @@ def scale_bones(poses: Array, skeleton: Skeleton, factor: Array) -> Array:
 
 
 def _transfer_to_random_bodies(
-    poses: Array, skeleton: Skeleton, spread: float, count: int, rng: np.random.Generator
+    poses: Array, skeleton: Skeleton, count: int, rng: np.random.Generator
 ) -> list[Array]:
     """Return `count` copies of a motion (F, J, 3) with random bone lengths, the same left and right."""
     names = [skeleton.joints[c] for _, c in skeleton.bones]
     shared_names = [min(n, skeleton.joints[skeleton.mirror[skeleton.index(n)]]) for n in names]
     out = []
     for _ in range(count):
-        by_name = {n: 1 + spread * rng.standard_normal() for n in sorted(set(shared_names))}
+        by_name = {n: 1 + BODY_SPREAD * rng.standard_normal() for n in sorted(set(shared_names))}
         factor = np.array([by_name[n] for n in shared_names])
         out.append(scale_bones(poses, skeleton, factor))
     return out
@@ -114,8 +114,6 @@ def fit_base_poses(
     alignment: str = 'rotation',
     mirror: bool = False,
     bodies: int = 0,
-    body_spread: float = 0.05,
-    seed: int = 0,
     provenance: Mapping[str, object] | None = None,
     labels: Sequence[str] = (),
 ) -> BasePoses:
@@ -130,8 +128,6 @@ def fit_base_poses(
         alignment: `rotation` to align poses by any rotation, `heading` to rotate them about the vertical only.
         mirror: whether to add the mirror image of every pose.
         bodies: number of bodies with random bone lengths to which each trial is transferred in addition.
-        body_spread: standard deviation of the factors on their bone lengths.
-        seed: seed of these factors.
         provenance: further entries of the model's provenance.
         labels: names of the trials for error messages; their numbers by default.
 
@@ -146,9 +142,9 @@ def fit_base_poses(
         raise ModelError('training needs at least two poses')
     for i, trial in enumerate(trials):
         _check_trial(trial, skeleton, labels[i] if labels else i)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(BODY_SEED)
     motions = [np.asarray(t, float) for t in trials]
-    motions += [b for t in motions for b in _transfer_to_random_bodies(t, skeleton, body_spread, bodies, rng)]
+    motions += [b for t in motions for b in _transfer_to_random_bodies(t, skeleton, bodies, rng)]
     poses = centre_poses(np.concatenate(motions))
     if mirror:
         poses = np.concatenate([poses, mirror_poses(poses, skeleton)])
@@ -168,8 +164,8 @@ def fit_base_poses(
             'alignment': alignment,
             'mirror': mirror,
             'bodies': bodies,
-            'body_spread': body_spread if bodies else 0.0,
-            'seed': seed,
+            'body_spread': BODY_SPREAD if bodies else 0.0,
+            'seed': BODY_SEED,
             'poses': int(sum(map(len, trials))),
             **(provenance or {}),
         },

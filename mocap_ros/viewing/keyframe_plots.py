@@ -11,8 +11,8 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
-from mocap_ros.offline.keyframes.observations import Observations
 from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.viewing.plots import TRUTH_COLOUR, choose_side_colour
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ BETA_COLOUR = '#d62728'  # red
 
 
 def draw_keyframes_figure(
-    observed: Observations, keyframes: tuple[KeyframeSet, KeyframeSet], title: str
+    observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet], title: str
 ) -> Figure:
     """Draw the keyframes of both halves as skeletons, and over time which keyframe is nearest to each frame.
 
@@ -65,7 +65,7 @@ def _choose_drawn_keyframes(half: KeyframeSet) -> NDArray[np.intp]:
     return np.sort(np.argsort(-frame_count, kind='stable')[:MAX_DRAWN_KEYFRAMES])
 
 
-def _draw_skeletons(figure: Any, observed: Observations, half: KeyframeSet, numbers: NDArray[np.intp]) -> None:
+def _draw_skeletons(figure: Any, observed: ObservedWindow, half: KeyframeSet, numbers: NDArray[np.intp]) -> None:
     """Draw the keyframes of the given numbers, the half's own bones in colour."""
     count = len(half.frames)
     left_out = f'; the {len(numbers)} that represent most frames' if count > len(numbers) else ''
@@ -119,7 +119,7 @@ def _draw_occurrence(axes: Any, times: Array, half: KeyframeSet) -> None:
 
 
 def draw_distances_figure(
-    observed: Observations, keyframes: tuple[KeyframeSet, KeyframeSet], beta: float, title: str
+    observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet], beta: float, title: str
 ) -> Figure:
     """Draw the distance matrices D of both halves, dark where poses are alike (figure 3).
 

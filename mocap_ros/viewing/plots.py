@@ -17,7 +17,7 @@ from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
-from mocap_ros.skeleton import Skeleton
+from mocap_ros.skeleton import CMU15, Skeleton
 
 Array = NDArray[np.float64]
 
@@ -38,21 +38,21 @@ class PlotData:
 
     Attributes:
         times: (F,) s.
-        keypoints: (F, Jk, 3) x and y in px, and confidence score.
-        keypoint_skeleton: layout of the keypoints.
         joints: (F, J, 3) m, camera optical frame; NaN in frames without a result.
         seen: (F, J) True where a joint was seen, False where it was inferred.
         skeleton: skeleton of the joints.
         truth: (F, J, 3) m, same joints; or None.
+        keypoints: (F, Jk, 3) x and y in px, and confidence score; None to draw no 2D input.
+        keypoint_skeleton: layout of the keypoints.
     """
 
     times: Array
-    keypoints: Array
-    keypoint_skeleton: Skeleton
     joints: Array
     seen: NDArray[np.bool_]
     skeleton: Skeleton
     truth: Array | None = None
+    keypoints: Array | None = None
+    keypoint_skeleton: Skeleton = CMU15
 
 
 def choose_side_colour(joint: str) -> str:
@@ -88,7 +88,7 @@ def project_from_side(joints: Array) -> Array:
 def draw_poses_figure(data: PlotData, frames: Sequence[int], title: str, labels: Sequence[str]) -> Figure:
     """Draw selected frames in columns: the 2D input, then the 3D result from the camera and from the side.
 
-    If the truth is known, a plot of the error over time stands below.
+    The 2D input is left out where it is not known. Below is the error over time, where the truth is known.
 
     Args:
         data: reconstruction and input.
@@ -97,7 +97,8 @@ def draw_poses_figure(data: PlotData, frames: Sequence[int], title: str, labels:
         labels: title of each frame's column.
     """
     error_mm = _compute_error_mm(data)
-    rows = 3 + (error_mm is not None)
+    has_input = data.keypoints is not None
+    rows = 2 + has_input + (error_mm is not None)
     figure = Figure(figsize=(2.1 * len(frames) + 0.6, 2.35 * rows + 0.4), dpi=110)
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(rows, len(frames), hspace=0.08, wspace=0.05, top=0.88)
@@ -107,18 +108,18 @@ def draw_poses_figure(data: PlotData, frames: Sequence[int], title: str, labels:
         (project_from_side, 'from the side'),
     )
     for column, frame in enumerate(frames):
-        input_axes = figure.add_subplot(grid[0, column])
-        _draw_input(input_axes, data, frame)
-        input_axes.set_title(labels[column], fontsize=9)
-        for row, (projection, name) in enumerate(projections, start=1):
-            axes = figure.add_subplot(grid[row, column])
+        panels = [figure.add_subplot(grid[row, column]) for row in range(2 + has_input)]
+        panels[0].set_title(labels[column], fontsize=9)
+        if data.keypoints is not None:
+            _draw_input(panels[0], data.keypoints[frame], data.keypoint_skeleton)
+        for axes, (projection, _) in zip(panels[has_input:], projections, strict=True):
             _draw_pose(axes, data, frame, projection, radius)
-            if column == 0:
-                axes.set_ylabel(f'3D, {name}', fontsize=9)
         if column == 0:
-            input_axes.set_ylabel('2D input', fontsize=9)
+            names = ['2D input'] * has_input + [f'3D, {name}' for _, name in projections]
+            for axes, name in zip(panels, names, strict=True):
+                axes.set_ylabel(name, fontsize=9)
     if error_mm is not None:
-        _draw_error(figure.add_subplot(grid[3, :]), data, error_mm, frames)
+        _draw_error(figure.add_subplot(grid[-1, :]), data, error_mm, frames)
     figure.suptitle(title, fontsize=11, y=0.97, parse_math=False)
     figure.legend(
         handles=_make_legend_handles(data),
@@ -142,11 +143,10 @@ def _make_legend_handles(data: PlotData) -> list[Line2D]:
     return handles
 
 
-def _draw_input(axes: Any, data: PlotData, frame: int) -> None:
-    """Draw the keypoints of one frame."""
-    keypoints = data.keypoints[frame]
+def _draw_input(axes: Any, keypoints: Array, skeleton: Skeleton) -> None:
+    """Draw the keypoints (J, 3) of one frame."""
     points = np.where(keypoints[:, 2:] > 0, keypoints[:, :2], np.nan)
-    draw_bones(axes, points, data.keypoint_skeleton, linewidth=1.6)
+    draw_bones(axes, points, skeleton, linewidth=1.6)
     axes.scatter(points[:, 0], points[:, 1], s=5, color='black', zorder=3)
     seen = points[np.isfinite(points).all(axis=1)]
     if len(seen):
@@ -170,6 +170,8 @@ def _draw_pose(axes: Any, data: PlotData, frame: int, projection: Any, radius: f
         draw_bones(axes, points, data.skeleton, linewidth=1.8)
         inferred = points[~data.seen[frame]]
         axes.scatter(inferred[:, 0], inferred[:, 1], s=16, color=INFERRED_COLOUR, zorder=3)
+    else:
+        axes.text(0.5, 0.5, 'no skeleton', ha='center', va='center', transform=axes.transAxes)
     axes.set_xlim(-radius, radius)
     axes.set_ylim(radius, -radius)
     _remove_frame(axes)

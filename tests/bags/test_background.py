@@ -25,19 +25,17 @@ def test_a_slow_disk_loses_inputs_without_delaying_the_caller(
     monkeypatch.setattr(Recorder, 'write', lambda *a: disk_is_ready.wait() and write(*a))
     background = BackgroundRecorder(tmp_path / 'bag', RecorderConfig(backlog=5))
     journal = Journal('/mocap_node/journal')
-    start_s = time.monotonic()
     queued = 0
 
     def make_records(i: int) -> list[RecordedMessage]:
         times_ns = (START_NS + i, START_NS)
         return journal.make_input_records('/keypoints', KEYPOINTS, make_keypoints(i), times_ns, Verdict.ACCEPTED)
 
-    for i in range(20):
+    for i in range(20):  # none of these returns if the caller waits for the disk
         if background.put(make_records(i)):
             queued += 1
         else:
             journal.mark_last_input_lost()
-    assert time.monotonic() - start_s < 1
     assert queued in (5, 6)
     disk_is_ready.set()
     while not background.put([]):

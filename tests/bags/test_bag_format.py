@@ -14,12 +14,14 @@ import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader
 
 from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recovery import recover
 from mocap_ros.bags.topics import find_people_topics
 from mocap_ros.config import RecorderConfig
-from mocap_ros.messages.cdr import decode, typestore
+from mocap_ros.messages.cdr import DEFINITIONS_DISTRO, decode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS
 from tests.support.bag_writing import FRAMES, START_NS, STEP_NS, Message, write_bag
 
@@ -38,7 +40,10 @@ def test_rosbags_reads_the_folder_and_the_bare_file(recorded: tuple[Path, list[M
         with Reader(path) as reader:
             assert [(c.topic, t, bytes(raw)) for c, t, raw in reader.messages()] == expected
             assert reader.message_count == FRAMES + 1
-            durability = {c.topic: c.ext.offered_qos_profiles[0].durability.name for c in reader.connections}
+            durability = {}
+            for connection in reader.connections:
+                assert isinstance(connection.ext, ConnectionExtRosbag2)
+                durability[connection.topic] = connection.ext.offered_qos_profiles[0].durability.name
             assert durability == {'/keypoints': 'VOLATILE', '/skeleton_definition': 'TRANSIENT_LOCAL'}
         with AnyReader([path]) as any_reader:  # checks the type hashes of metadata.yaml against the definitions
             for connection, _, raw in any_reader.messages():
@@ -52,6 +57,7 @@ def test_mcap_reads_the_file_by_its_index(recorded: tuple[Path, list[Message]]) 
         reader = make_reader(file)
         summary = reader.get_summary()
         assert summary is not None
+        assert summary.statistics is not None
         assert summary.statistics.message_count == FRAMES + 1
         assert len(summary.chunk_indexes) >= FRAMES * STEP_NS / 0.4e9
         read = [(c.topic, m.log_time, m.publish_time, m.data) for _, c, m in reader.iter_messages()]
@@ -76,7 +82,7 @@ def test_mcap_reads_the_file_by_its_index(recorded: tuple[Path, list[Message]]) 
 @pytest.mark.skipif(shutil.which('rerun') is None, reason='rerun (pip install rerun-sdk) is not on the PATH')
 def test_rerun_accepts_every_topic(recorded: tuple[Path, list[Message]]) -> None:
     folder, _ = recorded
-    command = ['rerun', 'mcap', 'check', '--full', folder / f'{folder.name}_0.mcap']
+    command = ['rerun', 'mcap', 'check', '--full', str(folder / f'{folder.name}_0.mcap')]
     completed = subprocess.run(command, check=False, capture_output=True, text=True)
     assert completed.returncode == 0, completed.stdout + completed.stderr
     assert re.findall(r'^(\w+) +\d+ +\d+ +(/\S+)', completed.stdout, re.MULTILINE) == [
@@ -107,3 +113,53 @@ def test_our_reader_returns_the_recorded_messages(recorded: tuple[Path, list[Mes
     expected = [(topic, log_time_ns, data) for topic, log_time_ns, _, data in written[1:]]
     assert [(m.topic, m.time_ns, m.raw) for m in read] == expected
     assert {m.type for m in read} == {KEYPOINTS}
+
+
+def read_ros_distro(folder: Path) -> str:
+    """Return the distribution that the metadata beside the file and in the file name."""
+    beside = yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']['ros_distro']
+    with (folder / f'{folder.name}_0.mcap').open('rb') as file:
+        (metadata,) = [m for m in make_reader(file).iter_metadata() if m.name == 'rosbag2']
+    assert yaml.safe_load(metadata.metadata['serialized_metadata'])['ros_distro'] == beside
+    return str(beside)
+
+
+@pytest.mark.parametrize(
+    ('sourced', 'rclpy_version', 'expected'),
+    [
+        ('humble', '7.1.9', 'humble'),
+        ('', '7.1.9', 'jazzy'),
+        ('', '3.3.15', 'humble'),
+        ('', '99.0.0', DEFINITIONS_DISTRO),
+        ('rolling', '99.0.0', 'rolling'),
+    ],
+)
+def test_a_bag_names_the_distribution_that_is_sourced_or_to_which_rclpy_belongs(
+    sourced: str, rclpy_version: str, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    metadata = tmp_path / 'site' / f'rclpy-{rclpy_version}.dist-info' / 'METADATA'
+    metadata.parent.mkdir(parents=True)
+    metadata.write_text(f'Metadata-Version: 2.1\nName: rclpy\nVersion: {rclpy_version}\n')
+    monkeypatch.syspath_prepend(metadata.parents[1])
+    monkeypatch.setenv('ROS_DISTRO', sourced)
+    write_bag(tmp_path / 'bag', RecorderConfig())
+    assert read_ros_distro(tmp_path / 'bag') == expected
+
+
+def test_a_recovered_bag_names_the_distribution_of_the_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('ROS_DISTRO', 'jazzy')
+    write_bag(tmp_path / 'bag', RecorderConfig())
+    monkeypatch.setenv('ROS_DISTRO', 'kilted')
+    recover(tmp_path / 'bag', tmp_path / 'from_folder')
+    assert read_ros_distro(tmp_path / 'from_folder') == 'jazzy'
+    file = tmp_path / 'bag' / 'bag_0.mcap'
+    recover(file, tmp_path / 'from_file')
+    assert read_ros_distro(tmp_path / 'from_file') == 'jazzy'
+    cut = tmp_path / 'cut.mcap'
+    cut.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    recover(cut, tmp_path / 'from_cut')
+    assert not read_ros_distro(tmp_path / 'from_cut')
+    with Reader(tmp_path / 'from_cut') as reader:
+        assert reader.message_count

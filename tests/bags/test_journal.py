@@ -8,12 +8,18 @@ from mocap_ros.bags.journal import Entry, Journal, Verdict, decode_entry, encode
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.config import RecorderConfig
+from mocap_ros.config.defaults import Value
 from mocap_ros.messages.keypoints import KEYPOINTS
 from tests.support.bag_writing import START_NS, make_keypoints
 
 
 def test_journal_entries_round_trip() -> None:
-    parameters = {'solver.components': 20, 'tracker.model': 'all', 'solver.tolerance': 1e-05, 'x': True}
+    parameters: dict[str, Value] = {
+        'solver.components': 20,
+        'tracker.model': 'all',
+        'solver.tolerance': 1e-05,
+        'x': True,
+    }
     for entry in (
         Entry('input', 3, Verdict.BACKLOG, 'late', '/keypoints'),
         Entry('parameters', 0, parameters=parameters),

@@ -27,7 +27,7 @@ def test_paths_that_are_no_bags_are_refused(tmp_path: Path) -> None:
     (tmp_path / 'x.txt').write_bytes(b'no bag')
     os.mkfifo(tmp_path / 'pipe.mcap')
     for name, reason in {
-        'none': '',
+        'none': 'does not exist',
         'pipe.mcap': 'neither a file',
         'x.mcap': 'magic',
         'x.txt': 'storage',

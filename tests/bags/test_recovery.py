@@ -45,6 +45,17 @@ def read_frames(path: Path) -> list[int]:
         return [MESSAGES.index(m.raw) for m in bag.messages(['/keypoints'])]
 
 
+def find_chunks(bag: Path) -> list[tuple[int, int]]:
+    """Return the end of each chunk in a bag's file, in bytes, and the number of messages up to there."""
+    with (bag / f'{bag.name}_0.mcap').open('rb') as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    return [
+        (c.chunk_start_offset + c.chunk_length, (c.message_end_time - 1) // STEP_NS + 1)
+        for c in summary.chunk_indexes
+    ]
+
+
 def recover_frames(data: bytes, folder: Path) -> tuple[list[int], list[str]]:
     """Recover a damaged MCAP file; return the numbers of the recovered frames and the reported losses."""
     folder.mkdir()
@@ -56,18 +67,22 @@ def recover_frames(data: bytes, folder: Path) -> tuple[list[int], list[str]]:
 @pytest.mark.parametrize('compression', ['zstd', 'lz4', 'none'])
 def test_everything_before_a_cut_is_recovered(tmp_path: Path, compression: str) -> None:
     data = write_bag(tmp_path / 'bag', compression)
+    chunks = find_chunks(tmp_path / 'bag')
+    assert [count for _, count in chunks] == [*range(9, FRAMES, MAX_FRAMES_PER_CHUNK), FRAMES]
     rng = random.Random(0)
-    previous_count = 0
     for n, cut in enumerate(sorted(rng.randrange(3000, len(data)) for _ in range(15))):
         file = tmp_path / f'{n}.mcap'
         file.write_bytes(data[:cut])
         with pytest.raises(InputError, match=rf'{n}\.mcap: the recording was cut off .*`mocap-ros recover'):
             Bag(file)
         frames, losses = recover_frames(data[:cut], tmp_path / str(n))
+        in_whole_chunks = max((count for end, count in chunks if end <= cut), default=0)
         assert frames == list(range(len(frames)))
-        assert len(frames) >= previous_count
-        assert losses or len(frames) == FRAMES
-        previous_count = len(frames)
+        assert in_whole_chunks <= len(frames) < in_whole_chunks + MAX_FRAMES_PER_CHUNK
+        assert compression == 'none' or len(frames) == in_whole_chunks
+        # A cut behind the last message is a loss only where it is within a record.
+        assert len(losses) == 1 if cut < chunks[-1][0] else len(losses) <= 1
+        assert all('the file is cut off at byte' in loss for loss in losses)
 
 
 def test_complete_messages_of_an_incomplete_chunk_are_recovered(tmp_path: Path) -> None:
@@ -91,10 +106,15 @@ def test_a_flipped_bit_loses_at_most_a_chunk_and_is_always_reported(tmp_path: Pa
             assert read_frames(file) == list(range(FRAMES))
         except InputError as error:
             assert 'mocap-ros recover' in str(error)  # noqa: PT017
-        frames, losses = recover_frames(flipped, tmp_path / str(n))
+        frames, losses = recover_frames(bytes(flipped), tmp_path / str(n))
         assert frames == sorted(frames)
-        assert len(frames) >= FRAMES - MAX_FRAMES_PER_CHUNK
-        assert losses or len(frames) == FRAMES
+        missing = sorted(set(range(FRAMES)) - set(frames))
+        assert len(missing) <= MAX_FRAMES_PER_CHUNK
+        assert missing == list(range(missing[0], missing[-1] + 1) if missing else [])
+        counted = [loss for loss in losses if loss.endswith('messages are missing')]
+        assert [loss.rpartition(': ')[2] for loss in counted] == (
+            [f'{len(missing)} of {FRAMES} messages are missing'] if missing else []
+        )
 
 
 def test_recovery_continues_behind_garbage(tmp_path: Path) -> None:
@@ -108,7 +128,9 @@ def test_recovery_continues_behind_garbage(tmp_path: Path) -> None:
     assert any('damaged at byte' in loss for loss in losses)
 
 
-def test_attachments_and_qos_of_a_split_bag_are_recovered(tmp_path: Path) -> None:
+def test_attachments_and_qos_of_a_split_bag_are_recovered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bag = tmp_path / 'bag'
     with Recorder(
         bag, RecorderConfig(split_seconds=1.0), [Attachment('a.txt', 'text/plain', b'kept')]
@@ -123,12 +145,27 @@ def test_attachments_and_qos_of_a_split_bag_are_recovered(tmp_path: Path) -> Non
         Bag(bag)
     assert main(['recover', str(bag)]) == 0
     recovered = tmp_path / 'bag_recovered'
+    out, err = capsys.readouterr()
+    count = FRAMES + 3  # three further files repeat the latched message
+    assert (out, err) == (f'{recovered}: {count} messages on 1 topics\n', '')
     assert sorted(set(read_frames(recovered))) == list(range(FRAMES))
     with Bag(recovered) as opened:
         assert opened.qos['/keypoints'][0].durability.name == 'TRANSIENT_LOCAL'
     with (recovered / 'bag_recovered_0.mcap').open('rb') as file:
         attachments = list(make_reader(file).iter_attachments())
     assert {a.data for a in attachments} == {b'kept'}
+
+
+def test_the_command_says_what_it_could_not_recover(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = write_bag(tmp_path / 'bag')
+    file = tmp_path / 'cut.mcap'
+    file.write_bytes(data[: len(data) // 3])
+    assert main(['recover', str(file)]) == 0
+    out, err = capsys.readouterr()
+    assert re.fullmatch(rf'not recovered: {file}: the file is cut off at byte \d+: .*\n', err)
+    count = len(read_frames(tmp_path / 'cut_recovered'))
+    assert 0 < count < FRAMES
+    assert out == f'{tmp_path}/cut_recovered: {count} messages on 1 topics\n'
 
 
 def test_messages_of_the_write_ahead_log_are_recovered(tmp_path: Path) -> None:
@@ -167,7 +204,9 @@ def test_readable_rows_of_a_damaged_database_are_recovered(tmp_path: Path) -> No
         read_frames(tmp_path / 'x.db3')
     report = recover(tmp_path / 'x.db3', tmp_path / 'whole')
     assert re.search(r'about \d+ messages cannot be read', report.losses[0])
-    assert 30 < len(read_frames(tmp_path / 'whole')) < FRAMES
+    readable = [i for i, raw in enumerate(MESSAGES) if raw in data]
+    assert 30 < len(readable) < FRAMES
+    assert read_frames(tmp_path / 'whole') == readable
 
 
 def test_rows_of_an_incomplete_database_are_recovered_and_losses_estimated(tmp_path: Path) -> None:
@@ -176,7 +215,7 @@ def test_rows_of_an_incomplete_database_are_recovered_and_losses_estimated(tmp_p
         for i, raw in enumerate(MESSAGES):
             writer.write(connection, i * STEP_NS, raw)
     data = (tmp_path / 'bag' / 'bag.db3').read_bytes()
-    max_count = 0
+    counts = set()
     for cut in range(1, len(data) // 4096 + 1):  # whole pages and a part of the next
         for name, damaged in (
             ('cut', data[: cut * 4096 + 77]),
@@ -188,12 +227,14 @@ def test_rows_of_an_incomplete_database_are_recovered_and_losses_estimated(tmp_p
                 losses, frames = recover(file, out).losses, read_frames(out)
             except InputError as error:
                 losses, frames = [str(error)], []
-            assert losses or len(frames) == FRAMES
-            assert set(frames) <= set(range(FRAMES))
+            readable = [i for i, raw in enumerate(MESSAGES) if data.index(raw) < cut * 4096]
+            assert frames == readable[: len(frames)]
+            assert len(frames) >= len(readable) - 1  # an empty page may cost the row before it
+            assert bool(losses) == (len(frames) < FRAMES)
+            counts.add(len(frames))
             if estimate := re.search(r'about (\d+) messages', losses[0] if losses else ''):
                 assert int(estimate[1]) >= FRAMES - len(frames)
-            max_count = max(max_count, len(frames) % FRAMES)
-    assert max_count > FRAMES / 2
+    assert {0, FRAMES} < counts
 
 
 def test_messages_of_a_lost_topic_are_counted(tmp_path: Path) -> None:
@@ -241,7 +282,7 @@ def test_paths_without_messages_are_refused_and_leave_no_bag(tmp_path: Path) -> 
         'empty': 'no bag folder',
         'none.mcap': 'No such file',
         'x.mcap': 'no MCAP',
-        'y.mcap': '',
+        'y.mcap': 'cut off at byte 8: 500 bytes are no complete record',
         'pipe.mcap': 'not a file',
     }.items():
         with pytest.raises(InputError, match=f'{name}.*{reason}'):

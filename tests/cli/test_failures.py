@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ from tests.support.quick_options import QUICK_OPTIONS
             ['plot', 'RECORDING', '--set', 'solver.bone_wait=1'],
             "'solver.bone_wait'; did you mean 'solver.bone_weight'?",
         ),
-        (['evaluate', 'BAG'], 'bag: is a bag, expected a sequence file'),
+        (['evaluate', 'BAG'], 'bag: the bag cannot be read'),
         (['replay', 'BAG', '-o', 'bag'], 'bag: exists already; choose another -o'),
         (['reconstruct', 'RECORDING', '-o', '/nowhere/x.npz'], '/nowhere/x.npz'),
         (['evaluate', 'GARBAGE'], 'garbage.npz'),
@@ -49,12 +50,23 @@ from tests.support.quick_options import QUICK_OPTIONS
             ['config', '--set', f'solver.components={"[" * 9999}'],
             '--set solver.components: not YAML: nested too deep',
         ),
-        (['reconstruct', 'FOLDER'], 'folder: no *_keypoints.json in it'),
+        (
+            ['reconstruct', 'FOLDER'],
+            'folder: is a folder without a bag and without OpenPose JSON (*_keypoints.json)',
+        ),
         (
             ['reconstruct', 'RECORDING', '--fps', '30'],
             'demo.npz: --person, --topic, --fps, --image-size and --layout do not apply',
         ),
-        (['evaluate', 'FOLDER'], 'folder: Is a directory'),
+        (['evaluate', 'FOLDER'], 'folder: is a folder without a bag'),
+        (['evaluate', 'RECORDING', '--truth', 'FOLDER'], 'folder: is a folder without a bag'),
+        (['evaluate', 'RECORDING', '--person', '1'], 'demo.npz: --person does not apply to a sequence file'),
+        (
+            ['reconstruct', 'RECORDING', '-o', 'nowhere/x.npz'],
+            'x.npz: cannot be written: there is no folder nowhere',
+        ),
+        (['evaluate', 'RECORDING', '--json', 'folder'], 'folder: cannot be written: is a folder'),
+        (['reconstruct', r'C:\walk.npz'], 'No such file or directory; folders are separated by /'),
         (['train', 'FOLDER', '-o', 'x.npz'], 'folder: no .amc, .bvh, .c3d in it'),
         (['plot', 'RECORDING', '-o', 'x.xyz'], 'x.xyz: unknown picture format; can write'),
         (['plot', 'RECORDING', '-o', 'picture'], 'picture: unknown picture format; can write'),
@@ -62,7 +74,14 @@ from tests.support.quick_options import QUICK_OPTIONS
         (['train', 'TRIALS', '-o', 'x.npz'], 'trial 1_1: a body 0 m tall'),
     ],
 )
-def test_a_failure_is_one_line_on_stderr(recording, tmp_path, monkeypatch, capsys, arguments, message) -> None:
+def test_a_failure_is_one_line_on_stderr(
+    recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    message: str,
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'garbage.npz').write_bytes(b'PK\x03\x04 and then nothing of use')
     (tmp_path / 'bag').mkdir()
@@ -70,7 +89,8 @@ def test_a_failure_is_one_line_on_stderr(recording, tmp_path, monkeypatch, capsy
     (tmp_path / 'folder').mkdir()
     (tmp_path / 'bomb.yaml').write_text('a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]')
     (tmp_path / 'latin.csv').write_bytes(b'trial,subject\n\xff')
-    np.savez(tmp_path / 'trials.npz', **{'_joints': np.array(CMU15.joints), '1_1': np.zeros((9, 15, 3))})
+    trials: dict[str, Any] = {'_joints': np.array(CMU15.joints), '1_1': np.zeros((9, 15, 3))}
+    np.savez(tmp_path / 'trials.npz', **trials)
     path_of = {
         'RECORDING': str(recording),
         'GARBAGE': 'garbage.npz',
@@ -87,10 +107,57 @@ def test_a_failure_is_one_line_on_stderr(recording, tmp_path, monkeypatch, capsy
     assert 'pickle' not in error
 
 
+@pytest.mark.parametrize('command', ['reconstruct', 'plot', 'keyframes', 'evaluate', 'replay', 'recover'])
+@pytest.mark.parametrize(
+    ('name', 'reason'),
+    [
+        (
+            'walk.mp4',
+            'is a video; run a 2D keypoint detector on it, and give the keypoints as a sequence file (.npz)',
+        ),
+        ('walk.JPG', 'is an image; run a 2D keypoint detector on it'),
+        ('images', 'is a folder of images; run a 2D keypoint detector on it'),
+        ('empty.npz', 'is an empty file; expected'),
+        ('notes.txt', 'is a file of an unknown type; expected'),
+        ('walk.bvh', 'is of a format that mocap-ros writes but does not read; expected'),
+    ],
+)
+def test_an_input_that_no_command_reads_is_named(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    name: str,
+    reason: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'images').mkdir()
+    (tmp_path / 'images' / '0001.jpg').write_bytes(b'jpg')
+    (tmp_path / 'empty.npz').touch()
+    for file in ('walk.mp4', 'walk.JPG', 'notes.txt', 'walk.bvh'):
+        (tmp_path / file).write_bytes(b'content')
+    output = ['-o', 'out'] if command == 'replay' else []
+    assert main([command, name, *output]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f'mocap-ros: {name}: {reason}')
+
+
+@pytest.mark.parametrize('command', ['replay', 'recover'])
+def test_keypoints_that_are_no_bag_are_sent_to_reconstruct(
+    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    assert main([command, str(short_recording), '-o', str(tmp_path / 'out')]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == (
+        f'mocap-ros: {short_recording}: is a sequence file; expected a bag (folder, .mcap, .db3 or .bag); '
+        '`mocap-ros reconstruct` reads it'
+    )
+
+
 @pytest.mark.skipif(not Path('/dev/full').exists(), reason='no /dev/full here')
 @pytest.mark.parametrize('ending', ['.npz', '.csv', '.bvh', '.trc', '.png', '.json'])
 def test_a_full_disk_is_reported_with_the_name_of_the_file(
-    short_recording: Path, tmp_path: Path, capsys, ending: str
+    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str
 ) -> None:
     out = tmp_path / f'full{ending}'
     out.symlink_to('/dev/full')
@@ -99,7 +166,9 @@ def test_a_full_disk_is_reported_with_the_name_of_the_file(
     assert capsys.readouterr().err == f'mocap-ros: {out}: cannot be written: No space left on device\n'
 
 
-def test_an_input_file_is_never_overwritten(short_recording: Path, tmp_path: Path, capsys) -> None:
+def test_an_input_file_is_never_overwritten(
+    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bag = tmp_path / 'bag'
     with Recorder(bag, RecorderConfig()) as recorder:
         for due_ns, raw in encode_sequence(load_sequence(short_recording)):

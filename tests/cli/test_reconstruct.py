@@ -32,7 +32,9 @@ def test_reconstruct_writes_npz_and_csv(recording: Path, tmp_path: Path, method:
     assert np.array(rows[1][1:], float).reshape(15, 3) == pytest.approx(joints[0], abs=1e-5)
 
 
-def test_results_are_written_into_the_current_folder(recording: Path, tmp_path: Path, monkeypatch) -> None:
+def test_results_are_written_into_the_current_folder(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     quick = ['--set', 'solver.max_iterations=3']
     beside = set(recording.parent.iterdir())
@@ -41,8 +43,31 @@ def test_results_are_written_into_the_current_folder(recording: Path, tmp_path: 
     assert (tmp_path / 'demo.png').read_bytes().startswith(b'\x89PNG')
     assert {p.name for p in tmp_path.iterdir()} == {'demo.png', 'demo_3d.npz'}
     assert set(recording.parent.iterdir()) == beside
-    with pytest.raises(InputError, match=r'demo_3d\.npz: not a sequence file: a result of reconstruct; give'):
+    with pytest.raises(InputError, match=r'demo_3d\.npz: is a result of reconstruct; give the sequence file'):
         load_sequence('demo_3d.npz')
+
+
+def test_the_summary_says_that_the_solver_did_not_converge(
+    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ['reconstruct', str(short_recording), '-o', str(tmp_path / 'r.npz')]
+    assert main([*command, *QUICK_OPTIONS, '--set', 'solver.tolerance=0']) == 0
+    assert capsys.readouterr().out.endswith(
+        ' iterations. Not converged: the largest number of iterations was reached.\n'
+    )
+    assert main([*command, '--model', 'walk']) == 0
+    assert capsys.readouterr().out.endswith(' iterations\n')
+
+
+def test_the_options_for_blender_are_printed_with_a_bvh_file(
+    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for suffix in ('trc', 'bvh'):
+        output = str(tmp_path / f'r.{suffix}')
+        assert main(['reconstruct', str(short_recording), '-o', output, *QUICK_OPTIONS]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [' 0.01,' in line for line in lines] == [False, False, True]
+    assert lines[-1].startswith(f'{tmp_path / "r.bvh"}: in cm, y up, as for a level camera. In Blender: ')
 
 
 @pytest.mark.filterwarnings('error')
@@ -85,7 +110,9 @@ def test_a_picture_explains_its_colours_and_lines(recording: Path) -> None:
     ]  # fmt: skip
     (errors, share) = figure.axes[-2:]
     assert (errors.get_ylabel(), share.get_ylabel()) == ('3D error, mm', 'joints not seen')
-    assert [t.get_text() for t in share.get_legend().get_texts()] == [
+    legend = share.get_legend()
+    assert legend is not None
+    assert [t.get_text() for t in legend.get_texts()] == [
         '3D error',
         'joints not seen',
         'frames above',
@@ -93,7 +120,35 @@ def test_a_picture_explains_its_colours_and_lines(recording: Path) -> None:
 
 
 @pytest.mark.filterwarnings('error')
-def test_any_file_name_is_a_valid_title_of_a_picture(short_recording: Path, tmp_path: Path, monkeypatch) -> None:
+def test_any_file_name_is_a_valid_title_of_a_picture(
+    short_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(['plot', str(short_recording), '--poses', '2', *QUICK_OPTIONS]) == 0
     assert (tmp_path / '$x^{_$.png').stat().st_size > 1000
+
+
+def test_a_result_is_drawn_as_it_is(
+    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ('r.npz', 'r.mcap'):
+        assert main(['reconstruct', str(short_recording), '-o', str(tmp_path / name), *QUICK_OPTIONS]) == 0
+        assert main(['plot', str(tmp_path / name), '-o', str(tmp_path / 'p.png'), '--poses', '3']) == 0
+        assert (tmp_path / 'p.png').read_bytes().startswith(b'\x89PNG')
+        (tmp_path / 'p.png').unlink()
+        capsys.readouterr()
+        assert main(['plot', str(tmp_path / name), '-o', str(tmp_path / 'p.png'), '--model', 'walk']) == 1
+        assert f'{name}: holds a result, which is drawn as it is; --topic' in capsys.readouterr().err
+        assert not (tmp_path / 'p.png').exists()
+
+
+def test_a_picture_without_input_shows_the_result_from_two_sides() -> None:
+    joints = np.random.default_rng(0).normal(size=(3, 15, 3))
+    joints[0] = np.nan
+    data = plots.PlotData(np.arange(3) / 30, joints, np.ones((3, 15), bool), CMU15)
+    figure = plots.draw_poses_figure(data, [0, 2], 'title', ['a', 'b'])
+    assert [axes.get_ylabel() for axes in figure.axes] == ['3D, from the camera', '3D, from the side', '', '']
+    assert [[t.get_text() for t in axes.texts] for axes in figure.axes] == [['no skeleton']] * 2 + [[]] * 2
+    whole = replace(data, keypoints=np.ones((3, 17, 3)), keypoint_skeleton=keypoint_layout('coco17'))
+    figure = plots.draw_poses_figure(whole, [2], 'title', ['a'])
+    assert [axes.get_ylabel() for axes in figure.axes] == ['2D input', '3D, from the camera', '3D, from the side']

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
+from importlib.metadata import version
 
 import pytest
 
-from mocap_ros.cli.main import build_parser, main
+from mocap_ros.cli.main import COMMANDS, build_parser, main
+
+SLOW_PACKAGES = {'numpy', 'scipy', 'matplotlib', 'rosbags', 'rclpy', 'mcap'}
 
 
 def test_every_option_is_described_with_its_default() -> None:
@@ -24,3 +29,56 @@ def test_wrong_usage_exits_with_2() -> None:
         with pytest.raises(SystemExit) as stopped:
             main(arguments)
         assert stopped.value.code == 2
+
+
+@pytest.mark.parametrize('arguments', [['--help'], ['--version'], ['config', '--help'], []])
+def test_help_waits_for_no_slow_package(arguments: list[str]) -> None:
+    code = (
+        'import sys\n'
+        'from mocap_ros.cli.main import main\n'
+        'try:\n'
+        f'    main({arguments})\n'
+        'finally:\n'
+        "    print('imported:', *{name.partition('.')[0] for name in sys.modules})"
+    )
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=False)
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith('imported:')]
+    imported = set(line.split())
+    assert 'mocap_ros' in imported
+    assert not imported & SLOW_PACKAGES
+
+
+def test_the_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(['--help'])
+    assert stopped.value.code == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines if line.startswith(' ' * 4) and line[4] != ' '] == list(COMMANDS)
+
+
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(['--version'])
+    assert stopped.value.code == 0
+    assert capsys.readouterr().out == f'mocap-ros {version("mocap_ros")}\n'
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'reason'),
+    [
+        (['recontruct', 'x.npz'], "no command 'recontruct'; did you mean 'reconstruct'?"),
+        (
+            ['--fps', '30', 'reconstruct', 'x.json'],
+            "'--fps' comes before the command; write: mocap-ros",
+        ),
+        (['x.npz', 'plot'], "'x.npz' comes before the command; write: mocap-ros plot"),
+        (['x.npz'], "no command 'x.npz'; there are demo, reconstruct"),
+        (['reconstruct', 'x.json', '--fps', 'fast'], "argument --fps: 'fast' is not a number"),
+        (['replay', 'x', '-o', 'y', '--jobs', 'two'], "argument --jobs: 'two' is not a positive whole number"),
+    ],
+)
+def test_wrong_usage_is_explained(capsys: pytest.CaptureFixture[str], arguments: list[str], reason: str) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 2
+    assert reason in capsys.readouterr().err.splitlines()[-1]

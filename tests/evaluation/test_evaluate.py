@@ -2,6 +2,8 @@
 
 import json
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,8 +33,13 @@ def truth() -> np.ndarray:
     return poses + [0.2, -0.1, 4.0]
 
 
-def evaluate_joints(joints: np.ndarray, truth: np.ndarray, **arguments: object) -> Evaluation:
-    given = {'residual': np.full(len(truth), 2.0), 'truth_names': CMU15.joints, 'fps': 30.0, **arguments}
+def evaluate_joints(joints: np.ndarray, truth: np.ndarray, **arguments: Any) -> Evaluation:
+    given: dict[str, Any] = {
+        'residual': np.full(len(truth), 2.0),
+        'truth_names': CMU15.joints,
+        'fps': 30.0,
+        **arguments,
+    }
     return evaluate(joints, CMU15, truth=truth, **given)
 
 
@@ -81,7 +88,8 @@ def test_failed_frames_are_counted_and_leave_no_errors_if_all_fail(truth: np.nda
     joints = truth.copy()
     joints[3] = np.nan
     assert evaluate_joints(joints, truth).failed_frames == 1
-    counts_only = Evaluation(*[None] * 8, 15, FRAMES, FRAMES, math.nan, math.nan, 30.0)
+    none = dict.fromkeys(RECORD_KEYS[:8])
+    counts_only = replace(evaluate_joints(joints, truth), **none)  # type: ignore[arg-type]
     assert list(counts_only.as_dict()) == RECORD_KEYS[8:]
 
 
@@ -102,7 +110,7 @@ def test_failed_frames_are_counted_and_leave_no_errors_if_all_fail(truth: np.nda
     ],
 )
 def test_refusals_name_the_field(truth: np.ndarray, change: dict[str, object], message: str) -> None:
-    arguments = {'joints': truth, 'truth': truth, **change}
+    arguments: dict[str, Any] = {'joints': truth, 'truth': truth, **change}
     with pytest.raises(InputError, match=message):
         evaluate_joints(**arguments)
 

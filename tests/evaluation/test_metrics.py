@@ -1,5 +1,7 @@
 """Errors agree with the measuring protocol, and each alignment removes what its name says."""
 
+from types import ModuleType
+
 import numpy as np
 import pytest
 
@@ -8,14 +10,16 @@ from mocap_ros.evaluation import metrics
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.skeleton import CMU15
 
+Poses = tuple[np.ndarray, np.ndarray]  # found and true, (F, 15, 3) m
+
 
 @pytest.fixture
-def poses(rng: np.random.Generator):
+def poses(rng: np.random.Generator) -> Poses:
     truth = np.cumsum(rng.normal(scale=0.02, size=(30, 15, 3)), axis=0) + rng.normal(size=(15, 3))
     return truth + 0.03 * rng.normal(size=truth.shape), truth
 
 
-def test_agrees_with_the_protocol(protocol, poses) -> None:
+def test_agrees_with_the_protocol(protocol: ModuleType, poses: Poses) -> None:
     predicted, truth = poses
     predicted[7] = np.nan
     computed = metrics.compute_errors(predicted, truth, fps=30.0)
@@ -24,7 +28,9 @@ def test_agrees_with_the_protocol(protocol, poses) -> None:
     assert computed == pytest.approx(expected, abs=1e-6)
 
 
-def test_agrees_with_the_protocol_on_limbs_and_badly_seen_frames(protocol, poses, rng) -> None:
+def test_agrees_with_the_protocol_on_limbs_and_badly_seen_frames(
+    protocol: ModuleType, poses: Poses, rng: np.random.Generator
+) -> None:
     predicted, truth = poses
     score = rng.random((30, 15))
     keypoints = np.dstack([truth[..., :2], score])
@@ -36,7 +42,7 @@ def test_agrees_with_the_protocol_on_limbs_and_badly_seen_frames(protocol, poses
     assert metrics.compute_errors(predicted[:, a], truth[:, b], 30.0, seen) == pytest.approx(expected, abs=1e-6)
 
 
-def test_each_alignment_removes_what_its_name_says(poses) -> None:
+def test_each_alignment_removes_what_its_name_says(poses: Poses) -> None:
     _, truth = poses
     turned = 1.3 * truth @ rotation_from_vector(np.array([0.1, 0.5, -0.2])).T + [1, 2, 3]
     errors = metrics.compute_errors(turned, truth, 30.0)

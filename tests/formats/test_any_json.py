@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -34,6 +34,14 @@ def test_any_json_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, c
     folder = tmp_path_factory.mktemp('any')
     for path in (folder / 'a.json', folder / 'a_0_keypoints.json'):
         path.write_text(json.dumps(content))
-    for path in (folder / 'a.json', folder):
-        with contextlib.suppress(MocapError):
-            load_input(path, VIDEO, LIMITS)
+    check_read_or_refused(folder / 'a.json')
+    check_read_or_refused(folder)
+
+
+def check_read_or_refused(path: Path) -> None:
+    try:
+        sequence, _ = load_input(path, VIDEO, LIMITS)
+    except MocapError as error:
+        assert str(path) in str(error)  # noqa: PT017
+    else:
+        assert len(sequence) > 0

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mocap_ros.errors import InputError
-from mocap_ros.formats.coco_json import load_coco
+from mocap_ros.formats.coco_json import MIN_PERSON_SCORE, load_coco
 from mocap_ros.formats.detections import Video, select_person
 from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.runtime.load_keypoints import load_input
@@ -82,6 +82,16 @@ def test_every_form_gives_the_same_keypoints(tmp_path: Path, walker: KeypointSeq
     path = tmp_path / 'people.json'
     path.write_text(json.dumps(FORMS[form](flatten_keypoints(walker))))
     check_same_keypoints(load_coco(path, VIDEO), walker)
+
+
+def test_people_with_a_low_score_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / 'people.json'
+    scores = [MIN_PERSON_SCORE, 0.99 * MIN_PERSON_SCORE, 0.3]
+    keypoints = [[100.0 * (i + 1), 50.0, 1.0] * 17 for i in range(len(scores))]
+    people = [{'image_id': 1, 'keypoints': k, 'score': s} for k, s in zip(keypoints, scores, strict=True)]
+    path.write_text(json.dumps(people))
+    ((first, second),) = load_coco(path, VIDEO).people
+    assert [first.points[0, 0], second.points[0, 0]] == [100, 300]
 
 
 def test_annotations_give_names_size_and_visibility(tmp_path: Path, walker: KeypointSequence) -> None:

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
-import numpy as np
+import json
+from pathlib import Path
 
-from mocap_ros.formats.detections import Detections, associate_people, create_person, select_person
+import numpy as np
+import pytest
+
+from mocap_ros.formats.coco_json import load_coco
+from mocap_ros.formats.detections import Detections, Video, associate_people, create_person, select_person
+from mocap_ros.formats.openpose_json import load_openpose
+from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.keypoints.person import Person2D
+from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.units import NS_PER_S
+from tests.support.evaluation_data import shared
+
+COCO17 = keypoint_layout('coco17').joints
 
 
 def make_standing_person(x: float, person_id: str = '') -> Person2D:
@@ -43,3 +54,42 @@ def test_a_person_alone_stays_the_same_through_any_gap() -> None:
     assert len(associate_people(make_detections(people))) == 1
     named = [[make_standing_person(100, 'a')], [make_standing_person(500, 'b')], [make_standing_person(100, 'a')]]
     assert [t.id for t in associate_people(make_detections(named))] == ['a', 'b']
+
+
+@pytest.mark.parametrize('file_format', ['openpose', 'coco'])
+def test_detections_of_two_cameras_side_by_side_stay_two_people(tmp_path: Path, file_format: str) -> None:
+    """Real detections of two people who stand close, in changing order and with gaps, survive a round trip."""
+    sequences = [load_sequence(shared(f'data/detections/balance_openpose_cam{camera}.npz')) for camera in (1, 2)]
+    order = [sequences[0].joint_names.index(name) for name in COCO17]
+    keypoints = [sequence.keypoints[:, order] + [150.0 * i, 0, 0] for i, sequence in enumerate(sequences)]
+    rng = np.random.default_rng(0)
+    frames: list[list[tuple[int, list[float]]]] = []
+    for frame in range(len(keypoints[0])):
+        people = [
+            (i, np.nan_to_num(k[frame]).ravel().tolist())
+            for i, k in enumerate(keypoints)
+            if (k[frame, :, 2] > 0).any() and rng.random() > 0.05 * (1 + i)
+        ]
+        frames.append([people[i] for i in rng.permutation(len(people))])
+    video = Video(fps=30.0, image_size=(1920, 1080), layout='coco17')
+    if file_format == 'openpose':
+        for number, people in enumerate(frames):
+            content = {'people': [{'pose_keypoints_2d': k} for _, k in people]}
+            (tmp_path / f'{number}_keypoints.json').write_text(json.dumps(content))
+        detections = load_openpose(tmp_path, video)
+    else:
+        annotations = [{'image_id': n, 'keypoints': k} for n, people in enumerate(frames) for _, k in people]
+        images = [{'id': n} for n in range(len(frames))]
+        (tmp_path / 'people.json').write_text(json.dumps({'images': images, 'annotations': annotations}))
+        detections = load_coco(tmp_path / 'people.json', video)
+
+    seen_in = [[n for n, people in enumerate(frames) if i in dict(people)] for i in range(2)]
+    tracks = associate_people(detections)
+    assert sorted(list(track.detection_by_frame) for track in tracks) == sorted(seen_in)
+    chosen, _ = select_person(detections)
+    index = max(range(2), key=lambda i: len(seen_in[i]))
+    assert chosen.joint_names == COCO17
+    frames_of_chosen = np.array(seen_in[index])
+    assert chosen.keypoints[frames_of_chosen - frames_of_chosen[0]] == pytest.approx(
+        keypoints[index][frames_of_chosen], abs=1e-3, nan_ok=True
+    )

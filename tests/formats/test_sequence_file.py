@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -95,7 +96,7 @@ def set_element(arrays: dict[str, Any], key: str, index: Any, value: float) -> N
     arrays[key][index] = value
 
 
-INVALID = {
+INVALID: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     'missing key': (lambda a: a.pop('keypoints'), 'keypoints: missing'),
     'pickled': (
         lambda a: a.update(keypoints=np.array([None], object)),
@@ -129,7 +130,7 @@ INVALID = {
     ),
     'a result': (
         lambda a: a.update(theta=np.zeros(0), residual_px=np.zeros(0)),
-        'not a sequence file: a result of reconstruct; give the sequence file',
+        'is a result of reconstruct; give the sequence file',
     ),
     'repeated stamp': (
         lambda a: set_element(a, 'timestamps', 2, 1 / 30),
@@ -142,6 +143,14 @@ INVALID = {
     'stamp not finite': (
         lambda a: set_element(a, 'timestamps', 1, np.nan),
         'timestamps: frame 1: nan s',
+    ),
+    'stamp in milliseconds since 1970': (
+        lambda a: a.update(timestamps=1.76e12 + np.arange(FRAMES) * 33.3),
+        r'timestamps: frame 0: 1\.76e\+12 s: looks like milliseconds; s expected$',
+    ),
+    'transposed image': (
+        lambda a: a.update(keypoints=a['keypoints'] + [400, -50, 0], image_size=np.array([480, 1000])),
+        r'image_size: \d+% of .* lie outside 480 x 1000 px, but inside 1000 x 480 px: .* look transposed$',
     ),
     'no frames': (lambda a: a.update(timestamps=np.zeros(0)), 'timestamps: no frames'),
     'no image': (lambda a: set_element(a, 'image_size', 1, 0), 'image_size: 640 x 0 px'),
@@ -175,6 +184,27 @@ def test_invalid_content_is_refused_by_file_key_and_frame(
     with pytest.raises(InputError, match=rf'walk\.npz: {message}') as caught:
         load_sequence(path)
     assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize(('per_s', 'unit'), [(1e3, 'milliseconds'), (1e6, 'microseconds'), (1e9, 'nanoseconds')])
+def test_timestamps_in_another_unit_are_refused(
+    tmp_path: Path, sequence: KeypointSequence, per_s: float, unit: str
+) -> None:
+    path = tmp_path / 'walk.npz'
+    frames = 60
+    keypoints = np.repeat(sequence.keypoints[:1], frames, axis=0)
+    times = np.arange(frames) / 30
+    save_sequence(path, replace(sequence, keypoints=keypoints, timestamps=times, truth=None))
+    assert len(load_sequence(path)) == frames
+    save_sequence(path, replace(sequence, keypoints=keypoints, timestamps=times * per_s, truth=None))
+    expected = rf'walk\.npz: timestamps: {per_s / 30:.9g} s from frame to frame: looks like {unit}; s expected$'
+    with pytest.raises(InputError, match=expected.replace('+', r'\+')):
+        load_sequence(path)
+
+
+def test_a_few_pictures_at_long_intervals_are_accepted(tmp_path: Path, sequence: KeypointSequence) -> None:
+    save_sequence(tmp_path / 'walk.npz', replace(sequence, timestamps=np.linspace(0, 20.0 * (FRAMES - 1), FRAMES)))
+    assert load_sequence(tmp_path / 'walk.npz').timestamps[-1] == (FRAMES - 1) * 20.0
 
 
 def test_invalid_files_are_refused(tmp_path: Path, sequence: KeypointSequence) -> None:

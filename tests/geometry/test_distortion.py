@@ -24,6 +24,17 @@ def test_undistort_inverts_distort(lens: Distortion) -> None:
     assert lens.undistort(shown) == pytest.approx(points, abs=1e-6)
 
 
+def test_plumb_bob_is_the_model_of_camera_info() -> None:
+    point = np.array([0.3, -0.2])  # x^2 + y^2 = 0.13
+    for coefficients, expected in (
+        ((1.0, 0.0, 0.0, 0.0), [0.3 * 1.13, -0.2 * 1.13]),
+        ((0.0, 1.0, 0.0, 0.0), [0.3 * 1.0169, -0.2 * 1.0169]),
+        ((0.0, 0.0, 1.0, 0.0), [0.3 - 2 * 0.06, -0.2 + 0.13 + 2 * 0.04]),  # p1: 2 x y, r^2 + 2 y^2
+        ((0.0, 0.0, 0.0, 1.0), [0.3 + 0.13 + 2 * 0.09, -0.2 - 2 * 0.06]),  # p2: r^2 + 2 x^2, 2 x y
+    ):
+        assert Distortion('plumb_bob', coefficients).distort(point) == pytest.approx(expected)
+
+
 def test_equidistant_radius_is_the_angle() -> None:
     shown = Distortion('equidistant', (0.0, 0.0, 0.0, 1e-9)).distort(np.array([1.0, 0.0]))
     assert shown == pytest.approx([np.pi / 4, 0.0], abs=1e-8)

@@ -1,4 +1,4 @@
-"""Intrinsics that no camera can have are rejected."""
+"""Pixels and rays by the camera matrix; intrinsics that no camera can have are rejected."""
 
 from __future__ import annotations
 
@@ -7,6 +7,23 @@ import pytest
 
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
+
+
+def test_points_and_rays_follow_the_camera_matrix() -> None:
+    camera = Intrinsics.from_matrix(np.array([[500.0, 0, 320], [0, 600, 240], [0, 0, 1]]))
+    points = np.array([[1.0, -2.0, 4.0], [0.0, 0.0, 1.0]])
+    pixels = np.array([[500 * 0.25 + 320, 600 * -0.5 + 240], [320, 240]])
+    assert camera.project(points) == pytest.approx(pixels)
+    assert camera.pixels_to_rays(pixels) == pytest.approx(np.array([[0.25, -0.5], [0, 0]]), abs=1e-12)
+    assert camera.focal == pytest.approx(np.sqrt(500 * 600))
+    assert camera.is_focal_known
+
+
+def test_a_nominal_focal_length_is_in_image_widths() -> None:
+    camera = Intrinsics.from_image_size(640, 480, 1.2)
+    assert camera.focal == pytest.approx(768)
+    assert (camera.center, camera.aspect) == ((320, 240), 1)
+    assert not camera.is_focal_known
 
 
 @pytest.mark.parametrize('entry', [(0, 0, 1e200), (0, 0, 1e-200), (0, 2, 1e308), (1, 2, float('nan'))])

@@ -6,13 +6,18 @@ import pytest
 from mocap_ros.keypoints.association import (
     BASE_GATE,
     GATE_GROWTH_PER_S,
+    UNPREDICTED_GATE_GROWTH_PER_S,
     ExpectedExtent,
     Extent,
     associate,
+    associate_keypoints,
     compute_distance,
     compute_gate,
+    compute_keypoint_distance,
     measure_extent,
 )
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.skeleton import keypoint_layout
 
 FRAME_S = 1 / 30
 
@@ -77,3 +82,43 @@ def test_the_gate_widens_while_a_person_is_not_seen() -> None:
 def test_nobody_expected_or_nobody_detected() -> None:
     assert associate([], [detected(0.0)]) == [None]
     assert associate([expected(0.0)], []) == []
+
+
+def make_person(x: float, y: float = 0.0, seen: int = 17) -> Person2D:
+    """Return a person 100 px tall whose upper left corner is at (x, y), of whom the first keypoints are seen."""
+    points = np.stack([x + np.linspace(0, 30, 17), y + np.linspace(0, 100, 17)], axis=1)
+    score = np.where(np.arange(17) < seen, 0.9, 0.0)
+    return Person2D('', keypoint_layout('coco17').joints, np.where(score[:, None] > 0, points, np.nan), score)
+
+
+def test_the_distance_of_keypoints_is_their_median_in_sizes_of_the_larger_person() -> None:
+    size = measure_extent(make_person(0).points, np.ones(17)).size
+    assert compute_keypoint_distance(make_person(0), make_person(60)) == pytest.approx(60 / size)
+    assert compute_keypoint_distance(make_person(0, seen=5), make_person(60)) == pytest.approx(60 / size)
+    moved = make_person(60)
+    moved.points[3] += 1000  # one keypoint that was found elsewhere
+    assert compute_keypoint_distance(make_person(0), moved) < 65 / size
+    other_layout = Person2D('', ('a',), np.array([[15.0, 50.0]]), np.ones(1))
+    assert compute_keypoint_distance(make_person(0), other_layout) == pytest.approx(0, abs=1e-9)
+
+
+def test_keypoints_tell_people_apart_of_whom_little_is_seen() -> None:
+    """Without its lower half the right person is nearest to the left one by centre and size."""
+    known = [make_person(0), make_person(60)]
+    assert associate_keypoints(known, [0.1, 0.1], [make_person(52, seen=6), make_person(2)]) == [1, 0]
+
+
+def test_a_person_who_is_gone_does_not_push_others_to_wrong_people() -> None:
+    """Both detections are within reach of other people, but the first is where the second person was."""
+    known = [make_person(0), make_person(25)]
+    assert associate_keypoints(known, [0.0, 0.0], [make_person(25), make_person(25, y=25)]) == [1, None]
+
+
+def test_the_gate_of_keypoints_widens_with_the_time_since_a_person_was_seen() -> None:
+    size = measure_extent(make_person(0).points, np.ones(17)).size
+    for age_s in (0.0, 0.5, 2.0):
+        gate = (BASE_GATE + UNPREDICTED_GATE_GROWTH_PER_S * age_s) * size
+        assert associate_keypoints([make_person(0)], [age_s], [make_person(0.99 * gate)]) == [0]
+        assert associate_keypoints([make_person(0)], [age_s], [make_person(1.01 * gate)]) == [None]
+    assert associate_keypoints([], [], [make_person(0)]) == [None]
+    assert associate_keypoints([make_person(0)], [0.0], []) == []

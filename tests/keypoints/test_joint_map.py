@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mocap_ros.errors import SkeletonError
-from mocap_ros.keypoints.joint_map import build_joint_map
+from mocap_ros.keypoints.joint_map import build_joint_map, map_to_model_joints
 from mocap_ros.skeleton import CMU15, LAYOUT_NAMES, keypoint_layout
 
 
@@ -37,6 +37,15 @@ def test_missing_joints_are_derived_in_order_of_precision() -> None:
     mapped, mapped_score = build_joint_map(joints).apply(points, score)
     assert np.isnan(mapped[CMU15.index('neck')]).all()
     assert mapped_score[CMU15.index('neck')] == 0
+
+
+def test_a_keypoint_whose_score_reaches_the_least_counts_as_seen() -> None:
+    names = CMU15.joints
+    score = np.where(np.arange(15) % 2, 0.3, 0.3 - 1e-9)
+    points, weight = map_to_model_joints(np.full((15, 2), 7.0), score, names, min_score=0.3)
+    is_seen = np.arange(15) % 2 == 1
+    assert weight.tolist() == np.where(is_seen, 0.3, 0.0).tolist()
+    assert points.tolist() == [[7.0 * seen] * 2 for seen in is_seen]
 
 
 def test_too_few_or_repeated_joints_are_refused() -> None:

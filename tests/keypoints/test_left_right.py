@@ -6,7 +6,10 @@ import pytest
 from mocap_ros.keypoints.association import measure_extent
 from mocap_ros.keypoints.left_right import (
     INITIAL_SWAP_COST,
+    MAX_VELOCITY_GAP_S,
+    VELOCITY_TIME_S,
     SwapFilter,
+    ViterbiPaths,
     compute_transition_cost,
     find_swapped_frames,
 )
@@ -94,6 +97,27 @@ def test_dropping_the_oldest_frames_keeps_the_later_decisions(walk: np.ndarray) 
     assert shortened.paths is not None
     assert shortened.paths.is_swapped.shape == (2, FRAMES - 30)
     assert swap_filter.drop_oldest(0) is swap_filter
+
+
+def test_velocities_are_smoothed_and_forgotten_after_a_gap() -> None:
+    speed = np.array([300.0, -120.0])  # px/s
+    seen = np.ones((2, 15), bool)
+
+    def make_points(time_s: float) -> np.ndarray:
+        return np.broadcast_to(speed * time_s, (2, 15, 2))
+
+    paths = ViterbiPaths.initialise(0.0, make_points(0.0), seen)
+    for frame in range(1, 4):
+        time_s = frame / 30
+        paths = paths.advance(time_s, make_points(time_s), seen, np.zeros(2), np.array([0, 1]))
+        share = 1 - np.exp(-time_s / VELOCITY_TIME_S)
+        assert paths.velocity == pytest.approx(np.broadcast_to(share * speed, (2, 15, 2)))
+    after_short_gap, after_long_gap = (
+        paths.advance(0.1 + gap_s, make_points(0.1 + gap_s), seen, np.zeros(2), np.array([0, 1]))
+        for gap_s in (0.9 * MAX_VELOCITY_GAP_S, 1.1 * MAX_VELOCITY_GAP_S)
+    )
+    assert after_short_gap.velocity[0, 0] == pytest.approx(speed, rel=0.02)
+    assert not after_long_gap.velocity.any()
 
 
 def test_transition_probabilities_are_those_of_the_chain() -> None:

@@ -26,8 +26,8 @@ from mocap_ros.messages.skeletons import (
     encode_skeleton_definition,
     encode_skeletons,
 )
-from mocap_ros.people import Motion, MotionKind, Person3D
 from mocap_ros.skeleton import CMU15, keypoint_layout
+from tests.support.people import make_person_3d
 
 LIMITS = NodeConfig()
 HEADER = Header(12_345_678_901, 'camera')
@@ -37,23 +37,6 @@ SIZE = (640, 480)
 def make_person_2d(person_id: str = '', joints: tuple[str, ...] = keypoint_layout('coco17').joints) -> Person2D:
     points = np.arange(2.0 * len(joints)).reshape(-1, 2)
     return Person2D(person_id, joints, points, np.full(len(joints), 0.5))
-
-
-def make_person_3d(person_id: str, x: float = 0.0) -> Person3D:
-    joints = np.arange(45.0).reshape(15, 3) + x
-    return Person3D(
-        id=person_id,
-        joints=joints,
-        std=np.full(15, np.nan),
-        inferred=np.arange(15) == 2,
-        scale=120.0,
-        rotation=Rotation.from_euler('zx', [30, 80], degrees=True).as_matrix(),
-        translation=np.array([320.0, 240.0]),
-        motion=Motion(MotionKind.UNKNOWN, 'all', 0.1, float('nan')),
-        residual=2.5,
-        scale_known=True,
-        predicted=False,
-    )
 
 
 @pytest.mark.parametrize('joints', [keypoint_layout('coco17').joints, ('neck', 'pelvis', 'lknee', 'rknee')])

@@ -1,22 +1,33 @@
-"""Standard deviations of joint positions: their sources, and inferred joints are less certain."""
+"""Standard deviations of joint positions: the formulas of the module, their sources, and less certain joints."""
+
+from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from mocap_ros.models import joint_std
 from mocap_ros.models.joint_std import estimate_joint_std
 
-POSTERIOR_STD = np.array([0.01, 0.01, 0.05])
+POSTERIOR_STD = np.array([0.01, 0.01, 0.05])  # m
 INFERRED = np.array([False, True, False])
+LIFTER_STD = np.array([[0.02, 0.03, 0.06], [0.02, 0.03, 0.06], [np.nan] * 3])  # m; 0.07 m together
 
 
-def test_the_posterior_is_scaled_and_has_a_floor() -> None:
-    small, _, large = estimate_joint_std(POSTERIOR_STD, INFERRED)
-    assert 0.02 < small < large
-    assert (estimate_joint_std(np.zeros(3), INFERRED) > 0.01).all()
+def test_without_a_lifter_the_posterior_is_scaled_and_has_a_floor() -> None:
+    seen, inferred, far = estimate_joint_std(POSTERIOR_STD, INFERRED)
+    for std, factor, posterior in (
+        (seen, joint_std.POSTERIOR_FACTOR_SEEN, 0.01),
+        (inferred, joint_std.POSTERIOR_FACTOR_INFERRED, 0.01),
+        (far, joint_std.POSTERIOR_FACTOR_SEEN, 0.05),
+    ):
+        assert std**2 == pytest.approx((factor * posterior) ** 2 + joint_std.POSTERIOR_FLOOR_M**2)
+    assert inferred > seen, 'an inferred joint is less certain than a seen one with the same posterior'
+    assert estimate_joint_std(np.zeros(3), INFERRED) == pytest.approx(joint_std.POSTERIOR_FLOOR_M)
 
 
 def test_the_lifter_decides_where_it_lifted_the_frame() -> None:
-    lifter_std = np.array([[0.02, 0.02, 0.04], [0.02, 0.02, 0.04], [np.nan] * 3])
-    std = estimate_joint_std(POSTERIOR_STD, INFERRED, lifter_std)
-    assert std[1] > std[0] > 0, 'an inferred joint is less certain than a seen one with the same lifter_std'
-    np.testing.assert_allclose(estimate_joint_std(POSTERIOR_STD, INFERRED, 2 * lifter_std)[:2], 2 * std[:2])
-    np.testing.assert_array_equal(std[2], estimate_joint_std(POSTERIOR_STD, INFERRED)[2])
+    seen, inferred, not_lifted = estimate_joint_std(POSTERIOR_STD, INFERRED, LIFTER_STD)
+    assert seen == pytest.approx(joint_std.LIFTER_FACTOR_SEEN * 0.07)
+    assert inferred == pytest.approx(joint_std.LIFTER_FACTOR_INFERRED * 0.07)
+    assert inferred > seen, 'an inferred joint is less certain than a seen one with the same lifter_std'
+    assert not_lifted == estimate_joint_std(POSTERIOR_STD, INFERRED)[2]

@@ -54,10 +54,10 @@ def error_mm(lifted: lifter.Array, truth: lifter.Array) -> float:
 def test_lifted_poses_are_accurate(shipped: Lifter, walk: tuple[lifter.Array, ...]) -> None:
     poses, points, weight, times = walk
     lifted = shipped.lift_sequence(points, weight, times)
-    assert error_mm(lifted.joints, poses) < 60
+    assert error_mm(lifted.joints, poses) < 1.1 * 15.5  # mm, measured
     assert lifted.joints.mean(axis=1) == pytest.approx(0, abs=1e-9)
     is_outlier = np.abs(lifted.joints / PX_PER_M - centre_poses(poses)) > 3 * lifted.std / PX_PER_M
-    assert is_outlier.mean() < 0.1, 'errors agree with the standard deviations'
+    assert not is_outlier.any(), 'no error exceeds three standard deviations'
 
 
 def test_position_and_size_in_the_image_do_not_matter(shipped: Lifter, walk: tuple[lifter.Array, ...]) -> None:
@@ -96,7 +96,7 @@ def test_a_mirror_image_is_lifted_to_the_mirror_image(shipped: Lifter, walk: tup
 def test_one_frame_is_enough(shipped: Lifter, walk: tuple[lifter.Array, ...]) -> None:
     poses, points, weight, times = walk
     lifted = shipped.lift_sequence(points[:1], weight[:1], times[:1])
-    assert error_mm(lifted.joints, poses[:1]) < 90
+    assert error_mm(lifted.joints, poses[:1]) < 1.1 * 11.4  # mm, measured
 
 
 def test_people_in_a_batch_are_independent(shipped: Lifter, walk: tuple[lifter.Array, ...]) -> None:
@@ -120,13 +120,14 @@ def test_hidden_joints_are_inferred(shipped: Lifter, walk: tuple[lifter.Array, .
     weight[:, hidden] = 0
     points[:, hidden] = np.nan
     lifted = shipped.lift_sequence(points, weight, times)
-    assert error_mm(lifted.joints, poses) < 120
+    assert error_mm(lifted.joints, poses) < 1.1 * 30.0  # mm, measured
     assert lifted.std[:, hidden].mean() > lifted.std.mean()
 
 
 def test_frames_with_too_few_joints_are_nan(shipped: Lifter, walk: tuple[lifter.Array, ...]) -> None:
     _, points, weight, times = walk
-    weight[5] = 0
+    weight[5, lifter.MIN_SEEN_JOINTS - 1 :] = 0
+    weight[6, lifter.MIN_SEEN_JOINTS :] = 0
     lifted = shipped.lift_sequence(points, weight, times)
     assert np.isnan(lifted.joints[5]).all()
     assert np.isfinite(np.delete(lifted.joints, 5, axis=0)).all()
@@ -254,10 +255,11 @@ def test_initial_values_from_lifted_poses(walk_model: BasePoses, walk: tuple[lif
     joints[7] = np.nan
     lifted = LiftedPoses(joints, np.full_like(joints, 0.01 * PX_PER_M))
     start = fit_initial_values(lifted, Window(points, weight, times), walk_model)
+    assert start is not None
     cameras = start.cameras
     back = cameras.scale[:, None, None] * walk_model.poses(start.theta) @ np.swapaxes(cameras.rotation, -1, -2)
     good = np.arange(len(times)) != 7
-    assert error_mm(back[good], poses[good]) < 10
+    assert error_mm(back[good], poses[good]) < 1.1 * 1.3  # mm, measured
     assert cameras.scale[good] == pytest.approx(PX_PER_M, rel=0.1)
 
 

@@ -12,7 +12,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.ros.help import INPUT_TYPES, SERVICES
 from mocap_ros.ros.main import main
 from mocap_ros.ros.message_types import load_interface_class
-from mocap_ros.runtime.pipeline import OUTPUTS
+from mocap_ros.runtime.outputs import OUTPUTS
 
 pytest.importorskip('rclpy')
 pytest.importorskip('mocap_ros_msgs')
@@ -68,8 +68,13 @@ def test_a_missing_ros_is_reported_in_one_line(
     assert line.startswith('mocap_node: needs ROS 2')
 
 
-@pytest.mark.parametrize('program', ['mocap_ros.ros.main', 'mocap_ros.cli.main'])
-def test_an_interrupt_during_the_start_gives_no_traceback(env: dict[str, str], program: str) -> None:
+@pytest.mark.parametrize(
+    ('program', 'end'),
+    [('mocap_ros.ros.main', (0, '')), ('mocap_ros.cli.main', (1, 'mocap-ros: interrupted\n'))],
+)
+def test_an_interrupt_during_the_start_gives_no_traceback(
+    env: dict[str, str], program: str, end: tuple[int, str]
+) -> None:
     code = (
         'import _thread, builtins, sys; real = builtins.__import__\n'
         'def slow(name, *rest):\n'
@@ -79,4 +84,4 @@ def test_an_interrupt_during_the_start_gives_no_traceback(env: dict[str, str], p
         "builtins.__import__ = slow; sys.exit(main(['replay', 'x', '-o', 'y']))"
     )
     done = subprocess.run([sys.executable, '-c', code], env=env, capture_output=True, text=True, check=False)
-    assert 'Traceback' not in done.stderr
+    assert (done.returncode, done.stderr) == end

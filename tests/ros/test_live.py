@@ -8,6 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from mocap_ros.bags.journal import JOURNAL, read_run
 from mocap_ros.bags.mcap_file import McapFile
@@ -16,15 +20,20 @@ from mocap_ros.bags.topics import Source
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import Header, OutputMessage, create_header, decode, encode
+from mocap_ros.messages.cdr import OutputMessage, decode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints
+from mocap_ros.messages.markers import MARKERS
+from mocap_ros.messages.versions import VersionConverter
 from mocap_ros.ros.live import LiveRun
-from mocap_ros.runtime.pipeline import OUTPUTS, Pipeline
+from mocap_ros.ros.message_types import MessageVersions
+from mocap_ros.runtime.outputs import OUTPUTS
+from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import replay
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.camera_infos import camera_info
+from tests.support.installed_types import MARKER_TYPES, describe_as_rclpy, replace_installed_types
 from tests.support.line_log import LineLog
-from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames
+from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, with_stamp
 
 FRAMES = 25
 TIMEOUT_S = 20
@@ -41,12 +50,12 @@ def stream() -> list[bytes]:
 class CollectingRun:
     """A live run whose outputs and log lines are collected."""
 
-    def __init__(self, config: Config, tracker: Any = Tracker) -> None:
+    def __init__(self, config: Config, tracker: Any = Tracker, versions: MessageVersions | None = None) -> None:
         self.log = LineLog()
         self.published: list[OutputMessage] = []
         types = {Source.KEYPOINTS: KEYPOINTS, Source.CAMERA_INFO: CAMERA_INFO}
         pipeline = Pipeline(config, None, tracker)
-        self.run = LiveRun(pipeline, types, NAMES, self.published.append, self.log)
+        self.run = LiveRun(pipeline, types, NAMES, self.published.append, self.log, versions=versions)
         self.run.start()
 
     @property
@@ -106,10 +115,56 @@ def test_a_replay_repeats_resets_parameters_and_bad_inputs(tmp_path: Path, strea
     assert remarks[1].startswith('error /keypoints: message 10: not a mocap_ros_msgs/msg/Keypoints2DArray')
 
 
-def with_stamp(raw: bytes, stamp_ns: int) -> bytes:
-    message = decode(raw, KEYPOINTS)
-    message.header = create_header(Header(stamp_ns, 'camera'))
-    return encode(message, KEYPOINTS)
+# Keypoints of another version of the package: a field less, a field more, and another order.
+OTHER_KEYPOINTS = {
+    'mocap_ros_msgs/msg/Keypoints2D': 'string note\nstring skeleton\nfloat32[] x\nfloat32[] y\nfloat32[] score',
+    KEYPOINTS: (
+        'mocap_ros_msgs/Keypoints2D[] people\nuint32 image_height\nuint32 image_width\nstd_msgs/Header header'
+    ),
+}
+
+
+def make_other_ros() -> Typestore:
+    """Return the message types of a ROS with Foxy's markers and other keypoints than this package's."""
+    store = get_typestore(Stores.ROS2_FOXY)
+    for name, text in OTHER_KEYPOINTS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+def test_a_run_on_a_ros_with_other_message_versions_is_recorded_as_there_and_replays(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = make_other_ros()
+    replace_installed_types(monkeypatch, describe_as_rclpy(store, *MARKER_TYPES, *OTHER_KEYPOINTS))
+    versions = MessageVersions()
+    versions.add_input(KEYPOINTS)
+    versions.add_output(MARKERS)
+    to_other_ros = VersionConverter(typestore(), store, KEYPOINTS)
+    received = [to_other_ros(raw) for raw in stream[:8]]
+    received.insert(4, received[4][:60])
+    usual = CollectingRun(FAST_CONFIG)
+    live = CollectingRun(recording_to(tmp_path / 'live'), versions=versions)
+    usual.enqueue(*stream[:8])
+    live.enqueue(*received)
+    for run in (usual, live):
+        run.wait_for_frames(8)
+        run.run.stop()
+
+    assert [o.data for o in live.skeletons] == [o.data for o in usual.skeletons]
+    to_foxy = VersionConverter(typestore(), store, MARKERS)
+    published = [o.data for o in live.published if o.topic == 'markers'][1:]  # the first came before the recording
+    assert published == [to_foxy(o.data) for o in usual.published if o.topic == 'markers']
+    (bag,) = (tmp_path / 'live').iterdir()
+    with Reader(bag) as reader:
+        for topic, msgtype, expected in (('/keypoints', KEYPOINTS, received), ('/markers', MARKERS, published)):
+            (connection,) = [c for c in reader.connections if c.topic == topic]
+            assert connection.digest == store.hash_rihs01(msgtype) != typestore().hash_rihs01(msgtype)
+            assert [bytes(raw) for _, _, raw in reader.messages([connection])] == expected
+    with AnyReader([bag]) as any_reader:  # checks that the definitions in the bag have the recorded hashes
+        assert any_reader.message_count
+    assert [line for line in live.log.lines if 'message 5: not a ' in line]
+    assert_replay_gives_the_same(bag, tmp_path / 'again')
 
 
 def test_tracking_restarts_when_stamps_go_back_both_live_and_replayed(tmp_path: Path, stream: list[bytes]) -> None:
@@ -188,6 +243,8 @@ class FaultyTracker:
 
     backward_jump_s = 0.0
     output_stamp_ns = 0
+    swapped_frames = 0
+    unusable_people = 0
 
     def __init__(self, *_: object) -> None:
         self.frames = 0

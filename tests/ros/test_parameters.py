@@ -28,7 +28,7 @@ def test_parameters_are_checked_when_they_are_set(peer: Peer, start_node: StartN
     peer.wait_for_node()
     assert peer.set_parameter('tracker.min_score', 0.2).successful
     assert not peer.set_parameter('tracker.min_score', 1.5).successful
-    assert 'squared, frobenius' in peer.set_parameter('solver.norm', 'none').reason
+    assert 'joint, alternation' in peer.set_parameter('solver.method', 'none').reason
     assert not peer.set_parameter('recorder.folder', '/').successful
     stop_node(node)
 

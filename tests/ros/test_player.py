@@ -32,6 +32,7 @@ def test_playing_without_a_subscriber_fails_in_one_line(env: dict[str, str], tmp
     save_sequence(tmp_path / 'demo.npz', make_recording().sequence())
     done = run_cli(env, 'play', tmp_path / 'demo.npz', '--wait', '0.3')
     assert (done.returncode, done.stderr) == (1, 'mocap-ros: nobody subscribed to /keypoints within 0.3 s\n')
+    assert done.stdout.endswith('demo.npz: waiting for a subscriber to /keypoints, for at most 0.3 s\n')
 
 
 def test_all_topics_play_in_a_loop_with_clock_and_recorded_qos(
@@ -40,7 +41,7 @@ def test_all_topics_play_in_a_loop_with_clock_and_recorded_qos(
     from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
     bag, start = tmp_path / 'bag', 5 * 10**9
-    best_effort = make_topic('/keypoints', KEYPOINTS).qos[0] | {'reliability': 'best_effort'}
+    best_effort = {**make_topic('/keypoints', KEYPOINTS).qos[0], 'reliability': 'best_effort'}
     definition = encode_skeleton_definition(CMU15)
     with Recorder(bag, RecorderConfig()) as recorder:
         recorder.add_topic(make_topic('/keypoints', KEYPOINTS, qos=[best_effort]))
@@ -60,14 +61,17 @@ def test_all_topics_play_in_a_loop_with_clock_and_recorded_qos(
         subscription = peer.node.create_subscription(message_class, topic, keep, qos, raw=topic == '/keypoints')
         peer.subscriptions.append(subscription)
     options = ['--all', '--loop', '--clock', '--rate', '2']
-    command = [sys.executable, '-m', 'mocap_ros.cli.main', 'play', bag, *options]
+    command = [sys.executable, '-m', 'mocap_ros.cli.main', 'play', str(bag), *options]
     player = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    peer.wait_until(lambda: len(received) > 25 and len({c.clock.nanosec for c in clocks}) > 10)
-    offered = peer.node.get_publishers_info_by_topic('/keypoints')
-    reliability = {p.qos_profile.reliability for p in offered if p.node_name == 'mocap_player'}
-    (latched,) = peer.node.get_publishers_info_by_topic('/skeleton_definition')
-    player.send_signal(signal.SIGINT)
-    out, err = player.communicate(timeout=TIMEOUT_S)
+    try:
+        peer.wait_until(lambda: len(received) > 25 and len({c.clock.nanosec for c in clocks}) > 10)
+        offered = peer.node.get_publishers_info_by_topic('/keypoints')
+        reliability = {p.qos_profile.reliability for p in offered if p.node_name == 'mocap_player'}
+        (latched,) = peer.node.get_publishers_info_by_topic('/skeleton_definition')
+        player.send_signal(signal.SIGINT)
+        out, err = player.communicate(timeout=TIMEOUT_S)
+    finally:
+        player.kill()
 
     assert (player.returncode, err) == (0, '')
     assert re.search(r'\d+ messages published on /keypoints, /skeleton_definition\n', out)

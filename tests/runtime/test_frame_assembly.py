@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
@@ -43,7 +44,7 @@ def test_a_message_that_completes_two_images_outputs_the_accepted_one() -> None:
     class RefusingTracker(Tracker):
         """A tracker that refuses images that show only the second person."""
 
-        def update(self, stamp_ns: int, people: tuple[Person2D, ...], intrinsics: Intrinsics) -> Any:
+        def update(self, stamp_ns: int, people: Sequence[Person2D], intrinsics: Intrinsics) -> Any:
             if [p.id for p in people] == [second.id]:
                 raise FrameDropped('refused')
             return super().update(stamp_ns, people, intrinsics)

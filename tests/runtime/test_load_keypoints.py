@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mocap_ros.bags.recorder import Recorder
@@ -14,7 +17,7 @@ from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.runtime.load_keypoints import load_input, load_sequence_file
 from mocap_ros.units import NS_PER_S
-from tests.support.keypoint_files import FRAMES, LIMITS, make_walker
+from tests.support.keypoint_files import FPS, FRAMES, LIMITS, make_walker
 
 
 def test_a_bag_gives_the_keypoints_and_their_stamps(tmp_path: Path) -> None:
@@ -40,5 +43,26 @@ def test_a_bag_is_refused_where_a_sequence_file_is_expected(tmp_path: Path) -> N
     for bag in (tmp_path / 'bag', tmp_path / 'bag.mcap', tmp_path / 'bag.npz'):
         bag.mkdir()
         (bag / 'bag_0.db3').touch()
-        with pytest.raises(InputError, match=f'{bag.name}: is a bag, expected a sequence file'):
+        with pytest.raises(InputError, match=f'{bag.name}: is a bag; expected a sequence file'):
             load_sequence_file(bag)
+
+
+def test_a_transposed_image_size_is_refused_and_a_wrong_one_is_named(tmp_path: Path) -> None:
+    walker = make_walker()
+    keypoints = np.nan_to_num(walker.keypoints + [600.0, 0.0, 0.0])
+    people = [{'image_id': f, 'keypoints': k.ravel().tolist(), 'score': 1.0} for f, k in enumerate(keypoints)]
+    path = tmp_path / 'walk.json'
+    path.write_text(json.dumps(people))
+
+    def load(size: tuple[int, int]) -> list[str]:
+        return load_input(path, Video(fps=FPS, image_size=size), LIMITS)[1]
+
+    transposed = (
+        r'walk\.json: --image-size: \d+% of the seen keypoints lie outside 480 x 1100 px, '
+        'but inside 1100 x 480 px: width and height look transposed$'
+    )
+    with pytest.raises(InputError, match=transposed):
+        load((480, 1100))
+    assert len(load((1100, 480))) == 1
+    _, warning = load((320, 240))
+    assert re.fullmatch(r'.*walk\.json: image size: \d+% of the seen keypoints lie outside 320 x 240 px', warning)

@@ -16,7 +16,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.camera_info import decode_camera_info, resolve_image_size
+from mocap_ros.messages.camera_info import decode_camera_info
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
 from mocap_ros.messages.markers import MARKERS, MarkerEncoder
@@ -97,14 +97,11 @@ def test_image_size_comes_from_message_then_camera_then_parameters(stream: list[
     nominal = depth(Pipeline(FAST_CONFIG), stream[0], scale_source=0)  # the focal length is 640 px, the width
     wide = replace(FAST_CONFIG, node=replace(FAST_CONFIG.node, image_width=1280, image_height=960))
     assert depth(Pipeline(wide), stream[0], scale_source=0) == nominal
-    assert depth(Pipeline(wide), raw, scale_source=0) == pytest.approx(2 * nominal, rel=0.03)
+    assert depth(Pipeline(wide), raw, scale_source=0) == pytest.approx(2 * nominal, rel=0.016)  # measured: 0.014
     calibrated = Pipeline(wide)
     calibrated.set_camera_info(camera_info(focal=320))
-    assert depth(calibrated, raw, scale_source=1) == pytest.approx(nominal / 2, rel=0.03)
-    camera = decode_camera_info(camera_info())
-    assert resolve_image_size(camera, wide.node) == (640, 480)
-    assert resolve_image_size(None, wide.node) == (1280, 960)
-    assert resolve_image_size(None, replace(wide.node, image_width=0)) == (0, 0)
+    assert depth(calibrated, raw, scale_source=1) == pytest.approx(nominal / 2, rel=0.012)  # measured: 0.010
+    assert decode_camera_info(camera_info()).size == (640, 480)
 
 
 def test_a_camera_info_that_does_not_fit_is_rejected(stream: list[bytes]) -> None:
@@ -152,7 +149,7 @@ def test_the_distortion_of_camera_info_is_removed(model: str, stream: list[bytes
     np.testing.assert_array_equal(joints(undistorted, raw, **rectified), expected)
     projection = (300.0, 0, 320.0, 0, 0, 300.0, 240.0, 0, 0, 0, 1.0, 0)
     half_focal = joints(undistorted, camera_info(model=model, d=lens, p=projection), **rectified)
-    assert half_focal[0, 2] == pytest.approx(expected[0, 2] / 2, rel=0.05)
+    assert half_focal[0, 2] == pytest.approx(expected[0, 2] / 2, rel=0.002)  # measured: 0.0017
 
 
 def test_an_unknown_distortion_model_is_reported() -> None:
@@ -171,7 +168,8 @@ def test_the_point_cloud_holds_every_joint(stream: list[bytes]) -> None:
     read = np.frombuffer(cloud.data.tobytes(), POINT_DTYPE)
     (person,) = decode_skeletons(tuple(outputs.values())).people
     assert (cloud.width, cloud.height, cloud.header.frame_id) == (15, 1, 'camera')
-    assert [(f.name, f.offset) for f in cloud.fields] == [(n, POINT_DTYPE.fields[n][1]) for n in POINT_DTYPE.names]
+    assert POINT_DTYPE.fields is not None
+    assert {f.name: f.offset for f in cloud.fields} == {n: d[1] for n, d in POINT_DTYPE.fields.items()}
     np.testing.assert_allclose(read['x'], [j.x for j in person.joints], rtol=1e-6)
     np.testing.assert_array_equal(read['joint'], np.arange(15))
     np.testing.assert_array_equal(read['inferred'], person.inferred)
@@ -217,11 +215,12 @@ def test_seen_inferred_and_predicted_joints_are_drawn_in_different_colors(stream
     process(pipeline, stream[0])
     (person,) = pipeline.people
     colors = {}
-    for name, change in {
+    changes: dict[str, dict[str, Any]] = {
         'seen': {'inferred': np.zeros(15, bool)},
         'inferred': {'inferred': np.ones(15, bool)},
         'predicted': {'inferred': np.ones(15, bool), 'predicted': True},
-    }.items():
+    }
+    for name, change in changes.items():
         raw = encoder.encode_update(Header(1, 'camera'), [replace(person, **change)], 0.5)
         colors[name] = repr(decode(raw, MARKERS).markers[0].colors[0])
     assert len(set(colors.values())) == 3

@@ -1,6 +1,7 @@
 """Tests of Algorithm 1: synthetic walks, the steps of its halves, its linear solver, and rejected input."""
 
 import dataclasses
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -33,8 +34,8 @@ def test_closed_form_camera_is_close_on_exact_points(walk_model: BasePoses) -> N
     weight = np.ones(points.shape[:2])
     weight[3, 5] = 0
     fitted = fit_cameras_closed_form(walk_model.poses(theta), points, weight, times, window=0.0)
-    assert fitted.scale == pytest.approx(cameras.scale, rel=0.06)
-    assert np.abs(fitted.rotation - cameras.rotation).max() < 0.1
+    assert fitted.scale == pytest.approx(cameras.scale, rel=1.1 * 0.0439)  # measured: 0.0439
+    assert np.abs(fitted.rotation - cameras.rotation).max() < 1.1 * 0.0525  # measured
 
 
 def test_rotations_as_vectors_and_quaternions() -> None:
@@ -75,42 +76,41 @@ def test_camera_step_descends(walk_model: BasePoses) -> None:
         gradient[axis] = (costs[0] - costs[1]) / 2e-5
     delta = (step.rotation[2] @ turned.T - np.eye(3)) * large_damping
     direction = np.array([delta[2, 1], delta[0, 2], delta[1, 0]])
+    assert (np.abs(gradient) > 1e-4).all()
     assert (np.sign(direction[np.abs(gradient) > 1e-4]) == -np.sign(gradient[np.abs(gradient) > 1e-4])).all()
 
 
-@pytest.mark.parametrize('norm', ['squared', 'frobenius'])
-def test_recovers_a_synthetic_walk(walk_model: BasePoses, norm: str) -> None:
+def test_recovers_a_synthetic_walk(walk_model: BasePoses) -> None:
     theta, cameras, points, times = make_walk(walk_model)
     config = SolverConfig(
-        norm=norm, prior_weight=1e-7, bone_weight=0.05, flip_weight=1e-5, components=4,
+        prior_weight=1e-7, bone_weight=0.05, flip_weight=1e-5, components=4,
         max_iterations=400, tolerance=1e-7,
     )  # fmt: skip
     result = reconstruct(Window(points, np.ones(points.shape[:2]), times), walk_model, config)
-    assert compute_mpjpe(result, walk_model, theta, cameras) < 12
-    assert result.residual.max() < 3
-    assert result.translation == pytest.approx(np.tile([320, 240], (len(times), 1)), abs=3)
+    assert compute_mpjpe(result, walk_model, theta, cameras) < 1.1 * 1.67  # mm; measured: 1.667
+    assert result.residual.max() < 1.1 * 0.25  # px; measured: 0.249
+    assert result.translation == pytest.approx(np.tile([320, 240], (len(times), 1)), abs=1e-3)  # px
 
 
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 1000),
-    norm=st.sampled_from(['squared', 'frobenius']),
     bone=st.floats(0, 100),
     prior=st.floats(0, 1e-2),
     flip=st.floats(0, 1),
     missing=st.floats(0, 0.5),
 )
-def test_objective_never_rises(walk_model, seed, norm, bone, prior, flip, missing) -> None:
+def test_objective_never_rises(
+    walk_model: BasePoses, seed: int, bone: float, prior: float, flip: float, missing: float
+) -> None:
     _, _, points, times = make_walk(walk_model, frames=12, seed=seed)
     rng = np.random.default_rng(seed)
     points = points + 5 * rng.normal(size=points.shape)
     weight = rng.uniform(0.1, 1, points.shape[:2]) * (rng.random(points.shape[:2]) >= missing)
-    config = SolverConfig(
-        norm=norm, bone_weight=bone, prior_weight=prior, flip_weight=flip, components=8, max_iterations=6
-    )
+    config = SolverConfig(bone_weight=bone, prior_weight=prior, flip_weight=flip, components=8, max_iterations=6)
     result = reconstruct(Window(points, weight, times), walk_model, config)
-    steps = np.diff(result.objective)
-    assert (steps <= 1e-9 * np.abs(result.objective[0])).all()
+    steps = np.diff(result.history)
+    assert (steps <= 1e-9 * np.abs(result.history[0])).all()
     assert np.isfinite(result.joints).all()
 
 
@@ -141,7 +141,7 @@ def test_bone_regulariser_keeps_bone_lengths_constant(walk_model: BasePoses) -> 
         length = np.linalg.norm(result.joints[:, ends[1]] - result.joints[:, ends[0]], axis=-1)
         return float(length.std(axis=0).mean())
 
-    assert bone_length_std(50.0) < 0.3 * bone_length_std(0.0)
+    assert bone_length_std(50.0) < 1.1 * 0.145 * bone_length_std(0.0)  # measured: 1.0 mm and 6.8 mm
 
 
 def test_a_hidden_limb_is_reconstructed(walk_model: BasePoses) -> None:
@@ -151,7 +151,7 @@ def test_a_hidden_limb_is_reconstructed(walk_model: BasePoses) -> None:
     points[weight == 0] = 0
     config = SolverConfig(components=4, prior_weight=1e-6)
     result = reconstruct(Window(points, weight, times), walk_model, config)
-    assert compute_mpjpe(result, walk_model, theta, cameras) < 25
+    assert compute_mpjpe(result, walk_model, theta, cameras) < 1.1 * 17.8  # mm, measured
 
 
 def test_frames_without_any_joint_have_poses_but_no_residual(walk_model: BasePoses) -> None:
@@ -179,8 +179,8 @@ def test_mismatched_or_empty_windows_are_rejected(walk_model: BasePoses) -> None
         Window(points, weight * 0, times)
 
 
-def test_unseen_walk_of_a_trained_subject(protocol) -> None:
-    """The MPJPE of trial 35/02, left out of training and seen from the side, is below 15 mm."""
+def test_unseen_walk_of_a_trained_subject(protocol: ModuleType) -> None:
+    """The MPJPE of trial 35/02, left out of training and seen from the side, is 7 mm."""
     data = shared('data/cmu/cmu15_30fps.npz')
     trials = [t for t in load_trials(data) if t.subject == '35' and t.category == 'walk']
     model = fit_base_poses(
@@ -195,4 +195,4 @@ def test_unseen_walk_of_a_trained_subject(protocol) -> None:
     )  # fmt: skip
     score = protocol.score(result.joints, CMU15.joints, view['joints3d'], view['joints3d_names'])
     assert score['failed_frames'] == 0
-    assert score['mpjpe_mm'] < 15
+    assert score['mpjpe_mm'] < 1.1 * 7.13  # mm, measured

@@ -1,12 +1,15 @@
 """Tests of the choice of category by evidence and of the periodic decision with its hysteresis."""
 
-import dataclasses
+from dataclasses import replace
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 
 from mocap_ros.config import ClassifierConfig, SolverConfig
 from mocap_ros.formats.mocap.trials import load_trials
+from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.solvers.classification import (
     PeriodicFit,
@@ -18,11 +21,12 @@ from mocap_ros.solvers.classification import (
 from mocap_ros.solvers.window import Window
 from mocap_ros.training.base_poses import fit_base_poses
 from tests.support.evaluation_data import shared
+from tests.support.synthetic_walk import make_walk
 
 QUICK = SolverConfig(components=20, max_iterations=30)
 
 
-def make_window(protocol, trial: str, heading: float) -> Window:
+def make_window(protocol: ModuleType, trial: str, heading: float) -> Window:
     data = np.load(shared('data/cmu/cmu15_30fps.npz'))
     view = protocol.make_view(data[trial], data['_joints'], heading, noise=0.01, missing=0.05)
     keypoints = np.nan_to_num(view['keypoints'].astype(float))
@@ -30,10 +34,10 @@ def make_window(protocol, trial: str, heading: float) -> Window:
 
 
 @pytest.fixture(scope='module')
-def models_without_35():
+def models_without_35() -> dict[str, BasePoses]:
     trials = [t for t in load_trials(shared('data/cmu/cmu15_30fps.npz')) if t.subject != '35' and t.clean]
 
-    def train(category: str):
+    def train(category: str) -> BasePoses:
         poses = [t.poses for t in trials if t.category == category]
         return fit_base_poses(poses, name=category, alignment='heading', mirror=True, bodies=1)
 
@@ -46,7 +50,7 @@ def models_without_35():
 @pytest.mark.parametrize(('trial', 'category'), [('35_02', 'walk'), ('35_17', 'run')])
 @pytest.mark.parametrize('heading', [0, 120])
 def test_evidence_finds_the_category_of_an_unseen_person(
-    protocol, models_without_35, trial: str, category: str, heading: float
+    protocol: ModuleType, models_without_35: dict[str, BasePoses], trial: str, category: str, heading: float
 ) -> None:
     window = make_window(protocol, trial, heading)
     assert choose_category(window, models_without_35, QUICK).category == category
@@ -55,7 +59,7 @@ def test_evidence_finds_the_category_of_an_unseen_person(
     assert is_periodic(periodic, ClassifierConfig())
 
 
-def test_a_jump_is_neither_a_walk_nor_periodic(protocol) -> None:
+def test_a_jump_is_neither_a_walk_nor_periodic(protocol: ModuleType) -> None:
     models = {name: load_base_poses(name) for name in ('walk', 'run', 'jump')}
     window = make_window(protocol, '13_11', 90)
     jump_frames = slice(40, 100)
@@ -64,15 +68,31 @@ def test_a_jump_is_neither_a_walk_nor_periodic(protocol) -> None:
     assert not is_periodic(fit_periodic(window, models, QUICK), ClassifierConfig())
 
 
-def test_switch_has_hysteresis() -> None:
-    config = ClassifierConfig()
+@pytest.mark.parametrize('threshold', ['walk_residual', 'amplitude', 'walk_cadence'])
+def test_a_larger_factor_loosens_every_threshold(walk_model: BasePoses, threshold: str) -> None:
+    _, _, points, times = make_walk(walk_model)
+    fit = fit_periodic(Window(points, np.ones(points.shape[:2]), times), {'walk': walk_model}, QUICK)
+    just_missed = {
+        'walk_residual': 0.95 * fit.excess_residual,
+        'amplitude': 1.05 * fit.amplitude,
+        'walk_cadence': 1.05 * fit.reconstruction.cadence,
+    }
+    config = ClassifierConfig(walk_residual=1.0, amplitude=0.0, walk_cadence=0.0)
+    assert is_periodic(fit, config)
+    missed: dict[str, Any] = {threshold: just_missed[threshold]}
+    strict = replace(config, **missed)
+    assert not is_periodic(fit, strict)
+    assert is_periodic(fit, strict, 1.1)
 
-    @dataclasses.dataclass
-    class FakeReconstruction:
-        cadence: float = 0.9
+
+def test_switch_has_hysteresis(walk_model: BasePoses) -> None:
+    config = ClassifierConfig()
+    _, _, points, times = make_walk(walk_model)
+    fit = fit_periodic(Window(points, np.ones(points.shape[:2]), times), {'walk': walk_model}, QUICK)
+    assert is_periodic(fit, config, 1 / config.hysteresis)
 
     def fit_with_residual(share: float) -> PeriodicFit:
-        return PeriodicFit('walk', 9.9, share * config.walk_residual, 2 * config.amplitude, FakeReconstruction())  # type: ignore[arg-type]
+        return replace(fit, excess_residual=share * config.walk_residual)
 
     switch = PeriodicSwitch(config)
     decisions = [switch.update(fit_with_residual(s)) for s in (1.5, 1.02, 0.98, 0.85, 0.98, 1.05, 1.2, 1.05)]

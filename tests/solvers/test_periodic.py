@@ -16,13 +16,13 @@ from mocap_ros.solvers import joint, periodic
 from mocap_ros.solvers.periodic.fourier import FourierSeries
 from mocap_ros.solvers.periodic.normal_equations import ReducedNormalEquations
 from mocap_ros.solvers.periodic.objective import PeriodicObjective, make_camera_bands
-from mocap_ros.solvers.window import InitialValues, Window
-from tests.support.synthetic_walk import BODY_TO_OPTICAL, compute_mpjpe
+from mocap_ros.solvers.window import InitialValues, SolverStatus, Window
+from tests.support.synthetic_walk import BODY_TO_OPTICAL, Walk, compute_mpjpe
 
 CADENCE = 0.9
 
 
-def make_walk(model: BasePoses, frames: int = 70, seed: int = 0):
+def make_walk(model: BasePoses, frames: int = 70, seed: int = 0) -> Walk:
     """Return weights, cameras, points and times of a walk: four weights, two harmonics each, irregular times."""
     rng = np.random.default_rng(seed)
     times = np.cumsum(rng.uniform(0.02, 0.05, frames))
@@ -44,8 +44,8 @@ def test_finds_cadence_and_motion(walk_model: BasePoses) -> None:
         SolverConfig(components=10, bone_weight=0.1),
     )
     assert result.cadence == pytest.approx(CADENCE, rel=0.01)
-    assert compute_mpjpe(result, walk_model, theta, cameras) < 12
-    assert (np.diff(result.objective) <= 0).all()
+    assert compute_mpjpe(result, walk_model, theta, cameras) < 1.1 * 8.4  # mm, measured
+    assert (np.diff(result.history) <= 0).all()
 
 
 def test_missing_points_increase_the_error_only_slightly(walk_model: BasePoses) -> None:
@@ -55,59 +55,49 @@ def test_missing_points_increase_the_error_only_slightly(walk_model: BasePoses) 
     config = SolverConfig(components=10)
     (complete,) = periodic.solve([Window(points, np.ones_like(weight), times)], walk_model, config)
     (incomplete,) = periodic.solve([Window(points, weight, times)], walk_model, config)
-    assert (
-        compute_mpjpe(incomplete, walk_model, theta, cameras)
-        < 1.5 * compute_mpjpe(complete, walk_model, theta, cameras) + 5
-    )
+    assert compute_mpjpe(incomplete, walk_model, theta, cameras) < 1.1 * 27.1  # mm, measured; all points: 24.6 mm
+    assert compute_mpjpe(complete, walk_model, theta, cameras) < 1.1 * 24.6  # mm, measured
 
 
-@pytest.mark.parametrize('sines', [False, True])
-def test_gradient_and_matrix_agree_with_finite_differences(walk_model: BasePoses, sines: bool) -> None:
+def test_gradient_and_matrix_agree_with_finite_differences(walk_model: BasePoses) -> None:
     _, cameras, points, times = make_walk(walk_model, frames=12)
     model = walk_model.truncate(4)
     rng = np.random.default_rng(1)
-    config = SolverConfig(paper_sines=sines, harmonics=2, robust_scale=0.0)
+    config = SolverConfig(harmonics=2, robust_scale=0.0)
     window = Window(points, np.ones(points.shape[:2]), times)
     objective = PeriodicObjective.build(window, 200.0, model, config)
-    rows = 2 if sines else 5
-    omega = 2 * np.pi * (CADENCE + (0.1 * rng.random(5) if sines else 0.05))
-    series = FourierSeries(
-        0.05 * rng.normal(size=(rows, 5)), np.broadcast_to(omega, (5,)).copy(), sines, float(times.mean())
-    )
-    start = InitialValues(series.evaluate_theta(times), cameras)
+    omega = 2 * np.pi * (CADENCE + 0.05)
+    series = FourierSeries(0.05 * rng.normal(size=(5, 5)), omega, float(times.mean()))
+    unknowns = series.coefficients.size + 1
+    start = InitialValues(series.evaluate(times)[:, :-1], cameras)
     base = objective.problem.initial_state([start], np.array([200.0]))
     perturbation = np.concatenate([np.zeros_like(base.theta), 0.05 * rng.normal(size=(12, 4))], axis=1)
     base = base.advanced(perturbation)
 
     def compute_cost(step: np.ndarray) -> float:
-        series_step, camera_step = np.split(step, [(rows + 1) * 5])
-        moved = series.with_step(series_step.reshape(rows + 1, 5))
+        series_step, camera_step = np.split(step, [unknowns])
+        moved = series.with_step(series_step)
         padded = np.concatenate([np.zeros_like(base.theta), camera_step.reshape(12, 4)], axis=1)
         return objective.cost(moved, objective.with_optimal_translation(moved, base.advanced(padded)))
 
-    size = (rows + 1) * 5 + 48
+    size = unknowns + 48
     numeric = np.empty(size)
     for index in range(size):
         step = np.zeros(size)
         step[index] = 1e-5
         numeric[index] = (compute_cost(step) - compute_cost(-step)) / 2e-5 / 2
-    if not sines:
-        omega_columns = slice(rows * 5, (rows + 1) * 5)
-        numeric = np.concatenate(
-            [numeric[: rows * 5], [numeric[omega_columns].sum()], numeric[omega_columns.stop :]]
-        )
     reduced = ReducedNormalEquations.build(objective, series, objective.with_optimal_translation(series, base))
     analytic = np.concatenate([reduced.series_gradient, reduced.camera_gradient])
     assert np.abs(analytic - numeric).max() < 1e-6 * np.abs(numeric).max()
 
     # Without damping the step solves the whole system, in which the cameras are not eliminated.
-    step = reduced.solve_step(0.0)
-    assert step is not None
+    full_step = reduced.solve_step(0.0)
+    assert full_step is not None
     full_matrix = np.block(
         [[reduced.series_matrix, reduced.coupling], [reduced.coupling.T, unpack_band(reduced.camera_band)]]
     )
     expected = -np.linalg.solve(full_matrix + 1e-12 * np.eye(len(full_matrix)), analytic)
-    found = np.concatenate([step[0].ravel()[: len(reduced.series_gradient)], step[1].ravel()])
+    found = np.concatenate([full_step[0], full_step[1].ravel()])
     assert np.allclose(found, expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max())
 
 
@@ -143,22 +133,20 @@ def test_heading_of_the_body_does_not_move_the_camera(walk_model: BasePoses) -> 
     heading = result.series.evaluate_heading(times)
     camera = result.cameras.rotation @ rotation_from_vector(np.stack([0 * turn, 0 * turn, -heading], -1))
     camera_turn = np.degrees(np.linalg.norm(camera - camera.mean(axis=0), axis=(1, 2)) / np.sqrt(2))
-    assert np.ptp(heading) == pytest.approx(0.4, abs=0.15)
-    assert np.sqrt((camera_turn**2).mean()) < 3
+    assert np.ptp(heading) == pytest.approx(0.4, abs=0.01)  # measured: 0.394
+    assert np.sqrt((camera_turn**2).mean()) < 1.1 * 1.2  # degrees, measured
 
 
-def test_initial_reconstruction_and_series_are_used(walk_model: BasePoses) -> None:
+def test_initial_poses_are_used(walk_model: BasePoses) -> None:
     theta, cameras, points, times = make_walk(walk_model)
     window = Window(points, np.ones(points.shape[:2]), times)
     config = SolverConfig(components=10)
     (initial,) = joint.solve([window], walk_model.truncate(20), replace(config, components=20))
     (without_initial,) = periodic.solve([window], walk_model, config)
-    (with_initial,) = periodic.solve([window], walk_model, config, [initial])
-    (with_series,) = periodic.solve([window], walk_model, config, [initial], [with_initial.series])
+    poses = periodic.EstimatedPoses(initial.joints, initial.cameras.scale, initial.noise)
+    (with_initial,) = periodic.solve([window], walk_model, config, [poses])
     max_error = 1.2 * compute_mpjpe(without_initial, walk_model, theta, cameras)
     assert compute_mpjpe(with_initial, walk_model, theta, cameras) < max_error
-    assert compute_mpjpe(with_series, walk_model, theta, cameras) < max_error
-    assert with_series.cadence == pytest.approx(CADENCE, rel=0.01)
 
 
 @given(
@@ -184,7 +172,7 @@ def test_extreme_input_is_rejected_or_gives_finite_results(
     rng = np.random.default_rng(seed)
     points = 10**offset + 10**spread * rng.uniform(-1, 1, (frames, 15, 2))
     seen = np.full((frames, 15), 10**weight)
-    window = Window(points, seen, step * np.arange(frames), noise=given_noise)
+    window = Window(points, seen, np.array([step * frame for frame in range(frames)]), noise=given_noise)
     config = SolverConfig(components=6, max_iterations=8)
     try:
         (result,) = periodic.solve([window], walk_model, config)
@@ -193,8 +181,8 @@ def test_extreme_input_is_rejected_or_gives_finite_results(
     assert np.isfinite(result.joints).all()
     assert np.isfinite(result.cameras.scale).all()
     assert np.isfinite(result.translation).all()
-    assert np.isfinite(result.objective).all()
-    assert (np.diff(result.objective) <= 0).all()
+    assert np.isfinite(result.history).all()
+    assert (np.diff(result.history) <= 0).all()
 
 
 def test_max_iterations_limits_the_trials_on_random_points(
@@ -202,21 +190,17 @@ def test_max_iterations_limits_the_trials_on_random_points(
 ) -> None:
     trials = []
     solve_step = ReducedNormalEquations.solve_step
-    monkeypatch.setattr(
-        ReducedNormalEquations,
-        'solve_step',
-        lambda self, damping: trials.append(1) or solve_step(self, damping),
-    )
+
+    def count_and_solve(equations: ReducedNormalEquations, damping: float) -> object:
+        trials.append(damping)
+        return solve_step(equations, damping)
+
+    monkeypatch.setattr(ReducedNormalEquations, 'solve_step', count_and_solve)
     points = 1000 * np.random.default_rng(0).standard_normal((60, 15, 2))
     window = Window(points, np.ones((60, 15)), np.arange(60) / 30)
-    periodic.solve([window], walk_model, SolverConfig(components=10, max_iterations=20, tolerance=0.0))
-    assert len(trials) <= 20
-
-
-def test_sine_form_has_no_constant_and_separate_frequencies(walk_model: BasePoses) -> None:
-    _, _, points, times = make_walk(walk_model)
-    config = SolverConfig(components=6, paper_sines=True)
-    (result,) = periodic.solve([Window(points, np.ones(points.shape[:2]), times)], walk_model, config)
-    assert result.series.coefficients.shape == (2, 7)
-    assert len(set(np.round(result.series.omega, 6))) > 1
-    assert (np.diff(result.objective) <= 0).all()
+    config = SolverConfig(components=10, max_iterations=20, tolerance=0.0)
+    (result,) = periodic.solve([window], walk_model, config)
+    assert len(trials) == 20
+    assert result.iterations == 20
+    assert result.status is SolverStatus.MAX_ITERATIONS
+    assert not result.success

@@ -7,6 +7,8 @@ standard input is JSON: for each frame its stamp in ns, and for each person the 
 import json
 import sys
 import time
+from collections.abc import Callable
+from typing import Any
 
 import rclpy
 from hri_msgs.msg import IdsList, Skeleton2D
@@ -18,24 +20,24 @@ TIMEOUT_S = 15
 kind, frames = sys.argv[1], json.loads(sys.stdin.read())
 rclpy.init()
 node = rclpy.create_node('detector')
-transforms = []
+transforms: list[Any] = []
 node.create_subscription(TFMessage, '/tf', transforms.append, 1000)
 
 
-def wait_until(condition):
+def wait_until(condition: Callable[[], object]) -> None:
     deadline = time.monotonic() + TIMEOUT_S
     while not condition():
         assert time.monotonic() < deadline
         rclpy.spin_once(node, timeout_sec=0.02)
 
 
-def with_header(message, stamp_ns):
+def with_header(message: Any, stamp_ns: int) -> Any:
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
     message.header.frame_id = 'camera'
     return message
 
 
-def publish_yolo():
+def publish_yolo() -> None:
     publisher = node.create_publisher(DetectionArray, 'keypoints', 100)
     wait_until(publisher.get_subscription_count)
     for stamp_ns, people in frames:
@@ -51,10 +53,10 @@ def publish_yolo():
         publisher.publish(array)
 
 
-def publish_hri():
+def publish_hri() -> None:
     tracked = node.create_publisher(IdsList, '/humans/bodies/tracked', 100)
     wait_until(tracked.get_subscription_count)
-    bodies = {}
+    bodies: dict[str, Any] = {}
     for stamp_ns, people in frames:
         for name in people.keys() - bodies.keys():
             tracked.publish(with_header(IdsList(ids=list(people)), stamp_ns - 1))

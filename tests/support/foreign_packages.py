@@ -1,4 +1,4 @@
-"""Builds the foreign interface packages from our field lists, once, into build/foreign; for tests only."""
+"""Builds interface packages for tests, once: foreign ones into build/foreign, Foxy's markers into build/foxy."""
 
 from __future__ import annotations
 
@@ -7,18 +7,23 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+
+from rosbags.typesys import Stores, get_typestore
 
 from mocap_ros.messages.foreign.definitions import DEFINITIONS
 from tests.support.paths import ROOT
 
 PREFIX = ROOT / 'build' / 'foreign'
+FOXY_PREFIX = ROOT / 'build' / 'foxy'
 SITE = f'lib/python{sys.version_info[0]}.{sys.version_info[1]}/site-packages'
 PACKAGES = ('yolo_msgs', 'hri_msgs', 'tf2_msgs')
-TEXTS = {**DEFINITIONS, 'tf2_msgs/msg/TFMessage': 'geometry_msgs/TransformStamped[] transforms'}
+FOXY_MARKERS = tuple(f'visualization_msgs/msg/{name}' for name in ('Marker', 'MarkerArray'))
+TEXTS: Mapping[str, str] = {**DEFINITIONS, 'tf2_msgs/msg/TFMessage': 'geometry_msgs/TransformStamped[] transforms'}
 
 
-def environment(env: dict[str, str]) -> dict[str, str]:
+def environment(env: dict[str, str], prefix: Path = PREFIX) -> dict[str, str]:
     """The same with the packages in it."""
 
     def before(name: str, folder: Path) -> dict[str, str]:
@@ -26,22 +31,29 @@ def environment(env: dict[str, str]) -> dict[str, str]:
 
     return {
         **env,
-        **before('PYTHONPATH', PREFIX / SITE),
-        **before('LD_LIBRARY_PATH', PREFIX / 'lib'),
-        **before('AMENT_PREFIX_PATH', PREFIX),
+        **before('PYTHONPATH', prefix / SITE),
+        **before('LD_LIBRARY_PATH', prefix / 'lib'),
+        **before('AMENT_PREFIX_PATH', prefix),
     }
 
 
-def build() -> None:
+def build_foxy_markers() -> None:
+    """Build visualization_msgs with the markers of ROS 2 Foxy, which have fewer fields, if it is not there yet."""
+    store = get_typestore(Stores.ROS2_FOXY)
+    texts = {name: store.generate_msgdef(name, ros_version=2)[0].partition('=' * 80)[0] for name in FOXY_MARKERS}
+    build(('visualization_msgs',), texts, FOXY_PREFIX)
+
+
+def build(packages: Sequence[str] = PACKAGES, all_texts: Mapping[str, str] = TEXTS, prefix: Path = PREFIX) -> None:
     """Build what is not there yet."""
     env = {**os.environ, 'AMENT_PREFIX_PATH': os.environ.get('AMENT_PREFIX_PATH', sys.prefix)}
-    for package in PACKAGES:
-        texts = {n.rpartition('/')[2]: t for n, t in TEXTS.items() if n.startswith(f'{package}/')}
+    for package in packages:
+        texts = {n.rpartition('/')[2]: t for n, t in all_texts.items() if n.startswith(f'{package}/')}
         key = hashlib.sha256(repr(sorted(texts.items())).encode()).hexdigest()
-        done = PREFIX / f'{package}.done'
+        done = prefix / f'{package}.done'
         if done.is_file() and done.read_text() == key:
             continue
-        source = PREFIX / 'src' / package
+        source = prefix / 'src' / package
         shutil.rmtree(source, ignore_errors=True)
         (source / 'msg').mkdir(parents=True)
         for name, text in texts.items():
@@ -51,7 +63,7 @@ def build() -> None:
             (source / file).write_text(text)
         options = [
             '-DBUILD_TESTING=OFF',
-            f'-DCMAKE_INSTALL_PREFIX={PREFIX}',
+            f'-DCMAKE_INSTALL_PREFIX={prefix}',
             f'-DCMAKE_PREFIX_PATH={env["AMENT_PREFIX_PATH"].replace(":", ";")}',
             f'-DPYTHON_INSTALL_DIR={SITE}',
             f'-DPython3_EXECUTABLE={sys.executable}',
@@ -69,3 +81,4 @@ def build() -> None:
 
 if __name__ == '__main__':
     build()
+    build_foxy_markers()

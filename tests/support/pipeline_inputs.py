@@ -9,7 +9,8 @@ from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.topics import Source
 from mocap_ros.config import Config, with_values
 from mocap_ros.demo.scene import make_recording
-from mocap_ros.messages.cdr import OutputMessage, decode
+from mocap_ros.messages.cdr import Header, OutputMessage, create_header, decode, encode
+from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.sequence_messages import encode_sequence
@@ -21,6 +22,13 @@ FAST_CONFIG = with_values(Config(), FAST_VALUES)
 def encode_demo_frames(count: int) -> list[bytes]:
     """Return the first frames of the demo recording, one person at 30 Hz, as Keypoints2DArray in CDR."""
     return [frame.raw for frame in islice(encode_sequence(make_recording().sequence()), count)]
+
+
+def with_stamp(raw: bytes, stamp_ns: int) -> bytes:
+    """Return a keypoints message with another stamp."""
+    message = decode(raw, KEYPOINTS)
+    message.header = create_header(Header(stamp_ns, 'camera'))
+    return encode(message, KEYPOINTS)
 
 
 def process(pipeline: Pipeline, raw: bytes) -> tuple[OutputMessage, ...]:

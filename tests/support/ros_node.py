@@ -19,7 +19,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.markers import DELETE_ALL, MARKERS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION, SKELETONS
 from mocap_ros.ros.message_types import load_interface_class
-from mocap_ros.runtime.pipeline import OUTPUTS
+from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.skeleton import keypoint_layout
 
 TIMEOUT_S = 20.0  # s; far above what anything here takes on a busy machine
@@ -89,13 +89,13 @@ class Peer:
         assert len(self.received['skeletons']) == count
 
     def call_service(self, service_class: Any, name: str, **request: object) -> Any:
-        client = self.node.create_client(service_class, name)
+        client: Any = self.node.create_client(service_class, name)
         self.wait_until(client.service_is_ready)
         future = client.call_async(service_class.Request(**request))
         self.wait_until(future.done)
         return future.result()
 
-    def set_parameter(self, name: str, value: object) -> Any:
+    def set_parameter(self, name: str, value: Any) -> Any:
         """Set a parameter of the node and return the result, which says whether this was successful."""
         from rcl_interfaces.srv import SetParameters
         from rclpy.parameter import Parameter

@@ -7,13 +7,16 @@ import numpy as np
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.window import Reconstruction
+from mocap_ros.solvers.window import Array, Reconstruction
+
+# Weights (F, K) m, cameras, points (F, J, 2) px and times (F,) s of a motion.
+Walk = tuple[Array, WeakPerspectiveCameras, Array, Array]
 
 # Rotation from the body frame (x forward, z up) to the optical frame of a camera that looks along x.
 BODY_TO_OPTICAL = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0.0]])
 
 
-def make_walk(model: BasePoses, frames: int = 40, k: int = 4, seed: int = 0):
+def make_walk(model: BasePoses, frames: int = 40, k: int = 4, seed: int = 0) -> Walk:
     """Return weights (F, K) m, cameras, points (F, J, 2) px and times (F,) s of a motion."""
     rng = np.random.default_rng(seed)
     times = np.arange(frames) / 30
@@ -27,7 +30,9 @@ def make_walk(model: BasePoses, frames: int = 40, k: int = 4, seed: int = 0):
     return theta, cameras, points, times
 
 
-def compute_mpjpe(result: Reconstruction, model: BasePoses, theta, cameras) -> float:
+def compute_mpjpe(
+    result: Reconstruction, model: BasePoses, theta: Array, cameras: WeakPerspectiveCameras
+) -> float:
     """Return the mean joint error (mm) after one scale for the sequence."""
     truth = model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2)
     p = result.joints

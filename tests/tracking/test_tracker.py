@@ -1,6 +1,6 @@
 """Tests of the tracker: people who come and go, stamps out of order, and equal output for equal input."""
 
-from importlib.resources import files
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -18,26 +18,27 @@ from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import MotionKind
 from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.tracker import Tracker
-from tests.support.synthetic_walk import make_walk
+from tests.support.paths import ROOT
+from tests.support.synthetic_walk import Walk, make_walk
 
-DEMO = files('mocap_ros') / 'demo' / 'demo.npz'
+DEMO = ROOT / 'mocap_ros' / 'demo' / 'demo.npz'
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
 STEP_NS = 33_333_333
 CONFIG = with_values(Config(), {'solver.components': 8, 'solver.prior_weight': 1e-5})
 
 
-def people(points, frame: int, ids=('',), apart: float = 400.0) -> list[Person2D]:
+def people(points: np.ndarray, frame: int, ids: Sequence[str] = ('',), apart: float = 400.0) -> list[Person2D]:
     return [
         Person2D(name, CMU15.joints, points[frame] + [apart * i, 0], np.ones(15)) for i, name in enumerate(ids)
     ]
 
 
 @pytest.fixture
-def walk(walk_model: BasePoses):
+def walk(walk_model: BasePoses) -> Walk:
     return make_walk(walk_model, frames=40)
 
 
-def test_a_walk_is_reconstructed(walk_model: BasePoses, walk) -> None:
+def test_a_walk_is_reconstructed(walk_model: BasePoses, walk: Walk) -> None:
     theta, cameras, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     error = []
@@ -49,13 +50,13 @@ def test_a_walk_is_reconstructed(walk_model: BasePoses, walk) -> None:
         error.append(np.linalg.norm(pose - truth, axis=-1).mean() * 1e3)
         assert person.id == 'person_1'
         assert not person.inferred.any()
-    assert np.mean(error[10:]) < 40
+    assert np.mean(error[10:]) < 1.1 * 22.0  # mm, measured
     depth = CAMERA.focal / cameras.scale[-1] * CONFIG.tracker.body_height / walk_model.stature
     assert person.joints[:, 2].mean() == pytest.approx(depth, rel=0.05)
     assert person.joints.mean(axis=0)[:2] == pytest.approx([0, 0], abs=0.05)
 
 
-def test_two_people_keep_their_ids_when_the_detector_reorders_them(walk_model, walk) -> None:
+def test_two_people_keep_their_ids_when_the_detector_reorders_them(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     for frame in range(6):
@@ -65,7 +66,7 @@ def test_two_people_keep_their_ids_when_the_detector_reorders_them(walk_model, w
         assert names == (['person_2', 'person_1'] if frame % 2 else ['person_1', 'person_2'])
 
 
-def test_the_detectors_ids_are_kept(walk_model: BasePoses, walk) -> None:
+def test_the_detectors_ids_are_kept(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     for frame in range(4):
@@ -74,7 +75,7 @@ def test_the_detectors_ids_are_kept(walk_model: BasePoses, walk) -> None:
         assert tuple(p.id for p in out) == ids
 
 
-def test_old_and_repeated_stamps_are_dropped_and_change_nothing(walk_model: BasePoses, walk) -> None:
+def test_old_and_repeated_stamps_are_dropped_and_change_nothing(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     plain, disturbed = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
     for frame in range(8):
@@ -90,7 +91,7 @@ def test_old_and_repeated_stamps_are_dropped_and_change_nothing(walk_model: Base
         assert (a.joints == b.joints).all()
 
 
-def test_a_large_backward_jump_of_stamps_restarts_the_tracker(walk_model: BasePoses, walk) -> None:
+def test_a_large_backward_jump_of_stamps_restarts_the_tracker(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker, fresh = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
     for frame in range(4):
@@ -108,7 +109,7 @@ def test_a_large_backward_jump_of_stamps_restarts_the_tracker(walk_model: BasePo
         assert tracker.backward_jump_s == pytest.approx(0 if frame else 1.0)
 
 
-def test_reset_restores_the_initial_state(walk_model: BasePoses, walk) -> None:
+def test_reset_restores_the_initial_state(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     first = [tracker.update(f * STEP_NS, people(points, f), CAMERA)[0].joints for f in range(5)]
@@ -117,14 +118,15 @@ def test_reset_restores_the_initial_state(walk_model: BasePoses, walk) -> None:
     assert all((a == b).all() for a, b in zip(first, again, strict=True))
 
 
-def test_lost_people_are_predicted_and_later_forgotten(walk_model: BasePoses, walk) -> None:
+def test_lost_people_are_predicted_and_later_forgotten(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     assert tracker.update(0, [], CAMERA) == ()
     for frame in range(12):
         (last,) = tracker.update((frame + 1) * STEP_NS, people(points + np.array([3.0 * frame, 0]), frame), CAMERA)
     (gone,) = tracker.update(14 * STEP_NS, [], CAMERA)
-    assert (gone.id, gone.predicted, gone.inferred.all(), last.predicted) == ('person_1', True, True, False)
+    assert (gone.id, gone.predicted, last.predicted) == ('person_1', True, False)
+    assert gone.inferred.all()
     assert gone.joints[:, 0].mean() > last.joints[:, 0].mean() + 0.01
     assert (gone.std > last.std).all()
     few = people(points, 12)
@@ -136,7 +138,7 @@ def test_lost_people_are_predicted_and_later_forgotten(walk_model: BasePoses, wa
     assert tracker.update(200 * STEP_NS, people(points, 2), CAMERA)[0].id == 'person_2'
 
 
-def test_a_restored_snapshot_gives_the_same_output(walk_model: BasePoses, walk) -> None:
+def test_a_restored_snapshot_gives_the_same_output(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     for frame in range(10):
@@ -166,7 +168,7 @@ def test_swapped_frames_are_undone_and_counted(walk_model: BasePoses) -> None:
     assert (plain.swapped_frames, disturbed.swapped_frames) == (0, 6)
 
 
-def test_the_output_is_delayed_by_the_lag(walk_model: BasePoses, walk) -> None:
+def test_the_output_is_delayed_by_the_lag(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.09}))
     for frame in range(20):
@@ -193,11 +195,12 @@ def test_a_person_near_the_camera_and_off_its_axis_is_located(walk_model: BasePo
         joints = joints + [0.5 + 0.01 * frame, 0.1, 3.0]
         seen = [Person2D('', CMU15.joints, camera.project(joints), np.ones(15))]
         (person,) = tracker.update(frame * STEP_NS, seen, camera)
-    assert np.linalg.norm(person.joints - joints, axis=-1).mean() < 0.12
-    assert camera.project(person.joints) == pytest.approx(seen[0].points, abs=8)
+    assert np.linalg.norm(person.joints - joints, axis=-1).mean() < 1.1 * 0.0602  # m, measured
+    reprojection_error = np.linalg.norm(camera.project(person.joints) - seen[0].points, axis=-1)
+    assert reprojection_error.max() < 1.1 * 2.6  # px, measured
 
 
-def test_hidden_joints_are_inferred_and_flagged(walk_model: BasePoses, walk) -> None:
+def test_hidden_joints_are_inferred_and_flagged(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     for frame in range(10):
@@ -212,7 +215,7 @@ def test_hidden_joints_are_inferred_and_flagged(walk_model: BasePoses, walk) -> 
 
 @settings(max_examples=40, deadline=None)
 @given(data=st.data())
-def test_arbitrary_keypoints_give_finite_output(walk_model: BasePoses, data) -> None:
+def test_arbitrary_keypoints_give_finite_output(walk_model: BasePoses, data: st.DataObject) -> None:
     tracker = Tracker(walk_model, CONFIG)
     number = st.one_of(st.just(float('nan')), st.floats(-1e7, 1e7))
     for frame in range(data.draw(st.integers(1, 5))):
@@ -230,7 +233,7 @@ def test_arbitrary_keypoints_give_finite_output(walk_model: BasePoses, data) -> 
             assert person.rotation @ person.rotation.T == pytest.approx(np.eye(3), abs=1e-6)
 
 
-def test_early_deferred_work_does_not_change_the_output(walk_model: BasePoses, walk) -> None:
+def test_early_deferred_work_does_not_change_the_output(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     lazy, eager = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
     for frame in range(30):
@@ -240,19 +243,20 @@ def test_early_deferred_work_does_not_change_the_output(walk_model: BasePoses, w
         assert (a.joints == b.joints).all()
 
 
-def test_poses_of_a_lost_person_are_remembered(walk_model: BasePoses, walk) -> None:
+def test_poses_of_a_lost_person_are_remembered(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     for frame in range(20):
         (last,) = tracker.update(frame * STEP_NS, people(points, frame), CAMERA)
     tracker.update(20 * STEP_NS, [], CAMERA)
-    assert tracker.snapshot()['_pose_memory'].poses == ()
+    assert tracker.snapshot().pose_memory.poses == ()
     tracker.update(60 * STEP_NS, [], CAMERA)
-    recalled = tracker.snapshot()['_pose_memory'].recall(points[19], np.ones(15))
+    recalled = tracker.snapshot().pose_memory.recall(points[19], np.ones(15))
+    assert recalled is not None
     pose = last.joints - last.joints.mean(axis=0)
-    assert np.linalg.norm(recalled.pose - pose, axis=-1).mean() < 0.02
+    assert np.linalg.norm(recalled.pose - pose, axis=-1).mean() < 1.1 * 0.0116  # m, measured
     tracker.reset()
-    assert tracker.snapshot()['_pose_memory'].poses == ()
+    assert tracker.snapshot().pose_memory.poses == ()
 
 
 @pytest.mark.parametrize('prior', ['learned', 'pca'])
@@ -267,11 +271,11 @@ def test_a_walk_is_classified_as_periodic_and_a_jump_is_not(prior: str) -> None:
             motions[stamp] = person.motion
     walk, jump = motions[sequence.timestamps[120]], motions[sequence.timestamps[280]]
     assert (walk.kind, walk.category) == (MotionKind.PERIODIC, 'walk')
-    assert walk.cadence == pytest.approx(0.9, abs=0.1)
+    assert walk.cadence == pytest.approx(0.9, abs=1.1 * 0.029)  # Hz; measured: 0.871 and 0.874
     assert jump.kind is MotionKind.NON_PERIODIC
 
 
-def test_infinite_scores_and_huge_points_count_as_not_seen(walk_model: BasePoses, walk) -> None:
+def test_infinite_scores_and_huge_points_count_as_not_seen(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     for frame in range(8):
@@ -284,7 +288,7 @@ def test_infinite_scores_and_huge_points_count_as_not_seen(walk_model: BasePoses
         assert out.inferred.sum() == (2 if frame == 3 else 0)
 
 
-def test_a_known_id_far_away_belongs_to_another_person(walk_model: BasePoses, walk) -> None:
+def test_a_known_id_far_away_belongs_to_another_person(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker, fresh = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
     for frame in range(10):
@@ -294,7 +298,7 @@ def test_a_known_id_far_away_belongs_to_another_person(walk_model: BasePoses, wa
     assert (person.id, person.joints.tolist()) == ('a', first.joints.tolist())
 
 
-def test_images_a_millisecond_apart_create_no_new_person(walk_model: BasePoses, walk) -> None:
+def test_images_a_millisecond_apart_create_no_new_person(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
     noise = np.random.default_rng(0)

@@ -4,15 +4,17 @@ A bone with the direction e in the T-pose has at every frame a rotation R and a 
 
     R e = (x_end - x_start) / |x_end - x_start|,    l = median over time of |x_end - x_start|.
 
-The names are those of the CMU database's BVH files. As in these files, each limb begins with a bone of zero length
-where the body branches (pelvis, neck), so that every limb rotates by itself. Every bone therefore has exactly the
-direction that the joints give it. A joint is off by no more than the variation of the bone lengths between it and
-the pelvis.
+The names are those of the CMU database's BVH files. Those files have bones of zero length where the body branches
+(pelvis, neck), so that every limb rotates by itself, and after the wrists and ankles. Blender drops or lengthens
+bones of zero length, so here these bones are 1 cm long: where the body branches, a limb begins 1 cm beside the
+joint, and its first bone points from there to the limb's next joint. A joint is off by no more than the variation
+of the lengths l, as they are defined here, of the bones between it and the pelvis.
 """
 
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +27,8 @@ from mocap_ros.skeleton import CMU15
 
 Array = NDArray[np.float64]
 
-CM_PER_M = 100.0  # BVH files are written in cm
+CM_PER_M = 100.0  # a BVH file names no unit; files are written in cm, which most programs for animation expect
+SHORT_BONE_M = 0.01  # m, of a bone without a second joint; can be seen in Blender, and hardly turns a limb
 TINY = np.finfo(float).tiny  # guards divisions by the length of a vector
 
 Direction = tuple[float, float, float]  # unit vector in the T-pose
@@ -35,6 +38,7 @@ LEFT = (1.0, 0.0, 0.0)
 RIGHT = (-1.0, 0.0, 0.0)
 UP = (0.0, 1.0, 0.0)
 DOWN = (0.0, -1.0, 0.0)
+FORWARD = (0.0, 0.0, 1.0)
 
 
 class _Bone(NamedTuple):
@@ -43,9 +47,10 @@ class _Bone(NamedTuple):
     Attributes:
         name: name of the bone.
         parent: name of the parent bone, empty for the root.
-        start: joint of the model at which the bone starts.
-        end: joint of the model at which the bone ends, empty for a bone of zero length. Such a bone rotates with
-            its branches if it is in `BRANCHES`, else with its parent.
+        start: joint of the model at which the bone starts. If its parent starts at the same joint, the bone starts
+            `SHORT_BONE_M` from there, in its direction in the T-pose, and this point rotates with the parent.
+        end: joint of the model at which the bone ends, empty for a bone of the length `SHORT_BONE_M`. Such a bone
+            rotates with its branches if it is in `BRANCHES`, else with its parent.
         rest: direction in the T-pose.
     """
 
@@ -65,19 +70,19 @@ BONES = (
     _Bone('LeftShoulder', 'Neck', 'neck', 'lshoulder', LEFT),
     _Bone('LeftArm', 'LeftShoulder', 'lshoulder', 'lelbow', LEFT),
     _Bone('LeftForeArm', 'LeftArm', 'lelbow', 'lwrist', LEFT),
-    _Bone('LeftHand', 'LeftForeArm', 'lwrist'),
+    _Bone('LeftHand', 'LeftForeArm', 'lwrist', '', LEFT),
     _Bone('RightShoulder', 'Neck', 'neck', 'rshoulder', RIGHT),
     _Bone('RightArm', 'RightShoulder', 'rshoulder', 'relbow', RIGHT),
     _Bone('RightForeArm', 'RightArm', 'relbow', 'rwrist', RIGHT),
-    _Bone('RightHand', 'RightForeArm', 'rwrist'),
+    _Bone('RightHand', 'RightForeArm', 'rwrist', '', RIGHT),
     _Bone('LHipJoint', 'Hips', 'pelvis', 'lhip', LEFT),
     _Bone('LeftUpLeg', 'LHipJoint', 'lhip', 'lknee', DOWN),
     _Bone('LeftLeg', 'LeftUpLeg', 'lknee', 'lankle', DOWN),
-    _Bone('LeftFoot', 'LeftLeg', 'lankle'),
+    _Bone('LeftFoot', 'LeftLeg', 'lankle', '', FORWARD),
     _Bone('RHipJoint', 'Hips', 'pelvis', 'rhip', RIGHT),
     _Bone('RightUpLeg', 'RHipJoint', 'rhip', 'rknee', DOWN),
     _Bone('RightLeg', 'RightUpLeg', 'rknee', 'rankle', DOWN),
-    _Bone('RightFoot', 'RightLeg', 'rankle'),
+    _Bone('RightFoot', 'RightLeg', 'rankle', '', FORWARD),
 )
 
 # For a bone where the body branches: start, end and rest direction of the vectors that determine its rotation.
@@ -88,58 +93,67 @@ BRANCHES = {
 
 
 def build_armature(joints: Array, fps: float) -> BvhMotion:
-    """Build the armature of a motion.
+    """Build the armature of a motion, which stands on the floor y = 0.
 
     Args:
         joints: (F, 15, 3) m, y up, in the order of `skeleton.CMU15`.
         fps: frame rate in Hz.
 
     Returns:
-        The armature and its motion, with offsets and positions in cm.
+        The armature and its motion, with offsets and positions in cm. The motion is moved along y, by one distance
+        for all frames, so that the lowest point of all frames is at y = 0.
     """
     index = {name: i for i, name in enumerate(CMU15.joints)}
-
-    def compute_vectors(start: str, end: str) -> Array:
-        return np.asarray(joints[:, index[end]] - joints[:, index[start]])
-
-    def compute_end_offset(bone: _Bone) -> Array:
-        """Compute the vector (3,) in cm from the start to the end of a bone in the T-pose."""
-        if not bone.end:
-            return np.zeros(3)
-        length = np.median(np.linalg.norm(compute_vectors(bone.start, bone.end), axis=1))
-        return length * CM_PER_M * np.array(bone.rest)
-
     bone_by_name = {bone.name: bone for bone in BONES}
     names, parents, offsets = [], [], []
     channels: list[tuple[str, ...]] = []
     columns = [joints[:, index['pelvis']] * CM_PER_M]
     global_rotation: dict[str, Rotation] = {}
+    end_offset: dict[str, Array] = {}  # m, from the start to the end of a bone in the T-pose
     for bone in BONES:
         parent = bone_by_name.get(bone.parent)
         parent_rotation = global_rotation[bone.parent] if parent else Rotation.identity(len(joints))
+        offset = end_offset[bone.parent] if parent else np.zeros(3)
+        start = joints[:, index[bone.start]]
+        if parent and parent.start == bone.start:
+            offset = SHORT_BONE_M * np.array(bone.rest)
+            start = start + parent_rotation.apply(offset)
+        length = SHORT_BONE_M
         if bone.name in BRANCHES:
-            branches = [(compute_vectors(start, end), rest) for start, end, rest in BRANCHES[bone.name]]
-            rotation = _fit_rotations(branches)
+            rotation = _fit_rotations(
+                [(joints[:, index[tip]] - joints[:, index[base]], rest) for base, tip, rest in BRANCHES[bone.name]]
+            )
         elif bone.end:
-            directions = parent_rotation.inv().apply(compute_vectors(bone.start, bone.end))
-            rotation = parent_rotation * _shortest_rotations(bone.rest, directions)
+            vectors = joints[:, index[bone.end]] - start
+            length = max(float(np.median(np.linalg.norm(vectors, axis=1))), SHORT_BONE_M)
+            rotation = parent_rotation * _shortest_rotations(bone.rest, parent_rotation.inv().apply(vectors))
         else:
             rotation = parent_rotation
         global_rotation[bone.name] = rotation
+        end_offset[bone.name] = length * np.array(bone.rest)
         columns.append(_compute_channel_angles(parent_rotation.inv() * rotation))
         names.append(bone.name)
         parents.append(names.index(bone.parent) if parent else -1)
-        starts_at_parent_end = parent is not None and parent.end == bone.start
-        offsets.append(compute_end_offset(parent) if parent and starts_at_parent_end else np.zeros(3))
+        offsets.append(offset * CM_PER_M)
         channels.append(ROTATION_CHANNELS if parent else POSITION_CHANNELS + ROTATION_CHANNELS)
     for bone in BONES:
         has_children = any(child.parent == bone.name for child in BONES)
         if not has_children:
             names.append(bone.name + END_SUFFIX)
             parents.append(names.index(bone.name))
-            offsets.append(compute_end_offset(bone))
+            offsets.append(end_offset[bone.name] * CM_PER_M)
             channels.append(())
-    return BvhMotion(tuple(names), tuple(parents), np.array(offsets), tuple(channels), 1 / fps, np.hstack(columns))
+    motion = np.hstack(columns)
+    return _put_on_floor(
+        BvhMotion(tuple(names), tuple(parents), np.array(offsets), tuple(channels), 1 / fps, motion)
+    )
+
+
+def _put_on_floor(bvh: BvhMotion) -> BvhMotion:
+    """Return the motion, moved along y so that the lowest point of all frames is at y = 0."""
+    lowest = bvh.compute_positions()[..., 1].min()
+    root_height = POSITION_CHANNELS.index('Yposition')  # the root is the first node, and begins with its position
+    return replace(bvh, motion=bvh.motion - lowest * np.eye(bvh.motion.shape[1])[root_height])
 
 
 def _compute_channel_angles(rotation: Rotation) -> Array:

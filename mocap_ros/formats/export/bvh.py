@@ -7,6 +7,8 @@ from pathlib import Path
 from mocap_ros.formats.bvh_motion import END_SUFFIX, BvhMotion
 
 DECIMALS = 6  # of lengths in cm and angles in degrees: far finer than any reconstruction
+# How a file of `build_armature` is imported into Blender, whose importer takes lengths as metres by default.
+BLENDER_IMPORT = 'File > Import > Motion Capture (.bvh) with Scale 0.01, Forward -Z and Up Y'
 FRAME_TIME_DECIMALS = 8  # of a time in s: an hour of frames drifts by less than 2 ms at 100 Hz
 
 

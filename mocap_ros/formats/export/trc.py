@@ -22,7 +22,7 @@ def save_trc(path: Path, names: Sequence[str], joints: Array, fps: float) -> Non
     Args:
         path: path of the file.
         names: (J,) names of the joints.
-        joints: (F, J, 3) m, y up.
+        joints: (F, J, 3) m, y up; NaN where unknown, which leaves the fields of the marker empty.
         fps: frame rate in Hz.
     """
     frames = len(joints)
@@ -36,5 +36,7 @@ def save_trc(path: Path, names: Sequence[str], joints: Array, fps: float) -> Non
         '',
     ]
     for frame, row in enumerate(joints.reshape(frames, -1) * MM_PER_M):
-        lines.append(f'{frame + 1}\t{frame / fps:.6f}\t' + '\t'.join(f'{value:.4f}' for value in row))
+        fields = ['' if np.isnan(value) else f'{value:.4f}' for value in row]
+        end = '' if fields[-1] else '\t'  # without it, OpenSim does not count the last field, which is empty
+        lines.append(f'{frame + 1}\t{frame / fps:.6f}\t' + '\t'.join(fields) + end)
     path.write_text('\n'.join(lines) + '\n', encoding='utf-8')

@@ -9,10 +9,11 @@ import numpy as np
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
+from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import Header, validate_header, validate_text
 from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
-from mocap_ros.messages.foreign.shared import ImageSize, decode_foreign, validate_person_of_field
+from mocap_ros.messages.foreign.shared import decode_foreign, validate_person_of_field
 from mocap_ros.messages.keypoints import check_count
 from mocap_ros.skeleton import keypoint_layout
 

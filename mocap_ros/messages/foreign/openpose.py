@@ -8,8 +8,9 @@ import numpy as np
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
+from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.foreign.shared import ImageSize, validate_person_of_field
+from mocap_ros.messages.foreign.shared import validate_person_of_field
 from mocap_ros.skeleton import keypoint_layout
 
 # The joints of each layout that OpenPose publishes, by the number of keypoints, which identifies the layout.

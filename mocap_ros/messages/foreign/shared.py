@@ -12,8 +12,6 @@ from mocap_ros.messages.keypoints import Array, validate_person
 # Guards the decoder against huge messages. A message of 20 people is below 1 MB without segmentation masks.
 MAX_MESSAGE_BYTES = 16_000_000
 
-ImageSize = tuple[int, int]  # (width, height) in px, (0, 0) where unknown
-
 
 def decode_foreign(raw: bytes, msgtype: str) -> Any:
     """Decode a foreign message that is not too large.

@@ -8,9 +8,10 @@ import numpy as np
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
+from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import validate_text
-from mocap_ros.messages.foreign.shared import ImageSize, validate_person_of_field
+from mocap_ros.messages.foreign.shared import validate_person_of_field
 from mocap_ros.skeleton import keypoint_layout
 
 COCO17 = keypoint_layout('coco17').joints  # keypoint n of the message (n = 1 to 17) is joint n - 1 of this layout

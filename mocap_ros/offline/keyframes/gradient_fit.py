@@ -19,11 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.rotations import cross_matrix, rotation_from_vector
+from mocap_ros.geometry.camera_jacobian import camera_jacobian
+from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.geometry.weak_perspective import subtract_weighted_centroid
 from mocap_ros.offline.keyframes.filters import build_low_pass_matrix, nan_median
 from mocap_ros.offline.keyframes.interpolation import assemble_poses, compute_limb_directions
 from mocap_ros.skeleton import Skeleton
+from mocap_ros.solvers.window import SolverStatus
 
 Array = NDArray[np.float64]
 
@@ -118,7 +120,7 @@ def _take_alignment_step(aligned: AlignedMotion, image: Array, score: Array, foc
     robust_weight = score / (1 + (error**2).sum(axis=-1) / ROBUST_SCALE_M**2)
     error, mean = subtract_weighted_centroid(error, robust_weight)
     centred, _ = subtract_weighted_centroid(aligned.joints, robust_weight)
-    jacobian = np.concatenate([-cross_matrix(centred)[..., :2, :], centred[..., :2, None]], axis=-1)
+    jacobian = camera_jacobian(centred, rows=2)
     information = robust_weight[..., None, None] / POINT_STD_M**2
     normal = (np.swapaxes(jacobian, -1, -2) @ (information * jacobian)).sum(axis=1)
     gradient = (np.swapaxes(jacobian, -1, -2) @ (information * error[..., None])).sum(axis=1)[..., 0]
@@ -153,11 +155,14 @@ class FitResult:
 
     Attributes:
         motion: fitted motion X_hat.
-        mean_squared_errors: m^2, mean squared reprojection error before each step and at the end.
+        mean_squared_errors: m^2, mean squared reprojection error before each step and at the end. The limb lengths
+            of the motion are reset once more after the last value.
+        status: why the descent stopped.
     """
 
     motion: AlignedMotion
     mean_squared_errors: tuple[float, ...]
+    status: SolverStatus
 
 
 def fit_motion(
@@ -195,6 +200,7 @@ def fit_motion(
     motion = replace(start, joints=reset_limb_lengths(start.joints, lengths, skeleton))
     motion, gradient, error = _evaluate_error(motion, points, weight, focal)
     errors = [error]
+    status = SolverStatus.MAX_ITERATIONS
     for _ in range(iterations):
         joints = motion.joints.copy()
         joints[..., :2] -= step * gradient
@@ -205,9 +211,10 @@ def fit_motion(
         errors.append(error)
         progress()
         if abs(errors[-2] - error) <= tolerance * errors[-2]:
+            status = SolverStatus.CONVERGED
             break
     joints = reset_limb_lengths(motion.joints, lengths, skeleton)
-    return FitResult(replace(motion, joints=joints), tuple(errors))
+    return FitResult(replace(motion, joints=joints), tuple(errors), status)
 
 
 def _evaluate_error(

@@ -9,25 +9,26 @@ frames that k represents well.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import centre_poses
+from mocap_ros.keypoints.joint_map import map_to_model_joints
 from mocap_ros.models import model_file
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.keyframes.filters import interpolate_gaps, nan_median
 from mocap_ros.offline.keyframes.gradient_fit import symmetrise_lengths
 from mocap_ros.offline.keyframes.interpolation import assemble_poses, compute_limb_directions
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
-from mocap_ros.offline.keyframes.observations import MIN_POSE_JOINTS, Observations, split_into_sections
+from mocap_ros.offline.keyframes.shots import split_into_sections
 from mocap_ros.offline.keyframes.taylor import HALF_NAMES, DepthChoice, reconstruct_limbs
-from mocap_ros.offline.whole_sequence import reconstruct_sequence
+from mocap_ros.offline.whole_sequence import reconstruct_window
 from mocap_ros.skeleton import CMU15, estimate_stature
+from mocap_ros.solvers.observed_window import ObservedWindow
+from mocap_ros.solvers.window import MIN_JOINTS_FOR_CAMERA
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -43,9 +44,8 @@ MIN_BODY_SIZE = 1e-6  # unit of the poses; guards proportions against bodies wit
 
 
 def propose_poses(
-    observed: Observations,
+    observed: ObservedWindow,
     keyframes: Indices,
-    intrinsics: Intrinsics,
     models: Mapping[str, BasePoses],
     config: Config,
 ) -> tuple[str, Array]:
@@ -54,7 +54,6 @@ def propose_poses(
     Args:
         observed: image points without suspect points.
         keyframes: frame indices of the keyframes of both halves.
-        intrinsics: intrinsics of the camera.
         models: base poses by name.
         config: parameters of all parts.
 
@@ -68,13 +67,13 @@ def propose_poses(
     if config.keyframes.poses == 'lifter':
         category, poses = next(iter(models)), propose_lifted_poses(observed, config.solver.prior)
     else:
-        category, poses = propose_solved_poses(observed, keyframes, intrinsics, models, config)
+        category, poses = propose_solved_poses(observed, keyframes, models, config)
     if not np.isfinite(poses).all(axis=(1, 2)).any():
         raise InputError('no frame is seen well enough for a 3D pose')
     return category, poses
 
 
-def propose_lifted_poses(observed: Observations, prior: str) -> Array:
+def propose_lifted_poses(observed: ObservedWindow, prior: str) -> Array:
     """Propose a 3D pose for every frame by the lifter that `solver.prior` names, or else by the shipped lifter.
 
     Args:
@@ -95,9 +94,8 @@ def propose_lifted_poses(observed: Observations, prior: str) -> Array:
 
 
 def propose_solved_poses(
-    observed: Observations,
+    observed: ObservedWindow,
     keyframes: Indices,
-    intrinsics: Intrinsics,
     models: Mapping[str, BasePoses],
     config: Config,
 ) -> tuple[str, Array]:
@@ -108,10 +106,9 @@ def propose_solved_poses(
     Returns:
         Name of the base poses used most, and (F, J, 3) m, virtual camera's axes; NaN in all other frames.
     """
-    observed_as_given = replace(config.tracker, min_score=0.0, undo_swaps=False)
-    config = replace(config, tracker=observed_as_given)
-    keypoints = np.concatenate([observed.pixels, observed.weight[..., None]], axis=-1)
-    times = observed.times
+    times, camera = observed.times, observed.virtual_camera
+    # derives a neck or a pelvis that was left out as suspect from the joints beside it
+    rays, weight = map_to_model_joints(observed.rays, observed.weight, CMU15.joints, min_score=0.0)
     out = np.full((*observed.points.shape[:2], 3), np.nan)
     grid = np.searchsorted(times, np.arange(times[0], times[-1], SOLVER_STEP_S))
     is_solved = np.zeros(len(times), bool)
@@ -119,14 +116,15 @@ def propose_solved_poses(
     categories = []
     for padded, section in split_into_sections(times, MAX_SECTION_S, SOLVER_MARGIN_S):
         frames = np.flatnonzero(is_solved[padded]) + padded.start
-        if not ((observed.weight[frames] > 0).sum(axis=1) >= MIN_POSE_JOINTS).any():
+        if not ((observed.weight[frames] > 0).sum(axis=1) >= MIN_JOINTS_FOR_CAMERA).any():
             continue
-        result = reconstruct_sequence(keypoints[frames], CMU15.joints, times[frames], intrinsics, models, config)
+        part = ObservedWindow.facing_person(
+            times[frames], rays[frames], weight[frames], camera.intrinsics, observed.focal
+        )
+        result = reconstruct_window(part, models, config)
         inner = (frames >= section.start) & (frames < section.stop)
         frames = frames[inner]
-        out[frames] = centre_poses(result.joints[inner]) @ np.swapaxes(
-            observed.virtual_camera.rotation[frames], -1, -2
-        )
+        out[frames] = camera.select_frames(frames).to_virtual_camera(centre_poses(result.joints[inner]))
         categories.append(result.category)
     return max(categories, key=categories.count, default=next(iter(models))), out
 
@@ -200,7 +198,7 @@ def apply_depth_choice(
     choice: DepthChoice,
     keyframes: Sequence[KeyframeSet],
     key_directions: Sequence[Array],
-    observed: Observations,
+    observed: ObservedWindow,
     lengths: Array,
 ) -> None:
     """Replace the key pose of one keyframe by the pose that Taylor's method gives for a user's choice.

@@ -10,7 +10,6 @@ compared with the frames of later sections by the mean pose of the frames at a d
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -81,13 +80,7 @@ class KeyframeSet:
         return [(int(run[0]), int(run[-1])) for run in runs]
 
 
-def find_keyframe_set(
-    poses: HalfPoses,
-    half: BodyHalf,
-    frames: int,
-    config: KeyframesConfig,
-    progress: Callable[[int], None] = lambda _: None,
-) -> KeyframeSet:
+def find_keyframe_set(poses: HalfPoses, half: BodyHalf, frames: int, config: KeyframesConfig) -> KeyframeSet:
     """Find the keyframes of one half of the body.
 
     Args:
@@ -95,7 +88,6 @@ def find_keyframe_set(
         half: half of the body.
         frames: number of frames of the sequence.
         config: parameters; `alpha`, `beta`, `gap` and `max_matrix_frames` apply.
-        progress: called after each section with its number of frames.
     """
     if not len(poses):
         return _build_empty_set(half, frames)
@@ -127,7 +119,6 @@ def find_keyframe_set(
         section_means = average_similar_poses(section_poses, averaging[selected], selected)
         mean_poses = section_means if mean_poses is None else concatenate_poses(mean_poses, section_means)
         first_matrix = first_matrix if len(first_matrix) else matrix
-        progress(len(section))
     return _expand_to_sequence(
         poses, half, frames, np.concatenate(keyframes), nearest, distance, first_matrix, config
     )

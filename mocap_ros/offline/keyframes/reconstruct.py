@@ -1,13 +1,13 @@
 """Reconstruction of a long sequence by keyframes, from 2D keypoints to 3D motion (Loy et al. 2004, figure 1).
 
-The steps: observations in virtual cameras, suspect points, keyframes, key poses, interpolation between control
+The steps: observed window of the sequence, suspect points, keyframes, key poses, interpolation between control
 points, alignment to the image, outliers, offsets of the detector's joints, projected gradient fit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.keyframes.body_halves import estimate_torso_lengths, extract_half_poses, split_into_halves
 from mocap_ros.offline.keyframes.detector_offsets import estimate_joint_offsets, subtract_offsets
 from mocap_ros.offline.keyframes.filters import interpolate_gaps
-from mocap_ros.offline.keyframes.gradient_fit import AlignedMotion, align_motion, fit_motion
+from mocap_ros.offline.keyframes.gradient_fit import AlignedMotion, FitResult, align_motion, fit_motion
 from mocap_ros.offline.keyframes.interpolation import (
     assemble_poses,
     compute_limb_directions,
@@ -37,11 +37,12 @@ from mocap_ros.offline.keyframes.key_poses import (
     propose_poses,
 )
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet, find_keyframe_set
-from mocap_ros.offline.keyframes.observations import Observations, prepare_observations, split_into_sections
 from mocap_ros.offline.keyframes.outliers import find_jumping_points, find_outliers
+from mocap_ros.offline.keyframes.shots import observe_shots, split_into_sections
 from mocap_ros.offline.keyframes.taylor import DepthChoice
-from mocap_ros.offline.whole_sequence import SequenceResult
+from mocap_ros.offline.whole_sequence import SequenceResult, find_frames_in_sight
 from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.solvers.window import Reconstruction
 
 Array = NDArray[np.float64]
@@ -61,24 +62,22 @@ class KeyframeResult:
     """A sequence reconstructed by keyframes.
 
     Attributes:
-        result: 3D joints; joints that were not seen or are outliers are not `seen` in it.
+        result: 3D joints; joints that were not seen or are outliers are not `seen` in it. Its solution tells how
+            the gradient fit ended; the objective is the mean squared reprojection error, which may rise, since
+            limb lengths are reset after every step.
         keyframes: keyframes of the upper and the lower half of the body.
-        control_points: frame indices of each half's control points.
         motion: (F, J, 3) m, virtual camera's axes: the initial motion X^0 between key poses, before the fit.
         outliers: (F, J) True for the image points that were seen and found to be outliers.
-        mean_squared_errors: m^2, mean squared reprojection error before each step of the fit and at the end.
     """
 
     result: SequenceResult
     keyframes: tuple[KeyframeSet, KeyframeSet]
-    control_points: tuple[Indices, Indices]
     motion: Array
     outliers: Mask
-    mean_squared_errors: tuple[float, ...]
 
 
 def find_keyframes(
-    observed: Observations, config: KeyframesConfig, progress: Callable[[str], None] = lambda _: None
+    observed: ObservedWindow, config: KeyframesConfig, progress: Callable[[str], None] = lambda _: None
 ) -> tuple[KeyframeSet, KeyframeSet]:
     """Find the keyframes of both halves of the body in a sequence (section 4).
 
@@ -123,12 +122,12 @@ def reconstruct(
             keyframes.
     """
     parameters = config.keyframes
-    observed = prepare_observations(keypoints, joint_names, times, intrinsics, config.tracker)
+    observed = observe_shots(keypoints, joint_names, times, intrinsics, config.tracker)
     plausible = observed.exclude_points(find_suspect_points(observed))
     keyframes = find_keyframes(plausible, parameters, progress)
     progress('key poses')
     frames = np.concatenate([half.frames for half in keyframes])
-    category, poses = propose_poses(plausible, frames, intrinsics, models, config)
+    category, poses = propose_poses(plausible, frames, models, config)
     lengths = estimate_limb_lengths(poses, config.tracker.body_height)
     progress('interpolation')
     key_directions = tuple(average_key_directions(half, poses, parameters.beta) for half in keyframes)
@@ -136,19 +135,18 @@ def reconstruct(
         apply_depth_choice(choice, keyframes, key_directions, plausible, lengths)
     if not any(np.isfinite(k).all(axis=(1, 2)).any() for k in key_directions):
         raise InputError('no key poses: too few joints are seen, or too few poses are alike (keyframes.beta)')
-    motion, control_points = interpolate_key_poses(
-        plausible, keyframes, key_directions, poses, lengths, parameters
-    )
+    motion = interpolate_key_poses(plausible, keyframes, key_directions, poses, lengths, parameters)
     start = align_motion(motion, plausible.points, plausible.weight, times, observed.focal)
-    outliers = find_outliers(_compute_displacement(start, observed), observed.weight > 0, times)
+    displacement = _compute_displacement(start, observed.points, observed.focal)
+    outliers = find_outliers(displacement, observed.weight > 0, times)
     inliers = observed.exclude_points(outliers)
     start = align_motion(motion, inliers.points, inliers.weight, times, observed.focal)
     model = models[category].rescale(config.tracker.body_height / models[category].stature)
     offsets = _estimate_detector_offsets(poses, lengths, inliers, model.mean)
-    inliers = replace(inliers, points=subtract_offsets(offsets, start, inliers.points, inliers.focal, model.mean))
-    start = align_motion(motion, inliers.points, inliers.weight, times, observed.focal)
+    seen_points = subtract_offsets(offsets, start, inliers.points, observed.focal, model.mean)
+    start = align_motion(motion, seen_points, inliers.weight, times, observed.focal)
     progress('fit')
-    points, weight = fill_missing_points(start, inliers)
+    points, weight = fill_missing_points(start, seen_points, inliers.weight, times, observed.focal)
     fit = fit_motion(
         start,
         points,
@@ -161,12 +159,11 @@ def reconstruct(
         smoothing=parameters.smoothing,
         iterations=parameters.iterations,
     )
-    errors = fit.mean_squared_errors
-    result = _build_result(fit.motion, inliers, category, model, errors)
-    return KeyframeResult(result, keyframes, control_points, motion, outliers, errors)
+    result = _build_result(fit, inliers, seen_points, category, model)
+    return KeyframeResult(result, keyframes, motion, outliers)
 
 
-def find_suspect_points(observed: Observations) -> Mask:
+def find_suspect_points(observed: ObservedWindow) -> Mask:
     """Find the points that jump in the image.
 
     Suspect points are left out of distances and key poses, and are judged again once a 3D motion is known.
@@ -184,13 +181,13 @@ def find_suspect_points(observed: Observations) -> Mask:
 
 
 def interpolate_key_poses(
-    observed: Observations,
+    observed: ObservedWindow,
     keyframes: tuple[KeyframeSet, KeyframeSet],
     key_directions: Sequence[Array],
     poses: Array,
     lengths: Array,
     config: KeyframesConfig,
-) -> tuple[Array, tuple[Indices, Indices]]:
+) -> Array:
     """Interpolate between key poses to the initial motion X^0 (section 6.1).
 
     A half without any key pose follows the proposed poses.
@@ -204,33 +201,30 @@ def interpolate_key_poses(
         config: parameters; `gap` and `frame_pose_share` apply.
 
     Returns:
-        (F, J, 3) m, virtual camera's axes; and frame indices of each half's control points.
+        (F, J, 3) m, virtual camera's axes.
     """
     times = observed.times
     directions = np.zeros((len(times), len(CMU15.bones), 3))
     has_pose = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
     proposed = slerp(compute_limb_directions(poses[has_pose], CMU15.bones), times[has_pose], times)
-    control_points = []
     for half_keyframes, half_directions in zip(keyframes, key_directions, strict=True):
         has_key_pose = np.asarray(np.isfinite(half_directions).all(axis=(1, 2)))
         bones = [CMU15.bones.index(bone) for bone in half_keyframes.body_half.bones]
         if not has_key_pose.any():
             directions[:, bones] = proposed[:, bones]
-            control_points.append(half_keyframes.frames[:0])
             continue
         assignment: Indices = np.where(has_key_pose[half_keyframes.nearest], half_keyframes.assignment, -1)
         distance = _rank_fits(observed, half_keyframes, half_directions, assignment, lengths)
         control = select_control_points(assignment, distance, times, config.gap)
-        control_points.append(control)
         blended = blend_directions(
             half_directions[assignment[control]], proposed[control][:, bones], config.frame_pose_share
         )
         directions[:, bones] = slerp(blended, times[control], times)
-    return assemble_poses(directions, lengths, CMU15), (control_points[0], control_points[1])
+    return assemble_poses(directions, lengths, CMU15)
 
 
 def _rank_fits(
-    observed: Observations, keyframes: KeyframeSet, key_directions: Array, assignment: Indices, lengths: Array
+    observed: ObservedWindow, keyframes: KeyframeSet, key_directions: Array, assignment: Indices, lengths: Array
 ) -> Array:
     """Return (F,) torso lengths, the distance of each frame from its key pose; huge without one.
 
@@ -257,7 +251,7 @@ def _rank_fits(
     return np.nan_to_num(out, nan=np.inf)
 
 
-def _estimate_detector_offsets(poses: Array, lengths: Array, observed: Observations, body: Array) -> Array:
+def _estimate_detector_offsets(poses: Array, lengths: Array, observed: ObservedWindow, body: Array) -> Array:
     """Return (J, 3) m, offsets of the detector's joints from the model's, from the frames with a proposed pose."""
     frames = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
     proposed = assemble_poses(compute_limb_directions(poses[frames], CMU15.bones), lengths, CMU15)
@@ -266,45 +260,58 @@ def _estimate_detector_offsets(poses: Array, lengths: Array, observed: Observati
     return estimate_joint_offsets(motion, points, weight, observed.focal, body)
 
 
-def _compute_displacement(motion: AlignedMotion, observed: Observations) -> Array:
+def _compute_displacement(motion: AlignedMotion, points: Array, focal: float) -> Array:
     """Return (F, J, 2) m, the image points, back-projected to their joints' depths, minus the motion's joints."""
-    return motion.back_project(observed.points, observed.focal) - motion.joints[..., :2]
+    return motion.back_project(points, focal) - motion.joints[..., :2]
 
 
-def fill_missing_points(motion: AlignedMotion, observed: Observations) -> tuple[Array, Array]:
+def fill_missing_points(
+    motion: AlignedMotion, points: Array, weight: Array, times: Array, focal: float
+) -> tuple[Array, Array]:
     """Fill the points that are not seen, as displacements from the motion interpolated over time.
 
     Args:
         motion: initial motion, aligned to the image points.
-        observed: image points without outliers.
+        points: (F, J, 2) px, arbitrary where the weight is 0.
+        weight: (F, J) confidence scores without those of outliers, 0 where not seen.
+        times: (F,) s, increasing.
+        focal: px, focal length, or infinite.
 
     Returns:
         (F, J, 2) px, all points; and (F, J) weights, `FILLED_WEIGHT` for filled points.
     """
-    seen = observed.weight > 0
+    seen = weight > 0
     displacement, known = interpolate_gaps(
-        _compute_displacement(motion, observed), seen, observed.times, MAX_FILLED_GAP_S
+        _compute_displacement(motion, points, focal), seen, times, MAX_FILLED_GAP_S
     )
     joints = motion.joints.copy()
     joints[..., :2] += np.where(known[..., None], displacement, 0.0)
-    filled = AlignedMotion(joints, motion.scale, motion.translation).project(observed.focal)
-    points = np.where(seen[..., None], observed.points, filled)
-    return points, np.where(seen, observed.weight, FILLED_WEIGHT)
+    filled = AlignedMotion(joints, motion.scale, motion.translation).project(focal)
+    return np.where(seen[..., None], points, filled), np.where(seen, weight, FILLED_WEIGHT)
 
 
 def _build_result(
-    motion: AlignedMotion,
-    observed: Observations,
+    fit: FitResult,
+    observed: ObservedWindow,
+    points: Array,
     category: str,
     model: BasePoses,
-    mean_squared_errors: tuple[float, ...],
 ) -> SequenceResult:
-    """Return the fitted motion as the result type of all solvers; outliers count as not seen in it."""
+    """Return the fitted motion as the result type of all solvers; outliers count as not seen in it.
+
+    Args:
+        fit: fitted motion, and how the fit ended.
+        observed: window without outliers.
+        points: (F, J, 2) px, its image points without the detector's offsets.
+        category: name of the base poses used.
+        model: base poses at the person's stature; their rotations and weights are those nearest to the joints.
+    """
+    motion = fit.motion
     joints, translation = motion.joints, motion.translation
     seen = observed.weight > 0
     rotation = fit_rotation(np.broadcast_to(model.mean, joints.shape), joints)
     cameras = WeakPerspectiveCameras(motion.scale, rotation)
-    squared_error = ((motion.project(observed.focal) - observed.points) ** 2).sum(axis=-1)
+    squared_error = ((motion.project(observed.focal) - points) ** 2).sum(axis=-1)
     with np.errstate(invalid='ignore'):
         residual = np.sqrt((squared_error * seen).sum(axis=1) / seen.sum(axis=1))
     solution = Reconstruction(
@@ -313,12 +320,11 @@ def _build_result(
         cameras=cameras,
         translation=translation,
         residual=residual,
-        objective=mean_squared_errors,
-        iterations=len(mean_squared_errors) - 1,
-        converged=True,
-        noise=float('nan'),
-        joint_std=np.full(joints.shape[1], np.nan),
+        status=fit.status,
+        history=fit.mean_squared_errors,
+        iterations=len(fit.mean_squared_errors) - 1,
     )
     camera = observed.virtual_camera
     in_camera = camera.to_real_camera(joints) + camera.root_positions(cameras, translation)[:, None]
-    return SequenceResult(in_camera, seen, CMU15, category, solution)
+    in_camera[~find_frames_in_sight(seen)] = np.nan
+    return SequenceResult(in_camera, seen, CMU15, category, solution, camera)

@@ -16,7 +16,6 @@ which it represents a frame. The result equals that of eq. 2 evaluated directly.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -35,26 +34,6 @@ TIE_TOLERANCE = 1e-9
 def estimate_frame_interval(times: Array) -> float:
     """Return the median time between successive frames, s."""
     return float(np.median(np.diff(times))) if len(times) > 1 else SINGLE_FRAME_INTERVAL_S
-
-
-def compute_selection_cost(well_represented: Mask, times: Array) -> float:
-    """Return C_K by direct evaluation of eq. 2.
-
-    Args:
-        well_represented: (N,) True for the frames of W.
-        times: (N,) s, increasing.
-
-    Returns:
-        Cost in s.
-    """
-    step = estimate_frame_interval(times)
-    total = 0.0
-    for i, t in enumerate(times):
-        left = times[:i][well_represented[:i]]
-        right = times[i + 1 :][well_represented[i + 1 :]]
-        total += t - (left[-1] if len(left) else times[0] - step)
-        total += (right[0] if len(right) else times[-1] + step) - t
-    return float(total)
 
 
 def find_interpolatable(well_represented: Mask, times: Array, gap: float) -> Mask:
@@ -101,7 +80,6 @@ def select_keyframes(
     alpha: float,
     gap: float,
     well_represented: Mask | None = None,
-    progress: Callable[[float], None] = lambda _: None,
 ) -> Selection:
     """Select keyframes by eq. 3 and 4 until eq. 1 holds.
 
@@ -111,7 +89,6 @@ def select_keyframes(
         alpha: share of the frames to cover.
         gap: T, s.
         well_represented: (N,) True for the frames that keyframes of earlier sections represent well already.
-        progress: called with the share of covered frames after each keyframe.
 
     Returns:
         The selection; among candidates of equal cost the earliest frame is selected.
@@ -128,7 +105,6 @@ def select_keyframes(
         keyframes.append(keyframe)
         covered = costs.well_represented | find_interpolatable(costs.well_represented, times, gap)
         coverage.append(float(covered.mean()))
-        progress(coverage[-1])
     return Selection(np.array(keyframes, int), costs.well_represented, covered, np.array(coverage))
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
-from mocap_ros.skeleton import CMU15, Skeleton
+from mocap_ros.skeleton import CMU15
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,6 @@ def reconstruct_limbs(
     bones: Sequence[tuple[int, int]],
     forward: frozenset[str],
     scale: float | None = None,
-    skeleton: Skeleton = CMU15,
 ) -> tuple[Array, float]:
     """Reconstruct limbs in 3D from one image by Taylor's method, up to the depth of the whole body.
 
@@ -64,7 +63,6 @@ def reconstruct_limbs(
         bones: (B,) pairs of inner and outer joint index.
         forward: names of the outer joints that are nearer to the camera than their inner joints.
         scale: px per unit of the lengths; None for the minimum that every limb allows.
-        skeleton: skeleton that names the joints.
 
     Returns:
         (B, 3) vectors from inner to outer joint in the unit of the lengths, camera's axes (z away from the
@@ -74,11 +72,11 @@ def reconstruct_limbs(
         InputError: A joint is not seen or is no outer joint of these limbs, or the scale is too small. The message
             names the joint.
     """
-    outer = [skeleton.joints[child] for _, child in bones]
+    outer = [CMU15.joints[child] for _, child in bones]
     for name in sorted(forward):
         if name not in outer:
             raise InputError(f'no limb of this half ends in {name!r}; expected {", ".join(outer)}')
-    unseen = [skeleton.joints[j] for bone in bones for j in bone if not np.isfinite(points[j]).all()]
+    unseen = [CMU15.joints[j] for bone in bones for j in bone if not np.isfinite(points[j]).all()]
     if unseen:
         raise InputError(f'{unseen[0]} is not seen')
     flat = np.array([points[child] - points[parent] for parent, child in bones])

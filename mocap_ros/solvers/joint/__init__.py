@@ -1,5 +1,5 @@
 """The non-periodic model, solved jointly for cameras and base-pose weights (TPAMI 2016, section 3.4)."""
 
-from mocap_ros.solvers.joint.solver import solve, solve_hypotheses
+from mocap_ros.solvers.joint.solver import JointReconstruction, solve, solve_hypotheses
 
-__all__ = ['solve', 'solve_hypotheses']
+__all__ = ['JointReconstruction', 'solve', 'solve_hypotheses']

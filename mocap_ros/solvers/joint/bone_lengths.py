@@ -60,10 +60,9 @@ class BoneLengths:
         """Return the term of these windows."""
         parents, children = (np.array(side) for side in zip(*model.skeleton.bones, strict=True))
         lengths = model.skeleton.bone_lengths(model.mean)
-        relative = (lengths.mean() / lengths) ** 2 if config.relative_bones else np.ones(len(lengths))
         return BoneLengths(
             batch=batch,
-            weight=config.bone_weight * relative,
+            weight=np.full(len(lengths), config.bone_weight),
             parents=parents,
             children=children,
             earlier_lengths=np.array(

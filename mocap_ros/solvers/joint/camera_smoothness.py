@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, fill_camera_jacobian
 from mocap_ros.solvers.joint.batch import Subsample
-from mocap_ros.solvers.joint.camera_derivatives import fill_camera_columns
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
-from mocap_ros.solvers.joint.state import CAMERA_UNKNOWNS, Fit, State
+from mocap_ros.solvers.joint.state import Fit, State
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,8 @@ class CameraSmoothness:
         points[:, :3] = np.exp(fit.state.log_scale)[:, None, None] * columns
         points[:, 3] = columns[:, 2]
         jacobian = np.zeros((frames, FEATURES, CAMERA_UNKNOWNS))
-        fill_camera_columns(jacobian[:, :8].reshape(frames, 2, 4, CAMERA_UNKNOWNS), points)
+        of_columns = jacobian[:, :8].reshape(frames, 2, 4, CAMERA_UNKNOWNS)
+        fill_camera_jacobian(np.swapaxes(of_columns, 1, 2), points)
         jacobian[:, VERTICAL_FEATURES, 3] = 0.0
         jacobian[:, LOG_SCALE_FEATURE, 3] = 1.0
         weight = self.weight[..., None]

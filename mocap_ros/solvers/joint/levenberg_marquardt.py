@@ -17,6 +17,7 @@ from mocap_ros.solvers.block_banded import BandedCholesky
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
 from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.joint.state import Fit, State
+from mocap_ros.solvers.window import SolverStatus
 
 Array = NDArray[np.float64]
 
@@ -34,9 +35,9 @@ class Descent:
         fit: of the last state.
         equations: normal equations of the last state, or of the one before.
         banded: their factorised matrix; None where no step could be computed.
-        objective: (P,) m^2 of the initial state and after each step.
-        iterations: (P,) number of steps of each sequence.
-        converged: (P,) True where a sequence ended by itself.
+        objective: (P,) m^2 of the initial state and after each step that was tried.
+        iterations: (P,) number of steps of each sequence that were tried.
+        status: (P,) `SolverStatus` of each sequence.
     """
 
     fit: Fit
@@ -44,7 +45,7 @@ class Descent:
     banded: BandedCholesky | None
     objective: list[Array]
     iterations: NDArray[np.intp]
-    converged: NDArray[np.bool_]
+    status: NDArray[np.intp]
 
 
 def minimise(objective: JointObjective, state: State, config: SolverConfig, first_damping: float) -> Descent:
@@ -62,6 +63,7 @@ def minimise(objective: JointObjective, state: State, config: SolverConfig, firs
     history = [cost]
     damping = np.full(sequences, first_damping)
     is_done = np.zeros(sequences, bool)
+    status = np.full(sequences, SolverStatus.MAX_ITERATIONS, dtype=np.intp)
     iterations = np.zeros(sequences, int)
     equations = objective.normal_equations(fit)
     are_equations_outdated = False
@@ -72,8 +74,11 @@ def minimise(objective: JointObjective, state: State, config: SolverConfig, firs
             equations = objective.normal_equations(fit).with_frozen(done_frames, equations)
             are_equations_outdated = False
         solved = objective.step(equations, damping)
+        iterations += ~is_done
         if solved is None:
+            history.append(cost)
             damping = np.where(is_done, damping, damping * DAMPING_AFTER_FAILURE)
+            status[~is_done] = SolverStatus.SINGULAR
             continue
         step, banded = solved
         trial = objective.with_optimal_translation(fit.state.advanced(step))
@@ -87,11 +92,14 @@ def minimise(objective: JointObjective, state: State, config: SolverConfig, firs
             fit = objective.fit(trial.state.where(chosen, fit.state))
         cost = np.where(is_better, trial_cost, cost)
         history.append(cost)
-        iterations += ~is_done
-        is_done |= (is_better & (gain <= config.tolerance * cost)) | (damping > MAX_DAMPING)
+        has_settled, is_stuck = is_better & (gain <= config.tolerance * cost), damping > MAX_DAMPING
+        stuck_status = np.where(np.isfinite(cost), SolverStatus.NO_LOWER_STEP, SolverStatus.SINGULAR)
+        end = np.where(is_stuck, stuck_status, SolverStatus.MAX_ITERATIONS)
+        status = np.where(is_done, status, np.where(has_settled, SolverStatus.CONVERGED, end))
+        is_done |= has_settled | is_stuck
         factor = np.where(is_better, DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE)
         damping = np.where(is_done, damping, np.maximum(damping * factor, MIN_DAMPING))
         if is_done.all():
             break
         are_equations_outdated = bool(is_better.any())
-    return Descent(fit, equations, banded, history, iterations, is_done)
+    return Descent(fit, equations, banded, history, iterations, status)

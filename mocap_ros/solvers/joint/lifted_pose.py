@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.rotations import cross_matrix, fit_rotation
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, fill_camera_jacobian
+from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses, concatenate_lifted
 from mocap_ros.solvers.joint.batch import Subsample
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
-from mocap_ros.solvers.joint.state import CAMERA_UNKNOWNS, Fit
+from mocap_ros.solvers.joint.state import Fit
 from mocap_ros.solvers.window import InitialValues, Window
 
 Array = NDArray[np.float64]
@@ -102,8 +103,7 @@ class LiftedPoseTerm:
         flat = np.swapaxes(basis, 0, 1).reshape(3, -1)
         by_theta = (camera.reshape(-1, 3) @ flat).reshape(frames, 3, joints, k)
         jacobian[..., :k] = np.swapaxes(by_theta, 1, 2)
-        jacobian[..., k : k + 3] = -cross_matrix(scaled_poses)
-        jacobian[..., k + 3] = scaled_poses
+        fill_camera_jacobian(jacobian[..., k:], scaled_poses)
         jacobian *= root[..., None]
         residual = root * (scaled_poses - self.joints)
         return residual.reshape(frames, -1), jacobian.reshape(frames, 3 * joints, -1)

@@ -38,7 +38,7 @@ CONTINUED_DAMPING = 1e-4  # first damping where a round goes on from the one bef
 
 def anneal(
     objective: JointObjective, state: State, windows: Sequence[Window], config: SolverConfig
-) -> tuple[JointObjective, State]:
+) -> tuple[JointObjective, State, NDArray[np.intp]]:
     """Find the noise of each window that does not give it.
 
     Args:
@@ -48,12 +48,12 @@ def anneal(
         config: of the solver.
 
     Returns:
-        The objective under the noise that was found, and the state.
+        The objective under the noise that was found, the state, and the number of steps of each sequence (P,).
     """
     noise = np.array([max(w.noise or COARSE_NOISE_M[0], config.noise_floor) for w in windows])
     is_unknown = np.array([w.noise is None for w in windows])
     if not is_unknown.any():
-        return objective.with_noise(noise), state
+        return objective.with_noise(noise), state, np.zeros(len(windows), int)
 
     def updated_noise(current: JointObjective, descent: Descent, least: float) -> Array:
         estimate = current.estimate_noise(descent.fit, descent.equations)
@@ -63,10 +63,12 @@ def anneal(
     coarse_objective, kept = objective.subsampled(COARSE_FRAME_STEP_S)
     coarse = state.select(kept.frames)
     damping = COLD_DAMPING
+    iterations = np.zeros(len(windows), int)
     for level, least in zip(COARSE_NOISE_M, (*COARSE_NOISE_M[1:], FINE_NOISE_M[0]), strict=True):
         k = max(int((objective.model.std >= MIN_STD_OVER_NOISE * level).sum()), MIN_COMPONENTS)
         current = coarse_objective.with_noise(noise).with_components(k)
         descent = minimise(current, coarse.with_components(k), rough, damping)
+        iterations += descent.iterations
         coarse = coarse.with_leading_weights(descent.fit.state)
         noise = updated_noise(current, descent, least)
         damping = CONTINUED_DAMPING
@@ -74,11 +76,12 @@ def anneal(
     for least in (*FINE_NOISE_M[1:], 0.0):
         current = objective.with_noise(noise)
         descent = minimise(current, state, rough, damping)
+        iterations += descent.iterations
         state, before = descent.fit.state, noise
         noise = updated_noise(current, descent, least)
         if np.array_equal(noise, before):
             break
-    return objective.with_noise(noise), state
+    return objective.with_noise(noise), state, iterations
 
 
 def interpolate(coarse: State, frames: NDArray[np.intp], batch: Batch) -> State:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
-from mocap_ros.geometry.rotations import cross_matrix
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, fill_rotation_jacobian
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.block_banded import BandedCholesky, factorise_banded, solve_low_rank_downdate
 from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
@@ -33,7 +33,7 @@ from mocap_ros.solvers.joint.lifted_pose import LiftedPoseTerm
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
 from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
 from mocap_ros.solvers.joint.reprojection import Reprojection
-from mocap_ros.solvers.joint.state import CAMERA_UNKNOWNS, Fit, State
+from mocap_ros.solvers.joint.state import Fit, State
 from mocap_ros.solvers.joint.term import Term
 from mocap_ros.solvers.window import InitialValues, Window
 
@@ -252,8 +252,9 @@ class JointObjective:
         basis = np.swapaxes(self.model.components, 0, 1)  # (J, K, 3)
         by_theta = np.swapaxes(basis @ np.swapaxes(rotation, -1, -2)[:, None], -1, -2)
         joints = fit.scaled_poses[last] / np.exp(fit.state.log_scale[last])[:, None, None]
-        by_camera = np.concatenate([-cross_matrix(joints), np.zeros((*joints.shape, 1))], axis=-1)
-        jacobian = np.concatenate([by_theta, by_camera], axis=-1)  # (P, J, 3, n)
+        jacobian = np.zeros((*joints.shape, k + CAMERA_UNKNOWNS))  # (P, J, 3, n), by the log scale 0
+        jacobian[..., :k] = by_theta
+        fill_rotation_jacobian(jacobian[..., k : k + 3], joints)
         whitened = jacobian @ np.swapaxes(inverse, -1, -2)[:, None]
         return np.asarray(NOISE_REFERENCE * np.sqrt((whitened**2).sum(axis=(-2, -1))))
 

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, fill_camera_jacobian
 from mocap_ros.solvers.joint.batch import Subsample
-from mocap_ros.solvers.joint.camera_derivatives import fill_camera_columns
-from mocap_ros.solvers.joint.state import CAMERA_UNKNOWNS, Fit
+from mocap_ros.solvers.joint.state import Fit
 from mocap_ros.solvers.window import Window
 
 Array = NDArray[np.float64]
@@ -147,11 +147,8 @@ class Reprojection:
         flat = np.swapaxes(basis, 0, 1).reshape(3, -1)
         jacobian = np.empty((frames, rows, joints, k + CAMERA_UNKNOWNS))
         jacobian[..., :k] = (camera.reshape(-1, 3) @ flat).reshape(frames, rows, joints, k)
-        fill_camera_columns(jacobian[..., k:], scaled_poses)
+        fill_camera_jacobian(np.swapaxes(jacobian[..., k:], 1, 2), scaled_poses)
         if not perspective:
             return jacobian
-        x, y, z = scaled_poses[..., 0], scaled_poses[..., 1], scaled_poses[..., 2]
-        jacobian[:, 2, :, k:] = 0.0
-        jacobian[:, 2, :, k], jacobian[:, 2, :, k + 1], jacobian[:, 2, :, k + 3] = y, -x, z
         inward = np.swapaxes((fit.error + self.image) / self.focal[..., None], 1, 2)[..., None]
         return np.asarray(jacobian[:, :2] - inward * jacobian[:, 2:])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,25 +22,44 @@ from mocap_ros.solvers.joint.lifted_pose import fit_initial_values
 from mocap_ros.solvers.joint.noise_annealing import COLD_DAMPING, CONTINUED_DAMPING, anneal
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective
 from mocap_ros.solvers.joint.state import Fit
-from mocap_ros.solvers.window import Reconstruction, Window, choose_initial_values, make_camera_hypotheses
+from mocap_ros.solvers.window import (
+    Reconstruction,
+    SolverStatus,
+    Window,
+    choose_initial_values,
+    reverse_depth,
+)
 
 Array = NDArray[np.float64]
 
 WARM_DAMPING = 1e-2  # first damping from the solution of the last frame; tuned on live walks and runs
 
 
-def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> tuple[Reconstruction, ...]:
+@dataclass(frozen=True, eq=False)
+class JointReconstruction(Reconstruction):
+    """Reconstruction by the joint solver. Its objective never rises.
+
+    Attributes:
+        noise: m, standard deviation of a coordinate of a point of weight 1, estimated from the residual.
+        joint_std: (J,) m, posterior standard deviation (root of the trace of the covariance) of each joint of the
+            last frame relative to the origin of the body frame; None where the equations are singular.
+    """
+
+    noise: float
+    joint_std: Array | None
+
+
+def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> tuple[JointReconstruction, ...]:
     """Reconstruct many sequences as one batch.
 
     Args:
         windows: the sequences. A window without initial values starts from its lifted poses or, without these,
-        from
-            the mean pose and closed-form cameras.
+            from the mean pose and closed-form cameras.
         model: base poses, metric.
         config: weights of the terms, and when the solver stops.
 
     Returns:
-        One reconstruction for each window. Its objective never rises; it is that of the last round of noise.
+        One reconstruction for each window.
 
     Raises:
         InputError: no frame of a window has four seen joints, or only some of the windows have lifted poses.
@@ -56,24 +75,25 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
     if not is_warm:
         state = objective.with_optimal_translation(state).state
     damping = COLD_DAMPING
+    earlier_iterations = np.zeros(len(windows), int)
     if config.adapt_noise:
-        objective, state = anneal(objective, state, windows, config)
+        objective, state, earlier_iterations = anneal(objective, state, windows, config)
         damping = CONTINUED_DAMPING
     if is_warm:
         damping = WARM_DAMPING
     descent = minimise(objective, state, config, damping)
-    return _make_reconstructions(objective, windows, units, descent)
+    return _make_reconstructions(objective, windows, units, descent, earlier_iterations)
 
 
 def solve_hypotheses(
     windows: Sequence[Window], model: BasePoses, config: SolverConfig
-) -> tuple[Reconstruction, ...]:
-    """Reconstruct each window from several initial cameras, all in one batch, and return the most likely results.
+) -> tuple[JointReconstruction, ...]:
+    """Reconstruct each window from one or two initial cameras, all in one batch, and return the likelier results.
 
-    There are `config.hypotheses` initial cameras, or `config.heading_hypotheses` for base poses that were aligned
-    by heading. With base poses of the right category more than one gains nothing; those of all motions need the
-    Necker reversal for people seen from the front or from behind (docs/solvers.md). Lifted poses already tell the
-    front from the back, so that one start is enough.
+    The second camera is the Necker reversal of the first. `config.hypotheses` is the number of cameras, or
+    `config.heading_hypotheses` for base poses that were aligned by heading. With base poses of the right category
+    the second gains nothing; those of all motions need it for people seen from the front or from behind
+    (docs/solvers.md). Lifted poses already tell the front from the back, so that one start is enough.
 
     Args:
         windows: the sequences.
@@ -88,12 +108,11 @@ def solve_hypotheses(
     batch: list[Window] = []
     for window in windows:
         start, unit = choose_initial_values(window, model.truncate(config.components), config.start_window)
-        batch += [replace(window, start=s, unit=unit) for s in make_camera_hypotheses(start, count)]
+        batch += [replace(window, start=s, unit=unit) for s in (start, reverse_depth(start))]
     results = solve(batch, model, config)
-    groups = [results[i : i + count] for i in range(0, len(results), count)]
     return tuple(
-        min(group, key=lambda r: negative_log_posterior(r, w, config))
-        for group, w in zip(groups, windows, strict=True)
+        min(pair, key=lambda r: negative_log_posterior(r, w, config))
+        for pair, w in zip(zip(results[::2], results[1::2], strict=True), windows, strict=True)
     )
 
 
@@ -104,35 +123,34 @@ def start_from_lifted_poses(window: Window, model: BasePoses) -> Window:
     return replace(window, start=fit_initial_values(window.lifted, window, model))
 
 
-def negative_log_posterior(result: Reconstruction, window: Window, config: SolverConfig) -> float:
+def negative_log_posterior(result: JointReconstruction, window: Window, config: SolverConfig) -> float:
     """Return minus twice the log posterior, up to a constant; it compares results under different noise."""
     if not config.adapt_noise:
-        return result.objective[-1] / NOISE_REFERENCE**2
+        return result.cost / NOISE_REFERENCE**2
     noise = max(result.noise, config.noise_floor)
     coordinates = 2 * int((window.weight > 0).sum())
-    return result.objective[-1] / NOISE_REFERENCE**2 + 2 * coordinates * math.log(noise / NOISE_REFERENCE)
+    return result.cost / NOISE_REFERENCE**2 + 2 * coordinates * math.log(noise / NOISE_REFERENCE)
 
 
 def _make_reconstructions(
-    objective: JointObjective, windows: Sequence[Window], units: Array, descent: Descent
-) -> tuple[Reconstruction, ...]:
+    objective: JointObjective,
+    windows: Sequence[Window],
+    units: Array,
+    descent: Descent,
+    earlier_iterations: NDArray[np.intp],
+) -> tuple[JointReconstruction, ...]:
     """Return the reconstruction of each sequence of a batch; units (P,) px/m."""
     noise = objective.estimate_noise(descent.fit, descent.equations)
     joint_std = None if descent.banded is None else objective.joint_std(descent.fit, descent.banded)
-    return tuple(
-        make_reconstruction(
-            objective,
-            i,
-            window,
-            units[i],
-            descent.fit,
-            [float(values[i]) for values in descent.objective[: descent.iterations[i] + 1]],
-            bool(descent.converged[i]),
-            float(noise[i]),
-            None if joint_std is None else joint_std[i],
-        )
-        for i, window in enumerate(windows)
-    )
+    out = []
+    for i, window in enumerate(windows):
+        status, iterations = SolverStatus(descent.status[i]), descent.iterations[i]
+        history = [float(values[i]) for values in descent.objective[: iterations + 1]]
+        total = int(earlier_iterations[i] + iterations)
+        result = make_reconstruction(objective, i, window, units[i], descent.fit, status, history, total)
+        std = None if joint_std is None else joint_std[i]
+        out.append(JointReconstruction(**vars(result), noise=float(noise[i]), joint_std=std))
+    return tuple(out)
 
 
 def make_reconstruction(
@@ -141,10 +159,9 @@ def make_reconstruction(
     window: Window,
     unit: float,
     fit: Fit,
+    status: SolverStatus,
     history: Sequence[float],
-    converged: bool,
-    noise: float,
-    joint_std: Array | None = None,
+    iterations: int,
 ) -> Reconstruction:
     """Return the reconstruction of one sequence of a batch.
 
@@ -154,10 +171,9 @@ def make_reconstruction(
         window: that sequence.
         unit: px/m, by which its image points were divided.
         fit: of the final state of the batch.
+        status: why the solver stopped.
         history: m^2, objective of the sequence at the start and after each step.
-        converged: whether the solver ended by itself.
-        noise: m, image noise.
-        joint_std: (J,) m, posterior standard deviation of the last frame's joints; None where it is not known.
+        iterations: number of steps that were tried.
     """
     first = objective.batch.starts[sequence]
     own = slice(first, first + objective.batch.counts[sequence])
@@ -172,9 +188,7 @@ def make_reconstruction(
         cameras=WeakPerspectiveCameras(scale * unit, fit.state.rotation[own]),
         translation=fit.state.translation[own] * unit,
         residual=residual,
-        objective=tuple(history),
-        iterations=len(history) - 1,
-        converged=converged,
-        noise=noise,
-        joint_std=np.full(joints.shape[1], np.nan) if joint_std is None else joint_std,
+        status=status,
+        history=tuple(history),
+        iterations=iterations,
     )

@@ -12,7 +12,6 @@ from mocap_ros.models.base_poses import BasePoses
 
 Array = NDArray[np.float64]
 
-CAMERA_UNKNOWNS = 4  # unknowns of a frame's camera: a rotation vector (3) and the logarithm of the scale
 MAX_LOG_SCALE_STEP = (
     1.0  # change of the logarithm of the scale in one step; a larger step is a failed linearisation
 )

@@ -3,11 +3,10 @@
     u_l(t) = c_0l + sum_h [a_hl cos(h omega (t - t0)) + b_hl sin(h omega (t - t0))],    h = 1 ... H
 
 for l = 1 ... K (weights of the base poses, m) and l = K + 1 (heading, rad), with one fundamental frequency omega
-for all functions. The paper's form (eq. 17) is u_l(t) = alpha_l sin(omega_l t + phi_l) = a_l cos(omega_l t) + b_l
-sin(omega_l t), with a frequency for each function and no constant. Both are linear in the P coefficients c_pl (P =
-2 H + 1, or 2 for the paper's form):
+for all functions (the paper has a sine with its own frequency for each function, eq. 17). They are linear in the
+P = 2 H + 1 coefficients c_pl:
 
-    u_l(t) = sum_p terms_tlp c_pl,    d u_l(t) / d c_pl = terms_tlp
+    u_l(t) = sum_p terms_tp c_pl,    d u_l(t) / d c_pl = terms_tp
     slope_tl = d u_l(t) / d omega = sum_h h (t - t0) [b_hl cos(h omega (t - t0)) - a_hl sin(h omega (t - t0))]
 """
 
@@ -39,67 +38,89 @@ class FourierSeries:
     """Fourier series of K base-pose weights and, in the last column, of the heading.
 
     Attributes:
-        coefficients: (P, K + 1) m, in the last column rad. The rows are constant, cos, sin, cos 2, sin 2, ...; the
-            sine form has the rows cos and sin.
-        omega: (K + 1,) rad/s, fundamental frequency of each function; all are equal except in the sine form.
-        is_sine_form: True for the paper's form (eq. 17).
+        coefficients: (P, K + 1) m, in the last column rad. The rows are constant, cos, sin, cos 2, sin 2, ...
+        omega: rad/s, fundamental frequency.
         origin: s, the time t0 at which the phase is zero.
     """
 
     coefficients: Array
-    omega: Array
-    is_sine_form: bool
+    omega: float
     origin: float
 
-    def terms(self, times: Array) -> tuple[Array, Array]:
-        """Return the terms and the slopes at these times.
+    @property
+    def cadence(self) -> float:
+        """Hz, full cycles (two steps of a walk) per second."""
+        return self.omega / (2 * np.pi)
 
-        Args:
-            times: (N,) s.
-
-        Returns:
-            The terms (N, K + 1, P), or (N, 1, P) if all functions share one frequency, and the slopes (N, K + 1),
-            derivatives of the functions with respect to their frequency.
-        """
-        t = (times - self.origin)[:, None, None]
-        harmonics = 1 if self.is_sine_form else len(self.coefficients) // 2
-        h = np.arange(1, harmonics + 1)
-        omega = self.omega if self.is_sine_form else self.omega[:1]
-        angle = omega[:, None] * t * h
-        cos, sin = np.cos(angle), np.sin(angle)
-        pairs = np.stack([cos, sin], axis=-1).reshape(*angle.shape[:2], -1)
-        slopes = np.stack([-h * t * sin, h * t * cos], axis=-1).reshape(*angle.shape[:2], -1)
-        if not self.is_sine_form:
-            pairs = np.concatenate([np.ones_like(pairs[..., :1]), pairs], axis=-1)
-            slopes = np.concatenate([np.zeros_like(slopes[..., :1]), slopes], axis=-1)
-        return pairs, self._sum_terms(slopes)
-
-    def _sum_terms(self, terms: Array) -> Array:
-        """Return sum_p terms_tlp c_pl, (N, K + 1)."""
-        if self.is_sine_form:
-            return np.asarray(np.einsum('nkp,pk->nk', terms, self.coefficients))
-        return np.asarray(terms[:, 0] @ self.coefficients)
+    def jacobian(self, times: Array) -> SeriesJacobian:
+        """Return the derivatives of the functions at these times (N,) s by the unknowns of the series."""
+        t = (times - self.origin)[:, None]
+        h = np.arange(1, len(self.coefficients) // 2 + 1)
+        angle = self.omega * t * h
+        slopes = np.stack([-h * t * np.sin(angle), h * t * np.cos(angle)], axis=-1).reshape(len(times), -1)
+        return SeriesJacobian(make_terms(angle), slopes @ self.coefficients[1:])
 
     def evaluate(self, times: Array) -> Array:
         """Return the weights (m) and, in the last column, the heading (rad), (N, K + 1), at the times (N,) s."""
-        return self._sum_terms(self.terms(times)[0])
-
-    def evaluate_theta(self, times: Array) -> Array:
-        """Return the weights at these times (N,) s, (N, K) m."""
-        return self.evaluate(times)[:, :-1]
+        h = np.arange(1, len(self.coefficients) // 2 + 1)
+        return np.asarray(make_terms(self.omega * (times - self.origin)[:, None] * h) @ self.coefficients)
 
     def evaluate_heading(self, times: Array) -> Array:
         """Return the turn of the body within its stride at these times (N,) s, (N,) rad."""
         return self.evaluate(times)[:, -1]
 
     def with_step(self, step: Array) -> FourierSeries:
-        """Return the series after a step (P + 1, K + 1) of the coefficients and, in the last row, of omega."""
+        """Return the series after a step (G,) of the flattened coefficients and, in the last element, of omega."""
         limit = MAX_FREQUENCY_STEP * self.omega
         return replace(
             self,
-            coefficients=self.coefficients + step[:-1],
-            omega=self.omega + np.clip(step[-1], -limit, limit),
+            coefficients=self.coefficients + step[:-1].reshape(self.coefficients.shape),
+            omega=self.omega + float(np.clip(step[-1], -limit, limit)),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class SeriesJacobian:
+    """Jacobian J_t = d u_t / d x of the functions' values by the G = P (K + 1) + 1 unknowns, for all frames.
+
+    Attributes:
+        terms: (N, P) derivatives by c_pl, the same for all functions.
+        slopes: (N, K + 1) derivatives by omega.
+    """
+
+    terms: Array
+    slopes: Array
+
+    def transposed_products(self, values: Array) -> Array:
+        """Return J_t^T X_t of every frame, (G, N, R), for X (N, K + 1, R)."""
+        frames, _, count = values.shape
+        by_function = np.swapaxes(values, 0, 1)
+        by_terms = self.terms.T[:, None, :, None] * by_function
+        by_omega = (self.slopes.T[..., None] * by_function).sum(axis=0, keepdims=True)
+        return np.concatenate([by_terms.reshape(-1, frames, count), by_omega])
+
+    def sum_transposed_products(self, values: Array) -> Array:
+        """Return sum_t J_t^T X_t, (G, R), for X (N, K + 1, R)."""
+        frames, _, count = values.shape
+        by_terms = self.terms.T @ values.reshape(frames, -1)
+        by_omega = self.slopes.reshape(1, -1) @ values.reshape(-1, count)
+        return np.concatenate([by_terms.reshape(-1, count), by_omega])
+
+    def sum_congruences(self, matrices: Array) -> Array:
+        """Return sum_t J_t^T X_t J_t, (G, G), for symmetric X (N, K + 1, K + 1).
+
+        All functions have the same terms, so the products of terms are formed once, not once for each function.
+        """
+        frames, k, _ = matrices.shape
+        p = self.terms.shape[1]
+        products = (self.terms[:, :, None] * self.terms[:, None]).reshape(frames, -1)
+        blocks = (products.T @ matrices.reshape(frames, -1)).reshape(p, p, k, k)
+        by_omega = (matrices @ self.slopes[..., None])[..., 0]
+        out = np.empty((p * k + 1, p * k + 1))
+        out[:-1, :-1] = np.swapaxes(blocks, 1, 2).reshape(p * k, p * k)
+        out[-1, :-1] = out[:-1, -1] = (self.terms.T @ by_omega).ravel()
+        out[-1, -1] = (by_omega * self.slopes).sum()
+        return out
 
 
 def fit_initial_series(
@@ -111,51 +132,63 @@ def fit_initial_series(
 
         |theta_l - T c_l|^2 + c_l^T D c_l = |theta_l|^2 - c_l^T T^T theta_l    at  c_l = (T^T T + D)^-1 T^T theta_l
 
-    so the best cadence has the largest c^T T^T theta, summed over all base poses unless each has its own
-    frequency. A base pose counts by the variance of its weight, that is, as far as it moves the body. The heading
-    begins as zero.
+    so the best cadence has the largest c^T T^T theta, summed over all base poses. A base pose counts by the
+    variance of its weight, that is, as far as it moves the body. The heading begins as zero.
 
     Args:
         theta: (N, K) m, weights.
         times: (N,) s.
-        config: `paper_sines` and `harmonics` select the form of the series.
+        config: `harmonics` applies.
         excluded_omega: rad/s; similar frequencies are left out of the scan, unless none would remain.
     """
-    span = max(float(np.ptp(times)), 1e-3)
-    lowest = min(max(MIN_CADENCE_HZ, MIN_CYCLES / span), MAX_CADENCE_HZ)
-    scanned = 2 * np.pi * np.arange(lowest, MAX_CADENCE_HZ + CADENCE_STEP_HZ / 2, CADENCE_STEP_HZ)
+    scanned = list_scanned_frequencies(times)
     if excluded_omega is not None:
         remaining = scanned[np.abs(np.log(scanned / excluded_omega)) > MIN_LOG_CADENCE_RATIO]
         if remaining.size:
             scanned = remaining
-    is_sine_form, k = config.paper_sines, theta.shape[1]
     origin = float(times.mean())
-    rows = 2 if is_sine_form else 2 * config.harmonics + 1
-    terms = _scan_terms(scanned, times - origin, rows, is_sine_form)  # (C, N, P)
-    ridge = RIDGE * len(times) * np.diag(1 / variance_shares(rows, is_sine_form))
+    h = np.arange(1, config.harmonics + 1)
+    terms = make_terms(scanned[:, None, None] * (times - origin)[:, None] * h)  # (C, N, P)
+    fits, explained = fit_with_ridge(terms, theta, variance_shares(config.harmonics))
+    best = explained.sum(axis=1).argmax()
+    heading = np.zeros((terms.shape[-1], 1))
+    return FourierSeries(np.concatenate([fits[best], heading], axis=1), float(scanned[best]), origin)
+
+
+def list_scanned_frequencies(times: Array) -> Array:
+    """Return the frequencies (C,) in rad/s among which that of a window with these times (N,) s is searched."""
+    span = max(float(np.ptp(times)), 1e-3)
+    lowest = min(max(MIN_CADENCE_HZ, MIN_CYCLES / span), MAX_CADENCE_HZ)
+    return 2 * np.pi * np.arange(lowest, MAX_CADENCE_HZ + CADENCE_STEP_HZ / 2, CADENCE_STEP_HZ)
+
+
+def make_terms(angle: Array) -> Array:
+    """Return the terms (..., 2 H + 1) 1, cos, sin, cos 2, sin 2, ... of the angles (..., H) h omega (t - t0)."""
+    pairs = np.stack([np.cos(angle), np.sin(angle)], axis=-1).reshape(*angle.shape[:-1], -1)
+    return np.concatenate([np.ones_like(pairs[..., :1]), pairs], axis=-1)
+
+
+def fit_with_ridge(terms: Array, theta: Array, share: Array) -> tuple[Array, Array]:
+    """Fit the coefficients for every scanned frequency (formula at `fit_initial_series`).
+
+    Args:
+        terms: (C, N, P) terms at each of C frequencies.
+        theta: (N, K) m, weights.
+        share: (P,) share of a weight's variance that the prior gives to each term.
+
+    Returns:
+        The coefficients (C, P, K) m, and the part c^T T^T theta of |theta_l|^2 that they explain, (C, K) m^2.
+    """
+    ridge = RIDGE * theta.shape[0] * np.diag(1 / share)
     cross = np.swapaxes(terms, -1, -2)
-    fits = np.linalg.solve(cross @ terms + ridge, cross @ theta)  # (C, P, K)
-    explained = (fits * (cross @ theta)).sum(axis=1)  # (C, K)
-    best = explained.argmax(axis=0) if is_sine_form else np.full(k, explained.sum(axis=1).argmax())
-    coefficients = np.stack([fits[b, :, i] for i, b in enumerate(best)], axis=-1)
-    heading = np.zeros((rows, 1))
-    omega = scanned[np.append(best, best[0])]
-    return FourierSeries(np.concatenate([coefficients, heading], axis=1), omega, is_sine_form, origin)
+    fits = np.linalg.solve(cross @ terms + ridge, cross @ theta)
+    return fits, (fits * (cross @ theta)).sum(axis=1)
 
 
-def _scan_terms(omega: Array, times: Array, rows: int, is_sine_form: bool) -> Array:
-    """Return the terms (C, N, P) of every frequency (C,) rad/s at these times (N,) s."""
-    angle = omega[:, None, None] * times[:, None] * np.arange(1, rows // 2 + 1)
-    pairs = np.stack([np.cos(angle), np.sin(angle)], axis=-1).reshape(*angle.shape[:2], -1)
-    return pairs if is_sine_form else np.concatenate([np.ones_like(pairs[..., :1]), pairs], axis=-1)
-
-
-def variance_shares(rows: int, is_sine_form: bool) -> Array:
-    """Return the share (P,) of a weight's variance that the prior gives to each of `rows` = P terms.
+def variance_shares(harmonics: int) -> Array:
+    """Return the share (2 H + 1,) of a weight's variance that the prior gives to each term.
 
     The cosine and the sine of a harmonic have the same share.
     """
-    if is_sine_form:
-        return np.ones(2)
-    harmonic = HARMONIC_SHARE / np.arange(1, rows // 2 + 1) ** 2
+    harmonic = HARMONIC_SHARE / np.arange(1, harmonics + 1) ** 2
     return np.append(CONSTANT_SHARE, np.repeat(harmonic, 2))

@@ -2,14 +2,14 @@
 
 Unknowns of a window of N frames, K base poses, P terms (module `fourier`):
 
-    x    coefficients c_pl (P, K + 1) of the K weights and of the heading, which is function K + 1; then omega, one
-         frequency or, in the sine form, one for each function. G = P (K + 1) + 1, or (P + 1) (K + 1).
+    x    coefficients c_pl (P, K + 1) of the K weights and of the heading, which is function K + 1; then the
+         frequency omega. G = P (K + 1) + 1.
     z_t  4 unknowns of each frame's camera: rotation vector w_t of C_t <- exp([w_t]x) C_t, and log scale log s_t.
          Translations are eliminated already (module `joint.objective`).
 
 Chain rule. With u_t = (theta_t, psi_t) the values of the functions at frame t,
 
-    d u_tl / d c_pl = terms_tlp,    d u_tl / d omega = slope_tl,    together J_t = d u_t / d x, (K + 1, G)
+    d u_tl / d c_pl = terms_tp,    d u_tl / d omega = slope_tl,    together J_t = d u_t / d x, (K + 1, G)
 
 The joint solver gives the Gauss-Newton matrix H_t and half the gradient h_t of a frame, (K + 4) unknowns: its
 weights, the rotation vector v_t of the body's rotation R_t <- exp([v_t]x) R_t and the log scale. Here R_t = C_t
@@ -53,7 +53,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, lapack
 
-from mocap_ros.solvers.joint.state import CAMERA_UNKNOWNS, State
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, fill_camera_jacobian, fill_rotation_jacobian
+from mocap_ros.solvers.joint.state import State
 from mocap_ros.solvers.periodic.fourier import FourierSeries
 from mocap_ros.solvers.periodic.objective import PeriodicObjective
 
@@ -79,7 +80,6 @@ class ReducedNormalEquations:
         camera_prior_band: (12, 4 N) the part of C that does not come from the image, that is, C without H'_zz.
         camera_image_blocks: (N, 4, 4) the part of the blocks C_tt that comes from the image, H'_zz.
         camera_blocks: (N, 4, 4) the blocks C_tt.
-        step_shape: (P + 1, K + 1), shape of a step of the series.
     """
 
     series_matrix: Array
@@ -91,7 +91,6 @@ class ReducedNormalEquations:
     camera_prior_band: Array
     camera_image_blocks: Array
     camera_blocks: Array
-    step_shape: tuple[int, int]
 
     @staticmethod
     def build(objective: PeriodicObjective, series: FourierSeries, cameras: State) -> ReducedNormalEquations:
@@ -104,7 +103,7 @@ class ReducedNormalEquations:
 
         bones = np.zeros((frames, k, equations.bones.shape[-1]))
         bones[:, :-1] = equations.bones[:, : k - 1]
-        jacobian = SeriesJacobian(*series.terms(objective.times))
+        jacobian = series.jacobian(objective.times)
         series_bones = jacobian.sum_transposed_products(bones)
         series_matrix = jacobian.sum_congruences(hessian[:, :k, :k]) - series_bones @ series_bones.T / frames
         series_gradient = jacobian.sum_transposed_products(gradient[:, :k, None])[:, 0]
@@ -129,7 +128,6 @@ class ReducedNormalEquations:
             prior_band,
             image_blocks,
             image_blocks + prior_blocks,
-            (len(series.coefficients) + 1, k),
         )
 
     def effective_parameters(self) -> float:
@@ -157,8 +155,8 @@ class ReducedNormalEquations:
             damping: relative increase of the diagonals of A and C.
 
         Returns:
-            The step (P + 1, K + 1) of the coefficients and, in the last row, of omega, and the step (N, 4) of the
-            cameras; None if C or S is not positive definite.
+            The step (G,) of the series and the step (N, 4) of the cameras; None if C or S is not positive
+            definite.
         """
         band = self.camera_band.copy(order='F')
         band[0] = band[0] * (1 + damping) + MIN_INFORMATION
@@ -178,10 +176,7 @@ class ReducedNormalEquations:
         step = -cho_solve(schur_factor, self.series_gradient - v_matrix.T @ v_vector, check_finite=False)
         camera_right = -(v_vector + v_matrix @ step)
         camera_step, _ = lapack.dtbtrs(factor, camera_right[:, None], uplo='L', trans='T')  # L^-T
-        p, k = self.step_shape
-        omega = np.broadcast_to(step[(p - 1) * k :], k)
-        series_step = np.append(step[: (p - 1) * k], omega).reshape(p, k)
-        return series_step, camera_step.reshape(-1, CAMERA_UNKNOWNS)
+        return step, camera_step.reshape(-1, CAMERA_UNKNOWNS)
 
 
 def _log_determinant(band: Array) -> float:
@@ -190,57 +185,6 @@ def _log_determinant(band: Array) -> float:
     band[0] += MIN_CAMERA_INFORMATION
     factor, info = lapack.dpbtrf(band, lower=1, overwrite_ab=1)
     return np.inf if info else float(2 * np.log(factor[0]).sum())
-
-
-@dataclass(frozen=True, eq=False)
-class SeriesJacobian:
-    """Jacobian J_t = d u_t / d x of the functions' values by the unknowns of the series, for all frames.
-
-    Attributes:
-        terms: (N, K + 1, P) derivatives by c_pl, or (N, 1, P) if all functions share one omega.
-        slopes: (N, K + 1) derivatives by omega.
-    """
-
-    terms: Array
-    slopes: Array
-
-    def transposed_products(self, values: Array) -> Array:
-        """Return J_t^T X_t of every frame, (G, N, R), for X (N, K + 1, R)."""
-        frames, _, count = values.shape
-        by_function = np.swapaxes(values, 0, 1)
-        by_terms = np.transpose(self.terms, (2, 1, 0))[..., None] * by_function
-        by_omega = self.slopes.T[..., None] * by_function
-        if self.terms.shape[1] == 1:
-            by_omega = by_omega.sum(axis=0, keepdims=True)
-        return np.concatenate([by_terms.reshape(-1, frames, count), by_omega])
-
-    def sum_transposed_products(self, values: Array) -> Array:
-        """Return sum_t J_t^T X_t, (G, R), for X (N, K + 1, R)."""
-        if self.terms.shape[1] > 1:
-            return np.asarray(self.transposed_products(values).sum(axis=1))
-        frames, _, count = values.shape
-        by_terms = self.terms[:, 0].T @ values.reshape(frames, -1)
-        by_omega = self.slopes.reshape(1, -1) @ values.reshape(-1, count)
-        return np.concatenate([by_terms.reshape(-1, count), by_omega])
-
-    def sum_congruences(self, matrices: Array) -> Array:
-        """Return sum_t J_t^T X_t J_t, (G, G), for symmetric X (N, K + 1, K + 1)."""
-        frames, k, _ = matrices.shape
-        if self.terms.shape[1] > 1:
-            columns = np.concatenate([self.terms, self.slopes[..., None]], axis=-1)
-            pairs = np.einsum('nlp,nlm,nmq->plqm', columns, matrices, columns, optimize=True)
-            return np.asarray(pairs.reshape(columns.shape[-1] * k, -1))
-        # All functions have the same terms: the products of terms are formed once, not once for each function.
-        terms = self.terms[:, 0]
-        p = terms.shape[1]
-        products = (terms[:, :, None] * terms[:, None]).reshape(frames, -1)
-        blocks = (products.T @ matrices.reshape(frames, -1)).reshape(p, p, k, k)
-        by_omega = (matrices @ self.slopes[..., None])[..., 0]
-        out = np.empty((p * k + 1, p * k + 1))
-        out[:-1, :-1] = np.swapaxes(blocks, 1, 2).reshape(p * k, p * k)
-        out[-1, :-1] = out[:-1, -1] = (terms.T @ by_omega).ravel()
-        out[-1, -1] = (by_omega * self.slopes).sum()
-        return out
 
 
 def _insert_heading(hessian: Array, gradient: Array, vertical: Array) -> tuple[Array, Array]:
@@ -282,21 +226,19 @@ def _camera_prior_equations(objective: PeriodicObjective, cameras: State) -> tup
 def _camera_matrix_jacobian(columns: Array) -> Array:
     """Return dm_t/dz_t (N, 2, 3, 4): derivatives of M_t by rotation vector and log scale.
 
-    A column p of s C changes by w x p under a rotation vector w and by p under the log scale.
-
     Args:
         columns: (N, 3, 3) columns of s_t C_t, one in each row.
     """
-    x, y, z = np.moveaxis(columns, -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack([np.stack([zero, z, -y, x], axis=-1), np.stack([-z, zero, x, y], axis=-1)], axis=1)
+    out = np.empty((len(columns), 2, 3, CAMERA_UNKNOWNS))
+    fill_camera_jacobian(np.swapaxes(out, 1, 2), columns)
+    return out
 
 
 def _tilt_jacobian(vertical: Array) -> Array:
     """Return dtilt_t/dz_t (N, 2, 4): derivatives of the x and z components of C_t e_z (N, 3)."""
-    x, y, z = vertical.T
-    zero = np.zeros_like(x)
-    return np.stack([np.stack([zero, z, -y, zero], axis=-1), np.stack([y, -x, zero, zero], axis=-1)], axis=1)
+    out = np.zeros((len(vertical), 3, CAMERA_UNKNOWNS))
+    fill_rotation_jacobian(out[..., :3], vertical)
+    return out[:, ::2]
 
 
 def _pack_camera_band(diagonal_blocks: Array, jacobian: Array, camera_bands: Array) -> Array:

@@ -75,12 +75,9 @@ class PeriodicObjective:
             config, smooth_weight=0.0, prior_weight=0.0, flip_weight=0.0, tilt_weight=0.0, scale_weight=0.0
         )
         problem = JointObjective.build([window], np.array([unit]), model, data_terms)
-        is_sine_form = config.paper_sines
-        share = variance_shares(2 if is_sine_form else 2 * config.harmonics + 1, is_sine_form)[:, None]
-        variance = share * np.append(model.std, HEADING_STD) ** 2
-        if not is_sine_form:
-            variance[0] = 1 / (1 / variance[0] + 1 / CONSTANT_STD**2)
-            variance[0, -1] = CONSTANT_HEADING_STD**2
+        variance = variance_shares(config.harmonics)[:, None] * np.append(model.std, HEADING_STD) ** 2
+        variance[0] = 1 / (1 / variance[0] + 1 / CONSTANT_STD**2)
+        variance[0, -1] = CONSTANT_HEADING_STD**2
         level_weight = config.prior_weight / LEVEL_STD**2 if model.aligned_by_heading else 0.0
         return PeriodicObjective(
             problem,

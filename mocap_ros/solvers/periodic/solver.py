@@ -3,7 +3,7 @@
 It minimises the objective E of module `periodic.objective` over the coefficients of the series, their frequency
 omega and the cameras, as follows.
 
-1. Initial values: the weights theta of a reconstruction without periodicity; a series fitted to them, its cadence
+1. Initial values: the weights theta of poses found without periodicity; a series fitted to them, its cadence
    from a scan (`fourier.fit_initial_series`).
 2. Hypotheses, if the noise is large: a second cadence, and a camera that hardly moves. E is minimised from each,
    and the one with the highest evidence is kept, the cameras integrated over by Laplace's method:
@@ -19,7 +19,7 @@ omega and the cameras, as follows.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ from mocap_ros.solvers.joint.state import State
 from mocap_ros.solvers.periodic.fourier import FourierSeries, fit_initial_series
 from mocap_ros.solvers.periodic.normal_equations import ReducedNormalEquations
 from mocap_ros.solvers.periodic.objective import PeriodicObjective, rotations_about_vertical
-from mocap_ros.solvers.window import InitialValues, Reconstruction, Window
+from mocap_ros.solvers.window import InitialValues, Reconstruction, SolverStatus, Window
 
 Array = NDArray[np.float64]
 
@@ -59,14 +59,31 @@ INITIAL_TRANSLATION_STEPS = 2  # the first least squares step is not yet at the 
 
 
 @dataclass(frozen=True, eq=False)
-class PeriodicReconstruction(Reconstruction):
-    """Reconstruction under the periodic model.
+class EstimatedPoses:
+    """Poses of the frames of a window under any model of the same skeleton, from which the periodic solver starts.
 
     Attributes:
+        joints: (F, J, 3) m, along the axes of the camera optical frame.
+        scale: (F,) px/m, scales of the cameras.
+        noise: m, standard deviation of a coordinate of an image point of weight 1.
+    """
+
+    joints: Array
+    scale: Array
+    noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicReconstruction(Reconstruction):
+    """Reconstruction under the periodic model. Its objective never rises.
+
+    Attributes:
+        noise: m, standard deviation of a coordinate of a point of weight 1.
         cadence: Hz, full cycles (two steps of a walk) per second.
         series: Fourier series of the weights and the heading.
     """
 
+    noise: float
     cadence: float
     series: FourierSeries
 
@@ -75,8 +92,7 @@ def solve(
     windows: Sequence[Window],
     model: BasePoses,
     config: SolverConfig,
-    initial: Sequence[Reconstruction | None] | None = None,
-    initial_series: Sequence[FourierSeries | None] | None = None,
+    initial: Sequence[EstimatedPoses | None] | None = None,
 ) -> tuple[PeriodicReconstruction, ...]:
     """Reconstruct windows under the periodic model.
 
@@ -84,30 +100,25 @@ def solve(
         windows: image points; each window should contain a cycle or more. Times may be irregular. Lifted poses,
             fixed frames and earlier frames are ignored.
         model: base poses of a periodic motion.
-        config: weights of the terms, `harmonics` and `paper_sines`. `max_iterations` limits the number of steps
-            that are tried for a window, in all its searches together.
-        initial: a reconstruction of each window under any model of the same skeleton, from which to start; None
-            computes one.
-        initial_series: a series for each window, from which to start, its `origin` on the clock of the window;
-            None scans the cadences. A series of another shape than `config` selects is ignored.
+        config: weights of the terms, and `harmonics`. `max_iterations` limits the number of steps that are tried
+            for a window, in all its searches together.
+        initial: poses for each window, from which to start; None computes them.
 
     Raises:
         InputError: the equations cannot be solved, or the result is not finite because numbers are too large.
     """
     model = model.truncate(config.components)
-    reconstructions = initial or [None] * len(windows)
-    all_series = initial_series or [None] * len(windows)
+    all_poses = initial or [None] * len(windows)
     with np.errstate(all='ignore'):  # numbers that overflow are found in the result
         return tuple(
-            _solve_window(replace(window, lifted=None), reconstruction, series, model, config)
-            for window, reconstruction, series in zip(windows, reconstructions, all_series, strict=True)
+            _solve_window(replace(window, lifted=None), poses, model, config)
+            for window, poses in zip(windows, all_poses, strict=True)
         )
 
 
 def _solve_window(
     window: Window,
-    initial: Reconstruction | None,
-    initial_series: FourierSeries | None,
+    initial: EstimatedPoses | None,
     model: BasePoses,
     config: SolverConfig,
 ) -> PeriodicReconstruction:
@@ -117,7 +128,7 @@ def _solve_window(
     try:
         start, noise = _choose_initial_values(scaled, initial, exponent, model, config)
         unit = scaled.unit or float(np.median(start.cameras.scale))
-        fit = _fit_window(scaled, start, noise, unit, initial_series, model, config)
+        fit = _fit_window(scaled, start, noise, unit, model, config)
     except LinAlgError as error:
         raise InputError(f'no periodic motion can be fitted: {error}') from None
     cameras = WeakPerspectiveCameras(np.ldexp(fit.cameras.scale, exponent), fit.cameras.rotation)
@@ -127,7 +138,7 @@ def _solve_window(
         translation=np.ldexp(fit.translation, exponent),
         residual=np.ldexp(fit.residual, exponent),
     )
-    numbers = (result.joints, cameras.scale, result.translation, result.series.coefficients, result.objective)
+    numbers = (result.joints, cameras.scale, result.translation, result.series.coefficients, result.history)
     if not all(np.isfinite(n).all() for n in numbers):
         raise InputError('no periodic motion can be fitted: image points or weights are too large')
     return result
@@ -161,12 +172,12 @@ def _scale_window(window: Window, exponent: int) -> Window:
 
 
 def _choose_initial_values(
-    window: Window, initial: Reconstruction | None, exponent: int, model: BasePoses, config: SolverConfig
+    window: Window, initial: EstimatedPoses | None, exponent: int, model: BasePoses, config: SolverConfig
 ) -> tuple[InitialValues, float]:
     """Return weights of this model's base poses and cameras, and the image noise (m).
 
-    They are those of the given reconstruction, whose image lengths have not been scaled by 2^-exponent, or if it
-    is None those of a few steps of the joint solver.
+    They are those of the given poses, whose image lengths have not been scaled by 2^-exponent, or if these are
+    None those of a few steps of the joint solver.
     """
     if initial is None:
         short = replace(config, max_iterations=min(MAX_INITIAL_ITERATIONS, config.max_iterations))
@@ -174,7 +185,7 @@ def _choose_initial_values(
         return InitialValues(coarse.theta, coarse.cameras), coarse.noise
     to_body = fit_rotation(initial.joints, model.mean)
     theta = model.weights(initial.joints @ np.swapaxes(to_body, -1, -2))
-    scale = np.ldexp(initial.cameras.scale, -exponent)
+    scale = np.ldexp(initial.scale, -exponent)
     return InitialValues(theta, WeakPerspectiveCameras(scale, np.swapaxes(to_body, -1, -2))), initial.noise
 
 
@@ -183,7 +194,6 @@ def _fit_window(
     start: InitialValues,
     noise: float,
     unit: float,
-    initial_series: FourierSeries | None,
     model: BasePoses,
     config: SolverConfig,
 ) -> PeriodicReconstruction:
@@ -193,25 +203,26 @@ def _fit_window(
     if config.adapt_noise:
         objective = objective.with_noise(noise)
     searches = []
-    for series in _make_series_hypotheses(start.theta, window.times, initial_series, noise, config):
-        cameras = _initial_cameras(objective, series, start, unit)
-        searches.append(_LevenbergMarquardtSearch(objective, series, cameras, config.max_iterations))
-    search = _select_most_likely(searches)
+    for series in _make_series_hypotheses(start.theta, window.times, noise, config):
+        cameras = initial_cameras(objective, series, start, unit)
+        searches.append(LevenbergMarquardtSearch(objective, series, cameras, config.max_iterations))
+    search = select_most_likely(searches)
     if noise >= MIN_NOISE_FOR_HYPOTHESES:
         still_camera = objective.with_still_camera(config)
-        still = _LevenbergMarquardtSearch(still_camera, search.series, search.cameras, search.remaining_trials)
-        search = _select_most_likely([search, still])
+        still = LevenbergMarquardtSearch(still_camera, search.series, search.cameras, search.remaining_trials)
+        search = select_most_likely([search, still])
     round_tolerance = max(NOISE_ROUND_TOLERANCE, config.tolerance)
     if config.adapt_noise and window.noise is None:
         for _ in range(NOISE_ROUNDS):
             search.run(round_tolerance)
             noise = max(search.estimate_noise(), config.noise_floor)
             search.set_objective(search.objective.with_noise(noise))
-    converged = search.run(config.tolerance)
-    return _make_reconstruction(search, window, unit, converged, noise)
+    status = search.run(config.tolerance)
+    iterations = config.max_iterations - search.remaining_trials
+    return _make_reconstruction(search, window, unit, status, iterations, noise)
 
 
-def _initial_cameras(
+def initial_cameras(
     objective: PeriodicObjective, series: FourierSeries, start: InitialValues, unit: float
 ) -> State:
     """Return C_t = R_t Rz(-psi_t) for the initial rotations R_t, with optimal translations."""
@@ -223,27 +234,15 @@ def _initial_cameras(
     return cameras
 
 
-def _make_series_hypotheses(
-    theta: Array, times: Array, initial_series: FourierSeries | None, noise: float, config: SolverConfig
-) -> list[FourierSeries]:
-    """Return the series from which to start.
-
-    These are the given series if its shape is that which `config` selects, otherwise the series of the most likely
-    cadence, and for a noise from `MIN_NOISE_FOR_HYPOTHESES` also that of a second cadence.
-    """
+def _make_series_hypotheses(theta: Array, times: Array, noise: float, config: SolverConfig) -> list[FourierSeries]:
+    """Return the series of the most likely cadence and, if the noise is large, that of a second cadence."""
     first = fit_initial_series(theta, times, config)
-    if (
-        initial_series is not None
-        and initial_series.is_sine_form == first.is_sine_form
-        and initial_series.coefficients.shape == first.coefficients.shape
-    ):
-        return [initial_series]
-    if noise < MIN_NOISE_FOR_HYPOTHESES or config.paper_sines:
+    if noise < MIN_NOISE_FOR_HYPOTHESES:
         return [first]
-    return [first, fit_initial_series(theta, times, config, excluded_omega=float(first.omega[0]))]
+    return [first, fit_initial_series(theta, times, config, excluded_omega=first.omega)]
 
 
-class _LevenbergMarquardtSearch:
+class LevenbergMarquardtSearch:
     """Levenberg-Marquardt search over series and cameras.
 
     Attributes:
@@ -254,6 +253,7 @@ class _LevenbergMarquardtSearch:
         history: m^2, values of E at the point where the current objective was set and after each accepted step.
         damping: current relative damping.
         remaining_trials: number of steps that may still be tried, accepted or not.
+        is_singular: whether the latest step could not be computed.
     """
 
     def __init__(
@@ -263,6 +263,7 @@ class _LevenbergMarquardtSearch:
         self.cameras = cameras
         self.remaining_trials = max_trials
         self.damping = WARM_DAMPING
+        self.is_singular = False
         self.equations = ReducedNormalEquations.build(objective, series, cameras)
         self.set_objective(objective)
         self.is_outdated = False
@@ -281,24 +282,20 @@ class _LevenbergMarquardtSearch:
         """Return the value at the head of this module; C may be that of the point before the last step."""
         return self.history[-1] / NOISE_REFERENCE**2 + self.equations.camera_log_determinant_ratio()
 
-    def run(self, tolerance: float) -> bool:
-        """Minimise until a step decreases E by less than the relative tolerance, or no trials remain.
-
-        Returns:
-            True if the search converged: a step gained little, or no step decreased E under the largest damping.
-        """
+    def run(self, tolerance: float) -> SolverStatus:
+        """Minimise until a step decreases E by less than the relative tolerance, or no trials remain."""
         while self.remaining_trials > 0:
             self.remaining_trials -= 1
             cost = self.history[-1]
             if self._try_step():
                 self.damping = max(self.damping * DAMPING_AFTER_SUCCESS, MIN_DAMPING)
                 if cost - self.history[-1] <= tolerance * cost:
-                    return True
+                    return SolverStatus.CONVERGED
             else:
                 self.damping *= DAMPING_AFTER_FAILURE
                 if self.damping > MAX_DAMPING:
-                    return True
-        return False
+                    return SolverStatus.SINGULAR if self.is_singular else SolverStatus.NO_LOWER_STEP
+        return SolverStatus.SINGULAR if self.is_singular else SolverStatus.MAX_ITERATIONS
 
     def _try_step(self) -> bool:
         """Make a step if it decreases E; return whether it did."""
@@ -306,6 +303,7 @@ class _LevenbergMarquardtSearch:
             self.equations = ReducedNormalEquations.build(self.objective, self.series, self.cameras)
             self.is_outdated = False
         step = self.equations.solve_step(self.damping)
+        self.is_singular = step is None
         if step is None:
             return False
         series_step, camera_step = step
@@ -320,7 +318,7 @@ class _LevenbergMarquardtSearch:
         return True
 
 
-def _select_most_likely(hypotheses: Sequence[_LevenbergMarquardtSearch]) -> _LevenbergMarquardtSearch:
+def select_most_likely(hypotheses: Sequence[LevenbergMarquardtSearch]) -> LevenbergMarquardtSearch:
     """Run the searches almost to convergence and return the one with the highest evidence.
 
     All searches together have the trials of the first one; what remains of these is left to the selected one.
@@ -332,20 +330,21 @@ def _select_most_likely(hypotheses: Sequence[_LevenbergMarquardtSearch]) -> _Lev
         search.remaining_trials = remaining_trials
         search.run(HYPOTHESIS_TOLERANCE)
         remaining_trials = search.remaining_trials
-    best = min(hypotheses, key=_LevenbergMarquardtSearch.minus_twice_log_evidence)
+    best = min(hypotheses, key=LevenbergMarquardtSearch.minus_twice_log_evidence)
     best.remaining_trials = remaining_trials
     return best
 
 
 def _make_reconstruction(
-    search: _LevenbergMarquardtSearch, window: Window, unit: float, converged: bool, noise: float
+    search: LevenbergMarquardtSearch,
+    window: Window,
+    unit: float,
+    status: SolverStatus,
+    iterations: int,
+    noise: float,
 ) -> PeriodicReconstruction:
     """Return the result of a search; `unit` in px/m, `noise` in m."""
     problem, series = search.objective.problem, search.series
     fit = problem.fit(search.objective.body_state(series, search.cameras))
-    result = make_reconstruction(problem, 0, window, unit, fit, search.history, converged, float(noise))
-    values = {f.name: getattr(result, f.name) for f in fields(Reconstruction)}
-    # In the sine form, where every base pose has its own frequency, the cadence is their mean, weighted by power.
-    power = (series.coefficients[:, :-1] ** 2).sum(axis=0) if series.is_sine_form else None
-    cadence = float(np.average(series.omega[:-1], weights=power) / (2 * np.pi))
-    return PeriodicReconstruction(**values, cadence=cadence, series=series)
+    result = make_reconstruction(problem, 0, window, unit, fit, status, search.history, iterations)
+    return PeriodicReconstruction(**vars(result), noise=float(noise), cadence=series.cadence, series=series)

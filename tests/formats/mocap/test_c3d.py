@@ -42,7 +42,7 @@ def test_markers_give_the_poses(tmp_path: Path, poses: np.ndarray) -> None:
         load_trials(path, TrialOptions(markers=load_marker_map(marker_map)))
 
 
-def test_the_missing_library_is_named(tmp_path: Path, monkeypatch) -> None:
+def test_the_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, 'ezc3d', None)
     (tmp_path / 'a.c3d').write_bytes(b'')
     with pytest.raises(MocapError, match=r"a\.c3d: C3D needs ezc3d: pip install 'mocap_ros\[c3d\]'"):

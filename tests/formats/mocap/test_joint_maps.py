@@ -35,10 +35,10 @@ def test_known_rigs_are_recognised(tmp_path: Path, poses: np.ndarray, rig: str) 
     elif rig == 'LAFAN':
         text = rename_joints(text, {w: f'Model_{w}' for w in names})
     else:
-        parts = ('Shoulder', 'Collar'), ('Arm', 'Shoulder'), ('ForeArm', 'Elbow'), ('Hand', 'Wrist')
-        parts += ('UpLeg', 'Hip'), ('Leg', 'Knee'), ('Foot', 'Ankle')
+        arm = [('Shoulder', 'Collar'), ('Arm', 'Shoulder'), ('ForeArm', 'Elbow'), ('Hand', 'Wrist')]
+        leg = [('UpLeg', 'Hip'), ('Leg', 'Knee'), ('Foot', 'Ankle')]
         for side in ('Left', 'Right'):
-            text = rename_joints(text, {side + part: f'{side}{name}!' for part, name in parts})
+            text = rename_joints(text, {side + part: f'{side}{name}!' for part, name in arm + leg})
         text = text.replace('!', '')
     path.write_text(text)
     assert load_trials(path)[0].poses == pytest.approx(expected, abs=1e-5)

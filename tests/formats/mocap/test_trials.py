@@ -73,7 +73,9 @@ def test_unit_and_vertical_axis_are_found(poses: np.ndarray, up: int) -> None:
 @pytest.mark.filterwarnings('error')
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_mangled_motion_capture_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, data) -> None:
+def test_mangled_motion_capture_is_read_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
     folder = tmp_path_factory.mktemp('mangled')
     for name, content in (('a.asf', ASF), ('a.amc', AMC), ('b.bvh', make_bvh(lambda t: t))):
         start = data.draw(st.integers(0, len(content)))
@@ -92,5 +94,5 @@ def test_missing_files_are_named(tmp_path: Path) -> None:
     (tmp_path / 'empty').mkdir()
     with pytest.raises(InputError, match=r'no \.amc, \.bvh, \.c3d in it'):
         load_trials(tmp_path / 'empty')
-    with pytest.raises(InputError, match=r'none\.amc: no skeleton|none\.amc: No such'):
+    with pytest.raises(InputError, match=r'none\.amc: no skeleton beside it'):
         load_trials(tmp_path / 'none.amc')

@@ -1,6 +1,7 @@
 """Parts of the keyframe method: distances and selection follow the paper, the fit descends, outliers are found."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,16 +10,17 @@ from hypothesis import strategies as st
 
 from mocap_ros.config import KeyframesConfig
 from mocap_ros.errors import InputError
-from mocap_ros.offline.keyframes.body_halves import HalfPoses, split_into_halves
+from mocap_ros.offline.keyframes.body_halves import BodyHalf, HalfPoses, split_into_halves
 from mocap_ros.offline.keyframes.distance import build_averaging_matrix, compute_distances, denoise_distances
 from mocap_ros.offline.keyframes.filters import build_low_pass_matrix, interpolate_gaps, nan_median
-from mocap_ros.offline.keyframes.gradient_fit import AlignedMotion, align_motion, fit_motion
+from mocap_ros.offline.keyframes.gradient_fit import AlignedMotion, FitResult, align_motion, fit_motion
 from mocap_ros.offline.keyframes.interpolation import select_control_points, slerp
 from mocap_ros.offline.keyframes.keyframe_set import find_keyframe_set
 from mocap_ros.offline.keyframes.outliers import find_outliers
-from mocap_ros.offline.keyframes.selection import compute_selection_cost, find_interpolatable, select_keyframes
+from mocap_ros.offline.keyframes.selection import estimate_frame_interval, find_interpolatable, select_keyframes
 from mocap_ros.offline.keyframes.taylor import parse_depth_choices, reconstruct_limbs
 from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.window import SolverStatus
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from tests.support.swinging_body import BONE_LENGTHS, STANDING, make_swinging_body
 
@@ -29,7 +31,7 @@ def make_half_poses(points: np.ndarray, seen: np.ndarray | None = None) -> HalfP
     return HalfPoses(frames, frames / 30, points.astype('f4'), seen)
 
 
-def test_distances_follow_the_formulas_of_sections_4_1_and_4_2(rng) -> None:
+def test_distances_follow_the_formulas_of_sections_4_1_and_4_2(rng: np.random.Generator) -> None:
     points, seen = rng.normal(size=(9, 6, 2)), rng.random((9, 6)) < 0.7
     seen[:, :2] = True
     poses = make_half_poses(points, seen)
@@ -49,12 +51,24 @@ def test_distances_follow_the_formulas_of_sections_4_1_and_4_2(rng) -> None:
     assert d == pytest.approx(np.array(expected), abs=1e-5)
 
 
+def compute_selection_cost(well_represented: np.ndarray, times: np.ndarray) -> float:
+    """Return C_K, s, by direct evaluation of equation 2, for the frames of W, `well_represented` (N,)."""
+    step = estimate_frame_interval(times)
+    total = 0.0
+    for i, t in enumerate(times):
+        left = times[:i][well_represented[:i]]
+        right = times[i + 1 :][well_represented[i + 1 :]]
+        total += t - (left[-1] if len(left) else times[0] - step)
+        total += (right[0] if len(right) else times[-1] + step) - t
+    return float(total)
+
+
 def select_directly(represents: np.ndarray, times: np.ndarray, alpha: float, gap: float) -> list[int]:
     """Select keyframes by direct evaluation of equations 1 to 4."""
     represents = represents | np.eye(len(times), dtype=bool)
     keyframes: list[int] = []
     while True:
-        well_represented = represents[keyframes].any(axis=0) if keyframes else np.zeros(len(times), bool)
+        well_represented = np.asarray(represents[np.array(keyframes, int)].any(axis=0))
         if (well_represented | find_interpolatable(well_represented, times, gap)).sum() >= alpha * len(times):
             return keyframes
         cost = [
@@ -66,7 +80,7 @@ def select_directly(represents: np.ndarray, times: np.ndarray, alpha: float, gap
 
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_incremental_selection_equals_direct_selection(data) -> None:
+def test_incremental_selection_equals_direct_selection(data: st.DataObject) -> None:
     frames = data.draw(st.integers(1, 24))
     seed, density = data.draw(st.integers(0, 10**6)), data.draw(st.sampled_from([0.0, 0.05, 0.2, 0.6]))
     rng = np.random.default_rng(seed)
@@ -89,12 +103,13 @@ def test_sections_need_hardly_more_keyframes_than_one_matrix() -> None:
     half = split_into_halves()[1]
     half_poses = make_half_poses(poses[:, list(half.joints), :2] / 0.5)
     half_poses = replace(half_poses, times=times)
-    one_matrix = find_keyframe_set(half_poses, half, 600, KeyframesConfig(beta=0.1, max_matrix_frames=600))
-    in_sections = find_keyframe_set(half_poses, half, 600, KeyframesConfig(beta=0.1, max_matrix_frames=150))
+    one_matrix = find_keyframe_set(half_poses, half, 600, KeyframesConfig(beta=0.03, max_matrix_frames=600))
+    in_sections = find_keyframe_set(half_poses, half, 600, KeyframesConfig(beta=0.03, max_matrix_frames=150))
     assert len(in_sections.distance_matrix) == 150
     assert one_matrix.coverage >= 0.95
     assert in_sections.coverage >= 0.95
-    assert len(in_sections.frames) <= 1.5 * len(one_matrix.frames)
+    assert len(one_matrix.frames) > 8
+    assert len(in_sections.frames) <= 1.1 * len(one_matrix.frames)  # measured: 11 and 12
     assert (in_sections.distance[in_sections.frames] == 0).all()
 
 
@@ -127,12 +142,19 @@ def test_the_fit_descends_and_keeps_limbs() -> None:
     stiff = np.repeat(STANDING[None], 90, axis=0)
     start = align_motion(stiff, points, weight, times, np.inf)
     assert start.scale == pytest.approx(scale, rel=0.15)
-    fit = fit_motion(
-        start, points, weight, times, BONE_LENGTHS, CMU15, focal=np.inf, step=0.2, smoothing=0.03, iterations=40
-    )
+
+    def descend(iterations: int) -> FitResult:
+        options: dict[str, Any] = {'focal': np.inf, 'step': 0.2, 'smoothing': 0.03, 'iterations': iterations}
+        return fit_motion(start, points, weight, times, BONE_LENGTHS, CMU15, **options)
+
+    fit = descend(40)
     assert (np.diff(fit.mean_squared_errors[:-1]) <= 0).all()
-    assert fit.mean_squared_errors[-1] < 0.25 * fit.mean_squared_errors[0]
+    assert fit.mean_squared_errors[-1] < 1.1 * 0.158 * fit.mean_squared_errors[0]  # measured: 0.158
     assert np.ptp(CMU15.bone_lengths(fit.motion.joints), axis=0).max() < 1e-9
+    assert fit.status is SolverStatus.MAX_ITERATIONS
+    converged = descend(1000)
+    assert converged.status is SolverStatus.CONVERGED
+    assert 40 < len(converged.mean_squared_errors) - 1 < 1000
 
 
 def test_alignment_recovers_a_perspective_camera() -> None:
@@ -145,7 +167,7 @@ def test_alignment_recovers_a_perspective_camera() -> None:
     assert found.joints == pytest.approx(poses, abs=1e-3)
 
 
-def test_outliers_are_found_with_few_false_ones(rng) -> None:
+def test_outliers_are_found_with_few_false_ones(rng: np.random.Generator) -> None:
     times = np.arange(300) / 30
     truth = 0.04 * np.sin(2 * np.pi * times / 1.5)[:, None, None] * rng.normal(size=(1, 15, 2))
     seen = rng.random((300, 15)) > 0.05
@@ -158,8 +180,8 @@ def test_outliers_are_found_with_few_false_ones(rng) -> None:
         displacement[start : start + length, joint] += 0.4 * np.array([np.cos(angle), np.sin(angle)])
     found = find_outliers(displacement, seen, times)
     assert not (found & ~seen).any()
-    assert found[is_outlier & seen].mean() > 0.9
-    assert found[~is_outlier & seen].mean() < 0.01
+    assert found[is_outlier & seen].mean() > 0.92  # measured: 0.929
+    assert not found[~is_outlier & seen].any()
     seen_late = np.zeros((300, 15), bool)
     seen_late[150:] = True
     assert find_outliers(truth, seen_late, times).sum() == 0
@@ -177,7 +199,7 @@ def test_short_gaps_are_interpolated_and_medians_ignore_nan() -> None:
 
 
 @pytest.mark.parametrize('half', split_into_halves(), ids=lambda half: half.name)
-def test_taylors_method_recovers_a_pose(half) -> None:
+def test_taylors_method_recovers_a_pose(half: BodyHalf) -> None:
     poses, _ = make_swinging_body(40)
     pose = poses[17]
     lengths = np.array([np.linalg.norm(pose[c] - pose[p]) for p, c in half.bones])
@@ -235,6 +257,8 @@ def test_a_remembered_pose_is_recalled_and_the_memory_is_bounded() -> None:
         memory = memory.remember(image(pose), weight, pose)
     assert len(empty.poses) == 0
     assert len(memory.poses) == 4
+    newest = [p - p.mean(axis=0) for p in poses[60:100:10]]
+    assert np.array([p.pose for p in memory.poses]) == pytest.approx(np.array(newest))
     known = poses[90]
     partly = weight.copy()
     partly[4] = 0

@@ -42,11 +42,14 @@ def make_walk(frames: int = 240) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_a_projected_motion_is_reconstructed_with_and_without_outliers() -> None:
     keypoints, times, truth = make_walk()
     clean = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, CONFIG)
-    assert compute_mpjpe(clean.result.joints, truth) < 90
-    assert np.linalg.norm(clean.result.joints.mean(axis=1) - truth.mean(axis=1), axis=-1).mean() < 0.5
-    assert CAMERA.project(clean.result.joints) == pytest.approx(keypoints[..., :2], abs=45)
+    assert compute_mpjpe(clean.result.joints, truth) < 1.1 * 58.5  # mm, measured
+    distance = np.linalg.norm(clean.result.joints.mean(axis=1) - truth.mean(axis=1), axis=-1)
+    assert distance.mean() < 1.1 * 0.0852  # m, measured
+    reprojection_error = np.linalg.norm(CAMERA.project(clean.result.joints) - keypoints[..., :2], axis=-1)
+    assert reprojection_error.mean() < 1.1 * 4.3  # px, measured
+    assert reprojection_error.max() < 1.1 * 23.5  # px, measured
     assert np.ptp(CMU15.bone_lengths(clean.result.joints), axis=0).max() < 1e-6
-    assert clean.outliers.mean() < 0.02
+    assert not clean.outliers.any()
 
     rng = np.random.default_rng(1)
     wrong = rng.random(keypoints.shape[:2]) < 0.04
@@ -55,10 +58,9 @@ def test_a_projected_motion_is_reconstructed_with_and_without_outliers() -> None
     corrupted[100:112] = [np.nan, np.nan, 0]
     wrong[100:112] = False
     found = reconstruct(corrupted, CMU15.joints, times, CAMERA, MODELS, CONFIG)
-    assert found.outliers[wrong].mean() > 0.9
-    assert found.outliers[~wrong].mean() < 0.02
+    assert (found.outliers == wrong).all()
     assert not found.result.seen[found.outliers].any()
-    assert compute_mpjpe(found.result.joints, truth) < 1.3 * compute_mpjpe(clean.result.joints, truth)
+    assert compute_mpjpe(found.result.joints, truth) < 1.1 * 60.3  # mm, measured
 
 
 @pytest.mark.filterwarnings('error')
@@ -75,7 +77,7 @@ def test_degenerate_keypoints(case: str) -> None:
 
 
 @pytest.mark.filterwarnings('error')
-def test_a_half_that_is_never_seen_has_no_keyframes(tmp_path: Path, capsys) -> None:
+def test_a_half_that_is_never_seen_has_no_keyframes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     keypoints, times, _ = make_walk(40)
     keypoints[:, 9:] = [np.nan, np.nan, 0]
     path = tmp_path / 'desk.npz'
@@ -95,7 +97,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_the_commands_read_a_bag(bag: Path, tmp_path: Path, capsys) -> None:
+def test_the_commands_read_a_bag(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / 'k.yaml'
     assert main(['keyframes', str(bag), '-o', str(out)]) == 0
     said = capsys.readouterr().out
@@ -133,7 +135,14 @@ def test_the_commands_read_a_bag(bag: Path, tmp_path: Path, capsys) -> None:
         ),
     ],
 )
-def test_bad_input_is_one_line(bag: Path, tmp_path: Path, monkeypatch, capsys, arguments, message) -> None:
+def test_bad_input_is_one_line(
+    bag: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    message: str,
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'c.yaml').write_text('{')
     (tmp_path / 'd.yaml').write_text('keyframes: [{half: upper, time: 99, forward: [lelbow]}]')
@@ -144,15 +153,14 @@ def test_bad_input_is_one_line(bag: Path, tmp_path: Path, monkeypatch, capsys, a
 
 def test_real_detections_are_reconstructed() -> None:
     """Reconstruct real detections of one camera, and compare them with the measured 3D joints."""
-    one, other = (load_sequence(shared(f'data/detections/balance_openpose_cam{c}.npz')) for c in (1, 3))
+    one = load_sequence(shared('data/detections/balance_openpose_cam1.npz'))
     result = reconstruct(
         one.keypoints, one.joint_names, one.timestamps, one.intrinsics(1.0), MODELS, CONFIG
     ).result
     assert np.isfinite(result.joints).all()
     assert one.truth is not None
-    assert other.truth is not None
     names = [n for n in one.truth.joint_names if n in CMU15.joints and n not in ('head', 'neck', 'pelvis')]
     mine = [CMU15.index(n) for n in names]
     theirs = [one.truth.joint_names.index(n) for n in names]
     known = np.isfinite(one.truth.joints[:, theirs]).all(axis=(1, 2))
-    assert compute_mpjpe(result.joints[known][:, mine], one.truth.joints[known][:, theirs]) < 110
+    assert compute_mpjpe(result.joints[known][:, mine], one.truth.joints[known][:, theirs]) < 1.1 * 82.1  # mm

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mocap_ros.config import SolverConfig
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.block_banded import Coupling
@@ -19,8 +20,10 @@ from mocap_ros.solvers.joint.lifted_pose import LiftedPoseTerm
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
 from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
-from mocap_ros.solvers.joint.state import CAMERA_UNKNOWNS, State
+from mocap_ros.solvers.joint.state import State
+from mocap_ros.solvers.joint.term import Term
 from mocap_ros.solvers.window import EarlierFrames, Window, initialise_from_mean_pose
+from tests.support.dense_matrices import make_dense_coupling
 from tests.support.synthetic_walk import make_walk
 
 COMPONENTS = 6
@@ -76,7 +79,9 @@ def differentiate(cost: Callable[[State], float], state: State) -> np.ndarray:
 
 
 @pytest.mark.parametrize('kind', TERMS)
-def test_gradient_is_half_that_of_the_cost(objective_and_state: tuple[JointObjective, State], kind: type) -> None:
+def test_gradient_is_half_that_of_the_cost(
+    objective_and_state: tuple[JointObjective, State], kind: type[Term]
+) -> None:
     objective, state = objective_and_state
     term = objective.find_term(kind)
     equations = empty_equations(objective)
@@ -88,7 +93,7 @@ def test_gradient_is_half_that_of_the_cost(objective_and_state: tuple[JointObjec
 
 @pytest.mark.parametrize('kind', [BasePosePrior, PoseSmoothness])
 def test_matrix_of_quadratic_terms_is_their_second_derivative(
-    objective_and_state: tuple[JointObjective, State], kind: type
+    objective_and_state: tuple[JointObjective, State], kind: type[Term]
 ) -> None:
     objective, state = objective_and_state
     term = objective.find_term(kind)
@@ -100,7 +105,7 @@ def test_matrix_of_quadratic_terms_is_their_second_derivative(
 
     equations = empty_equations(objective)
     term.add_to(equations, objective.fit(state))
-    below = equations.coupling.to_dense()
+    below = make_dense_coupling(equations.coupling)
     frames, n = equations.gradient.shape
     for frame, unknown in ((0, 0), (3, 2), (6, 1), (7, 4), (11, 5)):
         step = np.zeros((frames, n))
@@ -116,17 +121,19 @@ def test_matrix_of_quadratic_terms_is_their_second_derivative(
 
 
 @pytest.mark.parametrize('kind', TERMS)
-def test_nothing_couples_two_sequences(objective_and_state: tuple[JointObjective, State], kind: type) -> None:
+def test_nothing_couples_two_sequences(
+    objective_and_state: tuple[JointObjective, State], kind: type[Term]
+) -> None:
     objective, state = objective_and_state
     equations = empty_equations(objective)
     objective.find_term(kind).add_to(equations, objective.fit(state))
     seam = objective.batch.starts[1] - 1
-    assert (equations.coupling.to_dense()[seam] == 0).all()
+    assert (make_dense_coupling(equations.coupling)[seam] == 0).all()
 
 
 @pytest.mark.parametrize('kind', TERMS)
 def test_first_base_poses_alone_are_all_of_them_with_the_others_at_zero(
-    objective_and_state: tuple[JointObjective, State], kind: type
+    objective_and_state: tuple[JointObjective, State], kind: type[Term]
 ) -> None:
     objective, state = objective_and_state
     few = objective.with_components(3)

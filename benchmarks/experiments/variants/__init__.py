@@ -1,0 +1,1 @@
+"""Variants of the solvers that only the experiments with the paper use."""

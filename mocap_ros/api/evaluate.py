@@ -1,0 +1,85 @@
+"""Comparison of 3D joints with the truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mocap_ros.api.arguments import ARGUMENT_KEYS, read_joint_names, read_numbers, rename_key
+from mocap_ros.api.poses import PoseSequence
+from mocap_ros.errors import InputError
+from mocap_ros.evaluation import evaluate as evaluation
+from mocap_ros.formats.sequence_file import GroundTruth
+from mocap_ros.skeleton import CMU15, canonical_joint_names
+
+
+def evaluate(
+    joints: PoseSequence | ArrayLike,
+    truth: GroundTruth | ArrayLike | None = None,
+    *,
+    truth_names: Sequence[str] | str = 'cmu15',
+    times: ArrayLike | None = None,
+    limbs_only: bool = False,
+) -> evaluation.Evaluation:
+    """Compare 3D joints with the truth over the joints that both have.
+
+    Joints of the truth that are known in no frame are left out, then frames in which another joint is unknown.
+
+    Args:
+        joints: a result of `mocap_ros.reconstruct`; or (F, 15, 3) m in the camera's optical frame, in the order of
+            the layout `cmu15`, NaN in frames without a person.
+        truth: (F, J, 3) m in the camera's optical frame, NaN where unknown; or a `GroundTruth`; None for the truth
+            that came with the keypoints of the result.
+        truth_names: (J,) names of the joints of an array `truth`, or the name of a layout.
+        times: (F,) s, times of the frames of an array `joints`; without them the error of the accelerations is
+            NaN.
+        limbs_only: True to compare the twelve joints of the limbs only, in the frames in which most of them were
+            seen. That needs a result of `mocap_ros.reconstruct`.
+
+    Returns:
+        The errors.
+
+    Raises:
+        InputError: an argument is not valid, or nothing is left to compare; the error names the argument.
+        SkeletonError: no layout has the name given as `truth_names`.
+    """
+    if isinstance(joints, PoseSequence):
+        if times is not None:
+            raise InputError('times: the PoseSequence has its own')
+        result = joints
+        predicted, residual, frame_times = result.joints, result.residual, result.times
+        truth = result.sequence.truth if truth is None else truth
+        names, scores = result.sequence.joint_names, result.sequence.keypoints[..., 2]
+    else:
+        if limbs_only:
+            raise InputError('limbs_only: needs a result of reconstruct, which knows the seen joints')
+        predicted = read_numbers('joints', joints, (None, len(CMU15.joints), 3))
+        residual, names, scores = np.full(len(predicted), math.nan), (), None
+        frame_times = np.zeros(1) if times is None else read_numbers('times', times, (len(predicted),))
+    if truth is None:
+        raise InputError('truth: missing')
+    if isinstance(truth, GroundTruth):
+        truth_names = truth.joint_names
+        truth = truth.joints
+    true_names = canonical_joint_names(read_joint_names('truth_names', truth_names))
+    true_joints = read_numbers('truth', truth, (len(predicted), len(true_names), 3))
+    if evaluation.measure_person_size(true_joints) > evaluation.MAX_PERSON_SIZE_M:
+        raise InputError(
+            f'truth: a person of more than {evaluation.MAX_PERSON_SIZE_M:g} m; looks like mm, m expected'
+        )
+    try:
+        return evaluation.evaluate(
+            predicted,
+            CMU15,
+            residual,
+            true_joints,
+            true_names,
+            evaluation.estimate_frame_rate(frame_times),
+            names,
+            scores if limbs_only else None,
+        )
+    except InputError as error:
+        raise rename_key(error, ARGUMENT_KEYS) from None

@@ -1,0 +1,96 @@
+"""Reading of keypoints and writing of results."""
+
+from __future__ import annotations
+
+import logging
+import re
+from pathlib import Path
+
+from mocap_ros.api.arguments import check_image_size, check_positive, check_sequence, name_argument
+from mocap_ros.api.poses import PoseSequence
+from mocap_ros.config import NodeConfig, format_value
+from mocap_ros.errors import InputError
+from mocap_ros.formats.detections import Video
+from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
+from mocap_ros.formats.text_files import guard_output
+from mocap_ros.runtime import save_results
+from mocap_ros.runtime.load_keypoints import load_input
+from mocap_ros.skeleton import keypoint_layout
+
+LOGGER = logging.getLogger('mocap_ros')
+
+
+def read(
+    path: str | Path,
+    *,
+    person: str | None = None,
+    topic: str | None = None,
+    fps: float | None = None,
+    image_size: tuple[int, int] | None = None,
+    layout: str = '',
+) -> KeypointSequence:
+    """Read one person's keypoints from a sequence file, a bag, a folder of OpenPose files or COCO keypoints.
+
+    What was chosen and assumed is logged as warnings by the logger `mocap_ros`: the person, the messages that were
+    left out, and an image size that no file states.
+
+    Args:
+        path: sequence file (`.npz`), bag of ROS 2 or ROS 1, folder of OpenPose's JSON, or COCO keypoints
+            (`.json`). A sequence file takes none of the other arguments.
+        person: id of the person; by default the person who is seen in most frames.
+        topic: topic of the keypoints; needed only for a bag with several.
+        fps: Hz, frame rate; needed for JSON, which has no times.
+        image_size: (width, height) in px, where JSON does not state it.
+        layout: name of the keypoint layout of JSON; by default the one with that number of keypoints.
+
+    Raises:
+        InputError: the file has none of these formats, or its content or an argument is not valid; the error names
+            the file and the place in it, or the argument.
+        SkeletonError: no keypoint layout has the name given as `layout`.
+    """
+    if fps is not None:
+        fps = check_positive('fps', fps)
+    if image_size is not None:
+        image_size = check_image_size(image_size)
+    if layout:
+        name_argument('layout', lambda: keypoint_layout(layout))
+    try:
+        sequence, lines = load_input(Path(path), Video(fps, image_size, layout), NodeConfig(), person, topic)
+    except InputError as error:
+        raise InputError(_name_arguments(str(error))) from None
+    for line in lines:
+        LOGGER.warning('%s', _name_arguments(line))
+    return sequence
+
+
+def write(path: str | Path, result: PoseSequence | KeypointSequence) -> None:
+    """Write a result in the format that the suffix of the path names, or keypoints as a sequence file.
+
+    The formats of results are those of `mocap-ros reconstruct`: `.npz` and `.csv` (m, optical frame), `.mcap` (a
+    bag of messages), `.bvh` (cm, y up) and `.trc` (mm, y up). Keypoints are written as `.npz`, with the truth if
+    there is one.
+
+    Args:
+        path: the file, which is overwritten if it exists.
+        result: a result of `mocap_ros.reconstruct`, or keypoints.
+
+    Raises:
+        InputError: the suffix or the content does not fit the format; the error names the argument.
+        MocapError: the file cannot be written.
+    """
+    path = Path(path)
+    suffixes = save_results.SUFFIXES if isinstance(result, PoseSequence) else ('.npz',)
+    if path.suffix not in suffixes:
+        raise InputError(f'path: {path}: unknown file type; expected {", ".join(suffixes)}')
+    with guard_output(path):
+        if isinstance(result, PoseSequence):
+            save_results.save(path, result._reconstruction)
+        elif isinstance(result, KeypointSequence):
+            save_sequence(path, check_sequence(result))
+        else:
+            raise InputError(f'result: {format_value(result)}, expected a PoseSequence or a KeypointSequence')
+
+
+def _name_arguments(text: str) -> str:
+    """Return a text about options of the command line as one about the arguments of the same meaning."""
+    return re.sub(r'--([a-z-]+)', lambda option: option[1].replace('-', '_'), text)

@@ -1,0 +1,160 @@
+"""Reconstruction of people frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mocap_ros.api.arguments import (
+    Model,
+    Parameters,
+    load_models,
+    make_config,
+    make_intrinsics,
+    name_argument,
+    read_array,
+    read_joint_names,
+    read_numbers,
+)
+from mocap_ros.errors import InputError
+from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, MIN_JUDGED_FRAMES, check_timestamps
+from mocap_ros.keypoints.joint_map import build_joint_map
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.keypoints.validation import describe_transposed_size
+from mocap_ros.messages.keypoints import check_ids, validate_person
+from mocap_ros.people import Person3D
+from mocap_ros.tracking import tracker as tracking
+from mocap_ros.units import NS_PER_S
+
+Array = NDArray[np.float64]
+
+
+class Tracker:
+    """Reconstructs people in 3D frame by frame, as the live node does: keypoints of a frame in, people out.
+
+    Args:
+        joint_names: (J,) names of the keypoints in any common spelling, or the name of a keypoint layout, such as
+            `coco17`.
+        image_size: (width, height) in px.
+        camera_matrix: (3, 3) px, intrinsic matrix K of the camera; without it a nominal focal length is used.
+        distortion: distortion coefficients in OpenCV's order; None for a lens without.
+        model: base poses: the name of shipped ones, the path of a model file, `BasePoses`, or `auto` for the
+            choice by the parameter `tracker.model`.
+        parameters: values by parameter name, such as `{'tracker.lag': 0.2}`, or a `Config`.
+
+    Raises:
+        InputError: an argument is not valid; the error names it.
+        SkeletonError: the joint names give too few joints, or no keypoint layout has that name.
+        ModelError: the base poses, or the lifter that `solver.prior` names, cannot be loaded.
+        ConfigError: a parameter is unknown, or its value has the wrong type or is out of range.
+    """
+
+    def __init__(
+        self,
+        joint_names: Sequence[str] | str,
+        *,
+        image_size: tuple[int, int],
+        camera_matrix: ArrayLike | None = None,
+        distortion: ArrayLike | None = None,
+        model: Model = 'auto',
+        parameters: Parameters = None,
+    ) -> None:
+        config = make_config(parameters)
+        self._joint_names = read_joint_names('joint_names', joint_names)
+        name_argument('joint_names', lambda: build_joint_map(self._joint_names))
+        self._image_size, self._intrinsics = make_intrinsics(image_size, camera_matrix, distortion, config)
+        self._tracker = tracking.Tracker(load_models(model, config), config)
+        self._frame_count = 0
+        self._first_frames: list[tuple[float, Array]] = []
+
+    def __repr__(self) -> str:
+        width, height = self._image_size
+        frames = f'{self._frame_count} frames' + (f' to {self.output_time_s:.3f} s' if self._frame_count else '')
+        return f'Tracker: {len(self._joint_names)} keypoints in {width} x {height} px, {frames}'
+
+    @property
+    def output_time_s(self) -> float:
+        """Time in s of the frame whose people `update` last returned; with `tracker.lag`, of an older one."""
+        return self._tracker.output_stamp_ns / NS_PER_S
+
+    def update(self, time_s: float, people: ArrayLike, *, ids: Sequence[str] = ()) -> list[Person3D]:
+        """Track the people of the next frame.
+
+        Args:
+            time_s: s, time of the image, later than that of the frame before. A time that is earlier by more than
+                `tracker.restart_after` restarts the tracking.
+            people: (P, J, 3) keypoints of the P people in the image, possibly none: x to the right and y down in
+                px, and confidence score in [0, 1]; NaN or score 0 where a keypoint was not seen.
+            ids: (P,) names that the detector gives the people, empty where it gives none; by default the people
+                are told apart by their positions.
+
+        Returns:
+            The people in this frame, in the order of `people`, without those who show too few joints; then those
+            who were not detected and are predicted. With `tracker.lag` they are the people of an earlier frame,
+            `output_time_s`.
+
+        Raises:
+            InputError: an argument is not valid; the error names it and the person. The tracker has not changed.
+            FrameDropped: the time repeats that of the frame before, or is a little earlier. The tracker has not
+                changed.
+        """
+        if not (isinstance(time_s, int | float | np.number) and 0 <= time_s < MAX_TIMESTAMP_S):
+            raise InputError(f'time_s: {time_s}, expected s in [0, {MAX_TIMESTAMP_S:g}]')
+        detected = self._read_people(people, ids)
+        self._judge_first_frames(float(time_s), detected)
+        stamp_ns = round(float(time_s) * NS_PER_S)
+        found = name_argument('time_s', lambda: self._tracker.update(stamp_ns, detected, self._intrinsics))
+        self._frame_count += 1
+        return list(found)
+
+    def reset(self) -> None:
+        """Forget all people and all times."""
+        self._tracker.reset()
+        self._frame_count = 0
+        self._first_frames = []
+
+    def _judge_first_frames(self, time_s: float, detected: Sequence[Person2D]) -> None:
+        """Judge unit of the times and size of the image by the first `MIN_JUDGED_FRAMES` frames.
+
+        Raises:
+            InputError: the times seem to have another unit, or width and height of the image to be transposed.
+        """
+        if len(self._first_frames) == MIN_JUDGED_FRAMES:
+            return
+        if self._first_frames and time_s <= self._first_frames[-1][0]:
+            return
+        points = np.concatenate([np.empty((0, 3)), *(np.column_stack([p.points, p.score]) for p in detected)])
+        frames = [*self._first_frames, (time_s, points)]
+        if len(frames) == MIN_JUDGED_FRAMES:
+            times, keypoints = np.array([t for t, _ in frames]), np.concatenate([k for _, k in frames])
+            try:
+                check_timestamps(times)
+            except InputError as error:
+                raise InputError(f'time_s: {str(error).partition(": ")[2]}') from None
+            fault = describe_transposed_size(keypoints[:, :2], keypoints[:, 2], self._image_size)
+            if fault:
+                raise InputError(f'image_size: {fault}')
+        self._first_frames = frames
+
+    def _read_people(self, people: ArrayLike, ids: Sequence[str]) -> list[Person2D]:
+        """Return the validated people of a frame."""
+        given = read_array('people', people)
+        shape = (len(given) if given.ndim else None, len(self._joint_names), 3)
+        keypoints = read_numbers('people', given, shape) if given.size else np.empty((0, *shape[1:]))
+        names = [str(name) for name in ids] or [''] * len(keypoints)
+        if len(names) != len(keypoints):
+            raise InputError(f'ids: {len(names)} names for {len(keypoints)} people')
+        detected = [
+            self._read_person(i, name, k) for i, (name, k) in enumerate(zip(names, keypoints, strict=True))
+        ]
+        check_ids('ids', detected)
+        return detected
+
+    def _read_person(self, index: int, name: str, keypoints: Array) -> Person2D:
+        """Return the validated person of this index in a frame; its keypoints are (J, 3)."""
+        points, score, width = keypoints[:, :2], keypoints[:, 2], self._image_size[0]
+        return name_argument(
+            f'people[{index}]', lambda: validate_person(name, self._joint_names, points, score, width)
+        )

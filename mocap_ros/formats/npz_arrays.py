@@ -1,0 +1,123 @@
+"""The arrays of .npz files from anywhere, read with bounded memory and checked by key, type and shape."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Collection, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.errors import InputError, describe_read_error
+from mocap_ros.npz_file import open_npz
+from mocap_ros.skeleton import canonical_joint_names
+
+Array = NDArray[np.float64]
+
+MAX_FILE_BYTES = 1 << 30  # unpacked; guards the memory against files that unpack to much more than their size
+
+
+def list_keys(path: Path) -> frozenset[str]:
+    """Return the keys of the arrays in an .npz file without reading them, or nothing if it is no such file."""
+    with suppress(OSError, zipfile.BadZipFile, ValueError), zipfile.ZipFile(path) as archive:
+        return frozenset(n.removesuffix('.npy') for n in archive.namelist() if n.endswith('.npy'))
+    return frozenset()
+
+
+def read_arrays(path: Path, keys: Collection[str], kind: str) -> dict[str, NDArray[np.generic]]:
+    """Read arrays of an .npz file; keys that it does not have are left out.
+
+    Args:
+        path: path of the file.
+        keys: keys of the arrays to read.
+        kind: what the file should be, with article, for messages.
+
+    Raises:
+        InputError: the file cannot be read, or holds more than `MAX_FILE_BYTES`.
+    """
+    arrays = {}
+    key = ''
+    try:
+        with open_npz(path, MAX_FILE_BYTES) as archive:
+            for key in (k for k in keys if k in archive.files):
+                arrays[key] = archive[key]
+    except InputError as error:
+        raise InputError(f'not {kind}: {error}') from None
+    except OSError as error:
+        raise InputError(error.strerror or str(error)) from None
+    except Exception as error:  # NumPy's zip and array readers raise almost any exception on malformed bytes
+        where = f'{key}: ' if key else f'not {kind}: '
+        raise InputError(f'{where}{describe_read_error(error)}') from None
+    return arrays
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayReader:
+    """The arrays of a file, with the checks that all of them need.
+
+    Attributes:
+        array_by_key: arrays of the file by key, without keys that the format does not have.
+    """
+
+    array_by_key: Mapping[str, NDArray[np.generic]]
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.array_by_key
+
+    def read_numbers(self, key: str, shape: tuple[int | None, ...]) -> Array:
+        """Return the array of a key as float64.
+
+        Args:
+            key: key of the array.
+            shape: expected shape; None stands for any length.
+
+        Raises:
+            InputError: the array is missing, has another shape, or does not hold numbers; the error names the key.
+        """
+        array = self._get(key)
+        if array.dtype.kind not in 'fiu':
+            raise InputError(f'{key}: holds {array.dtype}, expected numbers')
+        self._check_shape(key, shape)
+        return array.astype(np.float64)
+
+    def read_flags(self, key: str, shape: tuple[int | None, ...]) -> NDArray[np.bool_]:
+        """Return the array of a key that holds true or false.
+
+        Args:
+            key: key of the array.
+            shape: expected shape; None stands for any length.
+
+        Raises:
+            InputError: the array is missing, has another shape, or holds something else; the error names the key.
+        """
+        array = self._get(key)
+        if array.dtype.kind != 'b':
+            raise InputError(f'{key}: holds {array.dtype}, expected true or false')
+        self._check_shape(key, shape)
+        return array.astype(np.bool_)
+
+    def read_joint_names(self, key: str) -> tuple[str, ...]:
+        """Return the joint names of a key in the spelling of this package.
+
+        Raises:
+            InputError: the array is missing or does not hold names; the error names the key.
+        """
+        array = self._get(key)
+        if array.dtype.kind != 'U' or array.ndim != 1:
+            raise InputError(f'{key}: holds {array.dtype} of shape {array.shape}, expected names')
+        return canonical_joint_names([str(n) for n in array])
+
+    def _check_shape(self, key: str, shape: tuple[int | None, ...]) -> None:
+        actual = self.array_by_key[key].shape
+        wrong = [w for w, h in zip(shape, actual, strict=False) if w is not None and w != h]
+        if wrong or len(shape) != len(actual):
+            expected = ', '.join('n' if n is None else str(n) for n in shape)
+            raise InputError(f'{key}: shape {actual}, expected ({expected})')
+
+    def _get(self, key: str) -> NDArray[np.generic]:
+        if key not in self.array_by_key:
+            raise InputError(f'{key}: missing; the file has {", ".join(self.array_by_key) or "no known key"}')
+        return self.array_by_key[key]

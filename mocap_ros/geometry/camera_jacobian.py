@@ -1,0 +1,64 @@
+"""Derivatives of projected points by the rotation and the scale of a camera.
+
+A point p of the body is q = s R p = (x, y, z) in the camera's frame, before the translation. A step changes the
+rotation by a rotation vector w on the camera's side, R <- exp([w]x) R, and the logarithm l of the scale s. At
+w = 0,
+
+                          (  0   z  -y )
+    d q / d w = -[q]x  =  ( -z   0   x ),      d q / d l = q
+                          (  y  -x   0 )
+
+The first two rows are the derivatives of the image point under weak perspective; perspective needs the third one
+as well. The columns of s R are the projected unit vectors of the body, so that the same formula gives the
+derivatives of the camera matrix. A point that the scale does not move, such as the image of a direction, depends
+on the rotation vector alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+CAMERA_UNKNOWNS = 4  # unknowns of a frame's camera: the rotation vector (3) and the logarithm of the scale
+
+
+def camera_jacobian(points: Array, rows: int) -> Array:
+    """Return the derivatives of points by rotation vector and log scale, in a new array.
+
+    Args:
+        points: (..., 3) q, in the camera's frame and scaled.
+        rows: number of coordinates that are differentiated: 2 for the image, 3 with the depth.
+
+    Returns:
+        (..., rows, 4) derivatives by the rotation vector, then by the log scale.
+    """
+    out = np.empty((*points.shape[:-1], rows, CAMERA_UNKNOWNS))
+    fill_camera_jacobian(out, points)
+    return out
+
+
+def fill_camera_jacobian(out: Array, points: Array) -> None:
+    """Write the derivatives of points by rotation vector and log scale into an array.
+
+    Args:
+        out: (..., 2 or 3, 4) array or view that is overwritten.
+        points: (..., 3) q, in the camera's frame and scaled.
+    """
+    fill_rotation_jacobian(out[..., :3], points)
+    out[..., 3] = points[..., : out.shape[-2]]
+
+
+def fill_rotation_jacobian(out: Array, points: Array) -> None:
+    """Write the derivatives of points by the rotation vector alone into an array.
+
+    Args:
+        out: (..., 2 or 3, 3) array or view that is overwritten.
+        points: (..., 3) q, in the camera's frame.
+    """
+    x, y, z = points[..., 0], points[..., 1], points[..., 2]
+    out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = 0.0, z, -y
+    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = -z, 0.0, x
+    if out.shape[-2] > 2:
+        out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = y, -x, 0.0

@@ -1,0 +1,51 @@
+"""The size of the image in which keypoints were seen."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+ImageSize = tuple[int, int]  # (width, height) in px, (0, 0) where unknown
+
+UNKNOWN_SIZE: ImageSize = (0, 0)  # px
+# (width, height) in px of common videos, smallest first; the smallest that holds the keypoints is assumed.
+COMMON_IMAGE_SIZES = ((640, 480), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160), (7680, 4320))
+IMAGE_SIZE_PERCENTILE = 99  # percent of the keypoints that the assumed image holds; the others may be outliers
+
+
+def resolve_image_size(
+    *,
+    stated: ImageSize | None = None,
+    camera: ImageSize | None = None,
+    configured: ImageSize | None = None,
+    keypoints: Array | None = None,
+) -> ImageSize:
+    """Return the size of the image: the first in this order that is known.
+
+    1. The size that the message or the file with the keypoints states.
+    2. The size in the CameraInfo of the camera.
+    3. The size that the user gives: the parameters `node.image_width` and `node.image_height`, or `--image-size`.
+    4. The smallest of `COMMON_IMAGE_SIZES` that holds 99 % of the seen keypoints. Only readers of whole files pass
+       keypoints: in a live stream, later keypoints could change the size.
+
+    Args:
+        stated: (width, height) in px; a size is unknown if it is None or one of its sides is 0.
+        camera: (width, height) in px, likewise.
+        configured: (width, height) in px, likewise.
+        keypoints: (..., 3) x and y in px and the score; None for no assumption about the size.
+
+    Returns:
+        (width, height) in px; `UNKNOWN_SIZE` where nothing gives a size.
+    """
+    for size in (stated, camera, configured):
+        if size is not None and all(size):
+            return size
+    return UNKNOWN_SIZE if keypoints is None else _assume_common_size(keypoints)
+
+
+def _assume_common_size(keypoints: Array) -> ImageSize:
+    """Return the smallest common image size in px that holds nearly all seen keypoints (..., 3)."""
+    seen = keypoints[keypoints[..., 2] > 0][:, :2]
+    extent = np.percentile(seen, IMAGE_SIZE_PERCENTILE, axis=0) if len(seen) else np.zeros(2)
+    return next((size for size in COMMON_IMAGE_SIZES if (extent <= size).all()), COMMON_IMAGE_SIZES[-1])

@@ -1,0 +1,93 @@
+"""Shots and sections of a long sequence, and its window for the keyframe method."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.config import TrackerConfig
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.offline.keyframes.body_halves import estimate_torso_lengths
+from mocap_ros.offline.keyframes.filters import nan_median
+from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.observed_window import ObservedWindow, observe_sequence
+from mocap_ros.solvers.window import MIN_JOINTS_FOR_CAMERA
+
+Array = NDArray[np.float64]
+
+MAX_SHOT_S = 60.0  # s; bounds the time of the search for swapped sides, which grows with its square
+CUT_DISPLACEMENT = 0.5  # torso lengths between frames; more than a body moves, less than it jumps at a cut
+MAX_ABSENCE_S = 0.5  # s without a pose, after which the motion before no longer says which side is left
+
+
+def split_into_sections(times: Array, max_seconds: float, margin: float) -> list[tuple[slice, slice]]:
+    """Split the frames of a sequence into sections of about equal duration.
+
+    Args:
+        times: (F,) s, increasing.
+        max_seconds: s, maximum duration of a section without its margins.
+        margin: s, added before and after each section.
+
+    Returns:
+        For each section the frames with both margins, and the frames without.
+    """
+    count = max(int(np.ceil((times[-1] - times[0]) / max_seconds)), 1)
+    edges = np.searchsorted(times, np.linspace(times[0], times[-1], count + 1)[1:-1]).tolist()
+    bounds = sorted({0, *edges, len(times)})
+    out = []
+    for first, last in pairwise(bounds):
+        padded = np.searchsorted(times, [times[first] - margin, times[last - 1] + margin], side='left')
+        out.append((slice(int(padded[0]), max(int(padded[1]), last)), slice(first, last)))
+    return out
+
+
+def observe_shots(
+    keypoints: Array, joint_names: tuple[str, ...], times: Array, intrinsics: Intrinsics, config: TrackerConfig
+) -> ObservedWindow:
+    """Return the window of a sequence that may have cuts; each shot has its sides put right on its own.
+
+    Args:
+        keypoints: (F, J, 3) x and y in px, and confidence score; NaN or score 0 where not seen.
+        joint_names: (J,) any names that `keypoints.joint_map` knows.
+        times: (F,) s, increasing.
+        intrinsics: intrinsics of the camera.
+        config: parameters; `min_score`, `undo_swaps` and `perspective` apply.
+
+    Raises:
+        SkeletonError: These names give too few of the model's joints.
+        InputError: No frame has four seen joints.
+    """
+    return observe_sequence(keypoints, joint_names, times, intrinsics, config, CMU15, find_shots)
+
+
+def find_shots(points: Array, weight: Array, times: Array) -> list[slice]:
+    """Split a sequence into shots at its cuts.
+
+    A cut is where the median joint moves more than `CUT_DISPLACEMENT` between frames, or where no frame shows a
+    pose for more than `MAX_ABSENCE_S`. Swapped left and right are no cut. A shot longer than `MAX_SHOT_S` is
+    split.
+
+    Args:
+        points: (F, J, 2) any unit, joints of `CMU15`; arbitrary where the weight is 0.
+        weight: (F, J) confidence scores, 0 where not seen.
+        times: (F,) s, increasing.
+
+    Returns:
+        The frames of each shot.
+    """
+    pose_frames = np.flatnonzero((weight > 0).sum(axis=1) >= MIN_JOINTS_FOR_CAMERA)
+    torso = estimate_torso_lengths(points, weight, times)[pose_frames[1:]]
+    mirror = np.array(CMU15.mirror)
+    before, after = pose_frames[:-1], pose_frames[1:]
+    displacements = []
+    for order in (np.arange(len(mirror)), mirror):  # with the labels as they are, and with left and right swapped
+        both_seen = (weight[after] > 0) & (weight[before][:, order] > 0)
+        moved = np.linalg.norm(points[after] - points[before][:, order], axis=-1)
+        displacements.append(np.nan_to_num(nan_median(np.where(both_seen, moved, np.nan), axis=1)))
+    displacement = np.minimum(*displacements)
+    is_cut = (displacement > CUT_DISPLACEMENT * torso) | (np.diff(times[pose_frames]) > MAX_ABSENCE_S)
+    section_starts = {section.start for _, section in split_into_sections(times, MAX_SHOT_S, 0.0)}
+    bounds = sorted({0, *after[is_cut].tolist(), *section_starts, len(times)})
+    return [slice(a, b) for a, b in pairwise(bounds)]

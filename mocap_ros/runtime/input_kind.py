@@ -1,0 +1,105 @@
+"""What kind of input a path is, and the sentence that refuses an input of the wrong kind."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from enum import Enum
+from pathlib import Path
+
+from mocap_ros.bags.reader import is_bag
+from mocap_ros.errors import InputError
+from mocap_ros.formats.npz_arrays import list_keys
+from mocap_ros.formats.openpose_json import FILE_SUFFIX
+from mocap_ros.formats.result_file import is_result_file
+
+VIDEO_SUFFIXES = ('.mp4', '.m4v', '.mov', '.avi', '.mkv', '.webm', '.mpg', '.mpeg', '.wmv', '.flv', '.gif')
+IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.bmp', '.tif', '.tiff', '.webp', '.heic')
+WRITTEN_SUFFIXES = ('.csv', '.bvh', '.trc')  # of files that `reconstruct` writes and that are not read again
+
+# What the commands read, in the words of messages.
+KEYPOINT_FORMATS = 'a sequence file (.npz), a bag, a folder of OpenPose JSON, or COCO keypoints (.json)'
+BAG_FORMATS = 'a bag (folder, .mcap, .db3 or .bag)'
+
+
+class InputKind(Enum):
+    """Kind of an input; the value describes it in a sentence that begins with the path."""
+
+    SEQUENCE = 'is a sequence file'
+    RESULT = 'is a result of reconstruct'
+    WRITTEN = 'is of a format that mocap-ros writes but does not read'
+    BAG = 'is a bag'
+    OPENPOSE = 'is a folder of OpenPose JSON'
+    JSON = 'is a JSON file'
+    VIDEO = 'is a video'
+    IMAGE = 'is an image'
+    IMAGES = 'is a folder of images'
+    EMPTY_FILE = 'is an empty file'
+    FOLDER = f'is a folder without a bag and without OpenPose JSON (*{FILE_SUFFIX})'
+    OTHER = 'is a file of an unknown type'
+    MISSING = 'No such file or directory'
+
+
+KEYPOINT_KINDS = (InputKind.SEQUENCE, InputKind.BAG, InputKind.OPENPOSE, InputKind.JSON)
+PICTURE_KINDS = (InputKind.VIDEO, InputKind.IMAGE, InputKind.IMAGES)
+
+
+def find_input_kind(path: Path) -> InputKind:
+    """Return the kind of a file or folder, by its name and, where the name does not tell, by its content.
+
+    A file whose content is damaged is of the kind that its name tells.
+    """
+    if not path.exists():
+        return InputKind.MISSING
+    if is_bag(path):
+        return InputKind.BAG
+    if path.is_dir():
+        return _find_folder_kind(path)
+    if path.is_file() and not path.stat().st_size:
+        return InputKind.EMPTY_FILE
+    kind_by_suffixes = {
+        VIDEO_SUFFIXES: InputKind.VIDEO,
+        IMAGE_SUFFIXES: InputKind.IMAGE,
+        WRITTEN_SUFFIXES: InputKind.WRITTEN,
+        ('.json',): InputKind.JSON,
+    }
+    for suffixes, kind in kind_by_suffixes.items():
+        if path.suffix.lower() in suffixes:
+            return kind
+    if is_result_file(path):
+        return InputKind.RESULT
+    return InputKind.SEQUENCE if path.suffix.lower() == '.npz' or list_keys(path) else InputKind.OTHER
+
+
+def _find_folder_kind(folder: Path) -> InputKind:
+    names = [path.name.lower() for path in folder.iterdir()]
+    if any(name.endswith(FILE_SUFFIX) for name in names):
+        return InputKind.OPENPOSE
+    return InputKind.IMAGES if any(name.endswith(IMAGE_SUFFIXES) for name in names) else InputKind.FOLDER
+
+
+def require_kind(path: Path, accepted: Collection[InputKind], formats: str) -> InputKind:
+    """Return the kind of an input that a command reads, and refuse all other kinds in one sentence.
+
+    Args:
+        path: The input.
+        accepted: The kinds that the command reads.
+        formats: What the command reads, in words.
+
+    Raises:
+        InputError: The input is of another kind; the error names the path, its kind, and what to do.
+    """
+    kind = find_input_kind(path)
+    if kind in accepted:
+        return kind
+    if kind is InputKind.MISSING:
+        hint = '; folders are separated by / on this system' if '\\' in str(path) else ''
+        raise InputError(f'{path}: {kind.value}{hint}')
+    if kind in PICTURE_KINDS:
+        advice = f'run a 2D keypoint detector on it, and give the keypoints as {KEYPOINT_FORMATS}'
+    elif kind is InputKind.RESULT and InputKind.SEQUENCE in accepted:
+        advice = 'give the sequence file that it was made from'
+    elif kind in KEYPOINT_KINDS:
+        advice = f'expected {formats}; `mocap-ros reconstruct` reads it'
+    else:
+        advice = f'expected {formats}'
+    raise InputError(f'{path}: {kind.value}; {advice}')

@@ -1,0 +1,90 @@
+"""Load a person's reconstruction from a result file of `reconstruct`, or from a bag that holds skeletons."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mocap_ros.bags.reader import Bag, is_bag
+from mocap_ros.errors import InputError, SkeletonError
+from mocap_ros.formats.result_file import StoredResult, is_result_file, load_result_file
+from mocap_ros.messages.cdr import decode
+from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.skeleton import keypoint_layout
+from mocap_ros.units import NS_PER_S
+
+
+def holds_result(path: Path) -> bool:
+    """Return whether a path is a result file, or a bag in which there are skeletons.
+
+    Raises:
+        InputError: the path is a bag that cannot be read.
+    """
+    if is_bag(path):
+        with Bag(path) as bag:
+            return bool(bag.topics_of_type([SKELETONS]))
+    return path.is_file() and is_result_file(path)
+
+
+def load_result(path: Path, person: str | None = None) -> tuple[StoredResult, str]:
+    """Load a reconstruction from a result file or a bag.
+
+    Args:
+        path: The file or bag.
+        person: Id of the person in a bag; by default the person with most skeletons.
+
+    Returns:
+        The reconstruction, with a frame for each message of a bag, and the id of the person, which is empty for a
+        result file.
+
+    Raises:
+        InputError: The file or bag holds no reconstruction, is damaged, or has no person of that id; the error
+            names the place.
+    """
+    if not is_bag(path):
+        if person is not None:
+            raise InputError(f'{path}: --person does not apply to a result of reconstruct')
+        return load_result_file(path), ''
+    with Bag(path) as bag:
+        topics = bag.topics_of_type([SKELETONS])
+        if len(topics) != 1:
+            found = f'several topics of skeletons: {", ".join(topics)}' if topics else 'no skeletons'
+            raise InputError(f'{path}: the bag has {found}')
+        arrays = [decode(message.raw, SKELETONS) for message in bag.messages(topics)]
+    array_by_stamp = {array.header.stamp.sec * NS_PER_S + array.header.stamp.nanosec: array for array in arrays}
+    counts = Counter(skeleton.id for array in array_by_stamp.values() for skeleton in array.people)
+    if not counts:
+        raise InputError(f'{path}: {topics[0]}: nobody is in any message')
+    if person is not None and person not in counts:
+        people = ', '.join(f'{person_id} ({n})' for person_id, n in counts.most_common())
+        raise InputError(f'{path}: no person {person!r}; there are {people}')
+    chosen = counts.most_common(1)[0][0] if person is None else person
+    try:
+        return _collect(array_by_stamp, chosen), chosen
+    except (InputError, SkeletonError) as error:
+        raise InputError(f'{path}: {topics[0]}: {error}') from None
+
+
+def _collect(array_by_stamp: dict[int, Any], person: str) -> StoredResult:
+    """Return the skeletons of a person in messages by their stamps in ns, in the order of the stamps."""
+    stamps = sorted(array_by_stamp)
+    skeletons = [next((s for s in array_by_stamp[t].people if s.id == person), None) for t in stamps]
+    names = {s.skeleton for s in skeletons if s is not None}
+    if len(names) > 1:
+        raise InputError(f'skeletons of several layouts: {", ".join(sorted(names))}')
+    name = names.pop()
+    skeleton = keypoint_layout(name)
+    shape = (len(stamps), len(skeleton.joints))
+    joints, seen, residual = np.full((*shape, 3), np.nan), np.zeros(shape, bool), np.full(len(stamps), np.nan)
+    for frame, found in enumerate(skeletons):
+        if found is None:
+            continue
+        if len(found.joints) != shape[1] or len(found.inferred) != shape[1]:
+            raise InputError(f'skeleton of {len(found.joints)} joints, expected {shape[1]} of {name}')
+        joints[frame] = [(point.x, point.y, point.z) for point in found.joints]
+        seen[frame] = ~np.asarray(found.inferred, bool)
+        residual[frame] = found.reprojection_residual
+    return StoredResult(np.array(stamps) / NS_PER_S, joints, seen, residual, skeleton, tuple(stamps))

@@ -1,0 +1,217 @@
+"""One person's keypoints over some frames, as every reconstruction sees them and gives them to a solver.
+
+    r_tj               ray of joint j in the real camera: lens distortion undone, left and right put right
+    q_tj = pi(V_t (r_tj, 1))          ray in the virtual camera, pi(x, y, z) = (x / z, y / z)
+    x_tj = f q_tj                     image point of the solvers' `Window`, px
+
+V_t is the rotation of the virtual camera and f its focal length. Image points and lifted poses are in the units of
+rays, that is, in an image plane at distance 1. They become px in one place, `ObservedWindow.build_solver_window`
+(by `points`).
+
+The tracker keeps a window of this form for each person, and extends it frame by frame; `observe_sequence` makes
+one of a whole sequence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.config import TrackerConfig
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.virtual_camera import VirtualCamera, solver_focal
+from mocap_ros.keypoints.left_right import exchange_sides, find_swapped_frames
+from mocap_ros.keypoints.rays import convert_to_rays
+from mocap_ros.models.lifter import LiftedPoses, Lifter, concatenate_lifted, sample_histories
+from mocap_ros.skeleton import CMU15, Skeleton
+from mocap_ros.solvers.window import EarlierFrames, InitialValues, Window, require_camera_frame
+
+Array = NDArray[np.float64]
+
+# s; the virtual cameras' directions are averaged over it, so that they follow a walk, but not the joints that come
+# and go in single frames
+VIEW_SMOOTHING_S = 3.0
+RAY_FOCAL = 1.0  # rays; focal length of a camera whose image points are rays
+# Splits a sequence, by its rays (F, J, 2), weights (F, J) and times (F,) s, into shots between cuts.
+ShotFinder = Callable[[Array, Array, Array], list[slice]]
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedWindow:
+    """One person's joints in some frames, and the virtual cameras that face the person.
+
+    Attributes:
+        times: (F,) s, increasing.
+        rays: (F, J, 2) x / z and y / z of the joints in the real camera, lens distortion undone, left and right
+            put right; finite, and ignored where the weight is 0.
+        weight: (F, J) confidence scores; 0 for a joint that was not seen.
+        virtual_camera: virtual cameras, one for each frame or one for all, with the real camera's intrinsics.
+        focal: px, focal length that the solvers assume; infinite for weak perspective (`solver_focal`).
+        lifted: poses of the frames as the lifter estimated them, in the units of rays: the joints along the axes
+            of the real camera, the standard deviations along those of the virtual cameras; None without a lifter.
+    """
+
+    times: Array
+    rays: Array
+    weight: Array
+    virtual_camera: VirtualCamera
+    focal: float
+    lifted: LiftedPoses | None = None
+
+    @staticmethod
+    def facing_person(
+        times: Array, rays: Array, weight: Array, intrinsics: Intrinsics, focal: float
+    ) -> ObservedWindow:
+        """Return a window whose virtual cameras, one for each frame, follow the person.
+
+        Args:
+            times: (F,) s, increasing.
+            rays: (F, J, 2) rays, as in the attributes.
+            weight: (F, J) confidence scores.
+            intrinsics: intrinsics of the real camera.
+            focal: px, focal length that the solvers assume.
+        """
+        camera = VirtualCamera.look_at_person(rays, weight, times, VIEW_SMOOTHING_S, intrinsics)
+        return ObservedWindow(times, rays, weight, camera, focal)
+
+    @cached_property
+    def facing_rays(self) -> Array:
+        """Rays (F, J, 2) in the virtual cameras; 0 where the weight is 0."""
+        return np.where(self.weight[..., None] > 0, self.virtual_camera.to_virtual_rays(self.rays), 0.0)
+
+    @cached_property
+    def points(self) -> Array:
+        """Image points (F, J, 2) px of the virtual cameras, relative to their axes; 0 where the weight is 0."""
+        return self.virtual_camera.intrinsics.focal * self.facing_rays
+
+    def select_frames(self, frames: NDArray[np.intp] | slice) -> ObservedWindow:
+        """Return the window of some of the frames, seen by the same virtual cameras.
+
+        Args:
+            frames: (n,) indices of the frames, increasing; or a slice.
+        """
+        return replace(
+            self,
+            times=self.times[frames],
+            rays=self.rays[frames],
+            weight=self.weight[frames],
+            virtual_camera=self.virtual_camera.select_frames(frames),
+            lifted=None if self.lifted is None else self.lifted.select_frames(frames),
+        )
+
+    def exclude_points(self, excluded: NDArray[np.bool_]) -> ObservedWindow:
+        """Return the window with the points of a mask (F, J) set to not seen."""
+        return replace(self, weight=np.where(excluded, 0.0, self.weight))
+
+    def sample_unlifted_histories(self) -> tuple[Array, Array]:
+        """Return the histories of the frames that are not lifted yet, for `Lifter.lift` with `RAY_FOCAL`.
+
+        Returns:
+            (N, T, J, 2) rays in the virtual cameras, and (N, T, J) confidence scores.
+        """
+        first = 0 if self.lifted is None else len(self.lifted.joints)
+        return sample_histories(self.facing_rays, self.weight, self.times, np.arange(first, len(self.times)))
+
+    def append_lifted(self, lifted: LiftedPoses) -> ObservedWindow:
+        """Return the window with the lifted poses of the frames of `sample_unlifted_histories`.
+
+        Args:
+            lifted: poses as `Lifter.lift` returns them, in the units of rays and the axes of the virtual cameras.
+        """
+        count = len(lifted.joints)
+        camera = self.virtual_camera.select_frames(slice(len(self.times) - count, None))
+        in_real_camera = LiftedPoses(camera.to_real_camera(lifted.joints), lifted.std)
+        before = [] if self.lifted is None else [self.lifted]
+        return replace(self, lifted=concatenate_lifted([*before, in_real_camera]))
+
+    def lift(self, lifter: Lifter) -> ObservedWindow:
+        """Return the window with lifted poses of all frames."""
+        return self.append_lifted(lifter.lift(*self.sample_unlifted_histories(), RAY_FOCAL))
+
+    def convert_to_initial_values(self, theta: Array, rotation: Array, roots: Array) -> InitialValues:
+        """Return a state of the person in the real camera as initial values for a solver.
+
+        Args:
+            theta: (F, K) m, weights of the base poses.
+            rotation: (F, 3, 3) rotations from the body to the real camera.
+            roots: (F, 3) m, positions of the body's origin in the real camera's frame.
+        """
+        return InitialValues(theta, self.virtual_camera.weak_perspective_cameras(rotation, roots))
+
+    def build_solver_window(
+        self,
+        start: InitialValues | None = None,
+        noise: float | None = None,
+        fixed_frames: int = 0,
+        earlier_frames: EarlierFrames | None = None,
+    ) -> Window:
+        """Return the window as a solver gets it, in px of the virtual cameras.
+
+        Args:
+            start: initial values; None for the solver's own. Their median scale is the window's unit.
+            noise: m, image noise, if it is known.
+            fixed_frames: number of frames at the beginning that keep their initial values.
+            earlier_frames: summary of the frames before the window, if there are any.
+
+        Raises:
+            InputError: No frame has four seen joints.
+        """
+        lifted = self.lifted
+        if lifted is not None:
+            facing = LiftedPoses(self.virtual_camera.to_virtual_camera(lifted.joints), lifted.std)
+            lifted = facing.scale_by(self.virtual_camera.intrinsics.focal)
+        return Window(
+            self.points,
+            self.weight,
+            self.times,
+            start=start,
+            unit=None if start is None else float(np.median(start.cameras.scale)),
+            noise=noise,
+            focal=self.focal,
+            fixed_frames=fixed_frames,
+            earlier_frames=earlier_frames,
+            lifted=lifted,
+        )
+
+
+def observe_sequence(
+    keypoints: Array,
+    joint_names: tuple[str, ...],
+    times: Array,
+    intrinsics: Intrinsics,
+    config: TrackerConfig,
+    skeleton: Skeleton = CMU15,
+    find_shots: ShotFinder | None = None,
+) -> ObservedWindow:
+    """Map a sequence's keypoints to the model's joints, put left and right right, and face the person.
+
+    Args:
+        keypoints: (F, Js, 3) x and y in px, and confidence score; NaN or score 0 where not seen.
+        joint_names: (Js,) any names that `keypoints.joint_map` knows.
+        times: (F,) s, increasing.
+        intrinsics: intrinsics of the camera.
+        config: parameters; `min_score`, `undo_swaps` and `perspective` apply.
+        skeleton: skeleton with the joints of the model.
+        find_shots: splits the sequence into shots, whose sides are put right independently; None if the sequence
+            has no cuts.
+
+    Raises:
+        SkeletonError: These names give too few of the model's joints.
+        InputError: No frame has four seen joints.
+    """
+    rays, weight = convert_to_rays(
+        keypoints[..., :2], keypoints[..., 2], joint_names, intrinsics, config.min_score, skeleton
+    )
+    require_camera_frame(weight)
+    if config.undo_swaps:
+        mirror = np.array(skeleton.mirror)
+        shots = find_shots(rays, weight, times) if find_shots is not None else [slice(None)]
+        swapped = [find_swapped_frames(times[s], rays[s], weight[s], mirror) for s in shots]
+        rays, weight = exchange_sides(rays, weight, np.concatenate(swapped), mirror)
+    return ObservedWindow.facing_person(
+        times, rays, weight, intrinsics, solver_focal(intrinsics, config.perspective)
+    )

@@ -1,0 +1,192 @@
+"""What was seen of a tracked person: the keypoints of the sliding window, with left and right put right.
+
+A new frame may change the decision whether left and right were swapped in earlier frames. These frames are then
+corrected anew, and their lifted poses are dropped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.virtual_camera import VirtualCamera
+from mocap_ros.keypoints.association import ExpectedExtent, measure_extent
+from mocap_ros.keypoints.left_right import SwapFilter, exchange_sides
+from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.solvers.observed_window import ObservedWindow
+from mocap_ros.tracking.detection import Detection
+from mocap_ros.units import NS_PER_S
+
+Array = NDArray[np.float64]
+
+VELOCITY_SPAN_S = 0.25  # s; velocities are averaged over this time, which evens out image noise and single steps
+MIN_VELOCITY_SPAN_S = 0.05  # s; over a shorter time image noise, divided by the time, looks like a fast movement
+
+
+@dataclass(frozen=True, eq=False)
+class SeenFrames:
+    """The F frames of a person's window, F >= 1.
+
+    Attributes:
+        given_id: name that the detector gives the person; empty if it gives none.
+        first_stamp_ns: ns, stamp of the person's first frame, which the window may have left behind.
+        stamps_ns: (F,) ns, stamps of the frames, increasing.
+        rays: (F, J, 2) x / z and y / z of the joints in the real camera, with the detector's labels.
+        weight: (F, J) confidence scores with the detector's labels; 0 for a joint that was not seen.
+        swap_filter: filter that finds the frames with swapped left and right.
+        observed: the same frames with swaps undone, their lifted poses, and one virtual camera that faces the
+            person in all of them; its times begin with 0 at the first frame of the window.
+    """
+
+    given_id: str
+    first_stamp_ns: int
+    stamps_ns: tuple[int, ...]
+    rays: Array
+    weight: Array
+    swap_filter: SwapFilter
+    observed: ObservedWindow
+
+    @staticmethod
+    def begin(
+        stamp_ns: int, detection: Detection, swap_filter: SwapFilter, intrinsics: Intrinsics, focal: float
+    ) -> SeenFrames:
+        """Return the window of a person who is seen for the first time.
+
+        Args:
+            stamp_ns: ns, stamp of the frame.
+            detection: the person in this frame.
+            swap_filter: filter that has seen no frame.
+            intrinsics: intrinsics of the real camera.
+            focal: px, focal length that the solvers assume; infinite for weak perspective.
+        """
+        rays, weight, stamps_ns = detection.rays[None], detection.weight[None], (stamp_ns,)
+        swap_filter = swap_filter.update(0.0, detection.rays, detection.weight, detection.extent.size)
+        observed = _correct_sides(stamps_ns, rays, weight, swap_filter, intrinsics, focal, None)
+        return SeenFrames(detection.given_id, stamp_ns, stamps_ns, rays, weight, swap_filter, observed)
+
+    @property
+    def age_s(self) -> float:
+        """Time in s from the person's first frame to the newest."""
+        return (self.stamps_ns[-1] - self.first_stamp_ns) / NS_PER_S
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """Intrinsics of the real camera."""
+        return self.observed.virtual_camera.intrinsics
+
+    @property
+    def is_newest_swapped(self) -> bool:
+        """Whether left and right were swapped in the newest frame."""
+        return bool(self.swap_filter.is_swapped[-1])
+
+    def count_older_frames(self, stamp_ns: int, window_s: float) -> int:
+        """Return the number of frames that are too old for a window that ends at a stamp.
+
+        Args:
+            stamp_ns: ns, end of the window.
+            window_s: s, length of the window.
+        """
+        oldest_kept = stamp_ns - window_s * NS_PER_S
+        return sum(t < oldest_kept for t in self.stamps_ns)
+
+    def add_frame(self, stamp_ns: int, detection: Detection, dropped: int) -> SeenFrames:
+        """Return the window with one more frame and without the oldest ones.
+
+        Args:
+            stamp_ns: ns, stamp of the frame.
+            detection: the person in this frame.
+            dropped: number of frames to drop.
+        """
+        time_s = (stamp_ns - self.first_stamp_ns) / NS_PER_S
+        swap_filter = self.swap_filter.update(time_s, detection.rays, detection.weight, detection.extent.size)
+        swap_filter = swap_filter.drop_oldest(dropped)
+        stamps_ns = (*self.stamps_ns[dropped:], stamp_ns)
+        rays = np.concatenate([self.rays[dropped:], detection.rays[None]])
+        weight = np.concatenate([self.weight[dropped:], detection.weight[None]])
+        lifted, old = None, self.observed
+        if old.lifted is not None and not _has_changed_labels(self.swap_filter, swap_filter, dropped):
+            lifted = old.lifted.select_frames(slice(dropped, None))
+        observed = _correct_sides(stamps_ns, rays, weight, swap_filter, self.intrinsics, old.focal, lifted)
+        return SeenFrames(self.given_id, self.first_stamp_ns, stamps_ns, rays, weight, swap_filter, observed)
+
+    def has_relabelled(self, earlier: SeenFrames, dropped: int) -> bool:
+        """Return whether the newest frame has changed the decision about swaps in a frame before it.
+
+        Args:
+            earlier: the window before the newest frame was added.
+            dropped: number of frames that were dropped then.
+        """
+        return _has_changed_labels(earlier.swap_filter, self.swap_filter, dropped)
+
+    def change_camera(self, intrinsics: Intrinsics, focal: float) -> SeenFrames:
+        """Return the window under other intrinsics: the image points stay the same, and nothing is lifted yet.
+
+        Args:
+            intrinsics: intrinsics from now on.
+            focal: px, focal length that the solvers assume from now on.
+        """
+        directions = np.concatenate([self.rays, np.ones_like(self.rays[..., :1])], axis=-1)
+        rays = intrinsics.pixels_to_rays(self.intrinsics.project(directions))
+        observed = _correct_sides(self.stamps_ns, rays, self.weight, self.swap_filter, intrinsics, focal, None)
+        return replace(self, rays=rays, observed=observed)
+
+    def expect_extent(self, stamp_ns: int) -> ExpectedExtent:
+        """Return where the person is expected in the image, in the units of rays.
+
+        The centre moves on with its mean velocity over the last `VELOCITY_SPAN_S`, for at most as long.
+
+        Args:
+            stamp_ns: ns, time of the image.
+        """
+        centre, size = measure_extent(self.rays[-1], self.weight[-1])
+        age_s = (stamp_ns - self.stamps_ns[-1]) / NS_PER_S
+        if len(self.stamps_ns) > 1:
+            first = int(np.searchsorted(self.stamps_ns, self.stamps_ns[-1] - VELOCITY_SPAN_S * NS_PER_S))
+            span_s = (self.stamps_ns[-1] - self.stamps_ns[first]) / NS_PER_S
+            if span_s >= MIN_VELOCITY_SPAN_S:
+                first_centre, _ = measure_extent(self.rays[first], self.weight[first])
+                centre = centre + (centre - first_centre) * min(age_s, VELOCITY_SPAN_S) / span_s
+        return ExpectedExtent(centre, size, age_s)
+
+    def select_frames(self, step_s: float, span_s: float) -> NDArray[np.intp]:
+        """Return the indices of the frames with the highest scores, one for each step of time, increasing.
+
+        The newest frame is always selected.
+
+        Args:
+            step_s: s, length of a step.
+            span_s: s, age beyond which no frame is selected.
+        """
+        stamps_ns = np.array(self.stamps_ns)
+        age_s = (stamps_ns[-1] - stamps_ns) / NS_PER_S
+        step = (age_s / step_s + 0.5).astype(int)
+        total_weight = np.append(self.weight[:-1].sum(axis=1), np.inf)
+        order = np.lexsort((-total_weight, step))
+        is_first_of_step = np.diff(step[order], prepend=-1) != 0
+        selected = np.sort(order[is_first_of_step])
+        return np.asarray(selected[age_s[selected] <= span_s])
+
+
+def _has_changed_labels(before: SwapFilter, after: SwapFilter, dropped: int) -> bool:
+    """Return whether the decision about a frame of both filters has changed; `dropped` frames have left."""
+    kept = before.is_swapped[dropped:]
+    return not np.array_equal(after.is_swapped[: len(kept)], kept)
+
+
+def _correct_sides(
+    stamps_ns: tuple[int, ...],
+    rays: Array,
+    weight: Array,
+    swap_filter: SwapFilter,
+    intrinsics: Intrinsics,
+    focal: float,
+    lifted: LiftedPoses | None,
+) -> ObservedWindow:
+    """Return frames with swaps of left and right undone, seen by a virtual camera that faces the person."""
+    corrected = exchange_sides(rays, weight, swap_filter.is_swapped, swap_filter.mirror)
+    camera = VirtualCamera.look_at_mean_position(*corrected, intrinsics)
+    times = (np.array(stamps_ns) - stamps_ns[0]) / NS_PER_S
+    return ObservedWindow(times, *corrected, camera, focal, lifted)

@@ -1,0 +1,53 @@
+"""The state of a tracker between two frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+from mocap_ros.tracking.pose_memory import KeyPoseMemory
+from mocap_ros.tracking.track import Track
+
+
+@dataclass(frozen=True, eq=False)
+class TrackerState:
+    """Everything that a tracker knows; together with its models and parameters it determines what follows.
+
+    Attributes:
+        tracks: people who are tracked, in the order in which they came.
+        newest_stamp_ns: ns, stamp of the newest accepted frame; None before the first.
+        output_stamp_ns: ns, stamp of the frame whose people `Tracker.update` last returned; with `tracker.lag`, an
+            older one.
+        pending_ids: ids of the tracks of the newest frame whose deferred work was not begun yet.
+        last_check_ns: ns, stamp of the newest frame when deferred work was last done.
+        pose_memory: key poses of people who were lost.
+        name_count: number of names that the tracker has given to people without an id.
+        backward_jump_s: s by which the stamp of the newest frame went back, so that tracking restarted; else 0.
+        swapped_frames: number of frames so far in which a person's left and right were swapped back.
+        unusable_people: number of detections so far with too few joints, or with all of them in one place.
+    """
+
+    tracks: tuple[Track, ...] = ()
+    newest_stamp_ns: int | None = None
+    output_stamp_ns: int = 0
+    pending_ids: tuple[str, ...] = ()
+    last_check_ns: int = 0
+    pose_memory: KeyPoseMemory = field(default_factory=KeyPoseMemory)
+    name_count: int = 0
+    backward_jump_s: float = 0.0
+    swapped_frames: int = 0
+    unusable_people: int = 0
+
+    def forget_everybody(self) -> TrackerState:
+        """Return the state without people, names and stamps, but with the counters and what was last put out."""
+        return TrackerState(
+            output_stamp_ns=self.output_stamp_ns,
+            backward_jump_s=self.backward_jump_s,
+            swapped_frames=self.swapped_frames,
+            unusable_people=self.unusable_people,
+        )
+
+    def put_tracks(self, tracks: Sequence[Track]) -> TrackerState:
+        """Return the state with some tracks in the places of those with the same ids; new ones come last."""
+        by_id = {t.id: t for t in self.tracks} | {t.id: t for t in tracks}
+        return replace(self, tracks=tuple(by_id.values()))

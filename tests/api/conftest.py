@@ -1,0 +1,25 @@
+"""The beginning of the demo recording, which the tests of the public functions share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+import mocap_ros
+from mocap_ros.demo.scene import make_recording
+
+FRAMES = 40
+
+
+@pytest.fixture(scope='session')
+def sequence() -> mocap_ros.KeypointSequence:
+    """Somebody who walks, with the truth."""
+    whole = make_recording().sequence()
+    assert whole.truth is not None
+    return replace(
+        whole,
+        keypoints=whole.keypoints[:FRAMES],
+        timestamps=whole.timestamps[:FRAMES],
+        truth=replace(whole.truth, joints=whole.truth.joints[:FRAMES]),
+    )

@@ -1,0 +1,140 @@
+"""`mocap_ros.read` and `mocap_ros.write`: every format, what is logged, and one error for each wrong argument."""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mocap_ros
+from mocap_ros.cli.main import main
+from mocap_ros.runtime.save_results import SUFFIXES
+from tests.support.keypoint_files import flatten_keypoints
+
+FPS = 30.0  # Hz
+
+
+@pytest.fixture(scope='module')
+def result(sequence: mocap_ros.KeypointSequence) -> mocap_ros.PoseSequence:
+    return mocap_ros.reconstruct(sequence)
+
+
+@pytest.fixture
+def openpose(sequence: mocap_ros.KeypointSequence, tmp_path: Path) -> Path:
+    """A folder as OpenPose writes it, of somebody and of a second person in one frame."""
+    folder = tmp_path / 'openpose'
+    folder.mkdir()
+    for frame, flat in enumerate(flatten_keypoints(sequence)):
+        with_neck = [*flat[:3], 0.0, 0.0, 0.0, *flat[3:]]
+        people = [{'pose_keypoints_2d': with_neck}] * (2 if frame == 0 else 1)
+        (folder / f'walk_{frame:012d}_keypoints.json').write_text(json.dumps({'people': people}), encoding='utf-8')
+    return folder
+
+
+@pytest.mark.parametrize('suffix', SUFFIXES)
+def test_write_gives_what_the_command_gives(
+    result: mocap_ros.PoseSequence, sequence: mocap_ros.KeypointSequence, tmp_path: Path, suffix: str
+) -> None:
+    mocap_ros.write(tmp_path / 'walk.npz', sequence)
+    whole = mocap_ros.reconstruct(mocap_ros.read(tmp_path / 'walk.npz'))
+    mocap_ros.write(str(tmp_path / f'own{suffix}'), whole)
+    assert main(['reconstruct', str(tmp_path / 'walk.npz'), '-o', str(tmp_path / f'command{suffix}')]) == 0
+    own, command = ((tmp_path / f'{name}{suffix}') for name in ('own', 'command'))
+    if suffix == '.mcap':
+        np.testing.assert_array_equal(mocap_ros.read(own).keypoints, mocap_ros.read(command).keypoints)
+    else:
+        content = own.read_bytes()
+        assert content.replace(b'own', b'command') == command.read_bytes() or content == command.read_bytes()
+    assert np.abs(whole.joints - result.joints).max() < 1e-3
+
+
+def test_a_bag_is_read_back(result: mocap_ros.PoseSequence, tmp_path: Path, caplog: Any) -> None:
+    mocap_ros.write(tmp_path / 'walk.mcap', result)
+    with caplog.at_level(logging.WARNING, 'mocap_ros'):
+        sequence = mocap_ros.read(tmp_path / 'walk.mcap')
+    np.testing.assert_allclose(sequence.keypoints, result.sequence.keypoints, atol=1e-3)
+    np.testing.assert_allclose(sequence.timestamps, result.times, atol=1e-9)
+    assert sequence.image_size == (640, 480)
+    (record,) = caplog.records
+    assert record.name == 'mocap_ros'
+    assert record.getMessage().endswith("walk.mcap: person 'person_1', seen in 40 of 40 frames")
+
+
+def test_keypoints_and_truth_are_written_as_a_sequence_file(
+    sequence: mocap_ros.KeypointSequence, tmp_path: Path
+) -> None:
+    mocap_ros.write(tmp_path / 'walk.npz', sequence)
+    again = mocap_ros.read(tmp_path / 'walk.npz')
+    assert again.truth is not None
+    assert sequence.truth is not None
+    np.testing.assert_allclose(again.keypoints, sequence.keypoints, atol=1e-4)
+    np.testing.assert_allclose(again.truth.joints, sequence.truth.joints, atol=1e-6)
+    assert repr(again.truth) == 'GroundTruth: 40 frames, 15 joints'
+
+
+def test_json_needs_the_frame_rate_and_logs_what_is_assumed(openpose: Path, caplog: Any) -> None:
+    with pytest.raises(mocap_ros.InputError, match=r'give the frame rate \(fps\)'):
+        mocap_ros.read(openpose)
+    sequence = mocap_ros.read(openpose, fps=FPS)
+    assert (len(sequence), sequence.image_size) == (40, (640, 480))
+    choice, size = (record.getMessage() for record in caplog.records)
+    assert "person 'person_1', seen in 40 of 40 frames; 1 more, choose by person: " in choice
+    assert size.endswith('image size not known, 640x480 px assumed; give it by image_size')
+    other = mocap_ros.read(openpose, fps=FPS, image_size=(800, 600), person='person_2', layout='coco18')
+    assert (len(other), other.image_size) == (1, (800, 600))
+
+
+WRONG_READ: dict[str, tuple[dict[str, Any], str]] = {
+    'negative rate': ({'fps': -1}, 'fps: -1, expected a positive number'),
+    'rate as text': ({'fps': '30'}, "fps: '30', expected a positive number"),
+    'size of zero': ({'fps': FPS, 'image_size': (0, 480)}, r'image_size: 0 x 480 px, expected \(width, height\)'),
+    'size of three': (
+        {'fps': FPS, 'image_size': (640, 480, 3)},
+        r'image_size: shape \(3,\), expected \(2\), expected \(width, h',
+    ),
+    'unknown layout': ({'fps': FPS, 'layout': 'coco'}, "layout: unknown keypoint layout 'coco'; known: cmu15"),
+    'unknown person': ({'fps': FPS, 'person': 'eve'}, "openpose: no person 'eve'; there are person_1"),
+}
+
+
+@pytest.mark.parametrize('case', WRONG_READ)
+def test_a_wrong_argument_of_read_is_one_error_that_names_it(openpose: Path, case: str) -> None:
+    arguments, message = WRONG_READ[case]
+    with pytest.raises(mocap_ros.MocapError, match=message):
+        mocap_ros.read(openpose, **arguments)
+
+
+def test_files_that_cannot_be_read_are_refused_by_name(
+    result: mocap_ros.PoseSequence, sequence: mocap_ros.KeypointSequence, tmp_path: Path
+) -> None:
+    mocap_ros.write(tmp_path / 'result.npz', result)
+    mocap_ros.write(tmp_path / 'walk.npz', sequence)
+    (tmp_path / 'walk.mp4').write_bytes(b'0000ftyp')
+    for name, fps in (('none.npz', None), ('result.npz', None), ('walk.mp4', None), ('walk.npz', FPS)):
+        with pytest.raises(mocap_ros.InputError, match=name):
+            mocap_ros.read(tmp_path / name, fps=fps)
+
+
+def test_what_cannot_be_written_is_refused(
+    result: mocap_ros.PoseSequence, sequence: mocap_ros.KeypointSequence, tmp_path: Path
+) -> None:
+    assert sequence.truth is not None
+    with pytest.raises(mocap_ros.InputError, match=r'path: .*walk\.fbx: unknown file type; expected \.npz, \.csv'):
+        mocap_ros.write(tmp_path / 'walk.fbx', result)
+    with pytest.raises(mocap_ros.InputError, match=r'path: .*walk\.bvh: unknown file type; expected \.npz$'):
+        mocap_ros.write(tmp_path / 'walk.bvh', sequence)
+    with pytest.raises(mocap_ros.MocapError, match=r'walk\.csv: cannot be written'):
+        mocap_ros.write(tmp_path / 'none' / 'walk.csv', result)
+    with pytest.raises(mocap_ros.InputError, match=r'timestamps: frame 1: .* is not later than frame 0'):
+        mocap_ros.write(tmp_path / 'walk.npz', replace(sequence, timestamps=sequence.timestamps[::-1]))
+    short = mocap_ros.GroundTruth(sequence.truth.joints, ('neck', 'head'))
+    with pytest.raises(mocap_ros.InputError, match=r'truth: shape \(40, 15, 3\), expected \(40, 2, 3\)'):
+        mocap_ros.write(tmp_path / 'walk.npz', replace(sequence, truth=short))
+    with pytest.raises(mocap_ros.InputError, match='result: 7, expected a PoseSequence or a KeypointSequence'):
+        mocap_ros.write(tmp_path / 'walk.npz', 7)  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())

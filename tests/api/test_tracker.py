@@ -1,0 +1,157 @@
+"""`mocap_ros.Tracker`: the same people as inside, and one error for each wrong argument."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mocap_ros
+from mocap_ros.models.model_file import load_base_pose_models
+from mocap_ros.tracking.tracker import Tracker
+
+SIZE = (640, 480)
+
+
+def make_tracker(**arguments: Any) -> mocap_ros.Tracker:
+    return mocap_ros.Tracker(**{'joint_names': 'coco17', 'image_size': SIZE, **arguments})
+
+
+@pytest.fixture
+def keypoints(sequence: mocap_ros.KeypointSequence) -> np.ndarray:
+    """One frame of one person, (17, 3)."""
+    return sequence.keypoints[0].copy()
+
+
+def test_the_people_are_those_of_the_node_s_tracker(sequence: mocap_ros.KeypointSequence) -> None:
+    inside = Tracker(load_base_pose_models('auto'), mocap_ros.Config())
+    tracker = make_tracker()
+    for frame, (time_s, stamp_ns) in enumerate(zip(sequence.timestamps, sequence.stamps_ns, strict=True)):
+        expected = inside.update(stamp_ns, [sequence.person(frame)], sequence.intrinsics(1.0))
+        people = tracker.update(time_s, [sequence.keypoints[frame]])
+        assert isinstance(people, list)
+        assert len(people) == len(expected) == 1
+        np.testing.assert_array_equal(people[0].joints, expected[0].joints)
+        np.testing.assert_array_equal(people[0].std, expected[0].std)
+        assert people[0].id == expected[0].id
+    assert tracker.output_time_s == pytest.approx(sequence.timestamps[-1])
+    assert repr(tracker) == 'Tracker: 17 keypoints in 640 x 480 px, 40 frames to 1.300 s'
+    assert repr(people[0]).startswith("Person3D 'person_1': ")
+    assert len(people[0].joint_names) == len(people[0].joints)
+
+
+def test_several_people_keep_their_names(sequence: mocap_ros.KeypointSequence) -> None:
+    tracker = make_tracker()
+    mirrored = sequence.keypoints * [-1, 1, 1] + [640, 0, 0]
+    for frame, time_s in enumerate(sequence.timestamps[:3]):
+        both = np.stack([sequence.keypoints[frame], mirrored[frame]])
+        people = tracker.update(time_s, both, ids=('anna', 'ben'))
+        assert [person.id for person in people] == ['anna', 'ben']
+    predicted = tracker.update(sequence.timestamps[3], [])
+    assert [(person.id, person.predicted) for person in predicted] == [('anna', True), ('ben', True)]
+    assert all('predicted' in repr(person) for person in predicted)
+
+
+def test_the_lag_delays_the_output(sequence: mocap_ros.KeypointSequence) -> None:
+    tracker = make_tracker(parameters={'tracker.lag': 0.1}, joint_names=sequence.joint_names)
+    for time_s, keypoints in zip(sequence.timestamps[:10], sequence.keypoints[:10], strict=True):
+        tracker.update(time_s, [keypoints])
+    assert tracker.output_time_s == pytest.approx(sequence.timestamps[9] - 0.1, abs=1e-3)
+
+
+def test_a_camera_gives_the_true_scale(sequence: mocap_ros.KeypointSequence) -> None:
+    matrix = [[1200, 0, 320], [0, 1200, 240], [0, 0, 1]]
+    (known,) = make_tracker(camera_matrix=matrix).update(0.0, [sequence.keypoints[0]])
+    (unknown,) = make_tracker().update(0.0, [sequence.keypoints[0]])
+    assert (known.scale_known, unknown.scale_known) == (True, False)
+    assert known.joints[:, 2].mean() == pytest.approx(1200 / 640 * unknown.joints[:, 2].mean(), rel=0.05)
+
+
+def test_resetting_forgets_people_and_times(sequence: mocap_ros.KeypointSequence) -> None:
+    tracker = make_tracker()
+    first = tracker.update(5.0, [sequence.keypoints[0]])
+    tracker.reset()
+    assert repr(tracker).endswith('px, 0 frames')
+    again = tracker.update(5.0, [sequence.keypoints[0]])
+    np.testing.assert_array_equal(again[0].joints, first[0].joints)
+
+
+def test_a_repeated_time_drops_the_frame(keypoints: np.ndarray) -> None:
+    tracker = make_tracker()
+    tracker.update(1.0, [keypoints])
+    with pytest.raises(mocap_ros.FrameDropped, match='time_s: stamp 1000000000 ns repeats the newest'):
+        tracker.update(1.0, [keypoints])
+    with pytest.raises(mocap_ros.FrameDropped, match=r'time_s: stamp .* is older than the newest'):
+        tracker.update(0.9, [keypoints])
+    assert len(tracker.update(1.1, [keypoints])) == 1
+
+
+WRONG_CONSTRUCTION: dict[str, tuple[dict[str, Any], type[mocap_ros.MocapError], str]] = {
+    'unknown layout': (
+        {'joint_names': 'coco'},
+        mocap_ros.SkeletonError,
+        "joint_names: unknown keypoint layout 'coco'",
+    ),
+    'unknown joints': ({'joint_names': ['a', 'b']}, mocap_ros.SkeletonError, 'joint_names: a, b: fewer than four'),
+    'repeated joints': ({'joint_names': ['lhip'] * 9}, mocap_ros.SkeletonError, 'joint_names: .* repeat: lhip'),
+    'no size': ({'image_size': (0, 480)}, mocap_ros.InputError, 'image_size: 0 x 480 px'),
+    'camera matrix': ({'camera_matrix': np.eye(4)}, mocap_ros.InputError, r'camera_matrix: shape \(4, 4\)'),
+    'model': ({'model': 'none.npz'}, mocap_ros.ModelError, "model: no base-pose model 'none.npz'"),
+    'parameter': ({'parameters': {'lag': 1}}, mocap_ros.ConfigError, "parameters: .* did you mean 'tracker.lag'"),
+}
+
+
+@pytest.mark.parametrize('case', WRONG_CONSTRUCTION)
+def test_a_wrong_argument_of_the_tracker_is_one_error_that_names_it(case: str) -> None:
+    arguments, kind, message = WRONG_CONSTRUCTION[case]
+    with pytest.raises(mocap_ros.MocapError, match=message) as caught:
+        make_tracker(**arguments)
+    assert type(caught.value) is kind
+
+
+WRONG_FRAME: dict[str, tuple[dict[str, Any], str]] = {
+    'negative time': ({'time_s': -1.0}, r'time_s: -1\.0, expected s in \[0, 2'),
+    'time not a number': ({'time_s': np.nan}, 'time_s: nan, expected s'),
+    'time since 1970 in ms': ({'time_s': 1.7e12}, r'time_s: 1700000000000\.0, expected s in \[0, 2'),
+    'time as text': ({'time_s': 'now'}, 'time_s: now, expected s'),
+    'one person without brackets': (
+        {'people': np.zeros((17, 3))},
+        r'people: shape \(17, 3\), expected \(17, 17, 3\)',
+    ),
+    'other joints': ({'people': np.zeros((1, 18, 3))}, r'people: shape \(1, 18, 3\), expected \(1, 17, 3\)'),
+    'ragged': ({'people': [np.zeros((17, 3)), np.zeros((18, 3))]}, 'people: rows of different lengths'),
+    'score above 1': ({'people': np.full((1, 17, 3), 50.0)}, r'people\[0\]: score\[0\]: 50, expected a score'),
+    'shares': ({'people': np.full((1, 17, 3), 0.5)}, r'people\[0\]: x, y: looks normalised; px expected'),
+    'two ids': ({'ids': ['anna', 'ben']}, 'ids: 2 names for 1 people'),
+    'twice': ({'people': np.ones((2, 17, 3)) * [90, 90, 1], 'ids': ['a', 'a']}, "ids: id 'a' twice"),
+}
+
+
+@pytest.mark.parametrize('case', WRONG_FRAME)
+def test_a_wrong_frame_is_one_error_and_changes_nothing(keypoints: np.ndarray, case: str) -> None:
+    change, message = WRONG_FRAME[case]
+    tracker = make_tracker()
+    with pytest.raises(mocap_ros.InputError, match=message):
+        tracker.update(**{'time_s': 0.0, 'people': [keypoints], **change})
+    assert len(tracker.update(0.0, [keypoints])) == 1
+
+
+@pytest.mark.parametrize(
+    ('change', 'message'),
+    [
+        ({'step': 33.3}, 'time_s: 33.3 s from frame to frame: looks like milliseconds; s expected'),
+        ({'image_size': (480, 640), 'shift': 250.0}, 'image_size: .* width and height look transposed'),
+    ],
+)
+def test_thirty_frames_show_a_wrong_unit_or_a_transposed_image(
+    sequence: mocap_ros.KeypointSequence, change: dict[str, Any], message: str
+) -> None:
+    tracker = make_tracker(image_size=change.get('image_size', SIZE))
+    shifted = sequence.keypoints + [change.get('shift', 0.0), 0.0, 0.0]
+    times = np.arange(40) * change.get('step', 1 / 30)
+    for frame in range(29):
+        tracker.update(times[frame], [shifted[frame]])
+    for frame in (29, 30):
+        with pytest.raises(mocap_ros.InputError, match=message):
+            tracker.update(times[frame], [shifted[frame]])

@@ -1,0 +1,183 @@
+"""Virtual cameras: what they see, the way back, people at the edge of the image and rays that point backwards."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mocap_ros.geometry.distortion import Distortion
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.virtual_camera import (
+    MIN_RAY_DEPTH,
+    Array,
+    VirtualCamera,
+    rotate_rays,
+    rotation_to_optical_axis,
+    solver_focal,
+)
+from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
+from mocap_ros.skeleton import CMU15
+from tests.support.swinging_body import make_swinging_body
+
+FRAMES = 6
+SMOOTHING_S = 0.5
+CAMERA = Intrinsics(600.0, (320.0, 240.0), True, 1.05, Distortion('plumb_bob', (-0.1, 0.02, 0.001, -0.001, 0.0)))
+AT_EDGE_M = np.array([4.5, -0.4, 5.0])  # m in the camera's frame: 42 degrees off the optical axis
+
+slope = st.floats(-50, 50)  # 1, x / z or y / z of a ray; 50 is 89 degrees off the optical axis
+
+
+def make_people(place: Array) -> tuple[Array, Array, Array]:
+    """Return joints (F, 15, 3) m of a person at a place in m, weights (F, 15) and times (F,) s."""
+    poses, times = make_swinging_body(FRAMES)
+    return poses + place, np.ones(poses.shape[:2]), times
+
+
+def to_rays(points: Array) -> Array:
+    return np.asarray(points[..., :2] / points[..., 2:])
+
+
+@given(slope, slope)
+def test_the_rotation_to_the_optical_axis_is_the_smallest(x: float, y: float) -> None:
+    (rotation,) = rotation_to_optical_axis(np.array([[x, y]]))
+    ray = np.array([x, y, 1.0]) / math.hypot(x, y, 1.0)
+    assert rotation @ ray == pytest.approx(np.array([0, 0, 1]), abs=1e-12)
+    assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1)
+    angle = math.atan2(math.hypot(x, y), 1.0)
+    assert Rotation.from_matrix(rotation).magnitude() == pytest.approx(angle, abs=1e-7)
+
+
+@given(slope, slope, st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
+def test_rays_of_points_in_front_are_rotated_as_the_points_are(
+    x: float, y: float, right: float, down: float
+) -> None:
+    rotation = rotation_to_optical_axis(np.array([[x, y]]))
+    ahead = np.array([[[right, down]]])  # in the rotated camera
+    point = np.concatenate([ahead, np.ones((1, 1, 1))], axis=-1) @ rotation
+    if point[0, 0, 2] > MIN_RAY_DEPTH:  # in front of the unrotated camera, too
+        assert rotate_rays(to_rays(point), rotation) == pytest.approx(ahead, abs=1e-9)
+        assert rotate_rays(ahead, np.swapaxes(rotation, -1, -2)) == pytest.approx(to_rays(point), rel=1e-9)
+
+
+def test_rays_behind_the_rotated_camera_are_finite_and_far_outside_the_image() -> None:
+    far_right = rotation_to_optical_axis(np.array([[8.0, 0.0]]))  # 83 degrees
+    rays = np.array([[[-8.0, 0.0], [-1.0, 0.5], [-0.05, 0.0], [8.0, 0.0]]])
+    behind_left, behind, side, ahead = rotate_rays(rays, far_right)[0]
+    for ray in (behind_left, behind, side):
+        assert np.isfinite(ray).all()
+        assert ray[0] < -5, 'to the left, 79 degrees off the axis or more'
+    assert behind[1] > 0, 'below the axis, as before'
+    assert ahead == pytest.approx([0, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize('place', [np.array([0.0, 0.0, 5.0]), AT_EDGE_M, AT_EDGE_M * [-1, -1, 1]])
+def test_positions_and_rotations_come_back_to_the_real_camera(place: Array) -> None:
+    joints, weight, times = make_people(place)
+    rays = CAMERA.pixels_to_rays(CAMERA.project(joints))
+    view = VirtualCamera.look_at_person(rays, weight, times, SMOOTHING_S, CAMERA)
+    pelvis = joints[:, [CMU15.index('pelvis')]]
+    body = Rotation.random(FRAMES, random_state=0).as_matrix()
+
+    seen_pelvis = pelvis @ np.swapaxes(view.rotation, -1, -2)  # in the virtual cameras' frames
+    image = CAMERA.focal * view.to_virtual_rays(to_rays(pelvis))
+    cameras = WeakPerspectiveCameras(CAMERA.focal / seen_pelvis[:, 0, 2], view.rotation @ body)
+    assert image == pytest.approx(CAMERA.focal * to_rays(seen_pelvis), abs=1e-9)
+    assert view.root_positions(cameras, image[:, 0]) == pytest.approx(pelvis[:, 0], abs=1e-9)
+    assert view.to_real_camera(seen_pelvis) == pytest.approx(pelvis, abs=1e-12)
+    assert view.body_rotations(cameras) == pytest.approx(body, abs=1e-12)
+
+
+def test_one_camera_for_all_frames_is_used_for_each() -> None:
+    joints, weight, times = make_people(AT_EDGE_M)
+    views = VirtualCamera.look_at_person(to_rays(joints), weight, times, SMOOTHING_S, CAMERA)
+    fixed = VirtualCamera(views.rotation[2], CAMERA)
+    cameras = WeakPerspectiveCameras(np.full(FRAMES, 120.0), np.tile(np.eye(3), (FRAMES, 1, 1)))
+    translation = np.full((FRAMES, 2), 3.0)
+    for found, expected in (
+        (fixed.to_virtual_rays(to_rays(joints)), views.to_virtual_rays(to_rays(joints))),
+        (fixed.root_positions(cameras, translation), views.root_positions(cameras, translation)),
+        (fixed.to_real_camera(joints), views.to_real_camera(joints)),
+        (fixed.body_rotations(cameras), views.body_rotations(cameras)),
+    ):
+        assert found.shape == expected.shape
+        assert found[2] == pytest.approx(expected[2], abs=1e-12)
+
+
+def test_a_person_at_the_edge_of_the_image_looks_as_in_the_middle() -> None:
+    joints, weight, times = make_people(np.array([0.0, 0.0, 5.0]))
+    pelvis = CMU15.index('pelvis')
+    joints -= joints[:, [pelvis]] - [0, 0, 5.0]  # the pelvis is on the optical axis
+    weight[:, np.arange(15) != pelvis] = 0  # and the cameras look at it
+    to_edge = Rotation.from_euler('y', 42, degrees=True).as_matrix()
+    in_middle, at_edge = (
+        VirtualCamera.look_at_person(to_rays(p), weight, times, SMOOTHING_S, CAMERA).to_virtual_rays(to_rays(p))
+        for p in (joints, joints @ to_edge.T)
+    )
+    assert in_middle == pytest.approx(to_rays(joints), abs=1e-12)
+    assert at_edge == pytest.approx(in_middle, abs=1e-12)
+    offset_px = CAMERA.focal * (to_rays(joints @ to_edge.T) - in_middle)
+    assert np.abs(offset_px).max() > 300, 'px; unlike the real image'
+
+
+def test_the_seen_joints_of_near_frames_give_the_direction() -> None:
+    times = np.array([0.0, 0.1, 0.4])
+    rays = np.zeros((3, 2, 2))
+    rays[:, 0, 0] = 0.1, 0.3, 0.6
+    rays[:, 1] = 1e6  # where the weight is 0
+    weight = np.array([[0.5, 0.0], [1.0, 0.0], [0.0, 0.0]])
+    view = VirtualCamera.look_at_person(rays, weight, times, 0.2, CAMERA)
+    near = math.exp(-0.5)  # of frames one standard deviation, half of the smoothing, apart
+    expected = [(0.1 + near * 0.3) / (1 + near), (0.3 + near * 0.1) / (1 + near)]
+    far = [math.exp(-0.5 * n**2) + 1e-12 for n in (4, 3)]
+    expected.append((far[0] * 0.1 + far[1] * 0.3) / sum(far))
+    optical_axis = view.to_real_camera(np.tile([0.0, 0.0, 1.0], (3, 1, 1)))
+    assert to_rays(optical_axis)[:, 0] == pytest.approx(np.array([[x, 0] for x in expected]), abs=1e-9)
+
+
+def test_the_direction_of_a_long_sequence_is_that_of_all_frames_at_once(rng: np.random.Generator) -> None:
+    times = np.cumsum(rng.choice([0.03, 0.04, 0.05], 2500))
+    times[1200:] += 400.0  # s; a pause in which nobody is seen
+    weight = rng.random((2500, 3))
+    weight[rng.random(2500) < 0.3] = 0
+    weight[1190:1900] = 0
+    rays = rng.normal(0, 0.3, (2500, 3, 2)) + np.sin(times / 20)[:, None, None]
+    total = weight.sum(axis=1)
+    centroid = (weight[..., None] * rays).sum(axis=1) / np.maximum(total, 1e-12)[:, None]
+    kernel = (np.exp(-0.5 * ((times[:, None] - times) / 0.5) ** 2) + 1e-12) * (total > 0)
+    expected = rotation_to_optical_axis(kernel @ centroid / kernel.sum(axis=1, keepdims=True))
+    found = VirtualCamera.look_at_person(rays, weight, times, 1.0, CAMERA)
+    assert found.rotation == pytest.approx(expected, abs=1e-9)
+
+
+def test_one_camera_looks_at_the_mean_of_all_frames() -> None:
+    rays = np.array([[[0.1, 0.0], [0.3, 0.0]], [[0.6, 0.3], [9.0, 9.0]]])
+    weight = np.array([[1.0, 0.5], [0.5, 0.0]])
+    view = VirtualCamera.look_at_mean_position(rays, weight, CAMERA)
+    assert view.rotation.shape == (3, 3)
+    optical_axis = to_rays(view.to_real_camera(np.array([[0.0, 0.0, 1.0]])))
+    assert optical_axis[0] == pytest.approx([(0.1 + 0.5 * 0.3 + 0.5 * 0.6) / 2, 0.5 * 0.3 / 2])
+
+
+def test_the_joints_of_a_frame_count_by_their_scores() -> None:
+    rays = np.array([[[0.1, 0.0], [0.4, 0.2]]])
+    view = VirtualCamera.look_at_person(rays, np.array([[0.9, 0.3]]), np.zeros(1), SMOOTHING_S, CAMERA)
+    optical_axis = to_rays(view.to_real_camera(np.array([[[0.0, 0.0, 1.0]]])))
+    assert optical_axis[0, 0] == pytest.approx(0.75 * rays[0, 0] + 0.25 * rays[0, 1])
+
+
+def test_without_any_seen_joint_the_camera_is_the_real_one() -> None:
+    view = VirtualCamera.look_at_person(np.ones((2, 3, 2)), np.zeros((2, 3)), np.arange(2.0), SMOOTHING_S, CAMERA)
+    assert view.rotation == pytest.approx(np.tile(np.eye(3), (2, 1, 1)))
+
+
+def test_only_a_known_focal_length_gives_perspective() -> None:
+    assert solver_focal(CAMERA, use_perspective=True) == CAMERA.focal
+    assert solver_focal(CAMERA, use_perspective=False) == math.inf
+    assert solver_focal(replace(CAMERA, is_focal_known=False), use_perspective=True) == math.inf

@@ -1,0 +1,59 @@
+"""The diagnostic status: its level follows what happened since the last report."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from mocap_ros.bags.topics import Source
+from mocap_ros.messages.cdr import decode
+from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter, Level, RunStatistics
+from mocap_ros.runtime.pipeline import Pipeline
+from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, process
+
+
+def report(reporter: DiagnosticsReporter, pipeline: Pipeline, statistics: RunStatistics) -> Any:
+    message = decode(reporter.encode_status(pipeline, statistics, 'off', 10**9), DIAGNOSTICS)
+    (status,) = message.status
+    return status
+
+
+def test_the_level_follows_what_happened_since_the_last_report() -> None:
+    pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
+    reporter = DiagnosticsReporter('mocap_node', silence=60.0)
+    silent = report(reporter, pipeline, statistics)
+    assert (silent.level, silent.message, silent.name) == (Level.STALE, 'no input', 'mocap_node')
+
+    statistics.record_receipt()
+    first, second = encode_demo_frames(2)
+    process(pipeline, first)
+    good = report(reporter, pipeline, statistics)
+    assert (good.level, good.message) == (Level.OK, '1 people')
+
+    pipeline.feed(Source.KEYPOINTS, second[:50])
+    pipeline.note_backlog()
+    bad = report(reporter, pipeline, statistics)
+    assert bad.level == Level.WARN
+    assert bad.message == '1 messages skipped because of a backlog, 1 invalid in the last second'
+
+    pipeline.counters.dropped['internal error'] += 2
+    failed = report(reporter, pipeline, statistics)
+    assert (failed.level, failed.message) == (Level.ERROR, '2 internal errors in the last second; see the log')
+    assert report(reporter, pipeline, statistics).level == Level.OK
+
+
+def test_the_values_are_those_of_the_run() -> None:
+    pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
+    process(pipeline, encode_demo_frames(1)[0])
+    for milliseconds in range(1, 101):
+        statistics.record_receipt()
+        statistics.record_solve(milliseconds / 1e3)
+    status = report(DiagnosticsReporter('mocap_node', silence=60.0), pipeline, statistics)
+    values = {v.key: v.value for v in status.values}
+    assert values['input rate (Hz)'] == '50.0'  # 100 messages in the last 2 s
+    assert float(values['solve time p50 (ms)']) == pytest.approx(50.5)
+    assert float(values['solve time p99 (ms)']) == pytest.approx(99.0, abs=0.1)
+    assert float(values['residual (px)']) == pytest.approx(pipeline.people[0].residual, abs=0.005)
+    assert (values['people'], values['category'], values['recorder']) == ('1', 'walk', 'off')
+    assert values['camera'] == 'nominal focal length'

@@ -1,0 +1,214 @@
+"""Observed windows: joints, sides, rays and px as a solver gets them, selected frames, lifting, initial values."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from mocap_ros.config import TrackerConfig
+from mocap_ros.errors import InputError
+from mocap_ros.geometry.distortion import Distortion
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.virtual_camera import VirtualCamera
+from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
+from mocap_ros.models.model_file import load_shipped_lifter
+from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.observed_window import RAY_FOCAL, ObservedWindow, observe_sequence
+from mocap_ros.solvers.window import EarlierFrames, InitialValues
+from tests.support.swinging_body import make_swinging_body
+
+Array = NDArray[np.float64]
+
+FRAMES = 60
+CAMERA = Intrinsics(600.0, (320.0, 240.0), True, 1.05, Distortion('plumb_bob', (-0.1, 0.02, 0.001, -0.001, 0.0)))
+PLACE_M = np.array([1.5, -0.3, 4.0])  # m in the camera's frame: 20 degrees off the optical axis
+CONFIG = TrackerConfig()
+MIRROR = np.array(CMU15.mirror)
+SINGLE_CAMERA = pytest.mark.parametrize('single_camera', [False, True], ids=['camera a frame', 'one camera'])
+
+
+def make_person() -> tuple[Array, Array, Array]:
+    """Return keypoints (F, 15, 3) in px, times (F,) s and joints (F, 15, 3) m in the camera's frame."""
+    poses, times = make_swinging_body(FRAMES)
+    joints = poses + PLACE_M + np.linspace(0, 0.5, FRAMES)[:, None, None] * [1, 0, 1]
+    return np.concatenate([CAMERA.project(joints), np.full((FRAMES, 15, 1), 0.9)], axis=-1), times, joints
+
+
+def observe(single_camera: bool = False) -> ObservedWindow:
+    keypoints, times, _ = make_person()
+    observed = observe_sequence(keypoints, CMU15.joints, times, CAMERA, CONFIG)
+    if not single_camera:
+        return observed
+    camera = VirtualCamera.look_at_mean_position(observed.rays, observed.weight, CAMERA)
+    return replace(observed, virtual_camera=camera)
+
+
+def test_rays_are_those_of_the_joints_with_the_right_sides() -> None:
+    keypoints, times, joints = make_person()
+    keypoints[20:25] = keypoints[20:25][:, MIRROR]
+    keypoints[30, 3] = np.nan, np.nan, 0.9
+    keypoints[31, 3, 2] = CONFIG.min_score / 2
+    observed = observe_sequence(keypoints, CMU15.joints, times, CAMERA, CONFIG)
+    unseen = np.zeros((FRAMES, 15), bool)
+    unseen[[30, 31], 3] = True
+    assert observed.rays[~unseen] == pytest.approx((joints[..., :2] / joints[..., 2:])[~unseen], abs=1e-6)
+    assert (observed.weight == np.where(unseen, 0, 0.9)).all()
+    assert (observed.points[unseen] == 0).all()
+    assert (observed.times == times).all()
+    as_given = observe_sequence(keypoints, CMU15.joints, times, CAMERA, replace(CONFIG, undo_swaps=False))
+    assert as_given.rays[22] == pytest.approx(observed.rays[22][MIRROR])
+
+
+def test_the_sides_of_each_shot_are_put_right_on_their_own() -> None:
+    keypoints, times, _ = make_person()
+    keypoints[40:] = keypoints[40:][:, MIRROR]  # after a cut, the person may face the other way
+    whole = observe_sequence(keypoints, CMU15.joints, times, CAMERA, CONFIG)
+    calls = []
+
+    def find_shots(rays: Array, weight: Array, shot_times: Array) -> list[slice]:
+        calls.append((rays.shape, weight.shape, shot_times.shape))
+        return [slice(0, 40), slice(40, FRAMES)]
+
+    in_shots = observe_sequence(keypoints, CMU15.joints, times, CAMERA, CONFIG, find_shots=find_shots)
+    assert calls == [((FRAMES, 15, 2), (FRAMES, 15), (FRAMES,))]
+    assert (in_shots.rays[:40] == whole.rays[:40]).all()
+    assert (in_shots.rays[40:] == whole.rays[40:][:, MIRROR]).all()
+
+
+def test_the_keypoints_of_a_detector_are_mapped_and_bounded() -> None:
+    keypoints, times, _ = make_person()
+    pelvis, neck = CMU15.index('pelvis'), CMU15.index('neck')
+    names = tuple(name for name in CMU15.joints if name not in ('pelvis', 'neck', 'head'))
+    part = keypoints[:, [CMU15.index(n) for n in names]]
+    part[..., 2] = 3.0  # a score above 1 counts as 1
+    part[7, 0, 0] = 1e9  # px; a point far outside any image counts as not seen
+    observed = observe_sequence(part, names, times, CAMERA, CONFIG)
+    between = part[8, [names.index('lhip'), names.index('rhip')], :2].mean(axis=0)
+    assert observed.rays[8, pelvis] == pytest.approx(CAMERA.pixels_to_rays(between), abs=1e-12)
+    assert (observed.weight[8] == np.where(np.arange(15) == CMU15.index('head'), 0.0, 1.0)).all()
+    assert observed.weight[7, CMU15.index('lshoulder')] == observed.weight[7, neck] == 0
+    assert np.isfinite(observed.rays).all()
+
+
+def test_too_few_seen_joints_are_refused() -> None:
+    keypoints, times, _ = make_person()
+    keypoints[:, 3:, 2] = 0
+    with pytest.raises(InputError, match='no frame has four seen joints'):
+        observe_sequence(keypoints, CMU15.joints, times, CAMERA, CONFIG)
+    with pytest.raises(InputError, match='no frame has four seen joints'):
+        observe().exclude_points(np.arange(15) >= 3).build_solver_window()
+
+
+@SINGLE_CAMERA
+def test_the_solver_gets_the_px_of_a_camera_that_faces_the_person(single_camera: bool) -> None:
+    _, _, joints = make_person()
+    observed = observe(single_camera)
+    facing = joints @ np.swapaxes(observed.virtual_camera.rotation, -1, -2)
+    expected = CAMERA.focal * facing[..., :2] / facing[..., 2:]
+    window = observed.build_solver_window()
+    assert window.points == pytest.approx(expected, abs=1e-3)
+    assert np.abs(expected.mean(axis=(0, 1))).max() < 5, 'px; the person is near the optical axis'
+    assert (window.weight, window.times) == (observed.weight, observed.times)
+    assert window.focal == CAMERA.focal
+    assert (window.start, window.unit, window.noise, window.earlier_frames, window.lifted) == (None,) * 5
+
+
+def test_the_virtual_cameras_of_a_sequence_follow_the_person() -> None:
+    axis = observe().virtual_camera.to_real_camera(np.tile([0.0, 0.0, 1.0], (FRAMES, 1, 1)))[:, 0]
+    _, _, joints = make_person()
+    centre = joints.mean(axis=1)
+    direction = axis[:, 0] / axis[:, 2]
+    assert direction == pytest.approx(centre[:, 0] / centre[:, 2], abs=0.04), 'averaged over 3 s'
+    assert (np.diff(direction) > 0).all(), 'the person walks to the right'
+
+
+@pytest.mark.parametrize('perspective', [True, False])
+def test_a_nominal_focal_length_or_a_setting_selects_weak_perspective(perspective: bool) -> None:
+    keypoints, times, _ = make_person()
+    nominal = replace(CAMERA, is_focal_known=perspective)
+    config = replace(CONFIG, perspective=not perspective)
+    observed = observe_sequence(keypoints, CMU15.joints, times, nominal, config)
+    assert observed.build_solver_window().focal == np.inf
+    assert observed.points == pytest.approx(observe().points), 'px are those of the nominal camera'
+
+
+@SINGLE_CAMERA
+def test_selected_frames_are_seen_as_before(single_camera: bool) -> None:
+    observed = observe(single_camera).lift(load_shipped_lifter())
+    frames = np.array([3, 4, 20, 59])
+    part, whole = observed.select_frames(frames).build_solver_window(), observed.build_solver_window()
+    assert (part.points == whole.points[frames]).all()
+    assert (part.weight == whole.weight[frames]).all()
+    assert (part.times == whole.times[frames]).all()
+    assert part.lifted is not None
+    assert whole.lifted is not None
+    assert part.lifted.joints == pytest.approx(whole.lifted.joints[frames], abs=1e-12)
+    assert (part.lifted.std == whole.lifted.std[frames]).all()
+
+
+def test_excluded_points_are_not_seen_and_the_others_stay() -> None:
+    observed = observe()
+    excluded = np.zeros((FRAMES, 15), bool)
+    excluded[10, 2:5] = True
+    less = observed.exclude_points(excluded)
+    assert (less.weight[excluded] == 0).all()
+    assert (less.points[excluded] == 0).all()
+    assert (less.points[~excluded] == observed.points[~excluded]).all()
+    assert (observed.weight == 0.9).all()
+
+
+@SINGLE_CAMERA
+def test_lifted_poses_reach_the_solver_in_px_of_the_virtual_camera(single_camera: bool) -> None:
+    observed, lifter = observe(single_camera), load_shipped_lifter()
+    expected = lifter.lift_sequence(observed.points, observed.weight, observed.times, CAMERA.focal)
+    found = observed.lift(lifter).build_solver_window().lifted
+    assert found is not None
+    assert found.joints == pytest.approx(expected.joints, abs=1e-3)  # px; the network computes in single precision
+    assert found.std == pytest.approx(expected.std, rel=1e-4)
+
+
+def test_lifted_poses_of_new_frames_are_appended_while_the_camera_turns() -> None:
+    lifter, whole = load_shipped_lifter(), observe(single_camera=True)
+    observed = whole.select_frames(slice(0, 50)).lift(lifter)
+    turned = VirtualCamera.look_at_mean_position(whole.rays[40:], whole.weight[40:], CAMERA)
+    extended = replace(whole, virtual_camera=turned, lifted=observed.lifted)
+    points, weight = extended.sample_unlifted_histories()
+    assert len(points) == len(weight) == FRAMES - 50
+    extended = extended.append_lifted(lifter.lift(points, weight, RAY_FOCAL))
+    at_once = whole.lift(lifter)
+    assert extended.lifted is not None
+    assert at_once.lifted is not None
+    assert (extended.lifted.joints[:50] == at_once.lifted.joints[:50]).all()
+    # rays; another virtual camera changes the sizes of the image by perspective only
+    assert extended.lifted.joints[50:] == pytest.approx(at_once.lifted.joints[50:], abs=0.01)
+
+
+@SINGLE_CAMERA
+def test_initial_values_are_the_state_in_the_virtual_camera(single_camera: bool) -> None:
+    observed = observe(single_camera)
+    camera = observed.virtual_camera
+    _, _, joints = make_person()
+    rotation, roots = Rotation.random(FRAMES, random_state=0).as_matrix(), joints.mean(axis=1)
+    theta = np.arange(3.0 * FRAMES).reshape(FRAMES, 3)
+    start = observed.convert_to_initial_values(theta, rotation, roots)
+    facing = (camera.to_virtual_camera(roots[:, None]))[:, 0]
+    assert (start.theta == theta).all()
+    assert camera.body_rotations(start.cameras) == pytest.approx(rotation, abs=1e-12)
+    translation = CAMERA.focal * facing[:, :2] / facing[:, 2:]
+    assert camera.root_positions(start.cameras, translation) == pytest.approx(roots, abs=1e-9)
+    behind = observed.convert_to_initial_values(theta, rotation, -roots)
+    assert (behind.cameras.scale > 0).all()
+    assert np.isfinite(behind.cameras.scale).all()
+
+
+def test_what_is_known_reaches_the_solver() -> None:
+    scale = np.linspace(100.0, 160.0, FRAMES)
+    start = InitialValues(np.zeros((FRAMES, 2)), WeakPerspectiveCameras(scale, np.tile(np.eye(3), (FRAMES, 1, 1))))
+    earlier = EarlierFrames(12, np.ones(14))
+    window = observe().build_solver_window(start, 0.02, 5, earlier)
+    assert (window.start, window.noise, window.fixed_frames, window.earlier_frames) == (start, 0.02, 5, earlier)
+    assert window.unit == pytest.approx(130.0)

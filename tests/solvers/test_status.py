@@ -1,0 +1,103 @@
+"""What a result says about how its solver ended is what the solver did."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocap_ros.config import SolverConfig
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.solvers import alternation, joint, periodic
+from mocap_ros.solvers.joint.objective import JointObjective
+from mocap_ros.solvers.window import (
+    InitialValues,
+    Reconstruction,
+    SolverStatus,
+    Window,
+    choose_initial_values,
+)
+from tests.support.synthetic_walk import make_walk
+
+CONFIG = SolverConfig(components=8, adapt_noise=False)
+
+
+@pytest.fixture
+def window(walk_model: BasePoses) -> Window:
+    """Noisy points of a walk, with fixed initial values and unit, so that all solutions have one objective."""
+    _, _, points, times = make_walk(walk_model)
+    points = points + 2 * np.random.default_rng(0).normal(size=points.shape)
+    window = Window(points, np.ones(points.shape[:2]), times)
+    start, unit = choose_initial_values(window, walk_model.truncate(CONFIG.components), 1.0)
+    return replace(window, start=start, unit=unit)
+
+
+def solve_jointly(window: Window, model: BasePoses, config: SolverConfig) -> Reconstruction:
+    (result,) = joint.solve([window], model, config)
+    return result
+
+
+def solve_periodically(window: Window, model: BasePoses, config: SolverConfig) -> Reconstruction:
+    (result,) = periodic.solve([window], model, config)
+    return result
+
+
+SOLVERS = [solve_jointly, alternation.reconstruct, solve_periodically]
+
+
+@pytest.mark.parametrize('solve', SOLVERS)
+def test_status_tells_convergence_from_the_limit_of_iterations(
+    walk_model: BasePoses, window: Window, solve: Callable[[Window, BasePoses, SolverConfig], Reconstruction]
+) -> None:
+    converged = solve(window, walk_model, replace(CONFIG, max_iterations=500))
+    assert converged.status is SolverStatus.CONVERGED
+    assert converged.success
+    assert converged.message == 'Converged: the last iteration changed the objective by less than the tolerance.'
+    assert 1 < converged.iterations < 500
+    stopped = solve(window, walk_model, replace(CONFIG, max_iterations=converged.iterations - 1))
+    assert stopped.status is SolverStatus.MAX_ITERATIONS
+    assert not stopped.success
+    assert stopped.message == 'Not converged: the largest number of iterations was reached.'
+    assert stopped.iterations == converged.iterations - 1
+    assert stopped.cost > converged.cost
+
+
+@pytest.mark.parametrize('solve', [solve_jointly, solve_periodically])
+def test_without_tolerance_the_solver_ends_where_no_step_helps(
+    walk_model: BasePoses, window: Window, solve: Callable[[Window, BasePoses, SolverConfig], Reconstruction]
+) -> None:
+    result = solve(window, walk_model, replace(CONFIG, max_iterations=1000, tolerance=0.0))
+    assert result.status is SolverStatus.NO_LOWER_STEP
+    assert result.success
+    assert result.iterations < 1000
+
+
+def test_cost_is_that_of_the_solution(walk_model: BasePoses, window: Window) -> None:
+    model = walk_model.truncate(CONFIG.components)
+    result = solve_jointly(window, model, CONFIG)
+    assert window.unit is not None
+    objective = JointObjective.build([window], np.array([window.unit]), model, CONFIG)
+    start = InitialValues(result.theta, result.cameras)
+    state = objective.initial_state([start], np.array([window.unit]))
+    state = replace(state, translation=result.translation / window.unit)
+    assert result.cost == pytest.approx(objective.cost(objective.fit(state))[0], rel=1e-9)
+    assert result.cost == result.history[-1] < result.history[0]
+
+
+def test_the_steps_of_all_rounds_of_noise_are_counted(walk_model: BasePoses, window: Window) -> None:
+    config = replace(CONFIG, adapt_noise=True, max_iterations=3, tolerance=0.0)
+    (cold,) = joint.solve([replace(window, start=None, unit=None)], walk_model, config)
+    assert len(cold.history) == 4
+    assert cold.iterations > 3
+    (given,) = joint.solve([replace(window, noise=cold.noise)], walk_model, config)
+    assert given.iterations == 3
+
+
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')
+def test_numbers_that_overflow_are_no_success(walk_model: BasePoses, window: Window) -> None:
+    (result,) = joint.solve([replace(window, points=1e200 * window.points)], walk_model, CONFIG)
+    assert result.status is SolverStatus.SINGULAR
+    assert result.message == 'Not converged: the equations for the next step have no finite solution.'
+    assert not result.success

@@ -1,0 +1,25 @@
+"""People in 3D, as the tracker returns them."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mocap_ros.people import Motion, MotionKind, Person3D
+
+
+def make_person_3d(person_id: str, x: float = 0.0) -> Person3D:
+    joints = np.arange(45.0).reshape(15, 3) + x
+    return Person3D(
+        id=person_id,
+        joints=joints,
+        std=np.full(15, np.nan),
+        inferred=np.arange(15) == 2,
+        scale=120.0,
+        rotation=Rotation.from_euler('zx', [30, 80], degrees=True).as_matrix(),
+        translation=np.array([320.0, 240.0]),
+        motion=Motion(MotionKind.UNKNOWN, 'all', 0.1, float('nan')),
+        residual=2.5,
+        scale_known=True,
+        predicted=False,
+    )

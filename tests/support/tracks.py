@@ -1,0 +1,49 @@
+"""Tracks of a synthetic walk, frame by frame and solved by the tracker."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from mocap_ros.config import Config
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.left_right import SwapFilter
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.window import Array
+from mocap_ros.tracking.detection import Detection
+from mocap_ros.tracking.track import Track
+from mocap_ros.tracking.tracker import Tracker
+
+CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
+STEP_NS = 33_333_333  # ns, 30 frames/s
+MIRROR = np.array(CMU15.mirror)
+
+
+def make_detection(points: Array, name: str = '', camera: Intrinsics = CAMERA) -> Detection:
+    """Return the detection of a person all of whose joints were seen at points (J, 2) px."""
+    person = Person2D(name, CMU15.joints, points, np.ones(len(points)))
+    detection = Detection.from_person(person, camera, min_score=0.1, min_joints=6)
+    assert detection is not None
+    return detection
+
+
+def make_track(points: Array, window_s: float = 2.0) -> Track:
+    """Return the track, without a solution, of a person seen at points (F, J, 2) px."""
+    first, *rest = points
+    track = Track.begin('person', 0, make_detection(first), SwapFilter(MIRROR), CAMERA, CAMERA.focal)
+    for frame, image in enumerate(rest, 1):
+        track = track.add_frame(frame * STEP_NS, make_detection(image), window_s)
+    return track
+
+
+def track_walk(models: Mapping[str, BasePoses], config: Config, points: Array) -> Tracker:
+    """Return a tracker that has seen one person at points (F, J, 2) px and whose deferred work is done."""
+    tracker = Tracker(models, config)
+    for frame, image in enumerate(points):
+        person = Person2D('', CMU15.joints, image, np.ones(len(image)))
+        tracker.update(frame * STEP_NS, [person], CAMERA)
+    tracker.run_deferred_work()
+    return tracker

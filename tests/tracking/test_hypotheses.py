@@ -1,0 +1,199 @@
+"""Tests of the hypothesis checks: what replaces a solution, what does not, and that a check changes nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mocap_ros.config import Config, with_values
+from mocap_ros.geometry.rotations import rotation_from_vector
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.model_file import load_base_poses
+from mocap_ros.people import MotionKind, Person3D
+from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.window import Array
+from mocap_ros.tracking.hypotheses import EVIDENCE_MARGIN, KEY_POSE_STEP_S, Hypothesis, HypothesisChecker
+from mocap_ros.tracking.pose_memory import KeyPoseMemory
+from mocap_ros.tracking.solution import TrackSolution
+from mocap_ros.tracking.track import Track
+from mocap_ros.tracking.tracker import Tracker
+from tests.support.frozen_state import list_values
+from tests.support.synthetic_walk import Walk, make_walk
+from tests.support.tracks import CAMERA, STEP_NS, track_walk
+
+FRAMES = 45
+CONFIG = with_values(Config(), {'solver.prior': 'pca', 'tracker.components': 20})
+
+
+@pytest.fixture(scope='module')
+def walk(walk_model: BasePoses) -> Walk:
+    return make_walk(walk_model, frames=FRAMES + 35)
+
+
+@pytest.fixture(scope='module')
+def tracker(walk_model: BasePoses, walk: Walk) -> Tracker:
+    """A tracker that has found the right model and the right solution of a walk."""
+    return track_walk({'jump': load_base_poses('jump'), 'walk': walk_model}, CONFIG, walk[2][:FRAMES])
+
+
+@pytest.fixture(scope='module')
+def track(tracker: Tracker) -> Track:
+    (track,) = tracker.snapshot().tracks
+    assert track.solved.model_name == 'walk'
+    return track
+
+
+@pytest.fixture(scope='module')
+def checker(tracker: Tracker) -> HypothesisChecker:
+    return HypothesisChecker(tracker.models, CONFIG)
+
+
+def turn_round(solution: TrackSolution) -> TrackSolution:
+    """Return the wrong solution in which the person faces the other way, in the pose that the image then shows."""
+    half_turn = rotation_from_vector(np.array([0.0, 0.0, np.pi]))
+    return replace(solution, rotation=solution.rotation @ half_turn, theta=np.zeros_like(solution.theta))
+
+
+def measure_error(joints: Array, walk_model: BasePoses, walk: Walk, frames: NDArray[np.intp]) -> float:
+    """Return the mean error in mm of joints (n, J, 3) about the body's origin, after one scale."""
+    theta, cameras, _, _ = walk
+    truth = walk_model.poses(theta[frames]) @ np.swapaxes(cameras.rotation[frames], -1, -2)
+    scaled = joints * (joints * truth).sum() / (joints * joints).sum()
+    return float(np.linalg.norm(scaled - truth, axis=-1).mean() * 1e3)
+
+
+def test_a_wrong_model_is_replaced(track: Track, checker: HypothesisChecker) -> None:
+    models = checker.models
+    wrong = replace(track, solution=track.solved.change_model(models['walk'], 'jump', models['jump']))
+    outcome = checker.compare_models(wrong, ['walk'])
+    assert outcome.is_replaced
+    assert outcome.solution.model_name == 'walk'
+    assert outcome.model_names == ('walk', 'jump')
+    found, own = outcome.minus_twice_log_evidence
+    assert found + EVIDENCE_MARGIN < own
+    assert len(outcome.solution.theta) == FRAMES
+    assert outcome.solution.noise < 0.01
+
+
+def test_the_right_model_is_kept(track: Track, checker: HypothesisChecker) -> None:
+    for outcome in (checker.compare_models(track, ['jump']), checker.reinitialise(track, ['jump'])):
+        assert not outcome.is_replaced
+        assert outcome.solution is track.solution
+        assert outcome.model_names == ('jump', 'walk')
+        assert outcome.minus_twice_log_evidence[1] < outcome.minus_twice_log_evidence[0]
+
+
+@pytest.mark.parametrize(('std_ratio', 'is_replaced'), [(0.98, False), (0.93, True), (1.05, False)])
+def test_a_margin_keeps_the_choice_of_the_model(
+    track: Track, checker: HypothesisChecker, std_ratio: float, is_replaced: bool
+) -> None:
+    """A twin of the model with a slightly tighter prior is slightly more likely, which is not enough."""
+    walk_model = checker.models['walk']
+    twin = replace(walk_model, std=std_ratio * walk_model.std)
+    outcome = HypothesisChecker({**checker.models, 'twin': twin}, CONFIG).compare_models(track, ['twin'])
+    twins, own = outcome.minus_twice_log_evidence
+    assert (own > twins) is (std_ratio < 1)
+    assert (own - twins > EVIDENCE_MARGIN) is is_replaced
+    assert outcome.is_replaced is is_replaced
+    assert outcome.solution.model_name == ('twin' if is_replaced else 'walk')
+
+
+def test_there_is_no_margin_within_a_model(
+    track: Track, checker: HypothesisChecker, walk_model: BasePoses, walk: Walk
+) -> None:
+    """A solution from scratch under the track's own model needs no margin to replace a wrong one."""
+    wrong = replace(track, solution=turn_round(track.solved))
+    before = list_values(wrong)
+    outcome = checker.reinitialise(wrong, ['walk'])
+    assert outcome.is_replaced
+    assert outcome.model_names == ('walk', 'walk')
+    frames = np.arange(FRAMES - 30, FRAMES)  # the newest second, which is checked
+    model = checker.models['walk']
+    error = {
+        name: measure_error(solution.compute_joints(model, frames), walk_model, walk, frames)
+        for name, solution in (('wrong', wrong.solved), ('found', outcome.solution), ('right', track.solved))
+    }
+    assert error['wrong'] > 150
+    assert error['found'] < error['right'] + 15
+    assert list_values(wrong) == before, 'a check changes nothing'
+
+
+def test_the_tracker_finds_back_to_the_right_solution(tracker: Tracker, walk_model: BasePoses, walk: Walk) -> None:
+    """A wrong solution is put into the state of a tracker; checks replace it within a second."""
+    injected = Tracker({'jump': load_base_poses('jump'), 'walk': walk_model}, CONFIG)
+    state = tracker.snapshot()
+    (track,) = state.tracks
+    wrong = replace(track, solution=turn_round(track.solved))
+    injected.restore(replace(state, tracks=(wrong,)))
+    restarts, errors = [], []
+    for frame in range(FRAMES, FRAMES + 35):
+        seen = Person2D('', CMU15.joints, walk[2][frame], np.ones(15))
+        (person,) = injected.update(frame * STEP_NS, [seen], CAMERA)
+        (track,) = injected.snapshot().tracks
+        restarts.append(track.schedule.pending_restarts)
+        errors.append(measure_error(centre(person)[None], walk_model, walk, np.array([frame])))
+    assert max(restarts) > 0, 'the rise of the image noise was noticed'
+    assert errors[0] > 100
+    assert max(errors[-5:]) < 60
+
+
+def centre(person: Person3D) -> Array:
+    return np.asarray(person.joints - person.joints.mean(axis=0))
+
+
+def test_a_first_solution_has_all_frames_and_the_likeliest_model(track: Track, checker: HypothesisChecker) -> None:
+    unsolved = replace(track, solution=None)
+    solution = checker.initialise(unsolved, ['jump', 'walk'], KeyPoseMemory())
+    assert (solution.model_name, len(solution.theta)) == ('walk', FRAMES)
+    assert unsolved.solution is None
+    outcome = checker.reinitialise(unsolved, ['jump', 'walk'])
+    assert not outcome.is_replaced, 'there was none to replace'
+    assert outcome.model_names == ('jump', 'walk')
+
+
+def test_further_hypotheses_take_part(track: Track, checker: HypothesisChecker) -> None:
+    """A recalled pose comes in this way; here it is the right solution, against one from scratch."""
+    frames = np.arange(FRAMES)
+    own = track.solved
+    start = track.seen.observed.convert_to_initial_values(own.theta, own.rotation, own.roots)
+    recalled = Hypothesis('walk', start, own.noise)
+    outcome = checker.reinitialise(replace(track, solution=None), ['jump'], [recalled])
+    assert outcome.model_names == ('walk', 'jump')
+    assert outcome.solution.model_name == 'walk'
+    difference = outcome.solution.compute_joints(checker.models['walk'], frames) - own.compute_joints(
+        checker.models['walk'], frames
+    )
+    assert np.linalg.norm(difference, axis=-1).mean() < 0.01
+
+
+def test_poses_that_look_different_are_remembered(track: Track, checker: HypothesisChecker) -> None:
+    memory = checker.remember_poses(KeyPoseMemory(), track)
+    assert 1 < len(memory.poses) < FRAMES * STEP_NS / 1e9 / KEY_POSE_STEP_S
+    newest = track.seen.observed.select_frames(slice(-1, None))
+    recalled = memory.recall(newest.points[0], newest.weight[0])
+    assert recalled is not None
+    model, last = checker.models['walk'], np.array([FRAMES - 1])
+    joints = newest.virtual_camera.to_virtual_camera(track.solved.compute_joints(model, last))[0]
+    assert recalled.pose == pytest.approx(joints - joints.mean(axis=0), abs=1e-9)
+
+
+def test_a_short_window_is_not_classified(track: Track, checker: HypothesisChecker) -> None:
+    assert checker.classify_motion(track) is None, '1.5 s of 2 s'
+    only_jump = HypothesisChecker({'jump': checker.models['jump'], 'all': checker.models['walk']}, CONFIG)
+    short = with_values(CONFIG, {'classifier.section': 1.0})
+    long_enough = replace(track, solution=replace(track.solved, model_name='all'))
+    assert replace(only_jump, config=short).classify_motion(long_enough) is None, 'no model is periodic'
+
+
+def test_a_walk_of_a_full_section_is_classified(track: Track, checker: HypothesisChecker) -> None:
+    config = with_values(CONFIG, {'classifier.section': 1.2, 'classifier.walk_residual': 0.2})
+    classification = replace(checker, config=config).classify_motion(track)
+    assert classification is not None
+    assert (classification.motion.kind, classification.periodic_model_name) == (MotionKind.PERIODIC, 'walk')
+    strict = with_values(config, {'classifier.amplitude': 0.9})
+    other = replace(checker, config=strict).classify_motion(track)
+    assert other is not None
+    assert (other.motion.kind, other.periodic_model_name) == (MotionKind.NON_PERIODIC, '')
+    assert other.motion.category == 'walk'

@@ -1,0 +1,226 @@
+"""Tests of what a track takes over from a solver: states in the real camera, kept frames, noise and fit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.solvers.joint import JointReconstruction
+from mocap_ros.solvers.observed_window import ObservedWindow
+from mocap_ros.solvers.window import SolverStatus
+from mocap_ros.tracking.solution import TrackSolution
+from mocap_ros.tracking.solver_input import EXTRAPOLATION_SHARE, build_solver_window, predict_state
+from mocap_ros.tracking.track import Track
+from tests.support.synthetic_walk import BODY_TO_OPTICAL
+from tests.support.tracks import CAMERA, STEP_NS, make_detection, make_track
+
+FRAMES, COMPONENTS = 9, 3
+ALL = np.arange(FRAMES)
+
+
+@pytest.fixture(scope='module')
+def model(walk_model: BasePoses) -> BasePoses:
+    return walk_model.truncate(COMPONENTS)
+
+
+@pytest.fixture(scope='module')
+def truth(model: BasePoses) -> TrackSolution:
+    """A person off the optical axis, who moves, turns and bends at constant rates."""
+    number = np.arange(float(FRAMES))
+    return TrackSolution(
+        model_name='walk',
+        theta=0.1 * number[:, None] * model.std,
+        rotation=Rotation.from_rotvec(number[:, None] * [0.01, 0.04, 0.0]).as_matrix() @ BODY_TO_OPTICAL,
+        roots=np.array([1.5, -0.3, 4.0]) + number[:, None] * [0.02, 0.01, 0.05],
+        noise=0.01,
+        stature_ratio=1.0,
+        joint_std=np.full(15, 0.02),
+        residual=0.01,
+        frame_residual=2.0,
+    )
+
+
+@pytest.fixture(scope='module')
+def track(truth: TrackSolution, model: BasePoses) -> Track:
+    """The track of this person's image, without a solution."""
+    return make_track(CAMERA.project(truth.compute_joints(model, ALL) + truth.roots[:, None]))
+
+
+def reconstruct(
+    truth: TrackSolution,
+    model: BasePoses,
+    observed: ObservedWindow,
+    frames: NDArray[np.intp] | slice,
+    noise: float = 0.03,
+) -> JointReconstruction:
+    """Return the true states of some frames as a solver returns them, in the image of the virtual camera."""
+    to_virtual = observed.virtual_camera.rotation
+    roots = truth.roots[frames] @ to_virtual.T
+    rotation = to_virtual @ truth.rotation[frames]
+    joints = model.poses(truth.theta[frames]) @ np.swapaxes(rotation, -1, -2)
+    return JointReconstruction(
+        joints=joints,
+        theta=truth.theta[frames],
+        cameras=WeakPerspectiveCameras(CAMERA.focal / roots[:, 2], rotation),
+        translation=CAMERA.focal * roots[:, :2] / roots[:, 2:],
+        residual=np.linspace(1.0, 3.0, len(roots)),
+        status=SolverStatus.CONVERGED,
+        history=(2e-4, 1e-4),
+        iterations=1,
+        noise=noise,
+        joint_std=np.full(15, 0.04),
+    )
+
+
+def assert_states(solution: TrackSolution, truth: TrackSolution, frames: slice = slice(None)) -> None:
+    for name in ('theta', 'rotation', 'roots'):
+        assert getattr(solution, name)[frames] == pytest.approx(getattr(truth, name)[frames], abs=1e-9), name
+
+
+@pytest.mark.parametrize('frames', [[0, 8], [0, 3, 8], list(range(9))])
+def test_a_first_solution_is_interpolated_in_the_real_camera(
+    truth: TrackSolution, model: BasePoses, track: Track, frames: list[int]
+) -> None:
+    observed, chosen = track.seen.observed, np.array(frames)
+    result = reconstruct(truth, model, observed, chosen)
+    solution = TrackSolution.interpolate(result, observed, chosen, 'a name', model, earlier=None)
+    assert_states(solution, truth)
+    assert (solution.model_name, solution.noise, solution.frame_residual) == ('a name', 0.03, 3.0)
+    np.testing.assert_array_equal(solution.joint_std, result.joint_std)
+    body_px = np.sqrt((result.joints[-1, :, :2] ** 2).sum(axis=1).mean()) * result.cameras.scale[-1]
+    assert solution.residual == pytest.approx(np.sqrt((result.residual**2).mean()) / body_px)
+
+
+def test_frames_before_those_that_were_solved_keep_their_states(
+    truth: TrackSolution, model: BasePoses, track: Track
+) -> None:
+    observed, chosen = track.seen.observed, np.array([4, 6, 8])
+    earlier = replace(truth, theta=truth.theta + 1, roots=truth.roots + 2, rotation=truth.rotation[::-1])
+    result = reconstruct(truth, model, observed, chosen)
+    solution = TrackSolution.interpolate(result, observed, chosen, 'walk', model, earlier)
+    assert_states(solution, truth, slice(4, None))
+    assert_states(solution, earlier, slice(4))
+
+
+def test_a_refinement_replaces_the_newest_states_and_no_others(
+    truth: TrackSolution, model: BasePoses, track: Track
+) -> None:
+    observed, frames = track.seen.observed, np.arange(5, FRAMES)
+    before = replace(truth, theta=truth.theta[:-1] + 1, roots=truth.roots[:-1] + 2, rotation=truth.rotation[1:])
+    result = reconstruct(truth, model, observed, frames)
+    solution = before.refine(result, observed, frames, fixed_frames=1, model=model)
+    assert len(solution.theta) == FRAMES
+    assert_states(solution, truth, slice(6, None))
+    for name in ('theta', 'rotation', 'roots'):
+        np.testing.assert_array_equal(getattr(solution, name)[:6], getattr(before, name)[:6])
+    share = np.exp(-4 / 9)  # of the old noise: 4 of 9 frames were solved
+    assert solution.noise**2 == pytest.approx(share * before.noise**2 + (1 - share) * 0.03**2)
+
+
+def test_a_refinement_of_all_frames_keeps_nothing(truth: TrackSolution, model: BasePoses, track: Track) -> None:
+    before = replace(truth, theta=truth.theta + 1, roots=truth.roots + 2, noise=1.0)
+    result = reconstruct(truth, model, track.seen.observed, slice(None))
+    solution = before.refine(result, track.seen.observed, ALL, fixed_frames=0, model=model)
+    assert_states(solution, truth)
+    assert solution.noise == pytest.approx(0.03)
+
+
+def test_the_stature_is_that_of_the_poses(truth: TrackSolution, model: BasePoses, track: Track) -> None:
+    upright = replace(truth, theta=np.zeros_like(truth.theta))
+    ratios = []
+    for size in (1, 2):
+        grown = replace(model, mean=size * model.mean)
+        result = reconstruct(upright, grown, track.seen.observed, slice(None))
+        ratios.append(upright.refine(result, track.seen.observed, ALL, 0, grown).stature_ratio)
+    assert ratios[0] == pytest.approx(1.0, abs=0.05)
+    assert ratios[1] == pytest.approx(2 * ratios[0])
+
+
+def test_a_posterior_that_is_not_known_is_not_invented(
+    truth: TrackSolution, model: BasePoses, track: Track
+) -> None:
+    result = replace(reconstruct(truth, model, track.seen.observed, slice(None)), joint_std=None)
+    assert np.isnan(truth.refine(result, track.seen.observed, ALL, 0, model).joint_std).all()
+
+
+def test_poses_of_another_model_approximate_the_same_joints(truth: TrackSolution, walk_model: BasePoses) -> None:
+    """A model with all base poses represents the poses of one with some of them; its body frame may be turned."""
+    model, turn = walk_model.truncate(COMPONENTS), Rotation.from_rotvec([0, 0, 0.5]).as_matrix()
+    target = replace(walk_model, mean=walk_model.mean @ turn, components=walk_model.components @ turn)
+    changed = truth.change_model(model, 'turned', target)
+    assert changed.model_name == 'turned'
+    assert changed.compute_joints(target, ALL) == pytest.approx(truth.compute_joints(model, ALL), abs=1e-6)
+    assert np.abs(changed.rotation - truth.rotation).max() > 0.1
+    np.testing.assert_array_equal(changed.roots, truth.roots)
+
+
+def test_the_velocity_is_that_of_the_newest_frames(truth: TrackSolution, track: Track) -> None:
+    velocity = np.array([0.02, 0.01, 0.05]) / (STEP_NS / 1e9)
+    assert truth.estimate_velocity(track.seen.stamps_ns) == pytest.approx(velocity)
+    stood_before = replace(truth, roots=np.where(ALL[:, None] < 1, 0.0, truth.roots))
+    assert stood_before.estimate_velocity(track.seen.stamps_ns) == pytest.approx(velocity), '0.25 s are 8 frames'
+    two = replace(truth, roots=truth.roots[:2])
+    assert two.estimate_velocity((0, 10**8)) == pytest.approx([0, 0, 0]), 'two frames are no line'
+    three = replace(truth, roots=truth.roots[:3])
+    assert three.estimate_velocity((0, 10**7, 2 * 10**7)) == pytest.approx([0, 0, 0]), 'too short a time'
+
+
+def test_a_new_frame_starts_where_the_last_movement_leads(
+    truth: TrackSolution, model: BasePoses, track: Track
+) -> None:
+    solution = replace(truth, theta=truth.theta[:-1], rotation=truth.rotation[:-1], roots=truth.roots[:-1])
+    theta, rotation, root = predict_state(track.seen, solution, model)
+    share = EXTRAPOLATION_SHARE
+    assert theta == pytest.approx(truth.theta[-2] + share * 0.1 * model.std)
+    assert root == pytest.approx(truth.roots[-2] + share * np.array([0.02, 0.01, 0.05]))
+    turned = Rotation.from_matrix(rotation @ truth.rotation[-2].T).as_rotvec()
+    assert turned == pytest.approx(share * np.array([0.01, 0.04, 0.0]), abs=1e-9)
+
+    # With a lifter the pose moves as the lifted pose does, whatever the last pose was.
+    depth = solution.roots[-1, 2] + share * 0.05
+    movement = model.poses(solution.theta[-1] + 0.2 * model.std) - model.poses(solution.theta[-1])
+    lifted = np.zeros((FRAMES, 15, 3))
+    lifted[-1] = movement @ rotation.T / depth
+    poses = LiftedPoses(lifted, np.ones_like(lifted))  # along the real camera's axes
+    seen = replace(track.seen, observed=replace(track.seen.observed, lifted=poses))
+    lifted_theta, lifted_rotation, lifted_root = predict_state(seen, solution, model)
+    np.testing.assert_array_equal(lifted_rotation, rotation)
+    np.testing.assert_array_equal(lifted_root, root)
+    # The last pose is seen under the last rotation and the movement under the new one.
+    joints = model.poses(solution.theta[-1]) @ solution.rotation[-1].T + movement @ rotation.T
+    assert lifted_theta == pytest.approx(model.weights(joints @ rotation), abs=1e-9)
+
+
+def test_a_solver_gets_the_solution_in_the_virtual_camera(
+    truth: TrackSolution, model: BasePoses, track: Track
+) -> None:
+    solution = replace(truth, theta=truth.theta[:-1], rotation=truth.rotation[:-1], roots=truth.roots[:-1])
+    frames = np.arange(5, FRAMES)
+    window = build_solver_window(track.seen, solution, model, frames, fixed_frames=1)
+    expected = reconstruct(truth, model, track.seen.observed, frames)
+    assert window.start is not None
+    assert window.start.theta[:-1] == pytest.approx(expected.theta[:-1])
+    assert window.start.cameras.scale[:-1] == pytest.approx(expected.cameras.scale[:-1])
+    assert window.start.cameras.rotation[:-1] == pytest.approx(expected.cameras.rotation[:-1])
+    predicted, _, _ = predict_state(track.seen, solution, model)
+    np.testing.assert_array_equal(window.start.theta[-1], predicted)
+    assert (window.noise, window.fixed_frames, window.focal) == (0.01, 1, CAMERA.focal)
+    assert window.times == pytest.approx(frames / 30)
+    assert window.earlier_frames is not None
+    assert window.earlier_frames.count == 5
+    lengths = model.skeleton.bone_lengths(model.poses(truth.theta[:5])).mean(axis=0)
+    assert window.earlier_frames.mean_bone_lengths == pytest.approx(lengths)
+
+
+def test_a_frame_that_was_seen_but_not_solved_has_no_place_in_the_solution(
+    truth: TrackSolution, track: Track
+) -> None:
+    solved = replace(track, solution=truth)
+    longer = solved.add_frame(FRAMES * STEP_NS, make_detection(np.zeros((15, 2)) + np.arange(15)[:, None]), 2.0)
+    assert longer.solution is truth
+    assert longer.has_unsolved_frame

@@ -1,0 +1,101 @@
+"""Tests of the tracker's state: a snapshot never changes, and the tracker continues from it bit for bit."""
+
+import numpy as np
+import pytest
+
+import mocap_ros.tracking.tracker as tracker_module
+from mocap_ros.config import Config, with_values
+from mocap_ros.formats.sequence_file import load_sequence
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.models.model_file import load_base_pose_models
+from mocap_ros.people import Person3D
+from mocap_ros.tracking.tracker import Tracker
+from tests.support.frozen_state import forbid_writing, list_values
+from tests.support.paths import ROOT
+
+SEQUENCE = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
+FIRST_CAMERA = SEQUENCE.intrinsics(1.0)
+SECOND_CAMERA = Intrinsics(FIRST_CAMERA.focal * 1.3, (300.0, 260.0), is_focal_known=True)
+CAMERA_CHANGE, LAST = 70, 110  # frames
+EXPECTED_FIELDS = {'tracks', 'newest_stamp_ns', 'pose_memory', 'pending_ids', 'name_count', 'swapped_frames'}
+
+
+def make_detection(frame: int, name: str, offset: float) -> Person2D:
+    keypoints = np.nan_to_num(SEQUENCE.keypoints[frame])
+    return Person2D(name, SEQUENCE.joint_names, keypoints[:, :2] + [offset, 0], keypoints[:, 2])
+
+
+def feed(tracker: Tracker, first: int, last: int) -> list[tuple[Person3D, ...]]:
+    """Track frames of two people: one with an id, and one without, who is hidden in frames 40 to 75."""
+    output = []
+    for frame in range(first, last):
+        people = [make_detection(frame, 'ann', 0.0)]
+        if not 40 <= frame < 75:
+            people.append(make_detection(frame + 150, '', 500.0))
+        camera = FIRST_CAMERA if frame < CAMERA_CHANGE else SECOND_CAMERA
+        output.append(tracker.update(round(frame * 1e9 / 30), people, camera))
+        if frame % 3 == 0:
+            tracker.run_deferred_work()
+    return output
+
+
+@pytest.fixture(params=['learned', 'pca'])
+def tracker(request: pytest.FixtureRequest) -> Tracker:
+    """A tracker that has lost nobody yet and has made several hypothesis checks."""
+    config = with_values(Config(), {'solver.prior': request.param, 'tracker.components': 12})
+    return Tracker(load_base_pose_models('auto'), config)
+
+
+@pytest.mark.parametrize('taken_after', [1, 30, 50])
+def test_a_snapshot_is_not_changed_by_what_follows(tracker: Tracker, taken_after: int) -> None:
+    feed(tracker, 0, taken_after)
+    snapshot = tracker.snapshot()
+    before = list_values(snapshot)
+    assert {'.' + name for name in EXPECTED_FIELDS} <= before.keys()
+    assert before['.tracks'] == len(snapshot.tracks) > 0
+    assert forbid_writing(snapshot) > 20  # from here on a write into one of its arrays raises an error
+    feed(tracker, taken_after, LAST)
+    tracker.reset()
+    assert list_values(snapshot) == before
+
+
+def test_a_tracker_continues_from_a_snapshot_bit_for_bit(tracker: Tracker) -> None:
+    feed(tracker, 0, 35)
+    snapshot = tracker.snapshot()
+    expected = list_values(tuple(feed(tracker, 35, LAST)))
+    expected_state = list_values(tracker.snapshot())
+    assert expected_state['.swapped_frames'] == tracker.swapped_frames
+    assert len(tracker.snapshot().pose_memory.poses) > 0, 'the person who was hidden was forgotten'
+    fresh = Tracker(load_base_pose_models('auto'), tracker.config)
+    for restored in (tracker, fresh):
+        restored.restore(snapshot)
+        assert list_values(restored.snapshot()) == list_values(snapshot)
+        assert list_values(tuple(feed(restored, 35, LAST))) == expected
+        assert list_values(restored.snapshot()) == expected_state
+
+
+def test_a_frame_that_fails_leaves_no_trace(tracker: Tracker, monkeypatch: pytest.MonkeyPatch) -> None:
+    feed(tracker, 0, 20)
+    tracker.run_deferred_work()
+    before = list_values(tracker.snapshot())
+    with monkeypatch.context() as patch:
+
+        def fail(*_: object) -> None:
+            raise np.linalg.LinAlgError('no solution')
+
+        patch.setattr(tracker_module, 'solve', fail)
+        with pytest.raises(np.linalg.LinAlgError):
+            feed(tracker, 20, 21)
+    assert list_values(tracker.snapshot()) == before
+    assert [p.id for p in feed(tracker, 20, 21)[0]] == ['ann', 'person_1']
+
+
+def test_a_reset_forgets_people_but_keeps_counting(tracker: Tracker) -> None:
+    feed(tracker, 0, 3)
+    tracker.update(200_000_000, [Person2D('', SEQUENCE.joint_names, np.ones((17, 2)), np.ones(17))], FIRST_CAMERA)
+    tracker.reset()
+    state = tracker.snapshot()
+    assert (state.tracks, state.newest_stamp_ns, state.name_count) == ((), None, 0)
+    assert state.pending_ids == ()
+    assert state.unusable_people == tracker.unusable_people == 1
