@@ -55,12 +55,11 @@ class DeferredWork:
             The state in which the work has begun, so that work that fails is not repeated at once; and the work,
             None if nothing is due.
         """
-        stamp_ns, pending_ids = state.newest_stamp_ns, set(state.pending_ids)
-        state = replace(state, pending_ids=())
+        stamp_ns, pending_ids = state.newest_stamp_ns, state.pending_ids
         if stamp_ns is None or not pending_ids:
             return state, None
         pending = [self._restart_if_noise_rose(t, stamp_ns) for t in state.tracks if t.id in pending_ids]
-        state = state.put_tracks(pending)
+        state = replace(state.put_tracks(pending), pending_ids=())
         if stamp_ns < state.last_check_ns + MIN_DEFERRED_GAP_S * NS_PER_S:
             return state, None
         work = [DueWork(t.schedule.next_check_ns, t, False) for t in pending if t.seen.age_s > 0]

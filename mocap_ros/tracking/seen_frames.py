@@ -6,6 +6,7 @@ corrected anew, and their lifted poses are dropped.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,8 +90,7 @@ class SeenFrames:
             stamp_ns: ns, end of the window.
             window_s: s, length of the window.
         """
-        oldest_kept = stamp_ns - window_s * NS_PER_S
-        return sum(t < oldest_kept for t in self.stamps_ns)
+        return bisect_left(self.stamps_ns, stamp_ns - window_s * NS_PER_S)
 
     def add_frame(self, stamp_ns: int, detection: Detection, dropped: int) -> SeenFrames:
         """Return the window with one more frame and without the oldest ones.

@@ -207,7 +207,9 @@ def _make_solution(
     model: BasePoses,
 ) -> TrackSolution:
     """Return the solution with these states, and with the fit of the reconstruction that ended them."""
-    unknown = np.full(reconstruction.joints.shape[1], np.nan)
+    joint_std = reconstruction.joint_std
+    if joint_std is None:
+        joint_std = np.full(reconstruction.joints.shape[1], np.nan)
     body_radius = np.sqrt((reconstruction.joints[-1, :, :2] ** 2).sum(axis=-1).mean())
     body_radius_px = body_radius * reconstruction.cameras.scale[-1]
     return TrackSolution(
@@ -217,7 +219,7 @@ def _make_solution(
         roots=roots,
         noise=noise,
         stature_ratio=estimate_stature(model.poses(theta), model.skeleton) / model.stature,
-        joint_std=unknown if reconstruction.joint_std is None else reconstruction.joint_std,
+        joint_std=joint_std,
         residual=float(np.sqrt(np.nanmean(reconstruction.residual**2)) / body_radius_px),
         frame_residual=float(reconstruction.residual[-1]),
     )

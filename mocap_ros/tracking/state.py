@@ -49,5 +49,7 @@ class TrackerState:
 
     def put_tracks(self, tracks: Sequence[Track]) -> TrackerState:
         """Return the state with some tracks in the places of those with the same ids; new ones come last."""
+        if not tracks:
+            return self
         by_id = {t.id: t for t in self.tracks} | {t.id: t for t in tracks}
         return replace(self, tracks=tuple(by_id.values()))

@@ -200,13 +200,14 @@ class Tracker:
         The state remembers some of their poses.
         """
         oldest_kept = stamp_ns - self.config.tracker.forget_after * NS_PER_S
-        kept, memory = [], state.pose_memory
+        kept = tuple(t for t in state.tracks if t.seen.stamps_ns[-1] >= oldest_kept)
+        if len(kept) == len(state.tracks):
+            return state
+        memory = state.pose_memory
         for track in state.tracks:
-            if track.seen.stamps_ns[-1] >= oldest_kept:
-                kept.append(track)
-            else:
+            if track not in kept:
                 memory = self._checker.remember_poses(memory, track)
-        return replace(state, tracks=tuple(kept), pose_memory=memory)
+        return replace(state, tracks=kept, pose_memory=memory)
 
     def _add_detections(
         self, state: TrackerState, stamp_ns: int, detections: Sequence[Detection], intrinsics: Intrinsics

@@ -26,7 +26,6 @@ from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.runtime.replay import replay
 from mocap_ros.runtime.sequence_messages import encode_sequence
 from tests.support.ros_node import (
-    MAX_STOP_S,
     TIMEOUT_S,
     Peer,
     StartNode,
@@ -165,10 +164,8 @@ def test_a_bag_is_complete_whenever_the_node_is_stopped(peer: Peer, start_node: 
             frame += 1
             peer.keypoints.publish(keypoints_at(frame / 30))
             time.sleep(0.01)
-        stop = time.monotonic()
         node.send_signal(signal.SIGTERM if trial % 2 else signal.SIGINT)
         assert node.wait(TIMEOUT_S) == 0
-        assert time.monotonic() - stop < MAX_STOP_S
         (bag_folder,) = folder.iterdir()
         with Bag(bag_folder) as bag:
             assert bag.count(['/skeletons']) <= bag.count(['/keypoints']) <= frame

@@ -152,6 +152,24 @@ def test_the_distortion_of_camera_info_is_removed(model: str, stream: list[bytes
     assert half_focal[0, 2] == pytest.approx(expected[0, 2] / 2, rel=0.002)  # measured: 0.0017
 
 
+@pytest.mark.parametrize(
+    ('change', 'restarts'),
+    [({'tracker.min_score': 0.5}, True), ({'solver.components': 5}, True), ({'node.marker_lifetime': 2.0}, False)],
+)
+def test_parameters_of_tracker_and_solver_restart_the_tracker(
+    stream: list[bytes], change: dict[str, object], restarts: bool
+) -> None:
+    changed_config = with_values(FAST_CONFIG, change)
+    pipeline, fresh, unchanged = (Pipeline(c) for c in (FAST_CONFIG, changed_config, FAST_CONFIG))
+    for raw in stream[:3]:
+        process(pipeline, raw)
+        process(unchanged, raw)
+    assert pipeline.reconfigure(changed_config) == restarts
+    skeletons, expected = (process(p, stream[3])[0] for p in (pipeline, fresh if restarts else unchanged))
+    assert skeletons.topic == 'skeletons'
+    assert skeletons == expected
+
+
 def test_an_unknown_distortion_model_is_reported() -> None:
     pipeline = Pipeline(FAST_CONFIG)
     result = pipeline.feed(Source.CAMERA_INFO, camera_info(model='fov', d=(0.9,)))
