@@ -8,6 +8,7 @@ from mocap_ros.runtime.cpu_setup import configure_process
 configure_process()  # sums then have the same order as in the node
 
 import importlib.util
+import signal
 from types import ModuleType
 
 import numpy as np
@@ -16,6 +17,9 @@ import pytest
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses
 from tests.support.evaluation_data import shared
+
+# A shell that starts the tests in the background lets them ignore interrupts, which some tests send to programs.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope='session')

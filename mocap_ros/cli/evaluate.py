@@ -59,7 +59,7 @@ LEGEND = (
     'MPJPE: mean joint error of centred poses after one scale per sequence, without rotation; '
     'PA-MPJPE: after one similarity transform per frame; sequence: after one similarity transform per sequence; '
     'metric: without scale; e: eq. 25 of TPAMI 2016; bone std: standard deviation of the bone lengths over time; '
-    'residual: mean reprojection error.'
+    'residual: root mean square reprojection error, mean over the frames.'
 )
 MAX_TIME_DIFFERENCE_NS = 1_000_000  # ns; between equal times of two files, of which one may be rounded to ms
 ACCEPTED_KINDS = (InputKind.SEQUENCE, InputKind.RESULT, InputKind.BAG)

@@ -20,11 +20,18 @@ from mocap_ros.messages.input_types import decode_frame
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.units import NS_PER_S
 
-# Reason for rejecting a repeated stamp of 0: the publisher most likely never sets the stamp.
-MISSING_STAMP = 'header.stamp is not set'
+# Reason for rejecting a stamp of 0 that repeats, or comes among stamps of a clock: the publisher did not set it.
+MISSING_STAMP = "header.stamp is not set: copy the stamp of the detector's image"
+# ns; a recording's own time starts near 0 and stays below this (11 days), a clock that counts from 1970 is above
+MIN_CLOCK_STAMP_NS = 1_000_000 * NS_PER_S
 
 # Completed images, oldest first.
 Frames = list[KeypointsFrame]
+
+
+def is_stamp_missing(stamp_ns: int, newest_ns: int) -> bool:
+    """Return whether a stamp was not set: it is 0 where the newest of the other stamps is that of a clock."""
+    return stamp_ns == 0 and newest_ns >= MIN_CLOCK_STAMP_NS
 
 
 class FrameAssembler:

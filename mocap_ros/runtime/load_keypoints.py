@@ -22,7 +22,7 @@ from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
 from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
 from mocap_ros.messages.keypoints import KeypointsFrame
-from mocap_ros.runtime.frame_assembly import FrameAssembler
+from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 
 Array = NDArray[np.float64]
@@ -159,8 +159,9 @@ def _decode_frames(
             for frame in assembler.assemble(topics[message.topic], message.raw, message.topic, node, size, inf):
                 if camera is not None:
                     check_image_size(frame, camera)
-                if frames.setdefault(frame.header.stamp_ns, frame) is not frame:
-                    return 'its stamp is that of an earlier message'
+                stamp_ns = frame.header.stamp_ns
+                if frames.setdefault(stamp_ns, frame) is not frame:
+                    return 'its stamp is that of an earlier message' if stamp_ns else MISSING_STAMP
         except (InputError, FrameDropped) as error:
             return str(error)
         return ''
@@ -171,6 +172,10 @@ def _decode_frames(
             first_reason = first_reason or f'{message.topic}: message {number}: {reason}'
     for frame in assembler.flush(size):
         frames.setdefault(frame.header.stamp_ns, frame)
+    if frames and is_stamp_missing(min(frames), max(frames)):
+        del frames[0]
+        skipped_count += 1
+        first_reason = first_reason or f'{next(iter(topics))}: {MISSING_STAMP}'
     return frames, skipped_count, first_reason
 
 

@@ -27,7 +27,7 @@ from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
-from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler
+from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.tracking.tracker import Tracker
 
@@ -218,6 +218,8 @@ class Pipeline:
         """Track the people of an image; the result of an accepted image has one message for each of `OUTPUTS`."""
         node = self.config.node
         try:
+            if is_stamp_missing(frame.header.stamp_ns, self.header.stamp_ns):
+                raise FrameDropped(MISSING_STAMP)
             people = self._track(frame, self._find_intrinsics(frame))
             header = Header(self._tracker.output_stamp_ns, frame.header.frame_id)
             prefix = node.frame_prefix if node.publish_tf else None

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import TrackerConfig
+from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera, solver_focal
 from mocap_ros.keypoints.left_right import exchange_sides, find_swapped_frames
@@ -36,6 +37,9 @@ Array = NDArray[np.float64]
 # and go in single frames
 VIEW_SMOOTHING_S = 3.0
 RAY_FOCAL = 1.0  # rays; focal length of a camera whose image points are rays
+MAX_SPAN_S = (
+    1e6  # s (11 days); a longer recording is one with a stamp that was not set, and would need GB of memory
+)
 # Splits a sequence, by its rays (F, J, 2), weights (F, J) and times (F,) s, into shots between cuts.
 ShotFinder = Callable[[Array, Array, Array], list[slice]]
 
@@ -201,8 +205,12 @@ def observe_sequence(
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
-        InputError: No frame has four seen joints.
+        InputError: No frame has four seen joints, or the times span more than `MAX_SPAN_S`.
     """
+    if (span_s := float(times[-1] - times[0])) > MAX_SPAN_S:
+        raise InputError(
+            f'times: they span {span_s:.0f} s, at most {MAX_SPAN_S:.0f} s expected; is a stamp not set?'
+        )
     rays, weight = convert_to_rays(
         keypoints[..., :2], keypoints[..., 2], joint_names, intrinsics, config.min_score, skeleton
     )

@@ -39,6 +39,19 @@ def test_a_bag_gives_the_keypoints_and_their_stamps(tmp_path: Path) -> None:
         load_input(tmp_path / 'bag', Video(), LIMITS, person='bob')
 
 
+def test_a_message_whose_stamp_was_not_set_is_left_out_of_a_bag_with_clock_stamps(tmp_path: Path) -> None:
+    walker = make_walker()
+    start = 1_760_000_000_000_000_000
+    stamps = [0, *(start + f * NS_PER_S // 25 for f in range(1, FRAMES))]
+    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
+        for frame, stamp in enumerate(stamps):
+            data = encode_keypoints(Header(stamp, 'cam'), (640, 480), [walker.person(frame, 'anna')])
+            recorder.write('/k', KEYPOINTS, data, start + frame, stamp)
+    sequence, lines = load_input(tmp_path / 'bag', Video(), LIMITS)
+    assert sequence.stamps_ns == stamps[1:]
+    assert '1 messages left out; /k: header.stamp is not set' in lines[1]
+
+
 def test_a_bag_is_refused_where_a_sequence_file_is_expected(tmp_path: Path) -> None:
     for bag in (tmp_path / 'bag', tmp_path / 'bag.mcap', tmp_path / 'bag.npz'):
         bag.mkdir()

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.topics import Source
 from mocap_ros.config import with_values
+from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -49,6 +50,21 @@ def test_every_output_has_the_stamp_and_frame_of_its_input(stream: list[bytes]) 
         assert {h.frame_id for h in headers} == {'camera'}
         assert len(by_topic['skeletons'].people) == len(by_topic['cameras'].cameras) == 1
     assert pipeline.counters.accepted == 3
+
+
+def test_a_stamp_that_was_not_set_is_dropped_among_those_of_a_clock_and_changes_nothing() -> None:
+    now = 1_760_000_000 * 10**9
+    stamps = [now, now + 33_000_000, now + 66_000_000]
+    person = make_recording().sequence().person(0)
+
+    def encode_at(stamp_ns: int) -> bytes:
+        return encode_keypoints(Header(stamp_ns, 'camera'), (640, 480), [person])
+
+    clean, disturbed = Pipeline(FAST_CONFIG), Pipeline(FAST_CONFIG)
+    for stamp in stamps:
+        expected = [o.data for o in process(clean, encode_at(stamp))]
+        assert [o.data for o in process(disturbed, encode_at(stamp))] == expected
+        assert 'header.stamp is not set' in reject(disturbed, encode_at(0), Verdict.DROPPED)
 
 
 def test_an_image_without_people_gives_outputs_without_people(stream: list[bytes]) -> None:

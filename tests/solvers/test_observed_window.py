@@ -212,3 +212,10 @@ def test_what_is_known_reaches_the_solver() -> None:
     window = observe().build_solver_window(start, 0.02, 5, earlier)
     assert (window.start, window.noise, window.fixed_frames, window.earlier_frames) == (start, 0.02, 5, earlier)
     assert window.unit == pytest.approx(130.0)
+
+
+def test_times_with_a_stamp_that_was_not_set_are_refused() -> None:
+    keypoints, times, _ = make_person()
+    times = np.concatenate([times[:1], 1.76e9 + times[1:]])
+    with pytest.raises(InputError, match='times: they span 17600000.. s, at most 1000000 s expected'):
+        observe_sequence(keypoints, CMU15.joints, times, CAMERA, CONFIG)
