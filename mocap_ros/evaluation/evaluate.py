@@ -24,15 +24,20 @@ class Evaluation:
     """The errors of one sequence; an error is None if no compared frame has a prediction.
 
     Attributes:
-        mpjpe_mm: mean joint error after one scale for the sequence. metric_mpjpe_mm: mean joint error without a
-        scale. abs_mpjpe_mm: mean joint error without any alignment. root_mm: mean error of the poses' centroids.
-        seq_mpjpe_mm: mean joint error after one similarity transform for the sequence. pa_mpjpe_mm: mean joint
-        error after one similarity transform for each frame. e_paper_cm: eq. 25 of TPAMI 2016 after one similarity
-        transform for the sequence. accel_mm_s2: mean error of the joints' accelerations; NaN without three
-        successive frames. joints: number of compared joints. frames: number of compared frames. failed_frames:
-        number of these without a prediction. bone_std_mm: standard deviation of bone lengths over time, mean over
-        the bones. residual_px: root mean square reprojection error of a frame, mean over the frames; NaN if it is
-        unknown in all frames. fps: frames a second; NaN for a sequence of one frame.
+        mpjpe_mm: mean joint error after one scale for the sequence.
+        metric_mpjpe_mm: mean joint error without a scale.
+        abs_mpjpe_mm: mean joint error without any alignment.
+        root_mm: mean error of the poses' centroids.
+        seq_mpjpe_mm: mean joint error after one similarity transform for the sequence.
+        pa_mpjpe_mm: mean joint error after one similarity transform for each frame.
+        e_paper_cm: eq. 25 of TPAMI 2016 after one similarity transform for the sequence.
+        accel_mm_s2: mean error of the joints' accelerations; NaN without three successive frames.
+        joints: number of compared joints.
+        frames: number of compared frames.
+        failed_frames: number of these without a prediction.
+        bone_std_mm: standard deviation of bone lengths over time, mean over the bones.
+        residual_px: root mean square reprojection error, mean over the frames; NaN if it is unknown in all.
+        fps: frames a second; NaN for a sequence of one frame.
     """
 
     mpjpe_mm: float | None

@@ -217,5 +217,5 @@ def test_what_is_known_reaches_the_solver() -> None:
 def test_times_with_a_stamp_that_was_not_set_are_refused() -> None:
     keypoints, times, _ = make_person()
     times = np.concatenate([times[:1], 1.76e9 + times[1:]])
-    with pytest.raises(InputError, match='times: they span 17600000.. s, at most 1000000 s expected'):
+    with pytest.raises(InputError, match=r'times: they span 17600000.. s, at most 1000000 s expected'):
         observe_sequence(keypoints, CMU15.joints, times, CAMERA, CONFIG)
