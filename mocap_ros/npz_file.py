@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -14,6 +14,7 @@ from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
+from mocap_ros.input_file import open_input_file
 
 
 @contextmanager
@@ -25,14 +26,21 @@ def open_npz(file: str | Path | IO[bytes], max_bytes: int) -> Iterator[NpzFile]:
         max_bytes: largest size in bytes of all arrays together, unpacked.
 
     Raises:
-        InputError: The file holds a single array, or arrays larger than `max_bytes`.
-        OSError: The file cannot be opened.
+        InputError: The file is cut off, or holds a single array, or arrays larger than `max_bytes`.
+        OSError: The path is not that of a file, or the file cannot be opened.
         Exception: NumPy's zip and array readers raise almost any exception on malformed bytes, also inside the
             `with` block.
     """
-    with np.load(file, allow_pickle=False) as archive:
-        if not isinstance(archive, NpzFile) or archive.zip is None:
+    with ExitStack() as stack:
+        stream = stack.enter_context(open_input_file(file)) if isinstance(file, (str, Path)) else file
+        start = stream.read(len(np.lib.format.MAGIC_PREFIX))
+        stream.seek(0)
+        if start == np.lib.format.MAGIC_PREFIX:
             raise InputError('a single array, expected .npz')
+        try:
+            archive = stack.enter_context(np.load(stream, allow_pickle=False))
+        except zipfile.BadZipFile:
+            raise InputError('the file is cut off or damaged') from None
         if sum(i.file_size for i in archive.zip.infolist()) > max_bytes:
             raise InputError(f'holds more than {max_bytes >> 20} MiB')
         yield archive

@@ -28,7 +28,8 @@ def test_yaml_round_trip() -> None:
     config = with_values(Config(), {'solver.bone_weight': 3, 'tracker.model': 'walk', 'node.autostart': False})
     assert from_yaml(to_yaml(config), 'x') == config
     assert from_yaml('solver: {components: 7}', 'x').solver.components == 7
-    assert from_yaml('', 'x') == Config()
+    for empty in ('', 'solver:\n', 'mocap_node:\n  ros__parameters:\n', 'solver:\ntracker: {}'):
+        assert from_yaml(empty, 'x') == Config()
     for path in ('long ' * 50, 'a\nb', '\x85 \u2028 \x1f' + '\U00010000' * 7, "it's: #", ''):
         named = with_values(Config(), {'tracker.model': path})
         assert from_yaml(to_yaml(named), 'x') == named
@@ -42,7 +43,11 @@ def test_yaml_round_trip() -> None:
             'solver: {norm: frobenius}',
             r"'solver\.norm'; version 0\.2 removed it .* benchmarks/experiments/variants$",
         ),
-        ('solver: {paper_sines: false}', r"unknown parameter 'solver\.paper_sines'; version 0\.2 removed it"),
+        (
+            'solver: {paper_sines: false}',
+            r"unknown parameter 'solver\.paper_sines'; version 0\.2 removed it .*; remove this line$",
+        ),
+        ('solver: 3', r"f\.yaml: solver: is a group of parameters; names are dotted, such as 'solver\.\w+'"),
         ('solver: {hypotheses: 3}', r'solver\.hypotheses = 3: expected 1 to 2'),
         ('solver: {components: many}', r'solver\.components = .many.: expected an int'),
         ('solver: {components: 0}', r'solver\.components = 0: expected 1 to 60'),
@@ -66,6 +71,13 @@ def test_yaml_round_trip() -> None:
 def test_errors_in_a_file_name_the_file_and_the_place(text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         from_yaml(text, 'f.yaml')
+
+
+def test_a_group_is_no_parameter() -> None:
+    with pytest.raises(
+        ConfigError, match=r"^solver: is a group of parameters; names are dotted, such as 'solver\."
+    ):
+        with_values(Config(), {'solver': {'components': 7}})
 
 
 yaml_like = st.text('ab:{}[]&*!- \n\'"|>?%@1.,#~x', max_size=30)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,12 +17,15 @@ from mocap_ros.config import Config, format_value, values, with_values
 from mocap_ros.errors import ConfigError, InputError, MocapError, ModelError
 from mocap_ros.formats.npz_arrays import ArrayReader
 from mocap_ros.formats.sequence_file import (
+    GroundTruth,
     KeypointSequence,
+    check_timestamps,
     create_intrinsics,
     validate_camera,
     validate_sequence,
 )
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.validation import describe_points_outside
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import AUTO, load_base_pose_models
 from mocap_ros.skeleton import keypoint_layout
@@ -32,6 +37,12 @@ Model = str | Path | BasePoses  # argument `model`: the name of shipped base pos
 # Names of fields and arguments that hold the same as a key of a sequence file of another name.
 TRUTH_KEYS = {'joints3d': 'truth', 'joints3d_names': 'truth'}
 ARGUMENT_KEYS = {**TRUTH_KEYS, 'timestamps': 'times'}
+
+MAX_PATH_BYTES = 4095  # bytes; the longest path of Linux
+MAX_PATH_PART_BYTES = 255  # bytes; the longest name of a file or folder
+MIN_FOCAL_LENGTH_PX = 10.0  # px; a shorter one is probably a share of the image or in mm
+MAX_CENTRE_IN_SIZES = 3.0  # image sizes; a principal point farther from the origin belongs to another image
+LOGGER = logging.getLogger('mocap_ros')
 
 Result = TypeVar('Result')
 
@@ -62,7 +73,7 @@ def read_array(argument: str, given: ArrayLike) -> NDArray[np.generic]:
     """
     try:
         return np.asarray(given)
-    except ValueError:
+    except (TypeError, ValueError):
         raise InputError(f'{argument}: rows of different lengths, expected an array') from None
 
 
@@ -89,10 +100,47 @@ def read_joint_names(argument: str, given: Sequence[str] | str) -> tuple[str, ..
     """
     if isinstance(given, str):
         return name_argument(argument, lambda: keypoint_layout(given).joints)
-    names = tuple(given)
+    try:
+        names: tuple[object, ...] = tuple(given)
+    except TypeError:
+        names = (given,)
     if not all(isinstance(name, str) for name in names):
         raise InputError(f'{argument}: expected names, or the name of a keypoint layout such as coco17')
     return tuple(map(str, names))
+
+
+def read_times(times: ArrayLike, frames: int) -> Array:
+    """Return the times (F,) in s of this number of frames, checked like those of a sequence file.
+
+    Raises:
+        InputError: they are not finite or not increasing, or their unit seems to be another.
+    """
+    array = read_numbers('times', times, (frames,))
+    try:
+        check_timestamps(array)
+    except InputError as error:
+        raise rename_key(error, ARGUMENT_KEYS) from None
+    return array
+
+
+def read_path(argument: str, given: str | Path, error_type: type[MocapError] = InputError) -> Path:
+    """Return an argument as a path that the operating system can look up.
+
+    Raises:
+        MocapError: it is none; the error has the type `error_type`.
+    """
+    if not isinstance(given, str | Path) or not str(given):
+        raise error_type(f'{argument}: {format_value(given)}, expected a path')
+    path = Path(given)
+    try:
+        parts = [os.fsencode(part) for part in path.parts]
+    except UnicodeEncodeError:
+        raise error_type(f'{argument}: has characters that no path can have') from None
+    if any(b'\0' in part for part in parts):
+        raise error_type(f'{argument}: has a NUL character, which no path can have')
+    if len(os.fsencode(path)) > MAX_PATH_BYTES or any(len(part) > MAX_PATH_PART_BYTES for part in parts):
+        raise error_type(f'{argument}: {len(str(given))} characters, longer than any path')
+    return path
 
 
 def make_sequence(
@@ -115,10 +163,15 @@ def make_sequence(
         'timestamps': read_array('times', times),
         **_read_camera_arrays(image_size, camera_matrix, distortion),
     }
+    _check_camera(arrays)
     try:
-        return validate_sequence(arrays)
+        sequence = validate_sequence(arrays)
     except InputError as error:
         raise rename_key(error, ARGUMENT_KEYS) from None
+    outside = describe_points_outside(sequence.keypoints[..., :2], sequence.keypoints[..., 2], sequence.image_size)
+    if outside:
+        LOGGER.warning('keypoints: %s', outside)
+    return sequence
 
 
 def check_sequence(sequence: KeypointSequence) -> KeypointSequence:
@@ -134,6 +187,8 @@ def check_sequence(sequence: KeypointSequence) -> KeypointSequence:
         **_read_camera_arrays(sequence.image_size, sequence.camera_matrix, sequence.distortion),
     }
     if sequence.truth is not None:
+        if not isinstance(sequence.truth, GroundTruth):
+            raise InputError(f'truth: {format_value(sequence.truth)}, expected a GroundTruth')
         arrays['joints3d'] = read_array('truth', sequence.truth.joints)
         arrays['joints3d_names'] = np.array(read_joint_names('truth', sequence.truth.joint_names), np.str_)
     try:
@@ -157,7 +212,9 @@ def make_intrinsics(
     Raises:
         InputError: an argument is not valid; the error names it.
     """
-    size, matrix, coefficients = validate_camera(_read_camera_arrays(image_size, camera_matrix, distortion))
+    arrays = _read_camera_arrays(image_size, camera_matrix, distortion)
+    _check_camera(arrays)
+    size, matrix, coefficients = validate_camera(arrays)
     return size, create_intrinsics(size, matrix, coefficients, config.tracker.nominal_focal_length)
 
 
@@ -168,6 +225,31 @@ def _read_camera_arrays(
     optional = {'camera_matrix': camera_matrix, 'distortion': distortion}
     given = {'image_size': image_size, **{key: value for key, value in optional.items() if value is not None}}
     return {key: read_array(key, value) for key, value in given.items()}
+
+
+def _check_camera(arrays: Mapping[str, NDArray[np.generic]]) -> None:
+    """Check a camera by the keys of a sequence file more strictly than a file, whose camera was calibrated once.
+
+    Raises:
+        InputError: the camera matrix is none in px for this image, or is missing although there is a distortion.
+    """
+    if 'camera_matrix' not in arrays:
+        if 'distortion' in arrays:
+            raise InputError('distortion: needs a camera_matrix')
+        return
+    size, _, _ = validate_camera({'image_size': arrays['image_size']})
+    matrix = read_numbers('camera_matrix', arrays['camera_matrix'], (3, 3))
+    if not np.isfinite(matrix).all():
+        raise InputError('camera_matrix: has numbers that are not finite')
+    if not np.array_equal(matrix[2], [0, 0, 1]):
+        raise InputError(f'camera_matrix: last row {matrix[2].tolist()}, expected 0 0 1')
+    focal_lengths, centre = matrix[[0, 1], [0, 1]], matrix[:2, 2]
+    if (focal_lengths < MIN_FOCAL_LENGTH_PX).any():
+        given = f'focal lengths {focal_lengths[0]:g} and {focal_lengths[1]:g} px'
+        raise InputError(f'camera_matrix: {given}: looks normalised; at least {MIN_FOCAL_LENGTH_PX:g} px expected')
+    if (np.abs(centre) > MAX_CENTRE_IN_SIZES * np.array(size)).any():
+        point = f'principal point {centre[0]:g}, {centre[1]:g} px'
+        raise InputError(f'camera_matrix: {point}, far outside the image of {size[0]} x {size[1]} px')
 
 
 def make_config(parameters: Parameters) -> Config:
@@ -197,7 +279,7 @@ def load_models(model: Model, config: Config) -> dict[str, BasePoses]:
         return {model.name: model}
     if not isinstance(model, str | Path):
         raise ModelError(f'model: {format_value(model)}: expected a name, a path or BasePoses')
-    name = config.tracker.model if model == AUTO else str(model)
+    name = str(read_path('model', config.tracker.model if model == AUTO else model, ModelError))
     return name_argument('model', lambda: load_base_pose_models(name))
 
 
@@ -207,7 +289,8 @@ def check_positive(argument: str, value: float) -> float:
     Raises:
         InputError: it is not.
     """
-    if not (isinstance(value, int | float | np.number) and 0 < value < math.inf):
+    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not (is_number and 0 < value < math.inf):
         raise InputError(f'{argument}: {format_value(value)}, expected a positive number')
     return float(value)
 

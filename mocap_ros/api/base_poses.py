@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -9,8 +10,9 @@ from typing import Literal
 
 from numpy.typing import ArrayLike
 
-from mocap_ros.api.arguments import name_argument, read_joint_names, read_numbers
-from mocap_ros.errors import InputError
+from mocap_ros.api.arguments import name_argument, read_joint_names, read_numbers, read_path
+from mocap_ros.config import format_value
+from mocap_ros.errors import InputError, ModelError
 from mocap_ros.formats.text_files import guard_output
 from mocap_ros.models import base_poses, model_file
 from mocap_ros.skeleton import CMU15, canonical_joint_names
@@ -45,6 +47,7 @@ class BasePoses(base_poses.BasePoses):
         Raises:
             ModelError: no model has this name and no file this path, or the file is not a model.
         """
+        read_path('name_or_path', name_or_path, ModelError)
         return cls._extend(model_file.load_base_poses(name_or_path))
 
     @classmethod
@@ -78,8 +81,13 @@ class BasePoses(base_poses.BasePoses):
             InputError: an argument is not valid; the error names it.
             SkeletonError: no layout has the name given as `joint_names`.
             ModelError: there are fewer than two poses, a trial does not hold finite poses of a person in metres,
-                or the poses do not vary.
+                or the poses do not vary; or `name` or `provenance` cannot be saved.
         """
+        _check_description(name, provenance)
+        try:
+            arrays = list(trials)
+        except TypeError:
+            raise ModelError(f'trials: {format_value(trials)}, expected a sequence of arrays (F, J, 3)') from None
         for argument, count, least in (('components', components, 1), ('bodies', bodies, 0)):
             if not isinstance(count, int) or count < least:
                 raise InputError(f'{argument}: {count!r}, expected a whole number of at least {least}')
@@ -91,7 +99,7 @@ class BasePoses(base_poses.BasePoses):
             raise InputError(f'joint_names: {", ".join(missing)} missing')
         order = [names.index(joint) for joint in CMU15.joints]
         motions = [
-            read_numbers(f'trials[{i}]', trial, (None, len(names), 3))[:, order] for i, trial in enumerate(trials)
+            read_numbers(f'trials[{i}]', trial, (None, len(names), 3))[:, order] for i, trial in enumerate(arrays)
         ]
         model = name_argument(
             'trials',
@@ -111,9 +119,11 @@ class BasePoses(base_poses.BasePoses):
         """Write a model file (.npz), which `load` and the parameter `tracker.model` accept.
 
         Raises:
+            InputError: `path` is no path.
             MocapError: the file cannot be written.
         """
-        with guard_output(Path(path)):
+        path = read_path('path', path)
+        with guard_output(path):
             model_file.save_base_poses(self, path)
 
     @classmethod
@@ -127,3 +137,21 @@ class BasePoses(base_poses.BasePoses):
             f'BasePoses {self.name!r}: {len(self.std)} base poses of {len(self.mean)} joints, stature '
             f'{self.stature:.2f} m; the first {min(10, len(self.std))} explain {ten:.1%} of the variance'
         )
+
+
+def _check_description(name: str, provenance: Mapping[str, object] | None) -> None:
+    """Check that the name and the provenance of a model can be saved.
+
+    Raises:
+        ModelError: the name is no short text, or the provenance is no mapping that JSON can hold.
+    """
+    if not isinstance(name, str) or not 0 < len(name) <= model_file.MAX_NAME_LENGTH:
+        raise ModelError(f'name: expected a text of 1 to {model_file.MAX_NAME_LENGTH} characters')
+    if provenance is None:
+        return
+    if not isinstance(provenance, Mapping) or not all(isinstance(key, str) for key in provenance):
+        raise ModelError(f'provenance: {format_value(provenance)}, expected values by name')
+    try:
+        json.dumps(dict(provenance))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise ModelError(f'provenance: JSON cannot hold it: {error}') from None

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mocap_ros.api.arguments import ARGUMENT_KEYS, read_joint_names, read_numbers, rename_key
+from mocap_ros.api.arguments import ARGUMENT_KEYS, Array, read_joint_names, read_numbers, read_times, rename_key
 from mocap_ros.api.poses import PoseSequence
 from mocap_ros.errors import InputError
 from mocap_ros.evaluation import evaluate as evaluation
-from mocap_ros.formats.sequence_file import GroundTruth
+from mocap_ros.formats.sequence_file import MAX_COORDINATE_M, GroundTruth
 from mocap_ros.skeleton import CMU15, canonical_joint_names
 
 
@@ -58,18 +58,22 @@ def evaluate(
             raise InputError('limbs_only: needs a result of reconstruct, which knows the seen joints')
         predicted = read_numbers('joints', joints, (None, len(CMU15.joints), 3))
         residual, names, scores = np.full(len(predicted), math.nan), (), None
-        frame_times = np.zeros(1) if times is None else read_numbers('times', times, (len(predicted),))
+        frame_times = np.zeros(1) if times is None else read_times(times, len(predicted))
     if truth is None:
         raise InputError('truth: missing')
+    names_argument = 'truth_names'
     if isinstance(truth, GroundTruth):
-        truth_names = truth.joint_names
+        names_argument, truth_names = 'truth', truth.joint_names
         truth = truth.joints
-    true_names = canonical_joint_names(read_joint_names('truth_names', truth_names))
+    true_names = canonical_joint_names(read_joint_names(names_argument, truth_names))
     true_joints = read_numbers('truth', truth, (len(predicted), len(true_names), 3))
-    if evaluation.measure_person_size(true_joints) > evaluation.MAX_PERSON_SIZE_M:
-        raise InputError(
-            f'truth: a person of more than {evaluation.MAX_PERSON_SIZE_M:g} m; looks like mm, m expected'
-        )
+    _check_unit('truth', true_joints)
+    if not isinstance(joints, PoseSequence):
+        _check_unit('joints', predicted)
+        collapsed = np.ptp(predicted, axis=1).max(axis=-1) < evaluation.MIN_PERSON_SIZE_M
+        if collapsed.any():
+            frame = int(collapsed.argmax())
+            raise InputError(f'joints: frame {frame}: all joints at one place; NaN expected where nobody is')
     try:
         return evaluation.evaluate(
             predicted,
@@ -82,4 +86,19 @@ def evaluate(
             scores if limbs_only else None,
         )
     except InputError as error:
-        raise rename_key(error, ARGUMENT_KEYS) from None
+        raise rename_key(error, {**ARGUMENT_KEYS, 'joints3d_names': names_argument}) from None
+
+
+def _check_unit(argument: str, joints: Array) -> None:
+    """Check that joints (F, J, 3) have the coordinates and the size of a person in m; NaN is no fault.
+
+    Raises:
+        InputError: a coordinate is infinite or far too large, or the unit seems to be mm.
+    """
+    too_far = np.abs(joints) > MAX_COORDINATE_M
+    if too_far.any():
+        frame, joint, _ = np.argwhere(too_far)[0]
+        raise InputError(f'{argument}: frame {frame}: joint {joint} is more than {MAX_COORDINATE_M:g} m away')
+    if evaluation.measure_person_size(joints) > evaluation.MAX_PERSON_SIZE_M:
+        size = f'a person of more than {evaluation.MAX_PERSON_SIZE_M:g} m'
+        raise InputError(f'{argument}: {size}; looks like mm, m expected')

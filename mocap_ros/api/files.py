@@ -6,7 +6,7 @@ import logging
 import re
 from pathlib import Path
 
-from mocap_ros.api.arguments import check_image_size, check_positive, check_sequence, name_argument
+from mocap_ros.api.arguments import check_image_size, check_positive, check_sequence, name_argument, read_path
 from mocap_ros.api.poses import PoseSequence
 from mocap_ros.config import NodeConfig, format_value
 from mocap_ros.errors import InputError
@@ -48,6 +48,7 @@ def read(
             the file and the place in it, or the argument.
         SkeletonError: no keypoint layout has the name given as `layout`.
     """
+    path = read_path('path', path)
     if fps is not None:
         fps = check_positive('fps', fps)
     if image_size is not None:
@@ -55,7 +56,7 @@ def read(
     if layout:
         name_argument('layout', lambda: keypoint_layout(layout))
     try:
-        sequence, lines = load_input(Path(path), Video(fps, image_size, layout), NodeConfig(), person, topic)
+        sequence, lines = load_input(path, Video(fps, image_size, layout), NodeConfig(), person, topic)
     except InputError as error:
         raise InputError(_name_arguments(str(error))) from None
     for line in lines:
@@ -78,17 +79,19 @@ def write(path: str | Path, result: PoseSequence | KeypointSequence) -> None:
         InputError: the suffix or the content does not fit the format; the error names the argument.
         MocapError: the file cannot be written.
     """
-    path = Path(path)
+    if isinstance(path, PoseSequence | KeypointSequence):
+        raise InputError(f'path: a {type(path).__name__}, expected a path; give the path first, then the result')
+    path = read_path('path', path)
+    if not isinstance(result, PoseSequence | KeypointSequence):
+        raise InputError(f'result: {format_value(result)}, expected a PoseSequence or a KeypointSequence')
     suffixes = save_results.SUFFIXES if isinstance(result, PoseSequence) else ('.npz',)
     if path.suffix not in suffixes:
         raise InputError(f'path: {path}: unknown file type; expected {", ".join(suffixes)}')
     with guard_output(path):
         if isinstance(result, PoseSequence):
             save_results.save(path, result._reconstruction)
-        elif isinstance(result, KeypointSequence):
-            save_sequence(path, check_sequence(result))
         else:
-            raise InputError(f'result: {format_value(result)}, expected a PoseSequence or a KeypointSequence')
+            save_sequence(path, check_sequence(result))
 
 
 def _name_arguments(text: str) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,17 +19,20 @@ from mocap_ros.api.arguments import (
     read_joint_names,
     read_numbers,
 )
+from mocap_ros.config import format_value
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, MIN_JUDGED_FRAMES, check_timestamps
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import describe_transposed_size
+from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
 from mocap_ros.messages.keypoints import check_ids, validate_person
 from mocap_ros.people import Person3D
 from mocap_ros.tracking import tracker as tracking
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
+
+LOGGER = logging.getLogger('mocap_ros')
 
 
 class Tracker:
@@ -79,7 +83,7 @@ class Tracker:
         """Time in s of the frame whose people `update` last returned; with `tracker.lag`, of an older one."""
         return self._tracker.output_stamp_ns / NS_PER_S
 
-    def update(self, time_s: float, people: ArrayLike, *, ids: Sequence[str] = ()) -> list[Person3D]:
+    def update(self, time_s: float, people: ArrayLike, *, ids: Sequence[str] | None = ()) -> list[Person3D]:
         """Track the people of the next frame.
 
         Args:
@@ -87,8 +91,8 @@ class Tracker:
                 `tracker.restart_after` restarts the tracking.
             people: (P, J, 3) keypoints of the P people in the image, possibly none: x to the right and y down in
                 px, and confidence score in [0, 1]; NaN or score 0 where a keypoint was not seen.
-            ids: (P,) names that the detector gives the people, empty where it gives none; by default the people
-                are told apart by their positions.
+            ids: (P,) names that the detector gives the people, empty where it gives none; by default, or with
+                None, people are told apart by their positions.
 
         Returns:
             The people in this frame, in the order of `people`, without those who show too few joints; then those
@@ -100,7 +104,8 @@ class Tracker:
             FrameDropped: the time repeats that of the frame before, or is a little earlier. The tracker has not
                 changed.
         """
-        if not (isinstance(time_s, int | float | np.number) and 0 <= time_s < MAX_TIMESTAMP_S):
+        is_number = isinstance(time_s, int | float | np.number) and not isinstance(time_s, bool)
+        if not (is_number and 0 <= time_s < MAX_TIMESTAMP_S):
             raise InputError(f'time_s: {time_s}, expected s in [0, {MAX_TIMESTAMP_S:g}]')
         detected = self._read_people(people, ids)
         self._judge_first_frames(float(time_s), detected)
@@ -136,14 +141,17 @@ class Tracker:
             fault = describe_transposed_size(keypoints[:, :2], keypoints[:, 2], self._image_size)
             if fault:
                 raise InputError(f'image_size: {fault}')
+            outside = describe_points_outside(keypoints[:, :2], keypoints[:, 2], self._image_size)
+            if outside:
+                LOGGER.warning('people: %s', outside)
         self._first_frames = frames
 
-    def _read_people(self, people: ArrayLike, ids: Sequence[str]) -> list[Person2D]:
+    def _read_people(self, people: ArrayLike, ids: Sequence[str] | None) -> list[Person2D]:
         """Return the validated people of a frame."""
         given = read_array('people', people)
         shape = (len(given) if given.ndim else None, len(self._joint_names), 3)
         keypoints = read_numbers('people', given, shape) if given.size else np.empty((0, *shape[1:]))
-        names = [str(name) for name in ids] or [''] * len(keypoints)
+        names = _read_ids(ids) or [''] * len(keypoints)
         if len(names) != len(keypoints):
             raise InputError(f'ids: {len(names)} names for {len(keypoints)} people')
         detected = [
@@ -158,3 +166,17 @@ class Tracker:
         return name_argument(
             f'people[{index}]', lambda: validate_person(name, self._joint_names, points, score, width)
         )
+
+
+def _read_ids(ids: Sequence[str] | None) -> list[str]:
+    """Return the ids of people, none for None.
+
+    Raises:
+        InputError: these are no names.
+    """
+    if ids is None:
+        return []
+    names = list(ids) if isinstance(ids, Iterable) and not isinstance(ids, str | bytes) else [ids]
+    if isinstance(ids, str) or not all(isinstance(name, str) for name in names):
+        raise InputError(f'ids: {format_value(ids)}, expected a list of names')
+    return [str(name) for name in names]

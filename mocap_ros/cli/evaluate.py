@@ -33,7 +33,7 @@ from mocap_ros.evaluation.evaluate import (
     measure_person_size,
 )
 from mocap_ros.formats.result_file import StoredResult
-from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence
+from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence, check_timestamps
 from mocap_ros.formats.text_files import check_output, guard_output
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.runtime.input_kind import InputKind, require_kind
@@ -134,6 +134,8 @@ def run(args: argparse.Namespace) -> int:
             truth = given_truth
         with name_file_in_errors(path):
             evaluation = compare_with_truth(result, truth, args.joints == 'limbs')
+        if warning := describe_few_matches(result, truth):
+            print(f'mocap-ros: {path}: {warning}', file=sys.stderr)
         records.append({'file': path.name, **evaluation.as_dict(), **timing})
     if args.json is not None:
         with guard_output(args.json, *args.input):
@@ -192,15 +194,20 @@ def compare_with_truth(result: StoredResult, reference: KeypointSequence, limbs_
         limbs_only: True to compare the twelve limb joints only, in the frames in which most of them are seen.
 
     Raises:
-        InputError: the two have no time in common, or nothing is left to compare.
+        InputError: the two have few times in common and those of the result are not in s, they have none in
+            common, the result has no skeleton then, or nothing is left to compare.
     """
     truth = _get_truth(reference)
     frames, reference_frames = _match_times(result.stamps_ns, reference.stamps_ns)
+    if _are_few(len(frames), result, reference):
+        check_timestamps(result.times)
     if not len(frames):
         raise InputError(
             f'timestamps: none of {result.times[0]:.3f} to {result.times[-1]:.3f} s is that of a frame of the '
             f'truth, {reference.timestamps[0]:.3f} to {reference.timestamps[-1]:.3f} s'
         )
+    if not np.isfinite(result.joints[frames]).all(axis=(1, 2)).any():
+        raise InputError('no frame has a skeleton at a time of the truth')
     return evaluate(
         result.joints[frames],
         result.skeleton,
@@ -211,6 +218,22 @@ def compare_with_truth(result: StoredResult, reference: KeypointSequence, limbs_
         reference.joint_names,
         reference.keypoints[reference_frames, :, 2] if limbs_only else None,
     )
+
+
+def describe_few_matches(result: StoredResult, reference: KeypointSequence) -> str:
+    """Return a warning if fewer than half of the frames of both have a time of the other, or an empty string."""
+    matched = len(_match_times(result.stamps_ns, reference.stamps_ns)[0])
+    if not _are_few(matched, result, reference):
+        return ''
+    return (
+        f'timestamps: only {matched} of {len(result.times)} frames are compared; the others have no time of the '
+        f'{len(reference)} frames of the truth'
+    )
+
+
+def _are_few(matched: int, result: StoredResult, reference: KeypointSequence) -> bool:
+    """Return whether the matched frames are fewer than half of the frames of the shorter of the two."""
+    return 2 * matched < min(len(result.times), len(reference))
 
 
 def _match_times(

@@ -18,7 +18,7 @@ from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX, KeypointSequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.model_file import load_base_pose_models
+from mocap_ros.models.model_file import load_base_pose_models, load_prior_lifter
 from mocap_ros.runtime.load_keypoints import load_input
 from mocap_ros.skeleton import LAYOUT_NAMES
 
@@ -100,10 +100,13 @@ def load_models(args: argparse.Namespace, config: Config) -> dict[str, BasePoses
     """Load the base poses that `--model` selects, by name; `auto` selects all shipped models.
 
     Raises:
-        ModelError: there is no model of that name, or its file cannot be used.
+        ModelError: there is no model of that name, or its file or the lifter of `solver.prior` cannot be used.
     """
     name = args.model or config.tracker.model
-    return load_base_pose_models(name)
+    models = load_base_pose_models(name)
+    for model in models.values():  # here, so that the error about a lifter does not name the input
+        load_prior_lifter(config.solver.prior, model.skeleton)
+    return models
 
 
 def extract_observations(

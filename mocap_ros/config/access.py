@@ -106,6 +106,9 @@ def with_values(config: Config, values: Mapping[str, object]) -> Config:
     parameter_of = {parameter.name: parameter for parameter in parameters()}
     for name, value in values.items():
         if name not in parameter_of:
+            in_group = next((known for known in parameter_of if known.startswith(f'{name}.')), '')
+            if in_group:
+                raise ConfigError(f'{name}: is a group of parameters; names are dotted, such as {in_group!r}')
             suggestion = suggest_parameter(name, parameter_of)
             raise ConfigError(f'unknown parameter {format_value(name)}; {suggestion}')
         group_name, field_name = name.split('.')

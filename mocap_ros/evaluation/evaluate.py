@@ -35,7 +35,7 @@ class Evaluation:
         joints: number of compared joints.
         frames: number of compared frames.
         failed_frames: number of these without a prediction.
-        bone_std_mm: standard deviation of bone lengths over time, mean over the bones.
+        bone_std_mm: standard deviation of bone lengths over time, mean over the bones; NaN if one is never known.
         residual_px: root mean square reprojection error, mean over the frames; NaN if it is unknown in all.
         fps: frames a second; NaN for a sequence of one frame.
     """
@@ -104,15 +104,23 @@ def evaluate(
     limbs_only = keypoint_scores is not None
     is_known = np.asarray(np.isfinite(truth).all(axis=-1))
     known_names = tuple(n if is_known[:, i].any() else '' for i, n in enumerate(truth_names))
-    predicted_index, truth_index = metrics.match_joints(skeleton.joints, known_names, limbs_only)
+    try:
+        predicted_index, truth_index = metrics.match_joints(skeleton.joints, known_names, limbs_only)
+    except InputError as error:
+        known = ', '.join(name for name in known_names if name)
+        what = str(error).rstrip(': ')
+        raise InputError(
+            f'joints3d_names: {what}; the truth has {known}; the result has {", ".join(skeleton.joints)}'
+        ) from None
     frames = np.asarray(is_known[:, truth_index].all(axis=1))
     if keypoint_scores is not None:
         frames &= metrics.find_well_seen_frames(keypoint_names, keypoint_scores)
-    if frames.any() and measure_person_size(truth[frames][:, truth_index]) < MIN_PERSON_SIZE_M:
-        raise InputError('joints3d: all joints at one place')
+    check_person_size('joints3d', truth[frames][:, truth_index])
     if not frames.any():
         raise InputError('joints3d: no frame in which all joints are known' + ' and most are seen' * limbs_only)
+    check_person_size('joints', joints[frames][:, predicted_index])
     errors = metrics.compute_errors(joints[:, predicted_index], truth[:, truth_index], fps, frames)
+    is_each_bone_known = np.isfinite(skeleton.bone_lengths(joints)).any(axis=0).all()
     return Evaluation(
         mpjpe_mm=errors.get('mpjpe_mm'),
         metric_mpjpe_mm=errors.get('metric_mpjpe_mm'),
@@ -125,7 +133,7 @@ def evaluate(
         joints=int(errors['joints']),
         frames=int(errors['frames']),
         failed_frames=int(errors['failed_frames']),
-        bone_std_mm=metrics.compute_bone_std_mm(joints, skeleton),
+        bone_std_mm=metrics.compute_bone_std_mm(joints, skeleton) if is_each_bone_known else math.nan,
         residual_px=float(np.nanmean(residual)) if np.isfinite(residual).any() else math.nan,
         fps=fps,
     )
@@ -145,6 +153,17 @@ def measure_person_size(joints: Array) -> float:
     """Return the median longest side (m) of the box around joints (F, J, 3), 0 if no frame is complete."""
     complete = joints[np.isfinite(joints).all(axis=(1, 2))]
     return float(np.median(np.ptp(complete, axis=1).max(axis=-1))) if len(complete) else 0.0
+
+
+def check_person_size(field: str, joints: Array) -> None:
+    """Check that the complete frames of joints (F, J, 3) in m show a pose, not a single place.
+
+    Raises:
+        InputError: all joints are at one place; the message names the field.
+    """
+    is_any_complete = np.isfinite(joints).all(axis=(1, 2)).any()
+    if is_any_complete and measure_person_size(joints) < MIN_PERSON_SIZE_M:
+        raise InputError(f'{field}: all joints at one place')
 
 
 def estimate_frame_rate(times: Array) -> float:

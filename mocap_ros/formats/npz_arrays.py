@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError, describe_read_error
+from mocap_ros.input_file import open_input_file
 from mocap_ros.npz_file import open_npz
 from mocap_ros.skeleton import canonical_joint_names
 
@@ -22,7 +23,11 @@ MAX_FILE_BYTES = 1 << 30  # unpacked; guards the memory against files that unpac
 
 def list_keys(path: Path) -> frozenset[str]:
     """Return the keys of the arrays in an .npz file without reading them, or nothing if it is no such file."""
-    with suppress(OSError, zipfile.BadZipFile, ValueError), zipfile.ZipFile(path) as archive:
+    with (
+        suppress(OSError, zipfile.BadZipFile, ValueError),
+        open_input_file(path) as stream,
+        zipfile.ZipFile(stream) as archive,
+    ):
         return frozenset(n.removesuffix('.npy') for n in archive.namelist() if n.endswith('.npy'))
     return frozenset()
 

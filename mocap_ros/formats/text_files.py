@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mocap_ros.errors import InputError, MocapError
+from mocap_ros.input_file import NEITHER_FILE_NOR_FOLDER, open_input_file
 
 MAX_FILE_BYTES = 256 << 20  # guards the memory; an hour of one person's COCO results at 30 Hz is about 100 MB
 
@@ -24,10 +25,11 @@ def read_text(path: Path, errors: str = 'strict', max_bytes: int = MAX_FILE_BYTE
         max_bytes: size of the file in bytes above which it is refused.
 
     Raises:
-        InputError: the file does not exist, is too large, or is not UTF-8; the error names the file.
+        InputError: the path is not that of a file, or the file is too large or not UTF-8; the error names the
+            path.
     """
     try:
-        with path.open('rb') as file:
+        with open_input_file(path) as file:
             content = file.read(max_bytes + 1)
     except OSError as error:
         raise InputError(f'{path}: {error.strerror or error}') from None
@@ -62,13 +64,17 @@ def check_output(path: Path, *sources: Path) -> None:
         sources: input files, which must not be overwritten.
 
     Raises:
-        MocapError: `path` is one of the sources or a folder, or its folder does not exist or is not writable; the
-            error names the file.
+        MocapError: `path` is one of the sources, a folder or a named pipe, or its folder does not exist or is not
+            writable; the error names the file.
     """
     if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
         raise MocapError(f'{path}: not written, because it is the input file')
     if path.is_dir():
         raise MocapError(f'{path}: cannot be written: is a folder')
+    if (
+        path.resolve().is_fifo()
+    ):  # opening it would wait for a reader; an open pipe such as /dev/stdout has no path
+        raise MocapError(f'{path}: cannot be written: {NEITHER_FILE_NOR_FOLDER}')
     if not path.parent.is_dir():
         raise MocapError(f'{path}: cannot be written: there is no folder {path.parent}')
     if not os.access(path if path.exists() else path.parent, os.W_OK):

@@ -35,6 +35,8 @@ GATE_GROWTH_PER_S = 2.0  # person sizes/s; an unseen person may walk away and th
 UNPREDICTED_GATE_GROWTH_PER_S = 3.0  # person sizes/s; more than with a prediction, as the person keeps moving
 MIN_SIZE_PX = 1.0  # px; guards a division by the size of a person of whom a single keypoint is seen
 MIN_SIZE = 1e-9  # in the units of the points; guards the divisions by a size when all joints coincide
+# rays, 0.5 px at a focal length of 500 px; a detection that is no larger has all its joints in one place
+MIN_DETECTION_SIZE = 1e-3
 FORBIDDEN_COST = 1e3  # person sizes; cost of a pair beyond its gate, far above that of permitted pairs
 
 
@@ -74,6 +76,16 @@ def measure_extent(points: Array, weight: Array) -> Extent:
     seen = points[weight > 0]
     centre = seen.mean(axis=0)
     return Extent(centre, float(np.sqrt(((seen - centre) ** 2).sum(axis=1).mean())) + MIN_SIZE)
+
+
+def is_in_one_place(rays: Array, weight: Array) -> bool:
+    """Return whether all seen joints of a detection lie in one place, so that they show no person.
+
+    Args:
+        rays: (J, 2) x / z and y / z of the joints in the camera.
+        weight: (J,) confidence scores; 0 for a joint that was not seen. At least one was seen.
+    """
+    return not measure_extent(rays, weight).size > MIN_DETECTION_SIZE
 
 
 def compute_distance(expected: ExpectedExtent, detected: Extent) -> float:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import ModelError, describe_read_error
+from mocap_ros.input_file import open_input_file
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import FEATURE_COUNT, HISTORY_SLOTS_S, OUTPUT_COUNT, Lifter
 from mocap_ros.npz_file import open_npz, write_npz
@@ -85,7 +86,7 @@ def load_base_poses(name_or_path: str | Path) -> BasePoses:
             f'no base-pose model {text!r}: neither a file nor one of {", ".join(list_shipped_base_poses())}'
         )
     try:
-        with path.open('rb') as file:
+        with open_input_file(path) as file:
             return decode_base_poses(file.read(MAX_BASE_POSES_BYTES + 1), text)
     except OSError as error:
         raise ModelError(f'{text}: {error.strerror}') from None
@@ -214,8 +215,8 @@ def load_lifter(path: str | Path) -> Lifter:
         ModelError: The file cannot be read, or it is not a lifter.
     """
     try:
-        with Path(path).open('rb') as file:
-            return decode_lifter(file.read(MAX_LIFTER_BYTES + 1), str(path))
+        with open_input_file(path) as file:
+            return decode_lifter(file.read(MAX_LIFTER_BYTES + 1), f'solver.prior: {path}')
     except OSError as error:
         raise ModelError(f'solver.prior: {path}: {error.strerror}; expected learned, pca or a lifter') from None
 

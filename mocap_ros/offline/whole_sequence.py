@@ -81,7 +81,7 @@ def reconstruct_sequence(
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
-        InputError: No frame has four seen joints.
+        InputError: No frame has four seen joints, or all seen points lie in one place.
         ModelError: The lifter that `solver.prior` names cannot be loaded.
     """
     models = {model.name: model} if isinstance(model, BasePoses) else model

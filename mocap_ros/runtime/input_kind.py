@@ -11,6 +11,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.formats.npz_arrays import list_keys
 from mocap_ros.formats.openpose_json import FILE_SUFFIX
 from mocap_ros.formats.result_file import is_result_file
+from mocap_ros.input_file import NEITHER_FILE_NOR_FOLDER, is_special_file
 
 VIDEO_SUFFIXES = ('.mp4', '.m4v', '.mov', '.avi', '.mkv', '.webm', '.mpg', '.mpeg', '.wmv', '.flv', '.gif')
 IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.bmp', '.tif', '.tiff', '.webp', '.heic')
@@ -36,6 +37,7 @@ class InputKind(Enum):
     EMPTY_FILE = 'is an empty file'
     FOLDER = f'is a folder without a bag and without OpenPose JSON (*{FILE_SUFFIX})'
     OTHER = 'is a file of an unknown type'
+    SPECIAL = NEITHER_FILE_NOR_FOLDER
     MISSING = 'No such file or directory'
 
 
@@ -50,6 +52,8 @@ def find_input_kind(path: Path) -> InputKind:
     """
     if not path.exists():
         return InputKind.MISSING
+    if is_special_file(path):
+        return InputKind.SPECIAL
     if is_bag(path):
         return InputKind.BAG
     if path.is_dir():
@@ -94,6 +98,8 @@ def require_kind(path: Path, accepted: Collection[InputKind], formats: str) -> I
     if kind is InputKind.MISSING:
         hint = '; folders are separated by / on this system' if '\\' in str(path) else ''
         raise InputError(f'{path}: {kind.value}{hint}')
+    if kind is InputKind.SPECIAL:
+        raise InputError(f'{path}: {kind.value}')
     if kind in PICTURE_KINDS:
         advice = f'run a 2D keypoint detector on it, and give the keypoints as {KEYPOINT_FORMATS}'
     elif kind is InputKind.RESULT and InputKind.SEQUENCE in accepted:

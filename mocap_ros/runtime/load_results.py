@@ -41,13 +41,13 @@ def load_result(path: Path, person: str | None = None) -> tuple[StoredResult, st
         result file.
 
     Raises:
-        InputError: The file or bag holds no reconstruction, is damaged, or has no person of that id; the error
-            names the place.
+        InputError: The file or bag holds no reconstruction or no skeleton, is damaged, or has no person of that
+            id; the error names the place.
     """
     if not is_bag(path):
         if person is not None:
             raise InputError(f'{path}: --person does not apply to a result of reconstruct')
-        return load_result_file(path), ''
+        return _require_skeleton(load_result_file(path), path), ''
     with Bag(path) as bag:
         topics = bag.topics_of_type([SKELETONS])
         if len(topics) != 1:
@@ -63,9 +63,17 @@ def load_result(path: Path, person: str | None = None) -> tuple[StoredResult, st
         raise InputError(f'{path}: no person {person!r}; there are {people}')
     chosen = counts.most_common(1)[0][0] if person is None else person
     try:
-        return _collect(array_by_stamp, chosen), chosen
+        result = _collect(array_by_stamp, chosen)
     except (InputError, SkeletonError) as error:
         raise InputError(f'{path}: {topics[0]}: {error}') from None
+    return _require_skeleton(result, path), chosen
+
+
+def _require_skeleton(result: StoredResult, path: Path) -> StoredResult:
+    """Return the result, which must have a skeleton in one frame at least."""
+    if not np.isfinite(result.joints).all(axis=(1, 2)).any():
+        raise InputError(f'{path}: no frame has a skeleton')
+    return result
 
 
 def _collect(array_by_stamp: dict[int, Any], person: str) -> StoredResult:

@@ -25,11 +25,18 @@ from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera, solver_focal
+from mocap_ros.keypoints.association import is_in_one_place
 from mocap_ros.keypoints.left_right import exchange_sides, find_swapped_frames
 from mocap_ros.keypoints.rays import convert_to_rays
 from mocap_ros.models.lifter import LiftedPoses, Lifter, concatenate_lifted, sample_histories
 from mocap_ros.skeleton import CMU15, Skeleton
-from mocap_ros.solvers.window import EarlierFrames, InitialValues, Window, require_camera_frame
+from mocap_ros.solvers.window import (
+    MIN_JOINTS_FOR_CAMERA,
+    EarlierFrames,
+    InitialValues,
+    Window,
+    require_camera_frame,
+)
 
 Array = NDArray[np.float64]
 
@@ -193,6 +200,8 @@ def observe_sequence(
 ) -> ObservedWindow:
     """Map a sequence's keypoints to the model's joints, put left and right right, and face the person.
 
+    A frame with all its points in one place, of four or more seen joints, counts as not seen.
+
     Args:
         keypoints: (F, Js, 3) x and y in px, and confidence score; NaN or score 0 where not seen.
         joint_names: (Js,) any names that `keypoints.joint_map` knows.
@@ -205,7 +214,8 @@ def observe_sequence(
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
-        InputError: No frame has four seen joints, or the times span more than `MAX_SPAN_S`.
+        InputError: No frame has four seen joints, all seen points of each such frame lie in one place, or the
+            times span more than `MAX_SPAN_S`.
     """
     if (span_s := float(times[-1] - times[0])) > MAX_SPAN_S:
         raise InputError(
@@ -215,6 +225,7 @@ def observe_sequence(
         keypoints[..., :2], keypoints[..., 2], joint_names, intrinsics, config.min_score, skeleton
     )
     require_camera_frame(weight)
+    rays, weight = _exclude_frames_in_one_place(rays, weight)
     if config.undo_swaps:
         mirror = np.array(skeleton.mirror)
         shots = find_shots(rays, weight, times) if find_shots is not None else [slice(None)]
@@ -223,3 +234,27 @@ def observe_sequence(
     return ObservedWindow.facing_person(
         times, rays, weight, intrinsics, solver_focal(intrinsics, config.perspective)
     )
+
+
+def _exclude_frames_in_one_place(rays: Array, weight: Array) -> tuple[Array, Array]:
+    """Set the joints of the frames that show all of them in one place to not seen.
+
+    Frames with fewer than `MIN_JOINTS_FOR_CAMERA` seen joints stay: so few may be in one place in the image of a
+    person.
+
+    Args:
+        rays: (F, J, 2) rays; some frame has `MIN_JOINTS_FOR_CAMERA` seen joints.
+        weight: (F, J) confidence scores.
+
+    Returns:
+        The rays and the scores, 0 in these frames.
+
+    Raises:
+        InputError: No other frame has `MIN_JOINTS_FOR_CAMERA` seen joints.
+    """
+    frames = np.flatnonzero((weight > 0).sum(axis=1) >= MIN_JOINTS_FOR_CAMERA)
+    in_one_place = np.array([is_in_one_place(rays[frame], weight[frame]) for frame in frames])
+    if in_one_place.all():
+        raise InputError('keypoints: all seen points lie in one place')
+    excluded = np.isin(np.arange(len(weight)), frames[in_one_place])
+    return np.where(excluded[:, None, None], 0.0, rays), np.where(excluded[:, None], 0.0, weight)

@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.association import Extent, measure_extent
+from mocap_ros.keypoints.association import Extent, is_in_one_place, measure_extent
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.rays import convert_to_rays
 
 Array = NDArray[np.float64]
-
-MIN_SIZE = 1e-3  # rays, 0.5 px at a focal length of 500 px; guards divisions by the size if all joints coincide
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +50,6 @@ class Detection:
             SkeletonError: The person's joints do not cover enough of the model's.
         """
         rays, weight = convert_to_rays(person.points, person.score, person.joints, intrinsics, min_score)
-        if (weight > 0).sum() < min_joints:
+        if (weight > 0).sum() < min_joints or is_in_one_place(rays, weight):
             return None
-        extent = measure_extent(rays, weight)
-        return Detection(person.id, rays, weight, extent) if extent.size > MIN_SIZE else None
+        return Detection(person.id, rays, weight, measure_extent(rays, weight))

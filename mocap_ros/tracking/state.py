@@ -25,6 +25,8 @@ class TrackerState:
         backward_jump_s: s by which the stamp of the newest frame went back, so that tracking restarted; else 0.
         swapped_frames: number of frames so far in which a person's left and right were swapped back.
         unusable_people: number of detections so far with too few joints, or with all of them in one place.
+        models: name and number of base poses of each of the tracker's models.
+        is_lifted: whether the tracker has a lifter, so that the frames of the tracks hold lifted poses.
     """
 
     tracks: tuple[Track, ...] = ()
@@ -37,14 +39,18 @@ class TrackerState:
     backward_jump_s: float = 0.0
     swapped_frames: int = 0
     unusable_people: int = 0
+    models: tuple[tuple[str, int], ...] = ()
+    is_lifted: bool = False
 
     def forget_everybody(self) -> TrackerState:
-        """Return the state without people, names and stamps, but with the counters and what was last put out."""
+        """Return the state without people, names and stamps, but with models, counters and last output."""
         return TrackerState(
             output_stamp_ns=self.output_stamp_ns,
             backward_jump_s=self.backward_jump_s,
             swapped_frames=self.swapped_frames,
             unusable_people=self.unusable_people,
+            models=self.models,
+            is_lifted=self.is_lifted,
         )
 
     def put_tracks(self, tracks: Sequence[Track]) -> TrackerState:

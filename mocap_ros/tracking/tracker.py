@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import Config
-from mocap_ros.errors import FrameDropped
+from mocap_ros.errors import FrameDropped, InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import solver_focal
 from mocap_ros.keypoints.left_right import SwapFilter
@@ -79,7 +79,8 @@ class Tracker:
         self._checker = HypothesisChecker(self.models, config)
         max_interval_s = LIFTER_CHECK_INTERVAL_S if has_lifter else settings.hypothesis_check_interval
         self._deferred_work = DeferredWork(self._checker, self._candidate_models, max_interval_s)
-        self._state = TrackerState()
+        sizes = tuple((name, len(model.components)) for name, model in self.models.items())
+        self._state = TrackerState(models=sizes, is_lifted=has_lifter)
 
     @property
     def backward_jump_s(self) -> float:
@@ -110,7 +111,20 @@ class Tracker:
 
         Args:
             state: the state.
+
+        Raises:
+            InputError: This is no state of a tracker, or its models, their numbers of base poses or the use of a
+                lifter are not those of this tracker; the state has not changed.
         """
+        if not isinstance(state, TrackerState):
+            found = type(state).__name__  # type: ignore[unreachable]  # callers may have no type checker
+            raise InputError(f'state: expected a TrackerState, got {found}')
+        own = self._state
+        if (state.models, state.is_lifted) != (own.models, own.is_lifted):
+            raise InputError(
+                f'state: it is of a tracker with {_describe_models(state)}; '
+                f'this tracker has {_describe_models(own)}'
+            )
         self._state = state
 
     def reset(self) -> None:
@@ -317,3 +331,9 @@ class Tracker:
     def _make_person(self, track: Track, frame: int) -> Person3D:
         """Return the person of a track in one frame of its window."""
         return make_person(track, frame, self.models[track.solved.model_name])
+
+
+def _describe_models(state: TrackerState) -> str:
+    """Return the models of a state's tracker, their numbers of base poses and the use of a lifter, in words."""
+    models = ', '.join(f'{name} ({count} base poses)' for name, count in state.models)
+    return f'the models {models or "(none)"} and {"a" if state.is_lifted else "no"} lifter'

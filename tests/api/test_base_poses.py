@@ -78,6 +78,16 @@ WRONG: dict[str, tuple[dict[str, Any], type[mocap_ros.MocapError], str]] = {
         'components: 0, expected a whole number of at least 1',
     ),
     'half a body': ({'bodies': 0.5}, mocap_ros.InputError, 'bodies: 0.5, expected a whole number of at least 0'),
+    'no trials': ({'trials': None}, mocap_ros.ModelError, 'trials: None, expected a sequence of arrays'),
+    'a number for the trials': ({'trials': 5}, mocap_ros.ModelError, 'trials: 5, expected a sequence of arrays'),
+    'long name': ({'name': 'a' * 101}, mocap_ros.ModelError, 'name: expected a text of 1 to 100 characters'),
+    'name of no text': ({'name': 5}, mocap_ros.ModelError, 'name: expected a text'),
+    'provenance of no mapping': (
+        {'provenance': [1]},
+        mocap_ros.ModelError,
+        'provenance: .* expected values by name',
+    ),
+    'provenance no JSON': ({'provenance': {'a': {1}}}, mocap_ros.ModelError, 'provenance: JSON cannot hold it'),
     'alignment': ({'alignment': 'none'}, mocap_ros.InputError, "^alignment: 'none', expected rotation or heading"),
 }
 
@@ -102,3 +112,11 @@ def test_files_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
         mocap_ros.BasePoses.load('waltz')
     with pytest.raises(mocap_ros.MocapError, match='cannot be written'):
         mocap_ros.BasePoses.load('walk').save(tmp_path / 'none' / 'walk.npz')
+
+
+@pytest.mark.parametrize('path', [None, 5, b'walk', '', 'a\0b', 'a' * 5000])
+def test_what_is_no_path_is_refused(path: Any) -> None:
+    with pytest.raises(mocap_ros.ModelError, match=r'^name_or_path: '):
+        mocap_ros.BasePoses.load(path)
+    with pytest.raises(mocap_ros.InputError, match=r'^path: '):
+        mocap_ros.BasePoses.load('walk').save(path)

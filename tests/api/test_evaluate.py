@@ -64,6 +64,16 @@ def test_frames_without_a_person_are_counted(result: mocap_ros.PoseSequence, tru
     assert (evaluation.frames, evaluation.failed_frames) == (40, 7)
 
 
+def test_a_joint_that_is_never_predicted_fails_every_frame_without_warnings(truth: mocap_ros.GroundTruth) -> None:
+    joints = truth.joints.copy()
+    joints[:, 3] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        evaluation = mocap_ros.evaluate(joints, truth)
+    assert (evaluation.failed_frames, evaluation.mpjpe_mm) == (40, None)
+    assert math.isnan(evaluation.bone_std_mm)
+
+
 def test_an_evaluation_prints_itself(truth: mocap_ros.GroundTruth) -> None:
     moved = truth.joints + [0.0, 0.0, 0.5]
     assert repr(mocap_ros.evaluate(moved, truth)) == (
@@ -83,6 +93,31 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     'unknown everywhere': ({'truth': np.full((40, 15, 3), np.nan)}, 'truth: no joint is known in any frame'),
     'one place': ({'truth': np.ones((40, 15, 3))}, 'truth: all joints at one place'),
     'mm': ({'truth': 'mm'}, 'truth: .* m expected'),
+    'the joints in mm': ({'joints': 'mm', 'truth': 'own'}, 'joints: a person .* looks like mm, m expected'),
+    'an infinite joint': ({'joints': 'infinite', 'truth': 'own'}, 'joints: frame 3: joint 2 is more than'),
+    'all joints zero': (
+        {'joints': np.zeros((40, 15, 3)), 'truth': 'own'},
+        'joints: frame 0: all joints at one place',
+    ),
+    'a frame of zeros': ({'joints': 'zero frame', 'truth': 'own'}, 'joints: frame 5: all joints at one place'),
+    'an infinite truth': ({'truth': 'infinite'}, 'truth: frame 3: joint 2 is more than'),
+    'times of zero': ({'joints': 'own', 'truth': 'own', 'times': np.zeros(40)}, 'times: frame 1: .* repeats'),
+    'times back': (
+        {'joints': 'own', 'truth': 'own', 'times': np.arange(40)[::-1]},
+        'times: frame 1: .* is not later',
+    ),
+    'times not finite': ({'joints': 'own', 'truth': 'own', 'times': np.full(40, np.nan)}, 'times: frame 0: nan'),
+    'times in ms': (
+        {'joints': 'own', 'truth': 'own', 'times': np.arange(40) * 33.3},
+        'times: .* looks like milliseconds',
+    ),
+    'a number for the names': ({'truth': 'own', 'truth_names': 5}, 'truth_names: expected names'),
+    'None for the names': ({'truth': 'own', 'truth_names': None}, 'truth_names: expected names'),
+    'an empty truth': ({'truth': mocap_ros.GroundTruth(None, None)}, 'truth: expected names'),  # type: ignore[arg-type]
+    'no common joints': (
+        {'truth': np.ones((40, 2, 3)), 'truth_names': ['nose', 'tail']},
+        'truth_names: only 0 joints .*; the truth has nose, tail; the result has head, neck',
+    ),
     'times of other frames': (
         {'joints': np.zeros((40, 15, 3)), 'truth': np.zeros((40, 15, 3)), 'times': np.arange(3)},
         r'times: shape \(3,\), expected \(40\)',
@@ -100,10 +135,23 @@ def test_a_wrong_argument_is_one_error_that_names_it(
         arguments['joints'] = mocap_ros.reconstruct(
             replace(result.sequence, truth=None), parameters={'solver.max_iterations': 1}
         )
-    if case == 'mm':
-        arguments['truth'] = truth.joints * 1000
-    with pytest.raises(mocap_ros.InputError, match=message):
-        mocap_ros.evaluate(**arguments)
+    infinite = truth.joints.copy()
+    infinite[3, 2, 1] = np.inf
+    zero_frame = truth.joints.copy()
+    zero_frame[5] = 0.0
+    arrays = {
+        'mm': truth.joints * 1000,
+        'infinite': infinite,
+        'zero frame': zero_frame,
+        'own': truth.joints,
+    }
+    for argument in ('joints', 'truth'):
+        if isinstance(arguments.get(argument), str) and arguments[argument] in arrays:
+            arguments[argument] = arrays[arguments[argument]]
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        with pytest.raises(mocap_ros.InputError, match=message):
+            mocap_ros.evaluate(**arguments)
 
 
 def test_an_unknown_layout_of_the_truth_is_refused(result: mocap_ros.PoseSequence) -> None:

@@ -138,3 +138,28 @@ def test_what_cannot_be_written_is_refused(
     with pytest.raises(mocap_ros.InputError, match='result: 7, expected a PoseSequence or a KeypointSequence'):
         mocap_ros.write(tmp_path / 'walk.npz', 7)  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize('path', [None, 5, b'walk.npz', '', 'a\0b.npz', 'a' * 5000 + '.npz', 'a/' * 2500 + '.npz'])
+def test_what_is_no_path_is_refused(sequence: mocap_ros.KeypointSequence, path: Any) -> None:
+    with pytest.raises(mocap_ros.InputError, match=r'^path: '):
+        mocap_ros.read(path)
+    with pytest.raises(mocap_ros.InputError, match=r'^path: '):
+        mocap_ros.write(path, sequence)
+
+
+def test_swapped_arguments_of_write_are_named(sequence: mocap_ros.KeypointSequence) -> None:
+    with pytest.raises(mocap_ros.InputError, match=r'path: a KeypointSequence, .* give the path first'):
+        mocap_ros.write(sequence, 'walk.npz')  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize('change', [{'joint_names': None}, {'joint_names': 5}, {'truth': 5}])
+def test_a_sequence_with_a_wrong_field_is_one_error_that_names_it(
+    sequence: mocap_ros.KeypointSequence, tmp_path: Path, change: dict[str, Any]
+) -> None:
+    (field,) = change
+    wrong = replace(sequence, **change)
+    with pytest.raises(mocap_ros.InputError, match=f'^{field}: .*expected'):
+        mocap_ros.write(tmp_path / 'walk.npz', wrong)
+    with pytest.raises(mocap_ros.InputError, match=f'^{field}: .*expected'):
+        mocap_ros.reconstruct(wrong)

@@ -172,6 +172,33 @@ WRONG: dict[str, tuple[dict[str, Any], type[mocap_ros.MocapError], str]] = {
         mocap_ros.InputError,
         'camera_matrix: focal lengths 0.006',
     ),
+    'camera matrix normalised': (
+        {'camera_matrix': MATRIX / [[640], [480], [1]]},
+        mocap_ros.InputError,
+        'camera_matrix: focal lengths 0.9375 and 1.25 px: looks normalised',
+    ),
+    'camera matrix not finite': (
+        {'camera_matrix': MATRIX + [[0, np.nan, 0], [0, 0, 0], [0, 0, 0]]},
+        mocap_ros.InputError,
+        'camera_matrix: has numbers that are not finite',
+    ),
+    'camera matrix transposed': (
+        {'camera_matrix': MATRIX.T},
+        mocap_ros.InputError,
+        r'camera_matrix: last row \[320.0, 240.0, 1.0\], expected 0 0 1',
+    ),
+    'principal point of another image': (
+        {'camera_matrix': MATRIX + [[0, 0, 9000], [0, 0, 0], [0, 0, 0]]},
+        mocap_ros.InputError,
+        'camera_matrix: principal point 9320, 240 px, far outside the image of 640 x 480 px',
+    ),
+    'distortion alone': (
+        {'distortion': [0.1, 0, 0, 0]},
+        mocap_ros.InputError,
+        'distortion: needs a camera_matrix',
+    ),
+    'a number as names': ({'joint_names': 5}, mocap_ros.InputError, 'joint_names: expected names'),
+    'a path with NUL as model': ({'model': 'a\0b'}, mocap_ros.ModelError, 'model: has a NUL character'),
     'camera matrix as a list': (
         {'camera_matrix': [600, 600]},
         mocap_ros.InputError,
@@ -244,3 +271,15 @@ def test_a_sequence_brings_its_own_arguments(sequence: mocap_ros.KeypointSequenc
     given: dict[str, Any] = {argument: (640, 480)}
     with pytest.raises(mocap_ros.InputError, match=f'{argument}: the KeypointSequence has its own'):
         mocap_ros.reconstruct(sequence, **given)
+
+
+@pytest.mark.parametrize(('size', 'factor'), [((1, 1), 1), ((640, 480), 1000)])
+def test_keypoints_outside_the_image_are_logged(
+    sequence: mocap_ros.KeypointSequence, caplog: pytest.LogCaptureFixture, size: tuple[int, int], factor: int
+) -> None:
+    keypoints = sequence.keypoints * [factor, factor, 1]
+    mocap_ros.reconstruct(**{**arguments_of(sequence), 'keypoints': keypoints, 'image_size': size})
+    assert any(
+        record.getMessage() == f'keypoints: 100% of the seen keypoints lie outside {size[0]} x {size[1]} px'
+        for record in caplog.records
+    )

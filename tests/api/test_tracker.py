@@ -95,6 +95,8 @@ WRONG_CONSTRUCTION: dict[str, tuple[dict[str, Any], type[mocap_ros.MocapError], 
     ),
     'unknown joints': ({'joint_names': ['a', 'b']}, mocap_ros.SkeletonError, 'joint_names: a, b: fewer than four'),
     'repeated joints': ({'joint_names': ['lhip'] * 9}, mocap_ros.SkeletonError, 'joint_names: .* repeat: lhip'),
+    'no joints': ({'joint_names': None}, mocap_ros.InputError, 'joint_names: expected names'),
+    'distortion alone': ({'distortion': [0.1] * 4}, mocap_ros.InputError, 'distortion: needs a camera_matrix'),
     'no size': ({'image_size': (0, 480)}, mocap_ros.InputError, 'image_size: 0 x 480 px'),
     'camera matrix': ({'camera_matrix': np.eye(4)}, mocap_ros.InputError, r'camera_matrix: shape \(4, 4\)'),
     'model': ({'model': 'none.npz'}, mocap_ros.ModelError, "model: no base-pose model 'none.npz'"),
@@ -124,6 +126,11 @@ WRONG_FRAME: dict[str, tuple[dict[str, Any], str]] = {
     'score above 1': ({'people': np.full((1, 17, 3), 50.0)}, r'people\[0\]: score\[0\]: 50, expected a score'),
     'shares': ({'people': np.full((1, 17, 3), 0.5)}, r'people\[0\]: x, y: looks normalised; px expected'),
     'two ids': ({'ids': ['anna', 'ben']}, 'ids: 2 names for 1 people'),
+    'time of truth': ({'time_s': True}, 'time_s: True, expected s'),
+    'ids of one number': ({'ids': 5}, 'ids: 5, expected a list of names'),
+    'ids of one text': ({'ids': 'a'}, "ids: 'a', expected a list of names"),
+    'ids of bytes': ({'ids': [b'anna']}, 'ids: .* expected a list of names'),
+    'ids with None': ({'ids': [None]}, 'ids: .* expected a list of names'),
     'twice': ({'people': np.ones((2, 17, 3)) * [90, 90, 1], 'ids': ['a', 'a']}, "ids: id 'a' twice"),
 }
 
@@ -155,3 +162,19 @@ def test_thirty_frames_show_a_wrong_unit_or_a_transposed_image(
     for frame in (29, 30):
         with pytest.raises(mocap_ros.InputError, match=message):
             tracker.update(times[frame], [shifted[frame]])
+
+
+def test_ids_of_none_are_no_ids(keypoints: np.ndarray) -> None:
+    (person,) = make_tracker().update(0.0, [keypoints], ids=None)
+    (unnamed,) = make_tracker().update(0.0, [keypoints])
+    assert person.id == unnamed.id
+
+
+def test_thirty_frames_outside_the_image_are_logged(
+    sequence: mocap_ros.KeypointSequence, caplog: pytest.LogCaptureFixture
+) -> None:
+    tracker = make_tracker(image_size=(100, 100))
+    for time_s, keypoints in zip(sequence.timestamps, sequence.keypoints, strict=True):
+        tracker.update(time_s, [keypoints])
+    (record,) = caplog.records
+    assert record.getMessage().startswith('people: 100% of the seen keypoints lie outside 100 x 100 px')

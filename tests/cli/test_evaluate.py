@@ -85,7 +85,7 @@ def test_evaluate_leaves_out_unknown_parts_of_the_truth(
     foreign_truth = GroundTruth(truth.joints, tuple('abcdefghijklmno'))
     save_sequence(tmp_path / 'f.npz', replace(whole, truth=foreign_truth))
     assert main(['evaluate', str(tmp_path / 'f.npz'), *QUICK_OPTIONS]) == 1
-    assert 'f.npz: only 0 joints in common' in capsys.readouterr().err
+    assert 'f.npz: joints3d_names: only 0 joints in common' in capsys.readouterr().err
 
 
 def test_results_are_compared_as_they_are_with_the_truth_of_another_file(
@@ -149,7 +149,19 @@ def test_a_result_is_compared_at_the_times_that_the_truth_has(
     (record,) = json.loads(out.read_text())
     assert (record['frames'], record['failed_frames'], record['fps']) == (20, 5, pytest.approx(15))
     assert record['abs_mpjpe_mm'] == pytest.approx(0, abs=1e-3)
-    capsys.readouterr()
+    assert not capsys.readouterr().err
+    with np.load(tmp_path / 'r.npz') as arrays:
+        np.savez(tmp_path / 'ms.npz', **{**arrays, 'timestamps': whole.timestamps * 1000})
+        drifting = whole.timestamps + np.where(np.arange(390) < 100, 0, 0.01)
+        np.savez(tmp_path / 'drift.npz', **{**arrays, 'timestamps': drifting})
+        np.savez(tmp_path / 'head.npz', **{**arrays, 'timestamps': whole.timestamps + whole.timestamps[360]})
+    assert main(['evaluate', str(tmp_path / 'ms.npz'), '--truth', str(recording)]) == 1
+    assert re.search(r'ms\.npz: timestamps: .* looks like milliseconds', capsys.readouterr().err)
+    assert main(['evaluate', str(tmp_path / 'drift.npz'), '--truth', str(recording)]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert 'drift.npz: timestamps: only 100 of 390 frames are compared' in line
+    assert main(['evaluate', str(tmp_path / 'head.npz'), '--truth', str(recording)]) == 1
+    assert 'head.npz: no frame has a skeleton at a time of the truth' in capsys.readouterr().err
     assert main(['evaluate', str(tmp_path / 'r.npz'), '--truth', str(tmp_path / 'late.npz')]) == 1
     assert (
         'r.npz: timestamps: none of 0.000 to 12.967 s is that of a frame of the truth' in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -140,6 +141,79 @@ def test_an_input_that_no_command_reads_is_named(
     assert main([command, name, *output]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f'mocap-ros: {name}: {reason}')
+
+
+@pytest.mark.parametrize('name', ['pipe', 'pipe.npz', 'pipe.json', '/dev/zero', 'zero.npz', 'zero.json'])
+@pytest.mark.parametrize(
+    'arguments',
+    [
+        ['reconstruct', 'NAME'],
+        ['plot', 'NAME'],
+        ['evaluate', 'NAME'],
+        ['evaluate', 'RECORDING', '--truth', 'NAME'],
+        ['reconstruct', 'RECORDING', '--config', 'NAME'],
+        ['reconstruct', 'RECORDING', '--method', 'keyframes', '--choices', 'NAME'],
+        ['reconstruct', 'RECORDING', '--model', 'NAME'],
+        ['reconstruct', 'RECORDING', '--set', 'solver.prior=NAME'],
+        ['train', 'TRIALS', '--manifest', 'NAME', '-o', 'x.npz'],
+    ],
+)
+def test_an_input_that_is_no_file_is_refused_before_it_is_read(
+    short_recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    name: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for pipe in ('pipe', 'pipe.npz', 'pipe.json'):
+        os.mkfifo(pipe)
+    for link in ('zero.npz', 'zero.json'):
+        Path(link).symlink_to('/dev/zero')
+    np.savez('trials.npz', _joints=np.array(CMU15.joints))
+    path_of = {'RECORDING': str(short_recording), 'TRIALS': 'trials.npz'}
+    assert main([path_of.get(a, a.replace('NAME', name)) for a in arguments]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert name in line
+    assert 'neither a file' in line
+
+
+def test_a_pipe_is_not_waited_for_as_an_output(
+    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    os.mkfifo(tmp_path / 'pipe.npz')
+    assert main(['reconstruct', str(short_recording), '-o', str(tmp_path / 'pipe.npz')]) == 1
+    assert capsys.readouterr().err.endswith('pipe.npz: cannot be written: neither a file nor a folder\n')
+
+
+def test_a_damaged_npz_file_is_told_from_a_single_array(
+    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / 'cut.npz').write_bytes(short_recording.read_bytes()[:-100])
+    with (tmp_path / 'single.npz').open('wb') as file:
+        np.save(file, np.zeros((2, 3)))
+    for name, reason in (
+        ('cut.npz', 'the file is cut off or damaged'),
+        ('single.npz', 'a single array, expected .npz'),
+    ):
+        for arguments, kind in (
+            ([str(tmp_path / name)], 'not a sequence file: '),
+            ([str(short_recording), '--model', str(tmp_path / name)], 'not a base-pose model ('),
+        ):
+            assert main(['reconstruct', *arguments]) == 1
+            assert f'{name}: {kind}{reason}' in capsys.readouterr().err
+
+
+def test_a_lifter_that_cannot_be_read_is_named_by_its_parameter(
+    short_recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['reconstruct', str(short_recording), '--set', 'solver.prior=nofile']) == 1
+    assert capsys.readouterr().err == (
+        'mocap-ros: solver.prior: nofile: No such file or directory; expected learned, pca or a lifter\n'
+    )
+    assert main(['reconstruct', str(short_recording), '--set', f'solver.prior={short_recording}']) == 1
+    assert capsys.readouterr().err == f'mocap-ros: solver.prior: {short_recording}: not a lifter (no meta)\n'
 
 
 @pytest.mark.parametrize('command', ['replay', 'recover'])

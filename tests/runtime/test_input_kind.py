@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,13 @@ def test_kinds_by_name_and_content(tmp_path: Path) -> None:
         (tmp_path / f'a.{suffix}').write_bytes(b'content')
     (tmp_path / 'bad.npz').write_bytes(b'content')
     (tmp_path / 'empty.mp4').touch()
+    os.mkfifo(tmp_path / 'pipe.npz')
+    os.mkfifo(tmp_path / 'pipe.mcap')
+    (tmp_path / 'zero.json').symlink_to('/dev/zero')
     expected = {
+        'pipe.npz': InputKind.SPECIAL,
+        'pipe.mcap': InputKind.SPECIAL,
+        'zero.json': InputKind.SPECIAL,
         'walk.npz': InputKind.SEQUENCE,
         'walk.dat': InputKind.SEQUENCE,
         'bad.npz': InputKind.SEQUENCE,

@@ -98,6 +98,7 @@ def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> No
         ({'joints3d': np.full((FRAMES, 15, 3), np.inf)}, 'joints3d: not finite'),
         ({'seen': np.ones((FRAMES, 15))}, 'seen: holds float64, expected true or false'),
         ({'seen': np.ones((3, 15), bool)}, r'seen: shape \(3, 15\), expected \(40, 15\)'),
+        ({'joints3d': np.full((FRAMES, 15, 3), np.nan)}, 'no frame has a skeleton'),
         ({'timestamps': np.zeros(FRAMES)}, 'timestamps: expected increasing times in s'),
         (
             {'joint_names': np.array([f'j{i}' for i in range(15)])},

@@ -103,6 +103,25 @@ def test_too_few_seen_joints_are_refused() -> None:
         observe().exclude_points(np.arange(15) >= 3).build_solver_window()
 
 
+def test_points_in_one_place_show_nobody() -> None:
+    keypoints, times, _ = make_person()
+    spoilt = keypoints.copy()
+    spoilt[[0, 20, 21, 59]] = [100, 100, 1]
+    spoilt[30, 3:] = np.nan  # three joints, too few to tell
+    spoilt[30, :3, :2] = 100
+    observed = observe_sequence(spoilt, CMU15.joints, times, CAMERA, CONFIG)
+    assert np.flatnonzero((observed.weight == 0).all(axis=1)).tolist() == [0, 20, 21, 59]
+    assert (observed.rays[20] == 0).all()
+    unseen = keypoints.copy()
+    unseen[[0, 20, 21, 59]] = np.nan
+    unseen[30] = spoilt[30]
+    expected = observe_sequence(unseen, CMU15.joints, times, CAMERA, CONFIG)
+    assert (observed.points == expected.points).all()
+    keypoints[:] = [100, 100, 1]
+    with pytest.raises(InputError, match=r'^keypoints: all seen points lie in one place$'):
+        observe_sequence(keypoints, CMU15.joints, times, CAMERA, CONFIG)
+
+
 @SINGLE_CAMERA
 def test_the_solver_gets_the_px_of_a_camera_that_faces_the_person(single_camera: bool) -> None:
     _, _, joints = make_person()

@@ -5,6 +5,7 @@ import pytest
 
 import mocap_ros.tracking.tracker as tracker_module
 from mocap_ros.config import Config, with_values
+from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
@@ -73,6 +74,39 @@ def test_a_tracker_continues_from_a_snapshot_bit_for_bit(tracker: Tracker) -> No
         assert list_values(restored.snapshot()) == list_values(snapshot)
         assert list_values(tuple(feed(restored, 35, LAST))) == expected
         assert list_values(restored.snapshot()) == expected_state
+
+
+@pytest.mark.parametrize(
+    ('models', 'components', 'prior', 'message'),
+    [
+        ('walk', 12, 'pca', r'this tracker has the models walk \(12 base poses\) and no lifter'),
+        (
+            'all',
+            5,
+            'pca',
+            r'with the models all \(12 base poses\) and no lifter; this tracker .* \(5 base poses\)',
+        ),
+        ('all', 12, 'learned', 'and no lifter; this tracker .* and a lifter'),
+    ],
+)
+@pytest.mark.parametrize('after_reset', [False, True])
+def test_the_state_of_another_tracker_is_refused(
+    models: str, components: int, prior: str, message: str, after_reset: bool
+) -> None:
+    def make_tracker(name: str, count: int, its_prior: str) -> Tracker:
+        config = with_values(Config(), {'solver.prior': its_prior, 'tracker.components': count})
+        return Tracker(load_base_pose_models(name), config)
+
+    tracker, other = make_tracker('all', 12, 'pca'), make_tracker(models, components, prior)
+    if after_reset:
+        tracker.reset()
+    feed(tracker, 0, 2)
+    before = list_values(other.snapshot())
+    with pytest.raises(InputError, match=message):
+        other.restore(tracker.snapshot())
+    with pytest.raises(InputError, match='state: expected a TrackerState, got NoneType'):
+        other.restore(None)  # type: ignore[arg-type]
+    assert list_values(other.snapshot()) == before
 
 
 def test_a_frame_that_fails_leaves_no_trace(tracker: Tracker, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,8 +118,8 @@ def reconstruct(
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
-        InputError: No frame has four seen joints, no frame gives a 3D pose, or a choice does not fit the
-            keyframes.
+        InputError: No frame has four seen joints, all seen points lie in one place, no frame gives a 3D pose, or
+            a choice does not fit the keyframes.
     """
     parameters = config.keyframes
     observed = observe_shots(keypoints, joint_names, times, intrinsics, config.tracker)
@@ -159,7 +159,8 @@ def reconstruct(
         smoothing=parameters.smoothing,
         iterations=parameters.iterations,
     )
-    result = _build_result(fit, inliers, seen_points, category, model)
+    in_sight = find_frames_in_sight(observed.weight > 0)
+    result = _build_result(fit, inliers, seen_points, in_sight, category, model)
     return KeyframeResult(result, keyframes, motion, outliers)
 
 
@@ -294,6 +295,7 @@ def _build_result(
     fit: FitResult,
     observed: ObservedWindow,
     points: Array,
+    in_sight: Mask,
     category: str,
     model: BasePoses,
 ) -> SequenceResult:
@@ -303,6 +305,8 @@ def _build_result(
         fit: fitted motion, and how the fit ended.
         observed: window without outliers.
         points: (F, J, 2) px, its image points without the detector's offsets.
+        in_sight: (F,) True from the first to the last frame in which a joint was seen, outliers included; the
+            other frames get no joints.
         category: name of the base poses used.
         model: base poses at the person's stature; their rotations and weights are those nearest to the joints.
     """
@@ -326,5 +330,5 @@ def _build_result(
     )
     camera = observed.virtual_camera
     in_camera = camera.to_real_camera(joints) + camera.root_positions(cameras, translation)[:, None]
-    in_camera[~find_frames_in_sight(seen)] = np.nan
+    in_camera[~in_sight] = np.nan
     return SequenceResult(in_camera, seen, CMU15, category, solution, camera)

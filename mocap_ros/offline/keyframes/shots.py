@@ -57,7 +57,7 @@ def observe_shots(
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
-        InputError: No frame has four seen joints.
+        InputError: No frame has four seen joints, or all seen points lie in one place.
     """
     return observe_sequence(keypoints, joint_names, times, intrinsics, config, CMU15, find_shots)
 

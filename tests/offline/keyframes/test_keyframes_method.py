@@ -10,6 +10,7 @@ from mocap_ros.bags.reader import is_bag
 from mocap_ros.cli.main import main
 from mocap_ros.config import Config, with_values
 from mocap_ros.demo.scene import make_recording
+from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence, save_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.model_file import load_base_pose_models
@@ -64,16 +65,33 @@ def test_a_projected_motion_is_reconstructed_with_and_without_outliers() -> None
 
 
 @pytest.mark.filterwarnings('error')
-@pytest.mark.parametrize('case', ['one frame', 'still', 'half hidden', 'one point'])
+@pytest.mark.parametrize('case', ['one frame', 'still', 'half hidden'])
 def test_degenerate_keypoints(case: str) -> None:
     keypoints, times, _ = make_walk(1 if case == 'one frame' else 40)
     if case == 'still':
         keypoints[:] = keypoints[0]
-    elif case == 'one point':
-        keypoints[..., :2] = 100
     elif case == 'half hidden':
         keypoints[:, [9, 10, 11, 12, 13, 14]] = [np.nan, np.nan, 0]
     assert np.isfinite(reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, CONFIG).result.joints).all()
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('case', ['two sights', 'a last sight far away in time'])
+def test_the_last_sight_may_be_an_outlier(case: str) -> None:
+    keypoints, times, _ = make_walk(60)
+    if case == 'two sights':
+        keypoints[1:59] = np.nan
+    else:
+        times[59] = 1e4
+    found = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, CONFIG)
+    assert found.outliers[59].all(), 'the case is that the whole last sight is dropped'
+    assert np.isfinite(found.result.joints).all()
+
+
+def test_points_in_one_place_are_refused() -> None:
+    keypoints, times, _ = make_walk(40)
+    with pytest.raises(InputError, match='keypoints: all seen points lie in one place'):
+        reconstruct(keypoints * 0 + [100, 100, 1], CMU15.joints, times, CAMERA, MODELS, CONFIG)
 
 
 @pytest.mark.filterwarnings('error')
