@@ -23,6 +23,8 @@ from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.skeleton import keypoint_layout
 
 TIMEOUT_S = 20.0  # s; far above what anything here takes on a busy machine
+# s; an answer that takes longer is lost, because the server had not discovered the client when it answered
+ANSWER_S = 5.0
 FAST_PARAMETERS = ('tracker.model:=walk', 'tracker.iterations:=1', 'tracker.components:=8')
 # A best-effort subscription may miss the first messages.
 RELIABLE_INPUT = 'qos_overrides./keypoints.subscription.reliability:=reliable'
@@ -90,9 +92,13 @@ class Peer:
     def call_service(self, service_class: Any, name: str, **request: object) -> Any:
         client: Any = self.node.create_client(service_class, name)
         self.wait_until(client.service_is_ready)
-        future = client.call_async(service_class.Request(**request))
-        self.wait_until(future.done)
-        return future.result()
+        deadline = time.monotonic() + TIMEOUT_S
+        while time.monotonic() < deadline:
+            future = client.call_async(service_class.Request(**request))
+            self.executor.spin_until_future_complete(future, timeout_sec=ANSWER_S)
+            if future.done():
+                return future.result()
+        raise TimeoutError(name)
 
     def set_parameter(self, name: str, value: Any) -> Any:
         """Set a parameter of the node and return the result, which says whether this was successful."""
