@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _list_bags(folder: Path) -> list[Path]:
     """Return the folders of the bags in a folder."""
-    return [parser.parent for parser in folder.glob('*/metadata.yaml')]
+    return [path.parent for path in folder.glob('*/metadata.yaml')]
 
 
 def _measure_duration(recording: Path) -> float:
@@ -149,7 +149,7 @@ def read_first_person(bag: Path, sequence: KeypointSequence) -> tuple[Array, NDA
             frame = frame_of.get(array.header.stamp.sec * NS_PER_S + array.header.stamp.nanosec)
             if frame is not None and array.people:
                 person = array.people[0]
-                joints[frame] = [(parser.x, parser.y, parser.z) for parser in person.joints]
+                joints[frame] = [(joint.x, joint.y, joint.z) for joint in person.joints]
                 inferred[frame] = person.inferred
     return joints, inferred
 
