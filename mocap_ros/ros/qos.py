@@ -95,12 +95,11 @@ class QosWarnings:
             name: Name of the topic; relative names are resolved.
             policy: Kind of the incompatible policy, as rclpy's event gives it.
         """
-        topic, policy_name = self._node.resolve_topic_name(name), qos_policy_name_from_kind(policy)
         self._warn_once(
-            topic,
-            policy_name,
-            f'{topic}: a subscriber requests a stricter {policy_name} policy than this node offers, so it '
-            'receives nothing; relax that policy in the subscriber',
+            name,
+            policy,
+            '{topic}: a subscriber requests a stricter {policy} policy than this node offers, so it receives '
+            'nothing; relax that policy in the subscriber',
         )
 
     def warn_of_publisher(self, name: str, policy: Any) -> None:
@@ -110,16 +109,16 @@ class QosWarnings:
             name: Name of the topic; relative names are resolved.
             policy: Kind of the incompatible policy, as rclpy's event gives it.
         """
-        topic, policy_name = self._node.resolve_topic_name(name), qos_policy_name_from_kind(policy)
         self._warn_once(
-            topic,
-            policy_name,
-            f'{topic}: a publisher offers a weaker {policy_name} policy than this node requests, so its '
-            'messages are not received; change that policy in the publisher, or set the parameters '
-            f'qos_overrides.{topic}.subscription of this node',
+            name,
+            policy,
+            '{topic}: a publisher offers a weaker {policy} policy than this node requests, so its messages are '
+            'not received; change that policy in the publisher, or set the parameters '
+            'qos_overrides.{topic}.subscription of this node',
         )
 
-    def _warn_once(self, topic: str, policy_name: str, line: str) -> None:
+    def _warn_once(self, name: str, policy: Any, line: str) -> None:
+        topic, policy_name = self._node.resolve_topic_name(name), qos_policy_name_from_kind(policy)
         if (topic, policy_name) not in self._logged:
             self._logged.add((topic, policy_name))
-            self._node.get_logger().warning(line)
+            self._node.get_logger().warning(line.format(topic=topic, policy=policy_name))

@@ -19,7 +19,7 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint
 from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.window import InitialValues, Reconstruction, Window, initialise_from_mean_pose
-from tests.support.synthetic_walk import BODY_TO_OPTICAL, compute_mpjpe, make_walk
+from tests.support.synthetic_walk import BODY_TO_OPTICAL, compute_mpjpe, make_noisy_window, make_walk
 
 # Algorithm 1 and the solvers beside it in the experiments neither estimate the image noise nor discount outliers.
 PAPER = SolverConfig(adapt_noise=False, robust_scale=0.0, prior_weight=1e-7, bone_weight=0.05, flip_weight=1e-5)
@@ -48,12 +48,10 @@ def test_printed_norms_recover_a_synthetic_walk(walk_model: BasePoses) -> None:
 def test_the_objective_of_the_printed_norms_never_rises(
     walk_model: BasePoses, seed: int, bone: float, prior: float, flip: float, missing: float
 ) -> None:
-    _, _, points, times = make_walk(walk_model, frames=12, seed=seed)
-    rng = np.random.default_rng(seed)
-    points = points + 5 * rng.normal(size=points.shape)
-    weight = rng.uniform(0.1, 1, points.shape[:2]) * (rng.random(points.shape[:2]) >= missing)
     config = SolverConfig(bone_weight=bone, prior_weight=prior, flip_weight=flip, components=8, max_iterations=6)
-    history = reconstruct_with_printed_norms(Window(points, weight, times), walk_model, config).history
+    history = reconstruct_with_printed_norms(
+        make_noisy_window(walk_model, seed, missing), walk_model, config
+    ).history
     assert (np.diff(history) <= 1e-9 * np.abs(history[0])).all()
 
 

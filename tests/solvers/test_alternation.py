@@ -26,7 +26,7 @@ from mocap_ros.solvers.alternation import reconstruct
 from mocap_ros.solvers.window import Window
 from mocap_ros.training.base_poses import fit_base_poses
 from tests.support.evaluation_data import shared
-from tests.support.synthetic_walk import compute_mpjpe, make_walk
+from tests.support.synthetic_walk import compute_mpjpe, make_noisy_window, make_walk
 
 
 def test_closed_form_camera_is_close_on_exact_points(walk_model: BasePoses) -> None:
@@ -103,12 +103,8 @@ def test_recovers_a_synthetic_walk(walk_model: BasePoses) -> None:
 def test_objective_never_rises(
     walk_model: BasePoses, seed: int, bone: float, prior: float, flip: float, missing: float
 ) -> None:
-    _, _, points, times = make_walk(walk_model, frames=12, seed=seed)
-    rng = np.random.default_rng(seed)
-    points = points + 5 * rng.normal(size=points.shape)
-    weight = rng.uniform(0.1, 1, points.shape[:2]) * (rng.random(points.shape[:2]) >= missing)
     config = SolverConfig(bone_weight=bone, prior_weight=prior, flip_weight=flip, components=8, max_iterations=6)
-    result = reconstruct(Window(points, weight, times), walk_model, config)
+    result = reconstruct(make_noisy_window(walk_model, seed, missing), walk_model, config)
     steps = np.diff(result.history)
     assert (steps <= 1e-9 * np.abs(result.history[0])).all()
     assert np.isfinite(result.joints).all()

@@ -7,7 +7,7 @@ import numpy as np
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.window import Array, Reconstruction
+from mocap_ros.solvers.window import Array, Reconstruction, Window
 
 # Weights (F, K) m, cameras, points (F, J, 2) px and times (F,) s of a motion.
 Walk = tuple[Array, WeakPerspectiveCameras, Array, Array]
@@ -38,3 +38,12 @@ def compute_mpjpe(
     p = result.joints
     p = p * ((p * truth).sum() / (p * p).sum())
     return float(np.linalg.norm(p - truth, axis=-1).mean() * 1e3)
+
+
+def make_noisy_window(model: BasePoses, seed: int, missing: float) -> Window:
+    """Twelve frames of a walk with 5 px of noise, random scores, and a share of the points missing."""
+    _, _, points, times = make_walk(model, frames=12, seed=seed)
+    rng = np.random.default_rng(seed)
+    points = points + 5 * rng.normal(size=points.shape)
+    weight = rng.uniform(0.1, 1, points.shape[:2]) * (rng.random(points.shape[:2]) >= missing)
+    return Window(points, weight, times)
