@@ -57,6 +57,7 @@ setup(
     install_requires=[
         'numpy>=1.24,<3',
         'scipy>=1.10,<2',
+        'numba>=0.58,<1',
         'mcap>=1.6,<2',
         'rosbags>=0.11.9,<0.12',
         'matplotlib>=3.6,<4',

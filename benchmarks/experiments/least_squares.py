@@ -18,7 +18,7 @@ from scipy.sparse import coo_array, csr_array
 
 from mocap_ros.geometry.rotations import cross_matrix, rotation_from_vector
 from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
-from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness
+from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness, measure_features
 from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
 from mocap_ros.solvers.joint.state import State
@@ -77,7 +77,7 @@ class SparseProblem:
         """Return factors g (F, J) for which |g error|^2 is the robust loss, and their derivatives by |error|^2."""
         p = self.problem
         squared = (error**2).sum(axis=-1)
-        scale = p.reprojection.robust_scale**2 + np.zeros_like(squared)
+        scale = p.reprojection.robust_scale[:, None] ** 2 + np.zeros_like(squared)
         with np.errstate(divide='ignore', invalid='ignore'):
             u = squared / scale
             ratio = np.where(u > 1e-6, np.log1p(u) / u, 1 - u / 2)
@@ -90,12 +90,14 @@ class SparseProblem:
         state, _, means = self.unpack(x)
         fit = p.fit(state)
         factor, _ = self._data_rows(fit.error)
+        features = measure_features(state.rotation, state.log_scale)
         rows = [
             (np.sqrt(p.reprojection.weight) * factor)[..., None] * fit.error,
             np.sqrt(p.bones.weight) * (fit.bone_length - means),
             np.sqrt(p.find_term(BasePosePrior).precision) * state.theta,
             np.sqrt(p.find_term(PoseSmoothness).weight)[:, None] * np.diff(state.theta, axis=0) / p.model.std,
-            np.sqrt(p.find_term(CameraSmoothness).weight) * np.diff(fit.camera_features, axis=0),
+            np.sqrt(p.find_term(CameraSmoothness).weight)
+            * np.diff(measure_features(state.rotation, state.log_scale), axis=0),
         ]
         return np.concatenate([r.ravel() for r in rows])
 

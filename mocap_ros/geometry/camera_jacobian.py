@@ -17,7 +17,10 @@ on the rotation vector alone.
 from __future__ import annotations
 
 import numpy as np
+from numba import void
 from numpy.typing import NDArray
+
+from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INT, kernel
 
 Array = NDArray[np.float64]
 
@@ -62,3 +65,21 @@ def fill_rotation_jacobian(out: Array, points: Array) -> None:
     out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = -z, 0.0, x
     if out.shape[-2] > 2:
         out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = y, -x, 0.0
+
+
+@kernel(void(FLOATS_1D, FLOATS_2D, INT, INT))
+def write_point_jacobian(point: Array, out: Array, row: int, column: int) -> None:
+    """Write the derivatives (3, 4) of one point by rotation vector and log scale into a part of a matrix.
+
+    Args:
+        point: (3,) q, in the camera's frame and scaled.
+        out: matrix that is overwritten.
+        row: first row of the part.
+        column: first column of the part.
+    """
+    x, y, z = point[0], point[1], point[2]
+    out[row, column], out[row, column + 1], out[row, column + 2], out[row, column + 3] = 0.0, z, -y, x
+    row += 1
+    out[row, column], out[row, column + 1], out[row, column + 2], out[row, column + 3] = -z, 0.0, x, y
+    row += 1
+    out[row, column], out[row, column + 1], out[row, column + 2], out[row, column + 3] = y, -x, 0.0, z

@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import void
 from numpy.typing import NDArray
+
+from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, kernel
 
 Array = NDArray[np.float64]
 
@@ -31,6 +34,19 @@ def rotation_from_vector(vector: Array) -> Array:
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     k = cross_matrix(vector)
     return np.eye(3) + np.sinc(angle / np.pi) * k + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (k @ k)
+
+
+@kernel(void(FLOATS_1D, FLOATS_2D))
+def write_rotation_from_vector(vector: Array, out: Array) -> None:
+    """Write the rotation matrix (3, 3) of a rotation vector (3,) in rad; the formula of `rotation_from_vector`."""
+    x, y, z = vector[0], vector[1], vector[2]
+    angle = math.sqrt(x * x + y * y + z * z)
+    half_sinc = math.sin(angle / 2) / (angle / 2) if angle > 0 else 1.0
+    a = math.sin(angle) / angle if angle > 0 else 1.0
+    b = 0.5 * half_sinc * half_sinc
+    out[0, 0], out[0, 1], out[0, 2] = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+    out[1, 0], out[1, 1], out[1, 2] = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
+    out[2, 0], out[2, 1], out[2, 2] = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
 
 
 def quaternion_from_rotation(rotation: Array) -> tuple[float, float, float, float]:

@@ -34,6 +34,7 @@ from mocap_ros.solvers import joint, periodic
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.joint.solver import JointReconstruction
 from mocap_ros.solvers.periodic.solver import EstimatedPoses, PeriodicReconstruction
+from mocap_ros.solvers.stepwise import Stepwise, run_to_end
 from mocap_ros.solvers.window import InitialValues, Window
 
 # Names of the models whose motion can be periodic.
@@ -70,14 +71,23 @@ def choose_category(window: Window, models: Mapping[str, BasePoses], config: Sol
         models: base poses by name of category; at least one.
         config: weights of the solver.
     """
-    fits = {name: joint.solve_hypotheses([window], model, config)[0] for name, model in models.items()}
+    return run_to_end(choose_category_stepwise(window, models, config))
+
+
+def choose_category_stepwise(
+    window: Window, models: Mapping[str, BasePoses], config: SolverConfig
+) -> Stepwise[CategoryChoice]:
+    """Choose as `choose_category` does, in steps."""
+    fits = {}
+    for name, model in models.items():
+        (fits[name],) = yield from joint.solve_hypotheses_stepwise([window], model, config)
+        yield
     noise = max(MIN_COMPARISON_NOISE, min(fit.noise for fit in fits.values()))
-    evidence = {
-        name: minus_twice_log_evidence(
-            replace(window, start=InitialValues(fit.theta, fit.cameras)), models[name], noise, config
-        )[0]
-        for name, fit in fits.items()
-    }
+    evidence = {}
+    for name, fit in fits.items():
+        fitted = replace(window, start=InitialValues(fit.theta, fit.cameras))
+        evidence[name], _ = yield from minus_twice_log_evidence_stepwise(fitted, models[name], noise, config)
+        yield
     best = min(evidence, key=lambda name: evidence[name])
     return CategoryChoice(best, fits[best], evidence)
 
@@ -94,9 +104,17 @@ def minus_twice_log_evidence(
             smaller values are raised to `MIN_COMPARISON_NOISE`.
         config: weights of the solver.
     """
+    return run_to_end(minus_twice_log_evidence_stepwise(window, model, noise, config))
+
+
+def minus_twice_log_evidence_stepwise(
+    window: Window, model: BasePoses, noise: float, config: SolverConfig
+) -> Stepwise[tuple[float, JointReconstruction]]:
+    """Return what `minus_twice_log_evidence` returns, in steps."""
     noise = max(noise, MIN_COMPARISON_NOISE)
     model = model.truncate(config.components)
-    (fit,) = joint.solve([replace(window, noise=noise)], model, replace(config, adapt_noise=True))
+    adaptive = replace(config, adapt_noise=True)
+    (fit,) = yield from joint.solve_stepwise([replace(window, noise=noise)], model, adaptive)
     occam = len(window.times) * np.log1p(OBSERVED_FRACTION * (model.std / noise) ** 2).sum()
     return fit.cost / NOISE_REFERENCE**2 + float(occam), fit
 
@@ -139,13 +157,24 @@ def fit_periodic(
     Raises:
         InputError: none of `models` is of a periodic category, or the periodic solver rejects the window.
     """
+    return run_to_end(fit_periodic_stepwise(window, models, config, initial))
+
+
+def fit_periodic_stepwise(
+    window: Window,
+    models: Mapping[str, BasePoses],
+    config: SolverConfig,
+    initial: EstimatedPoses | None = None,
+) -> Stepwise[PeriodicFit]:
+    """Fit as `fit_periodic` does, in steps."""
     config = replace(config, tolerance=max(config.tolerance, PERIODIC_FIT_TOLERANCE))
     fits = []
     for name in PERIODIC_CATEGORIES:
         if name in models:
             model = models[name]
-            (result,) = periodic.solve([window], model, config, [initial])
+            (result,) = yield from periodic.solve_stepwise([window], model, config, [initial])
             fits.append(_measure_periodic_fit(name, model, result, initial))
+            yield
     if not fits:
         raise InputError(f'no model of {" or ".join(PERIODIC_CATEGORIES)} to fit')
     return min(fits, key=lambda fit: fit.residual)

@@ -34,6 +34,7 @@ from mocap_ros.solvers.periodic.solver import (
     initial_cameras,
     select_most_likely,
 )
+from mocap_ros.solvers.stepwise import run_to_end
 from mocap_ros.solvers.window import InitialValues, Reconstruction, Window
 
 Array = NDArray[np.float64]
@@ -127,8 +128,8 @@ def _solve_window(window: Window, model: BasePoses, config: SolverConfig) -> Rec
     if coarse.noise >= MIN_NOISE_FOR_HYPOTHESES:
         still_camera = objective.with_still_camera(config)
         still = LevenbergMarquardtSearch(still_camera, search.series, search.cameras, search.remaining_trials)
-        search = select_most_likely([search, still])
-    status = search.run(config.tolerance)
+        search = run_to_end(select_most_likely([search, still]))
+    status = run_to_end(search.run(config.tolerance))
     iterations = config.max_iterations - search.remaining_trials
     problem = search.objective.problem
     fit = problem.fit(search.objective.body_state(search.series, search.cameras))

@@ -1,5 +1,17 @@
 """The non-periodic model, solved jointly for cameras and base-pose weights (TPAMI 2016, section 3.4)."""
 
-from mocap_ros.solvers.joint.solver import JointReconstruction, solve, solve_hypotheses
+from mocap_ros.solvers.joint.solver import (
+    JointReconstruction,
+    solve,
+    solve_hypotheses,
+    solve_hypotheses_stepwise,
+    solve_stepwise,
+)
 
-__all__ = ['JointReconstruction', 'solve', 'solve_hypotheses']
+__all__ = [
+    'JointReconstruction',
+    'solve',
+    'solve_hypotheses',
+    'solve_hypotheses_stepwise',
+    'solve_stepwise',
+]

@@ -10,8 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import void
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, kernel
 from mocap_ros.solvers.joint.batch import Subsample
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
 from mocap_ros.solvers.joint.state import Fit
@@ -36,9 +38,7 @@ class BasePosePrior:
 
     def add_to(self, equations: NormalEquations, fit: Fit) -> None:
         """Add the matrix and the gradient, in place."""
-        k = len(self.precision)
-        np.einsum('nii->ni', equations.diagonal)[:, :k] += self.precision
-        equations.gradient[:, :k] += self.precision * fit.state.theta
+        _add_prior(self.precision, fit.state.theta, equations.diagonal, equations.gradient)
 
     def subsampled(self, kept: Subsample) -> BasePosePrior:  # noqa: ARG002, part of the protocol
         """Return the term itself, which is the same in every frame."""
@@ -47,3 +47,12 @@ class BasePosePrior:
     def with_components(self, k: int) -> BasePosePrior:
         """Return the prior of the first `k` weights."""
         return replace(self, precision=self.precision[:k])
+
+
+@kernel(void(FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_2D))
+def _add_prior(precision: Array, theta: Array, diagonal: Array, gradient: Array) -> None:
+    """Add the prior of weights (N, K) to the diagonal blocks (N, n, n) and the gradient (N, n), in place."""
+    for t in range(len(theta)):
+        for i in range(len(precision)):
+            diagonal[t, i, i] += precision[i]
+            gradient[t, i] += precision[i] * theta[t, i]

@@ -21,9 +21,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import types, void
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.blas import add_transposed_product
+from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, INTS_1D, kernel
 from mocap_ros.config import SolverConfig
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint.batch import Batch, Subsample
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
@@ -46,6 +50,8 @@ class BoneLengths:
         children: (B,) index of each bone's outer joint.
         earlier_lengths: (P, B) m, mean bone lengths of the frames before each window.
         earlier_frames: (P,) number of those frames.
+        jacobian: (3 B, n) derivatives of the vectors along the bones by the unknowns of a frame, body frame; a
+            coordinate of a bone in each row.
     """
 
     batch: Batch
@@ -54,21 +60,25 @@ class BoneLengths:
     children: NDArray[np.intp]
     earlier_lengths: Array
     earlier_frames: NDArray[np.intp]
+    jacobian: Array
 
     @staticmethod
     def build(batch: Batch, windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> BoneLengths:
         """Return the term of these windows."""
-        parents, children = (np.array(side) for side in zip(*model.skeleton.bones, strict=True))
-        lengths = model.skeleton.bone_lengths(model.mean)
+        parents, children = np.array(model.skeleton.bones).T
+        mean_lengths = model.skeleton.bone_lengths(model.mean)
+        earlier = [w.earlier_frames for w in windows]
+        k = len(model.components)
+        jacobian = np.zeros((3 * len(parents), k + CAMERA_UNKNOWNS))
+        jacobian[:, :k] = (model.components[:, children] - model.components[:, parents]).reshape(k, -1).T
         return BoneLengths(
             batch=batch,
-            weight=np.full(len(lengths), config.bone_weight),
-            parents=parents,
-            children=children,
-            earlier_lengths=np.array(
-                [lengths if w.earlier_frames is None else w.earlier_frames.mean_bone_lengths for w in windows]
-            ),
-            earlier_frames=np.array([0 if w.earlier_frames is None else w.earlier_frames.count for w in windows]),
+            weight=np.full(len(mean_lengths), config.bone_weight),
+            parents=parents.copy(),
+            children=children.copy(),
+            earlier_lengths=np.array([mean_lengths if e is None else e.mean_bone_lengths for e in earlier]),
+            earlier_frames=np.array([0 if e is None else e.count for e in earlier]),
+            jacobian=jacobian,
         )
 
     @property
@@ -78,40 +88,143 @@ class BoneLengths:
 
     def measure(self, poses: Array) -> tuple[Array, Array, Array, Array]:
         """Return the bones of poses (N, J, 3) m as `Fit` holds them: direction, length, excess and mean length."""
-        vector = poses[:, self.children] - poses[:, self.parents]
-        length = np.maximum(np.sqrt(np.einsum('nbd,nbd->nb', vector, vector)), MIN_LENGTH)
-        total = self.batch.sum_per_sequence(length) + self.earlier_frames[:, None] * self.earlier_lengths
-        mean = total / self.averaged_frames[:, None]
-        return vector / length[..., None], length, length - self.batch.repeat_per_frame(mean), mean
+        batch = self.batch
+        return _measure_bones(
+            poses,
+            self.parents,
+            self.children,
+            batch.starts,
+            batch.counts,
+            self.earlier_lengths,
+            self.earlier_frames,
+        )
 
     def cost(self, fit: Fit) -> Array:
         """(N,) m^2, value in each frame; that of the frames before a window counts for its first frame."""
-        cost = fit.bone_excess**2 @ self.weight
-        earlier = (fit.mean_bone_length - self.earlier_lengths) ** 2 @ self.weight
-        cost[self.batch.starts] += self.earlier_frames * earlier
-        return np.asarray(cost)
+        return _sum_excess(
+            self.weight,
+            fit.bone_excess,
+            fit.mean_bone_length,
+            self.batch.starts,
+            self.earlier_lengths,
+            self.earlier_frames,
+        )
 
     def add_to(self, equations: NormalEquations, fit: Fit) -> None:
         """Add the matrix, the gradient, and the vectors of the low-rank part, in place."""
-        frames, k = fit.state.theta.shape
-        root = np.sqrt(self.weight)
-        basis = np.moveaxis(fit.model.components, 0, -1)  # (J, 3, K)
-        difference = basis[self.children] - basis[self.parents]  # (B, 3, K)
-        by_theta = np.swapaxes(np.swapaxes(fit.bone_direction, 0, 1) @ difference, 0, 1)  # (N, B, K)
-        equations.bones[:, :k] = np.swapaxes(by_theta * root[:, None], -1, -2)
-
-        curvature = self.weight * np.maximum(fit.bone_excess / fit.bone_length, 0)
-        along = by_theta * np.sqrt(self.weight - curvature)[..., None]
-        squares = (np.swapaxes(difference, -1, -2) @ difference).reshape(len(difference), -1)
-        block = np.swapaxes(along, -1, -2) @ along
-        block += (curvature @ squares).reshape(frames, k, k)
-        equations.diagonal[:, :k, :k] += block
-        equations.gradient[:] += (equations.bones @ (root * fit.bone_excess)[..., None])[..., 0]
+        _add_bones(
+            self.weight,
+            self.jacobian,
+            fit.bone_direction,
+            fit.bone_length,
+            fit.bone_excess,
+            equations.bones,
+            equations.diagonal,
+            equations.gradient,
+        )
 
     def subsampled(self, kept: Subsample) -> BoneLengths:
         """Return the term of some frames only."""
         return replace(self, batch=kept.batch)
 
-    def with_components(self, k: int) -> BoneLengths:  # noqa: ARG002, part of the protocol
-        """Return the term itself, which does not depend on the number of base poses."""
-        return self
+    def with_components(self, k: int) -> BoneLengths:
+        """Return the term for the first `k` base poses."""
+        of_camera = self.jacobian[:, -CAMERA_UNKNOWNS:]
+        return replace(self, jacobian=np.concatenate([self.jacobian[:, :k], of_camera], axis=1))
+
+
+@kernel(
+    types.Tuple((FLOATS_3D, FLOATS_2D, FLOATS_2D, FLOATS_2D))(
+        FLOATS_3D, INTS_1D, INTS_1D, INTS_1D, INTS_1D, FLOATS_2D, INTS_1D
+    )
+)
+def _measure_bones(
+    poses: Array,
+    parents: NDArray[np.intp],
+    children: NDArray[np.intp],
+    starts: NDArray[np.intp],
+    counts: NDArray[np.intp],
+    earlier_lengths: Array,
+    earlier_frames: NDArray[np.intp],
+) -> tuple[Array, Array, Array, Array]:
+    """Return direction (N, B, 3), length (N, B), excess (N, B) and mean length (P, B) of the bones of poses."""
+    frames, bones, sequences = len(poses), len(parents), len(starts)
+    direction = np.empty((frames, bones, 3))
+    length, excess = np.empty((frames, bones)), np.empty((frames, bones))
+    mean = np.empty((sequences, bones))
+    for t in range(frames):
+        for b in range(bones):
+            x = poses[t, children[b], 0] - poses[t, parents[b], 0]
+            y = poses[t, children[b], 1] - poses[t, parents[b], 1]
+            z = poses[t, children[b], 2] - poses[t, parents[b], 2]
+            length[t, b] = max(np.sqrt(x * x + y * y + z * z), MIN_LENGTH)
+            direction[t, b, 0] = x / length[t, b]
+            direction[t, b, 1] = y / length[t, b]
+            direction[t, b, 2] = z / length[t, b]
+    for p in range(sequences):
+        own = range(starts[p], starts[p] + counts[p])
+        for b in range(bones):
+            total = earlier_frames[p] * earlier_lengths[p, b]
+            for t in own:
+                total += length[t, b]
+            mean[p, b] = total / (counts[p] + earlier_frames[p])
+            for t in own:
+                excess[t, b] = length[t, b] - mean[p, b]
+    return direction, length, excess, mean
+
+
+@kernel(FLOATS_1D(FLOATS_1D, FLOATS_2D, FLOATS_2D, INTS_1D, FLOATS_2D, INTS_1D))
+def _sum_excess(
+    weight: Array,
+    excess: Array,
+    mean: Array,
+    starts: NDArray[np.intp],
+    earlier_lengths: Array,
+    earlier_frames: NDArray[np.intp],
+) -> Array:
+    """Return the value of the term in each frame (N,), with that of the earlier frames in the first ones."""
+    out = np.zeros(len(excess))
+    for t in range(len(excess)):
+        for b in range(len(weight)):
+            out[t] += weight[b] * excess[t, b] * excess[t, b]
+    for p in range(len(starts)):
+        for b in range(len(weight)):
+            change = mean[p, b] - earlier_lengths[p, b]
+            out[starts[p]] += earlier_frames[p] * weight[b] * change * change
+    return out
+
+
+@kernel(void(FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_2D, FLOATS_2D, FLOATS_3D, FLOATS_3D, FLOATS_2D))
+def _add_bones(
+    weight: Array,
+    jacobian: Array,
+    direction: Array,
+    length: Array,
+    excess: Array,
+    bones: Array,
+    diagonal: Array,
+    gradient: Array,
+) -> None:
+    """Add the term to the diagonal blocks and the gradient, and write the vectors of the low-rank part.
+
+    With D_b (3, n) the Jacobian of the vector along bone b, u_b its direction and c_b the second derivative by its
+    length that is put in (head of this module), the matrix is sum_b D_b^T ((w_b - c_b) u_b u_b^T + c_b I) D_b.
+    """
+    frames, count, _ = direction.shape
+    n = jacobian.shape[1]
+    weighted = np.empty((3 * count, n))
+    for t in range(frames):
+        for b in range(count):
+            u = direction[t, b]
+            curvature = weight[b] * max(excess[t, b] / length[t, b], 0.0)
+            root, pull = np.sqrt(weight[b]), weight[b] * excess[t, b]
+            for i in range(n):
+                x, y, z = jacobian[3 * b, i], jacobian[3 * b + 1, i], jacobian[3 * b + 2, i]
+                along = u[0] * x + u[1] * y + u[2] * z
+                bones[t, i, b] = root * along
+                gradient[t, i] += pull * along
+                stretched = (weight[b] - curvature) * along
+                weighted[3 * b, i] = stretched * u[0] + curvature * x
+                weighted[3 * b + 1, i] = stretched * u[1] + curvature * y
+                weighted[3 * b + 2, i] = stretched * u[2] + curvature * z
+        add_transposed_product(1.0, jacobian, weighted, diagonal[t])

@@ -14,27 +14,19 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import void
 from numpy.typing import NDArray
 
-from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, fill_camera_jacobian
+from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_4D, kernel
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, write_point_jacobian
 from mocap_ros.solvers.joint.batch import Subsample
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
-from mocap_ros.solvers.joint.state import Fit, State
+from mocap_ros.solvers.joint.state import Fit
 
 Array = NDArray[np.float64]
 
-FEATURES = 9  # two rows of M with the image of the vertical (4 + 4), and the logarithm of the scale
-VERTICAL_FEATURES = [3, 7]  # index of the image of the vertical, x and y
+FEATURES = 9  # for both rows of M its three elements and the image of the vertical, then the log of the scale
 LOG_SCALE_FEATURE = 8  # the last of them
-
-
-def camera_features(state: State) -> Array:
-    """(N, 9) the features of the cameras of a state."""
-    scale = np.exp(state.log_scale)[:, None, None]
-    out = np.empty((len(state.theta), FEATURES))
-    out[:, [0, 1, 2]], out[:, [4, 5, 6]] = np.moveaxis(scale * state.rotation[:, :2], 1, 0)
-    out[:, VERTICAL_FEATURES], out[:, LOG_SCALE_FEATURE] = state.rotation[:, :2, 2], state.log_scale
-    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,33 +46,18 @@ class CameraSmoothness:
 
     def cost(self, fit: Fit) -> Array:
         """(N,) m^2, value of each pair of neighbours, counted for the earlier frame."""
-        features = fit.camera_features
-        cost = np.zeros(len(features))
-        cost[:-1] = np.einsum('nc,nc->n', self.weight, (features[1:] - features[:-1]) ** 2)
-        return cost
+        return _measure_change(self.weight, measure_features(fit.state.rotation, fit.state.log_scale))
 
     def add_to(self, equations: NormalEquations, fit: Fit) -> None:
         """Add the matrix, the coupling of neighbouring cameras and the gradient, in place."""
-        frames, k = fit.state.theta.shape
-        columns = np.swapaxes(fit.state.rotation, -1, -2)
-        points = np.empty((frames, 4, 3))
-        points[:, :3] = np.exp(fit.state.log_scale)[:, None, None] * columns
-        points[:, 3] = columns[:, 2]
-        jacobian = np.zeros((frames, FEATURES, CAMERA_UNKNOWNS))
-        of_columns = jacobian[:, :8].reshape(frames, 2, 4, CAMERA_UNKNOWNS)
-        fill_camera_jacobian(np.swapaxes(of_columns, 1, 2), points)
-        jacobian[:, VERTICAL_FEATURES, 3] = 0.0
-        jacobian[:, LOG_SCALE_FEATURE, 3] = 1.0
-        weight = self.weight[..., None]
-        transposed = np.swapaxes(jacobian, -1, -2)
-        stiffness = np.zeros((frames, FEATURES, 1))
-        stiffness[:-1] += weight
-        stiffness[1:] += weight
-        equations.diagonal[:, k:, k:] += transposed @ (stiffness * jacobian)
-        equations.coupling.corner[:] -= transposed[1:] @ (weight * jacobian[:-1])
-        pull = weight * (fit.camera_features[1:] - fit.camera_features[:-1])[..., None]
-        equations.gradient[1:, k:] += (transposed[1:] @ pull)[..., 0]
-        equations.gradient[:-1, k:] -= (transposed[:-1] @ pull)[..., 0]
+        _add_change(
+            self.weight,
+            measure_features(fit.state.rotation, fit.state.log_scale),
+            _differentiate_features(fit.state.rotation, fit.state.log_scale),
+            equations.diagonal,
+            equations.coupling.corner,
+            equations.gradient,
+        )
 
     def subsampled(self, kept: Subsample) -> CameraSmoothness:
         """Return the term of some frames only."""
@@ -89,3 +66,66 @@ class CameraSmoothness:
     def with_components(self, k: int) -> CameraSmoothness:  # noqa: ARG002, part of the protocol
         """Return the term itself, which does not depend on the base poses."""
         return self
+
+
+@kernel(FLOATS_2D(FLOATS_3D, FLOATS_1D))
+def measure_features(rotation: Array, log_scale: Array) -> Array:
+    """Return the features (N, 9) of cameras of rotations (N, 3, 3) and logarithms of the scale (N,)."""
+    out = np.empty((len(log_scale), FEATURES))
+    for t in range(len(log_scale)):
+        scale = np.exp(log_scale[t])
+        for row in range(2):
+            for column in range(3):
+                out[t, 4 * row + column] = scale * rotation[t, row, column]
+            out[t, 4 * row + 3] = rotation[t, row, 2]
+        out[t, LOG_SCALE_FEATURE] = log_scale[t]
+    return out
+
+
+@kernel(FLOATS_3D(FLOATS_3D, FLOATS_1D))
+def _differentiate_features(rotation: Array, log_scale: Array) -> Array:
+    """Return the derivatives (N, 9, 4) of the features by the rotation vector and the logarithm of the scale."""
+    out = np.zeros((len(log_scale), FEATURES, CAMERA_UNKNOWNS))
+    point, block = np.empty(3), np.empty((3, CAMERA_UNKNOWNS))
+    for t in range(len(log_scale)):
+        scale = np.exp(log_scale[t])
+        for column in range(4):  # the columns of s R, then the vertical, which the scale does not move
+            for i in range(3):
+                point[i] = scale * rotation[t, i, column] if column < 3 else rotation[t, i, 2]
+            write_point_jacobian(point, block, 0, 0)
+            for row in range(2):
+                for unknown in range(CAMERA_UNKNOWNS):
+                    if column < 3 or unknown < 3:
+                        out[t, 4 * row + column, unknown] = block[row, unknown]
+        out[t, LOG_SCALE_FEATURE, CAMERA_UNKNOWNS - 1] = 1.0
+    return out
+
+
+@kernel(FLOATS_1D(FLOATS_2D, FLOATS_2D))
+def _measure_change(weight: Array, features: Array) -> Array:
+    """Return the value of each pair of neighbours, (N,), counted for the earlier frame."""
+    out = np.zeros(len(features))
+    for t in range(len(weight)):
+        for c in range(FEATURES):
+            change = features[t + 1, c] - features[t, c]
+            out[t] += weight[t, c] * change * change
+    return out
+
+
+@kernel(void(FLOATS_2D, FLOATS_2D, FLOATS_3D, FLOATS_3D, FLOATS_4D, FLOATS_2D))
+def _add_change(
+    weight: Array, features: Array, jacobian: Array, diagonal: Array, corner: Array, gradient: Array
+) -> None:
+    """Add the term to the diagonal blocks (N, n, n), the corner of the coupling (1, N, 4, 4) and the gradient."""
+    k = gradient.shape[1] - CAMERA_UNKNOWNS
+    for t in range(len(weight)):
+        for c in range(FEATURES):
+            pull = weight[t, c] * (features[t + 1, c] - features[t, c])
+            for i in range(CAMERA_UNKNOWNS):
+                before, after = jacobian[t, c, i], jacobian[t + 1, c, i]
+                gradient[t, k + i] -= before * pull
+                gradient[t + 1, k + i] += after * pull
+                for j in range(CAMERA_UNKNOWNS):
+                    diagonal[t, k + i, k + j] += weight[t, c] * before * jacobian[t, c, j]
+                    diagonal[t + 1, k + i, k + j] += weight[t, c] * after * jacobian[t + 1, c, j]
+                    corner[0, t, i, j] -= weight[t, c] * after * jacobian[t, c, j]

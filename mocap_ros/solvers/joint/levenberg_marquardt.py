@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
-from mocap_ros.solvers.block_banded import BandedCholesky
+from mocap_ros.solvers.block_banded import BlockCholesky
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
 from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.joint.state import Fit, State
+from mocap_ros.solvers.stepwise import Stepwise, run_to_end
 from mocap_ros.solvers.window import SolverStatus
 
 Array = NDArray[np.float64]
@@ -42,13 +43,20 @@ class Descent:
 
     fit: Fit
     equations: NormalEquations
-    banded: BandedCholesky | None
+    banded: BlockCholesky | None
     objective: list[Array]
     iterations: NDArray[np.intp]
     status: NDArray[np.intp]
 
 
 def minimise(objective: JointObjective, state: State, config: SolverConfig, first_damping: float) -> Descent:
+    """Minimise the objective as `minimise_stepwise` does, at once."""
+    return run_to_end(minimise_stepwise(objective, state, config, first_damping))
+
+
+def minimise_stepwise(
+    objective: JointObjective, state: State, config: SolverConfig, first_damping: float
+) -> Stepwise[Descent]:
     """Minimise the objective from a state on.
 
     Args:
@@ -69,6 +77,7 @@ def minimise(objective: JointObjective, state: State, config: SolverConfig, firs
     are_equations_outdated = False
     banded = None
     for _ in range(config.max_iterations):
+        yield
         if are_equations_outdated:
             done_frames = objective.batch.repeat_per_frame(is_done)
             equations = objective.normal_equations(fit).with_frozen(done_frames, equations)

@@ -16,11 +16,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import void
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_4D, kernel
 from mocap_ros.config import SolverConfig
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, fill_camera_jacobian
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
@@ -82,31 +83,19 @@ class LiftedPoseTerm:
 
     def cost(self, fit: Fit) -> Array:
         """(N,) m^2, value of the term in each frame."""
-        squared = self._squared_distance(fit)
-        loss = self.robust_scale**2 * np.log1p(squared / self.robust_scale**2)
-        return np.asarray(self.weight * loss.sum(axis=1))
+        return _sum_loss(self.joints, self.precision, self.weight, self.robust_scale, fit.scaled_poses)
 
     def add_to(self, equations: NormalEquations, fit: Fit) -> None:
-        """Add the matrix and the gradient, in place."""
-        equations.add_rows(*self.rows(fit))
-
-    def rows(self, fit: Fit) -> tuple[Array, Array]:
-        """Return the weighted residuals (N, 3 J) and their derivatives (N, 3 J, n)."""
-        scaled_poses, state = fit.scaled_poses, fit.state
-        frames, joints, _ = scaled_poses.shape
-        k = state.theta.shape[1]
-        basis = np.moveaxis(fit.model.components, 0, -1)  # (J, 3, K)
-        camera = np.exp(state.log_scale)[:, None, None] * state.rotation
-        discount = 1 + self._squared_distance(fit) / self.robust_scale**2
-        root = np.sqrt(self.weight * self.precision / discount[..., None])
-        jacobian = np.empty((frames, joints, 3, k + CAMERA_UNKNOWNS))
-        flat = np.swapaxes(basis, 0, 1).reshape(3, -1)
-        by_theta = (camera.reshape(-1, 3) @ flat).reshape(frames, 3, joints, k)
-        jacobian[..., :k] = np.swapaxes(by_theta, 1, 2)
-        fill_camera_jacobian(jacobian[..., k:], scaled_poses)
-        jacobian *= root[..., None]
-        residual = root * (scaled_poses - self.joints)
-        return residual.reshape(frames, -1), jacobian.reshape(frames, 3 * joints, -1)
+        """Add the matrices and gradients by the joints, in place."""
+        _add_distances(
+            self.joints,
+            self.precision,
+            self.weight,
+            self.robust_scale,
+            fit.scaled_poses,
+            equations.joint_matrix,
+            equations.joint_gradient,
+        )
 
     def subsampled(self, kept: Subsample) -> LiftedPoseTerm:
         """Return the term of some frames only."""
@@ -116,9 +105,41 @@ class LiftedPoseTerm:
         """Return the term itself, which does not depend on the number of base poses."""
         return self
 
-    def _squared_distance(self, fit: Fit) -> Array:
-        """(N, J) squared whitened distances of the joints from the lifted ones."""
-        return np.asarray((self.precision * (fit.scaled_poses - self.joints) ** 2).sum(axis=-1))
+
+@kernel(FLOATS_1D(FLOATS_3D, FLOATS_3D, FLOAT, FLOAT, FLOATS_3D))
+def _sum_loss(joints: Array, precision: Array, weight: float, robust_scale: float, scaled_poses: Array) -> Array:
+    """Return the value of the term in each frame, (N,) m^2."""
+    out = np.zeros(len(joints))
+    c = robust_scale**2
+    for t in range(len(joints)):
+        for j in range(joints.shape[1]):
+            squared = 0.0
+            for i in range(3):
+                squared += precision[t, j, i] * (scaled_poses[t, j, i] - joints[t, j, i]) ** 2
+            out[t] += weight * c * np.log1p(squared / c)
+    return out
+
+
+@kernel(void(FLOATS_3D, FLOATS_3D, FLOAT, FLOAT, FLOATS_3D, FLOATS_4D, FLOATS_2D))
+def _add_distances(
+    joints: Array,
+    precision: Array,
+    weight: float,
+    robust_scale: float,
+    scaled_poses: Array,
+    joint_matrix: Array,
+    joint_gradient: Array,
+) -> None:
+    """Add the quadratic approximation of the term to the matrices (N, J, 3, 3) and gradients (N, 3 J)."""
+    for t in range(len(joints)):
+        for j in range(joints.shape[1]):
+            squared = 0.0
+            for i in range(3):
+                squared += precision[t, j, i] * (scaled_poses[t, j, i] - joints[t, j, i]) ** 2
+            for i in range(3):
+                stiffness = weight * precision[t, j, i] / (1 + squared / robust_scale**2)
+                joint_matrix[t, j, i, i] += stiffness
+                joint_gradient[t, 3 * j + i] += stiffness * (scaled_poses[t, j, i] - joints[t, j, i])
 
 
 def fit_initial_values(lifted: LiftedPoses, window: Window, model: BasePoses) -> InitialValues | None:

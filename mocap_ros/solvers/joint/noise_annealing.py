@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,10 @@ from numpy.typing import NDArray
 from mocap_ros.config import SolverConfig
 from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
 from mocap_ros.solvers.joint.batch import MIN_TIME_STEP, Batch
-from mocap_ros.solvers.joint.levenberg_marquardt import Descent, minimise
+from mocap_ros.solvers.joint.levenberg_marquardt import Descent, minimise_stepwise
 from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.joint.state import State
+from mocap_ros.solvers.stepwise import Stepwise, run_to_end
 from mocap_ros.solvers.window import Window
 
 Array = NDArray[np.float64]
@@ -36,9 +38,17 @@ COLD_DAMPING = 0.1  # first damping where nothing has been solved yet; tuned on 
 CONTINUED_DAMPING = 1e-4  # first damping where a round goes on from the one before
 
 
-def anneal(
+Annealed: TypeAlias = tuple[JointObjective, State, NDArray[np.intp]]
+
+
+def anneal(objective: JointObjective, state: State, windows: Sequence[Window], config: SolverConfig) -> Annealed:
+    """Find the noise as `anneal_stepwise` does, at once."""
+    return run_to_end(anneal_stepwise(objective, state, windows, config))
+
+
+def anneal_stepwise(
     objective: JointObjective, state: State, windows: Sequence[Window], config: SolverConfig
-) -> tuple[JointObjective, State, NDArray[np.intp]]:
+) -> Stepwise[Annealed]:
     """Find the noise of each window that does not give it.
 
     Args:
@@ -67,18 +77,20 @@ def anneal(
     for level, least in zip(COARSE_NOISE_M, (*COARSE_NOISE_M[1:], FINE_NOISE_M[0]), strict=True):
         k = max(int((objective.model.std >= MIN_STD_OVER_NOISE * level).sum()), MIN_COMPONENTS)
         current = coarse_objective.with_noise(noise).with_components(k)
-        descent = minimise(current, coarse.with_components(k), rough, damping)
+        descent = yield from minimise_stepwise(current, coarse.with_components(k), rough, damping)
         iterations += descent.iterations
         coarse = coarse.with_leading_weights(descent.fit.state)
         noise = updated_noise(current, descent, least)
         damping = CONTINUED_DAMPING
+        yield
     state = objective.with_optimal_translation(interpolate(coarse, kept.frames, objective.batch)).state
     for least in (*FINE_NOISE_M[1:], 0.0):
         current = objective.with_noise(noise)
-        descent = minimise(current, state, rough, damping)
+        descent = yield from minimise_stepwise(current, state, rough, damping)
         iterations += descent.iterations
         state, before = descent.fit.state, noise
         noise = updated_noise(current, descent, least)
+        yield
         if np.array_equal(noise, before):
             break
     return objective.with_noise(noise), state, iterations

@@ -4,9 +4,18 @@ A step x solves
 
     (A - sum_p sum_b g_pb g_pb^T / F_p) x = -g
 
-where A is block tridiagonal, with one n x n block a frame and couplings between neighbouring frames; the low-rank
-part comes from the mean bone lengths of each sequence p, which are eliminated exactly (`bone_lengths`). The
-translations are eliminated within each frame (`reprojection`).
+where A is block banded, with one n x n block a frame and couplings between neighbouring frames; the low-rank part
+comes from the mean bone lengths of each sequence p, which are eliminated exactly (`bone_lengths`).
+
+Terms of the joints' positions. Such a term need not know how the unknowns move the joints: it adds its matrix M_j
+(3, 3) and half its gradient m_j (3,) by the scaled position q_j = s R P_j of each joint in the camera's frame.
+With J = dq / dx (3 J, n),
+
+    A_t += J^T M J - u u^T / w,    g_t += J^T m - u v / w,    u = J^T U
+
+is added once for all of them (`transfer_from_joints`). U (3 J, 2), w and v (2,) belong to the translation of the
+frame, which is eliminated: U holds the mixed second derivatives by the joints and the translation, w the second
+derivative and v half the gradient by the translation.
 """
 
 from __future__ import annotations
@@ -14,11 +23,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import void
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.blas import (
+    add_product_transposed,
+    add_transposed_product,
+    divide_by_lower_transposed,
+    factorise_cholesky,
+    solve_lower,
+)
+from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_4D, INTS_1D, kernel
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, write_point_jacobian
 from mocap_ros.solvers.block_banded import Coupling
+from mocap_ros.solvers.joint.state import Fit
 
 Array = NDArray[np.float64]
+
+COUPLED_FRAMES = 1  # next frames with which each frame is coupled: the terms compare neighbours
+MIN_INFORMATION = 1e-9  # m^2; keeps a block solvable in which the image does not determine an unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,50 +49,86 @@ class NormalEquations:
     """The equations of a batch; terms add to the arrays in place while the equations are built.
 
     Attributes:
-        data: (N, 2 J, n) weighted Jacobian of the reprojection, by which the noise estimate counts the unknowns.
         diagonal: (N, n, n) diagonal blocks of A.
         coupling: blocks of A between neighbouring frames.
         gradient: (N, n) half the gradient of the objective.
         bones: (N, n, B) the vectors g of the mean bone lengths.
+        joint_jacobian: (N, 3 J, n) derivatives of the scaled joint positions by the unknowns.
+        joint_matrix: (N, J, 3, 3) matrices M_j of all terms but the reprojection.
+        image_matrix: (N, J, 3, 3) matrices M_j of the reprojection, by which the noise estimate counts the
+            unknowns.
+        joint_gradient: (N, 3 J) the vectors m_j.
+        translation_coupling: (N, 3 J, 2) the matrices U.
+        translation_matrix: (N,) the numbers w.
+        translation_gradient: (N, 2) the vectors v.
     """
 
-    data: Array
     diagonal: Array
     coupling: Coupling
     gradient: Array
     bones: Array
+    joint_jacobian: Array
+    joint_matrix: Array
+    image_matrix: Array
+    joint_gradient: Array
+    translation_coupling: Array
+    translation_matrix: Array
+    translation_gradient: Array
 
     @staticmethod
-    def from_rows(residual: Array, jacobian: Array, bones: int, camera_unknowns: int) -> NormalEquations:
-        """InitialValues with the reprojection; couplings and low-rank part are still zero.
+    def begin(fit: Fit, basis: Array, bones: int) -> NormalEquations:
+        """Return equations to which no term has added yet.
 
         Args:
-            residual: (N, 2 J) weighted reprojection errors, translations eliminated.
-            jacobian: (N, 2 J, n) their derivatives by the unknowns of their own frame.
-            bones: number of bones B.
-            camera_unknowns: number of unknowns of a camera, the last ones of each frame.
+            fit: of the state at hand.
+            basis: (3 J, K) the base poses, a coordinate of a joint in each row.
+            bones: number of bones.
         """
-        transposed = np.swapaxes(jacobian, -1, -2)
-        frames, _, n = jacobian.shape
-        corner = np.zeros((frames - 1, camera_unknowns, camera_unknowns))
+        frames, joints, _ = fit.scaled_poses.shape
+        n = basis.shape[1] + CAMERA_UNKNOWNS
+        jacobian = differentiate_joints(fit.state.rotation, fit.state.log_scale, fit.scaled_poses, basis)
         return NormalEquations(
-            data=jacobian,
-            diagonal=transposed @ jacobian,
-            coupling=Coupling(np.zeros((frames - 1, n)), corner),
-            gradient=(transposed @ residual[..., None])[..., 0],
+            diagonal=np.zeros((frames, n, n)),
+            coupling=Coupling.zeros(COUPLED_FRAMES, frames, n, CAMERA_UNKNOWNS),
+            gradient=np.zeros((frames, n)),
             bones=np.zeros((frames, n, bones)),
+            joint_jacobian=jacobian,
+            joint_matrix=np.zeros((frames, joints, 3, 3)),
+            image_matrix=np.zeros((frames, joints, 3, 3)),
+            joint_gradient=np.zeros((frames, 3 * joints)),
+            translation_coupling=np.zeros((frames, 3 * joints, 2)),
+            translation_matrix=np.zeros(frames),
+            translation_gradient=np.zeros((frames, 2)),
         )
 
-    def add_rows(self, residual: Array, jacobian: Array) -> None:
-        """Add a sum of squares within each frame, in place.
+    def transfer_from_joints(self) -> None:
+        """Add what the terms of the joints' positions have added to the matrix and the gradient, in place."""
+        _transfer_from_joints(
+            self.joint_jacobian,
+            self.joint_matrix,
+            self.image_matrix,
+            self.joint_gradient,
+            self.translation_coupling,
+            self.translation_matrix,
+            self.translation_gradient,
+            self.diagonal,
+            self.gradient,
+        )
 
-        Args:
-            residual: (N, R) residuals, each times the root of its weight.
-            jacobian: (N, R, n) their derivatives by the unknowns of their own frame, weighted likewise.
+    def count_absorbed_coordinates(self, frames: NDArray[np.intp]) -> Array:
+        """Return how many image coordinates of some frames (M,) the unknowns fit away, (M,).
+
+        It is the trace of A_t^-1 D_t with D_t the part of A_t that the reprojection has added, plus the two
+        coordinates that the translation takes; the neighbours of a frame are held.
         """
-        transposed = np.swapaxes(jacobian, -1, -2)
-        self.diagonal[:] += transposed @ jacobian
-        self.gradient[:] += (transposed @ residual[..., None])[..., 0]
+        return _count_absorbed_coordinates(
+            frames,
+            self.diagonal,
+            self.joint_jacobian,
+            self.image_matrix,
+            self.translation_coupling,
+            self.translation_matrix,
+        )
 
     def with_frozen(self, frames: NDArray[np.bool_], old: NormalEquations) -> NormalEquations:
         """Put the matrices of the old equations into the frames (N,) of sequences that have converged.
@@ -77,11 +136,127 @@ class NormalEquations:
         Their factorisation then stays that of the step with which they converged.
         """
         if frames.any():
-            for new, before in ((self.data, old.data), (self.diagonal, old.diagonal)):
+            for new, before in (
+                (self.diagonal, old.diagonal),
+                (self.bones, old.bones),
+                (self.joint_jacobian, old.joint_jacobian),
+                (self.image_matrix, old.image_matrix),
+                (self.translation_coupling, old.translation_coupling),
+                (self.translation_matrix, old.translation_matrix),
+            ):
                 new[frames] = before[frames]
             for new, before in (
                 (self.coupling.diagonal, old.coupling.diagonal),
                 (self.coupling.corner, old.coupling.corner),
             ):
-                new[frames[:-1]] = before[frames[:-1]]
+                new[:, frames] = before[:, frames]
         return self
+
+
+@kernel(FLOATS_3D(FLOATS_3D, FLOATS_1D, FLOATS_3D, FLOATS_2D))
+def differentiate_joints(rotation: Array, log_scale: Array, scaled_poses: Array, basis: Array) -> Array:
+    """Return the derivatives (N, 3 J, n) of scaled joint positions q = s R P, P = Q_0 + sum_l theta_l Q_l.
+
+    Args:
+        rotation: (N, 3, 3) body frame to camera frame.
+        log_scale: (N,) logarithm of the scale s.
+        scaled_poses: (N, J, 3) m, the positions q.
+        basis: (3 J, K) the base poses, a coordinate of a joint in each row.
+    """
+    frames, joints, _ = scaled_poses.shape
+    k = basis.shape[1]
+    out = np.empty((frames, 3 * joints, k + CAMERA_UNKNOWNS))
+    for t in range(frames):
+        scale = np.exp(log_scale[t])
+        for j in range(joints):
+            for row in range(3):
+                a, b, c = scale * rotation[t, row, 0], scale * rotation[t, row, 1], scale * rotation[t, row, 2]
+                for i in range(k):
+                    out[t, 3 * j + row, i] = (
+                        a * basis[3 * j, i] + b * basis[3 * j + 1, i] + c * basis[3 * j + 2, i]
+                    )
+            write_point_jacobian(scaled_poses[t, j], out[t], 3 * j, k)
+    return out
+
+
+@kernel(void(FLOATS_3D, FLOATS_2D, FLOATS_2D))
+def _multiply_blocks(matrices: Array, jacobian: Array, out: Array) -> None:
+    """Write the rows M_j J_j (3 J, n) of matrices (J, 3, 3) and a Jacobian (3 J, n)."""
+    n = jacobian.shape[1]
+    for j in range(len(matrices)):
+        m = matrices[j]
+        for row in range(3):
+            for i in range(n):
+                out[3 * j + row, i] = (
+                    m[row, 0] * jacobian[3 * j, i]
+                    + m[row, 1] * jacobian[3 * j + 1, i]
+                    + m[row, 2] * jacobian[3 * j + 2, i]
+                )
+
+
+@kernel(void(FLOATS_3D, FLOATS_4D, FLOATS_4D, FLOATS_2D, FLOATS_3D, FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_2D))
+def _transfer_from_joints(
+    jacobian: Array,
+    joint_matrix: Array,
+    image_matrix: Array,
+    joint_gradient: Array,
+    translation_coupling: Array,
+    translation_matrix: Array,
+    translation_gradient: Array,
+    diagonal: Array,
+    gradient: Array,
+) -> None:
+    """Add J^T M J - u u^T / w to the diagonal blocks and J^T m - u v / w to the gradient (head of this module)."""
+    frames, rows, n = jacobian.shape
+    weighted = np.empty((rows, n))
+    for t in range(frames):
+        _multiply_blocks(joint_matrix[t] + image_matrix[t], jacobian[t], weighted)
+        add_transposed_product(1.0, jacobian[t], weighted, diagonal[t])
+        by_joints = np.zeros((n, 1))
+        add_transposed_product(1.0, jacobian[t], joint_gradient[t].reshape((rows, 1)), by_joints)
+        by_translation = np.zeros((n, 2))
+        if translation_matrix[t] > 0:
+            add_transposed_product(1.0, jacobian[t], translation_coupling[t], by_translation)
+            add_product_transposed(-1 / translation_matrix[t], by_translation, by_translation, diagonal[t])
+            by_translation /= translation_matrix[t]
+        for i in range(n):
+            gradient[t, i] += (
+                by_joints[i, 0]
+                - by_translation[i, 0] * translation_gradient[t, 0]
+                - by_translation[i, 1] * translation_gradient[t, 1]
+            )
+
+
+@kernel(FLOATS_1D(INTS_1D, FLOATS_3D, FLOATS_3D, FLOATS_4D, FLOATS_3D, FLOATS_1D))
+def _count_absorbed_coordinates(
+    examined: NDArray[np.intp],
+    diagonal: Array,
+    jacobian: Array,
+    image_matrix: Array,
+    translation_coupling: Array,
+    translation_matrix: Array,
+) -> Array:
+    """Return tr(A_t^-1 D_t) + 2 for some frames (M,); see `NormalEquations.count_absorbed_coordinates`."""
+    _, rows, n = jacobian.shape
+    weighted = np.empty((rows, n))
+    out = np.zeros(len(examined))
+    for index in range(len(examined)):
+        t = examined[index]
+        part = np.zeros((n, n))
+        _multiply_blocks(image_matrix[t], jacobian[t], weighted)
+        add_transposed_product(1.0, jacobian[t], weighted, part)
+        if translation_matrix[t] > 0:
+            by_translation = np.zeros((n, 2))
+            add_transposed_product(1.0, jacobian[t], translation_coupling[t], by_translation)
+            add_product_transposed(-1 / translation_matrix[t], by_translation, by_translation, part)
+        factor = diagonal[t].copy()
+        for i in range(n):
+            factor[i, i] += MIN_INFORMATION
+        out[index] = 2.0
+        if not factorise_cholesky(factor):
+            continue
+        solve_lower(factor, part)
+        divide_by_lower_transposed(part, factor)
+        for i in range(n):
+            out[index] += part[i, i]
+    return out

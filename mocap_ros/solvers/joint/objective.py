@@ -19,18 +19,20 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
+from numba import void
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.blas import add_product, solve_lower
+from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, INTS_1D, kernel
 from mocap_ros.config import SolverConfig
-from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, fill_rotation_jacobian
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.block_banded import BandedCholesky, factorise_banded, solve_low_rank_downdate
+from mocap_ros.solvers.block_banded import BlockCholesky, factorise_blocks, solve_low_rank_downdate
 from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
 from mocap_ros.solvers.joint.batch import Batch, Subsample
 from mocap_ros.solvers.joint.bone_lengths import BoneLengths
-from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness, camera_features
+from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness
 from mocap_ros.solvers.joint.lifted_pose import LiftedPoseTerm
-from mocap_ros.solvers.joint.normal_equations import NormalEquations
+from mocap_ros.solvers.joint.normal_equations import NormalEquations, differentiate_joints
 from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
 from mocap_ros.solvers.joint.reprojection import Reprojection
 from mocap_ros.solvers.joint.state import Fit, State
@@ -41,9 +43,6 @@ Array = NDArray[np.float64]
 AnyTerm = TypeVar('AnyTerm')
 
 NOISE_REFERENCE = 0.01  # m; image noise at the body for which the weights in the configuration are given
-FIXED_STIFFNESS = (
-    1e9  # m^2; stiffness of the unknowns of frames that keep their initial values: far above any real one
-)
 MIN_DIAGONAL = 1e-12  # added to the diagonal, for unknowns on which nothing depends (a frame without seen joints)
 MIN_FREE_SHARE = (
     0.05  # of the coordinates; where the unknowns fit nearly all of them, so many still measure the noise
@@ -59,18 +58,20 @@ class JointObjective:
     Attributes:
         model: base poses.
         batch: which frames belong to which sequence.
+        basis: (3 J, K) the base poses, a coordinate of a joint in each row.
         reprojection: the term of the image points.
         bones: the term of the bone lengths.
-        terms: all further terms, the bone lengths included.
-        fixed: (N,) True for frames that keep their initial values.
+        terms: all terms, those two included.
+        is_free: (N,) False for frames that keep their initial values.
     """
 
     model: BasePoses
     batch: Batch
+    basis: Array
     reprojection: Reprojection
     bones: BoneLengths
     terms: tuple[Term, ...]
-    fixed: NDArray[np.bool_]
+    is_free: NDArray[np.bool_]
 
     @staticmethod
     def build(windows: Sequence[Window], units: Array, model: BasePoses, config: SolverConfig) -> JointObjective:
@@ -94,8 +95,10 @@ class JointObjective:
         if lifted is not None:
             prior, smooth = config.lifter_prior_factor * prior, config.lifter_smooth_factor * smooth
             flip = config.lifter_flip_factor * flip
+        reprojection = Reprojection.build(windows, units, config)
         bones = BoneLengths.build(batch, windows, model, config)
         terms: list[Term] = [
+            reprojection,
             bones,
             BasePosePrior(prior / model.std**2),
             PoseSmoothness(smooth * batch.inverse_time_steps),
@@ -106,10 +109,11 @@ class JointObjective:
         return JointObjective(
             model=model,
             batch=batch,
-            reprojection=Reprojection.build(windows, units, config),
+            basis=_flatten_base_poses(model),
+            reprojection=reprojection,
             bones=bones,
             terms=tuple(terms),
-            fixed=np.concatenate([np.arange(len(w.times)) < w.fixed_frames for w in windows]),
+            is_free=np.concatenate([np.arange(len(w.times)) >= w.fixed_frames for w in windows]),
         )
 
     def find_term(self, kind: type[AnyTerm]) -> AnyTerm:
@@ -118,27 +122,31 @@ class JointObjective:
 
     def with_components(self, k: int) -> JointObjective:
         """Return the objective with the first `k` base poses."""
-        terms = tuple(term.with_components(k) for term in self.terms)
-        return replace(self, model=self.model.truncate(k), terms=terms)
+        model, bones = self.model.truncate(k), self.bones.with_components(k)
+        terms = tuple(bones if term is self.bones else term.with_components(k) for term in self.terms)
+        return replace(self, model=model, basis=_flatten_base_poses(model), bones=bones, terms=terms)
 
     def subsampled(self, step: float) -> tuple[JointObjective, Subsample]:
         """Return the objective of the best-seen frame of every `step` s, and which frames those are."""
         kept = self.batch.subsample(step, self.reprojection.weight.sum(axis=1))
-        bones = self.bones.subsampled(kept)
+        bones, reprojection = self.bones.subsampled(kept), self.reprojection.subsampled(kept)
+        further = (term.subsampled(kept) for term in self.terms if term not in (self.bones, self.reprojection))
         objective = replace(
             self,
             batch=kept.batch,
-            reprojection=self.reprojection.subsampled(kept),
+            reprojection=reprojection,
             bones=bones,
-            terms=tuple(bones if term is self.bones else term.subsampled(kept) for term in self.terms),
-            fixed=self.fixed[kept.frames],
+            terms=(reprojection, bones, *further),
+            is_free=self.is_free[kept.frames],
         )
         return objective, kept
 
     def with_noise(self, noise: Array) -> JointObjective:
         """Return the objective under image noise of these standard deviations (P,) m, one a sequence."""
         ratio = self.batch.repeat_per_frame(noise / NOISE_REFERENCE)
-        return replace(self, reprojection=self.reprojection.with_variance_ratio(ratio))
+        reprojection = self.reprojection.with_variance_ratio(ratio)
+        terms = tuple(reprojection if term is self.reprojection else term for term in self.terms)
+        return replace(self, reprojection=reprojection, terms=terms)
 
     def estimate_noise(self, fit: Fit, equations: NormalEquations) -> Array:
         """(P,) m, standard deviation of a coordinate of an image point with score 1, from the residual.
@@ -150,73 +158,70 @@ class JointObjective:
             fit: of the state at hand.
             equations: of that state or of one nearby.
         """
-        weight, ratio = self.reprojection.weight, self.reprojection.variance_ratio
-        loss = ratio[:, None] * weight * self.reprojection.loss(fit)
-        coordinates = 2 * self.batch.sum_per_sequence((weight > 0).sum(axis=1))
-        free = np.maximum(coordinates - self._absorbed(equations), MIN_FREE_SHARE * coordinates + 1)
-        return np.sqrt(self.batch.sum_per_sequence(loss.sum(axis=1)) / free)
+        reprojection = self.reprojection
+        squares = self.batch.sum_per_sequence(reprojection.variance_ratio * reprojection.cost(fit))
+        coordinates = 2 * self.batch.sum_per_sequence((reprojection.weight > 0).sum(axis=1))
+        free = np.maximum(coordinates - self._count_absorbed(equations), MIN_FREE_SHARE * coordinates + 1)
+        return np.sqrt(squares / free)
 
-    def _absorbed(self, equations: NormalEquations) -> Array:
+    def _count_absorbed(self, equations: NormalEquations) -> Array:
         """(P,) number of coordinates that the unknowns fit away, extrapolated from some frames of a sequence."""
         counts, starts = self.batch.counts, self.batch.starts
         stride = -(-counts // (NOISE_FRAMES + counts // NOISE_FRAME_STEP))
-        number = np.arange(len(self.fixed)) - self.batch.repeat_per_frame(starts)
-        frames = np.flatnonzero(number % self.batch.repeat_per_frame(stride) == 0)
         examined = -(-counts // stride)
-        block = equations.diagonal[frames] + 1e-9 * np.eye(equations.diagonal.shape[1])
-        data = np.swapaxes(equations.data[frames], -1, -2)
-        absorbed = 2 + (data * np.linalg.solve(block, data)).sum(axis=(1, 2))
+        frames = np.concatenate([np.arange(s, s + c, d) for s, c, d in zip(starts, counts, stride, strict=True)])
+        absorbed = equations.count_absorbed_coordinates(frames)
         return np.add.reduceat(absorbed, np.cumsum(examined) - examined) * (counts / examined)
 
-    def fit(self, state: State) -> Fit:
-        """Return what the terms measure in a state."""
-        poses = self.model.poses(state.theta)
-        scale = np.exp(state.log_scale)[:, None, None]
-        scaled_poses = scale * (poses @ np.swapaxes(state.rotation, -1, -2))
-        depth, error = self.reprojection.depth_and_error(scaled_poses, state.translation)
+    def fit(self, state: State, *, settle_translation: bool = False) -> Fit:
+        """Return what the terms measure in a state.
+
+        Args:
+            state: the unknowns.
+            settle_translation: whether each translation is first moved to its optimum (one step of the robust
+                fit).
+        """
+        frames, joints = self.reprojection.weight.shape
+        theta, rotation = np.ascontiguousarray(state.theta), np.ascontiguousarray(state.rotation)
+        poses, scaled_poses = np.empty((frames, joints, 3)), np.empty((frames, joints, 3))
+        _pose_bodies(theta, rotation, state.log_scale, self.basis, self.model.mean, poses, scaled_poses)
+        translation, depth, error, squared_error = self.reprojection.measure(
+            scaled_poses, state.translation, settle_translation=settle_translation
+        )
         direction, length, excess, mean = self.bones.measure(poses)
         return Fit(
-            state=state,
-            model=self.model,
-            scaled_poses=scaled_poses,
-            depth=depth,
-            error=error,
-            squared_error=np.einsum('njd,njd->nj', error, error),
-            bone_direction=direction,
-            bone_length=length,
-            bone_excess=excess,
-            mean_bone_length=mean,
-            camera_features=camera_features(state),
+            State(theta, rotation, state.log_scale, translation),
+            self.model,
+            scaled_poses,
+            depth,
+            error,
+            squared_error,
+            direction,
+            length,
+            excess,
+            mean,
         )
 
     def with_optimal_translation(self, state: State) -> Fit:
         """Return the fit of the state with each translation at its optimum (one step of the robust fit)."""
-        fit = self.fit(state)
-        shift = self.reprojection.optimal_shift(fit)
-        error = fit.error + shift[:, None] / fit.depth[..., None]
-        return replace(
-            fit,
-            state=replace(state, translation=state.translation + shift),
-            error=error,
-            squared_error=np.einsum('njd,njd->nj', error, error),
-        )
+        return self.fit(state, settle_translation=True)
 
     def cost(self, fit: Fit) -> Array:
         """(P,) m^2, value of the objective of each sequence."""
-        per_frame = self.reprojection.cost(fit)
-        for term in self.terms:
+        per_frame = self.terms[0].cost(fit)
+        for term in self.terms[1:]:
             per_frame += term.cost(fit)
         return self.batch.sum_per_sequence(per_frame)
 
     def normal_equations(self, fit: Fit) -> NormalEquations:
         """Return the equations of a Gauss-Newton step."""
-        residual, jacobian = self.reprojection.rows(fit)
-        equations = NormalEquations.from_rows(residual, jacobian, len(self.bones.weight), CAMERA_UNKNOWNS)
+        equations = NormalEquations.begin(fit, self.basis, len(self.bones.weight))
         for term in self.terms:
             term.add_to(equations, fit)
+        equations.transfer_from_joints()
         return equations
 
-    def step(self, equations: NormalEquations, damping: Array) -> tuple[Array, BandedCholesky] | None:
+    def step(self, equations: NormalEquations, damping: Array) -> tuple[Array, BlockCholesky] | None:
         """Solve for a Levenberg-Marquardt step.
 
         Args:
@@ -227,36 +232,33 @@ class JointObjective:
             The step (N, n), and the factored matrix without its low-rank part; None where the matrix is not
             positive definite.
         """
+        batch = self.batch
         diagonal = equations.diagonal.copy()
-        on_diagonal = np.einsum('nii->ni', diagonal)
-        on_diagonal *= 1 + self.batch.repeat_per_frame(damping)[:, None]
-        on_diagonal += MIN_DIAGONAL
-        on_diagonal[self.fixed] += FIXED_STIFFNESS
-        banded = factorise_banded(diagonal, equations.coupling)
-        if banded is None:
+        _damp(damping, batch.starts, batch.counts, diagonal)
+        factor = factorise_blocks(diagonal, equations.coupling, self.is_free)
+        if factor is None:
             return None
         strength = 1 / self.bones.averaged_frames
-        step = -solve_low_rank_downdate(banded, equations.gradient, equations.bones, strength, self.batch.starts)
-        return step, banded
+        step = solve_low_rank_downdate(
+            factor, equations.gradient, equations.bones, strength, batch.starts, batch.counts
+        )
+        return None if step is None else (-step, factor)
 
-    def joint_std(self, fit: Fit, banded: BandedCholesky) -> Array:
+    def joint_std(self, fit: Fit, factor: BlockCholesky) -> Array:
         """(P, J) m, posterior standard deviation of each sequence's last joints about the body's origin.
 
         It is the root of the trace of each joint's covariance. The last block of a Cholesky factor is that of the
         marginal distribution of the last unknowns.
         """
         last = self.batch.starts + self.batch.counts - 1
-        k = fit.state.theta.shape[1]
-        inverse = np.linalg.inv(banded.diagonal_blocks(last, k + CAMERA_UNKNOWNS))
-        rotation = fit.state.rotation[last]
-        basis = np.swapaxes(self.model.components, 0, 1)  # (J, K, 3)
-        by_theta = np.swapaxes(basis @ np.swapaxes(rotation, -1, -2)[:, None], -1, -2)
-        joints = fit.scaled_poses[last] / np.exp(fit.state.log_scale[last])[:, None, None]
-        jacobian = np.zeros((*joints.shape, k + CAMERA_UNKNOWNS))  # (P, J, 3, n), by the log scale 0
-        jacobian[..., :k] = by_theta
-        fill_rotation_jacobian(jacobian[..., k : k + 3], joints)
-        whitened = jacobian @ np.swapaxes(inverse, -1, -2)[:, None]
-        return np.asarray(NOISE_REFERENCE * np.sqrt((whitened**2).sum(axis=(-2, -1))))
+        state = fit.state
+        jacobian = differentiate_joints(
+            state.rotation[last],
+            np.zeros(len(last)),
+            np.exp(-state.log_scale[last])[:, None, None] * fit.scaled_poses[last],
+            self.basis,
+        )
+        return NOISE_REFERENCE * _spread_of_joints(factor.diagonal[last], jacobian)
 
     def initial_state(self, starts: Sequence[InitialValues], units: Array) -> State:
         """Return the state at these starts, with the translations at the centroids of the image points.
@@ -269,3 +271,60 @@ class JointObjective:
         rotation = np.concatenate([s.cameras.rotation for s in starts])
         scale = np.concatenate([s.cameras.scale / unit for s, unit in zip(starts, units, strict=True)])
         return State(theta, rotation, np.log(scale), self.reprojection.centroids())
+
+
+def _flatten_base_poses(model: BasePoses) -> Array:
+    """Return the base poses as (3 J, K), a coordinate of a joint in each row."""
+    return np.ascontiguousarray(model.components.reshape(len(model.components), -1).T)
+
+
+@kernel(void(FLOATS_2D, FLOATS_3D, FLOATS_1D, FLOATS_2D, FLOATS_2D, FLOATS_3D, FLOATS_3D))
+def _pose_bodies(
+    theta: Array, rotation: Array, log_scale: Array, basis: Array, mean: Array, poses: Array, scaled_poses: Array
+) -> None:
+    """Write the poses P = Q_0 + sum_l theta_l Q_l in the body frame and s R P in the camera's, both (N, J, 3)."""
+    frames, k = theta.shape
+    joints = len(mean)
+    for t in range(frames):
+        pose = poses[t]
+        pose[:] = mean
+        add_product(1.0, basis, theta[t].reshape((k, 1)), pose.reshape((3 * joints, 1)))
+        scale = np.exp(log_scale[t])
+        r = rotation[t]
+        for j in range(joints):
+            x, y, z = pose[j, 0], pose[j, 1], pose[j, 2]
+            for i in range(3):
+                scaled_poses[t, j, i] = scale * (r[i, 0] * x + r[i, 1] * y + r[i, 2] * z)
+
+
+@kernel(void(FLOATS_1D, INTS_1D, INTS_1D, FLOATS_3D))
+def _damp(damping: Array, starts: NDArray[np.intp], counts: NDArray[np.intp], diagonal: Array) -> None:
+    """Multiply the diagonals of blocks (N, n, n) by 1 + the damping (P,) of their sequence, in place."""
+    for p in range(len(starts)):
+        for t in range(starts[p], starts[p] + counts[p]):
+            for i in range(diagonal.shape[1]):
+                diagonal[t, i, i] += damping[p] * diagonal[t, i, i] + MIN_DIAGONAL
+
+
+@kernel(FLOATS_2D(FLOATS_3D, FLOATS_3D))
+def _spread_of_joints(factor: Array, jacobian: Array) -> Array:
+    """Return the root of the trace of J_j (L L^T)^-1 J_j^T for each joint of P frames, (P, J).
+
+    Args:
+        factor: (P, n, n) blocks L in the lower triangles.
+        jacobian: (P, 3 J, n) derivatives J of joints of a given size, which the log scale does not move.
+    """
+    frames, rows, n = jacobian.shape
+    out = np.zeros((frames, rows // 3))
+    for p in range(frames):
+        right = np.zeros((n, rows))
+        for i in range(n - 1):
+            for row in range(rows):
+                right[i, row] = jacobian[p, row, i]
+        solve_lower(factor[p], right)
+        for i in range(n):
+            for row in range(rows):
+                out[p, row // 3] += right[i, row] ** 2
+        for j in range(rows // 3):
+            out[p, j] = np.sqrt(out[p, j])
+    return out

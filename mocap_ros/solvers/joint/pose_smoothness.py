@@ -11,8 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import void
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, kernel
 from mocap_ros.solvers.joint.batch import Subsample
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
 from mocap_ros.solvers.joint.state import Fit
@@ -32,24 +34,18 @@ class PoseSmoothness:
 
     def cost(self, fit: Fit) -> Array:
         """(N,) m^2, value of each pair of neighbours, counted for the earlier frame."""
-        theta = fit.state.theta
-        cost = np.zeros(len(theta))
-        cost[:-1] = self.weight * ((theta[1:] - theta[:-1]) ** 2 @ fit.model.std**-2)
-        return cost
+        return _measure_change(self.weight, fit.model.std, fit.state.theta)
 
     def add_to(self, equations: NormalEquations, fit: Fit) -> None:
         """Add the matrix, the coupling of neighbours and the gradient, in place."""
-        theta = fit.state.theta
-        k = theta.shape[1]
-        precision = 1 / fit.model.std**2
-        stiffness = np.zeros(len(theta))
-        stiffness[:-1] += self.weight
-        stiffness[1:] += self.weight
-        np.einsum('nii->ni', equations.diagonal)[:, :k] += stiffness[:, None] * precision
-        equations.coupling.diagonal[:, :k] -= self.weight[:, None] * precision
-        pull = self.weight[:, None] * (theta[1:] - theta[:-1]) * precision
-        equations.gradient[1:, :k] += pull
-        equations.gradient[:-1, :k] -= pull
+        _add_change(
+            self.weight,
+            fit.model.std,
+            fit.state.theta,
+            equations.diagonal,
+            equations.coupling.diagonal,
+            equations.gradient,
+        )
 
     def subsampled(self, kept: Subsample) -> PoseSmoothness:
         """Return the term of some frames only."""
@@ -58,3 +54,30 @@ class PoseSmoothness:
     def with_components(self, k: int) -> PoseSmoothness:  # noqa: ARG002, part of the protocol
         """Return the term itself; the standard deviations are those of the model of the fit."""
         return self
+
+
+@kernel(FLOATS_1D(FLOATS_1D, FLOATS_1D, FLOATS_2D))
+def _measure_change(weight: Array, std: Array, theta: Array) -> Array:
+    """Return the value of each pair of neighbours, (N,), counted for the earlier frame."""
+    out = np.zeros(len(theta))
+    for t in range(len(weight)):
+        for i in range(len(std)):
+            change = (theta[t + 1, i] - theta[t, i]) / std[i]
+            out[t] += weight[t] * change * change
+    return out
+
+
+@kernel(void(FLOATS_1D, FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_3D, FLOATS_2D))
+def _add_change(
+    weight: Array, std: Array, theta: Array, diagonal: Array, coupling: Array, gradient: Array
+) -> None:
+    """Add the term to the diagonal blocks (N, n, n), to the coupling (1, N, n) and to the gradient (N, n)."""
+    for t in range(len(weight)):
+        for i in range(len(std)):
+            stiffness = weight[t] / (std[i] * std[i])
+            pull = stiffness * (theta[t + 1, i] - theta[t, i])
+            diagonal[t, i, i] += stiffness
+            diagonal[t + 1, i, i] += stiffness
+            coupling[0, t, i] -= stiffness
+            gradient[t, i] -= pull
+            gradient[t + 1, i] += pull

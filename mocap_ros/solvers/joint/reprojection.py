@@ -7,8 +7,14 @@ with x_tj the image point in px, s0 the sequence's unit in px/m, f the focal len
 weak perspective, where d = 1), w_tj the detector's score, and v_t the variance of the image noise over that of the
 reference (10 mm). So image errors are metres at the body.
 
-The translation t_t is never an unknown of the step: given the others, the optimum makes all errors relative to
-their weighted mean, and the rows of the normal equations are those of the errors less that mean.
+The errors are those of the scaled joint positions q_tj = s_t R_t P_tj in the camera's frame, so the term adds to
+the normal equations through the joints (`normal_equations`). With a_tj = e_tj + x_tj / s0 the projected joint and
+E_tj its derivatives by the joint,
+
+    E_tj = (1 0 -a_x/f; 0 1 -a_y/f) / d_tj,    M_tj = u E^T E,    m_tj = u E^T e,    u = w_tj rho'(|e_tj|^2) / v_t
+
+The translation t_t is never an unknown of the step; it is eliminated with U_tj = u E^T / d, w = sum_j u / d^2 and
+v = sum_j u e / d.
 """
 
 from __future__ import annotations
@@ -17,11 +23,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import void
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.kernel import BOOL, FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_4D, kernel
 from mocap_ros.config import SolverConfig
-from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, fill_camera_jacobian
 from mocap_ros.solvers.joint.batch import Subsample
+from mocap_ros.solvers.joint.normal_equations import NormalEquations
 from mocap_ros.solvers.joint.state import Fit
 from mocap_ros.solvers.window import Window
 
@@ -40,8 +48,8 @@ class Reprojection:
         image: (N, J, 2) m, image points in the sequence's unit.
         weight: (N, J) detector scores over `variance_ratio`.
         variance_ratio: (N,) variance of the image noise over that of the reference.
-        robust_scale: (N, 1) m, scale c of Cauchy's loss; infinite for least squares.
-        focal: (N, 1) focal length in the sequence's unit (m); infinite for weak perspective.
+        robust_scale: (N,) m, scale c of Cauchy's loss; infinite for least squares.
+        focal: (N,) focal length in the sequence's unit (m); infinite for weak perspective.
     """
 
     image: Array
@@ -60,8 +68,8 @@ class Reprojection:
             image=np.concatenate([w.points / unit for w, unit in zip(windows, units, strict=True)]),
             weight=np.concatenate([w.weight for w in windows]),
             variance_ratio=np.ones(frames),
-            robust_scale=np.full((frames, 1), robust),
-            focal=np.repeat([w.focal / unit for w, unit in zip(windows, units, strict=True)], counts)[:, None],
+            robust_scale=np.full(frames, robust),
+            focal=np.repeat([w.focal / unit for w, unit in zip(windows, units, strict=True)], counts),
         )
 
     def subsampled(self, kept: Subsample) -> Reprojection:
@@ -88,67 +96,176 @@ class Reprojection:
             self,
             weight=self.weight * (self.variance_ratio / ratio**2)[:, None],
             variance_ratio=ratio**2,
-            robust_scale=self.robust_scale * (np.maximum(ratio, 1) / np.maximum(old, 1))[:, None],
+            robust_scale=self.robust_scale * (np.maximum(ratio, 1) / np.maximum(old, 1)),
         )
 
-    def depth_and_error(self, scaled_poses: Array, translation: Array) -> tuple[Array, Array]:
-        """Return the relative depths (N, J) and the errors (N, J, 2) m of scaled poses (N, J, 3)."""
-        depth = np.maximum(1 + scaled_poses[..., 2] / self.focal, MIN_DEPTH)
-        error = (scaled_poses[..., :2] + translation[:, None]) / depth[..., None] - self.image
-        return depth, error
+    def measure(
+        self, scaled_poses: Array, translation: Array, *, settle_translation: bool
+    ) -> tuple[Array, Array, Array, Array]:
+        """Project scaled poses.
 
-    def optimal_shift(self, fit: Fit) -> Array:
-        """(N, 2) m, change that brings each translation to its weighted optimum (one step of the robust fit)."""
-        weight = self._robust_weight(fit) / fit.depth
-        total = np.maximum((weight / fit.depth).sum(axis=1), MIN_TOTAL_WEIGHT)[:, None]
-        return np.asarray(-np.einsum('nj,njd->nd', weight, fit.error) / total)
+        Args:
+            scaled_poses: (N, J, 3) m.
+            translation: (N, 2) m.
+            settle_translation: whether to move each translation to its optimum, by one step of the robust fit.
+
+        Returns:
+            The translation (N, 2), relative depths (N, J), errors (N, J, 2) m and their squared lengths (N, J).
+        """
+        frames, joints = self.weight.shape
+        translation = translation.copy()
+        depth, squared = np.empty((frames, joints)), np.empty((frames, joints))
+        error = np.empty((frames, joints, 2))
+        _project(
+            scaled_poses,
+            self.image,
+            self.weight,
+            self.robust_scale,
+            self.focal,
+            settle_translation,
+            translation,
+            depth,
+            error,
+            squared,
+        )
+        return translation, depth, error, squared
 
     def centroids(self) -> Array:
         """(N, 2) m, weighted centroids of the image points."""
         total = np.maximum(self.weight.sum(axis=1), MIN_TOTAL_WEIGHT)[:, None]
         return np.asarray((self.weight[..., None] * self.image).sum(axis=1) / total)
 
-    def loss(self, fit: Fit) -> Array:
-        """(N, J) m^2, rho of the squared errors."""
-        if np.isinf(self.robust_scale[0, 0]):
-            return fit.squared_error
-        return np.asarray(self.robust_scale**2 * np.log1p(fit.squared_error / self.robust_scale**2))
-
     def cost(self, fit: Fit) -> Array:
         """(N,) m^2, value of the term in each frame."""
-        return np.asarray(np.einsum('nj,nj->n', self.weight, self.loss(fit)))
+        return _sum_loss(self.weight, self.robust_scale, fit.squared_error)
 
-    def rows(self, fit: Fit) -> tuple[Array, Array]:
-        """Return the weighted errors (N, 2 J) and their derivatives (N, 2 J, n), translations eliminated."""
-        frames, joints = fit.squared_error.shape
-        jacobian = self._jacobian(fit)
-        residual = np.swapaxes(fit.depth[..., None] * fit.error, 1, 2)  # (N, 2, J)
-        weight = self._robust_weight(fit) / fit.depth**2
-        share = (weight / np.maximum(weight.sum(axis=1), MIN_TOTAL_WEIGHT)[:, None])[:, None]
-        root = np.sqrt(weight)[:, None]
-        jacobian -= share[:, :, None] @ jacobian
-        jacobian *= root[..., None]
-        residual = root * (residual - (share * residual).sum(axis=2, keepdims=True))
-        return residual.reshape(frames, -1), jacobian.reshape(frames, 2 * joints, -1)
+    def add_to(self, equations: NormalEquations, fit: Fit) -> None:
+        """Add the matrices and gradients by the joints and by the translation, in place."""
+        _add_errors(
+            self.image,
+            self.weight,
+            self.robust_scale,
+            self.focal,
+            fit.depth,
+            fit.error,
+            fit.squared_error,
+            equations.image_matrix,
+            equations.joint_gradient,
+            equations.translation_coupling,
+            equations.translation_matrix,
+            equations.translation_gradient,
+        )
 
-    def _robust_weight(self, fit: Fit) -> Array:
-        """(N, J) weights of the squared errors in the quadratic approximation of the robust loss."""
-        return np.asarray(self.weight / (1 + fit.squared_error / self.robust_scale**2))
+    def with_components(self, k: int) -> Reprojection:  # noqa: ARG002, part of the protocol
+        """Return the term itself, which does not depend on the number of base poses."""
+        return self
 
-    def _jacobian(self, fit: Fit) -> Array:
-        """(N, 2, J, n) derivatives of the image points by the unknowns, times each joint's depth."""
-        state, scaled_poses = fit.state, fit.scaled_poses
-        frames, k = state.theta.shape
-        joints = scaled_poses.shape[1]
-        basis = np.moveaxis(fit.model.components, 0, -1)  # (J, 3, K)
-        perspective = bool(np.isfinite(self.focal).any())
-        rows = 3 if perspective else 2
-        camera = np.exp(state.log_scale)[:, None, None] * state.rotation[:, :rows]
-        flat = np.swapaxes(basis, 0, 1).reshape(3, -1)
-        jacobian = np.empty((frames, rows, joints, k + CAMERA_UNKNOWNS))
-        jacobian[..., :k] = (camera.reshape(-1, 3) @ flat).reshape(frames, rows, joints, k)
-        fill_camera_jacobian(np.swapaxes(jacobian[..., k:], 1, 2), scaled_poses)
-        if not perspective:
-            return jacobian
-        inward = np.swapaxes((fit.error + self.image) / self.focal[..., None], 1, 2)[..., None]
-        return np.asarray(jacobian[:, :2] - inward * jacobian[:, 2:])
+
+@kernel(
+    void(FLOATS_3D, FLOATS_3D, FLOATS_2D, FLOATS_1D, FLOATS_1D, BOOL, FLOATS_2D, FLOATS_2D, FLOATS_3D, FLOATS_2D)
+)
+def _project(
+    scaled_poses: Array,
+    image: Array,
+    weight: Array,
+    robust_scale: Array,
+    focal: Array,
+    settle_translation: bool,
+    translation: Array,
+    depth: Array,
+    error: Array,
+    squared: Array,
+) -> None:
+    """Write depths, errors and squared errors, and the optimal translations; see `Reprojection.measure`."""
+    frames, joints = weight.shape
+    for t in range(frames):
+        total, shift_x, shift_y = 0.0, 0.0, 0.0
+        for j in range(joints):
+            d = max(1 + scaled_poses[t, j, 2] / focal[t], MIN_DEPTH)
+            x = (scaled_poses[t, j, 0] + translation[t, 0]) / d - image[t, j, 0]
+            y = (scaled_poses[t, j, 1] + translation[t, 1]) / d - image[t, j, 1]
+            depth[t, j], error[t, j, 0], error[t, j, 1], squared[t, j] = d, x, y, x * x + y * y
+            u = weight[t, j] / (1 + squared[t, j] / robust_scale[t] ** 2) / d
+            total += u / d
+            shift_x -= u * x
+            shift_y -= u * y
+        if not settle_translation:
+            continue
+        total = max(total, MIN_TOTAL_WEIGHT)
+        shift_x, shift_y = shift_x / total, shift_y / total
+        translation[t, 0] += shift_x
+        translation[t, 1] += shift_y
+        for j in range(joints):
+            x, y = error[t, j, 0] + shift_x / depth[t, j], error[t, j, 1] + shift_y / depth[t, j]
+            error[t, j, 0], error[t, j, 1], squared[t, j] = x, y, x * x + y * y
+
+
+@kernel(FLOATS_1D(FLOATS_2D, FLOATS_1D, FLOATS_2D))
+def _sum_loss(weight: Array, robust_scale: Array, squared: Array) -> Array:
+    """Return sum_j w_tj rho(|e_tj|^2) of each frame, (N,)."""
+    frames, joints = weight.shape
+    out = np.zeros(frames)
+    for t in range(frames):
+        c = robust_scale[t] ** 2
+        for j in range(joints):
+            out[t] += weight[t, j] * (squared[t, j] if np.isinf(c) else c * np.log1p(squared[t, j] / c))
+    return out
+
+
+@kernel(
+    void(
+        FLOATS_3D,
+        FLOATS_2D,
+        FLOATS_1D,
+        FLOATS_1D,
+        FLOATS_2D,
+        FLOATS_3D,
+        FLOATS_2D,
+        FLOATS_4D,
+        FLOATS_2D,
+        FLOATS_3D,
+        FLOATS_1D,
+        FLOATS_2D,
+    )
+)
+def _add_errors(
+    image: Array,
+    weight: Array,
+    robust_scale: Array,
+    focal: Array,
+    depth: Array,
+    error: Array,
+    squared: Array,
+    image_matrix: Array,
+    joint_gradient: Array,
+    translation_coupling: Array,
+    translation_matrix: Array,
+    translation_gradient: Array,
+) -> None:
+    """Add the term to what the normal equations hold by joints and translations (formulas at the head)."""
+    frames, joints = weight.shape
+    for t in range(frames):
+        for j in range(joints):
+            d, x, y = depth[t, j], error[t, j, 0], error[t, j, 1]
+            u = weight[t, j] / (1 + squared[t, j] / robust_scale[t] ** 2)
+            a, b = -(x + image[t, j, 0]) / focal[t], -(y + image[t, j, 1]) / focal[t]
+            v = u / (d * d)
+            m = image_matrix[t, j]
+            m[0, 0] += v
+            m[1, 1] += v
+            m[0, 2] += v * a
+            m[2, 0] += v * a
+            m[1, 2] += v * b
+            m[2, 1] += v * b
+            m[2, 2] += v * (a * a + b * b)
+            pull = u / d
+            joint_gradient[t, 3 * j] += pull * x
+            joint_gradient[t, 3 * j + 1] += pull * y
+            joint_gradient[t, 3 * j + 2] += pull * (a * x + b * y)
+            translation_coupling[t, 3 * j, 0] += v
+            translation_coupling[t, 3 * j + 1, 1] += v
+            translation_coupling[t, 3 * j + 2, 0] += v * a
+            translation_coupling[t, 3 * j + 2, 1] += v * b
+            translation_matrix[t] += v
+            translation_gradient[t, 0] += pull * x
+            translation_gradient[t, 1] += pull * y

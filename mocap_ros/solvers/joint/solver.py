@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from mocap_ros.config import SolverConfig
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.joint.levenberg_marquardt import Descent, minimise
+from mocap_ros.solvers.joint.levenberg_marquardt import Descent, minimise_stepwise
 from mocap_ros.solvers.joint.lifted_pose import fit_initial_values
-from mocap_ros.solvers.joint.noise_annealing import COLD_DAMPING, CONTINUED_DAMPING, anneal
+from mocap_ros.solvers.joint.noise_annealing import COLD_DAMPING, CONTINUED_DAMPING, anneal_stepwise
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective
 from mocap_ros.solvers.joint.state import Fit
+from mocap_ros.solvers.stepwise import Stepwise, run_to_end
 from mocap_ros.solvers.window import (
     Reconstruction,
     SolverStatus,
@@ -64,24 +65,34 @@ def solve(windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> 
     Raises:
         InputError: no frame of a window has four seen joints, or only some of the windows have lifted poses.
     """
+    return run_to_end(solve_stepwise(windows, model, config))
+
+
+def solve_stepwise(
+    windows: Sequence[Window], model: BasePoses, config: SolverConfig
+) -> Stepwise[tuple[JointReconstruction, ...]]:
+    """Reconstruct as `solve` does, in steps."""
     model = model.truncate(config.components)
     is_warm = all(w.start is not None and (w.noise is not None or not config.adapt_noise) for w in windows)
     windows = [start_from_lifted_poses(w, model) for w in windows]
     chosen = [choose_initial_values(w, model, config.start_window) for w in windows]
+    yield
     starts = [start for start, _ in chosen]
     units = np.array([unit for _, unit in chosen])
     objective = JointObjective.build(windows, units, model, config)
     state = objective.with_optimal_translation(objective.initial_state(starts, units)).state
     if not is_warm:
         state = objective.with_optimal_translation(state).state
+    yield
     damping = COLD_DAMPING
     earlier_iterations = np.zeros(len(windows), int)
     if config.adapt_noise:
-        objective, state, earlier_iterations = anneal(objective, state, windows, config)
+        objective, state, earlier_iterations = yield from anneal_stepwise(objective, state, windows, config)
         damping = CONTINUED_DAMPING
     if is_warm:
         damping = WARM_DAMPING
-    descent = minimise(objective, state, config, damping)
+    descent = yield from minimise_stepwise(objective, state, config, damping)
+    yield
     return _make_reconstructions(objective, windows, units, descent, earlier_iterations)
 
 
@@ -100,16 +111,24 @@ def solve_hypotheses(
         model: base poses, metric.
         config: as for `solve`.
     """
+    return run_to_end(solve_hypotheses_stepwise(windows, model, config))
+
+
+def solve_hypotheses_stepwise(
+    windows: Sequence[Window], model: BasePoses, config: SolverConfig
+) -> Stepwise[tuple[JointReconstruction, ...]]:
+    """Reconstruct as `solve_hypotheses` does, in steps."""
     count = config.heading_hypotheses if model.aligned_by_heading else config.hypotheses
     if all(w.lifted is not None for w in windows):
         count = 1
     if count == 1:
-        return solve(windows, model, config)
+        return (yield from solve_stepwise(windows, model, config))
     batch: list[Window] = []
     for window in windows:
         start, unit = choose_initial_values(window, model.truncate(config.components), config.start_window)
         batch += [replace(window, start=s, unit=unit) for s in (start, reverse_depth(start))]
-    results = solve(batch, model, config)
+        yield
+    results = yield from solve_stepwise(batch, model, config)
     return tuple(
         min(pair, key=lambda r: negative_log_posterior(r, w, config))
         for pair, w in zip(zip(results[::2], results[1::2], strict=True), windows, strict=True)

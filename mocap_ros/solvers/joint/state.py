@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import void
 from numpy.typing import NDArray
 
-from mocap_ros.geometry.rotations import rotation_from_vector
+from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, kernel
+from mocap_ros.geometry.rotations import write_rotation_from_vector
 from mocap_ros.models.base_poses import BasePoses
 
 Array = NDArray[np.float64]
@@ -38,14 +40,9 @@ class State:
 
     def advanced(self, step: Array) -> State:
         """Return the state after a step (N, K + 4)."""
-        k = self.theta.shape[1]
-        change = np.clip(step[:, k + 3], -MAX_LOG_SCALE_STEP, MAX_LOG_SCALE_STEP)
-        return State(
-            self.theta + step[:, :k],
-            rotation_from_vector(step[:, k : k + 3]) @ self.rotation,
-            self.log_scale + change,
-            self.translation,
-        )
+        theta, rotation, log_scale = self.theta.copy(), self.rotation.copy(), self.log_scale.copy()
+        _advance(np.ascontiguousarray(step), theta, rotation, log_scale)
+        return State(theta, rotation, log_scale, self.translation)
 
     def select(self, frames: NDArray[np.intp]) -> State:
         """Return the state of some frames."""
@@ -70,6 +67,27 @@ class State:
         )
 
 
+@kernel(void(FLOATS_2D, FLOATS_2D, FLOATS_3D, FLOATS_1D))
+def _advance(step: Array, theta: Array, rotation: Array, log_scale: Array) -> None:
+    """Add a step (N, K + 4) to the other arguments, in place."""
+    k = theta.shape[1]
+    turn = np.empty((3, 3))
+    vector = np.empty(3)
+    for t in range(len(theta)):
+        for i in range(k):
+            theta[t, i] += step[t, i]
+        for i in range(3):
+            vector[i] = step[t, k + i]
+        write_rotation_from_vector(vector, turn)
+        before = rotation[t].copy()
+        for i in range(3):
+            for j in range(3):
+                rotation[t, i, j] = (
+                    turn[i, 0] * before[0, j] + turn[i, 1] * before[1, j] + turn[i, 2] * before[2, j]
+                )
+        log_scale[t] += min(max(step[t, k + 3], -MAX_LOG_SCALE_STEP), MAX_LOG_SCALE_STEP)
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A state, and the quantities that the terms of the objective measure in it.
@@ -85,7 +103,6 @@ class Fit:
         bone_length: (N, B) m.
         bone_excess: (N, B) m, bone lengths less their mean over the sequence.
         mean_bone_length: (P, B) m, mean of the bone lengths over the sequence and what came before it.
-        camera_features: (N, 9) what the camera terms compare between neighbours (`camera_smoothness`).
     """
 
     state: State
@@ -98,4 +115,3 @@ class Fit:
     bone_length: Array
     bone_excess: Array
     mean_bone_length: Array
-    camera_features: Array

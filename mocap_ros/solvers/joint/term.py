@@ -1,4 +1,4 @@
-"""What every term of the joint objective offers beside the reprojection.
+"""What every term of the joint objective offers.
 
 A new term is a file with a class of this form, and a line in `objective.JointObjective.build`.
 """

@@ -1,5 +1,5 @@
 """The periodic model: base-pose weights as Fourier series of time (TPAMI 2016, section 3.3)."""
 
-from mocap_ros.solvers.periodic.solver import EstimatedPoses, PeriodicReconstruction, solve
+from mocap_ros.solvers.periodic.solver import EstimatedPoses, PeriodicReconstruction, solve, solve_stepwise
 
-__all__ = ['EstimatedPoses', 'PeriodicReconstruction', 'solve']
+__all__ = ['EstimatedPoses', 'PeriodicReconstruction', 'solve', 'solve_stepwise']

@@ -43,6 +43,7 @@ from mocap_ros.solvers.joint.state import State
 from mocap_ros.solvers.periodic.fourier import FourierSeries, fit_initial_series
 from mocap_ros.solvers.periodic.normal_equations import ReducedNormalEquations
 from mocap_ros.solvers.periodic.objective import PeriodicObjective, rotations_about_vertical
+from mocap_ros.solvers.stepwise import Stepwise, ignore_overflow, run_to_end
 from mocap_ros.solvers.window import InitialValues, Reconstruction, SolverStatus, Window
 
 Array = NDArray[np.float64]
@@ -107,13 +108,24 @@ def solve(
     Raises:
         InputError: the equations cannot be solved, or the result is not finite because numbers are too large.
     """
+    return run_to_end(solve_stepwise(windows, model, config, initial))
+
+
+def solve_stepwise(
+    windows: Sequence[Window],
+    model: BasePoses,
+    config: SolverConfig,
+    initial: Sequence[EstimatedPoses | None] | None = None,
+) -> Stepwise[tuple[PeriodicReconstruction, ...]]:
+    """Reconstruct as `solve` does, in steps."""
     model = model.truncate(config.components)
     all_poses = initial or [None] * len(windows)
-    with np.errstate(all='ignore'):  # numbers that overflow are found in the result
-        return tuple(
-            _solve_window(replace(window, lifted=None), poses, model, config)
-            for window, poses in zip(windows, all_poses, strict=True)
-        )
+    results = []
+    for window, poses in zip(windows, all_poses, strict=True):
+        work = _solve_window(replace(window, lifted=None), poses, model, config)
+        result = yield from ignore_overflow(work)  # numbers that overflow are found in the result
+        results.append(result)
+    return tuple(results)
 
 
 def _solve_window(
@@ -121,14 +133,14 @@ def _solve_window(
     initial: EstimatedPoses | None,
     model: BasePoses,
     config: SolverConfig,
-) -> PeriodicReconstruction:
+) -> Stepwise[PeriodicReconstruction]:
     """Reconstruct one window in a length unit of 2^exponent px, which changes no digit of the result."""
     exponent = _extent_exponent(window)
     scaled = _scale_window(window, -exponent)
     try:
-        start, noise = _choose_initial_values(scaled, initial, exponent, model, config)
+        start, noise = yield from _choose_initial_values(scaled, initial, exponent, model, config)
         unit = scaled.unit or float(np.median(start.cameras.scale))
-        fit = _fit_window(scaled, start, noise, unit, model, config)
+        fit = yield from _fit_window(scaled, start, noise, unit, model, config)
     except LinAlgError as error:
         raise InputError(f'no periodic motion can be fitted: {error}') from None
     cameras = WeakPerspectiveCameras(np.ldexp(fit.cameras.scale, exponent), fit.cameras.rotation)
@@ -173,7 +185,7 @@ def _scale_window(window: Window, exponent: int) -> Window:
 
 def _choose_initial_values(
     window: Window, initial: EstimatedPoses | None, exponent: int, model: BasePoses, config: SolverConfig
-) -> tuple[InitialValues, float]:
+) -> Stepwise[tuple[InitialValues, float]]:
     """Return weights of this model's base poses and cameras, and the image noise (m).
 
     They are those of the given poses, whose image lengths have not been scaled by 2^-exponent, or if these are
@@ -181,7 +193,7 @@ def _choose_initial_values(
     """
     if initial is None:
         short = replace(config, max_iterations=min(MAX_INITIAL_ITERATIONS, config.max_iterations))
-        (coarse,) = joint.solve([window], model, short)
+        (coarse,) = yield from joint.solve_stepwise([window], model, short)
         return InitialValues(coarse.theta, coarse.cameras), coarse.noise
     to_body = fit_rotation(initial.joints, model.mean)
     theta = model.weights(initial.joints @ np.swapaxes(to_body, -1, -2))
@@ -196,28 +208,31 @@ def _fit_window(
     unit: float,
     model: BasePoses,
     config: SolverConfig,
-) -> PeriodicReconstruction:
+) -> Stepwise[PeriodicReconstruction]:
     """Carry out steps 2 to 4 of the head of this module; `noise` in m, `unit` in px/m."""
     noise = float(np.fmax(window.noise or noise, config.noise_floor))
     objective = PeriodicObjective.build(window, unit, model, config)
     if config.adapt_noise:
         objective = objective.with_noise(noise)
+    yield
     searches = []
     for series in _make_series_hypotheses(start.theta, window.times, noise, config):
+        yield
         cameras = initial_cameras(objective, series, start, unit)
         searches.append(LevenbergMarquardtSearch(objective, series, cameras, config.max_iterations))
-    search = select_most_likely(searches)
+        yield
+    search = yield from select_most_likely(searches)
     if noise >= MIN_NOISE_FOR_HYPOTHESES:
         still_camera = objective.with_still_camera(config)
         still = LevenbergMarquardtSearch(still_camera, search.series, search.cameras, search.remaining_trials)
-        search = select_most_likely([search, still])
+        search = yield from select_most_likely([search, still])
     round_tolerance = max(NOISE_ROUND_TOLERANCE, config.tolerance)
     if config.adapt_noise and window.noise is None:
         for _ in range(NOISE_ROUNDS):
-            search.run(round_tolerance)
+            yield from search.run(round_tolerance)
             noise = max(search.estimate_noise(), config.noise_floor)
             search.set_objective(search.objective.with_noise(noise))
-    status = search.run(config.tolerance)
+    status = yield from search.run(config.tolerance)
     iterations = config.max_iterations - search.remaining_trials
     return _make_reconstruction(search, window, unit, status, iterations, noise)
 
@@ -282,10 +297,11 @@ class LevenbergMarquardtSearch:
         """Return the value at the head of this module; C may be that of the point before the last step."""
         return self.history[-1] / NOISE_REFERENCE**2 + self.equations.camera_log_determinant_ratio()
 
-    def run(self, tolerance: float) -> SolverStatus:
+    def run(self, tolerance: float) -> Stepwise[SolverStatus]:
         """Minimise until a step decreases E by less than the relative tolerance, or no trials remain."""
         while self.remaining_trials > 0:
             self.remaining_trials -= 1
+            yield
             cost = self.history[-1]
             if self._try_step():
                 self.damping = max(self.damping * DAMPING_AFTER_SUCCESS, MIN_DAMPING)
@@ -318,7 +334,7 @@ class LevenbergMarquardtSearch:
         return True
 
 
-def select_most_likely(hypotheses: Sequence[LevenbergMarquardtSearch]) -> LevenbergMarquardtSearch:
+def select_most_likely(hypotheses: Sequence[LevenbergMarquardtSearch]) -> Stepwise[LevenbergMarquardtSearch]:
     """Run the searches almost to convergence and return the one with the highest evidence.
 
     All searches together have the trials of the first one; what remains of these is left to the selected one.
@@ -328,7 +344,7 @@ def select_most_likely(hypotheses: Sequence[LevenbergMarquardtSearch]) -> Levenb
     remaining_trials = hypotheses[0].remaining_trials
     for search in hypotheses:
         search.remaining_trials = remaining_trials
-        search.run(HYPOTHESIS_TOLERANCE)
+        yield from search.run(HYPOTHESIS_TOLERANCE)
         remaining_trials = search.remaining_trials
     best = min(hypotheses, key=LevenbergMarquardtSearch.minus_twice_log_evidence)
     best.remaining_trials = remaining_trials

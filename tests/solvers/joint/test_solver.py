@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import solve
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers import alternation, joint
-from mocap_ros.solvers.block_banded import Coupling, factorise_banded, solve_low_rank_downdate
 from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
-from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness
+from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness, measure_features
 from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
 from mocap_ros.solvers.joint.state import State
@@ -130,7 +128,8 @@ def test_normal_matrix_is_that_of_the_residuals(
             np.sqrt(objective.bones.weight) * fit.bone_excess,
             np.sqrt(objective.find_term(BasePosePrior).precision) * moved.theta,
             smooth,
-            np.sqrt(objective.find_term(CameraSmoothness).weight) * np.diff(fit.camera_features, axis=0),
+            np.sqrt(objective.find_term(CameraSmoothness).weight)
+            * np.diff(measure_features(moved.rotation, moved.log_scale), axis=0),
         ]
         return np.concatenate([p.ravel() for p in parts])
 
@@ -165,33 +164,6 @@ def test_normal_matrix_is_that_of_the_residuals(
     kept = np.delete(jac_rows, np.s_[bones_at : bones_at + frames * 14], axis=-1)
     exact = kept @ np.swapaxes(kept, -1, -2)
     assert np.abs(diagonal - exact).max() < 1e-6 * np.abs(exact).max()
-
-
-def test_banded_solution_equals_the_dense_one(rng: np.random.Generator) -> None:
-    frames, n, bones = 6, 5, 3
-    starts, counts = np.array([0, 4]), np.array([4, 2])
-    strength = np.array([0.2, 0.0])
-    a = rng.normal(size=(frames, n, n))
-    vectors = rng.normal(size=(frames, n, bones))
-    diagonal = a @ np.swapaxes(a, 1, 2) + 10 * np.eye(n)
-    coupling = Coupling(0.3 * rng.normal(size=(frames - 1, n)), 0.3 * rng.normal(size=(frames - 1, 2, 2)))
-    coupling.diagonal[3] = coupling.corner[3] = 0
-    below = make_dense_coupling(coupling)
-    dense = np.zeros((frames, n, frames, n))
-    for t in range(frames):
-        dense[t, :, t] = diagonal[t]
-    for t in range(frames - 1):
-        dense[t + 1, :, t] = below[t]
-        dense[t, :, t + 1] = below[t].T
-    for s, (start, count) in zip(strength, zip(starts, counts, strict=True), strict=True):
-        own = slice(start, start + count)
-        dense[own, :, own] -= s * np.einsum('tib,ujb->tiuj', vectors[own], vectors[own])
-    right = rng.normal(size=(frames, n))
-    banded = factorise_banded(diagonal, coupling)
-    assert banded is not None
-    x = solve_low_rank_downdate(banded, right, vectors, strength, starts)
-    assert x.ravel() == pytest.approx(solve(dense.reshape(frames * n, -1), right.ravel()), rel=1e-9)
-    assert factorise_banded(-diagonal, coupling) is None
 
 
 def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) -> None:

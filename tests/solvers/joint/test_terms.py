@@ -12,7 +12,6 @@ from mocap_ros.config import SolverConfig
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
-from mocap_ros.solvers.block_banded import Coupling
 from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
 from mocap_ros.solvers.joint.bone_lengths import BoneLengths
 from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness
@@ -59,13 +58,16 @@ def objective_and_state(walk_model: BasePoses, rng: np.random.Generator) -> tupl
     return objective, state.advanced(0.1 * rng.normal(size=(12, COMPONENTS + CAMERA_UNKNOWNS)))
 
 
-def empty_equations(objective: JointObjective) -> NormalEquations:
-    frames, n = len(objective.fixed), COMPONENTS + CAMERA_UNKNOWNS
-    coupling = Coupling(np.zeros((frames - 1, n)), np.zeros((frames - 1, CAMERA_UNKNOWNS, CAMERA_UNKNOWNS)))
-    bones = np.zeros((frames, n, len(objective.bones.weight)))
-    return NormalEquations(
-        np.zeros((frames, 1, n)), np.zeros((frames, n, n)), coupling, np.zeros((frames, n)), bones
-    )
+def empty_equations(objective: JointObjective, state: State) -> NormalEquations:
+    return NormalEquations.begin(objective.fit(state), objective.basis, len(objective.bones.weight))
+
+
+def equations_of(term: Term, objective: JointObjective, state: State) -> NormalEquations:
+    """The equations to which one term has added."""
+    equations = empty_equations(objective, state)
+    term.add_to(equations, objective.fit(state))
+    equations.transfer_from_joints()
+    return equations
 
 
 def differentiate(cost: Callable[[State], float], state: State) -> np.ndarray:
@@ -84,8 +86,7 @@ def test_gradient_is_half_that_of_the_cost(
 ) -> None:
     objective, state = objective_and_state
     term = objective.find_term(kind)
-    equations = empty_equations(objective)
-    term.add_to(equations, objective.fit(state))
+    equations = equations_of(term, objective, state)
     numeric = differentiate(lambda s: float(term.cost(objective.fit(s)).sum()), state) / 2
     assert np.abs(numeric).max() > 0
     assert np.abs(equations.gradient - numeric).max() < 1e-6 * np.abs(numeric).max()
@@ -99,12 +100,9 @@ def test_matrix_of_quadratic_terms_is_their_second_derivative(
     term = objective.find_term(kind)
 
     def gradient(at: State) -> np.ndarray:
-        equations = empty_equations(objective)
-        term.add_to(equations, objective.fit(at))
-        return equations.gradient
+        return equations_of(term, objective, at).gradient
 
-    equations = empty_equations(objective)
-    term.add_to(equations, objective.fit(state))
+    equations = equations_of(term, objective, state)
     below = make_dense_coupling(equations.coupling)
     frames, n = equations.gradient.shape
     for frame, unknown in ((0, 0), (3, 2), (6, 1), (7, 4), (11, 5)):
@@ -125,8 +123,7 @@ def test_nothing_couples_two_sequences(
     objective_and_state: tuple[JointObjective, State], kind: type[Term]
 ) -> None:
     objective, state = objective_and_state
-    equations = empty_equations(objective)
-    objective.find_term(kind).add_to(equations, objective.fit(state))
+    equations = equations_of(objective.find_term(kind), objective, state)
     seam = objective.batch.starts[1] - 1
     assert (make_dense_coupling(equations.coupling)[seam] == 0).all()
 
@@ -151,6 +148,6 @@ def test_reprojection_of_a_far_camera_is_weak_perspective(
     far = type(near)(near.image, near.weight, near.variance_ratio, near.robust_scale, near.focal * 1e9)
     flat = type(near)(near.image, near.weight, near.variance_ratio, near.robust_scale, near.focal * math.inf)
     scaled = objective.fit(state).scaled_poses
-    errors = [r.depth_and_error(scaled, state.translation)[1] for r in (far, flat, near)]
+    errors = [r.measure(scaled, state.translation, settle_translation=False)[2] for r in (far, flat, near)]
     assert errors[0] == pytest.approx(errors[1], abs=1e-9)
     assert np.abs(errors[2] - errors[1]).max() > 1e-3

@@ -1,0 +1,1 @@
+"""Compiled inner loops: the decorator of kernels, and BLAS and LAPACK inside them."""
