@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 @dataclass
 class Progress:
-    """Objective and time in s at every point that the optimiser accepted, or evaluated if it uses differences."""
+    """Objective and CPU time in s at every point that SciPy accepted, or evaluated if it uses differences."""
 
     cost: list[float] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
@@ -160,11 +160,11 @@ class SparseProblem:
             The optimum, the progress, and the number of Jacobians.
         """
         progress = Progress()
-        start_s = time.perf_counter()
+        start_s = time.process_time()
 
         def note(squares: float) -> None:
             progress.cost.append(squares)
-            progress.seconds.append(time.perf_counter() - start_s)
+            progress.seconds.append(time.process_time() - start_s)
 
         def residuals(x: Array) -> Array:
             rows = self.residuals(x)

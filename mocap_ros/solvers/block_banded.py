@@ -33,7 +33,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import void
+from numba import types, void
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.blas import (
@@ -133,13 +133,9 @@ def factorise_blocks(
         coupling: blocks between frames.
         is_free: (F,) False for frames that are held; None if none is.
     """
-    frames, n, _ = diagonal.shape
-    distances = len(coupling.diagonal)
     if is_free is None:
-        is_free = np.ones(frames, bool)
-    below = np.zeros((distances, frames, n, n))
-    is_coupled = np.zeros((distances, frames), bool)
-    is_definite = _factorise(diagonal, coupling.diagonal, coupling.corner, is_free, below, is_coupled)
+        is_free = np.ones(len(diagonal), bool)
+    is_definite, below, is_coupled = _factorise(diagonal, coupling.diagonal, coupling.corner, is_free)
     return BlockCholesky(diagonal, below, is_coupled, is_free) if is_definite else None
 
 
@@ -164,23 +160,18 @@ def solve_low_rank_downdate(
     Returns:
         The solution x, (F, n); None if the matrix is not positive definite.
     """
-    frames, n = right.shape
-    solved = np.empty((frames, n, 1 + vectors.shape[2]))
-    solved[:, :, 0] = right
-    solved[:, :, 1:] = vectors
-    solution = np.empty((frames, n, 1))
-    is_definite = _solve_downdate(
+    is_definite, solution = _solve_downdate(
         factor.diagonal,
         factor.below,
         factor.is_coupled,
         factor.is_free,
-        solved,
+        right,
+        vectors,
         strength,
         starts,
         counts,
-        solution,
     )
-    return solution[:, :, 0] if is_definite else None
+    return solution if is_definite else None
 
 
 @kernel(BOOL(FLOATS_1D, FLOATS_2D, FLOATS_2D))
@@ -212,26 +203,23 @@ def _eliminate(t: int, lower: Array, below: Array, is_coupled: NDArray[np.bool_]
                 is_coupled[d - e - 1, t + e + 1] = True
 
 
-@kernel(BOOL(FLOATS_3D, FLOATS_3D, FLOATS_4D, BOOLS_1D, FLOATS_4D, BOOLS_2D))
+@kernel(types.Tuple((BOOL, FLOATS_4D, BOOLS_2D))(FLOATS_3D, FLOATS_3D, FLOATS_4D, BOOLS_1D))
 def _factorise(
-    lower: Array,
-    coupling_diagonal: Array,
-    coupling_corner: Array,
-    is_free: NDArray[np.bool_],
-    below: Array,
-    is_coupled: NDArray[np.bool_],
-) -> bool:
-    """Overwrite the diagonal blocks with those of L, and `below` and `is_coupled`, which hold 0, with the others.
+    lower: Array, coupling_diagonal: Array, coupling_corner: Array, is_free: NDArray[np.bool_]
+) -> tuple[bool, Array, NDArray[np.bool_]]:
+    """Overwrite the diagonal blocks with those of L.
 
     Returns:
-        False if the matrix is not positive definite.
+        Whether the matrix is positive definite, and `below` and `is_coupled` of the `BlockCholesky`.
     """
-    distances, frames, _ = coupling_diagonal.shape
+    distances, frames, n = coupling_diagonal.shape
+    below = np.zeros((distances, frames, n, n))
+    is_coupled = np.zeros((distances, frames), np.bool_)
     for t in range(frames):
         if not is_free[t]:
             continue
         if not factorise_cholesky(lower[t]):
-            return False
+            return False, below, is_coupled
         for d in range(min(distances, frames - 1 - t)):
             if not is_free[t + d + 1]:
                 is_coupled[d, t] = False
@@ -241,7 +229,7 @@ def _factorise(
             if is_coupled[d, t]:
                 divide_by_lower_transposed(below[d, t], lower[t])
         _eliminate(t, lower, below, is_coupled)
-    return True
+    return True, below, is_coupled
 
 
 @kernel(void(FLOATS_3D, FLOATS_4D, BOOLS_2D, BOOLS_1D, FLOATS_3D))
@@ -276,25 +264,29 @@ def solve_backward(
         solve_lower_transposed(diagonal[t], right[t])
 
 
-@kernel(BOOL(FLOATS_3D, FLOATS_4D, BOOLS_2D, BOOLS_1D, FLOATS_3D, FLOATS_1D, INTS_1D, INTS_1D, FLOATS_3D))
+@kernel(
+    types.Tuple((BOOL, FLOATS_2D))(
+        FLOATS_3D, FLOATS_4D, BOOLS_2D, BOOLS_1D, FLOATS_2D, FLOATS_3D, FLOATS_1D, INTS_1D, INTS_1D
+    )
+)
 def _solve_downdate(
     diagonal: Array,
     below: Array,
     is_coupled: NDArray[np.bool_],
     is_free: NDArray[np.bool_],
-    solved: Array,
+    right: Array,
+    vectors: Array,
     strength: Array,
     starts: NDArray[np.intp],
     counts: NDArray[np.intp],
-    solution: Array,
-) -> bool:
-    """Write the solution (F, n, 1) of the system with a low-rank downdate (`solve_low_rank_downdate`).
-
-    `solved` (F, n, 1 + R) holds the right-hand side and the vectors G, and is overwritten. The function returns
-    False if the matrix is not positive definite.
-    """
+) -> tuple[bool, Array]:
+    """Return whether the downdated matrix is positive definite, and the solution (F, n)."""
+    frames, n, size = len(vectors), vectors.shape[1], 1 + vectors.shape[2]
+    solved = np.empty((frames, n, size))
+    solved[:, :, 0] = right
+    solved[:, :, 1:] = vectors
+    solution = np.empty((frames, n, 1))
     solve_forward(diagonal, below, is_coupled, is_free, solved)
-    n, size = solved.shape[1:]
     for p in range(len(starts)):
         first, end = starts[p], starts[p] + counts[p]
         squares = np.zeros((size, size))  # of (y, V): y^T y, V^T y and V^T V
@@ -309,7 +301,7 @@ def _solve_downdate(
             reduced[i, i] += 1.0
             correction[i, 0] = strength[p] * squares[1 + i, 0]
         if not factorise_cholesky(reduced):
-            return False
+            return False, right
         solve_lower(reduced, correction)
         solve_lower_transposed(reduced, correction)
         for t in range(first, end):
@@ -319,4 +311,4 @@ def _solve_downdate(
                     total += solved[t, i, 1 + j] * correction[j, 0]
                 solution[t, i, 0] = total
     solve_backward(diagonal, below, is_coupled, is_free, solution)
-    return True
+    return True, solution.reshape((frames, n))

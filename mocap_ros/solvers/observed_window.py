@@ -21,11 +21,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera, solver_focal
-from mocap_ros.keypoints.association import is_in_one_place
+from mocap_ros.keypoints.association import measure_extent
 from mocap_ros.keypoints.left_right import exchange_sides, find_swapped_frames
 from mocap_ros.keypoints.rays import convert_to_rays
 from mocap_ros.models.lifter import LiftedPoses, Lifter, concatenate_lifted, sample_histories
@@ -217,6 +218,7 @@ def observe_sequence(
         InputError: No frame has four seen joints, all seen points of each such frame lie in one place, or the
             times span more than `MAX_SPAN_S`.
     """
+    compile_kernels()
     if (span_s := float(times[-1] - times[0])) > MAX_SPAN_S:
         raise InputError(
             f'times: they span {span_s:.0f} s, at most {MAX_SPAN_S:.0f} s expected; is a stamp not set?'
@@ -253,7 +255,7 @@ def _exclude_frames_in_one_place(rays: Array, weight: Array) -> tuple[Array, Arr
         InputError: No other frame has `MIN_JOINTS_FOR_CAMERA` seen joints.
     """
     frames = np.flatnonzero((weight > 0).sum(axis=1) >= MIN_JOINTS_FOR_CAMERA)
-    in_one_place = np.array([is_in_one_place(rays[frame], weight[frame]) for frame in frames])
+    in_one_place = np.array([measure_extent(rays[frame], weight[frame]).is_one_place for frame in frames])
     if in_one_place.all():
         raise InputError('keypoints: all seen points lie in one place')
     excluded = np.isin(np.arange(len(weight)), frames[in_one_place])

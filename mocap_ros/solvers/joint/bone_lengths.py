@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from mocap_ros.compiled.blas import add_transposed_product
 from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, INTS_1D, kernel
 from mocap_ros.config import SolverConfig
-from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint.batch import Batch, Subsample
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
@@ -50,8 +49,9 @@ class BoneLengths:
         children: (B,) index of each bone's outer joint.
         earlier_lengths: (P, B) m, mean bone lengths of the frames before each window.
         earlier_frames: (P,) number of those frames.
-        jacobian: (3 B, n) derivatives of the vectors along the bones by the unknowns of a frame, body frame; a
-            coordinate of a bone in each row.
+        strength: (P,) reciprocal number of frames over which the mean lengths of each sequence are taken.
+        flat_bones: (3 B, K) change of the vectors along the bones with the weights; a coordinate of a bone in each
+            row.
     """
 
     batch: Batch
@@ -60,31 +60,25 @@ class BoneLengths:
     children: NDArray[np.intp]
     earlier_lengths: Array
     earlier_frames: NDArray[np.intp]
-    jacobian: Array
+    strength: Array
+    flat_bones: Array
 
     @staticmethod
     def build(batch: Batch, windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> BoneLengths:
         """Return the term of these windows."""
-        parents, children = np.array(model.skeleton.bones).T
-        mean_lengths = model.skeleton.bone_lengths(model.mean)
         earlier = [w.earlier_frames for w in windows]
-        k = len(model.components)
-        jacobian = np.zeros((3 * len(parents), k + CAMERA_UNKNOWNS))
-        jacobian[:, :k] = (model.components[:, children] - model.components[:, parents]).reshape(k, -1).T
+        mean_lengths = model.mean_bone_lengths
+        earlier_frames = np.array([0 if e is None else e.count for e in earlier])
         return BoneLengths(
             batch=batch,
             weight=np.full(len(mean_lengths), config.bone_weight),
-            parents=parents.copy(),
-            children=children.copy(),
+            parents=model.parents,
+            children=model.children,
             earlier_lengths=np.array([mean_lengths if e is None else e.mean_bone_lengths for e in earlier]),
-            earlier_frames=np.array([0 if e is None else e.count for e in earlier]),
-            jacobian=jacobian,
+            earlier_frames=earlier_frames,
+            strength=1 / (batch.counts + earlier_frames),
+            flat_bones=model.flat_bones,
         )
-
-    @property
-    def averaged_frames(self) -> NDArray[np.intp]:
-        """(P,) number of frames over which the mean lengths of each sequence are taken."""
-        return np.asarray(self.batch.counts + self.earlier_frames)
 
     def measure(self, poses: Array) -> tuple[Array, Array, Array, Array]:
         """Return the bones of poses (N, J, 3) m as `Fit` holds them: direction, length, excess and mean length."""
@@ -114,7 +108,7 @@ class BoneLengths:
         """Add the matrix, the gradient, and the vectors of the low-rank part, in place."""
         _add_bones(
             self.weight,
-            self.jacobian,
+            self.flat_bones,
             fit.bone_direction,
             fit.bone_length,
             fit.bone_excess,
@@ -125,12 +119,11 @@ class BoneLengths:
 
     def subsampled(self, kept: Subsample) -> BoneLengths:
         """Return the term of some frames only."""
-        return replace(self, batch=kept.batch)
+        return replace(self, batch=kept.batch, strength=1 / (kept.batch.counts + self.earlier_frames))
 
     def with_components(self, k: int) -> BoneLengths:
         """Return the term for the first `k` base poses."""
-        of_camera = self.jacobian[:, -CAMERA_UNKNOWNS:]
-        return replace(self, jacobian=np.concatenate([self.jacobian[:, :k], of_camera], axis=1))
+        return replace(self, flat_bones=np.ascontiguousarray(self.flat_bones[:, :k]))
 
 
 @kernel(
@@ -197,7 +190,7 @@ def _sum_excess(
 @kernel(void(FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_2D, FLOATS_2D, FLOATS_3D, FLOATS_3D, FLOATS_2D))
 def _add_bones(
     weight: Array,
-    jacobian: Array,
+    flat_bones: Array,
     direction: Array,
     length: Array,
     excess: Array,
@@ -207,19 +200,19 @@ def _add_bones(
 ) -> None:
     """Add the term to the diagonal blocks and the gradient, and write the vectors of the low-rank part.
 
-    With D_b (3, n) the Jacobian of the vector along bone b, u_b its direction and c_b the second derivative by its
+    With D_b (3, K) the Jacobian of the vector along bone b, u_b its direction and c_b the second derivative by its
     length that is put in (head of this module), the matrix is sum_b D_b^T ((w_b - c_b) u_b u_b^T + c_b I) D_b.
     """
     frames, count, _ = direction.shape
-    n = jacobian.shape[1]
-    weighted = np.empty((3 * count, n))
+    k = flat_bones.shape[1]
+    weighted = np.empty((3 * count, k))
     for t in range(frames):
         for b in range(count):
             u = direction[t, b]
             curvature = weight[b] * max(excess[t, b] / length[t, b], 0.0)
             root, pull = np.sqrt(weight[b]), weight[b] * excess[t, b]
-            for i in range(n):
-                x, y, z = jacobian[3 * b, i], jacobian[3 * b + 1, i], jacobian[3 * b + 2, i]
+            for i in range(k):
+                x, y, z = flat_bones[3 * b, i], flat_bones[3 * b + 1, i], flat_bones[3 * b + 2, i]
                 along = u[0] * x + u[1] * y + u[2] * z
                 bones[t, i, b] = root * along
                 gradient[t, i] += pull * along
@@ -227,4 +220,6 @@ def _add_bones(
                 weighted[3 * b, i] = stretched * u[0] + curvature * x
                 weighted[3 * b + 1, i] = stretched * u[1] + curvature * y
                 weighted[3 * b + 2, i] = stretched * u[2] + curvature * z
-        add_transposed_product(1.0, jacobian, weighted, diagonal[t])
+        matrix = np.zeros((k, k))
+        add_transposed_product(1.0, flat_bones, weighted, matrix)
+        diagonal[t, :k, :k] += matrix

@@ -10,7 +10,6 @@ base poses that vary by a good part of the noise, and end with all frames and al
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -19,9 +18,10 @@ from numpy.typing import NDArray
 from mocap_ros.config import SolverConfig
 from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
 from mocap_ros.solvers.joint.batch import MIN_TIME_STEP, Batch
-from mocap_ros.solvers.joint.levenberg_marquardt import Descent, minimise_stepwise
 from mocap_ros.solvers.joint.objective import JointObjective
-from mocap_ros.solvers.joint.state import State
+from mocap_ros.solvers.joint.problem import Descent, JointProblem
+from mocap_ros.solvers.joint.state import Fit, State
+from mocap_ros.solvers.levenberg_marquardt import minimise_stepwise
 from mocap_ros.solvers.stepwise import Stepwise, run_to_end
 from mocap_ros.solvers.window import Window
 
@@ -38,62 +38,67 @@ COLD_DAMPING = 0.1  # first damping where nothing has been solved yet; tuned on 
 CONTINUED_DAMPING = 1e-4  # first damping where a round goes on from the one before
 
 
-Annealed: TypeAlias = tuple[JointObjective, State, NDArray[np.intp]]
+Annealed: TypeAlias = tuple[JointObjective, Fit, NDArray[np.int64]]
 
 
-def anneal(objective: JointObjective, state: State, windows: Sequence[Window], config: SolverConfig) -> Annealed:
-    """Find the noise as `anneal_stepwise` does, at once."""
-    return run_to_end(anneal_stepwise(objective, state, windows, config))
-
-
-def anneal_stepwise(
-    objective: JointObjective, state: State, windows: Sequence[Window], config: SolverConfig
-) -> Stepwise[Annealed]:
+def anneal(objective: JointObjective, fit: Fit, windows: Sequence[Window], config: SolverConfig) -> Annealed:
     """Find the noise of each window that does not give it.
 
     Args:
         objective: of the windows, under the reference noise.
-        state: initial values of the unknowns.
+        fit: of the initial values of the unknowns.
         windows: the sequences; `Window.noise` in m is taken as it is where it is given.
         config: of the solver.
 
     Returns:
-        The objective under the noise that was found, the state, and the number of steps of each sequence (P,).
+        The objective under the noise that was found, the fit, and the number of steps of each sequence (P,).
     """
+    return run_to_end(anneal_stepwise(objective, fit, windows, config))
+
+
+def anneal_stepwise(
+    objective: JointObjective, fit: Fit, windows: Sequence[Window], config: SolverConfig
+) -> Stepwise[Annealed]:
+    """Find the noise as `anneal` does, in steps."""
     noise = np.array([max(w.noise or COARSE_NOISE_M[0], config.noise_floor) for w in windows])
     is_unknown = np.array([w.noise is None for w in windows])
     if not is_unknown.any():
-        return objective.with_noise(noise), state, np.zeros(len(windows), int)
+        return objective.with_noise(noise), fit, np.zeros(len(windows), np.int64)
 
     def updated_noise(current: JointObjective, descent: Descent, least: float) -> Array:
-        estimate = current.estimate_noise(descent.fit, descent.equations)
+        estimate = current.estimate_noise(descent.point, descent.equations)
         return np.where(is_unknown, np.maximum(estimate, max(least, config.noise_floor)), noise)
 
-    rough = replace(config, tolerance=max(ROUND_TOLERANCE, config.tolerance))
+    tolerance = max(ROUND_TOLERANCE, config.tolerance)
     coarse_objective, kept = objective.subsampled(COARSE_FRAME_STEP_S)
-    coarse = state.select(kept.frames)
+    coarse = fit.state.select(kept.frames)
     damping = COLD_DAMPING
-    iterations = np.zeros(len(windows), int)
+    iterations = np.zeros(len(windows), np.int64)
     for level, least in zip(COARSE_NOISE_M, (*COARSE_NOISE_M[1:], FINE_NOISE_M[0]), strict=True):
         k = max(int((objective.model.std >= MIN_STD_OVER_NOISE * level).sum()), MIN_COMPONENTS)
         current = coarse_objective.with_noise(noise).with_components(k)
-        descent = yield from minimise_stepwise(current, coarse.with_components(k), rough, damping)
+        start = current.fit(coarse.with_components(k))
+        descent = yield from minimise_stepwise(
+            JointProblem(current), start, config.max_iterations, tolerance, damping
+        )
         iterations += descent.iterations
-        coarse = coarse.with_leading_weights(descent.fit.state)
+        coarse = coarse.with_leading_weights(descent.point.state)
         noise = updated_noise(current, descent, least)
         damping = CONTINUED_DAMPING
         yield
-    state = objective.with_optimal_translation(interpolate(coarse, kept.frames, objective.batch)).state
+    fit = objective.with_optimal_translation(interpolate(coarse, kept.frames, objective.batch))
     for least in (*FINE_NOISE_M[1:], 0.0):
         current = objective.with_noise(noise)
-        descent = yield from minimise_stepwise(current, state, rough, damping)
+        descent = yield from minimise_stepwise(
+            JointProblem(current), fit, config.max_iterations, tolerance, damping
+        )
         iterations += descent.iterations
-        state, before = descent.fit.state, noise
+        fit, before = descent.point, noise
         noise = updated_noise(current, descent, least)
         yield
         if np.array_equal(noise, before):
             break
-    return objective.with_noise(noise), state, iterations
+    return objective.with_noise(noise), fit, iterations
 
 
 def interpolate(coarse: State, frames: NDArray[np.intp], batch: Batch) -> State:

@@ -23,17 +23,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import void
+from numba import types, void
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.blas import (
     add_product_transposed,
     add_transposed_product,
-    divide_by_lower_transposed,
     factorise_cholesky,
     solve_lower,
 )
-from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_4D, INTS_1D, kernel
+from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_4D, INT, INTS_1D, kernel
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, write_point_jacobian
 from mocap_ros.solvers.block_banded import Coupling
 from mocap_ros.solvers.joint.state import Fit
@@ -55,8 +54,8 @@ class NormalEquations:
         bones: (N, n, B) the vectors g of the mean bone lengths.
         joint_jacobian: (N, 3 J, n) derivatives of the scaled joint positions by the unknowns.
         joint_matrix: (N, J, 3, 3) matrices M_j of all terms but the reprojection.
-        image_matrix: (N, J, 3, 3) matrices M_j of the reprojection, by which the noise estimate counts the
-            unknowns.
+        image_matrix: (N, J, 3, 3) matrices M_j of the reprojection, v (1 0 a; 0 1 b)^T (1 0 a; 0 1 b), by
+            which the noise estimate counts the unknowns.
         joint_gradient: (N, 3 J) the vectors m_j.
         translation_coupling: (N, 3 J, 2) the matrices U.
         translation_matrix: (N,) the numbers w.
@@ -84,21 +83,22 @@ class NormalEquations:
             basis: (3 J, K) the base poses, a coordinate of a joint in each row.
             bones: number of bones.
         """
-        frames, joints, _ = fit.scaled_poses.shape
-        n = basis.shape[1] + CAMERA_UNKNOWNS
         jacobian = differentiate_joints(fit.state.rotation, fit.state.log_scale, fit.scaled_poses, basis)
+        blocks, of_bones, of_pairs, corners, by_joints, by_image, gradient, of_joints, by_translation, w, v = (
+            _allocate(*fit.depth.shape, jacobian.shape[2], bones)
+        )
         return NormalEquations(
-            diagonal=np.zeros((frames, n, n)),
-            coupling=Coupling.zeros(COUPLED_FRAMES, frames, n, CAMERA_UNKNOWNS),
-            gradient=np.zeros((frames, n)),
-            bones=np.zeros((frames, n, bones)),
+            diagonal=blocks,
+            coupling=Coupling(of_pairs, corners),
+            gradient=gradient,
+            bones=of_bones,
             joint_jacobian=jacobian,
-            joint_matrix=np.zeros((frames, joints, 3, 3)),
-            image_matrix=np.zeros((frames, joints, 3, 3)),
-            joint_gradient=np.zeros((frames, 3 * joints)),
-            translation_coupling=np.zeros((frames, 3 * joints, 2)),
-            translation_matrix=np.zeros(frames),
-            translation_gradient=np.zeros((frames, 2)),
+            joint_matrix=by_joints,
+            image_matrix=by_image,
+            joint_gradient=of_joints,
+            translation_coupling=by_translation,
+            translation_matrix=w,
+            translation_gradient=v,
         )
 
     def transfer_from_joints(self) -> None:
@@ -151,6 +151,40 @@ class NormalEquations:
             ):
                 new[:, frames] = before[:, frames]
         return self
+
+
+@kernel(
+    types.Tuple(
+        (
+            FLOATS_3D,
+            FLOATS_3D,
+            FLOATS_3D,
+            FLOATS_4D,
+            FLOATS_4D,
+            FLOATS_4D,
+            FLOATS_2D,
+            FLOATS_2D,
+            FLOATS_3D,
+            FLOATS_1D,
+            FLOATS_2D,
+        )
+    )(INT, INT, INT, INT)
+)
+def _allocate(frames: int, joints: int, n: int, bones: int) -> tuple[Array, ...]:
+    """Return the arrays of equations, all 0: one compiled call in place of eleven."""
+    return (
+        np.zeros((frames, n, n)),
+        np.zeros((frames, n, bones)),
+        np.zeros((COUPLED_FRAMES, frames, n)),
+        np.zeros((COUPLED_FRAMES, frames, CAMERA_UNKNOWNS, CAMERA_UNKNOWNS)),
+        np.zeros((frames, joints, 3, 3)),
+        np.zeros((frames, joints, 3, 3)),
+        np.zeros((frames, n)),
+        np.zeros((frames, 3 * joints)),
+        np.zeros((frames, 3 * joints, 2)),
+        np.zeros(frames),
+        np.zeros((frames, 2)),
+    )
 
 
 @kernel(FLOATS_3D(FLOATS_3D, FLOATS_1D, FLOATS_3D, FLOATS_2D))
@@ -238,25 +272,36 @@ def _count_absorbed_coordinates(
 ) -> Array:
     """Return tr(A_t^-1 D_t) + 2 for some frames (M,); see `NormalEquations.count_absorbed_coordinates`."""
     _, rows, n = jacobian.shape
-    weighted = np.empty((rows, n))
+    joints = rows // 3
     out = np.zeros(len(examined))
+    # D_t = X X^T - u u^T / w, with two columns of X for each joint: M_j, of rank 2, is their sum of squares
+    columns = np.empty((n, 2 * joints + 2))
     for index in range(len(examined)):
         t = examined[index]
-        part = np.zeros((n, n))
-        _multiply_blocks(image_matrix[t], jacobian[t], weighted)
-        add_transposed_product(1.0, jacobian[t], weighted, part)
-        if translation_matrix[t] > 0:
-            by_translation = np.zeros((n, 2))
-            add_transposed_product(1.0, jacobian[t], translation_coupling[t], by_translation)
-            add_product_transposed(-1 / translation_matrix[t], by_translation, by_translation, part)
         factor = diagonal[t].copy()
         for i in range(n):
             factor[i, i] += MIN_INFORMATION
-        out[index] = 2.0
         if not factorise_cholesky(factor):
+            out[index] = 2.0
             continue
-        solve_lower(factor, part)
-        divide_by_lower_transposed(part, factor)
+        for j in range(joints):
+            m = image_matrix[t, j]
+            root = np.sqrt(max(m[0, 0], 0.0))
+            inverse = 1 / root if root > 0 else 0.0
+            for i in range(n):
+                x, y, z = jacobian[t, 3 * j, i], jacobian[t, 3 * j + 1, i], jacobian[t, 3 * j + 2, i]
+                columns[i, 2 * j] = root * x + inverse * m[0, 2] * z
+                columns[i, 2 * j + 1] = root * y + inverse * m[1, 2] * z
+        by_translation = np.zeros((n, 2))
+        add_transposed_product(1.0, jacobian[t], translation_coupling[t], by_translation)
+        columns[:, 2 * joints :] = by_translation
+        solve_lower(factor, columns)
+        total = 0.0
         for i in range(n):
-            out[index] += part[i, i]
+            for column in range(2 * joints):
+                total += columns[i, column] ** 2
+            if translation_matrix[t] > 0:
+                for column in range(2 * joints, 2 * joints + 2):
+                    total -= columns[i, column] ** 2 / translation_matrix[t]
+        out[index] = 2.0 + total
     return out

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from numba import void
+from numba import types
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.blas import add_product, solve_lower
@@ -109,7 +109,7 @@ class JointObjective:
         return JointObjective(
             model=model,
             batch=batch,
-            basis=_flatten_base_poses(model),
+            basis=model.flat_components,
             reprojection=reprojection,
             bones=bones,
             terms=tuple(terms),
@@ -124,7 +124,7 @@ class JointObjective:
         """Return the objective with the first `k` base poses."""
         model, bones = self.model.truncate(k), self.bones.with_components(k)
         terms = tuple(bones if term is self.bones else term.with_components(k) for term in self.terms)
-        return replace(self, model=model, basis=_flatten_base_poses(model), bones=bones, terms=terms)
+        return replace(self, model=model, basis=model.flat_components, bones=bones, terms=terms)
 
     def subsampled(self, step: float) -> tuple[JointObjective, Subsample]:
         """Return the objective of the best-seen frame of every `step` s, and which frames those are."""
@@ -181,10 +181,8 @@ class JointObjective:
             settle_translation: whether each translation is first moved to its optimum (one step of the robust
                 fit).
         """
-        frames, joints = self.reprojection.weight.shape
         theta, rotation = np.ascontiguousarray(state.theta), np.ascontiguousarray(state.rotation)
-        poses, scaled_poses = np.empty((frames, joints, 3)), np.empty((frames, joints, 3))
-        _pose_bodies(theta, rotation, state.log_scale, self.basis, self.model.mean, poses, scaled_poses)
+        poses, scaled_poses = _pose_bodies(theta, rotation, state.log_scale, self.basis, self.model.mean)
         translation, depth, error, squared_error = self.reprojection.measure(
             scaled_poses, state.translation, settle_translation=settle_translation
         )
@@ -233,14 +231,12 @@ class JointObjective:
             positive definite.
         """
         batch = self.batch
-        diagonal = equations.diagonal.copy()
-        _damp(damping, batch.starts, batch.counts, diagonal)
+        diagonal = _damp(damping, batch.starts, batch.counts, equations.diagonal)
         factor = factorise_blocks(diagonal, equations.coupling, self.is_free)
         if factor is None:
             return None
-        strength = 1 / self.bones.averaged_frames
         step = solve_low_rank_downdate(
-            factor, equations.gradient, equations.bones, strength, batch.starts, batch.counts
+            factor, equations.gradient, equations.bones, self.bones.strength, batch.starts, batch.counts
         )
         return None if step is None else (-step, factor)
 
@@ -273,18 +269,14 @@ class JointObjective:
         return State(theta, rotation, np.log(scale), self.reprojection.centroids())
 
 
-def _flatten_base_poses(model: BasePoses) -> Array:
-    """Return the base poses as (3 J, K), a coordinate of a joint in each row."""
-    return np.ascontiguousarray(model.components.reshape(len(model.components), -1).T)
-
-
-@kernel(void(FLOATS_2D, FLOATS_3D, FLOATS_1D, FLOATS_2D, FLOATS_2D, FLOATS_3D, FLOATS_3D))
+@kernel(types.UniTuple(FLOATS_3D, 2)(FLOATS_2D, FLOATS_3D, FLOATS_1D, FLOATS_2D, FLOATS_2D))
 def _pose_bodies(
-    theta: Array, rotation: Array, log_scale: Array, basis: Array, mean: Array, poses: Array, scaled_poses: Array
-) -> None:
-    """Write the poses P = Q_0 + sum_l theta_l Q_l in the body frame and s R P in the camera's, both (N, J, 3)."""
+    theta: Array, rotation: Array, log_scale: Array, basis: Array, mean: Array
+) -> tuple[Array, Array]:
+    """Return the poses P = Q_0 + sum_l theta_l Q_l in the body frame and s R P in the camera's, both (N, J, 3)."""
     frames, k = theta.shape
     joints = len(mean)
+    poses, scaled_poses = np.empty((frames, joints, 3)), np.empty((frames, joints, 3))
     for t in range(frames):
         pose = poses[t]
         pose[:] = mean
@@ -295,15 +287,18 @@ def _pose_bodies(
             x, y, z = pose[j, 0], pose[j, 1], pose[j, 2]
             for i in range(3):
                 scaled_poses[t, j, i] = scale * (r[i, 0] * x + r[i, 1] * y + r[i, 2] * z)
+    return poses, scaled_poses
 
 
-@kernel(void(FLOATS_1D, INTS_1D, INTS_1D, FLOATS_3D))
-def _damp(damping: Array, starts: NDArray[np.intp], counts: NDArray[np.intp], diagonal: Array) -> None:
-    """Multiply the diagonals of blocks (N, n, n) by 1 + the damping (P,) of their sequence, in place."""
+@kernel(FLOATS_3D(FLOATS_1D, INTS_1D, INTS_1D, FLOATS_3D))
+def _damp(damping: Array, starts: NDArray[np.intp], counts: NDArray[np.intp], diagonal: Array) -> Array:
+    """Return blocks (N, n, n) with their diagonals multiplied by 1 + the damping (P,) of their sequence."""
+    out = diagonal.copy()
     for p in range(len(starts)):
         for t in range(starts[p], starts[p] + counts[p]):
-            for i in range(diagonal.shape[1]):
-                diagonal[t, i, i] += damping[p] * diagonal[t, i, i] + MIN_DIAGONAL
+            for i in range(out.shape[1]):
+                out[t, i, i] += damping[p] * out[t, i, i] + MIN_DIAGONAL
+    return out
 
 
 @kernel(FLOATS_2D(FLOATS_3D, FLOATS_3D))

@@ -23,7 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import void
+from numba import types, void
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.kernel import BOOL, FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_4D, kernel
@@ -112,23 +112,15 @@ class Reprojection:
         Returns:
             The translation (N, 2), relative depths (N, J), errors (N, J, 2) m and their squared lengths (N, J).
         """
-        frames, joints = self.weight.shape
-        translation = translation.copy()
-        depth, squared = np.empty((frames, joints)), np.empty((frames, joints))
-        error = np.empty((frames, joints, 2))
-        _project(
+        return _project(
             scaled_poses,
+            translation,
             self.image,
             self.weight,
             self.robust_scale,
             self.focal,
             settle_translation,
-            translation,
-            depth,
-            error,
-            squared,
         )
-        return translation, depth, error, squared
 
     def centroids(self) -> Array:
         """(N, 2) m, weighted centroids of the image points."""
@@ -162,22 +154,24 @@ class Reprojection:
 
 
 @kernel(
-    void(FLOATS_3D, FLOATS_3D, FLOATS_2D, FLOATS_1D, FLOATS_1D, BOOL, FLOATS_2D, FLOATS_2D, FLOATS_3D, FLOATS_2D)
+    types.Tuple((FLOATS_2D, FLOATS_2D, FLOATS_3D, FLOATS_2D))(
+        FLOATS_3D, FLOATS_2D, FLOATS_3D, FLOATS_2D, FLOATS_1D, FLOATS_1D, BOOL
+    )
 )
 def _project(
     scaled_poses: Array,
+    start: Array,
     image: Array,
     weight: Array,
     robust_scale: Array,
     focal: Array,
     settle_translation: bool,
-    translation: Array,
-    depth: Array,
-    error: Array,
-    squared: Array,
-) -> None:
-    """Write depths, errors and squared errors, and the optimal translations; see `Reprojection.measure`."""
+) -> tuple[Array, Array, Array, Array]:
+    """Return translations, depths, errors and squared errors; see `Reprojection.measure`."""
     frames, joints = weight.shape
+    translation = start.copy()
+    depth, squared = np.empty((frames, joints)), np.empty((frames, joints))
+    error = np.empty((frames, joints, 2))
     for t in range(frames):
         total, shift_x, shift_y = 0.0, 0.0, 0.0
         for j in range(joints):
@@ -198,6 +192,7 @@ def _project(
         for j in range(joints):
             x, y = error[t, j, 0] + shift_x / depth[t, j], error[t, j, 1] + shift_y / depth[t, j]
             error[t, j, 0], error[t, j, 1], squared[t, j] = x, y, x * x + y * y
+    return translation, depth, error, squared
 
 
 @kernel(FLOATS_1D(FLOATS_2D, FLOATS_1D, FLOATS_2D))

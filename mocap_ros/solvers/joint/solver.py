@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +18,12 @@ from numpy.typing import NDArray
 from mocap_ros.config import SolverConfig
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.joint.levenberg_marquardt import Descent, minimise_stepwise
 from mocap_ros.solvers.joint.lifted_pose import fit_initial_values
 from mocap_ros.solvers.joint.noise_annealing import COLD_DAMPING, CONTINUED_DAMPING, anneal_stepwise
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective
+from mocap_ros.solvers.joint.problem import Descent, JointProblem
 from mocap_ros.solvers.joint.state import Fit
+from mocap_ros.solvers.levenberg_marquardt import minimise_stepwise
 from mocap_ros.solvers.stepwise import Stepwise, run_to_end
 from mocap_ros.solvers.window import (
     Reconstruction,
@@ -72,7 +74,8 @@ def solve_stepwise(
     windows: Sequence[Window], model: BasePoses, config: SolverConfig
 ) -> Stepwise[tuple[JointReconstruction, ...]]:
     """Reconstruct as `solve` does, in steps."""
-    model = model.truncate(config.components)
+    if config.components < len(model.std):
+        model = model.truncate(config.components)
     is_warm = all(w.start is not None and (w.noise is not None or not config.adapt_noise) for w in windows)
     windows = [start_from_lifted_poses(w, model) for w in windows]
     chosen = [choose_initial_values(w, model, config.start_window) for w in windows]
@@ -80,18 +83,20 @@ def solve_stepwise(
     starts = [start for start, _ in chosen]
     units = np.array([unit for _, unit in chosen])
     objective = JointObjective.build(windows, units, model, config)
-    state = objective.with_optimal_translation(objective.initial_state(starts, units)).state
+    fit = objective.with_optimal_translation(objective.initial_state(starts, units))
     if not is_warm:
-        state = objective.with_optimal_translation(state).state
+        fit = objective.with_optimal_translation(fit.state)
     yield
     damping = COLD_DAMPING
-    earlier_iterations = np.zeros(len(windows), int)
+    earlier_iterations = np.zeros(len(windows), np.int64)
     if config.adapt_noise:
-        objective, state, earlier_iterations = yield from anneal_stepwise(objective, state, windows, config)
+        objective, fit, earlier_iterations = yield from anneal_stepwise(objective, fit, windows, config)
         damping = CONTINUED_DAMPING
     if is_warm:
         damping = WARM_DAMPING
-    descent = yield from minimise_stepwise(objective, state, config, damping)
+    descent = yield from minimise_stepwise(
+        JointProblem(objective), fit, config.max_iterations, config.tolerance, damping
+    )
     yield
     return _make_reconstructions(objective, windows, units, descent, earlier_iterations)
 
@@ -151,62 +156,94 @@ def negative_log_posterior(result: JointReconstruction, window: Window, config: 
     return result.cost / NOISE_REFERENCE**2 + 2 * coordinates * math.log(noise / NOISE_REFERENCE)
 
 
+class FrameValues(NamedTuple):
+    """What a fit says about all frames of its batch.
+
+    Attributes:
+        joints: (N, J, 3) m, as in `Reconstruction`, like all that follow.
+        scale: (N,) px/m.
+        translation: (N, 2) px.
+        residual: (N,) px.
+    """
+
+    joints: Array
+    scale: Array
+    translation: Array
+    residual: Array
+
+    @staticmethod
+    def of_fit(fit: Fit, units: Array, weight: Array) -> FrameValues:
+        """Return the values of a fit.
+
+        Args:
+            fit: of a batch.
+            units: (N,) px/m, by which the image points were divided.
+            weight: (N, J) scores of the joints.
+        """
+        state = fit.state
+        scale = np.exp(state.log_scale)
+        seen = weight > 0
+        with np.errstate(invalid='ignore'):  # 0 / 0 where no joint is seen
+            residual = units * np.sqrt((seen * fit.squared_error).sum(axis=1) / seen.sum(axis=1))
+        joints = fit.scaled_poses / scale[:, None, None]
+        return FrameValues(joints, scale * units, state.translation * units[:, None], residual)
+
+
 def _make_reconstructions(
     objective: JointObjective,
     windows: Sequence[Window],
     units: Array,
     descent: Descent,
-    earlier_iterations: NDArray[np.intp],
+    earlier_iterations: NDArray[np.int64],
 ) -> tuple[JointReconstruction, ...]:
     """Return the reconstruction of each sequence of a batch; units (P,) px/m."""
-    noise = objective.estimate_noise(descent.fit, descent.equations)
-    joint_std = None if descent.banded is None else objective.joint_std(descent.fit, descent.banded)
+    fit, step, batch = descent.point, descent.step, objective.batch
+    noise = objective.estimate_noise(fit, descent.equations)
+    joint_std = None if step is None else objective.joint_std(fit, step.factor)
+    weight = windows[0].weight if len(windows) == 1 else np.concatenate([w.weight for w in windows])
+    values = FrameValues.of_fit(fit, batch.repeat_per_frame(units), weight)
+    history = np.array(descent.history).T.tolist()
     out = []
-    for i, window in enumerate(windows):
-        status, iterations = SolverStatus(descent.status[i]), descent.iterations[i]
-        history = [float(values[i]) for values in descent.objective[: iterations + 1]]
-        total = int(earlier_iterations[i] + iterations)
-        result = make_reconstruction(objective, i, window, units[i], descent.fit, status, history, total)
-        std = None if joint_std is None else joint_std[i]
-        out.append(JointReconstruction(**vars(result), noise=float(noise[i]), joint_std=std))
+    for i, first in enumerate(batch.starts.tolist()):
+        own = slice(first, first + len(windows[i].times))
+        iterations = int(descent.iterations[i])
+        out.append(
+            JointReconstruction(
+                joints=values.joints[own],
+                theta=fit.state.theta[own],
+                cameras=WeakPerspectiveCameras(values.scale[own], fit.state.rotation[own]),
+                translation=values.translation[own],
+                residual=values.residual[own],
+                status=SolverStatus(descent.status[i]),
+                history=tuple(history[i][: iterations + 1]),
+                iterations=int(earlier_iterations[i]) + iterations,
+                noise=float(noise[i]),
+                joint_std=None if joint_std is None else joint_std[i],
+            )
+        )
     return tuple(out)
 
 
 def make_reconstruction(
-    objective: JointObjective,
-    sequence: int,
-    window: Window,
-    unit: float,
-    fit: Fit,
-    status: SolverStatus,
-    history: Sequence[float],
-    iterations: int,
+    window: Window, unit: float, fit: Fit, status: SolverStatus, history: Sequence[float], iterations: int
 ) -> Reconstruction:
-    """Return the reconstruction of one sequence of a batch.
+    """Return the reconstruction of one sequence.
 
     Args:
-        objective: of the batch.
-        sequence: index of the sequence in the batch.
-        window: that sequence.
+        window: the sequence.
         unit: px/m, by which its image points were divided.
-        fit: of the final state of the batch.
+        fit: of the final state.
         status: why the solver stopped.
-        history: m^2, objective of the sequence at the start and after each step.
+        history: m^2, objective at the start and after each step.
         iterations: number of steps that were tried.
     """
-    first = objective.batch.starts[sequence]
-    own = slice(first, first + objective.batch.counts[sequence])
-    scale = np.exp(fit.state.log_scale[own])
-    joints = fit.scaled_poses[own] / scale[:, None, None]
-    seen = window.weight > 0
-    with np.errstate(invalid='ignore'):
-        residual = unit * np.sqrt((seen * fit.squared_error[own]).sum(axis=1) / seen.sum(axis=1))
+    values = FrameValues.of_fit(fit, np.full(len(window.times), unit), window.weight)
     return Reconstruction(
-        joints=joints,
-        theta=fit.state.theta[own],
-        cameras=WeakPerspectiveCameras(scale * unit, fit.state.rotation[own]),
-        translation=fit.state.translation[own] * unit,
-        residual=residual,
+        joints=values.joints,
+        theta=fit.state.theta,
+        cameras=WeakPerspectiveCameras(values.scale, fit.state.rotation),
+        translation=values.translation,
+        residual=values.residual,
         status=status,
         history=tuple(history),
         iterations=iterations,

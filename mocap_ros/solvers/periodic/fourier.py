@@ -91,20 +91,20 @@ class SeriesJacobian:
     terms: Array
     slopes: Array
 
-    def transposed_products(self, values: Array) -> Array:
-        """Return J_t^T X_t of every frame, (G, N, R), for X (N, K + 1, R)."""
-        frames, _, count = values.shape
-        by_function = np.swapaxes(values, 0, 1)
-        by_terms = self.terms.T[:, None, :, None] * by_function
-        by_omega = (self.slopes.T[..., None] * by_function).sum(axis=0, keepdims=True)
-        return np.concatenate([by_terms.reshape(-1, frames, count), by_omega])
+    def products(self, values: Array) -> Array:
+        """Return X_t J_t of every frame, (N, R, G), for X (N, R, K + 1)."""
+        frames, rows, k = values.shape
+        out = np.empty((frames, rows, self.terms.shape[1] * k + 1))
+        out[..., :-1] = (self.terms[:, None, :, None] * values[:, :, None]).reshape(frames, rows, -1)
+        out[..., -1] = (values @ self.slopes[..., None])[..., 0]
+        return out
 
-    def sum_transposed_products(self, values: Array) -> Array:
-        """Return sum_t J_t^T X_t, (G, R), for X (N, K + 1, R)."""
-        frames, _, count = values.shape
-        by_terms = self.terms.T @ values.reshape(frames, -1)
-        by_omega = self.slopes.reshape(1, -1) @ values.reshape(-1, count)
-        return np.concatenate([by_terms.reshape(-1, count), by_omega])
+    def sum_products(self, values: Array) -> Array:
+        """Return sum_t X_t J_t, (R, G), for X (N, R, K + 1)."""
+        frames, rows, k = values.shape
+        by_terms = (self.terms.T @ values.reshape(frames, -1)).reshape(-1, rows, k)
+        by_omega = np.tensordot(values, self.slopes, ([0, 2], [0, 1]))
+        return np.concatenate([np.swapaxes(by_terms, 0, 1).reshape(rows, -1), by_omega[:, None]], axis=1)
 
     def sum_congruences(self, matrices: Array) -> Array:
         """Return sum_t J_t^T X_t J_t, (G, G), for symmetric X (N, K + 1, K + 1).

@@ -31,18 +31,14 @@ from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint
-from mocap_ros.solvers.joint.levenberg_marquardt import (
-    DAMPING_AFTER_FAILURE,
-    DAMPING_AFTER_SUCCESS,
-    MAX_DAMPING,
-    MIN_DAMPING,
-)
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.joint.solver import WARM_DAMPING, make_reconstruction
 from mocap_ros.solvers.joint.state import State
+from mocap_ros.solvers.levenberg_marquardt import DAMPING_AFTER_SUCCESS, MIN_DAMPING, minimise_stepwise
 from mocap_ros.solvers.periodic.fourier import FourierSeries, fit_initial_series
-from mocap_ros.solvers.periodic.normal_equations import ReducedNormalEquations
-from mocap_ros.solvers.periodic.objective import PeriodicObjective, rotations_about_vertical
+from mocap_ros.solvers.periodic.normal_equations import PeriodicEquations
+from mocap_ros.solvers.periodic.objective import PeriodicObjective
+from mocap_ros.solvers.periodic.point import Point, rotations_about_vertical
 from mocap_ros.solvers.stepwise import Stepwise, ignore_overflow, run_to_end
 from mocap_ros.solvers.window import InitialValues, Reconstruction, SolverStatus, Window
 
@@ -215,126 +211,105 @@ def _fit_window(
     if config.adapt_noise:
         objective = objective.with_noise(noise)
     yield
-    searches = []
-    for series in _make_series_hypotheses(start.theta, window.times, noise, config):
+    searches, first_omega = [], None
+    for _ in range(1 if noise < MIN_NOISE_FOR_HYPOTHESES else 2):
+        series = fit_initial_series(start.theta, window.times, config, excluded_omega=first_omega)
         yield
-        cameras = initial_cameras(objective, series, start, unit)
-        searches.append(LevenbergMarquardtSearch(objective, series, cameras, config.max_iterations))
+        first_omega = series.omega
+        point = measure_initial_point(objective, series, start, unit)
+        searches.append(Search(objective, point, config.max_iterations))
         yield
     search = yield from select_most_likely(searches)
     if noise >= MIN_NOISE_FOR_HYPOTHESES:
-        still_camera = objective.with_still_camera(config)
-        still = LevenbergMarquardtSearch(still_camera, search.series, search.cameras, search.remaining_trials)
+        still = Search(objective.with_still_camera(config), search.point, search.remaining_trials)
         search = yield from select_most_likely([search, still])
-    round_tolerance = max(NOISE_ROUND_TOLERANCE, config.tolerance)
     if config.adapt_noise and window.noise is None:
         for _ in range(NOISE_ROUNDS):
-            yield from search.run(round_tolerance)
+            yield from search.run(max(NOISE_ROUND_TOLERANCE, config.tolerance))
+            yield
             noise = max(search.estimate_noise(), config.noise_floor)
             search.set_objective(search.objective.with_noise(noise))
-    status = yield from search.run(config.tolerance)
+            yield
+    yield from search.run(config.tolerance)
+    yield
     iterations = config.max_iterations - search.remaining_trials
-    return _make_reconstruction(search, window, unit, status, iterations, noise)
+    result = make_reconstruction(window, unit, search.point.fit, search.status, search.history, iterations)
+    series = search.point.series
+    return PeriodicReconstruction(**vars(result), noise=noise, cadence=series.cadence, series=series)
 
 
-def initial_cameras(
+def measure_initial_point(
     objective: PeriodicObjective, series: FourierSeries, start: InitialValues, unit: float
-) -> State:
-    """Return C_t = R_t Rz(-psi_t) for the initial rotations R_t, with optimal translations."""
-    cameras = objective.problem.initial_state([start], np.array([unit]))
+) -> Point:
+    """Return a point with the cameras C_t = R_t Rz(-psi_t) for the initial rotations R_t, translations optimal."""
+    body = objective.body.initial_state([start], np.array([unit]))
     without_heading = rotations_about_vertical(-series.evaluate_heading(objective.times))
-    cameras = replace(cameras, rotation=cameras.rotation @ without_heading)
-    for _ in range(INITIAL_TRANSLATION_STEPS):
-        cameras = objective.with_optimal_translation(series, cameras)
-    return cameras
+    no_weights = np.zeros((len(objective.times), 0))
+    cameras = State(no_weights, body.rotation @ without_heading, body.log_scale, body.translation)
+    point = objective.measure(series, cameras)
+    for _ in range(INITIAL_TRANSLATION_STEPS - 1):
+        point = objective.measure(series, point.cameras)
+    return point
 
 
-def _make_series_hypotheses(theta: Array, times: Array, noise: float, config: SolverConfig) -> list[FourierSeries]:
-    """Return the series of the most likely cadence and, if the noise is large, that of a second cadence."""
-    first = fit_initial_series(theta, times, config)
-    if noise < MIN_NOISE_FOR_HYPOTHESES:
-        return [first]
-    return [first, fit_initial_series(theta, times, config, excluded_omega=first.omega)]
-
-
-class LevenbergMarquardtSearch:
-    """Levenberg-Marquardt search over series and cameras.
+class Search:
+    """The minimisation that starts from one hypothesis, in several runs of Levenberg-Marquardt.
 
     Attributes:
-        objective: the objective E that is minimised.
-        series: current series.
-        cameras: current cameras; their theta is ignored.
-        equations: normal equations at the current point, or if `is_outdated`, at an earlier one.
-        history: m^2, values of E at the point where the current objective was set and after each accepted step.
-        damping: current relative damping.
+        objective: the objective E of the current run.
+        point: current series and cameras.
+        equations: normal equations at the current point or at an earlier one; None before the first run.
+        history: m^2, values of E since the current objective was set, after each step that was tried.
+        damping: relative damping of the next step.
         remaining_trials: number of steps that may still be tried, accepted or not.
-        is_singular: whether the latest step could not be computed.
+        status: why the latest run stopped.
     """
 
-    def __init__(
-        self, objective: PeriodicObjective, series: FourierSeries, cameras: State, max_trials: int
-    ) -> None:
-        self.series = series
-        self.cameras = cameras
-        self.remaining_trials = max_trials
+    def __init__(self, objective: PeriodicObjective, point: Point, max_trials: int) -> None:
+        self.point = point
+        self.equations: PeriodicEquations | None = None
         self.damping = WARM_DAMPING
-        self.is_singular = False
-        self.equations = ReducedNormalEquations.build(objective, series, cameras)
+        self.remaining_trials = max_trials
+        self.status = SolverStatus.MAX_ITERATIONS
         self.set_objective(objective)
-        self.is_outdated = False
 
     def set_objective(self, objective: PeriodicObjective) -> None:
         """Continue from the current point under another objective."""
         self.objective = objective
-        self.history = [objective.cost(self.series, self.cameras)]
-        self.is_outdated = True
+        self.history = [float(objective.cost(self.point)[0])]
+
+    def run(self, tolerance: float) -> Stepwise[None]:
+        """Minimise until a step decreases E by less than the relative tolerance, or no trials remain."""
+        if self.remaining_trials == 0:
+            self.status = min(self.status, SolverStatus.MAX_ITERATIONS)
+            return
+        descent = yield from minimise_stepwise(
+            self.objective, self.point, self.remaining_trials, tolerance, self.damping
+        )
+        self.point, self.equations = descent.point, descent.equations
+        self.history += [float(cost[0]) for cost in descent.history[1:]]
+        self.remaining_trials -= int(descent.iterations[0])
+        self.status = SolverStatus(descent.status[0])
+        self.damping = float(descent.damping[0])
+        if self.status is SolverStatus.CONVERGED:
+            self.damping = max(self.damping * DAMPING_AFTER_SUCCESS, MIN_DAMPING)
 
     def estimate_noise(self) -> float:
         """Return the image noise (m); the effective parameters may be those of the point before the last step."""
-        return self.objective.estimate_noise(self.series, self.cameras, self.equations.effective_parameters())
+        return self.objective.estimate_noise(self.point, self._some_equations().count_effective_parameters())
 
     def minus_twice_log_evidence(self) -> float:
         """Return the value at the head of this module; C may be that of the point before the last step."""
-        return self.history[-1] / NOISE_REFERENCE**2 + self.equations.camera_log_determinant_ratio()
+        return self.history[-1] / NOISE_REFERENCE**2 + self._some_equations().camera_log_determinant_ratio()
 
-    def run(self, tolerance: float) -> Stepwise[SolverStatus]:
-        """Minimise until a step decreases E by less than the relative tolerance, or no trials remain."""
-        while self.remaining_trials > 0:
-            self.remaining_trials -= 1
-            yield
-            cost = self.history[-1]
-            if self._try_step():
-                self.damping = max(self.damping * DAMPING_AFTER_SUCCESS, MIN_DAMPING)
-                if cost - self.history[-1] <= tolerance * cost:
-                    return SolverStatus.CONVERGED
-            else:
-                self.damping *= DAMPING_AFTER_FAILURE
-                if self.damping > MAX_DAMPING:
-                    return SolverStatus.SINGULAR if self.is_singular else SolverStatus.NO_LOWER_STEP
-        return SolverStatus.SINGULAR if self.is_singular else SolverStatus.MAX_ITERATIONS
-
-    def _try_step(self) -> bool:
-        """Make a step if it decreases E; return whether it did."""
-        if self.is_outdated:
-            self.equations = ReducedNormalEquations.build(self.objective, self.series, self.cameras)
-            self.is_outdated = False
-        step = self.equations.solve_step(self.damping)
-        self.is_singular = step is None
-        if step is None:
-            return False
-        series_step, camera_step = step
-        series = self.series.with_step(series_step)
-        cameras = self.cameras.advanced(np.concatenate([np.zeros_like(self.cameras.theta), camera_step], axis=1))
-        cameras = self.objective.with_optimal_translation(series, cameras)
-        cost = self.objective.cost(series, cameras)
-        if not cost < self.history[-1]:
-            return False
-        self.series, self.cameras, self.is_outdated = series, cameras, True
-        self.history.append(cost)
-        return True
+    def _some_equations(self) -> PeriodicEquations:
+        """Return the equations of the latest run, or those of the current point if there was no run."""
+        if self.equations is None:
+            self.equations = self.objective.normal_equations(self.point)
+        return self.equations
 
 
-def select_most_likely(hypotheses: Sequence[LevenbergMarquardtSearch]) -> Stepwise[LevenbergMarquardtSearch]:
+def select_most_likely(hypotheses: Sequence[Search]) -> Stepwise[Search]:
     """Run the searches almost to convergence and return the one with the highest evidence.
 
     All searches together have the trials of the first one; what remains of these is left to the selected one.
@@ -345,22 +320,8 @@ def select_most_likely(hypotheses: Sequence[LevenbergMarquardtSearch]) -> Stepwi
     for search in hypotheses:
         search.remaining_trials = remaining_trials
         yield from search.run(HYPOTHESIS_TOLERANCE)
+        yield
         remaining_trials = search.remaining_trials
-    best = min(hypotheses, key=LevenbergMarquardtSearch.minus_twice_log_evidence)
+    best = min(hypotheses, key=Search.minus_twice_log_evidence)
     best.remaining_trials = remaining_trials
     return best
-
-
-def _make_reconstruction(
-    search: LevenbergMarquardtSearch,
-    window: Window,
-    unit: float,
-    status: SolverStatus,
-    iterations: int,
-    noise: float,
-) -> PeriodicReconstruction:
-    """Return the result of a search; `unit` in px/m, `noise` in m."""
-    problem, series = search.objective.problem, search.series
-    fit = problem.fit(search.objective.body_state(series, search.cameras))
-    result = make_reconstruction(problem, 0, window, unit, fit, status, search.history, iterations)
-    return PeriodicReconstruction(**vars(result), noise=float(noise), cadence=series.cadence, series=series)

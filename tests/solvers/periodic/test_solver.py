@@ -1,4 +1,4 @@
-"""Tests of the periodic solver: cadence, derivatives, missing points, and extreme input."""
+"""Tests of the periodic solver: cadence, missing points, and extreme input."""
 
 from dataclasses import replace
 
@@ -13,10 +13,8 @@ from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint, periodic
-from mocap_ros.solvers.periodic.fourier import FourierSeries
-from mocap_ros.solvers.periodic.normal_equations import ReducedNormalEquations
-from mocap_ros.solvers.periodic.objective import PeriodicObjective, make_camera_bands
-from mocap_ros.solvers.window import InitialValues, SolverStatus, Window
+from mocap_ros.solvers.periodic.normal_equations import PeriodicEquations
+from mocap_ros.solvers.window import SolverStatus, Window
 from tests.support.synthetic_walk import BODY_TO_OPTICAL, Walk, compute_mpjpe
 
 CADENCE = 0.9
@@ -57,67 +55,6 @@ def test_missing_points_increase_the_error_only_slightly(walk_model: BasePoses) 
     (incomplete,) = periodic.solve([Window(points, weight, times)], walk_model, config)
     assert compute_mpjpe(incomplete, walk_model, theta, cameras) < 1.1 * 27.1  # mm, measured; all points: 24.6 mm
     assert compute_mpjpe(complete, walk_model, theta, cameras) < 1.1 * 24.6  # mm, measured
-
-
-def test_gradient_and_matrix_agree_with_finite_differences(walk_model: BasePoses) -> None:
-    _, cameras, points, times = make_walk(walk_model, frames=12)
-    model = walk_model.truncate(4)
-    rng = np.random.default_rng(1)
-    config = SolverConfig(harmonics=2, robust_scale=0.0)
-    window = Window(points, np.ones(points.shape[:2]), times)
-    objective = PeriodicObjective.build(window, 200.0, model, config)
-    omega = 2 * np.pi * (CADENCE + 0.05)
-    series = FourierSeries(0.05 * rng.normal(size=(5, 5)), omega, float(times.mean()))
-    unknowns = series.coefficients.size + 1
-    start = InitialValues(series.evaluate(times)[:, :-1], cameras)
-    base = objective.problem.initial_state([start], np.array([200.0]))
-    perturbation = np.concatenate([np.zeros_like(base.theta), 0.05 * rng.normal(size=(12, 4))], axis=1)
-    base = base.advanced(perturbation)
-
-    def compute_cost(step: np.ndarray) -> float:
-        series_step, camera_step = np.split(step, [unknowns])
-        moved = series.with_step(series_step)
-        padded = np.concatenate([np.zeros_like(base.theta), camera_step.reshape(12, 4)], axis=1)
-        return objective.cost(moved, objective.with_optimal_translation(moved, base.advanced(padded)))
-
-    size = unknowns + 48
-    numeric = np.empty(size)
-    for index in range(size):
-        step = np.zeros(size)
-        step[index] = 1e-5
-        numeric[index] = (compute_cost(step) - compute_cost(-step)) / 2e-5 / 2
-    reduced = ReducedNormalEquations.build(objective, series, objective.with_optimal_translation(series, base))
-    analytic = np.concatenate([reduced.series_gradient, reduced.camera_gradient])
-    assert np.abs(analytic - numeric).max() < 1e-6 * np.abs(numeric).max()
-
-    # Without damping the step solves the whole system, in which the cameras are not eliminated.
-    full_step = reduced.solve_step(0.0)
-    assert full_step is not None
-    full_matrix = np.block(
-        [[reduced.series_matrix, reduced.coupling], [reduced.coupling.T, unpack_band(reduced.camera_band)]]
-    )
-    expected = -np.linalg.solve(full_matrix + 1e-12 * np.eye(len(full_matrix)), analytic)
-    found = np.concatenate([full_step[0], full_step[1].ravel()])
-    assert np.allclose(found, expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max())
-
-
-def unpack_band(band: np.ndarray) -> np.ndarray:
-    """Return a symmetric matrix from LAPACK's lower band storage."""
-    n = band.shape[1]
-    lower = sum(np.diag(band[below, : n - below], -below) for below in range(min(len(band), n)))
-    return np.asarray(lower + np.tril(lower, -1).T)
-
-
-def test_camera_bands_integrate_the_squared_derivatives(rng: np.random.Generator) -> None:
-    times = np.cumsum(rng.uniform(0.02, 0.05, 9))
-    bands = make_camera_bands(times, 2.0, 3.0)
-    form = sum(np.diag(bands[d, : 9 - d], -d) + (np.diag(bands[d, : 9 - d], d) if d else 0) for d in range(3))
-    line = 0.7 * times + 5
-    assert line @ form @ line == pytest.approx(2.0 * 0.7**2 * np.ptp(times))
-    parabola = times**2
-    middle = (times[2:] - times[:-2]) / 2
-    first = (np.diff(parabola) ** 2 / np.diff(times)).sum()
-    assert parabola @ form @ parabola == pytest.approx(2.0 * first + 3.0 * 4 * middle.sum())
 
 
 def test_heading_of_the_body_does_not_move_the_camera(walk_model: BasePoses) -> None:
@@ -189,13 +126,13 @@ def test_max_iterations_limits_the_trials_on_random_points(
     walk_model: BasePoses, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trials = []
-    solve_step = ReducedNormalEquations.solve_step
+    solve_step = PeriodicEquations.solve_step
 
-    def count_and_solve(equations: ReducedNormalEquations, damping: float) -> object:
+    def count_and_solve(equations: PeriodicEquations, damping: float) -> object:
         trials.append(damping)
         return solve_step(equations, damping)
 
-    monkeypatch.setattr(ReducedNormalEquations, 'solve_step', count_and_solve)
+    monkeypatch.setattr(PeriodicEquations, 'solve_step', count_and_solve)
     points = 1000 * np.random.default_rng(0).standard_normal((60, 15, 2))
     window = Window(points, np.ones((60, 15)), np.arange(60) / 30)
     config = SolverConfig(components=10, max_iterations=20, tolerance=0.0)

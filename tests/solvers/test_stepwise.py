@@ -1,0 +1,74 @@
+"""Stepwise solvers: a piece of work has at most one step of Levenberg-Marquardt, and errors pass through."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+from mocap_ros.config import SolverConfig
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.solvers import classification, joint, periodic
+from mocap_ros.solvers.joint.objective import JointObjective
+from mocap_ros.solvers.periodic.normal_equations import PeriodicEquations
+from mocap_ros.solvers.stepwise import Stepwise, ignore_overflow, run_to_end
+from tests.support.synthetic_walk import make_noisy_window
+
+CONFIG = SolverConfig(components=8, max_iterations=6, heading_hypotheses=2)
+
+
+def overflow_twice() -> Stepwise[float]:
+    large = np.array([1e308])
+    first = large * 10
+    yield
+    return float((first * large)[0])
+
+
+def test_result_and_errors_are_those_of_the_work() -> None:
+    def fail() -> Stepwise[int]:
+        yield
+        raise ValueError('in the second piece')
+
+    assert run_to_end(ignore_overflow(overflow_twice())) == np.inf
+    for work in (fail(), ignore_overflow(fail())):
+        next(work)
+        with pytest.raises(ValueError, match='in the second piece'):
+            next(work)
+
+
+def test_only_the_work_itself_overflows_silently() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        work = ignore_overflow(overflow_twice())
+        next(work)
+        with pytest.raises(RuntimeWarning, match='overflow'):
+            np.array([1e308]) * 10
+        with pytest.raises(StopIteration):
+            next(work)
+
+
+def test_each_piece_has_one_step_at_most(walk_model: BasePoses, monkeypatch: pytest.MonkeyPatch) -> None:
+    window = make_noisy_window(walk_model, seed=0, missing=0.1)
+    models = {'walk': walk_model}
+    steps = []
+    for kind, name in ((JointObjective, 'step'), (PeriodicEquations, 'solve_step')):
+        step = getattr(kind, name)
+        monkeypatch.setattr(kind, name, lambda *args, step=step: steps.append(1) or step(*args))
+    all_work: list[Stepwise[object]] = [
+        joint.solve_stepwise([window], walk_model, CONFIG),
+        joint.solve_hypotheses_stepwise([window], walk_model, CONFIG),
+        periodic.solve_stepwise([window], walk_model, CONFIG),
+        classification.minus_twice_log_evidence_stepwise(window, walk_model, 0.01, CONFIG),
+        classification.fit_periodic_stepwise(window, models, CONFIG),
+        classification.choose_category_stepwise(window, models, CONFIG),
+    ]
+    for work in all_work:
+        steps.clear()
+        largest = 0
+        for _ in work:
+            largest, total = max(largest, len(steps)), len(steps)
+            steps.clear()
+        assert largest == 1
+        assert total <= 1
+        assert not steps
