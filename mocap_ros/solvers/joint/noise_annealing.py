@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from mocap_ros.config import SolverConfig
 from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
 from mocap_ros.solvers.joint.batch import MIN_TIME_STEP, Batch
+from mocap_ros.solvers.joint.noise_estimate import estimate_noise
 from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.joint.problem import Descent, JointProblem
 from mocap_ros.solvers.joint.state import Fit, State
@@ -66,7 +67,7 @@ def anneal_stepwise(
         return objective.with_noise(noise), fit, np.zeros(len(windows), np.int64)
 
     def updated_noise(current: JointObjective, descent: Descent, least: float) -> Array:
-        estimate = current.estimate_noise(descent.point, descent.equations)
+        estimate = estimate_noise(current.reprojection, current.batch, descent.point, descent.equations)
         return np.where(is_unknown, np.maximum(estimate, max(least, config.noise_floor)), noise)
 
     tolerance = max(ROUND_TOLERANCE, config.tolerance)

@@ -85,7 +85,7 @@ class NormalEquations:
         """
         jacobian = differentiate_joints(fit.state.rotation, fit.state.log_scale, fit.scaled_poses, basis)
         blocks, of_bones, of_pairs, corners, by_joints, by_image, gradient, of_joints, by_translation, w, v = (
-            _allocate(*fit.depth.shape, jacobian.shape[2], bones)
+            _allocate(len(jacobian), fit.depth.shape[1], jacobian.shape[2], bones)
         )
         return NormalEquations(
             diagonal=blocks,

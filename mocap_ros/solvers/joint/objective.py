@@ -22,7 +22,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.blas import add_product, solve_lower
+from mocap_ros.compiled.blas import add_product, add_product_transposed
 from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, INTS_1D, kernel
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
@@ -44,11 +44,6 @@ AnyTerm = TypeVar('AnyTerm')
 
 NOISE_REFERENCE = 0.01  # m; image noise at the body for which the weights in the configuration are given
 MIN_DIAGONAL = 1e-12  # added to the diagonal, for unknowns on which nothing depends (a frame without seen joints)
-MIN_FREE_SHARE = (
-    0.05  # of the coordinates; where the unknowns fit nearly all of them, so many still measure the noise
-)
-NOISE_FRAMES = 3  # frames of a sequence, at least, in which the unknowns that the fit absorbs are counted
-NOISE_FRAME_STEP = 15  # frames; of a longer sequence one further frame in so many is counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,31 +143,6 @@ class JointObjective:
         terms = tuple(reprojection if term is self.reprojection else term for term in self.terms)
         return replace(self, reprojection=reprojection, terms=terms)
 
-    def estimate_noise(self, fit: Fit, equations: NormalEquations) -> Array:
-        """(P,) m, standard deviation of a coordinate of an image point with score 1, from the residual.
-
-        The sum of squares is shared among the coordinates, less those that the unknowns have absorbed while their
-        neighbours are held.
-
-        Args:
-            fit: of the state at hand.
-            equations: of that state or of one nearby.
-        """
-        reprojection = self.reprojection
-        squares = self.batch.sum_per_sequence(reprojection.variance_ratio * reprojection.cost(fit))
-        coordinates = 2 * self.batch.sum_per_sequence((reprojection.weight > 0).sum(axis=1))
-        free = np.maximum(coordinates - self._count_absorbed(equations), MIN_FREE_SHARE * coordinates + 1)
-        return np.sqrt(squares / free)
-
-    def _count_absorbed(self, equations: NormalEquations) -> Array:
-        """(P,) number of coordinates that the unknowns fit away, extrapolated from some frames of a sequence."""
-        counts, starts = self.batch.counts, self.batch.starts
-        stride = -(-counts // (NOISE_FRAMES + counts // NOISE_FRAME_STEP))
-        examined = -(-counts // stride)
-        frames = np.concatenate([np.arange(s, s + c, d) for s, c, d in zip(starts, counts, stride, strict=True)])
-        absorbed = equations.count_absorbed_coordinates(frames)
-        return np.add.reduceat(absorbed, np.cumsum(examined) - examined) * (counts / examined)
-
     def fit(self, state: State, *, settle_translation: bool = False) -> Fit:
         """Return what the terms measure in a state.
 
@@ -254,7 +224,7 @@ class JointObjective:
             np.exp(-state.log_scale[last])[:, None, None] * fit.scaled_poses[last],
             self.basis,
         )
-        return NOISE_REFERENCE * _spread_of_joints(factor.diagonal[last], jacobian)
+        return NOISE_REFERENCE * _spread_of_joints(factor.inverse[last], jacobian)
 
     def initial_state(self, starts: Sequence[InitialValues], units: Array) -> State:
         """Return the state at these starts, with the translations at the centroids of the image points.
@@ -302,24 +272,23 @@ def _damp(damping: Array, starts: NDArray[np.intp], counts: NDArray[np.intp], di
 
 
 @kernel(FLOATS_2D(FLOATS_3D, FLOATS_3D))
-def _spread_of_joints(factor: Array, jacobian: Array) -> Array:
+def _spread_of_joints(inverse: Array, jacobian: Array) -> Array:
     """Return the root of the trace of J_j (L L^T)^-1 J_j^T for each joint of P frames, (P, J).
 
     Args:
-        factor: (P, n, n) blocks L in the lower triangles.
+        inverse: (P, n, n) matrices L^-1.
         jacobian: (P, 3 J, n) derivatives J of joints of a given size, which the log scale does not move.
     """
     frames, rows, n = jacobian.shape
     out = np.zeros((frames, rows // 3))
     for p in range(frames):
-        right = np.zeros((n, rows))
-        for i in range(n - 1):
-            for row in range(rows):
-                right[i, row] = jacobian[p, row, i]
-        solve_lower(factor[p], right)
-        for i in range(n):
-            for row in range(rows):
-                out[p, row // 3] += right[i, row] ** 2
+        derivatives = jacobian[p].copy()
+        derivatives[:, n - 1] = 0.0
+        whitened = np.zeros((rows, n))
+        add_product_transposed(1.0, derivatives, inverse[p], whitened)
+        for row in range(rows):
+            for i in range(n):
+                out[p, row // 3] += whitened[row, i] ** 2
         for j in range(rows // 3):
             out[p, j] = np.sqrt(out[p, j])
     return out

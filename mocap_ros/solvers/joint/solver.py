@@ -20,6 +20,7 @@ from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint.lifted_pose import fit_initial_values
 from mocap_ros.solvers.joint.noise_annealing import COLD_DAMPING, CONTINUED_DAMPING, anneal_stepwise
+from mocap_ros.solvers.joint.noise_estimate import estimate_noise
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective
 from mocap_ros.solvers.joint.problem import Descent, JointProblem
 from mocap_ros.solvers.joint.state import Fit
@@ -198,7 +199,7 @@ def _make_reconstructions(
 ) -> tuple[JointReconstruction, ...]:
     """Return the reconstruction of each sequence of a batch; units (P,) px/m."""
     fit, step, batch = descent.point, descent.step, objective.batch
-    noise = objective.estimate_noise(fit, descent.equations)
+    noise = estimate_noise(objective.reprojection, batch, fit, descent.equations)
     joint_std = None if step is None else objective.joint_std(fit, step.factor)
     weight = windows[0].weight if len(windows) == 1 else np.concatenate([w.weight for w in windows])
     values = FrameValues.of_fit(fit, batch.repeat_per_frame(units), weight)
