@@ -25,7 +25,7 @@ from numba import types, void
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.blas import add_transposed_product
-from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, INTS_1D, kernel
+from mocap_ros.compiled.kernel import BOOLS_1D, FLOATS_1D, FLOATS_2D, FLOATS_3D, INTS_1D, kernel
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint.batch import Batch, Subsample
@@ -109,6 +109,7 @@ class BoneLengths:
         _add_bones(
             self.weight,
             self.flat_bones,
+            equations.is_active,
             fit.bone_direction,
             fit.bone_length,
             fit.bone_excess,
@@ -187,10 +188,11 @@ def _sum_excess(
     return out
 
 
-@kernel(void(FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_2D, FLOATS_2D, FLOATS_3D, FLOATS_3D, FLOATS_2D))
+@kernel(void(FLOATS_1D, FLOATS_2D, BOOLS_1D, FLOATS_3D, FLOATS_2D, FLOATS_2D, FLOATS_3D, FLOATS_3D, FLOATS_2D))
 def _add_bones(
     weight: Array,
     flat_bones: Array,
+    is_active: NDArray[np.bool_],
     direction: Array,
     length: Array,
     excess: Array,
@@ -207,6 +209,8 @@ def _add_bones(
     k = flat_bones.shape[1]
     weighted = np.empty((3 * count, k))
     for t in range(frames):
+        if not is_active[t]:
+            continue
         for b in range(count):
             u = direction[t, b]
             curvature = weight[b] * max(excess[t, b] / length[t, b], 0.0)

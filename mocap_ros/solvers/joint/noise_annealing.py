@@ -67,7 +67,9 @@ def anneal_stepwise(
         return objective.with_noise(noise), fit, np.zeros(len(windows), np.int64)
 
     def updated_noise(current: JointObjective, descent: Descent, least: float) -> Array:
-        estimate = estimate_noise(current.reprojection, current.batch, descent.point, descent.equations)
+        estimate = estimate_noise(
+            current.reprojection, current.batch, current.is_free, descent.point, descent.equations
+        )
         return np.where(is_unknown, np.maximum(estimate, max(least, config.noise_floor)), noise)
 
     tolerance = max(ROUND_TOLERANCE, config.tolerance)

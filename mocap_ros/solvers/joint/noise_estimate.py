@@ -4,8 +4,8 @@
 
 over the frames t and the S seen joints of a sequence (`reprojection`). m_t counts the coordinates of frame t that
 the unknowns fit away while the neighbours of the frame are held
-(`normal_equations.NormalEquations.count_absorbed_coordinates`). It is counted in some frames T and extrapolated to
-all F of them.
+(`normal_equations.NormalEquations.count_absorbed_coordinates`). It is counted in some free frames T, and
+extrapolated to all F frames.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INTS_1D, kernel
+from mocap_ros.compiled.kernel import BOOLS_1D, FLOATS_1D, FLOATS_2D, INTS_1D, kernel
 from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
 from mocap_ros.solvers.joint.reprojection import Reprojection
@@ -27,16 +27,19 @@ COUNTED_FRAMES = 3  # frames of a sequence, at least, in which the unknowns that
 COUNTED_FRAME_STEP = 15  # frames; of a longer sequence one further frame in so many is counted
 
 
-def estimate_noise(reprojection: Reprojection, batch: Batch, fit: Fit, equations: NormalEquations) -> Array:
+def estimate_noise(
+    reprojection: Reprojection, batch: Batch, is_free: NDArray[np.bool_], fit: Fit, equations: NormalEquations
+) -> Array:
     """Return the standard deviation (P,) m of a coordinate of an image point with score 1 in each sequence.
 
     Args:
         reprojection: the term of the image points.
         batch: which frames belong to which sequence.
+        is_free: (N,) False for frames that keep their initial values.
         fit: of the state at hand.
         equations: of that state or of one nearby.
     """
-    frames = choose_counted_frames(batch.starts, batch.counts)
+    frames = choose_counted_frames(batch.starts, batch.counts, is_free)
     return _share_residual(
         batch.starts,
         batch.counts,
@@ -48,20 +51,24 @@ def estimate_noise(reprojection: Reprojection, batch: Batch, fit: Fit, equations
     )
 
 
-@kernel(INTS_1D(INTS_1D, INTS_1D))
-def choose_counted_frames(starts: Ints, counts: Ints) -> Ints:
+@kernel(INTS_1D(INTS_1D, INTS_1D, BOOLS_1D))
+def choose_counted_frames(starts: Ints, counts: Ints, is_free: NDArray[np.bool_]) -> Ints:
     """Return the frames in which the unknowns are counted, those of all sequences one after the other.
 
     Args:
         starts: (P,) first frame of each sequence.
         counts: (P,) number of frames of each sequence.
+        is_free: (N,) False for frames that keep their initial values, the first ones of a sequence if any.
     """
     frames = np.empty(np.sum(counts), np.int64)
     size = 0
     for p in range(len(starts)):
-        most = COUNTED_FRAMES + counts[p] // COUNTED_FRAME_STEP
-        stride = -(-counts[p] // most)
-        for t in range(starts[p], starts[p] + counts[p], stride):
+        first, end = starts[p], starts[p] + counts[p]
+        while first < end and not is_free[first]:
+            first += 1
+        most = COUNTED_FRAMES + (end - first) // COUNTED_FRAME_STEP
+        stride = max(-(-(end - first) // most), 1)
+        for t in range(first, end, stride):
             frames[size] = t
             size += 1
     return frames[:size]
@@ -103,6 +110,6 @@ def _share_residual(
             total += absorbed[index]
             counted += 1
             index += 1
-        free = coordinates - total * counts[p] / counted
+        free = coordinates - total * counts[p] / max(counted, 1)
         noise[p] = np.sqrt(squares / max(free, MIN_FREE_SHARE * coordinates + 1))
     return noise

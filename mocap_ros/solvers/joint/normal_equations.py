@@ -32,7 +32,7 @@ from mocap_ros.compiled.blas import (
     factorise_cholesky,
     solve_lower,
 )
-from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_4D, INT, INTS_1D, kernel
+from mocap_ros.compiled.kernel import BOOLS_1D, FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_4D, INT, INTS_1D, kernel
 from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, write_point_jacobian
 from mocap_ros.solvers.block_banded import Coupling
 from mocap_ros.solvers.joint.state import Fit
@@ -47,7 +47,10 @@ MIN_INFORMATION = 1e-9  # m^2; keeps a block solvable in which the image does no
 class NormalEquations:
     """The equations of a batch; terms add to the arrays in place while the equations are built.
 
+    What takes long is left out for frames that are not active, whose equations nobody asks for.
+
     Attributes:
+        is_active: (N,) whether the equations of a frame are complete.
         diagonal: (N, n, n) diagonal blocks of A.
         coupling: blocks of A between neighbouring frames.
         gradient: (N, n) half the gradient of the objective.
@@ -62,6 +65,7 @@ class NormalEquations:
         translation_gradient: (N, 2) the vectors v.
     """
 
+    is_active: NDArray[np.bool_]
     diagonal: Array
     coupling: Coupling
     gradient: Array
@@ -75,19 +79,22 @@ class NormalEquations:
     translation_gradient: Array
 
     @staticmethod
-    def begin(fit: Fit, basis: Array, bones: int) -> NormalEquations:
+    def begin(fit: Fit, basis: Array, bones: int, is_active: NDArray[np.bool_]) -> NormalEquations:
         """Return equations to which no term has added yet.
 
         Args:
             fit: of the state at hand.
             basis: (3 J, K) the base poses, a coordinate of a joint in each row.
             bones: number of bones.
+            is_active: (N,) whether the equations of a frame are needed.
         """
-        jacobian = differentiate_joints(fit.state.rotation, fit.state.log_scale, fit.scaled_poses, basis)
+        state = fit.state
+        jacobian = differentiate_joints(state.rotation, state.log_scale, fit.scaled_poses, basis, is_active)
         blocks, of_bones, of_pairs, corners, by_joints, by_image, gradient, of_joints, by_translation, w, v = (
             _allocate(len(jacobian), fit.depth.shape[1], jacobian.shape[2], bones)
         )
         return NormalEquations(
+            is_active=is_active,
             diagonal=blocks,
             coupling=Coupling(of_pairs, corners),
             gradient=gradient,
@@ -104,6 +111,7 @@ class NormalEquations:
     def transfer_from_joints(self) -> None:
         """Add what the terms of the joints' positions have added to the matrix and the gradient, in place."""
         _transfer_from_joints(
+            self.is_active,
             self.joint_jacobian,
             self.joint_matrix,
             self.image_matrix,
@@ -187,8 +195,10 @@ def _allocate(frames: int, joints: int, n: int, bones: int) -> tuple[Array, ...]
     )
 
 
-@kernel(FLOATS_3D(FLOATS_3D, FLOATS_1D, FLOATS_3D, FLOATS_2D))
-def differentiate_joints(rotation: Array, log_scale: Array, scaled_poses: Array, basis: Array) -> Array:
+@kernel(FLOATS_3D(FLOATS_3D, FLOATS_1D, FLOATS_3D, FLOATS_2D, BOOLS_1D))
+def differentiate_joints(
+    rotation: Array, log_scale: Array, scaled_poses: Array, basis: Array, is_active: NDArray[np.bool_]
+) -> Array:
     """Return the derivatives (N, 3 J, n) of scaled joint positions q = s R P, P = Q_0 + sum_l theta_l Q_l.
 
     Args:
@@ -196,11 +206,14 @@ def differentiate_joints(rotation: Array, log_scale: Array, scaled_poses: Array,
         log_scale: (N,) logarithm of the scale s.
         scaled_poses: (N, J, 3) m, the positions q.
         basis: (3 J, K) the base poses, a coordinate of a joint in each row.
+        is_active: (N,) False for frames whose derivatives are not needed; these hold nothing of use.
     """
     frames, joints, _ = scaled_poses.shape
     k = basis.shape[1]
     out = np.empty((frames, 3 * joints, k + CAMERA_UNKNOWNS))
     for t in range(frames):
+        if not is_active[t]:
+            continue
         scale = np.exp(log_scale[t])
         for j in range(joints):
             for row in range(3):
@@ -228,8 +241,13 @@ def _multiply_blocks(matrices: Array, jacobian: Array, out: Array) -> None:
                 )
 
 
-@kernel(void(FLOATS_3D, FLOATS_4D, FLOATS_4D, FLOATS_2D, FLOATS_3D, FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_2D))
+@kernel(
+    void(
+        BOOLS_1D, FLOATS_3D, FLOATS_4D, FLOATS_4D, FLOATS_2D, FLOATS_3D, FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_2D
+    )
+)
 def _transfer_from_joints(
+    is_active: NDArray[np.bool_],
     jacobian: Array,
     joint_matrix: Array,
     image_matrix: Array,
@@ -244,6 +262,8 @@ def _transfer_from_joints(
     frames, rows, n = jacobian.shape
     weighted = np.empty((rows, n))
     for t in range(frames):
+        if not is_active[t]:
+            continue
         _multiply_blocks(joint_matrix[t] + image_matrix[t], jacobian[t], weighted)
         add_transposed_product(1.0, jacobian[t], weighted, diagonal[t])
         by_joints = np.zeros((n, 1))

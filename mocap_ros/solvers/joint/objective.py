@@ -181,9 +181,15 @@ class JointObjective:
             per_frame += term.cost(fit)
         return self.batch.sum_per_sequence(per_frame)
 
-    def normal_equations(self, fit: Fit) -> NormalEquations:
-        """Return the equations of a Gauss-Newton step."""
-        equations = NormalEquations.begin(fit, self.basis, len(self.bones.weight))
+    def normal_equations(self, fit: Fit, is_active: NDArray[np.bool_] | None = None) -> NormalEquations:
+        """Return the equations of a Gauss-Newton step.
+
+        Args:
+            fit: of the state at hand.
+            is_active: (N,) whether the equations of a frame are needed; None for those of all free frames.
+        """
+        is_active = self.is_free if is_active is None else is_active
+        equations = NormalEquations.begin(fit, self.basis, len(self.bones.weight), is_active)
         for term in self.terms:
             term.add_to(equations, fit)
         equations.transfer_from_joints()
@@ -223,6 +229,7 @@ class JointObjective:
             np.zeros(len(last)),
             np.exp(-state.log_scale[last])[:, None, None] * fit.scaled_poses[last],
             self.basis,
+            np.ones(len(last), np.bool_),
         )
         return NOISE_REFERENCE * _spread_of_joints(factor.inverse[last], jacobian)
 

@@ -49,10 +49,11 @@ class JointProblem:
 
         The factorisation of its matrix then stays that of the step with which it converged.
         """
-        equations = self.objective.normal_equations(fit)
         if previous is None or not is_done.any():
-            return equations
-        return equations.with_frozen(self.objective.batch.repeat_per_frame(is_done), previous)
+            return self.objective.normal_equations(fit)
+        done_frames = self.objective.batch.repeat_per_frame(is_done)
+        equations = self.objective.normal_equations(fit, self.objective.is_free & ~done_frames)
+        return equations.with_frozen(done_frames, previous)
 
     def step(self, equations: NormalEquations, damping: Array) -> Step | None:
         """Return the step under these dampings; None if the matrix is not positive definite."""

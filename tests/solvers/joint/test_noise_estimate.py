@@ -45,8 +45,12 @@ def make_fit(
 
 def test_few_frames_are_counted_and_all_sequences_have_some() -> None:
     starts, counts = np.array([0, 1, 5, 45]), np.array([1, 4, 40, 6])
-    frames = choose_counted_frames(starts, counts)
+    is_free = np.ones(51, bool)
+    frames = choose_counted_frames(starts, counts, is_free)
     assert frames.tolist() == [0, 1, 3, 5, 13, 21, 29, 37, 45, 47, 49]
+    is_free[[0, 1, 45]] = False
+    frames = choose_counted_frames(starts, counts, is_free)
+    assert frames.tolist() == [2, 3, 4, 5, 13, 21, 29, 37, 46, 48, 50], 'held frames are not counted'
 
 
 @pytest.mark.parametrize('focal', [math.inf, 300.0])
@@ -54,7 +58,7 @@ def test_absorbed_coordinates_are_the_trace_of_the_share_of_the_image(
     walk_model: BasePoses, rng: np.random.Generator, focal: float
 ) -> None:
     objective, fit = make_fit(walk_model.truncate(6), rng, focal)
-    of_image = NormalEquations.begin(fit, objective.basis, len(objective.bones.weight))
+    of_image = NormalEquations.begin(fit, objective.basis, len(objective.bones.weight), objective.is_free)
     objective.reprojection.add_to(of_image, fit)
     of_image.transfer_from_joints()
     equations = objective.normal_equations(fit)
@@ -74,9 +78,9 @@ def test_noise_is_the_residual_over_the_free_coordinates(
     absorbed = equations.count_absorbed_coordinates(np.arange(sum(COUNTS)))
     loss = reprojection.cost(fit) * reprojection.variance_ratio
     limited = []
-    found = estimate_noise(reprojection, batch, fit, equations)
+    found = estimate_noise(reprojection, batch, objective.is_free, fit, equations)
     for first, count, noise in zip(batch.starts, batch.counts, found, strict=True):
-        frames = choose_counted_frames(np.array([first]), np.array([count]))
+        frames = choose_counted_frames(np.array([first]), np.array([count]), objective.is_free)
         coordinates = 2 * int((reprojection.weight[first : first + count] > 0).sum())
         free = coordinates - count * absorbed[frames].mean()
         least = MIN_FREE_SHARE * coordinates + 1

@@ -59,7 +59,9 @@ def objective_and_state(walk_model: BasePoses, rng: np.random.Generator) -> tupl
 
 
 def empty_equations(objective: JointObjective, state: State) -> NormalEquations:
-    return NormalEquations.begin(objective.fit(state), objective.basis, len(objective.bones.weight))
+    return NormalEquations.begin(
+        objective.fit(state), objective.basis, len(objective.bones.weight), objective.is_free
+    )
 
 
 def equations_of(term: Term, objective: JointObjective, state: State) -> NormalEquations:
