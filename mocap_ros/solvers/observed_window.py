@@ -14,6 +14,7 @@ one of a whole sequence.
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,7 +30,13 @@ from mocap_ros.geometry.virtual_camera import VirtualCamera, solver_focal
 from mocap_ros.keypoints.association import measure_extent
 from mocap_ros.keypoints.left_right import exchange_sides, find_swapped_frames
 from mocap_ros.keypoints.rays import convert_to_rays
-from mocap_ros.models.lifter import LiftedPoses, Lifter, concatenate_lifted, sample_histories
+from mocap_ros.models.lifter import LiftedPoses, Lifter, concatenate_lifted
+from mocap_ros.models.lifter_input import (
+    HISTORY_SLOTS_S,
+    MAX_INTERPOLATION_GAP_S,
+    TIME_TOLERANCE_S,
+    sample_histories,
+)
 from mocap_ros.skeleton import CMU15, Skeleton
 from mocap_ros.solvers.window import (
     MIN_JOINTS_FOR_CAMERA,
@@ -44,6 +51,8 @@ Array = NDArray[np.float64]
 # s; the virtual cameras' directions are averaged over it, so that they follow a walk, but not the joints that come
 # and go in single frames
 VIEW_SMOOTHING_S = 3.0
+# s; no frame that is older than the newest of a history by more takes part in it
+HISTORY_REACH_S = float(HISTORY_SLOTS_S[-1]) + MAX_INTERPOLATION_GAP_S + 2 * TIME_TOLERANCE_S
 RAY_FOCAL = 1.0  # rays; focal length of a camera whose image points are rays
 MAX_SPAN_S = (
     1e6  # s (11 days); a longer recording is one with a stamp that was not set, and would need GB of memory
@@ -93,12 +102,12 @@ class ObservedWindow:
     @cached_property
     def facing_rays(self) -> Array:
         """Rays (F, J, 2) in the virtual cameras; 0 where the weight is 0."""
-        return np.where(self.weight[..., None] > 0, self.virtual_camera.to_virtual_rays(self.rays), 0.0)
+        return self.virtual_camera.view_rays(self.rays, self.weight, RAY_FOCAL)
 
     @cached_property
     def points(self) -> Array:
         """Image points (F, J, 2) px of the virtual cameras, relative to their axes; 0 where the weight is 0."""
-        return self.virtual_camera.intrinsics.focal * self.facing_rays
+        return self.virtual_camera.view_rays(self.rays, self.weight, self.virtual_camera.intrinsics.focal)
 
     def select_frames(self, frames: NDArray[np.intp] | slice) -> ObservedWindow:
         """Return the window of some of the frames, seen by the same virtual cameras.
@@ -106,13 +115,10 @@ class ObservedWindow:
         Args:
             frames: (n,) indices of the frames, increasing; or a slice.
         """
-        return replace(
-            self,
-            times=self.times[frames],
-            rays=self.rays[frames],
-            weight=self.weight[frames],
-            virtual_camera=self.virtual_camera.select_frames(frames),
-            lifted=None if self.lifted is None else self.lifted.select_frames(frames),
+        camera = self.virtual_camera.select_frames(frames)
+        lifted = None if self.lifted is None else self.lifted.select_frames(frames)
+        return ObservedWindow(
+            self.times[frames], self.rays[frames], self.weight[frames], camera, self.focal, lifted
         )
 
     def exclude_points(self, excluded: NDArray[np.bool_]) -> ObservedWindow:
@@ -126,7 +132,11 @@ class ObservedWindow:
             (N, T, J, 2) rays in the virtual cameras, and (N, T, J) confidence scores.
         """
         first = 0 if self.lifted is None else len(self.lifted.joints)
-        return sample_histories(self.facing_rays, self.weight, self.times, np.arange(first, len(self.times)))
+        oldest = int(self.times.searchsorted(self.times[first] - HISTORY_REACH_S))
+        recent = slice(oldest, None)
+        camera, weight, times = self.virtual_camera.select_frames(recent), self.weight[recent], self.times[recent]
+        facing_rays = camera.view_rays(self.rays[recent], weight, RAY_FOCAL)
+        return sample_histories(facing_rays, weight, times, np.arange(first - oldest, len(times)))
 
     def append_lifted(self, lifted: LiftedPoses) -> ObservedWindow:
         """Return the window with the lifted poses of the frames of `sample_unlifted_histories`.
@@ -138,7 +148,8 @@ class ObservedWindow:
         camera = self.virtual_camera.select_frames(slice(len(self.times) - count, None))
         in_real_camera = LiftedPoses(camera.to_real_camera(lifted.joints), lifted.std)
         before = [] if self.lifted is None else [self.lifted]
-        return replace(self, lifted=concatenate_lifted([*before, in_real_camera]))
+        all_lifted = concatenate_lifted([*before, in_real_camera])
+        return ObservedWindow(self.times, self.rays, self.weight, self.virtual_camera, self.focal, all_lifted)
 
     def lift(self, lifter: Lifter) -> ObservedWindow:
         """Return the window with lifted poses of all frames."""
@@ -174,14 +185,14 @@ class ObservedWindow:
         """
         lifted = self.lifted
         if lifted is not None:
-            facing = LiftedPoses(self.virtual_camera.to_virtual_camera(lifted.joints), lifted.std)
-            lifted = facing.scale_by(self.virtual_camera.intrinsics.focal)
+            focal = self.virtual_camera.intrinsics.focal
+            lifted = LiftedPoses(focal * self.virtual_camera.to_virtual_camera(lifted.joints), focal * lifted.std)
         return Window(
             self.points,
             self.weight,
             self.times,
             start=start,
-            unit=None if start is None else float(np.median(start.cameras.scale)),
+            unit=None if start is None else statistics.median(start.cameras.scale.tolist()),
             noise=noise,
             focal=self.focal,
             fixed_frames=fixed_frames,

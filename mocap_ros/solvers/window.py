@@ -117,7 +117,7 @@ def require_camera_frame(weight: Array) -> None:
     Raises:
         InputError: no frame has as many.
     """
-    if not ((weight > 0).sum(axis=1) >= MIN_JOINTS_FOR_CAMERA).any():
+    if not any(np.count_nonzero(frame > 0) >= MIN_JOINTS_FOR_CAMERA for frame in weight[::-1]):
         raise InputError('no frame has four seen joints: nothing to reconstruct')
 
 

@@ -114,12 +114,12 @@ def test_the_jacobian_of_the_sines_agrees_with_finite_differences(rng: np.random
     columns = [series.with_step(s).evaluate(times) - series.with_step(-s).evaluate(times) for s in steps]
     dense = np.stack(columns, axis=-1) / 2e-6  # (N, K + 1, G)
 
-    values = rng.normal(size=(7, functions, 2))
-    matrices = values @ np.swapaxes(values, -1, -2)
+    values = rng.normal(size=(7, 2, functions))
+    matrices = np.swapaxes(values, -1, -2) @ values
     jacobian = series.jacobian(times)
-    products = np.einsum('nkg,nkr->gnr', dense, values)
-    assert jacobian.transposed_products(values) == pytest.approx(products, abs=1e-7)
-    assert jacobian.sum_transposed_products(values) == pytest.approx(products.sum(axis=1), abs=1e-7)
+    products = values @ dense
+    assert jacobian.products(values) == pytest.approx(products, abs=1e-7)
+    assert jacobian.sum_products(values) == pytest.approx(products.sum(axis=0), abs=1e-7)
     congruences = np.einsum('nkg,nkl,nlh->gh', dense, matrices, dense)
     assert jacobian.sum_congruences(matrices) == pytest.approx(congruences, abs=1e-6)
 

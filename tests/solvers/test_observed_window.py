@@ -15,6 +15,8 @@ from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
+from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.models.lifter_input import sample_histories
 from mocap_ros.models.model_file import load_shipped_lifter
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import RAY_FOCAL, ObservedWindow, observe_sequence
@@ -204,6 +206,26 @@ def test_lifted_poses_of_new_frames_are_appended_while_the_camera_turns() -> Non
     assert (extended.lifted.joints[:50] == at_once.lifted.joints[:50]).all()
     # rays; another virtual camera changes the sizes of the image by perspective only
     assert extended.lifted.joints[50:] == pytest.approx(at_once.lifted.joints[50:], abs=0.01)
+
+
+@SINGLE_CAMERA
+def test_histories_are_those_that_the_whole_window_gives(single_camera: bool, rng: np.random.Generator) -> None:
+    """Only the newest part of the window is looked at, which must hold all that the histories need."""
+    observed = observe(single_camera)
+    lifted = LiftedPoses(np.zeros((1, 15, 3)), np.ones((1, 15, 3)))
+    for _ in range(50):
+        steps_s = rng.choice([0.02, 1 / 30, 0.1, 0.148, 0.2, 0.8], FRAMES, p=[0.3, 0.3, 0.1, 0.1, 0.1, 0.1])
+        weight = np.where(rng.random((FRAMES, 15)) < 0.8, 0.9, 0.0)
+        known = int(rng.integers(1, FRAMES))
+        window = replace(
+            observed,
+            times=np.cumsum(steps_s),
+            weight=weight,
+            lifted=lifted.select_frames(np.zeros(known, int)),
+        )
+        expected = sample_histories(window.facing_rays, weight, window.times, np.arange(known, FRAMES))
+        for found, wanted in zip(window.sample_unlifted_histories(), expected, strict=True):
+            np.testing.assert_array_equal(found, wanted)
 
 
 @SINGLE_CAMERA

@@ -14,10 +14,11 @@ import numpy as np
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.joint.levenberg_marquardt import minimise
 from mocap_ros.solvers.joint.noise_annealing import COLD_DAMPING
 from mocap_ros.solvers.joint.objective import JointObjective
+from mocap_ros.solvers.joint.problem import JointProblem
 from mocap_ros.solvers.joint.solver import make_reconstruction
+from mocap_ros.solvers.levenberg_marquardt import minimise
 from mocap_ros.solvers.window import Reconstruction, SolverStatus, Window, choose_initial_values
 
 
@@ -27,12 +28,12 @@ def solve_with_relative_bones(window: Window, model: BasePoses, config: SolverCo
     start, unit = choose_initial_values(window, model, config.start_window)
     units = np.array([unit])
     objective = use_relative_bones(JointObjective.build([window], units, model, config))
-    state = objective.with_optimal_translation(objective.initial_state([start], units)).state
-    state = objective.with_optimal_translation(state).state
-    descent = minimise(objective, state, config, COLD_DAMPING)
-    history = [float(cost[0]) for cost in descent.objective]
+    fit = objective.with_optimal_translation(objective.initial_state([start], units))
+    fit = objective.with_optimal_translation(fit.state)
+    descent = minimise(JointProblem(objective), fit, config.max_iterations, config.tolerance, COLD_DAMPING)
+    history = [float(cost[0]) for cost in descent.history]
     status, iterations = SolverStatus(descent.status[0]), int(descent.iterations[0])
-    return make_reconstruction(objective, 0, window, unit, descent.fit, status, history, iterations)
+    return make_reconstruction(window, unit, descent.point, status, history, iterations)
 
 
 def use_relative_bones(objective: JointObjective) -> JointObjective:

@@ -19,6 +19,7 @@ from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint
 from mocap_ros.solvers.joint.solver import make_reconstruction
+from mocap_ros.solvers.periodic.coefficient_prior import HEADING_STD, CoefficientPrior
 from mocap_ros.solvers.periodic.fourier import (
     MAX_FREQUENCY_STEP,
     FourierSeries,
@@ -26,12 +27,12 @@ from mocap_ros.solvers.periodic.fourier import (
     fit_with_ridge,
     list_scanned_frequencies,
 )
-from mocap_ros.solvers.periodic.objective import HEADING_STD, PeriodicObjective
+from mocap_ros.solvers.periodic.objective import PeriodicObjective
 from mocap_ros.solvers.periodic.solver import (
     MAX_INITIAL_ITERATIONS,
     MIN_NOISE_FOR_HYPOTHESES,
-    LevenbergMarquardtSearch,
-    initial_cameras,
+    Search,
+    measure_initial_point,
     select_most_likely,
 )
 from mocap_ros.solvers.stepwise import run_to_end
@@ -89,13 +90,13 @@ class SineJacobian(SeriesJacobian):
         """Return the derivatives (N, K + 1, 3) of each function by its own unknowns."""
         return np.concatenate([self.terms, self.slopes[..., None]], axis=-1)
 
-    def transposed_products(self, values: Array) -> Array:
-        frames, _, count = values.shape
-        products = np.transpose(self._columns(), (2, 1, 0))[..., None] * np.swapaxes(values, 0, 1)
-        return np.asarray(products.reshape(-1, frames, count))
+    def products(self, values: Array) -> Array:
+        frames, rows, _ = values.shape
+        products = values[:, :, None] * np.swapaxes(self._columns(), 1, 2)[:, None]
+        return np.asarray(products.reshape(frames, rows, -1))
 
-    def sum_transposed_products(self, values: Array) -> Array:
-        return np.asarray(self.transposed_products(values).sum(axis=1))
+    def sum_products(self, values: Array) -> Array:
+        return np.asarray(self.products(values).sum(axis=0))
 
     def sum_congruences(self, matrices: Array) -> Array:
         columns = self._columns()
@@ -123,24 +124,21 @@ def _solve_window(window: Window, model: BasePoses, config: SolverConfig) -> Rec
     unit = float(np.median(coarse.cameras.scale))
     objective = build_objective(window, unit, model, config)
     series = fit_initial_sines(coarse.theta, window.times)
-    cameras = initial_cameras(objective, series, InitialValues(coarse.theta, coarse.cameras), unit)
-    search = LevenbergMarquardtSearch(objective, series, cameras, config.max_iterations)
+    point = measure_initial_point(objective, series, InitialValues(coarse.theta, coarse.cameras), unit)
+    search = Search(objective, point, config.max_iterations)
     if coarse.noise >= MIN_NOISE_FOR_HYPOTHESES:
-        still_camera = objective.with_still_camera(config)
-        still = LevenbergMarquardtSearch(still_camera, search.series, search.cameras, search.remaining_trials)
+        still = Search(objective.with_still_camera(config), point, search.remaining_trials)
         search = run_to_end(select_most_likely([search, still]))
-    status = run_to_end(search.run(config.tolerance))
+    run_to_end(search.run(config.tolerance))
     iterations = config.max_iterations - search.remaining_trials
-    problem = search.objective.problem
-    fit = problem.fit(search.objective.body_state(search.series, search.cameras))
-    return make_reconstruction(problem, 0, window, unit, fit, status, search.history, iterations)
+    return make_reconstruction(window, unit, search.point.fit, search.status, search.history, iterations)
 
 
 def build_objective(window: Window, unit: float, model: BasePoses, config: SolverConfig) -> PeriodicObjective:
     """Return the objective of a window, with one prior for both coefficients of a function; `unit` in px/m."""
     objective = PeriodicObjective.build(window, unit, model, config)
     precision = config.prior_weight * config.periodic_prior_factor / np.append(model.std, HEADING_STD) ** 2
-    return replace(objective, prior=np.tile(precision, (2, 1)))
+    return objective.with_term(CoefficientPrior(np.tile(precision, (2, 1))))
 
 
 def fit_initial_sines(theta: Array, times: Array) -> SineSeries:

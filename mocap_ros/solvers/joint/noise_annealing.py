@@ -23,7 +23,7 @@ from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.joint.problem import Descent, JointProblem
 from mocap_ros.solvers.joint.state import Fit, State
 from mocap_ros.solvers.levenberg_marquardt import minimise_stepwise
-from mocap_ros.solvers.stepwise import Stepwise, run_to_end
+from mocap_ros.solvers.stepwise import Stepwise
 from mocap_ros.solvers.window import Window
 
 Array = NDArray[np.float64]
@@ -42,8 +42,10 @@ CONTINUED_DAMPING = 1e-4  # first damping where a round goes on from the one bef
 Annealed: TypeAlias = tuple[JointObjective, Fit, NDArray[np.int64]]
 
 
-def anneal(objective: JointObjective, fit: Fit, windows: Sequence[Window], config: SolverConfig) -> Annealed:
-    """Find the noise of each window that does not give it.
+def anneal_stepwise(
+    objective: JointObjective, fit: Fit, windows: Sequence[Window], config: SolverConfig
+) -> Stepwise[Annealed]:
+    """Find the noise of each window that does not give it, in steps.
 
     Args:
         objective: of the windows, under the reference noise.
@@ -54,13 +56,6 @@ def anneal(objective: JointObjective, fit: Fit, windows: Sequence[Window], confi
     Returns:
         The objective under the noise that was found, the fit, and the number of steps of each sequence (P,).
     """
-    return run_to_end(anneal_stepwise(objective, fit, windows, config))
-
-
-def anneal_stepwise(
-    objective: JointObjective, fit: Fit, windows: Sequence[Window], config: SolverConfig
-) -> Stepwise[Annealed]:
-    """Find the noise as `anneal` does, in steps."""
     noise = np.array([max(w.noise or COARSE_NOISE_M[0], config.noise_floor) for w in windows])
     is_unknown = np.array([w.noise is None for w in windows])
     if not is_unknown.any():

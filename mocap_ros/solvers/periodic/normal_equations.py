@@ -162,9 +162,9 @@ class PeriodicEquations:
         """
         equations = FrameEquations.insert_heading(body, vertical)
         frames = len(vertical)
-        bones = jacobian.sum_products(equations.bones)
+        bones = jacobian.sum_products(equations.bones) / np.sqrt(frames)
         series_matrix = jacobian.sum_congruences(equations.function_matrix)
-        series_matrix -= bones.T @ bones / frames
+        series_matrix -= bones.T @ bones
         return PeriodicEquations(
             series_matrix=series_matrix,
             series_prior=np.zeros(len(series_matrix)),

@@ -13,8 +13,14 @@ from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint, periodic
+from mocap_ros.solvers.joint.solver import WARM_DAMPING
+from mocap_ros.solvers.levenberg_marquardt import DAMPING_AFTER_SUCCESS
+from mocap_ros.solvers.periodic.fourier import fit_initial_series
 from mocap_ros.solvers.periodic.normal_equations import PeriodicEquations
-from mocap_ros.solvers.window import SolverStatus, Window
+from mocap_ros.solvers.periodic.objective import PeriodicObjective
+from mocap_ros.solvers.periodic.solver import Search, measure_initial_point
+from mocap_ros.solvers.stepwise import run_to_end
+from mocap_ros.solvers.window import InitialValues, SolverStatus, Window
 from tests.support.synthetic_walk import BODY_TO_OPTICAL, Walk, compute_mpjpe
 
 CADENCE = 0.9
@@ -141,3 +147,23 @@ def test_max_iterations_limits_the_trials_on_random_points(
     assert result.iterations == 20
     assert result.status is SolverStatus.MAX_ITERATIONS
     assert not result.success
+
+
+def test_a_run_goes_on_with_the_damping_after_a_success(walk_model: BasePoses) -> None:
+    """A run that has converged ended with a step that was taken."""
+    theta, cameras, points, times = make_walk(walk_model, frames=20)
+    model, config = walk_model.truncate(6), SolverConfig()
+    objective = PeriodicObjective.build(Window(points, np.ones(points.shape[:2]), times), 200.0, model, config)
+    series = fit_initial_series(theta[:, :6], times, config)
+    start = InitialValues(theta[:, :6], cameras)
+    search = Search(objective, measure_initial_point(objective, series, start, 200.0), max_trials=4)
+    run_to_end(search.run(tolerance=1e9))
+    assert search.status is SolverStatus.CONVERGED
+    assert search.damping == pytest.approx(WARM_DAMPING * DAMPING_AFTER_SUCCESS)
+    assert (search.remaining_trials, len(search.history)) == (3, 2)
+    run_to_end(search.run(tolerance=0.0))
+    assert search.status is SolverStatus.MAX_ITERATIONS
+    assert (search.remaining_trials, len(search.history)) == (0, 5)
+    assert search.history[-1] == pytest.approx(objective.cost(search.point)[0], rel=1e-12)
+    run_to_end(search.run(tolerance=1e9))
+    assert search.status is SolverStatus.MAX_ITERATIONS  # nothing was tried
