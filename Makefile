@@ -42,7 +42,7 @@ The database was created with funding from NSF EIA-0196217.'
 help:  ## show this
 	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' Makefile | expand -t 16
 
-setup: $(STAMPS)/package $(STAMPS)/messages  ## make .venv with everything in it
+setup: $(STAMPS)/package $(STAMPS)/messages $(STAMPS)/kernels  ## make .venv with everything in it
 	@echo 'Ready: $(BIN)/mocap-ros and $(BIN)/mocap_node'
 
 demo: setup  ## run the node on the demo recording, into demo_output/
@@ -95,4 +95,8 @@ $(STAMPS)/package: $(STAMPS)/ros-$(ROS) setup.py setup.cfg package.xml
 
 $(STAMPS)/messages: $(STAMPS)/ros-$(ROS) $(shell find msg_defs -type f)
 	@$(SETUP) messages
+	@touch $@
+
+$(STAMPS)/kernels: $(STAMPS)/package
+	@$(SETUP) kernels
 	@touch $@

@@ -38,15 +38,40 @@ class Skeleton:
     joints: tuple[str, ...]
     parents: tuple[int, ...]
 
+    def __hash__(self) -> int:  # that of all fields would take longer than what is looked up with it
+        return hash(self.name)
+
     @cached_property
     def bones(self) -> tuple[tuple[int, int], ...]:
         """Return (parent, child) joint indices of every bone, ordered by child."""
         return tuple((p, c) for c, p in enumerate(self.parents) if p >= 0)
 
+    @cached_property
+    def bone_ends(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the (B,) indices of the parent and of the child of every bone, in the order of `bones`."""
+        parents, children = zip(*self.bones, strict=True)
+        return np.array(parents), np.array(children)
+
     def bone_lengths(self, poses: Array) -> Array:
         """Return the (..., B) bone lengths of poses (..., J, 3) in their unit, in the order of `bones`."""
-        parents, children = (list(side) for side in zip(*self.bones, strict=True))
-        return np.asarray(np.linalg.norm(poses[..., children, :] - poses[..., parents, :], axis=-1))
+        parents, children = self.bone_ends
+        bones = np.take(poses, children, axis=-2) - np.take(poses, parents, axis=-2)
+        return np.asarray(np.linalg.norm(bones, axis=-1))
+
+    @cached_property
+    def stature_per_bone(self) -> Array:
+        """Return the (B,) stature per length of each bone: stature = sum_b (stature per bone b) (length of b).
+
+        Raises:
+            SkeletonError: The skeleton lacks a bone of legs, trunk or neck.
+        """
+        out = np.zeros(len(self.bones))
+        for parent, child, share in _STATURE_BONES:
+            bone = self.index(parent), self.index(child)
+            if bone not in self.bones:
+                raise SkeletonError(f'layout {self.name!r} has no bone from {parent} to {child}')
+            out[self.bones.index(bone)] = STATURE_PER_BONE_LENGTH * share
+        return out
 
     @cached_property
     def mirror(self) -> tuple[int, ...]:
@@ -252,9 +277,15 @@ def skeleton_from_joints(joints: tuple[str, ...]) -> Skeleton:
     return matches[0] if matches else Skeleton('', joints, (-1,) * len(joints))
 
 
-# (parent, child) bones whose lengths add up to the stature, legs as the mean of both.
-_TRUNK_BONES = (('pelvis', 'neck'), ('neck', 'head'))
-_LEG_BONES = (('lhip', 'lknee'), ('lknee', 'lankle'), ('rhip', 'rknee'), ('rknee', 'rankle'))
+# (parent, child, share) of the bones whose lengths add up to the stature, legs as the mean of both.
+_STATURE_BONES = (
+    ('lhip', 'lknee', 0.5),
+    ('lknee', 'lankle', 0.5),
+    ('rhip', 'rknee', 0.5),
+    ('rknee', 'rankle', 0.5),
+    ('pelvis', 'neck', 1.0),
+    ('neck', 'head', 1.0),
+)
 
 
 def estimate_stature(poses: Array, skeleton: Skeleton) -> float:
@@ -270,9 +301,8 @@ def estimate_stature(poses: Array, skeleton: Skeleton) -> float:
     Raises:
         SkeletonError: The skeleton lacks one of the joints.
     """
-    bones = [(skeleton.index(a), skeleton.index(b)) for a, b in (*_LEG_BONES, *_TRUNK_BONES)]
-    parents, children = zip(*bones, strict=True)
+    parents = [skeleton.index(parent) for parent, _, _ in _STATURE_BONES]
+    children = [skeleton.index(child) for _, child, _ in _STATURE_BONES]
     lengths = np.linalg.norm(poses[..., children, :] - poses[..., parents, :], axis=-1)
     mean = lengths.reshape(-1, len(parents)).mean(axis=0)
-    legs, trunk = mean[: len(_LEG_BONES)].sum() / 2, mean[len(_LEG_BONES) :].sum()
-    return float(STATURE_PER_BONE_LENGTH * (legs + trunk))
+    return float(STATURE_PER_BONE_LENGTH * (mean @ [share for _, _, share in _STATURE_BONES]))

@@ -7,6 +7,7 @@ from mocap_ros.runtime.cpu_setup import configure_process
 
 configure_process()  # sums then have the same order as in the node
 
+import importlib
 import importlib.util
 import signal
 from types import ModuleType
@@ -14,12 +15,22 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from mocap_ros.cli.compile import DECLARING_MODULES
+from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses
 from tests.support.evaluation_data import shared
 
 # A shell that starts the tests in the background lets them ignore interrupts, which some tests send to programs.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope='session', autouse=True)
+def _compiled_kernels() -> None:
+    """Compile the kernels that tests call directly, and those of the programs that tests start."""
+    for module in DECLARING_MODULES:
+        importlib.import_module(module)
+    compile_kernels()
 
 
 @pytest.fixture(scope='session')

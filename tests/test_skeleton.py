@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from mocap_ros.errors import SkeletonError
-from mocap_ros.skeleton import LAYOUT_NAMES, canonical_joint_names, keypoint_layout
+from mocap_ros.skeleton import (
+    CMU15,
+    LAYOUT_NAMES,
+    canonical_joint_names,
+    estimate_stature,
+    keypoint_layout,
+    skeleton_from_joints,
+)
 
 
 @pytest.mark.parametrize('name', LAYOUT_NAMES)
@@ -53,3 +60,11 @@ def test_names_of_well_known_detectors_are_converted() -> None:
     given = ['leftEyeInner', 'left eye (outer)', 'mouth_left', 'MidHip', 'RBigToe', 'left_foot_index', 'Tail']
     canonical = ('leye_inner', 'leye_outer', 'mouth_l', 'pelvis', 'rbigtoe', 'lfoot_index', 'Tail')
     assert canonical_joint_names(given) == canonical
+
+
+def test_the_stature_follows_from_the_mean_lengths_of_the_bones(rng: np.random.Generator) -> None:
+    poses = rng.normal(size=(20, 15, 3))
+    mean_lengths = CMU15.bone_lengths(poses).mean(axis=0)
+    assert mean_lengths @ CMU15.stature_per_bone == pytest.approx(estimate_stature(poses, CMU15))
+    with pytest.raises(SkeletonError, match="layout '' has no bone from lhip to lknee"):
+        _ = skeleton_from_joints(CMU15.joints[::-1]).stature_per_bone

@@ -3,6 +3,7 @@
 #   setup.sh environment ROS    make .venv anew, with ROS 2 wheels if ROS is "wheels"
 #   setup.sh package            install mocap_ros and its tools into .venv, editable
 #   setup.sh messages           build mocap_ros_msgs and install it into .venv
+#   setup.sh kernels            compile the inner loops of mocap_ros into its cache
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
@@ -96,6 +97,10 @@ build_messages() {
 
 messages() {
     step 'Building mocap_ros_msgs' build_messages
+}
+
+kernels() {
+    step 'Compiling the inner loops (a minute)' .venv/bin/mocap-ros compile
 }
 
 mkdir -p build

@@ -29,6 +29,7 @@ COMMANDS = {
     'train': 'train base poses from motion capture',
     'train-lifter': 'train the network that estimates 3D poses, from motion capture',
     'config': 'print a parameter file with every parameter',
+    'compile': 'compile the inner loops now, which otherwise the first run does',
 }
 
 

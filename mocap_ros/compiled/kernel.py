@@ -2,7 +2,8 @@
 
 A kernel is compiled before it is used and never between two frames: whoever begins to compute calls
 `compile_kernels` first, which compiles what has been declared since the last call, or loads it from the cache
-(`kernel_cache.py`). A call with other types is an error and not a new compilation; only numbers are converted.
+(`kernel_cache.py`). Where nobody did, the first call of any kernel does it. A call with other types than the
+declared ones is an error and not a new compilation; only numbers are converted.
 
 Kernels are deterministic: they use one thread, and floating-point operations keep the order that the code gives
 them (no fastmath). With the environment variable NUMBA_DISABLE_JIT=1 the same functions run uncompiled.
@@ -59,6 +60,15 @@ class CompilationReport(NamedTuple):
     compiled: int
     seconds: float
 
+    def __str__(self) -> str:
+        loaded = self.kernels - self.compiled
+        return f'{self.kernels} compiled functions are ready after {self.seconds:.1f} s, {loaded} from the cache'
+
+
+def is_compiling() -> bool:
+    """Return whether `compile_kernels` is running."""
+    return _lock.locked()
+
 
 def kernel(signature: Any) -> Callable[[Function], Function]:
     """Declare a function as a kernel; kernels that it calls must have been declared before.
@@ -72,7 +82,7 @@ def kernel(signature: Any) -> Callable[[Function], Function]:
             return function
         dispatcher = numba.njit(error_model='numpy')(function)
         dispatcher._cache = KernelCache(dispatcher.py_func)
-        dispatcher._can_compile = False
+        dispatcher._compile_for_args = partial(_compile_at_first_call, dispatcher)
         dispatcher._explain_matching_error = partial(_refuse_call, dispatcher, signature)
         with _lock:
             _pending.append((dispatcher, signature))
@@ -95,6 +105,8 @@ def compile_kernels(warn: Callable[[str], object] = LOGGER.warning) -> Compilati
         missing = sum(not d._cache.is_stored(signature, d.targetctx) for d, signature in _pending)
         if missing:
             warn(f'compiling {missing} functions, once after installation or an update; this may take a minute')
+        for dispatcher, _ in _pending:  # a kernel that was declared before one cannot call it with other types
+            dispatcher._can_compile = False
         while _pending:
             dispatcher, signature = _pending[0]
             dispatcher._can_compile = True
@@ -114,11 +126,15 @@ def compile_kernels(warn: Callable[[str], object] = LOGGER.warning) -> Compilati
     return CompilationReport(kernels, compiled, time.monotonic() - start_s)
 
 
+def _compile_at_first_call(dispatcher: Any, *_: object) -> Any:
+    """Compile all kernels; return what Numba calls then, which is the same kernel."""
+    compile_kernels()
+    return dispatcher
+
+
 def _refuse_call(dispatcher: Any, signature: Any, *arguments: object) -> NoReturn:
-    """Raise the error of a call that fits no compiled signature."""
+    """Raise the error of a call that does not fit the kernel's signature."""
     name = f'{dispatcher.__module__}.{dispatcher.__qualname__}'
-    if not dispatcher.signatures:
-        raise TypeError(f'the kernel {name} is not compiled yet; call compile_kernels() first')
     given = ', '.join(str(dispatcher.typeof_pyval(argument)) for argument in arguments)
     expected = ', '.join(map(str, signature.args))
     raise TypeError(f'the kernel {name} was called with ({given}) instead of ({expected})')

@@ -32,10 +32,10 @@ import numpy as np
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
-PACKAGE = __name__.partition('.')[0]
+PACKAGE = 'mocap_ros'
 SUFFIX = '.kernel'
 NAME_BYTES = 8  # bytes of each hash in a file's name, enough for names that differ
-LIBRARIES = {'builtins', 'math', 'numba', 'numpy'}  # what kernels may use besides this package
+LIBRARIES = {'builtins', 'math', 'numba', 'numpy'}  # what kernels use besides this package
 DIGEST_BYTES = hashlib.sha256().digest_size
 
 

@@ -275,7 +275,7 @@ class NodeConfig:
         high=1000,
     )
     max_people: int = define_parameter(
-        20, 'maximum number of people in a message; a message with more is refused', low=1, high=1000
+        60, 'maximum number of people in a message; a message with more is refused', low=1, high=1000
     )
     max_joints: int = define_parameter(
         200, 'maximum number of joints of a person; a message with more is refused', low=4, high=10_000

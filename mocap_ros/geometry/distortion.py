@@ -17,11 +17,15 @@ The models and the order of the coefficients are those of `sensor_msgs/CameraInf
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.kernel import FLOAT, FLOATS_2D, INPUT_1D, INPUT_2D, kernel
 from mocap_ros.errors import InputError
 
 Array = NDArray[np.float64]
@@ -34,6 +38,71 @@ MAX_RAY_ANGLE = 1.5  # rad from the optical axis; a pinhole camera cannot show r
 MIN_RADIUS = 1e-12  # focal lengths; guards the divisions by the radius at the optical axis
 ANGLE_STEP = 1e-6  # rad; step of the central difference, far below any pixel
 MIN_SLOPE = 1e-3  # 1; guards the Newton step where the fisheye polynomial is flat
+MAX_RAY = math.tan(MAX_RAY_ANGLE)  # 1; largest x / z or y / z of a ray
+
+
+@kernel(FLOAT(FLOAT, INPUT_1D))
+def _distort_angle(angle: float, lens: Array) -> float:
+    """Return the distorted angle, theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), in rad."""
+    a2 = angle * angle
+    return angle * (1 + a2 * (lens[1] + a2 * (lens[2] + a2 * (lens[3] + a2 * lens[4]))))
+
+
+@kernel(types.UniTuple(FLOAT, 2)(FLOAT, FLOAT, INPUT_1D))
+def _distort_point(x: float, y: float, lens: Array) -> tuple[float, float]:
+    """Return where a lens with these `Distortion.parameters` shows the normalised point (x, y)."""
+    if lens[0] == 1.0:
+        radius = math.hypot(x, y)
+        factor = _distort_angle(math.atan(radius), lens) / max(radius, MIN_RADIUS)
+        return x * factor, y * factor
+    k1, k2, p1, p2, k3, k4, k5, k6 = lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8]
+    r2 = x * x + y * y
+    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    dx = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    dy = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    return x * radial + dx, y * radial + dy
+
+
+@kernel(types.UniTuple(FLOAT, 2)(FLOAT, FLOAT, INPUT_1D))
+def undistort_point(x: float, y: float, lens: Array) -> tuple[float, float]:
+    """Return the normalised point that a lens with these `Distortion.parameters` shows at (x, y)."""
+    if lens[0] == 1.0:
+        shown = math.hypot(x, y)
+        angle = min(shown, MAX_RAY_ANGLE)
+        for _ in range(UNDISTORT_ITERATIONS):
+            difference = _distort_angle(angle + ANGLE_STEP, lens) - _distort_angle(angle - ANGLE_STEP, lens)
+            slope = difference / (2 * ANGLE_STEP)
+            step = (_distort_angle(angle, lens) - shown) / (slope if abs(slope) > MIN_SLOPE else 1.0)
+            angle = min(max(angle - step, 0.0), MAX_RAY_ANGLE)
+        factor = math.tan(angle) / max(shown, MIN_RADIUS)
+        return x * factor, y * factor
+    px, py = x, y
+    for _ in range(UNDISTORT_ITERATIONS):
+        dx, dy = _distort_point(px, py, lens)
+        closer_x, closer_y = px - (dx - x), py - (dy - y)
+        is_valid = abs(closer_x) < MAX_RAY and abs(closer_y) < MAX_RAY  # and a number
+        if not is_valid or (closer_x == px and closer_y == py):
+            break
+        px, py = closer_x, closer_y
+    return px, py
+
+
+@kernel(FLOATS_2D(INPUT_2D, INPUT_1D))
+def _distort_points(points: Array, lens: Array) -> Array:
+    """Apply `_distort_point` to each of some points (N, 2)."""
+    out = np.empty_like(points)
+    for n in range(len(points)):
+        out[n, 0], out[n, 1] = _distort_point(points[n, 0], points[n, 1], lens)
+    return out
+
+
+@kernel(FLOATS_2D(INPUT_2D, INPUT_1D))
+def _undistort_points(points: Array, lens: Array) -> Array:
+    """Apply `undistort_point` to each of some points (N, 2)."""
+    out = np.empty_like(points)
+    for n in range(len(points)):
+        out[n, 0], out[n, 1] = undistort_point(points[n, 0], points[n, 1], lens)
+    return out
 
 
 @dataclass(frozen=True)
@@ -68,20 +137,18 @@ class Distortion:
             raise InputError('distortion: a coefficient is not finite')
         return Distortion(model, coefficients)
 
+    @cached_property
+    def parameters(self) -> Array:
+        """(9,) 1 for a fisheye lens, else 0; then the coefficients in their order, and 0 for those it has not."""
+        is_fisheye = self.model == 'equidistant'
+        return np.array([is_fisheye, *self.coefficients, *[0.0] * (8 - len(self.coefficients))], float)
+
     def distort(self, points: Array) -> Array:
         """Convert normalised points (..., 2) of a pinhole camera to those (..., 2) that the lens shows."""
         if not self.coefficients:
             return points
-        x, y = points[..., 0], points[..., 1]
-        if self.model == 'equidistant':
-            radius = np.hypot(x, y)
-            return points * (self._distort_angle(np.arctan(radius)) / np.maximum(radius, MIN_RADIUS))[..., None]
-        k1, k2, p1, p2, k3, k4, k5, k6 = (*self.coefficients, *(0.0,) * (8 - len(self.coefficients)))
-        r2 = x * x + y * y
-        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        dx = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-        dy = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        return np.stack([x * radial + dx, y * radial + dy], axis=-1)
+        flat = np.ascontiguousarray(points, float).reshape(-1, 2)
+        return np.asarray(_distort_points(flat, self.parameters).reshape(points.shape))
 
     def undistort(self, points: Array) -> Array:
         """Convert normalised points (..., 2) shown by the lens to points (..., 2) of a pinhole camera.
@@ -91,31 +158,8 @@ class Distortion:
         """
         if not self.coefficients:
             return points
-        if self.model == 'equidistant':
-            return self._undistort_equidistant(points)
-        pinhole = points
-        for _ in range(UNDISTORT_ITERATIONS):
-            with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
-                closer = pinhole - (self.distort(pinhole) - points)
-            is_valid = np.isfinite(closer).all(axis=-1) & (np.abs(closer).max(axis=-1) < np.tan(MAX_RAY_ANGLE))
-            pinhole = np.where(is_valid[..., None], closer, pinhole)
-        return np.asarray(pinhole)
-
-    def _undistort_equidistant(self, points: Array) -> Array:
-        shown = np.hypot(points[..., 0], points[..., 1])
-        angle = np.minimum(shown, MAX_RAY_ANGLE)
-        for _ in range(UNDISTORT_ITERATIONS):
-            difference = self._distort_angle(angle + ANGLE_STEP) - self._distort_angle(angle - ANGLE_STEP)
-            slope = difference / (2 * ANGLE_STEP)
-            step = (self._distort_angle(angle) - shown) / np.where(np.abs(slope) > MIN_SLOPE, slope, 1.0)
-            angle = np.clip(angle - step, 0.0, MAX_RAY_ANGLE)
-        return np.asarray(points * (np.tan(angle) / np.maximum(shown, MIN_RADIUS))[..., None])
-
-    def _distort_angle(self, angle: Array) -> Array:
-        """Return the distorted angle, theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), in rad."""
-        k1, k2, k3, k4 = self.coefficients
-        a2 = angle * angle
-        return np.asarray(angle * (1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4)))))
+        flat = np.ascontiguousarray(points, float).reshape(-1, 2)
+        return np.asarray(_undistort_points(flat, self.parameters).reshape(points.shape))
 
 
 NO_DISTORTION = Distortion()  # distortion of an ideal pinhole camera, the default of `Intrinsics`

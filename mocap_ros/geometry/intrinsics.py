@@ -9,6 +9,7 @@ frame (x right, y down, z forward).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,16 +41,24 @@ class Intrinsics:
     aspect: float = 1.0
     distortion: Distortion = NO_DISTORTION
 
+    @cached_property
+    def focal_lengths(self) -> Array:
+        """(fx, fy) in px."""
+        return np.array([self.focal / self.aspect**0.5, self.focal * self.aspect**0.5])
+
+    @cached_property
+    def center_array(self) -> Array:
+        """(cx, cy) in px."""
+        return np.array(self.center)
+
     def pixels_to_rays(self, points: Array) -> Array:
         """Convert image points (..., 2) in px to undistorted rays (..., 2), each as x / z and y / z."""
-        fx, fy = self.focal / self.aspect**0.5, self.focal * self.aspect**0.5
-        return self.distortion.undistort((points - np.array(self.center)) / np.array([fx, fy]))
+        return self.distortion.undistort((points - self.center_array) / self.focal_lengths)
 
     def project(self, points: Array) -> Array:
         """Project points (..., 3) in m, optical frame, z > 0, to image points (..., 2) in px."""
-        fx, fy = self.focal / self.aspect**0.5, self.focal * self.aspect**0.5
         distorted = self.distortion.distort(points[..., :2] / points[..., 2:])
-        return np.asarray(distorted * np.array([fx, fy]) + np.array(self.center))
+        return np.asarray(distorted * self.focal_lengths + self.center_array)
 
     @staticmethod
     def from_image_size(width: int, height: int, focal_in_widths: float) -> Intrinsics:

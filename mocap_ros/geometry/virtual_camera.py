@@ -12,8 +12,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, FLOATS_3D, INPUT_1D, INPUT_2D, INPUT_3D, kernel
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 
@@ -80,16 +82,21 @@ class VirtualCamera:
             weight: (F, J) confidence scores.
             intrinsics: intrinsics of the real camera.
         """
-        centre = np.einsum('fj,fjd->d', weight, rays) / max(weight.sum(), MIN_TOTAL_WEIGHT)
-        return VirtualCamera(rotation_to_optical_axis(centre), intrinsics)
+        return VirtualCamera(rotation_to_optical_axis(_average_rays(rays, weight))[0], intrinsics)
 
     def select_frames(self, frames: NDArray[np.intp] | slice) -> VirtualCamera:
         """Return the virtual cameras of the given frames."""
         return self if self.rotation.ndim == 2 else VirtualCamera(self.rotation[frames], self.intrinsics)
 
-    def to_virtual_rays(self, rays: Array) -> Array:
-        """Convert rays (F, J, 2) of the real camera to rays (F, J, 2) of the virtual ones."""
-        return rotate_rays(rays, self.rotation)
+    def view_rays(self, rays: Array, weight: Array, focal: float) -> Array:
+        """Return the image points (F, J, 2) of rays in the virtual cameras' images; 0 where the weight is 0.
+
+        Args:
+            rays: (F, J, 2) rays of the real camera.
+            weight: (F, J) confidence scores.
+            focal: focal length in the unit of the image points.
+        """
+        return _view_rays(np.ascontiguousarray(rays), np.ascontiguousarray(weight), self._rotations, focal)
 
     def root_positions(self, cameras: WeakPerspectiveCameras, translation: Array) -> Array:
         """Z = f / s, X = t_x Z / f, Y = t_y Z / f, rotated into the real camera's frame.
@@ -101,10 +108,12 @@ class VirtualCamera:
         Returns:
             (F, 3) m, positions of the body's origin in the real camera's optical frame.
         """
-        focal = self.intrinsics.focal
-        depth = focal / cameras.scale[:, None]
-        virtual = np.concatenate([translation / focal * depth, depth], axis=-1)
-        return np.asarray((virtual[:, None] @ self.rotation)[:, 0])
+        return _place_roots(
+            self._rotations,
+            self.intrinsics.focal,
+            np.ascontiguousarray(cameras.scale),
+            np.ascontiguousarray(translation),
+        )
 
     def to_real_camera(self, vectors: Array) -> Array:
         """Rotate vectors (F, J, 3) from the virtual cameras' frames into the real camera's frame."""
@@ -112,11 +121,12 @@ class VirtualCamera:
 
     def to_virtual_camera(self, vectors: Array) -> Array:
         """Rotate vectors (F, J, 3) from the real camera's frame into the virtual cameras' frames."""
-        return np.asarray(vectors @ np.swapaxes(self.rotation, -1, -2))
+        return np.asarray(vectors @ self.rotation.swapaxes(-1, -2))
 
     def body_rotations(self, cameras: WeakPerspectiveCameras) -> Array:
         """Return the rotations (F, 3, 3) from the body frame to the real camera's optical frame."""
-        return np.asarray(np.swapaxes(self.rotation, -1, -2) @ cameras.rotation)
+        to_real = np.ascontiguousarray(self._rotations.swapaxes(-1, -2))
+        return _multiply_rotations(to_real, np.ascontiguousarray(cameras.rotation))
 
     def weak_perspective_cameras(self, rotation: Array, roots: Array) -> WeakPerspectiveCameras:
         """Return the cameras whose `body_rotations` and `root_positions` these are: s = f / Z.
@@ -125,9 +135,47 @@ class VirtualCamera:
             rotation: (F, 3, 3) rotations from the body frame to the real camera's optical frame.
             roots: (F, 3) m, positions of the body's origin in the real camera's optical frame.
         """
-        depth = self.to_virtual_camera(roots[:, None])[:, 0, 2]
-        scale = self.intrinsics.focal / np.maximum(depth, MIN_DEPTH_M)
-        return WeakPerspectiveCameras(scale, self.rotation @ rotation)
+        scale = _measure_scale(self._rotations, self.intrinsics.focal, np.ascontiguousarray(roots))
+        return WeakPerspectiveCameras(scale, _multiply_rotations(self._rotations, np.ascontiguousarray(rotation)))
+
+    @property
+    def _rotations(self) -> Array:
+        """(F, 3, 3) or (1, 3, 3) rotations, as kernels take them."""
+        return self.rotation.reshape(-1, 3, 3)
+
+
+@kernel(FLOATS_2D(INPUT_3D, FLOAT, INPUT_1D, INPUT_2D))
+def _place_roots(rotation: Array, focal: float, scale: Array, translation: Array) -> Array:
+    """Compute `VirtualCamera.root_positions` with rotations (F, 3, 3), or (1, 3, 3) of all frames."""
+    out = np.empty((len(scale), 3))
+    for n in range(len(scale)):
+        r = rotation[n % len(rotation)]
+        x, y, z = translation[n, 0] / scale[n], translation[n, 1] / scale[n], focal / scale[n]
+        for d in range(3):
+            out[n, d] = x * r[0, d] + y * r[1, d] + z * r[2, d]
+    return out
+
+
+@kernel(FLOATS_1D(INPUT_3D, FLOAT, INPUT_2D))
+def _measure_scale(rotation: Array, focal: float, roots: Array) -> Array:
+    """Return the scales f / Z (F,) of bodies at positions (F, 3) under rotations (F, 3, 3) or (1, 3, 3)."""
+    out = np.empty(len(roots))
+    for n in range(len(roots)):
+        r, (x, y, z) = rotation[n % len(rotation)], (roots[n, 0], roots[n, 1], roots[n, 2])
+        out[n] = focal / max(r[2, 0] * x + r[2, 1] * y + r[2, 2] * z, MIN_DEPTH_M)
+    return out
+
+
+@kernel(FLOATS_3D(INPUT_3D, INPUT_3D))
+def _multiply_rotations(left: Array, right: Array) -> Array:
+    """Return the products (F, 3, 3) of rotations (F, 3, 3) or (1, 3, 3) and others (F, 3, 3)."""
+    out = np.empty_like(right)
+    for n in range(len(right)):
+        a, b = left[n % len(left)], right[n]
+        for i in range(3):
+            for j in range(3):
+                out[n, i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+    return out
 
 
 def solver_focal(intrinsics: Intrinsics, use_perspective: bool) -> float:
@@ -143,18 +191,65 @@ def rotate_rays(rays: Array, rotation: Array) -> Array:
 
     Rays that point backwards after the rotation are mapped to finite rays far from the optical axis.
     """
-    directions = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1) @ np.swapaxes(rotation, -1, -2)
-    return np.asarray(directions[..., :2] / np.maximum(directions[..., 2:], MIN_RAY_DEPTH))
+    if rotation.ndim == 2:
+        groups, rotations = rays.reshape(1, -1, 2), rotation[None]
+    else:
+        groups = rays.reshape(-1, *rays.shape[-2:])
+        rotations = np.broadcast_to(rotation, (*rays.shape[:-2], 3, 3)).reshape(-1, 3, 3)
+    rotated = _rotate_rays(np.ascontiguousarray(groups), np.ascontiguousarray(rotations))
+    return np.asarray(rotated.reshape(rays.shape))
 
 
+@kernel(types.UniTuple(FLOAT, 2)(INPUT_2D, FLOAT, FLOAT))
+def rotate_ray(r: Array, x: float, y: float) -> tuple[float, float]:
+    """Return the ray (x, y), rotated by `r` (3, 3)."""
+    depth = max(r[2, 0] * x + r[2, 1] * y + r[2, 2], MIN_RAY_DEPTH)
+    return (r[0, 0] * x + r[0, 1] * y + r[0, 2]) / depth, (r[1, 0] * x + r[1, 1] * y + r[1, 2]) / depth
+
+
+@kernel(FLOATS_3D(INPUT_3D, INPUT_3D))
+def _rotate_rays(rays: Array, rotation: Array) -> Array:
+    """Return the rays of N groups (N, M, 2), each rotated by its rotation (N, 3, 3)."""
+    out = np.empty_like(rays)
+    for n in range(rays.shape[0]):
+        for m in range(rays.shape[1]):
+            out[n, m, 0], out[n, m, 1] = rotate_ray(rotation[n], rays[n, m, 0], rays[n, m, 1])
+    return out
+
+
+@kernel(FLOATS_3D(INPUT_3D, INPUT_2D, INPUT_3D, FLOAT))
+def _view_rays(rays: Array, weight: Array, rotation: Array, focal: float) -> Array:
+    """Compute `VirtualCamera.view_rays` with rotations (F, 3, 3), or (1, 3, 3) of all frames."""
+    out = np.zeros_like(rays)
+    for n in range(rays.shape[0]):
+        for j in range(rays.shape[1]):
+            if weight[n, j] > 0:
+                x, y = rotate_ray(rotation[n % len(rotation)], rays[n, j, 0], rays[n, j, 1])
+                out[n, j, 0], out[n, j, 1] = focal * x, focal * y
+    return out
+
+
+@kernel(FLOATS_2D(INPUT_3D, INPUT_2D))
+def _average_rays(rays: Array, weight: Array) -> Array:
+    """Return the weighted mean (1, 2) of the rays (F, J, 2) of all frames; (0, 0) where all weights are 0."""
+    total, x, y = 0.0, 0.0, 0.0
+    for frame in range(weight.shape[0]):
+        for j in range(weight.shape[1]):
+            w = weight[frame, j]
+            total, x, y = total + w, x + w * rays[frame, j, 0], y + w * rays[frame, j, 1]
+    total = max(total, MIN_TOTAL_WEIGHT)
+    return np.array([[x / total, y / total]])
+
+
+@kernel(FLOATS_3D(INPUT_2D))
 def rotation_to_optical_axis(rays: Array) -> Array:
     """Return the smallest rotations (F, 3, 3) that bring rays (F, 2), as x / z and y / z, to the optical axis."""
-    axis = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
-    x, y, z = np.moveaxis(axis / np.linalg.norm(axis, axis=-1, keepdims=True), -1, 0)
-    inverse = 1 / (1 + z)
-    out = np.empty((*axis.shape, 3))
-    out[..., 0, 0], out[..., 1, 1] = 1 - x * x * inverse, 1 - y * y * inverse
-    out[..., 0, 1] = out[..., 1, 0] = -x * y * inverse
-    out[..., 0, 2], out[..., 1, 2] = -x, -y
-    out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = x, y, z
+    out = np.empty((len(rays), 3, 3))
+    for n in range(len(rays)):
+        length = math.sqrt(rays[n, 0] ** 2 + rays[n, 1] ** 2 + 1)
+        x, y, z = rays[n, 0] / length, rays[n, 1] / length, 1 / length
+        inverse = 1 / (1 + z)
+        out[n, 0, 0], out[n, 0, 1], out[n, 0, 2] = 1 - x * x * inverse, -x * y * inverse, -x
+        out[n, 1, 0], out[n, 1, 1], out[n, 1, 2] = -x * y * inverse, 1 - y * y * inverse, -y
+        out[n, 2, 0], out[n, 2, 1], out[n, 2, 2] = x, y, z
     return out

@@ -19,13 +19,16 @@ Readers of files have no predictions and compare the keypoints with those of the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from mocap_ros.compiled.kernel import BOOLS_2D, FLOAT, FLOATS_2D, INPUT_1D, INPUT_2D, kernel
 from mocap_ros.keypoints.person import Person2D
 
 Array = NDArray[np.float64]
@@ -44,54 +47,72 @@ class Extent(NamedTuple):
     """Position and size of a detection in the image.
 
     Attributes:
-        centre: (2,) mean of the seen joints, in the units of the points.
-        size: RMS distance of the seen joints from the centre, in the same units.
+        x: x of the mean of the seen joints, in the units of the points.
+        y: y of it, in the same units.
+        size: RMS distance of the seen joints from it, in the same units.
     """
 
-    centre: Array
+    x: float
+    y: float
     size: float
+
+    @property
+    def is_one_place(self) -> bool:
+        """Whether all seen joints, whose points are rays, lie in one place, so that they show no person."""
+        return not self.size > MIN_DETECTION_SIZE
 
 
 class ExpectedExtent(NamedTuple):
     """Position and size at which a tracked person is expected.
 
     Attributes:
-        centre: (2,) predicted mean of the joints, in the units of the points.
-        size: RMS distance of the joints from the centre when the person was last seen, in the same units.
+        x: x of the predicted mean of the joints, in the units of the points.
+        y: y of it, in the same units.
+        size: RMS distance of the joints from their mean when the person was last seen, in the same units.
         age_s: s since the person was last seen.
     """
 
-    centre: Array
+    x: float
+    y: float
     size: float
     age_s: float
 
 
 def measure_extent(points: Array, weight: Array) -> Extent:
-    """Return the image centre and the size of the seen joints.
+    """Return the image centre and the size of the seen joints; NaN if none was seen.
 
     Args:
         points: (J, 2) image points in any unit.
         weight: (J,) confidence scores; 0 for a joint that was not seen.
     """
-    seen = points[weight > 0]
-    centre = seen.mean(axis=0)
-    return Extent(centre, float(np.sqrt(((seen - centre) ** 2).sum(axis=1).mean())) + MIN_SIZE)
+    return Extent(*_measure_extent(np.ascontiguousarray(points, float), np.ascontiguousarray(weight, float)))
 
 
-def is_in_one_place(rays: Array, weight: Array) -> bool:
-    """Return whether all seen joints of a detection lie in one place, so that they show no person.
-
-    Args:
-        rays: (J, 2) x / z and y / z of the joints in the camera.
-        weight: (J,) confidence scores; 0 for a joint that was not seen. At least one was seen.
-    """
-    return not measure_extent(rays, weight).size > MIN_DETECTION_SIZE
+@kernel(types.UniTuple(FLOAT, 3)(INPUT_2D, INPUT_1D))
+def _measure_extent(points: Array, weight: Array) -> tuple[float, float, float]:
+    """Compute `measure_extent`."""
+    seen, x, y, squares = 0, 0.0, 0.0, 0.0
+    for j in range(len(weight)):
+        if weight[j] > 0:
+            seen, x, y = seen + 1, x + points[j, 0], y + points[j, 1]
+    if seen == 0:
+        return math.nan, math.nan, math.nan
+    x, y = x / seen, y / seen
+    for j in range(len(weight)):
+        if weight[j] > 0:
+            squares += (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2
+    return x, y, math.sqrt(squares / seen) + MIN_SIZE
 
 
 def compute_distance(expected: ExpectedExtent, detected: Extent) -> float:
     """Return the distance d(p, d) of a detection from an expected person, in sizes of the larger of the two."""
-    offset = np.linalg.norm(detected.centre - expected.centre)
-    return float(offset / max(detected.size, expected.size) + abs(np.log(detected.size / expected.size)))
+    return float(_measure_distance(*expected[:3], *detected))
+
+
+@kernel(FLOAT(FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT))
+def _measure_distance(x: float, y: float, size: float, other_x: float, other_y: float, other_size: float) -> float:
+    """Return the distance of two extents."""
+    return math.hypot(other_x - x, other_y - y) / max(size, other_size) + abs(math.log(other_size / size))
 
 
 def compute_gate(expected: ExpectedExtent) -> float:
@@ -114,10 +135,26 @@ def associate(expected: Sequence[ExpectedExtent], detected: Sequence[Extent]) ->
     """
     if not expected or not detected:
         return [None] * len(detected)
-    distance = np.array([[compute_distance(e, d) for e in expected] for d in detected])
-    is_within_gate = distance < [compute_gate(e) for e in expected]
-    cost = np.where(is_within_gate, distance + [GATE_GROWTH_PER_S * e.age_s for e in expected], FORBIDDEN_COST)
-    return _choose_pairs(cost, is_within_gate)
+    return _choose_pairs(*_compute_costs(np.array(expected), np.array(detected)))
+
+
+@kernel(types.Tuple((FLOATS_2D, BOOLS_2D))(INPUT_2D, INPUT_2D))
+def _compute_costs(expected: Array, detected: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Compute cost(p, d) of all pairs (D, P), and whether their distance is within the gate.
+
+    Args:
+        expected: (P, 4) fields of `ExpectedExtent`.
+        detected: (D, 3) fields of `Extent`.
+    """
+    cost = np.full((len(detected), len(expected)), FORBIDDEN_COST)
+    is_within_gate = np.zeros(cost.shape, np.bool_)
+    for d in range(len(detected)):
+        for p in range(len(expected)):
+            x, y, size, age_s = expected[p, 0], expected[p, 1], expected[p, 2], expected[p, 3]
+            distance = _measure_distance(x, y, size, detected[d, 0], detected[d, 1], detected[d, 2])
+            if distance < BASE_GATE + GATE_GROWTH_PER_S * age_s:
+                cost[d, p], is_within_gate[d, p] = distance + GATE_GROWTH_PER_S * age_s, True
+    return cost, is_within_gate
 
 
 def associate_keypoints(
@@ -147,7 +184,7 @@ def compute_keypoint_distance(a: Person2D, b: Person2D) -> float:
     seen_in_both = (a.score > 0) & (b.score > 0) if a.joints == b.joints else np.zeros(0, bool)
     if seen_in_both.any():
         return float(np.median(np.linalg.norm(a.points[seen_in_both] - b.points[seen_in_both], axis=1))) / size
-    return float(np.linalg.norm(extents[0].centre - extents[1].centre)) / size
+    return math.hypot(extents[0].x - extents[1].x, extents[0].y - extents[1].y) / size
 
 
 def _choose_pairs(cost: Array, is_permitted: NDArray[np.bool_]) -> list[int | None]:

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.kernel import FLOATS_2D, FLOATS_3D, INPUT_2D, INPUT_3D, kernel
 from mocap_ros.errors import SkeletonError
 from mocap_ros.skeleton import CMU15, Skeleton, canonical_joint_names
 
@@ -92,19 +94,44 @@ class JointMap:
             (..., Jt, D) points, NaN for joints without an alternative whose keypoints were all seen, and (..., Jt)
             scores: the least score of the keypoints used, times the score factor.
         """
-        seen = (score > 0) & np.isfinite(points).all(-1)
-        clean = np.where(seen[..., None], points, 0.0)
-        lead = points.shape[:-2]
-        out = np.full((*lead, len(self.target.joints), points.shape[-1]), np.nan)
-        out_score = np.zeros(out.shape[:-1])
-        for weights, factor in zip(self.weights, self.score_factor, strict=True):
-            used = weights != 0
-            usable = ~(used & ~seen[..., None, :]).any(-1) & (factor > 0)
-            chosen = usable & (out_score == 0)
-            least = np.where(used, score[..., None, :], np.inf).min(-1)
-            out = np.where(chosen[..., None], weights @ clean, out)
-            out_score = np.where(chosen, np.where(chosen, least, 0.0) * factor, out_score)
-        return out, out_score
+        lead, (sources, dimensions) = points.shape[:-2], points.shape[-2:]
+        flat_points = np.ascontiguousarray(points, float).reshape(-1, sources, dimensions)
+        flat_score = np.ascontiguousarray(score, float).reshape(-1, sources)
+        out, out_score = map_joints(flat_points, flat_score, self.weights, self.score_factor)
+        return out.reshape(*lead, -1, dimensions), out_score.reshape(*lead, -1)
+
+
+@kernel(types.Tuple((FLOATS_3D, FLOATS_2D))(INPUT_3D, INPUT_2D, INPUT_3D, INPUT_2D))
+def map_joints(points: Array, score: Array, weights: Array, score_factor: Array) -> tuple[Array, Array]:
+    """Compute `JointMap.apply` of N frames: y_t = sum_s W_ts x_s by the first alternative that can be used.
+
+    Args:
+        points: (N, Js, D) coordinates.
+        score: (N, Js) confidence scores.
+        weights: (A, Jt, Js) as in `JointMap`.
+        score_factor: (A, Jt) as in `JointMap`.
+    """
+    frames, sources, dimensions = points.shape
+    alternatives, targets = score_factor.shape
+    out = np.full((frames, targets, dimensions), np.nan)
+    out_score = np.zeros((frames, targets))
+    for n in range(frames):
+        for t in range(targets):
+            for a in range(alternatives):
+                is_usable, least = score_factor[a, t] > 0, np.inf
+                for s in range(sources):
+                    if weights[a, t, s] != 0:
+                        least = min(least, score[n, s])
+                        is_usable = is_usable and score[n, s] > 0 and np.isfinite(points[n, s]).all()
+                if is_usable:
+                    out_score[n, t] = least * score_factor[a, t]
+                    out[n, t] = 0.0
+                    for s in range(sources):
+                        if weights[a, t, s] != 0:
+                            for d in range(dimensions):
+                                out[n, t, d] += weights[a, t, s] * points[n, s, d]
+                    break
+    return out, out_score
 
 
 def map_to_model_joints(

@@ -26,11 +26,28 @@ the decisions about earlier frames of the window.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import math
+from dataclasses import dataclass, field
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.kernel import (
+    BOOLS_2D,
+    FLOAT,
+    FLOATS_1D,
+    FLOATS_2D,
+    FLOATS_3D,
+    INPUT_1D,
+    INPUT_2D,
+    INPUT_3D,
+    INPUT_BOOLS_1D,
+    INPUT_BOOLS_2D,
+    INPUT_INTS_1D,
+    INT,
+    kernel,
+)
 from mocap_ros.keypoints.association import measure_extent
 
 Array = NDArray[np.float64]
@@ -69,71 +86,6 @@ class ViterbiPaths:
     velocity: Array
     last_seen_s: Array
 
-    @staticmethod
-    def initialise(time_s: float, points: Array, seen: NDArray[np.bool_]) -> ViterbiPaths:
-        """Return the paths that consist of a first frame.
-
-        Args:
-            time_s: s, time of the frame.
-            points: (2, J, 2) points as labelled and relabelled.
-            seen: (2, J) whether each of these was seen.
-        """
-        return ViterbiPaths(
-            np.array([0.0, INITIAL_SWAP_COST]),
-            np.array([[False], [True]]),
-            points,
-            np.zeros_like(points),
-            np.where(seen, time_s, -np.inf),
-        )
-
-    def negative_log_likelihood(
-        self, time_s: float, points: Array, seen: NDArray[np.bool_], body_size: float
-    ) -> Array:
-        """Return -log p(x | z, path) of a frame for each path (rows) and each state (columns), (2, 2) in nats.
-
-        Args:
-            time_s: s, time of the frame.
-            points: (2, J, 2) points as labelled and relabelled.
-            seen: (2, J) whether each of these was seen and has a counterpart on the other side.
-            body_size: size of the body in the units of the points.
-        """
-        was_seen = np.isfinite(self.last_seen_s)
-        age = time_s - np.where(was_seen, self.last_seen_s, time_s)
-        horizon = VELOCITY_TIME_S * (1 - np.exp(-age / VELOCITY_TIME_S)) * VELOCITY_GAIN
-        predicted = self.points + self.velocity * horizon[..., None]
-        std = PREDICTION_STD + PREDICTION_STD_PER_S * age + PREDICTION_STD_PER_S2 * age**2
-        error = points - predicted[:, None]
-        squared = np.einsum('hljd,hljd->hlj', error, error) / (body_size * std[:, None]) ** 2
-        cost = CAUCHY_SCALE * np.log1p((0.5 / CAUCHY_SCALE) * squared) + 2 * np.log(std)[:, None]
-        return np.asarray((cost * (seen & was_seen[:, None])).sum(axis=-1))
-
-    def advance(
-        self, time_s: float, points: Array, seen: NDArray[np.bool_], cost: Array, predecessor: NDArray[np.intp]
-    ) -> ViterbiPaths:
-        """Return the paths continued by a frame.
-
-        Args:
-            time_s: s, time of the frame.
-            points: (2, J, 2) points as labelled and relabelled.
-            seen: (2, J) whether each of these was seen.
-            cost: (2,) cost of the likeliest path to each state of this frame.
-            predecessor: (2,) index of the path that it continues.
-        """
-        last_points, velocity = self.points[predecessor], self.velocity[predecessor]
-        last_seen_s = self.last_seen_s[predecessor]
-        age = np.maximum(time_s - last_seen_s, MIN_STEP_S)
-        blend = 1 - np.exp(-age / VELOCITY_TIME_S)
-        measured = (points - last_points) / age[..., None]
-        smoothed = velocity + blend[..., None] * (measured - velocity)
-        smoothed = np.where((age < MAX_VELOCITY_GAP_S)[..., None], smoothed, 0.0)
-        return ViterbiPaths(
-            cost - cost.min(),
-            np.concatenate([self.is_swapped[predecessor], [[False], [True]]], axis=1),
-            np.where(seen[..., None], points, last_points),
-            np.where(seen[..., None], smoothed, velocity),
-            np.where(seen, time_s, last_seen_s),
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class SwapFilter:
@@ -153,47 +105,44 @@ class SwapFilter:
     is_swapped: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     paths: ViterbiPaths | None = None
 
-    def update(self, time_s: float, points: Array, weight: Array, body_size: float) -> SwapFilter:
-        """Return the filter after one more frame.
+    def update(
+        self, time_s: float, points: Array, weight: Array, body_size: float, dropped: int = 0
+    ) -> SwapFilter:
+        """Return the filter after one more frame, without its decisions about the oldest ones.
 
         Args:
             time_s: s, time of the frame.
             points: (J, 2) points as the detector labelled them.
             weight: (J,) confidence scores; 0 for a joint that was not seen.
             body_size: size of the body in the units of the points.
+            dropped: number of the oldest frames, which leave the window.
         """
         if not self.enabled:
-            return replace(self, is_swapped=np.append(self.is_swapped, False))
-        labellings = np.stack([points, points[self.mirror]])
-        seen = np.stack([weight, weight[self.mirror]]) > 0
+            return SwapFilter(self.mirror, False, np.zeros(len(self.is_swapped) - dropped + 1, bool))
         if self.paths is None:
-            paths = ViterbiPaths.initialise(time_s, labellings, seen)
+            paths = ViterbiPaths(*_begin_paths(time_s, points, weight, self.mirror))
         else:
-            elapsed_s = time_s - float(self.paths.last_seen_s[0].max())
-            has_counterpart = self.mirror != np.arange(len(self.mirror))
-            cost = (
-                self.paths.cost[:, None]
-                + self.paths.negative_log_likelihood(time_s, labellings, seen & has_counterpart, body_size)
-                + compute_transition_cost(elapsed_s)
+            old = self.paths
+            paths = ViterbiPaths(
+                *_continue_paths(
+                    old.cost,
+                    old.is_swapped,
+                    old.points,
+                    old.velocity,
+                    old.last_seen_s,
+                    time_s,
+                    points,
+                    weight,
+                    self.mirror,
+                    body_size,
+                    dropped,
+                )
             )
-            predecessor = cost.argmin(axis=0)
-            paths = self.paths.advance(time_s, labellings, seen, cost[predecessor, [0, 1]], predecessor)
-        return replace(self, paths=paths, is_swapped=paths.is_swapped[paths.cost.argmin()])
-
-    def drop_oldest(self, frames: int) -> SwapFilter:
-        """Return the filter without its decisions about the oldest frames of the window.
-
-        Args:
-            frames: number of frames to drop.
-        """
-        if frames == 0:
-            return self
-        paths = self.paths
-        if paths is not None:
-            paths = replace(paths, is_swapped=paths.is_swapped[:, frames:])
-        return replace(self, paths=paths, is_swapped=self.is_swapped[frames:])
+        likelier = 1 if paths.cost[1] < paths.cost[0] else 0
+        return SwapFilter(self.mirror, True, paths.is_swapped[likelier], paths)
 
 
+@kernel(FLOATS_2D(FLOAT))
 def compute_transition_cost(elapsed_s: float) -> Array:
     """Return -log P(z_t | z_(t-1)), (2, 2) in nats: rows are states before and columns states after a time step.
 
@@ -203,7 +152,113 @@ def compute_transition_cost(elapsed_s: float) -> Array:
     frames = max(elapsed_s, MIN_STEP_S) / REFERENCE_FRAME_S
     mixing = (1 - (1 - ENTER_PROBABILITY - LEAVE_PROBABILITY) ** frames) / (ENTER_PROBABILITY + LEAVE_PROBABILITY)
     enter, leave = ENTER_PROBABILITY * mixing, LEAVE_PROBABILITY * mixing
-    return np.asarray(-np.log([[1 - enter, enter], [leave, 1 - leave]]))
+    return -np.log(np.array([[1 - enter, enter], [leave, 1 - leave]]))
+
+
+_PATHS = types.Tuple((FLOATS_1D, BOOLS_2D, FLOATS_3D, FLOATS_3D, FLOATS_2D))  # the fields of `ViterbiPaths`
+
+
+@kernel(_PATHS(FLOAT, INPUT_2D, INPUT_1D, INPUT_INTS_1D))
+def _begin_paths(
+    time_s: float, points: Array, weight: Array, mirror: NDArray[np.intp]
+) -> tuple[Array, NDArray[np.bool_], Array, Array, Array]:
+    """Return the paths that consist of a first frame; the arguments are those of `SwapFilter.update`."""
+    joints = len(mirror)
+    path_points, last_seen_s = np.empty((2, joints, 2)), np.full((2, joints), -np.inf)
+    for state in range(2):
+        for j in range(joints):
+            source = mirror[j] if state else j
+            path_points[state, j] = points[source]
+            if weight[source] > 0:
+                last_seen_s[state, j] = time_s
+    cost, is_swapped = np.array([0.0, INITIAL_SWAP_COST]), np.array([[False], [True]])
+    return cost, is_swapped, path_points, np.zeros((2, joints, 2)), last_seen_s
+
+
+@kernel(FLOATS_2D(INPUT_3D, INPUT_3D, INPUT_2D, FLOAT, INPUT_2D, INPUT_1D, INPUT_INTS_1D, FLOAT))
+def _compute_likelihood_cost(
+    path_points: Array,
+    velocity: Array,
+    last_seen_s: Array,
+    time_s: float,
+    points: Array,
+    weight: Array,
+    mirror: NDArray[np.intp],
+    body_size: float,
+) -> Array:
+    """Return -log p(x | z, path) of a frame for each path (rows) and each state (columns), (2, 2) in nats.
+
+    The first arguments are fields of `ViterbiPaths`, the others those of `SwapFilter.update`.
+    """
+    cost = np.zeros((2, 2))
+    for path in range(2):
+        for j in range(len(mirror)):
+            if mirror[j] == j or last_seen_s[path, j] == -np.inf:
+                continue
+            age = time_s - last_seen_s[path, j]
+            horizon = VELOCITY_TIME_S * (1 - math.exp(-age / VELOCITY_TIME_S)) * VELOCITY_GAIN
+            std = PREDICTION_STD + PREDICTION_STD_PER_S * age + PREDICTION_STD_PER_S2 * age**2
+            for state in range(2):
+                source = mirror[j] if state else j
+                if weight[source] > 0:
+                    error_x = points[source, 0] - (path_points[path, j, 0] + velocity[path, j, 0] * horizon)
+                    error_y = points[source, 1] - (path_points[path, j, 1] + velocity[path, j, 1] * horizon)
+                    squared = (error_x * error_x + error_y * error_y) / (body_size * std) ** 2
+                    cost[path, state] += CAUCHY_SCALE * math.log1p(0.5 / CAUCHY_SCALE * squared)
+                    cost[path, state] += 2 * math.log(std)
+    return cost
+
+
+@kernel(
+    _PATHS(
+        *(INPUT_1D, INPUT_BOOLS_2D, INPUT_3D, INPUT_3D, INPUT_2D),
+        *(FLOAT, INPUT_2D, INPUT_1D, INPUT_INTS_1D, FLOAT, INT),
+    )
+)
+def _continue_paths(
+    path_cost: Array,
+    is_swapped: NDArray[np.bool_],
+    path_points: Array,
+    velocity: Array,
+    last_seen_s: Array,
+    time_s: float,
+    points: Array,
+    weight: Array,
+    mirror: NDArray[np.intp],
+    body_size: float,
+    dropped: int,
+) -> tuple[Array, NDArray[np.bool_], Array, Array, Array]:
+    """Return the paths continued by a frame.
+
+    The first arguments are the fields of `ViterbiPaths`, the others those of `SwapFilter.update`.
+    """
+    joints, frames = len(mirror), is_swapped.shape[1] - dropped
+    cost = compute_transition_cost(time_s - last_seen_s[0].max())
+    cost += _compute_likelihood_cost(path_points, velocity, last_seen_s, time_s, points, weight, mirror, body_size)
+    new_cost, new_is_swapped = np.empty(2), np.empty((2, frames + 1), np.bool_)
+    new_points, new_velocity = np.empty((2, joints, 2)), np.empty((2, joints, 2))
+    new_last_seen_s = np.empty((2, joints))
+    for state in range(2):
+        path = 1 if path_cost[1] + cost[1, state] < path_cost[0] + cost[0, state] else 0
+        new_cost[state] = path_cost[path] + cost[path, state]
+        new_is_swapped[state, :frames] = is_swapped[path, dropped:]
+        new_is_swapped[state, frames] = state == 1
+        for j in range(joints):
+            source = mirror[j] if state else j
+            if not weight[source] > 0:
+                new_points[state, j] = path_points[path, j]
+                new_velocity[state, j] = velocity[path, j]
+                new_last_seen_s[state, j] = last_seen_s[path, j]
+                continue
+            age = max(time_s - last_seen_s[path, j], MIN_STEP_S)
+            blend = 1 - math.exp(-age / VELOCITY_TIME_S)
+            for d in range(2):
+                measured = (points[source, d] - path_points[path, j, d]) / age
+                smoothed = velocity[path, j, d] + blend * (measured - velocity[path, j, d])
+                new_points[state, j, d] = points[source, d]
+                new_velocity[state, j, d] = smoothed if age < MAX_VELOCITY_GAP_S else 0.0
+            new_last_seen_s[state, j] = time_s
+    return new_cost - new_cost.min(), new_is_swapped, new_points, new_velocity, new_last_seen_s
 
 
 def find_swapped_frames(times: Array, points: Array, weight: Array, mirror: NDArray[np.intp]) -> NDArray[np.bool_]:
@@ -215,11 +270,10 @@ def find_swapped_frames(times: Array, points: Array, weight: Array, mirror: NDAr
         weight: (F, J) confidence scores; 0 for a joint that was not seen.
         mirror: (J,) index of each joint's counterpart on the other side.
     """
-    swap_filter = SwapFilter(mirror)
-    is_swapped = np.zeros(len(times), bool)
+    swap_filter, is_swapped = SwapFilter(mirror), np.zeros(len(times), bool)
     seen_frames = np.flatnonzero((weight > 0).sum(axis=1) > 1)
     for frame in seen_frames:
-        _, body_size = measure_extent(points[frame], weight[frame])
+        body_size = measure_extent(points[frame], weight[frame]).size
         swap_filter = swap_filter.update(float(times[frame]), points[frame], weight[frame], body_size)
     is_swapped[seen_frames] = swap_filter.is_swapped
     return is_swapped
@@ -236,7 +290,20 @@ def exchange_sides(
         is_swapped: (F,) frames whose sides are exchanged.
         mirror: (J,) index of each joint's counterpart on the other side.
     """
-    if not is_swapped.any():
-        return points, weight
-    exchanged_points = np.where(is_swapped[:, None, None], points[:, mirror], points)
-    return exchanged_points, np.where(is_swapped[:, None], weight[:, mirror], weight)
+    return (
+        _exchange_sides(points, weight, is_swapped, mirror) if np.count_nonzero(is_swapped) else (points, weight)
+    )
+
+
+@kernel(types.Tuple((FLOATS_3D, FLOATS_2D))(INPUT_3D, INPUT_2D, INPUT_BOOLS_1D, INPUT_INTS_1D))
+def _exchange_sides(
+    points: Array, weight: Array, is_swapped: NDArray[np.bool_], mirror: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """Compute `exchange_sides`."""
+    new_points, new_weight = np.empty_like(points), np.empty_like(weight)
+    for frame in range(weight.shape[0]):
+        for j in range(weight.shape[1]):
+            source = mirror[j] if is_swapped[frame] else j
+            new_points[frame, j] = points[frame, source]
+            new_weight[frame, j] = weight[frame, source]
+    return new_points, new_weight

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.kernel import FLOAT, FLOATS_2D, FLOATS_3D, INPUT_1D, INPUT_2D, INPUT_3D, kernel
+from mocap_ros.geometry.distortion import undistort_point
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.joint_map import map_to_model_joints
+from mocap_ros.keypoints.joint_map import build_joint_map, map_joints
 from mocap_ros.skeleton import CMU15, Skeleton
 
 Array = NDArray[np.float64]
@@ -40,9 +43,50 @@ def convert_to_rays(
     Raises:
         SkeletonError: A name repeats, or the names cover too few of the model's joints.
     """
-    with np.errstate(invalid='ignore'):
-        is_valid = np.asarray((np.abs(points) < MAX_POINT_PX).all(axis=-1))
-    valid_score = np.where(is_valid, np.minimum(score, MAX_SCORE), 0.0)
-    valid_points = np.where(is_valid[..., None], points, 0.0)
-    joints, weight = map_to_model_joints(valid_points, valid_score, names, min_score, target)
-    return np.where(weight[..., None] > 0, intrinsics.pixels_to_rays(joints), 0.0), weight
+    joint_map = build_joint_map(names, target)
+    rays, weight = _convert_frames(
+        np.ascontiguousarray(points, float).reshape(-1, len(names), 2),
+        np.ascontiguousarray(score, float).reshape(-1, len(names)),
+        joint_map.weights,
+        joint_map.score_factor,
+        min_score,
+        intrinsics.focal_lengths,
+        intrinsics.center_array,
+        intrinsics.distortion.parameters,
+    )
+    lead = score.shape[:-1]
+    return rays.reshape(*lead, -1, 2), weight.reshape(*lead, -1)
+
+
+@kernel(
+    types.Tuple((FLOATS_3D, FLOATS_2D))(
+        INPUT_3D, INPUT_2D, INPUT_3D, INPUT_2D, FLOAT, INPUT_1D, INPUT_1D, INPUT_1D
+    )
+)
+def _convert_frames(
+    points: Array,
+    score: Array,
+    map_weights: Array,
+    score_factor: Array,
+    min_score: float,
+    focal_lengths: Array,
+    center: Array,
+    lens: Array,
+) -> tuple[Array, Array]:
+    """Compute `convert_to_rays` of the keypoints (N, Js, 2) and scores (N, Js) of N frames."""
+    used_score = np.zeros_like(score)
+    for n in range(score.shape[0]):
+        for s in range(score.shape[1]):
+            is_valid = abs(points[n, s, 0]) < MAX_POINT_PX and abs(points[n, s, 1]) < MAX_POINT_PX
+            if is_valid and score[n, s] >= min_score:
+                used_score[n, s] = min(score[n, s], MAX_SCORE)
+    joints, weight = map_joints(points, used_score, map_weights, score_factor)
+    for n in range(weight.shape[0]):
+        for t in range(weight.shape[1]):
+            if weight[n, t] > 0:
+                x = (joints[n, t, 0] - center[0]) / focal_lengths[0]
+                y = (joints[n, t, 1] - center[1]) / focal_lengths[1]
+                joints[n, t, 0], joints[n, t, 1] = undistort_point(x, y, lens)
+            else:
+                joints[n, t] = 0.0
+    return joints, weight

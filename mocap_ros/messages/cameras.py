@@ -7,36 +7,36 @@ t the translation and M = [s R_xy | t] the 2x4 camera matrix (Wandt et al., TPAM
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from mocap_ros.geometry.rotations import quaternion_from_rotation
-from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, create_header, create_message, encode
+from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Array, CdrWriter, Header
 from mocap_ros.people import Person3D
 
 CAMERAS = MOCAP_ROS_MSGS + 'WeakPerspectiveCameraArray'
+CAMERA_NUMBERS = 15  # numbers in a WeakPerspectiveCamera, all of them float64
 
 
 def encode_cameras(header: Header, people: Sequence[Person3D]) -> bytes:
     """Encode the cameras of all people in an image as a WeakPerspectiveCameraArray."""
-    message = create_message(
-        CAMERAS,
-        header=create_header(header),
-        ids=[p.id for p in people],
-        cameras=[create_camera(p) for p in people],
-    )
-    return encode(message, CAMERAS)
+    writer = CdrWriter()
+    writer.add_header(header)
+    writer.add_count(len(people))
+    for person in people:
+        writer.add_text(person.id)
+    writer.add_sequence(compute_camera_numbers(people))
+    return writer.finish()
 
 
-def create_camera(person: Person3D) -> Any:
-    """Create the WeakPerspectiveCamera object of one person."""
-    x, y, z, w = quaternion_from_rotation(person.rotation)
-    scaled_rotation = person.scale * person.rotation[:2]
-    return create_message(
-        MOCAP_ROS_MSGS + 'WeakPerspectiveCamera',
-        scale=person.scale,
-        rotation=create_message('geometry_msgs/msg/Quaternion', x=x, y=y, z=z, w=w),
-        translation=np.asarray(person.translation, np.float64),
-        matrix=np.column_stack([scaled_rotation, person.translation]).ravel(),
-    )
+def compute_camera_numbers(people: Sequence[Person3D]) -> Array:
+    """Return the fields of the WeakPerspectiveCamera of each person (N, 15) in their order.
+
+    They are the scale, the quaternion x, y, z, w, the translation and the matrix.
+    """
+    numbers = np.empty((len(people), CAMERA_NUMBERS))
+    for row, person in zip(numbers, people, strict=True):
+        row[0], row[1:5], row[5:7] = person.scale, quaternion_from_rotation(person.rotation), person.translation
+        matrix = row[7:].reshape(2, 4)
+        matrix[:, :3], matrix[:, 3] = person.scale * person.rotation[:2], person.translation
+    return numbers

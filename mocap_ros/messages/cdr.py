@@ -1,7 +1,12 @@
-"""Conversion between message objects and CDR bytes, and the parts that all messages share."""
+"""Conversion between message objects and CDR bytes, and the parts that all messages share.
+
+The messages that are published for every image are written field by field (`CdrWriter`), because a message object
+for each of some hundred points would take ten times as long. All others are encoded from message objects.
+"""
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
@@ -22,6 +27,10 @@ Array = NDArray[np.float64]
 DEFINITIONS_DISTRO = 'kilted'  # the distribution whose definitions of the standard messages are used
 CDR_ALIGNMENT_BYTES = 4  # DDS (RTPS) pads every payload to a multiple of this length
 MOCAP_ROS_MSGS = 'mocap_ros_msgs/msg/'  # prefix of the type names of this package's own messages
+ENCAPSULATION = b'\0\1\0\0'  # the first bytes of a message: CDR, little endian
+
+_UINT32 = struct.Struct('<I')
+_STAMP = struct.Struct('<iI')
 
 
 class Header(NamedTuple):
@@ -92,8 +101,63 @@ def encode(message: Any, msgtype: str) -> bytes:
         message: message object.
         msgtype: name of its message type.
     """
-    raw = bytes(typestore().serialize_cdr(message, msgtype))
-    return raw + bytes(-len(raw) % CDR_ALIGNMENT_BYTES)
+    return pad(bytes(typestore().serialize_cdr(message, msgtype)))
+
+
+def pad(content: bytes) -> bytes:
+    """Append zeros up to a multiple of `CDR_ALIGNMENT_BYTES`."""
+    return content + bytes(-len(content) % CDR_ALIGNMENT_BYTES)
+
+
+class CdrWriter:
+    """Writer of one message as CDR, which appends its fields in their order; the fields of nested messages too."""
+
+    def __init__(self) -> None:
+        self._data = bytearray(ENCAPSULATION)
+
+    def add(self, alignment: int, content: bytes) -> None:
+        """Append bytes at the next multiple of 1, 2, 4 or 8 bytes.
+
+        Args:
+            alignment: size of the first number in the content, which CDR places at a multiple of its size.
+            content: the bytes of one or more fields, in which the paddings between these are right.
+        """
+        data = self._data
+        data += bytes((len(ENCAPSULATION) - len(data)) % alignment)
+        data += content
+
+    def add_count(self, count: int) -> None:
+        """Append a uint32, or the length of a sequence."""
+        self.add(4, _UINT32.pack(count))
+
+    def add_text(self, text: str) -> None:
+        """Append a string."""
+        self.add(4, encode_text(text))
+
+    def add_sequence(self, values: NDArray[np.generic]) -> None:
+        """Append a sequence of numbers (N,), or of messages (N, M) of M numbers of one type each."""
+        self.add_count(len(values))
+        if values.size:
+            self.add(values.itemsize, values.tobytes())
+
+    def add_header(self, header: Header) -> None:
+        """Append a std_msgs/Header."""
+        self.add(4, encode_header(header))
+
+    def finish(self) -> bytes:
+        """Return the message, padded as `encode` pads it."""
+        return pad(bytes(self._data))
+
+
+def encode_text(text: str) -> bytes:
+    """Return a string as CDR, to be added at a multiple of 4 bytes."""
+    content = text.encode()
+    return _UINT32.pack(len(content) + 1) + content + b'\0'
+
+
+def encode_header(header: Header) -> bytes:
+    """Return a std_msgs/Header as CDR, to be added at a multiple of 4 bytes."""
+    return _STAMP.pack(*divmod(header.stamp_ns, NS_PER_S)) + encode_text(header.frame_id)
 
 
 def decode(raw: bytes, msgtype: str) -> Any:
@@ -150,9 +214,3 @@ def create_header(header: Header) -> Any:
     seconds, nanoseconds = divmod(header.stamp_ns, NS_PER_S)
     stamp = create_message('builtin_interfaces/msg/Time', sec=seconds, nanosec=nanoseconds)
     return create_message('std_msgs/msg/Header', stamp=stamp, frame_id=header.frame_id)
-
-
-def create_points(positions: Array) -> list[Any]:
-    """Create geometry_msgs/Point objects from positions (N, 3) in m."""
-    point = typestore().types['geometry_msgs/msg/Point']
-    return [point(*p) for p in positions.tolist()]

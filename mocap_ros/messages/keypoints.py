@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,12 @@ from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import find_first_fault, looks_normalised, mark_unseen
+from mocap_ros.keypoints.validation import (
+    NORMALISED_RANGE,
+    find_first_fault,
+    looks_normalised,
+    mark_unseen,
+)
 from mocap_ros.messages.cdr import (
     MOCAP_ROS_MSGS,
     Header,
@@ -67,7 +74,7 @@ def decode_keypoints(raw: bytes, limits: NodeConfig) -> KeypointsFrame:
     message = decode(raw, KEYPOINTS)
     header = validate_header(message.header, limits)
     check_count('people', len(message.people), limits)
-    people = tuple(_read_person(p, i, message.image_width, limits) for i, p in enumerate(message.people))
+    people = _read_people(message.people, message.image_width, limits)
     check_ids('people', people)
     return KeypointsFrame(header, message.image_width, message.image_height, people)
 
@@ -102,25 +109,34 @@ def _check_message_length(raw: bytes, limits: NodeConfig) -> None:
         raise InputError(f'{len(raw)} bytes, more than the limits allow ({max_bytes})')
 
 
-def _read_person(person: Any, index: int, image_width: int, limits: NodeConfig) -> Person2D:
-    """Validate the person at an index of the message; errors name the index."""
+def _read_people(entries: Sequence[Any], image_width: int, limits: NodeConfig) -> tuple[Person2D, ...]:
+    """Validate the people of a message; errors name the index of the person."""
+    names = [_read_names(entry, index, limits) for index, entry in enumerate(entries)]
+    people: list[Person2D] = []
+    for _, equally_long in groupby(entries, lambda entry: len(entry.x)):  # mostly all of them
+        numbers = np.array([(entry.x, entry.y, entry.score) for entry in equally_long])
+        with np.errstate(invalid='ignore'):  # some NaN of float32 have no equal in float64
+            numbers = numbers.astype(np.float64)
+        points, score = _check_and_mark(
+            np.ascontiguousarray(numbers[:, :2].swapaxes(1, 2)), numbers[:, 2], image_width, len(people)
+        )
+        own_names = names[len(people) : len(people) + len(numbers)]
+        people += [Person2D(*n, *arrays) for n, *arrays in zip(own_names, points, score, strict=True)]
+    return tuple(people)
+
+
+def _read_names(person: Any, index: int, limits: NodeConfig) -> tuple[str, tuple[str, ...]]:
+    """Return the id and the joint names of a person whose arrays are of one length."""
     try:
-        return _read_keypoints(person, image_width, limits)
+        lengths = len(person.x), len(person.y), len(person.score)
+        if len(set(lengths)) > 1:
+            raise InputError(f'x, y, score: unequal lengths {", ".join(map(str, lengths))}')
+        if lengths[0] > limits.max_joints:
+            raise InputError(f'x: {lengths[0]} joints, more than {limits.max_joints}')
+        joints = _read_joint_names(person, lengths[0], limits)
+        return validate_text(person.id, 'id', limits), joints
     except InputError as error:
         raise InputError(f'people[{index}].{error}') from None
-
-
-def _read_keypoints(person: Any, image_width: int, limits: NodeConfig) -> Person2D:
-    lengths = {f: len(getattr(person, f)) for f in ('x', 'y', 'score')}
-    if len(set(lengths.values())) > 1:
-        raise InputError(f'x, y, score: unequal lengths {", ".join(map(str, lengths.values()))}')
-    count = lengths['x']
-    if count > limits.max_joints:
-        raise InputError(f'x: {count} joints, more than {limits.max_joints}')
-    joints = _read_joint_names(person, count, limits)
-    points = np.stack([person.x, person.y], axis=-1).astype(np.float64)
-    score = np.asarray(person.score, np.float64)
-    return validate_person(validate_text(person.id, 'id', limits), joints, points, score, image_width)
 
 
 def validate_person(
@@ -141,13 +157,41 @@ def validate_person(
     Raises:
         InputError: a keypoint is not valid; the error names the field and the index of the joint.
     """
+    points, score = _check_and_mark(points[None], score[None], image_width)
+    return Person2D(person_id, joints, points[0], score[0])
+
+
+def _check_and_mark(
+    points: Array, score: Array, image_width: int, first: int | None = None
+) -> tuple[Array, Array]:
+    """Validate the keypoints of several people, and mark those that were not seen.
+
+    Args:
+        points: (N, J, 2) image points in px.
+        score: (N, J) confidence scores.
+        image_width: width of the image in px, 0 where unknown.
+        first: index in the message of the first of these people; None where errors need not name the person.
+
+    Returns:
+        Points and scores, in which unseen keypoints have NaN points and score 0.
+
+    Raises:
+        InputError: a keypoint is not valid; the error names the person, the field and the index of the joint.
+    """
+
+    def name(index: int) -> str:
+        return '' if first is None else f'people[{first + index}].'
+
     fault = find_first_fault(points, score)
-    if fault:
-        raise InputError(f'{fault.field}[{fault.index[0]}]: {fault.what}')
+    if fault is not None:
+        person, joint = fault.index
+        raise InputError(f'{name(person)}{fault.field}[{joint}]: {fault.what}')
     points, score = mark_unseen(points, score)
-    if looks_normalised(points, score, image_width):
-        raise InputError('x, y: looks normalised; px expected')
-    return Person2D(person_id, joints, points, score)
+    may_be_normalised = np.fmax.reduce(points, axis=(1, 2)) <= NORMALISED_RANGE[1]
+    for index in np.flatnonzero(may_be_normalised).tolist():
+        if looks_normalised(points[index], score[index], image_width):
+            raise InputError(f'{name(index)}x, y: looks normalised; px expected')
+    return points, score
 
 
 def _read_joint_names(person: Any, count: int, limits: NodeConfig) -> tuple[str, ...]:
@@ -158,12 +202,25 @@ def _read_joint_names(person: Any, count: int, limits: NodeConfig) -> tuple[str,
     joint_names = tuple(validate_text(n, 'joint_names', limits) for n in person.joint_names)
     field, subject = ('joint_names', 'there are') if joint_names else ('skeleton', f'{layout_name!r} has')
     try:
-        joints = joint_names or keypoint_layout(layout_name).joints
+        joints = joint_names or _find_layout_joints(layout_name)
         if len(joints) != count:
             raise InputError(f'{field}: {subject} {len(joints)} joints, x has {count}')
-        build_joint_map(joints)
+        if joint_names:
+            build_joint_map(joints)
     except SkeletonError as error:
         raise InputError(f'{field}: {error}') from None
+    return joints
+
+
+@lru_cache(maxsize=len(LAYOUT_NAMES))
+def _find_layout_joints(layout_name: str) -> tuple[str, ...]:
+    """Return the joint names of a layout that has enough of the model's joints.
+
+    Raises:
+        SkeletonError: there is no such layout.
+    """
+    joints = keypoint_layout(layout_name).joints
+    build_joint_map(joints)
     return joints
 
 

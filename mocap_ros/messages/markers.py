@@ -8,13 +8,16 @@ person who was not detected in the image and is predicted is grey.
 from __future__ import annotations
 
 import colorsys
+import struct
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import count
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mocap_ros.messages.cdr import Header, create_header, create_message, create_points, encode
+from mocap_ros.messages.cdr import CdrWriter, Header, encode_header, encode_text, pad
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.units import NS_PER_S
@@ -62,18 +65,78 @@ class _MarkerShape(NamedTuple):
     Attributes:
         namespace: namespace of the marker.
         type: value of visualization_msgs/Marker.type.
-        size_m: diameter of the spheres or width of the lines in m.
+        scale: m, value of visualization_msgs/Marker.scale: the diameter of the spheres or the width of the lines.
     """
 
     namespace: str
     type: int
-    size_m: float
+    scale: tuple[float, float, float]
 
 
-SHAPES = (
-    _MarkerShape('joints', SPHERE_LIST, JOINT_DIAMETER_M),
-    _MarkerShape('bones', LINE_LIST, BONE_WIDTH_M),
-)
+JOINTS = _MarkerShape('joints', SPHERE_LIST, (JOINT_DIAMETER_M, JOINT_DIAMETER_M, JOINT_DIAMETER_M))
+BONES = _MarkerShape('bones', LINE_LIST, (BONE_WIDTH_M, 0.0, 0.0))  # viewers warn about lines that have a height
+BONE_ENDS = np.array(CMU15.bones).ravel()  # indices of the joints at both ends of each bone
+
+Colors = NDArray[np.float32]  # (..., 4) red, green, blue and alpha in [0, 1]
+
+# Groups of fields of a visualization_msgs/Marker.
+_NUMBERS = struct.Struct('<iii')  # id, type, action
+# pose, scale, color, lifetime, frame_locked, number of points; then the points follow without a gap
+_LOOK = struct.Struct('<7d3d4fiI?3xI')
+_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # the pose that leaves points where they are
+_NO_TEXT = b'\1\0\0\0\0\0\0\0'  # an empty string, padded
+_NO_ELEMENTS = bytes(4)  # an empty sequence
+# The fields after texture.header: texture.format and .data, uv_coordinates, text, mesh_resource,
+# mesh_file.filename and .data, mesh_use_embedded_materials.
+_NO_MESH = b''.join([_NO_TEXT, *[_NO_ELEMENTS] * 2, *[_NO_TEXT] * 3, _NO_ELEMENTS, b'\0'])
+
+
+class _Content(NamedTuple):
+    """What a marker shows; by default nothing. Nobody writes into the arrays.
+
+    Attributes:
+        type: value of visualization_msgs/Marker.type.
+        scale: m, value of visualization_msgs/Marker.scale.
+        color: (4,) colour of the whole.
+        lifetime_ns: ns, time after which a viewer removes the marker by itself, 0 for never.
+        points: (N, 3) m.
+        colors: (N, 4) colours of the points.
+    """
+
+    type: int = 0
+    scale: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    color: Colors = np.zeros(4, np.float32)
+    lifetime_ns: int = 0
+    points: NDArray[np.float64] = np.zeros((0, 3))
+    colors: Colors = np.zeros((0, 4), np.float32)
+
+
+_NOTHING = _Content()
+
+
+class _MarkerWriter(CdrWriter):
+    """Writer of a MarkerArray, all markers of which have one header.
+
+    Args:
+        header: time and frame of the markers.
+        number_of_markers: the number of calls of `add_marker` that will follow.
+    """
+
+    def __init__(self, header: Header, number_of_markers: int) -> None:
+        super().__init__()
+        self.add_count(number_of_markers)
+        self._header = pad(encode_header(header))
+        self._end = _NO_TEXT + self._header + _NO_MESH  # from texture_resource on
+
+    def add_marker(self, namespace: str, number: int, action: int, content: _Content = _NOTHING) -> None:
+        """Append a marker; all fields that have no argument are zero or empty."""
+        type_, scale, color, lifetime_ns, points, colors = content
+        self.add(4, self._header + pad(encode_text(namespace)) + _NUMBERS.pack(number, type_, action))
+        lifetime = divmod(lifetime_ns, NS_PER_S)
+        self.add(8, _LOOK.pack(*_ORIGIN, *scale, *color.tolist(), *lifetime, False, len(points)))
+        self.add(1, points.tobytes())
+        self.add_sequence(colors)
+        self.add(4, self._end)
 
 
 class MarkerEncoder:
@@ -97,19 +160,20 @@ class MarkerEncoder:
         present = {p.id for p in people}
         gone = [n for person_id, n in self._number_by_id.items() if person_id not in present]
         self._number_by_id = {person_id: n for person_id, n in self._number_by_id.items() if person_id in present}
-        header_message = create_header(header)
-        markers = [
-            _create_marker(header_message, shape.namespace, number, DELETE) for number in gone for shape in SHAPES
-        ]
+        writer = _MarkerWriter(header, 2 * (len(gone) + len(people)))
+        for number in gone:
+            for shape in (JOINTS, BONES):
+                writer.add_marker(shape.namespace, number, DELETE)
         for person in people:
-            markers += _create_person_markers(header_message, person, self._assign_number(person.id), lifetime_s)
-        return encode(create_message(MARKERS, markers=markers), MARKERS)
+            _add_person(writer, person, self._assign_number(person.id), round(lifetime_s * NS_PER_S))
+        return writer.finish()
 
     def encode_clear(self, header: Header) -> bytes:
         """Encode a MarkerArray that deletes all markers, and forget all people."""
         self._number_by_id = {}
-        markers = [_create_marker(create_header(header), '', 0, DELETE_ALL)]
-        return encode(create_message(MARKERS, markers=markers), MARKERS)
+        writer = _MarkerWriter(header, 1)
+        writer.add_marker('', 0, DELETE_ALL)
+        return writer.finish()
 
     def _assign_number(self, person_id: str) -> int:
         """Return the number of a person; a new person gets the smallest free number."""
@@ -119,69 +183,25 @@ class MarkerEncoder:
         return self._number_by_id[person_id]
 
 
-def _create_person_markers(header: Any, person: Person3D, number: int, lifetime_s: float) -> list[Any]:
-    bones = np.array(CMU15.bones)
-    inferred = np.asarray(person.inferred)
-    points_and_inferred = {
-        'joints': (person.joints, inferred),
-        'bones': (person.joints[bones.ravel()], np.repeat(inferred[bones].any(axis=1), 2)),
-    }
-    seen_color = _create_color(number, SEEN_STYLE)
-    inferred_color = _create_color(number, PREDICTED_STYLE if person.predicted else INFERRED_STYLE)
-    markers = []
-    for shape in SHAPES:
-        positions, is_inferred = points_and_inferred[shape.namespace]
-        marker = _create_marker(header, shape.namespace, number, ADD)
-        marker.type = shape.type
-        marker.scale.x = shape.size_m
-        if shape.type == SPHERE_LIST:  # viewers warn about lines that have a height
-            marker.scale.y = marker.scale.z = shape.size_m
-        marker.points = create_points(positions)
-        marker.colors = [inferred_color if i else seen_color for i in is_inferred]
-        marker.color = seen_color
-        seconds, nanoseconds = divmod(round(lifetime_s * NS_PER_S), NS_PER_S)
-        marker.lifetime = create_message('builtin_interfaces/msg/Duration', sec=seconds, nanosec=nanoseconds)
-        markers.append(marker)
-    return markers
+def _add_person(writer: _MarkerWriter, person: Person3D, number: int, lifetime_ns: int) -> None:
+    """Append the two markers of a person."""
+    seen_color, inferred_color = _choose_colors(number, is_predicted=person.predicted)
+    is_bone_inferred = person.inferred[BONE_ENDS].reshape(-1, 2).any(axis=1).repeat(2)
+    for shape, points, is_inferred in (
+        (JOINTS, person.joints, person.inferred),
+        (BONES, person.joints[BONE_ENDS], is_bone_inferred),
+    ):
+        colors = np.where(is_inferred[:, None], inferred_color, seen_color)
+        content = _Content(shape.type, shape.scale, seen_color, lifetime_ns, points, colors)
+        writer.add_marker(shape.namespace, number, ADD, content)
 
 
-def _create_color(number: int, style: _Style) -> Any:
-    """Create the colour of a person; neighbouring numbers get very different hues."""
-    rgb = colorsys.hsv_to_rgb((FIRST_HUE + number * GOLDEN_RATIO) % 1, style.saturation, BRIGHTNESS)
-    return create_message('std_msgs/msg/ColorRGBA', **dict(zip('rgb', rgb, strict=True)), a=style.opacity)
-
-
-def _create_marker(header: Any, namespace: str, number: int, action: int) -> Any:
-    """Create a marker in which all but these fields are zero or empty."""
-
-    def create_zeros(msgtype: str, **values: float) -> Any:
-        return create_message(msgtype, **{'x': 0.0, 'y': 0.0, 'z': 0.0, **values})
-
-    return create_message(
-        'visualization_msgs/msg/Marker',
-        header=header,
-        ns=namespace,
-        id=number,
-        type=0,
-        action=action,
-        pose=create_message(
-            'geometry_msgs/msg/Pose',
-            position=create_zeros('geometry_msgs/msg/Point'),
-            orientation=create_zeros('geometry_msgs/msg/Quaternion', w=1.0),
-        ),
-        scale=create_zeros('geometry_msgs/msg/Vector3'),
-        color=create_message('std_msgs/msg/ColorRGBA', r=0.0, g=0.0, b=0.0, a=0.0),
-        lifetime=create_message('builtin_interfaces/msg/Duration', sec=0, nanosec=0),
-        frame_locked=False,
-        points=[],
-        colors=[],
-        texture_resource='',
-        texture=create_message(
-            'sensor_msgs/msg/CompressedImage', header=header, format='', data=np.zeros(0, np.uint8)
-        ),
-        uv_coordinates=[],
-        text='',
-        mesh_resource='',
-        mesh_file=create_message('visualization_msgs/msg/MeshFile', filename='', data=np.zeros(0, np.uint8)),
-        mesh_use_embedded_materials=False,
+@lru_cache(maxsize=1000)  # more people than are ever seen at once
+def _choose_colors(number: int, *, is_predicted: bool) -> tuple[Colors, Colors]:
+    """Return the colours of a person's seen and inferred joints; neighbouring numbers get very different hues."""
+    hue = (FIRST_HUE + number * GOLDEN_RATIO) % 1
+    seen, inferred = (
+        np.array([*colorsys.hsv_to_rgb(hue, style.saturation, BRIGHTNESS), style.opacity], np.float32)
+        for style in (SEEN_STYLE, PREDICTED_STYLE if is_predicted else INFERRED_STYLE)
     )
+    return seen, inferred

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 
 import numpy as np
 
-from mocap_ros.messages.cdr import Header, create_header, create_message, encode
+from mocap_ros.messages.cdr import CdrWriter, Header
 from mocap_ros.people import Person3D
 
 POINTS = 'sensor_msgs/msg/PointCloud2'
@@ -31,6 +32,10 @@ POINT_DTYPE = np.dtype(
     ]
 )
 
+_SIZE = struct.Struct('<II')  # height, width
+_FIELD = struct.Struct('<IB')  # offset and datatype of a PointField
+_STEPS = struct.Struct('<II')  # point_step, row_step
+
 
 def encode_points(header: Header, people: Sequence[Person3D]) -> bytes:
     """Encode the joints of all people as an unordered PointCloud2 (height 1).
@@ -46,32 +51,22 @@ def encode_points(header: Header, people: Sequence[Person3D]) -> bytes:
         header: time and frame of the image.
         people: all people in the image.
     """
-    cloud = np.zeros((len(people), len(people[0].joints) if people else 0), POINT_DTYPE)
-    for index, person in enumerate(people):
-        row = cloud[index]
+    joints = len(people[0].joints) if people else 0
+    cloud = np.zeros((len(people), joints), POINT_DTYPE)
+    cloud['person'], cloud['joint'] = np.arange(len(people))[:, None], np.arange(joints)
+    for row, person in zip(cloud, people, strict=True):
         row['x'], row['y'], row['z'] = person.joints.T
         row['std'], row['inferred'] = person.std, person.inferred
-        row['person'], row['joint'] = index, np.arange(len(person.joints))
-    fields = [
-        create_message(
-            'sensor_msgs/msg/PointField',
-            name=name,
-            offset=POINT_DTYPE.fields[name][1],  # type: ignore[index]
-            datatype=DATATYPES[POINT_DTYPE[name].str[1:]],
-            count=1,
-        )
-        for name in POINT_DTYPE.names or ()
-    ]
-    message = create_message(
-        POINTS,
-        header=create_header(header),
-        height=1,
-        width=cloud.size,
-        fields=fields,
-        is_bigendian=False,
-        point_step=POINT_DTYPE.itemsize,
-        row_step=POINT_DTYPE.itemsize * cloud.size,
-        data=np.frombuffer(cloud.tobytes(), np.uint8),
-        is_dense=True,
-    )
-    return encode(message, POINTS)
+    writer = CdrWriter()
+    writer.add_header(header)
+    writer.add(4, _SIZE.pack(1, cloud.size))
+    writer.add_count(len(POINT_DTYPE.names or ()))
+    for name, (dtype, offset, *_) in (POINT_DTYPE.fields or {}).items():
+        writer.add_text(name)
+        writer.add(4, _FIELD.pack(offset, DATATYPES[dtype.str[1:]]))
+        writer.add_count(1)
+    writer.add(1, b'\0')  # is_bigendian
+    writer.add(4, _STEPS.pack(POINT_DTYPE.itemsize, POINT_DTYPE.itemsize * cloud.size))
+    writer.add_sequence(np.frombuffer(cloud.tobytes(), np.uint8))
+    writer.add(1, b'\1')  # is_dense
+    return writer.finish()

@@ -2,24 +2,41 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from mocap_ros.messages.cameras import create_camera
-from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, create_header, create_message, create_points, encode
+from mocap_ros.messages.cameras import compute_camera_numbers
+from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, CdrWriter, Header, create_message, encode
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15, Skeleton
 
 SKELETONS = MOCAP_ROS_MSGS + 'Skeleton3DArray'
 SKELETON_DEFINITION = MOCAP_ROS_MSGS + 'SkeletonDefinition'
 
+# Fields of Skeleton3D from motion.residual on: it, motion.cadence, reprojection_residual, scale_source, predicted.
+_LAST_FIELDS = struct.Struct('<fffB?')
+
 
 def encode_skeletons(header: Header, people: Sequence[Person3D]) -> bytes:
     """Encode all people in an image as a Skeleton3DArray."""
-    message = create_message(SKELETONS, header=create_header(header), people=[_create_skeleton(p) for p in people])
-    return encode(message, SKELETONS)
+    writer = CdrWriter()
+    writer.add_header(header)
+    writer.add_count(len(people))
+    for person, camera in zip(people, compute_camera_numbers(people), strict=True):
+        motion = person.motion
+        writer.add_text(person.id)
+        writer.add_text(CMU15.name)
+        writer.add_sequence(np.asarray(person.joints, np.float64))
+        writer.add_sequence(person.std.astype(np.float32))
+        writer.add_sequence(np.asarray(person.inferred, np.bool_))
+        writer.add(8, camera.tobytes())
+        writer.add(1, bytes([motion.kind]))
+        writer.add_text(motion.category)
+        last_fields = motion.residual, motion.cadence, person.residual, person.scale_known, person.predicted
+        writer.add(4, _LAST_FIELDS.pack(*last_fields))
+    return writer.finish()
 
 
 def encode_skeleton_definition(skeleton: Skeleton) -> bytes:
@@ -32,26 +49,3 @@ def encode_skeleton_definition(skeleton: Skeleton) -> bytes:
         bones=np.array(skeleton.bones, np.uint32).ravel(),
     )
     return encode(message, SKELETON_DEFINITION)
-
-
-def _create_skeleton(person: Person3D) -> Any:
-    motion = create_message(
-        MOCAP_ROS_MSGS + 'MotionState',
-        state=int(person.motion.kind),
-        category=person.motion.category,
-        residual=person.motion.residual,
-        cadence=person.motion.cadence,
-    )
-    return create_message(
-        MOCAP_ROS_MSGS + 'Skeleton3D',
-        id=person.id,
-        skeleton=CMU15.name,
-        joints=create_points(person.joints),
-        joint_std=person.std.astype(np.float32),
-        inferred=np.asarray(person.inferred, np.bool_),
-        camera=create_camera(person),
-        motion=motion,
-        reprojection_residual=person.residual,
-        scale_source=int(person.scale_known),
-        predicted=person.predicted,
-    )

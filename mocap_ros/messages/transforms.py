@@ -13,19 +13,28 @@ the joints of the limbs, such as `l_shoulder_<id>`.
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from mocap_ros.geometry.rotations import quaternion_from_rotation
-from mocap_ros.messages.cdr import Array, Header, create_header, create_message, encode
+from mocap_ros.messages.cdr import Array, CdrWriter, Header, encode_header
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
 
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 ROOT_LINK = 'body'  # name of the root link in REP-155
 MIN_AXIS_LENGTH = 1e-6  # m (up) and m^2 (forward); guards the divisions by them, far under any real size
+
+# Joints of which some links are made, by name or by index.
+_LIMB_JOINTS = tuple(joint for joint in CMU15.joints if joint[0] in 'lr')
+_LIMB_INDICES = np.array([CMU15.index(joint) for joint in _LIMB_JOINTS])
+_SHOULDERS, _HIPS = (np.array([CMU15.index(side + joint) for side in 'lr']) for joint in ('shoulder', 'hip'))
+# The other links of REP-155 in the order in which they are sent.
+CHILD_LINKS = ('torso', 'head', *(f'{joint[0]}_{joint[1:]}' for joint in _LIMB_JOINTS))
+_TRANSFORM = struct.Struct('<7d')  # translation, and the quaternion x, y, z, w
+_NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 
 
 def encode_transforms(header: Header, people: Sequence[Person3D], prefix: str = '') -> bytes:
@@ -36,57 +45,44 @@ def encode_transforms(header: Header, people: Sequence[Person3D], prefix: str = 
         people: all people in the image; people who are reconstructed without a focal length are left out.
         prefix: text before the name of every link.
     """
-    transforms: list[Any] = []
-    used_ids: set[str] = set()
-    for person in people:
-        axes = compute_body_axes(person.joints)
-        if not person.scale_known or axes is None or not header.frame_id:
-            continue
-        frame_suffix = _make_unique_suffix(person.id, used_ids)
-        body = f'{prefix}{ROOT_LINK}_{frame_suffix}'
-        positions = compute_link_positions(person.joints)
-        root = positions.pop(ROOT_LINK)
-        transforms.append(_create_transform(header, body, root, axes))
-        body_header = Header(header.stamp_ns, body)
-        transforms += [
-            _create_transform(body_header, f'{prefix}{link}_{frame_suffix}', (position - root) @ axes)
-            for link, position in positions.items()
-        ]
-    return encode(create_message(TRANSFORMS, transforms=transforms), TRANSFORMS)
+    shown = [p for p in people if p.scale_known and header.frame_id]
+    joints = np.array([p.joints for p in shown]).reshape(-1, len(CMU15.joints), 3)
+    roots, children, axes = compute_links(joints)
+    has_axes = np.isfinite(axes).all(axis=(1, 2))
+    children = (children - roots[:, None]) @ axes
+    writer = CdrWriter()
+    writer.add_count(int(has_axes.sum()) * (1 + len(CHILD_LINKS)))
+    camera_header, used_ids = encode_header(header), set[str]()
+    for index in np.flatnonzero(has_axes):
+        suffix = _make_unique_suffix(shown[index].id, used_ids)
+        body = f'{prefix}{ROOT_LINK}_{suffix}'
+        _add_transform(writer, camera_header, body, roots[index].tolist(), quaternion_from_rotation(axes[index]))
+        body_header = encode_header(Header(header.stamp_ns, body))
+        for link, position in zip(CHILD_LINKS, children[index].tolist(), strict=True):
+            _add_transform(writer, body_header, f'{prefix}{link}_{suffix}', position, _NO_ROTATION)
+    return writer.finish()
 
 
-def compute_link_positions(joints: Array) -> dict[str, Array]:
-    """Compute the origin of each link of REP-155.
-
-    Args:
-        joints: (15, 3) m, in the order of `skeleton.CMU15`.
-
-    Returns:
-        (3,) position in m by the name of the link.
-    """
-    position = dict(zip(CMU15.joints, joints, strict=True))
-    limbs = {f'{joint[0]}_{joint[1:]}': p for joint, p in position.items() if joint[0] in 'lr'}
-    torso, body = ((position[f'l{joint}'] + position[f'r{joint}']) / 2 for joint in ('shoulder', 'hip'))
-    return {ROOT_LINK: body, 'torso': torso, 'head': position['head'], **limbs}
-
-
-def compute_body_axes(joints: Array) -> Array | None:
-    """Compute the axes of the link `body`; the head of this module gives the formulas.
+def compute_links(joints: Array) -> tuple[Array, Array, Array]:
+    """Compute the links of REP-155 of several people; the head of this module gives the formulas.
 
     Args:
-        joints: (15, 3) m, in the order of `skeleton.CMU15`, in any right-handed frame.
+        joints: (N, 15, 3) m, in the order of `skeleton.CMU15`, in any right-handed frame.
 
     Returns:
-        (3, 3) unit vectors forward, left and up as columns; None where the trunk or the hips have no extent.
+        Origins (N, 3) of `body` in m, origins (N, 14, 3) of `CHILD_LINKS` in m, and the axes (N, 3, 3) of all of
+        them as unit vectors forward, left and up in columns. The axes of a person whose trunk or hips have no
+        extent are NaN.
     """
-    position = compute_link_positions(joints)
-    up, left = position['torso'] - position[ROOT_LINK], position['l_hip'] - position['r_hip']
+    torso, body = (joints[:, pair].mean(axis=1) for pair in (_SHOULDERS, _HIPS))
+    head = joints[:, CMU15.index('head')]
+    up, left = torso - body, joints[:, _HIPS[0]] - joints[:, _HIPS[1]]
     forward = np.cross(left, up)
-    lengths = np.linalg.norm(up), np.linalg.norm(forward)
-    if not min(lengths) > MIN_AXIS_LENGTH:
-        return None
-    up, forward = up / lengths[0], forward / lengths[1]
-    return np.stack([forward, np.cross(up, forward), up], axis=-1)
+    lengths = np.stack([np.linalg.norm(up, axis=1), np.linalg.norm(forward, axis=1)], axis=1)
+    lengths[~(lengths.min(axis=1) > MIN_AXIS_LENGTH)] = np.nan
+    up, forward = up / lengths[:, :1], forward / lengths[:, 1:]
+    axes = np.stack([forward, np.cross(up, forward), up], axis=-1)
+    return body, np.concatenate([torso[:, None], head[:, None], joints[:, _LIMB_INDICES]], axis=1), axes
 
 
 def _make_unique_suffix(person_id: str, used: set[str]) -> str:
@@ -100,18 +96,10 @@ def _make_unique_suffix(person_id: str, used: set[str]) -> str:
     return unique
 
 
-def _create_transform(header: Header, child: str, translation: Array, axes: Array | None = None) -> Any:
-    """Create a TransformStamped from the frame of the header to `child`; without `axes` the rotation is none."""
-    rotation = (0.0, 0.0, 0.0, 1.0) if axes is None else quaternion_from_rotation(axes)
-    return create_message(
-        'geometry_msgs/msg/TransformStamped',
-        header=create_header(header),
-        child_frame_id=child,
-        transform=create_message(
-            'geometry_msgs/msg/Transform',
-            translation=create_message(
-                'geometry_msgs/msg/Vector3', **dict(zip('xyz', translation.tolist(), strict=True))
-            ),
-            rotation=create_message('geometry_msgs/msg/Quaternion', **dict(zip('xyzw', rotation, strict=True))),
-        ),
-    )
+def _add_transform(
+    writer: CdrWriter, header: bytes, child: str, translation: Sequence[float], rotation: Sequence[float]
+) -> None:
+    """Append the TransformStamped from the frame of the header to `child`."""
+    writer.add(4, header)
+    writer.add_text(child)
+    writer.add(8, _TRANSFORM.pack(*translation, *rotation))

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from mocap_ros.errors import InputError
-from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES
+from mocap_ros.messages.cdr import pad
 
 # A function that converts a message, as CDR, from one version of its type to another.
 Convert = Callable[[bytes], bytes]
@@ -72,7 +72,7 @@ class VersionConverter:
             data = self._target.serialize_cdr(message, kind)
         except Exception as error:  # the decoder raises many types of errors for invalid bytes
             raise InputError(f'not a {kind} ({error})') from None
-        return _pad(data)
+        return pad(bytes(data))
 
     def _select_shared_fields(self) -> dict[str, Fields]:
         """Return the fields of every type of the source that the target has too; note all other differences."""
@@ -133,16 +133,13 @@ def make_ros1_converter(source: Typestore, target: Typestore, msgtype: str) -> C
 
     def convert(raw: bytes) -> bytes:
         try:
-            return _pad(migrate_bytes(source, target, msgtype, msgtype, cache, raw, src_is2=False, dst_is2=True))
+            return pad(
+                bytes(migrate_bytes(source, target, msgtype, msgtype, cache, raw, src_is2=False, dst_is2=True))
+            )
         except Exception as error:  # the decoder raises many types of errors for invalid bytes
             raise InputError(f'not a {msgtype} ({error})') from None
 
     return convert
-
-
-def _pad(data: bytes | memoryview) -> bytes:
-    """Pad CDR as DDS pads it."""
-    return bytes(data) + bytes(-len(data) % CDR_ALIGNMENT_BYTES)
 
 
 def _get_nested_type(field_type: FieldType) -> str:

@@ -10,8 +10,12 @@ standard deviation (docs/tracker.md, "Standard deviations").
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
+
+from mocap_ros.compiled.kernel import FLOATS_1D, INPUT_1D, INPUT_2D, INPUT_BOOLS_1D, kernel
 
 Array = NDArray[np.float64]
 
@@ -36,10 +40,20 @@ def estimate_joint_std(
         lifter_std: (J, 3) m, standard deviations of the joints' coordinates (`LiftedPoses.std`), NaN for frames
             that the lifter did not lift; None without a lifter.
     """
-    factor = np.where(inferred, POSTERIOR_FACTOR_INFERRED, POSTERIOR_FACTOR_SEEN)
-    from_posterior = np.sqrt((factor * posterior_std) ** 2 + POSTERIOR_FLOOR_M**2)
     if lifter_std is None:
-        return np.asarray(from_posterior)
-    factor = np.where(inferred, LIFTER_FACTOR_INFERRED, LIFTER_FACTOR_SEEN)
-    from_lifter = factor * np.linalg.norm(lifter_std, axis=-1)
-    return np.where(np.isfinite(from_lifter), from_lifter, from_posterior)
+        lifter_std = np.full((len(posterior_std), 3), np.nan)
+    return _estimate_joint_std(posterior_std, inferred, lifter_std)
+
+
+@kernel(FLOATS_1D(INPUT_1D, INPUT_BOOLS_1D, INPUT_2D))
+def _estimate_joint_std(posterior_std: Array, inferred: NDArray[np.bool_], lifter_std: Array) -> Array:
+    """Compute `estimate_joint_std`, with NaN for joints that the lifter did not estimate."""
+    out = np.empty(len(posterior_std))
+    for j in range(len(out)):
+        length = math.sqrt(lifter_std[j, 0] ** 2 + lifter_std[j, 1] ** 2 + lifter_std[j, 2] ** 2)
+        if math.isfinite(length):
+            out[j] = (LIFTER_FACTOR_INFERRED if inferred[j] else LIFTER_FACTOR_SEEN) * length
+        else:
+            factor = POSTERIOR_FACTOR_INFERRED if inferred[j] else POSTERIOR_FACTOR_SEEN
+            out[j] = math.sqrt((factor * posterior_std[j]) ** 2 + POSTERIOR_FLOOR_M**2)
+    return out

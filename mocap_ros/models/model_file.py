@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from mocap_ros.errors import ModelError, describe_read_error
 from mocap_ros.input_file import open_input_file
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.lifter import FEATURE_COUNT, HISTORY_SLOTS_S, OUTPUT_COUNT, Lifter
+from mocap_ros.models.lifter import OUTPUT_COUNT, Lifter
+from mocap_ros.models.lifter_input import FEATURE_COUNT, HISTORY_SLOTS_S
 from mocap_ros.npz_file import open_npz, write_npz
 from mocap_ros.skeleton import CMU15, Skeleton, keypoint_layout
 
@@ -42,7 +43,7 @@ STATURE_RANGE_M = 0.3, 3.0  # m; from children to giants, but refuses models in 
 MAX_MEAN_COORDINATE_M = 3.0  # m from the body's origin; refuses models in mm or cm
 WEIGHT_STD_RANGE_M = 1e-6, 10.0  # m; guards divisions by the standard deviation, refuses models in mm
 ORTHONORMALITY_TOLERANCE = 1e-2  # 1; far above the rounding of single precision, in which models are stored
-MAX_PARAMETER = 1e3  # 1; bounds weights and biases of a lifter so that no layer overflows
+MAX_PARAMETER = 1e3  # 1; bounds weights and biases of a lifter, far beyond those that training gives
 
 
 def save_base_poses(model: BasePoses, path: str | Path | io.BytesIO) -> None:

@@ -14,7 +14,7 @@ import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from mocap_ros.bags.journal import Verdict
@@ -252,7 +252,8 @@ class LiveRun:
         """Feed a message to the pipeline; its outputs are in the installed versions of their types."""
         raw = self._versions.read(self._types[message.source], message.raw)
         result = self._pipeline.feed(message.source, raw, message.topic)
-        return replace(result, outputs=tuple(map(self._versions.write_output, result.outputs)))
+        outputs = tuple(map(self._versions.write_output, result.outputs))
+        return ProcessingResult(result.verdict, result.reason, outputs, result.error_traceback)
 
     def _reset_pipeline(self) -> OutputMessage:
         """Discard all people; return the message that deletes all markers, in the installed version."""

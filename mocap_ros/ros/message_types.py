@@ -89,7 +89,8 @@ class MessageVersions:
 
     def write_output(self, output: OutputMessage) -> OutputMessage:
         """Convert an output to the installed version of its type."""
-        return replace(output, data=self.write(output.type, output.data))
+        writer = self._writers.get(output.type)
+        return output if writer is None else replace(output, data=writer(output.data))
 
     def _load_if_different(self, kind: str) -> Typestore | None:
         """Return the installed version of a type, or None if it equals this package's."""

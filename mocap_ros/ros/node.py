@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import signal
 import threading
@@ -20,6 +21,7 @@ from rclpy.parameter import Parameter as RosParameter
 from rclpy.signals import SignalHandlerOptions
 
 from mocap_ros.bags.topics import Source
+from mocap_ros.compiled.kernel import compile_kernels, is_compiling
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import ConfigError, MocapError, RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
@@ -80,7 +82,7 @@ class MocapNode(LifecycleNode):
         self._clean_up()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Load the model and create publishers and services."""
+        """Compile the inner loops, load the model, and create publishers and services."""
         try:
             self._configure()
         except Exception as error:
@@ -131,6 +133,9 @@ class MocapNode(LifecycleNode):
             self, config.node.input_type, self._versions, lambda: self._config.node, self._qos_warnings
         )
         self._versions.add_output(CAMERA_INFO)  # a recording begins with the CameraInfo in use
+        compilation = compile_kernels(self.get_logger().warning)
+        if compilation.kernels:  # none when the node is configured again
+            self.get_logger().info(str(compilation))
         self._pipeline = Pipeline(config)
         self._outputs.create(self._versions, publishes_tf=config.node.publish_tf)
         callbacks = {'~/reset': self._on_reset, '~/record': self._on_record}
@@ -138,8 +143,11 @@ class MocapNode(LifecycleNode):
             self.create_service(load_interface_class(srvtype), name, callbacks[name])
             for name, srvtype in SERVICES.items()
         ]
+        gc.collect()
+        gc.freeze()  # a garbage collection between two frames would take 50 ms to look at all imported libraries
 
     def _clean_up(self) -> None:
+        gc.unfreeze()
         self._outputs.destroy()
         for service in self._provided_services:
             self.destroy_service(service)
@@ -265,8 +273,14 @@ def run(arguments: Sequence[str]) -> None:
         ConfigError: An argument or a parameter is wrong.
     """
     stop = threading.Event()
+
+    def request_stop(*_: object) -> None:
+        stop.set()
+        if is_compiling():  # in this thread, while the node is configured; nobody should wait for that
+            raise KeyboardInterrupt
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+        signal.signal(number, request_stop)
     _initialise_rclpy(arguments)
     executor = SingleThreadedExecutor()
     try:

@@ -100,11 +100,6 @@ class ObservedWindow:
         return ObservedWindow(times, rays, weight, camera, focal)
 
     @cached_property
-    def facing_rays(self) -> Array:
-        """Rays (F, J, 2) in the virtual cameras; 0 where the weight is 0."""
-        return self.virtual_camera.view_rays(self.rays, self.weight, RAY_FOCAL)
-
-    @cached_property
     def points(self) -> Array:
         """Image points (F, J, 2) px of the virtual cameras, relative to their axes; 0 where the weight is 0."""
         return self.virtual_camera.view_rays(self.rays, self.weight, self.virtual_camera.intrinsics.focal)

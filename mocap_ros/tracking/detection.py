@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.association import Extent, is_in_one_place, measure_extent
+from mocap_ros.keypoints.association import Extent, measure_extent
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.rays import convert_to_rays
 
@@ -50,6 +50,7 @@ class Detection:
             SkeletonError: The person's joints do not cover enough of the model's.
         """
         rays, weight = convert_to_rays(person.points, person.score, person.joints, intrinsics, min_score)
-        if (weight > 0).sum() < min_joints or is_in_one_place(rays, weight):
+        if np.count_nonzero(weight) < min_joints:
             return None
-        return Detection(person.id, rays, weight, measure_extent(rays, weight))
+        extent = measure_extent(rays, weight)
+        return None if extent.is_one_place else Detection(person.id, rays, weight, extent)

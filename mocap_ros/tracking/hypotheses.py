@@ -185,8 +185,7 @@ class HypothesisChecker:
         """Return some frames of a track as the input of a solver."""
         if track.solution is None:
             return track.seen.observed.select_frames(frames).build_solver_window()
-        model = self.models[track.solution.model_name]
-        return build_solver_window(track.seen, track.solution, model, frames)
+        return build_solver_window(track.seen, track.solution, frames)
 
     def _select_check_frames(self, track: Track) -> NDArray[np.intp]:
         """Return the indices of the frames that are checked: some of the newest, or all of an unsolved track."""
@@ -240,8 +239,8 @@ class HypothesisChecker:
             return solution
         all_frames = np.arange(len(seen.stamps_ns))
         solver = replace(self.config.solver, max_iterations=ADOPTION_MAX_ITERATIONS)
-        (refined,) = solve([build_solver_window(seen, solution, model, all_frames)], model, solver)
-        return solution.refine(refined, seen.observed, all_frames, 0, model)
+        (refined,) = solve([build_solver_window(seen, solution, all_frames)], model, solver)
+        return solution.refine(refined, seen.observed, 0, 0, model)
 
     def classify_motion(self, track: Track) -> Classification | None:
         """Classify the newest section of a track's window as periodic or not (TPAMI 2016, section 4.9).

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.joint_std import estimate_joint_std
-from mocap_ros.people import Person3D
+from mocap_ros.people import Motion, Person3D
 from mocap_ros.tracking.track import Track
 
 
@@ -25,7 +23,7 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
     inferred = observed.weight[frame] == 0
     lifted_std = None if lifted is None else lifted.std[frame] * root[2]
     joints = model.poses(solution.theta[frame]) @ rotation.T * size + root
-    category = classification.periodic_model_name or solution.model_name
+    motion, category = classification.motion, classification.periodic_model_name or solution.model_name
     return Person3D(
         id=track.id,
         joints=joints,
@@ -34,7 +32,7 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
         scale=float(intrinsics.focal / root[2]),
         rotation=rotation,
         translation=intrinsics.project(root),
-        motion=replace(classification.motion, category=category, residual=solution.residual),
+        motion=Motion(motion.kind, category, solution.residual, motion.cadence),
         residual=solution.frame_residual,
         scale_known=intrinsics.is_focal_known,
         predicted=False,

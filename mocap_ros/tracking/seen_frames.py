@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
-from mocap_ros.keypoints.association import ExpectedExtent, measure_extent
+from mocap_ros.keypoints.association import ExpectedExtent, Extent, measure_extent
 from mocap_ros.keypoints.left_right import SwapFilter, exchange_sides
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.observed_window import ObservedWindow
@@ -37,9 +37,11 @@ class SeenFrames:
         stamps_ns: (F,) ns, stamps of the frames, increasing.
         rays: (F, J, 2) x / z and y / z of the joints in the real camera, with the detector's labels.
         weight: (F, J) confidence scores with the detector's labels; 0 for a joint that was not seen.
+        extents: (F,) centre and size of the person in the image, in the units of rays.
         swap_filter: filter that finds the frames with swapped left and right.
         observed: the same frames with swaps undone, their lifted poses, and one virtual camera that faces the
             person in all of them; its times begin with 0 at the first frame of the window.
+        is_relabelled: whether the newest frame has changed the decision about swaps in a frame before it.
     """
 
     given_id: str
@@ -47,8 +49,10 @@ class SeenFrames:
     stamps_ns: tuple[int, ...]
     rays: Array
     weight: Array
+    extents: tuple[Extent, ...]
     swap_filter: SwapFilter
     observed: ObservedWindow
+    is_relabelled: bool = False
 
     @staticmethod
     def begin(
@@ -66,7 +70,8 @@ class SeenFrames:
         rays, weight, stamps_ns = detection.rays[None], detection.weight[None], (stamp_ns,)
         swap_filter = swap_filter.update(0.0, detection.rays, detection.weight, detection.extent.size)
         observed = _correct_sides(stamps_ns, rays, weight, swap_filter, intrinsics, focal, None)
-        return SeenFrames(detection.given_id, stamp_ns, stamps_ns, rays, weight, swap_filter, observed)
+        extents = (detection.extent,)
+        return SeenFrames(detection.given_id, stamp_ns, stamps_ns, rays, weight, extents, swap_filter, observed)
 
     @property
     def age_s(self) -> float:
@@ -101,25 +106,33 @@ class SeenFrames:
             dropped: number of frames to drop.
         """
         time_s = (stamp_ns - self.first_stamp_ns) / NS_PER_S
-        swap_filter = self.swap_filter.update(time_s, detection.rays, detection.weight, detection.extent.size)
-        swap_filter = swap_filter.drop_oldest(dropped)
+        seen = detection.rays, detection.weight, detection.extent.size
+        swap_filter = self.swap_filter.update(time_s, *seen, dropped)
+        is_relabelled = bool((swap_filter.is_swapped[:-1] != self.swap_filter.is_swapped[dropped:]).any())
         stamps_ns = (*self.stamps_ns[dropped:], stamp_ns)
         rays = np.concatenate([self.rays[dropped:], detection.rays[None]])
         weight = np.concatenate([self.weight[dropped:], detection.weight[None]])
         lifted, old = None, self.observed
-        if old.lifted is not None and not _has_changed_labels(self.swap_filter, swap_filter, dropped):
+        if old.lifted is not None and not is_relabelled:
             lifted = old.lifted.select_frames(slice(dropped, None))
         observed = _correct_sides(stamps_ns, rays, weight, swap_filter, self.intrinsics, old.focal, lifted)
-        return SeenFrames(self.given_id, self.first_stamp_ns, stamps_ns, rays, weight, swap_filter, observed)
+        extents = (*self.extents[dropped:], detection.extent)
+        name, first_ns = self.given_id, self.first_stamp_ns
+        return SeenFrames(name, first_ns, stamps_ns, rays, weight, extents, swap_filter, observed, is_relabelled)
 
-    def has_relabelled(self, earlier: SeenFrames, dropped: int) -> bool:
-        """Return whether the newest frame has changed the decision about swaps in a frame before it.
-
-        Args:
-            earlier: the window before the newest frame was added.
-            dropped: number of frames that were dropped then.
-        """
-        return _has_changed_labels(earlier.swap_filter, self.swap_filter, dropped)
+    def append_lifted(self, lifted: LiftedPoses) -> SeenFrames:
+        """Return the window with lifted poses of the frames that had none; see `ObservedWindow.append_lifted`."""
+        return SeenFrames(
+            self.given_id,
+            self.first_stamp_ns,
+            self.stamps_ns,
+            self.rays,
+            self.weight,
+            self.extents,
+            self.swap_filter,
+            self.observed.append_lifted(lifted),
+            self.is_relabelled,
+        )
 
     def change_camera(self, intrinsics: Intrinsics, focal: float) -> SeenFrames:
         """Return the window under other intrinsics: the image points stay the same, and nothing is lifted yet.
@@ -131,7 +144,8 @@ class SeenFrames:
         directions = np.concatenate([self.rays, np.ones_like(self.rays[..., :1])], axis=-1)
         rays = intrinsics.pixels_to_rays(self.intrinsics.project(directions))
         observed = _correct_sides(self.stamps_ns, rays, self.weight, self.swap_filter, intrinsics, focal, None)
-        return replace(self, rays=rays, observed=observed)
+        extents = tuple(measure_extent(*frame) for frame in zip(rays, self.weight, strict=True))
+        return replace(self, rays=rays, extents=extents, observed=observed)
 
     def expect_extent(self, stamp_ns: int) -> ExpectedExtent:
         """Return where the person is expected in the image, in the units of rays.
@@ -141,15 +155,15 @@ class SeenFrames:
         Args:
             stamp_ns: ns, time of the image.
         """
-        centre, size = measure_extent(self.rays[-1], self.weight[-1])
-        age_s = (stamp_ns - self.stamps_ns[-1]) / NS_PER_S
-        if len(self.stamps_ns) > 1:
-            first = int(np.searchsorted(self.stamps_ns, self.stamps_ns[-1] - VELOCITY_SPAN_S * NS_PER_S))
-            span_s = (self.stamps_ns[-1] - self.stamps_ns[first]) / NS_PER_S
-            if span_s >= MIN_VELOCITY_SPAN_S:
-                first_centre, _ = measure_extent(self.rays[first], self.weight[first])
-                centre = centre + (centre - first_centre) * min(age_s, VELOCITY_SPAN_S) / span_s
-        return ExpectedExtent(centre, size, age_s)
+        x, y, size = self.extents[-1]
+        newest_ns = self.stamps_ns[-1]
+        age_s = (stamp_ns - newest_ns) / NS_PER_S
+        first = bisect_left(self.stamps_ns, newest_ns - VELOCITY_SPAN_S * NS_PER_S)
+        span_s = (newest_ns - self.stamps_ns[first]) / NS_PER_S
+        if span_s >= MIN_VELOCITY_SPAN_S:
+            steps = min(age_s, VELOCITY_SPAN_S) / span_s
+            x, y = x + (x - self.extents[first].x) * steps, y + (y - self.extents[first].y) * steps
+        return ExpectedExtent(x, y, size, age_s)
 
     def select_frames(self, step_s: float, span_s: float) -> NDArray[np.intp]:
         """Return the indices of the frames with the highest scores, one for each step of time, increasing.
@@ -168,12 +182,6 @@ class SeenFrames:
         is_first_of_step = np.diff(step[order], prepend=-1) != 0
         selected = np.sort(order[is_first_of_step])
         return np.asarray(selected[age_s[selected] <= span_s])
-
-
-def _has_changed_labels(before: SwapFilter, after: SwapFilter, dropped: int) -> bool:
-    """Return whether the decision about a frame of both filters has changed; `dropped` frames have left."""
-    kept = before.is_swapped[dropped:]
-    return not np.array_equal(after.is_swapped[: len(kept)], kept)
 
 
 def _correct_sides(

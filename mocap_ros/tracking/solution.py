@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INPUT_2D, INPUT_3D, INPUT_INTS_1D, kernel
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.skeleton import estimate_stature
 from mocap_ros.solvers.joint import JointReconstruction
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.tracking.seen_frames import VELOCITY_SPAN_S
@@ -33,6 +33,7 @@ class TrackSolution:
         rotation: (S, 3, 3) rotations from the body to the real camera.
         roots: (S, 3) m, positions of the body's origin in the real camera's frame, before `stature_ratio` is
             applied.
+        bone_lengths: (S, B) m, lengths of the bones of the model's skeleton.
         noise: m, standard deviation of a coordinate of a fully trusted image point, at the body.
         stature_ratio: stature of the solution divided by that of the model.
         joint_std: (J,) m, posterior standard deviations of the newest frame's joints; NaN if they are not known.
@@ -44,11 +45,16 @@ class TrackSolution:
     theta: Array
     rotation: Array
     roots: Array
+    bone_lengths: Array
     noise: float
     stature_ratio: float
     joint_std: Array
     residual: float
     frame_residual: float
+
+    def __post_init__(self) -> None:
+        if len(self.bone_lengths) != len(self.theta):
+            raise ValueError(f'{len(self.bone_lengths)} frames with bone lengths, {len(self.theta)} with weights')
 
     @staticmethod
     def interpolate(
@@ -79,44 +85,69 @@ class TrackSolution:
         theta = _interpolate(times, solved_times, reconstruction.theta)
         roots = camera.root_positions(reconstruction.cameras, reconstruction.translation)
         roots = _interpolate(times, solved_times, roots)
+        lengths = model.skeleton.bone_lengths(model.poses(theta))
         if earlier is not None:
             first = int(frames[0])
             theta = np.concatenate([earlier.theta[:first], theta])
             rotation = np.concatenate([earlier.rotation[:first], rotation])
             roots = np.concatenate([earlier.roots[:first], roots])
-        return _make_solution(reconstruction, theta, rotation, roots, reconstruction.noise, model_name, model)
+            lengths = np.concatenate([earlier.bone_lengths[:first], lengths])
+        states = (theta, rotation, roots, lengths)
+        return _make_solution(reconstruction, *states, reconstruction.noise, model_name, model)
 
     def refine(
         self,
         reconstruction: JointReconstruction,
         observed: ObservedWindow,
-        frames: NDArray[np.intp],
+        first: int,
         fixed_frames: int,
         model: BasePoses,
     ) -> TrackSolution:
-        """Return the solution of all frames of the window, with new states of some of them.
+        """Return the solution of all frames of the window, with new states of the newest ones.
 
         After a reconstruction of the newest frames alone, the image noise is averaged over the length of the
         window.
 
         Args:
-            reconstruction: of these frames, in the window's virtual camera.
+            reconstruction: of the frames from `first` to the newest, in the window's virtual camera.
             observed: the whole window.
-            frames: (n,) indices of the frames, increasing; together with the solved ones they are all frames.
-            fixed_frames: number of frames at the beginning of `frames` that keep their state.
+            first: index of the first frame of the reconstruction, at most S.
+            fixed_frames: number of frames at the beginning of the reconstruction that keep their state.
             model: base poses of the solution.
         """
-        camera, count = observed.virtual_camera, len(observed.times)
-        theta, rotation = reconstruction.theta, camera.body_rotations(reconstruction.cameras)
+        camera, count, kept = observed.virtual_camera, len(observed.times), first + fixed_frames
+        rotation = camera.body_rotations(reconstruction.cameras)
         roots = camera.root_positions(reconstruction.cameras, reconstruction.translation)
-        if fixed_frames or len(frames) < count:
-            changed = frames[fixed_frames:]
-            theta = _replace_states(self.theta, theta[fixed_frames:], changed, count)
-            rotation = _replace_states(self.rotation, rotation[fixed_frames:], changed, count)
-            roots = _replace_states(self.roots, roots[fixed_frames:], changed, count)
-        old_share = math.exp(-len(frames) / count) if fixed_frames else 0.0
-        noise = math.sqrt(old_share * self.noise**2 + (1 - old_share) * reconstruction.noise**2)
-        return _make_solution(reconstruction, theta, rotation, roots, noise, self.model_name, model)
+        lengths = _measure_bones(reconstruction.joints, *model.skeleton.bone_ends)
+        old_share = math.exp((first - count) / count) if fixed_frames else 0.0
+        return _make_solution(
+            reconstruction,
+            np.concatenate([self.theta[:kept], reconstruction.theta[fixed_frames:]]),
+            np.concatenate([self.rotation[:kept], rotation[fixed_frames:]]),
+            np.concatenate([self.roots[:kept], roots[fixed_frames:]]),
+            np.concatenate([self.bone_lengths[:kept], lengths[fixed_frames:]]),
+            math.sqrt(old_share * self.noise**2 + (1 - old_share) * reconstruction.noise**2),
+            self.model_name,
+            model,
+        )
+
+    def append_states(self, theta: Array, rotation: Array, roots: Array, model: BasePoses) -> TrackSolution:
+        """Return the solution with states of n further frames; its fit is not measured again.
+
+        Args:
+            theta: (n, K) m.
+            rotation: (n, 3, 3).
+            roots: (n, 3) m.
+            model: base poses of the solution.
+        """
+        lengths = model.skeleton.bone_lengths(model.poses(theta))
+        return replace(
+            self,
+            theta=np.concatenate([self.theta, theta]),
+            rotation=np.concatenate([self.rotation, rotation]),
+            roots=np.concatenate([self.roots, roots]),
+            bone_lengths=np.concatenate([self.bone_lengths, lengths]),
+        )
 
     def drop_oldest(self, frames: int) -> TrackSolution | None:
         """Return the solution without the oldest frames; None if no solved frame is left.
@@ -128,7 +159,18 @@ class TrackSolution:
             return None
         if frames == 0:
             return self
-        return replace(self, theta=self.theta[frames:], rotation=self.rotation[frames:], roots=self.roots[frames:])
+        return TrackSolution(
+            self.model_name,
+            self.theta[frames:],
+            self.rotation[frames:],
+            self.roots[frames:],
+            self.bone_lengths[frames:],
+            self.noise,
+            self.stature_ratio,
+            self.joint_std,
+            self.residual,
+            self.frame_residual,
+        )
 
     def change_camera(self, old: Intrinsics, new: Intrinsics) -> TrackSolution:
         """Return the solution under other intrinsics: the images of the body's origin stay the same.
@@ -150,7 +192,8 @@ class TrackSolution:
             target_model: the other base poses.
         """
         rotation, theta = self.convert_poses(model, target_model, np.arange(len(self.theta)))
-        return replace(self, model_name=target_name, rotation=rotation, theta=theta)
+        lengths = target_model.skeleton.bone_lengths(target_model.poses(theta))
+        return replace(self, model_name=target_name, rotation=rotation, theta=theta, bone_lengths=lengths)
 
     def convert_poses(
         self, model: BasePoses, target_model: BasePoses, frames: NDArray[np.intp]
@@ -202,35 +245,53 @@ def _make_solution(
     theta: Array,
     rotation: Array,
     roots: Array,
+    bone_lengths: Array,
     noise: float,
     model_name: str,
     model: BasePoses,
 ) -> TrackSolution:
     """Return the solution with these states, and with the fit of the reconstruction that ended them."""
-    joint_std = reconstruction.joint_std
+    joint_std, newest = reconstruction.joint_std, reconstruction.joints[-1, :, :2].ravel()
     if joint_std is None:
-        joint_std = np.full(reconstruction.joints.shape[1], np.nan)
-    body_radius = np.sqrt((reconstruction.joints[-1, :, :2] ** 2).sum(axis=-1).mean())
-    body_radius_px = body_radius * reconstruction.cameras.scale[-1]
+        joint_std = np.full(len(newest) // 2, np.nan)
+    body_radius_px = math.sqrt(2 * (newest @ newest) / len(newest)) * float(reconstruction.cameras.scale[-1])
+    errors = [error for error in reconstruction.residual.tolist() if not math.isnan(error)]
+    rms_error = math.sqrt(sum(error * error for error in errors) / len(errors)) if errors else math.nan
     return TrackSolution(
         model_name=model_name,
         theta=theta,
         rotation=rotation,
         roots=roots,
+        bone_lengths=bone_lengths,
         noise=noise,
-        stature_ratio=estimate_stature(model.poses(theta), model.skeleton) / model.stature,
+        stature_ratio=float(average_rows(bone_lengths) @ model.skeleton.stature_per_bone) / model.stature,
         joint_std=joint_std,
-        residual=float(np.sqrt(np.nanmean(reconstruction.residual**2)) / body_radius_px),
+        residual=rms_error / body_radius_px,
         frame_residual=float(reconstruction.residual[-1]),
     )
 
 
-def _replace_states(old: Array, new: Array, frames: NDArray[np.intp], count: int) -> Array:
-    """Return the states of `count` frames: the old ones, and new ones (n, ...) of frames (n,)."""
-    states = np.empty((count, *new.shape[1:]))
-    states[: len(old)] = old
-    states[frames] = new
-    return states
+@kernel(FLOATS_2D(INPUT_3D, INPUT_INTS_1D, INPUT_INTS_1D))
+def _measure_bones(joints: Array, parents: NDArray[np.intp], children: NDArray[np.intp]) -> Array:
+    """Return the lengths (F, B) of the bones between the given joints, (B,) each, of poses (F, J, 3)."""
+    out = np.empty((len(joints), len(parents)))
+    for frame in range(out.shape[0]):
+        for bone in range(out.shape[1]):
+            squared = 0.0
+            for d in range(3):
+                squared += (joints[frame, children[bone], d] - joints[frame, parents[bone], d]) ** 2
+            out[frame, bone] = math.sqrt(squared)
+    return out
+
+
+@kernel(FLOATS_1D(INPUT_2D))
+def average_rows(values: Array) -> Array:
+    """Return the mean (D,) of values (n, D), n >= 1."""
+    out = np.zeros(values.shape[1])
+    for n in range(values.shape[0]):
+        for d in range(values.shape[1]):
+            out[d] += values[n, d]
+    return out / len(values)
 
 
 def _interpolate(times: Array, sample_times: Array, samples: Array) -> Array:

@@ -81,13 +81,17 @@ class Track:
         seen = self.seen.add_frame(stamp_ns, detection, dropped)
         solution = None if self.solution is None else self.solution.drop_oldest(dropped)
         schedule = self.schedule
-        if seen.has_relabelled(self.seen, dropped):
+        if seen.is_relabelled:
             schedule = schedule.check_at(stamp_ns)
         return Track(self.id, seen, solution, schedule)
 
     def append_lifted(self, lifted: LiftedPoses) -> Track:
         """Return the track with lifted poses of the frames that had none; see `ObservedWindow.append_lifted`."""
-        return replace(self, seen=replace(self.seen, observed=self.seen.observed.append_lifted(lifted)))
+        return Track(self.id, self.seen.append_lifted(lifted), self.solution, self.schedule)
+
+    def refine(self, solution: TrackSolution) -> Track:
+        """Return the track with a newer solution of all its frames."""
+        return Track(self.id, self.seen, solution, self.schedule)
 
     def begin_solution(self, solution: TrackSolution) -> Track:
         """Return the track with its first solution, which is checked soon."""

@@ -11,12 +11,13 @@ this way.
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import Config
 from mocap_ros.errors import FrameDropped, InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -35,7 +36,7 @@ from mocap_ros.tracking.matching import match_detections
 from mocap_ros.tracking.person_in_frame import make_person
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.prediction import predict_person
-from mocap_ros.tracking.solver_input import build_solver_window
+from mocap_ros.tracking.solver_input import build_refinement_window
 from mocap_ros.tracking.state import TrackerState
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
@@ -63,6 +64,7 @@ class Tracker:
     """
 
     def __init__(self, models: BasePoses | Mapping[str, BasePoses], config: Config) -> None:
+        compile_kernels()
         by_name = {models.name: models} if isinstance(models, BasePoses) else models
         settings = config.tracker
         components = min(settings.components, config.solver.components)
@@ -79,6 +81,7 @@ class Tracker:
         self._checker = HypothesisChecker(self.models, config)
         max_interval_s = LIFTER_CHECK_INTERVAL_S if has_lifter else settings.hypothesis_check_interval
         self._deferred_work = DeferredWork(self._checker, self._candidate_models, max_interval_s)
+        self._refinement_config = replace(config.solver, max_iterations=settings.iterations)
         sizes = tuple((name, len(model.components)) for name, model in self.models.items())
         self._state = TrackerState(models=sizes, is_lifted=has_lifter)
 
@@ -250,7 +253,9 @@ class Tracker:
                 name = f'person_{name_count}'
             used_ids.add(name)
             tracks.append(Track.begin(name, stamp_ns, detection, self._new_swap_filter, intrinsics, focal))
-        return replace(state, tracks=kept, name_count=name_count), tracks
+        if matches.replaced_ids or name_count != state.name_count:
+            state = replace(state, tracks=kept, name_count=name_count)
+        return state, tracks
 
     def _lift_new_frames(self, tracks: list[Track]) -> list[Track]:
         """Return the tracks with their new frames lifted, all in one batch, if there is a lifter."""
@@ -259,11 +264,12 @@ class Tracker:
         inputs = [t.seen.observed.sample_unlifted_histories() for t in tracks]
         points, weight = (np.concatenate(parts) for parts in zip(*inputs, strict=True))
         lifted = self._lifter.lift(points, weight, RAY_FOCAL)
-        ends = np.cumsum([len(own_weight) for _, own_weight in inputs])
-        return [
-            track.append_lifted(lifted.select_frames(slice(end - len(own_weight), end)))
-            for track, end, (_, own_weight) in zip(tracks, ends, inputs, strict=True)
-        ]
+        out, first = [], 0
+        for track, (_, own_weight) in zip(tracks, inputs, strict=True):
+            last = first + len(own_weight)
+            out.append(track.append_lifted(lifted.select_frames(slice(first, last))))
+            first = last
+        return out
 
     def _initialise_tracks(self, tracks: Sequence[Track], memory: KeyPoseMemory) -> list[Track]:
         """Return the tracks with a first solution where there is none."""
@@ -278,28 +284,28 @@ class Tracker:
 
         The frame before them keeps its state, so the older part of a window does not change and costs no time.
         """
-        solver = replace(self.config.solver, max_iterations=self.config.tracker.iterations)
         refined = {t.id: t for t in tracks}
-        for name, model in self.models.items():
-            own_tracks = [t for t in tracks if t.has_unsolved_frame and t.solved.model_name == name]
+        unsolved = [t for t in tracks if t.has_unsolved_frame]
+        for name in {t.solved.model_name: None for t in unsolved}:
+            model, own_tracks = self.models[name], [t for t in unsolved if t.solved.model_name == name]
             parts = [self._select_refined_frames(t) for t in own_tracks]
             windows = [
-                build_solver_window(t.seen, t.solved, model, *part)
+                build_refinement_window(t.seen, t.solved, model, *part)
                 for t, part in zip(own_tracks, parts, strict=True)
             ]
-            results = solve(windows, model, solver) if windows else ()
+            results = solve(windows, model, self._refinement_config)
             for track, part, result in zip(own_tracks, parts, results, strict=True):
                 solution = track.solved.refine(result, track.seen.observed, *part, model)
-                refined[track.id] = replace(track, solution=solution)
+                refined[track.id] = track.refine(solution)
         return list(refined.values())
 
-    def _select_refined_frames(self, track: Track) -> tuple[NDArray[np.intp], int]:
-        """Return the indices of the frames that are solved anew, and the number of those that keep their state."""
+    def _select_refined_frames(self, track: Track) -> tuple[int, int]:
+        """Return the index of the first frame that the solver gets, and how many frames it must not change."""
         stamps_ns = track.seen.stamps_ns
-        oldest = stamps_ns[-1] - self.config.tracker.refine_seconds * NS_PER_S
-        first = min(int(np.searchsorted(stamps_ns, oldest)), len(track.solved.theta))
+        oldest_ns = stamps_ns[-1] - self.config.tracker.refine_seconds * NS_PER_S
+        first = min(bisect_left(stamps_ns, oldest_ns), len(track.solved.theta))
         fixed_frames = 1 if first > 0 else 0
-        return np.arange(first - fixed_frames, len(stamps_ns)), fixed_frames
+        return first - fixed_frames, fixed_frames
 
     def _make_output(
         self, stamp_ns: int, tracks: Sequence[Track], detected: Sequence[Track]
@@ -322,11 +328,14 @@ class Tracker:
             ]
             return stamp_ns, tuple(people)
         newest_allowed = stamp_ns - settings.lag * NS_PER_S
-        stamps_ns = sorted({s for t in tracks for s in t.seen.stamps_ns if s <= newest_allowed})
-        if not stamps_ns:
+        shown_ns = max(
+            (t.seen.stamps_ns[i - 1] for t in tracks if (i := bisect_right(t.seen.stamps_ns, newest_allowed))),
+            default=None,
+        )
+        if shown_ns is None:
             return stamp_ns, ()
-        shown = [t for t in tracks if stamps_ns[-1] in t.seen.stamps_ns]
-        return stamps_ns[-1], tuple(self._make_person(t, t.seen.stamps_ns.index(stamps_ns[-1])) for t in shown)
+        shown = [t for t in tracks if shown_ns in t.seen.stamps_ns]
+        return shown_ns, tuple(self._make_person(t, t.seen.stamps_ns.index(shown_ns)) for t in shown)
 
     def _make_person(self, track: Track, frame: int) -> Person3D:
         """Return the person of a track in one frame of its window."""

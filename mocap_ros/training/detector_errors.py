@@ -13,7 +13,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.models.lifter import HISTORY_SLOTS_S, JOINT_COUNT, MAX_INTERPOLATION_GAP_S, MIRROR_PERMUTATION
+from mocap_ros.models.lifter_input import (
+    HISTORY_SLOTS_S,
+    JOINT_COUNT,
+    MAX_INTERPOLATION_GAP_S,
+    MIRROR_PERMUTATION,
+)
 from mocap_ros.training.body_parts import joint_indices, limb_indices
 from mocap_ros.training.random_arrays import Array, RandomArrays
 

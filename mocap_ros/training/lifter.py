@@ -10,7 +10,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from mocap_ros.models.lifter import FEATURE_COUNT, JOINT_COUNT, LOG_STD_RANGE, OUTPUT_COUNT, Lifter
+from mocap_ros.compiled.kernel import compile_kernels
+from mocap_ros.models.lifter import LOG_STD_RANGE, OUTPUT_COUNT, Lifter
+from mocap_ros.models.lifter_input import FEATURE_COUNT, JOINT_COUNT
 from mocap_ros.training.motion_library import MotionLibrary
 from mocap_ros.training.synthesis import ExampleBatch, ExampleSynthesiser
 
@@ -53,7 +55,7 @@ class TrainingSettings:
 
 
 class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]
-    """The network during training; `fold_batch_norms` converts it to a `Lifter`, which needs only NumPy."""
+    """The network during training; `fold_batch_norms` converts it to a `Lifter`, which needs no PyTorch."""
 
     def __init__(self, width: int, blocks: int, dropout: float) -> None:
         super().__init__()
@@ -140,6 +142,7 @@ def train_lifter(
         provenance: entries of the lifter's provenance; the settings and the last mean error on examples are added.
         progress: function that wraps the iteration over the steps, for example to show a progress bar.
     """
+    compile_kernels()
     torch.manual_seed(settings.seed)
     torch.set_flush_denormal(True)
     synthesiser = ExampleSynthesiser(MotionLibrary.from_trials(trials), settings.seed)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.models.lifter import HISTORY_SLOTS_S, JOINT_COUNT, MIRROR_PERMUTATION, encode_features
+from mocap_ros.models.lifter_input import HISTORY_SLOTS_S, JOINT_COUNT, MIRROR_PERMUTATION, encode_features
 from mocap_ros.skeleton import CMU15
 from mocap_ros.training.body_parts import LIMBS, joint_indices, limb_indices
 from mocap_ros.training.detector_errors import DetectorErrors

@@ -35,6 +35,29 @@ def test_plumb_bob_is_the_model_of_camera_info() -> None:
         assert Distortion('plumb_bob', coefficients).distort(point) == pytest.approx(expected)
 
 
+def test_the_lenses_show_points_as_the_formulas_say() -> None:
+    x, y = point = np.array([0.4, -0.3])  # r = 0.5
+    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients = (0.3, -0.2, 0.01, -0.02, 0.5, 0.4, -0.1, 0.7)
+    for count, model in ((5, 'plumb_bob'), (8, 'rational_polynomial')):
+        radial = 1 + k1 * 0.25 + k2 * 0.25**2 + k3 * 0.25**3
+        if count == 8:
+            radial /= 1 + k4 * 0.25 + k5 * 0.25**2 + k6 * 0.25**3
+        tangential = [2 * p1 * x * y + p2 * (0.25 + 2 * x**2), p1 * (0.25 + 2 * y**2) + 2 * p2 * x * y]
+        found = Distortion(model, coefficients[:count]).distort(point)
+        assert found == pytest.approx(radial * point + tangential, abs=1e-14), model
+    angle = np.arctan(0.5)
+    factor = angle / 0.5 * (1 + k1 * angle**2 + k2 * angle**4 + p1 * angle**6 + p2 * angle**8)
+    assert Distortion('equidistant', coefficients[:4]).distort(point) == pytest.approx(factor * point, abs=1e-14)
+
+
+def test_points_may_have_any_layout() -> None:
+    points = np.linspace(-0.5, 0.5, 24).reshape(2, 3, 4)[..., ::2]  # not contiguous
+    for lens in LENSES:
+        for convert in (lens.distort, lens.undistort):
+            expected = [[convert(point) for point in row] for row in points]
+            assert convert(points) == pytest.approx(np.array(expected), abs=1e-15)
+
+
 def test_equidistant_radius_is_the_angle() -> None:
     shown = Distortion('equidistant', (0.0, 0.0, 0.0, 1e-9)).distort(np.array([1.0, 0.0]))
     assert shown == pytest.approx([np.pi / 4, 0.0], abs=1e-8)

@@ -77,6 +77,26 @@ def test_rays_behind_the_rotated_camera_are_finite_and_far_outside_the_image() -
     assert ahead == pytest.approx([0, 0], abs=1e-12)
 
 
+def test_many_groups_of_rays_are_rotated_each_by_its_rotation(rng: np.random.Generator) -> None:
+    rays = rng.normal(0, 2, (4, 3, 15, 2))
+    rotation = Rotation.random(4, random_state=0).as_matrix().reshape(4, 1, 3, 3)
+    found = rotate_rays(rays, rotation)
+    for n, t, j in np.ndindex(4, 3, 15):
+        turned = rotation[n, 0] @ [*rays[n, t, j], 1]
+        assert found[n, t, j] == pytest.approx(turned[:2] / max(turned[2], MIN_RAY_DEPTH), rel=1e-12)
+    np.testing.assert_array_equal(rotate_rays(rays[2], rotation[2, 0]), found[2])
+
+
+def test_joints_that_are_not_seen_are_nowhere_in_the_image(rng: np.random.Generator) -> None:
+    joints, weight, times = make_people(AT_EDGE_M)
+    weight[rng.random(weight.shape) < 0.3] = 0
+    view = VirtualCamera.look_at_person(to_rays(joints), weight, times, SMOOTHING_S, CAMERA)
+    for camera in (view, VirtualCamera(view.rotation[2], CAMERA)):
+        image = camera.view_rays(to_rays(joints), weight, 500.0)
+        expected = 500.0 * rotate_rays(to_rays(joints), camera.rotation)
+        assert image == pytest.approx(np.where(weight[..., None] > 0, expected, 0), abs=1e-12)
+
+
 @pytest.mark.parametrize('place', [np.array([0.0, 0.0, 5.0]), AT_EDGE_M, AT_EDGE_M * [-1, -1, 1]])
 def test_positions_and_rotations_come_back_to_the_real_camera(place: Array) -> None:
     joints, weight, times = make_people(place)
@@ -86,7 +106,7 @@ def test_positions_and_rotations_come_back_to_the_real_camera(place: Array) -> N
     body = Rotation.random(FRAMES, random_state=0).as_matrix()
 
     seen_pelvis = pelvis @ np.swapaxes(view.rotation, -1, -2)  # in the virtual cameras' frames
-    image = CAMERA.focal * view.to_virtual_rays(to_rays(pelvis))
+    image = CAMERA.focal * rotate_rays(to_rays(pelvis), view.rotation)
     cameras = WeakPerspectiveCameras(CAMERA.focal / seen_pelvis[:, 0, 2], view.rotation @ body)
     assert image == pytest.approx(CAMERA.focal * to_rays(seen_pelvis), abs=1e-9)
     assert view.root_positions(cameras, image[:, 0]) == pytest.approx(pelvis[:, 0], abs=1e-9)
@@ -101,7 +121,7 @@ def test_one_camera_for_all_frames_is_used_for_each() -> None:
     cameras = WeakPerspectiveCameras(np.full(FRAMES, 120.0), np.tile(np.eye(3), (FRAMES, 1, 1)))
     translation = np.full((FRAMES, 2), 3.0)
     for found, expected in (
-        (fixed.to_virtual_rays(to_rays(joints)), views.to_virtual_rays(to_rays(joints))),
+        (rotate_rays(to_rays(joints), fixed.rotation), rotate_rays(to_rays(joints), views.rotation)),
         (fixed.root_positions(cameras, translation), views.root_positions(cameras, translation)),
         (fixed.to_real_camera(joints), views.to_real_camera(joints)),
         (fixed.body_rotations(cameras), views.body_rotations(cameras)),
@@ -117,7 +137,9 @@ def test_a_person_at_the_edge_of_the_image_looks_as_in_the_middle() -> None:
     weight[:, np.arange(15) != pelvis] = 0  # and the cameras look at it
     to_edge = Rotation.from_euler('y', 42, degrees=True).as_matrix()
     in_middle, at_edge = (
-        VirtualCamera.look_at_person(to_rays(p), weight, times, SMOOTHING_S, CAMERA).to_virtual_rays(to_rays(p))
+        rotate_rays(
+            to_rays(p), VirtualCamera.look_at_person(to_rays(p), weight, times, SMOOTHING_S, CAMERA).rotation
+        )
         for p in (joints, joints @ to_edge.T)
     )
     assert in_middle == pytest.approx(to_rays(joints), abs=1e-12)

@@ -5,10 +5,13 @@ import pytest
 
 from mocap_ros.keypoints.association import (
     BASE_GATE,
+    FORBIDDEN_COST,
     GATE_GROWTH_PER_S,
+    MIN_DETECTION_SIZE,
     UNPREDICTED_GATE_GROWTH_PER_S,
     ExpectedExtent,
     Extent,
+    _compute_costs,
     associate,
     associate_keypoints,
     compute_distance,
@@ -23,24 +26,47 @@ FRAME_S = 1 / 30
 
 
 def expected(x: float, size: float = 0.1, age_s: float = FRAME_S) -> ExpectedExtent:
-    return ExpectedExtent(np.array([x, 0.0]), size, age_s)
+    return ExpectedExtent(x, 0.0, size, age_s)
 
 
 def detected(x: float, size: float = 0.1) -> Extent:
-    return Extent(np.array([x, 0.0]), size)
+    return Extent(x, 0.0, size)
 
 
 def test_the_extent_is_the_centre_and_rms_radius_of_the_seen_joints() -> None:
     points = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 2.0], [np.nan, 50.0]])
-    centre, size = measure_extent(points, np.array([1.0, 0.5, 0.2, 0.0]))
-    assert centre == pytest.approx([0.0, 2 / 3])
+    x, y, size = measure_extent(points, np.array([1.0, 0.5, 0.2, 0.0]))
+    assert (x, y) == pytest.approx((0.0, 2 / 3))
     assert size == pytest.approx(np.sqrt(np.mean([1 + 4 / 9, 1 + 4 / 9, 16 / 9])))
+
+
+def test_joints_that_are_all_in_one_place_show_no_person() -> None:
+    assert measure_extent(np.full((5, 2), 0.3), np.ones(5)).is_one_place
+    assert measure_extent(np.ones((5, 2)), np.zeros(5)).is_one_place, 'nothing is seen'
+    rays = np.full((5, 2), 0.3)
+    rays[0] += 10 * MIN_DETECTION_SIZE
+    assert not measure_extent(rays, np.ones(5)).is_one_place
+    assert measure_extent(rays, np.array([0.0, 1, 1, 1, 1])).is_one_place
 
 
 def test_the_distance_and_the_gate_are_those_of_the_formula() -> None:
     assert compute_distance(expected(0.0, 0.1), detected(0.3, 0.2)) == pytest.approx(0.3 / 0.2 + np.log(2))
     assert compute_distance(expected(0.0, 0.2), detected(0.3, 0.1)) == pytest.approx(0.3 / 0.2 + np.log(2))
     assert compute_gate(expected(0.0, age_s=0.5)) == pytest.approx(BASE_GATE + 0.5 * GATE_GROWTH_PER_S)
+
+
+def test_the_costs_of_all_pairs_are_those_of_each(rng: np.random.Generator) -> None:
+    people = [ExpectedExtent(*row) for row in rng.uniform([-1, -1, 0.1, 0], [1, 1, 0.5, 0.6], (40, 4))]
+    detections = [Extent(*row) for row in rng.uniform([-1, -1, 0.1], [1, 1, 0.5], (30, 3))]
+    cost, is_within_gate = _compute_costs(np.array(people), np.array(detections))
+    expected_cost = np.full((30, 40), FORBIDDEN_COST)
+    for d, p in np.ndindex(30, 40):
+        distance = compute_distance(people[p], detections[d])
+        if distance < compute_gate(people[p]):
+            expected_cost[d, p] = distance + GATE_GROWTH_PER_S * people[p].age_s
+    assert cost == pytest.approx(expected_cost)
+    assert is_within_gate.tolist() == (expected_cost < FORBIDDEN_COST).tolist()
+    assert 100 < is_within_gate.sum() < 1100, 'some pairs are within the gate and some are not'
 
 
 def test_crossing_people_keep_their_ids_by_position_and_size() -> None:

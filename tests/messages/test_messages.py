@@ -107,7 +107,7 @@ INVALID = {
     'long id': (set_fields(id='x' * 101), r'people\[1\].id: 101 characters, more than 100'),
     'negative stamp': (lambda m: setattr(m.header.stamp, 'sec', -1), 'header.stamp: -1 s'),
     'impossible stamp': (lambda m: setattr(m.header.stamp, 'nanosec', 10**9), 'header.stamp: 12 s 1000000000 ns'),
-    'too many people': (lambda m: setattr(m, 'people', m.people * 11), 'people: 22, more than 20'),
+    'too many people': (lambda m: setattr(m, 'people', m.people * 31), 'people: 62, more than 60'),
 }
 
 
@@ -117,6 +117,20 @@ def test_invalid_keypoints_are_refused_by_field_and_person(case: str) -> None:
     with pytest.raises(InputError, match=f'^{message}') as caught:
         decode_keypoints(edit_keypoints(edit), LIMITS)
     assert '\n' not in str(caught.value)
+
+
+def test_people_of_different_layouts_are_read_in_their_order_and_faults_name_the_right_one() -> None:
+    few = make_person_2d('few', ('neck', 'pelvis', 'lknee', 'rknee'))
+    people = [make_person_2d('a'), few, make_person_2d('b'), make_person_2d('c')]
+    raw = encode_keypoints(HEADER, SIZE, people)
+    frame = decode_keypoints(raw, LIMITS)
+    assert [(p.id, p.joints) for p in frame.people] == [(p.id, p.joints) for p in people]
+    for read, sent in zip(frame.people, people, strict=True):
+        np.testing.assert_array_equal(read.points, sent.points)
+    message = decode(raw, KEYPOINTS)
+    message.people[3].y = np.where(np.arange(17) == 5, np.inf, message.people[3].y).astype('f4')
+    with pytest.raises(InputError, match=r'^people\[3\]\.y\[5\]: inf'):
+        decode_keypoints(encode(message, KEYPOINTS), LIMITS)
 
 
 def test_nan_and_scores_slightly_above_one_are_accepted() -> None:

@@ -223,7 +223,8 @@ def test_histories_are_those_that_the_whole_window_gives(single_camera: bool, rn
             weight=weight,
             lifted=lifted.select_frames(np.zeros(known, int)),
         )
-        expected = sample_histories(window.facing_rays, weight, window.times, np.arange(known, FRAMES))
+        facing_rays = window.virtual_camera.view_rays(window.rays, weight, RAY_FOCAL)
+        expected = sample_histories(facing_rays, weight, window.times, np.arange(known, FRAMES))
         for found, wanted in zip(window.sample_unlifted_histories(), expected, strict=True):
             np.testing.assert_array_equal(found, wanted)
 

@@ -71,5 +71,5 @@ def test_a_detection_needs_enough_joints(points: Array, seen: int, is_usable: bo
     assert (detection is not None) is is_usable
     if detection is not None:
         assert (detection.weight > 0).sum() == seen
-        in_px = CAMERA.focal * detection.extent.centre + CAMERA.center
+        in_px = CAMERA.focal * np.array(detection.extent[:2]) + CAMERA.center
         assert in_px == pytest.approx(points[:seen].mean(axis=0))

@@ -10,11 +10,19 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.skeleton import estimate_stature
 from mocap_ros.solvers.joint import JointReconstruction
 from mocap_ros.solvers.observed_window import ObservedWindow
-from mocap_ros.solvers.window import SolverStatus
+from mocap_ros.solvers.window import Array, SolverStatus
+from mocap_ros.tracking.seen_frames import SeenFrames
 from mocap_ros.tracking.solution import TrackSolution
-from mocap_ros.tracking.solver_input import EXTRAPOLATION_SHARE, build_solver_window, predict_state
+from mocap_ros.tracking.solver_input import (
+    EXTRAPOLATION_SHARE,
+    MAX_EXTRAPOLATION_STEPS,
+    append_prediction,
+    build_refinement_window,
+    build_solver_window,
+)
 from mocap_ros.tracking.track import Track
 from tests.support.synthetic_walk import BODY_TO_OPTICAL
 from tests.support.tracks import CAMERA, STEP_NS, make_detection, make_track
@@ -32,11 +40,13 @@ def model(walk_model: BasePoses) -> BasePoses:
 def truth(model: BasePoses) -> TrackSolution:
     """A person off the optical axis, who moves, turns and bends at constant rates."""
     number = np.arange(float(FRAMES))
+    theta = 0.1 * number[:, None] * model.std
     return TrackSolution(
         model_name='walk',
-        theta=0.1 * number[:, None] * model.std,
+        theta=theta,
         rotation=Rotation.from_rotvec(number[:, None] * [0.01, 0.04, 0.0]).as_matrix() @ BODY_TO_OPTICAL,
         roots=np.array([1.5, -0.3, 4.0]) + number[:, None] * [0.02, 0.01, 0.05],
+        bone_lengths=model.skeleton.bone_lengths(model.poses(theta)),
         noise=0.01,
         stature_ratio=1.0,
         joint_std=np.full(15, 0.02),
@@ -49,6 +59,18 @@ def truth(model: BasePoses) -> TrackSolution:
 def track(truth: TrackSolution, model: BasePoses) -> Track:
     """The track of this person's image, without a solution."""
     return make_track(CAMERA.project(truth.compute_joints(model, ALL) + truth.roots[:, None]))
+
+
+def drop_newest(truth: TrackSolution) -> TrackSolution:
+    """Return the solution of all frames but the newest."""
+    arrays = {name: getattr(truth, name)[:-1] for name in ('theta', 'rotation', 'roots', 'bone_lengths')}
+    return replace(truth, **arrays)
+
+
+def predict(seen: SeenFrames, solution: TrackSolution, model: BasePoses) -> tuple[Array, Array, Array]:
+    """Return theta (K,), rotation (3, 3) and root (3,) that are predicted for the newest frame."""
+    theta, rotation, roots = append_prediction(seen, solution, model, first=len(solution.theta))
+    return theta[0], rotation[0], roots[0]
 
 
 def reconstruct(
@@ -78,7 +100,7 @@ def reconstruct(
 
 
 def assert_states(solution: TrackSolution, truth: TrackSolution, frames: slice = slice(None)) -> None:
-    for name in ('theta', 'rotation', 'roots'):
+    for name in ('theta', 'rotation', 'roots', 'bone_lengths'):
         assert getattr(solution, name)[frames] == pytest.approx(getattr(truth, name)[frames], abs=1e-9), name
 
 
@@ -100,7 +122,13 @@ def test_frames_before_those_that_were_solved_keep_their_states(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
     observed, chosen = track.seen.observed, np.array([4, 6, 8])
-    earlier = replace(truth, theta=truth.theta + 1, roots=truth.roots + 2, rotation=truth.rotation[::-1])
+    earlier = replace(
+        truth,
+        theta=truth.theta + 1,
+        roots=truth.roots + 2,
+        rotation=truth.rotation[::-1],
+        bone_lengths=truth.bone_lengths + 3,
+    )
     result = reconstruct(truth, model, observed, chosen)
     solution = TrackSolution.interpolate(result, observed, chosen, 'walk', model, earlier)
     assert_states(solution, truth, slice(4, None))
@@ -110,13 +138,19 @@ def test_frames_before_those_that_were_solved_keep_their_states(
 def test_a_refinement_replaces_the_newest_states_and_no_others(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
-    observed, frames = track.seen.observed, np.arange(5, FRAMES)
-    before = replace(truth, theta=truth.theta[:-1] + 1, roots=truth.roots[:-1] + 2, rotation=truth.rotation[1:])
-    result = reconstruct(truth, model, observed, frames)
-    solution = before.refine(result, observed, frames, fixed_frames=1, model=model)
+    observed = track.seen.observed
+    before = replace(
+        truth,
+        theta=truth.theta[:-1] + 1,
+        roots=truth.roots[:-1] + 2,
+        rotation=truth.rotation[1:],
+        bone_lengths=truth.bone_lengths[:-1] + 3,
+    )
+    result = reconstruct(truth, model, observed, slice(5, None))
+    solution = before.refine(result, observed, first=5, fixed_frames=1, model=model)
     assert len(solution.theta) == FRAMES
     assert_states(solution, truth, slice(6, None))
-    for name in ('theta', 'rotation', 'roots'):
+    for name in ('theta', 'rotation', 'roots', 'bone_lengths'):
         np.testing.assert_array_equal(getattr(solution, name)[:6], getattr(before, name)[:6])
     share = np.exp(-4 / 9)  # of the old noise: 4 of 9 frames were solved
     assert solution.noise**2 == pytest.approx(share * before.noise**2 + (1 - share) * 0.03**2)
@@ -125,27 +159,50 @@ def test_a_refinement_replaces_the_newest_states_and_no_others(
 def test_a_refinement_of_all_frames_keeps_nothing(truth: TrackSolution, model: BasePoses, track: Track) -> None:
     before = replace(truth, theta=truth.theta + 1, roots=truth.roots + 2, noise=1.0)
     result = reconstruct(truth, model, track.seen.observed, slice(None))
-    solution = before.refine(result, track.seen.observed, ALL, fixed_frames=0, model=model)
+    solution = before.refine(result, track.seen.observed, first=0, fixed_frames=0, model=model)
     assert_states(solution, truth)
     assert solution.noise == pytest.approx(0.03)
 
 
 def test_the_stature_is_that_of_the_poses(truth: TrackSolution, model: BasePoses, track: Track) -> None:
-    upright = replace(truth, theta=np.zeros_like(truth.theta))
-    ratios = []
+    theta = np.zeros_like(truth.theta)
+    upright = replace(truth, theta=theta, bone_lengths=model.skeleton.bone_lengths(model.poses(theta)))
+    ratios, bent = [], reconstruct(truth, model, track.seen.observed, slice(5, None))
     for size in (1, 2):
         grown = replace(model, mean=size * model.mean)
         result = reconstruct(upright, grown, track.seen.observed, slice(None))
-        ratios.append(upright.refine(result, track.seen.observed, ALL, 0, grown).stature_ratio)
+        ratios.append(upright.refine(result, track.seen.observed, 0, 0, grown).stature_ratio)
     assert ratios[0] == pytest.approx(1.0, abs=0.05)
     assert ratios[1] == pytest.approx(2 * ratios[0])
+    partly = upright.refine(bent, track.seen.observed, 5, 1, model)
+    stature = estimate_stature(model.poses(partly.theta), model.skeleton)
+    assert partly.stature_ratio == pytest.approx(stature / model.stature, rel=1e-12)
+    assert abs(partly.stature_ratio - ratios[0]) > 1e-4
 
 
 def test_a_posterior_that_is_not_known_is_not_invented(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
     result = replace(reconstruct(truth, model, track.seen.observed, slice(None)), joint_std=None)
-    assert np.isnan(truth.refine(result, track.seen.observed, ALL, 0, model).joint_std).all()
+    assert np.isnan(truth.refine(result, track.seen.observed, 0, 0, model).joint_std).all()
+
+
+def test_the_fit_leaves_out_frames_without_a_residual(
+    truth: TrackSolution, model: BasePoses, track: Track
+) -> None:
+    result = reconstruct(truth, model, track.seen.observed, slice(None))
+    body_px = np.sqrt((result.joints[-1, :, :2] ** 2).sum(axis=1).mean()) * result.cameras.scale[-1]
+    for residual, rms in (([np.nan, 3.0, np.nan, 4.0], np.sqrt(12.5)), ([np.nan] * 4, np.nan)):
+        some = replace(result, residual=np.array(residual))
+        found = truth.refine(some, track.seen.observed, 0, 0, model)
+        assert (found.residual, found.frame_residual) == pytest.approx((rms / body_px, residual[-1]), nan_ok=True)
+
+
+def test_states_are_appended(truth: TrackSolution, model: BasePoses) -> None:
+    shorter = replace(truth, **{n: getattr(truth, n)[:6] for n in ('theta', 'rotation', 'roots', 'bone_lengths')})
+    longer = shorter.append_states(truth.theta[6:], truth.rotation[6:], truth.roots[6:], model)
+    assert_states(longer, truth)
+    assert longer.noise == truth.noise
 
 
 def test_poses_of_another_model_approximate_the_same_joints(truth: TrackSolution, walk_model: BasePoses) -> None:
@@ -157,6 +214,7 @@ def test_poses_of_another_model_approximate_the_same_joints(truth: TrackSolution
     assert changed.compute_joints(target, ALL) == pytest.approx(truth.compute_joints(model, ALL), abs=1e-6)
     assert np.abs(changed.rotation - truth.rotation).max() > 0.1
     np.testing.assert_array_equal(changed.roots, truth.roots)
+    assert changed.bone_lengths == pytest.approx(truth.bone_lengths, abs=1e-6)
 
 
 def test_the_velocity_is_that_of_the_newest_frames(truth: TrackSolution, track: Track) -> None:
@@ -173,8 +231,8 @@ def test_the_velocity_is_that_of_the_newest_frames(truth: TrackSolution, track: 
 def test_a_new_frame_starts_where_the_last_movement_leads(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
-    solution = replace(truth, theta=truth.theta[:-1], rotation=truth.rotation[:-1], roots=truth.roots[:-1])
-    theta, rotation, root = predict_state(track.seen, solution, model)
+    solution = drop_newest(truth)
+    theta, rotation, root = predict(track.seen, solution, model)
     share = EXTRAPOLATION_SHARE
     assert theta == pytest.approx(truth.theta[-2] + share * 0.1 * model.std)
     assert root == pytest.approx(truth.roots[-2] + share * np.array([0.02, 0.01, 0.05]))
@@ -188,26 +246,55 @@ def test_a_new_frame_starts_where_the_last_movement_leads(
     lifted[-1] = movement @ rotation.T / depth
     poses = LiftedPoses(lifted, np.ones_like(lifted))  # along the real camera's axes
     seen = replace(track.seen, observed=replace(track.seen.observed, lifted=poses))
-    lifted_theta, lifted_rotation, lifted_root = predict_state(seen, solution, model)
+    lifted_theta, lifted_rotation, lifted_root = predict(seen, solution, model)
     np.testing.assert_array_equal(lifted_rotation, rotation)
     np.testing.assert_array_equal(lifted_root, root)
     # The last pose is seen under the last rotation and the movement under the new one.
     joints = model.poses(solution.theta[-1]) @ solution.rotation[-1].T + movement @ rotation.T
     assert lifted_theta == pytest.approx(model.weights(joints @ rotation), abs=1e-9)
+    lifted[-1, 3, 1] = np.nan  # too few joints were seen for the lifter
+    np.testing.assert_array_equal(predict(seen, solution, model)[0], theta)
+
+
+def test_the_movement_is_repeated_for_a_limited_time(truth: TrackSolution, model: BasePoses, track: Track) -> None:
+    solution, stamps_ns = drop_newest(truth), track.seen.stamps_ns
+    steps = np.array([0.5, 1.0, 1.5, 5.0])
+    for step in steps:
+        newest_ns = stamps_ns[-2] + round(step * STEP_NS)
+        seen = replace(track.seen, stamps_ns=(*stamps_ns[:-1], newest_ns))
+        theta, rotation, root = predict(seen, solution, model)
+        share = EXTRAPOLATION_SHARE * min(step, MAX_EXTRAPOLATION_STEPS)
+        assert theta == pytest.approx(truth.theta[-2] + share * 0.1 * model.std, abs=1e-8)
+        assert root == pytest.approx(truth.roots[-2] + share * np.array([0.02, 0.01, 0.05]), abs=1e-8)
+        turned = Rotation.from_matrix(rotation @ truth.rotation[-2].T).as_rotvec()
+        assert turned == pytest.approx(share * np.array([0.01, 0.04, 0.0]), abs=1e-8)
+
+
+def test_after_a_single_solved_frame_the_person_stays(
+    truth: TrackSolution, model: BasePoses, track: Track
+) -> None:
+    first = replace(truth, **{n: getattr(truth, n)[:1] for n in ('theta', 'rotation', 'roots', 'bone_lengths')})
+    theta, rotation, root = predict(replace(track.seen, stamps_ns=(0, STEP_NS)), first, model)
+    np.testing.assert_array_equal(theta, truth.theta[0])
+    assert rotation == pytest.approx(truth.rotation[0], abs=1e-15)
+    np.testing.assert_array_equal(root, truth.roots[0])
 
 
 def test_a_solver_gets_the_solution_in_the_virtual_camera(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
-    solution = replace(truth, theta=truth.theta[:-1], rotation=truth.rotation[:-1], roots=truth.roots[:-1])
+    solution = drop_newest(truth)
     frames = np.arange(5, FRAMES)
-    window = build_solver_window(track.seen, solution, model, frames, fixed_frames=1)
+    window = build_refinement_window(track.seen, solution, model, first=5, fixed_frames=1)
     expected = reconstruct(truth, model, track.seen.observed, frames)
     assert window.start is not None
     assert window.start.theta[:-1] == pytest.approx(expected.theta[:-1])
     assert window.start.cameras.scale[:-1] == pytest.approx(expected.cameras.scale[:-1])
     assert window.start.cameras.rotation[:-1] == pytest.approx(expected.cameras.rotation[:-1])
-    predicted, _, _ = predict_state(track.seen, solution, model)
+    predicted, _, _ = predict(track.seen, solution, model)
+    states = append_prediction(track.seen, solution, model, first=5)
+    for found, name in zip(states, ('theta', 'rotation', 'roots'), strict=True):
+        np.testing.assert_array_equal(found[:-1], getattr(solution, name)[5:])
     np.testing.assert_array_equal(window.start.theta[-1], predicted)
     assert (window.noise, window.fixed_frames, window.focal) == (0.01, 1, CAMERA.focal)
     assert window.times == pytest.approx(frames / 30)
@@ -215,6 +302,20 @@ def test_a_solver_gets_the_solution_in_the_virtual_camera(
     assert window.earlier_frames.count == 5
     lengths = model.skeleton.bone_lengths(model.poses(truth.theta[:5])).mean(axis=0)
     assert window.earlier_frames.mean_bone_lengths == pytest.approx(lengths)
+    free = build_refinement_window(track.seen, solution, model, first=5, fixed_frames=0)
+    assert (free.fixed_frames, free.earlier_frames) == (0, None)
+
+
+def test_a_check_gets_some_solved_frames(truth: TrackSolution, model: BasePoses, track: Track) -> None:
+    frames = np.array([1, 4, 8])
+    window = build_solver_window(track.seen, truth, frames)
+    expected = reconstruct(truth, model, track.seen.observed, frames)
+    assert window.start is not None
+    np.testing.assert_array_equal(window.start.theta, truth.theta[frames])
+    assert window.start.cameras.scale == pytest.approx(expected.cameras.scale)
+    assert window.start.cameras.rotation == pytest.approx(expected.cameras.rotation)
+    assert (window.noise, window.fixed_frames, window.earlier_frames) == (0.01, 0, None)
+    assert window.times == pytest.approx(frames / 30)
 
 
 def test_a_frame_that_was_seen_but_not_solved_has_no_place_in_the_solution(

@@ -7,6 +7,7 @@ import pytest
 
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.association import measure_extent
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.window import Array
@@ -31,6 +32,7 @@ def make_solution(frames: int) -> TrackSolution:
         theta=number[:, None] + [0.1, 0.2],
         rotation=np.eye(3) * (1 + number)[:, None, None],
         roots=np.stack([number, -number, 4 + number], axis=-1),
+        bone_lengths=np.tile(number[:, None], 14),
         noise=0.01,
         stature_ratio=1.0,
         joint_std=np.full(15, 0.02),
@@ -55,7 +57,8 @@ def test_the_virtual_camera_faces_the_person(points: Array) -> None:
     observed = make_track(points).seen.observed
     assert np.abs(observed.rays.mean(axis=(0, 1))).max() > 0.35, 'the person is off the optical axis'
     # The mean of rays is not exactly that of the rotated rays.
-    assert observed.facing_rays.mean(axis=(0, 1)) == pytest.approx([0, 0], abs=0.02)
+    facing_rays = observed.virtual_camera.view_rays(observed.rays, observed.weight, 1.0)
+    assert facing_rays.mean(axis=(0, 1)) == pytest.approx([0, 0], abs=0.02)
 
 
 def test_frames_that_are_too_old_leave_the_window_and_the_solution(points: Array) -> None:
@@ -76,6 +79,8 @@ def test_frames_that_are_too_old_leave_the_window_and_the_solution(points: Array
     assert track_after.solved.theta[:, 0] == pytest.approx(np.arange(7, 12) + 0.1)
     assert track_after.solved.roots[:, 2] == pytest.approx(np.arange(11, 16))
     assert track_after.solved.rotation[:, 0, 0] == pytest.approx(np.arange(8, 13))
+    assert track_after.solved.bone_lengths[:, 3] == pytest.approx(np.arange(7, 12))
+    assert track_after.seen.extents[:-1] == unsolved.seen.extents[7:]
     assert track_after.seen.first_stamp_ns == 0
 
 
@@ -131,6 +136,9 @@ def test_a_change_of_the_camera_keeps_the_image(points: Array, lens: Distortion)
     assert changed.solved.roots[:, 2] == pytest.approx(track.solved.roots[:, 2] * 650 / 500)
     back = changed.change_camera(CAMERA, CAMERA.focal)
     assert back.seen.rays == pytest.approx(track.seen.rays, abs=1e-9)
+    for seen in (changed.seen, back.seen):
+        measured = [measure_extent(rays, weight) for rays, weight in zip(seen.rays, seen.weight, strict=True)]
+        assert np.array(seen.extents) == pytest.approx(np.array(measured))
     assert back.seen.observed.virtual_camera.rotation == pytest.approx(
         track.seen.observed.virtual_camera.rotation, abs=1e-9
     )
@@ -142,10 +150,10 @@ def test_a_person_is_expected_where_the_movement_leads(points: Array) -> None:
     moving = make_track(np.concatenate([still + [20.0 * i, -10.0 * i] for i in range(9)]))
     stamp_ns = moving.seen.stamps_ns[-1] + 2 * STEP_NS
     expected = moving.seen.expect_extent(stamp_ns)
-    centre_px = CAMERA.focal * expected.centre + CAMERA.center
+    centre_px = CAMERA.focal * np.array(expected[:2]) + CAMERA.center
     assert centre_px == pytest.approx([200.0, -100.0], abs=1e-6)
     assert expected.age_s == pytest.approx(2 / 30)
-    far_px = CAMERA.focal * moving.seen.expect_extent(10**12).centre + CAMERA.center
+    far_px = CAMERA.focal * np.array(moving.seen.expect_extent(10**12)[:2]) + CAMERA.center
     assert far_px == pytest.approx([160 + 20 * 7.5, -80 - 10 * 7.5], abs=1e-3), 'for a quarter of a second at most'
 
 
@@ -157,6 +165,11 @@ def test_the_best_seen_frame_of_each_step_is_selected(points: Array) -> None:
     # Steps of 0.1 s about the ages 0, 0.1, 0.2, ... s: frames 0 | 1 to 3 | 4 to 6 | 7 to 9 | 10 and 11
     assert seen.select_frames(0.1, 1.0).tolist() == [0, 2, 4, 8, 11], 'the newest frame in any case'
     assert seen.select_frames(0.1, 0.25).tolist() == [4, 8, 11]
+
+
+def test_a_solution_has_the_same_frames_in_all_its_arrays() -> None:
+    with pytest.raises(ValueError, match='4 frames with bone lengths, 5 with weights'):
+        replace(make_solution(5), bone_lengths=np.ones((4, 14)))
 
 
 def test_the_ids_stay_with_the_track(points: Array) -> None:

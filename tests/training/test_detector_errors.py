@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mocap_ros.models.lifter import HISTORY_SLOTS_S, JOINT_COUNT, MIRROR_PERMUTATION
+from mocap_ros.models.lifter_input import HISTORY_SLOTS_S, JOINT_COUNT, MIRROR_PERMUTATION
 from mocap_ros.training.detector_errors import SWAP_SHARE, DetectorErrors
 from mocap_ros.training.random_arrays import RandomArrays
 

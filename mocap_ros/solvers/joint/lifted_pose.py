@@ -7,7 +7,7 @@ of the whitened distance of a joint: the network proposes, and the image may ove
 weights and free of the translation. The x and y coordinates of seen joints take part as well, since the network
 has smoothed them over time.
 
-The lifted poses also give the initial values of the weights and cameras (`fit_initial_values`).
+The lifted poses also give the initial values of the weights and cameras (`lifted_start`).
 """
 
 from __future__ import annotations
@@ -22,24 +22,17 @@ from numpy.typing import NDArray
 from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_4D, kernel
 from mocap_ros.config import SolverConfig
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.rotations import fit_rotation
-from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
-from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.lifter import LiftedPoses, concatenate_lifted
+from mocap_ros.models.lifter import concatenate_lifted
 from mocap_ros.solvers.joint.batch import Subsample
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
 from mocap_ros.solvers.joint.state import Fit
-from mocap_ros.solvers.window import InitialValues, Window
+from mocap_ros.solvers.window import Window
 
 Array = NDArray[np.float64]
 
-ALTERNATIONS = (
-    6  # rounds of weights and cameras for the initial values; later ones move them by under a millimetre
-)
 MIN_STD_M = (
     0.01  # m; a smaller standard deviation of the lifter is not believed: its poses are no better than that
 )
-MIN_SCALE = 1e-9  # guards against a scale of zero where a pose is degenerate
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,43 +133,3 @@ def _add_distances(
                 stiffness = weight * precision[t, j, i] / (1 + squared / robust_scale**2)
                 joint_matrix[t, j, i, i] += stiffness
                 joint_gradient[t, 3 * j + i] += stiffness * (scaled_poses[t, j, i] - joints[t, j, i])
-
-
-def fit_initial_values(lifted: LiftedPoses, window: Window, model: BasePoses) -> InitialValues | None:
-    """Fit base-pose weights and cameras to the lifted poses, frame by frame.
-
-    Weights and cameras are found in turn: rotation and scale by Procrustes' analysis, weights by least squares
-    under their Gaussian prior. A frame that was not lifted takes the values of the nearest one that was.
-
-    Args:
-        lifted: (F, J, 3) poses in px.
-        window: the same frames.
-        model: base poses, metric.
-
-    Returns:
-        None where no frame was lifted.
-    """
-    good = np.flatnonzero(np.isfinite(lifted.joints).all(axis=(1, 2)))
-    if not len(good):
-        return None
-    joints, std = lifted.joints[good], lifted.std[good]
-    k = len(model.std)
-    flat = model.components.reshape(k, -1).T
-    theta = np.zeros((len(good), k))
-    scale = np.ones(len(good))
-    rotation = np.broadcast_to(np.eye(3), (len(good), 3, 3))
-    for _ in range(ALTERNATIONS):
-        poses = model.poses(theta)
-        rotation = fit_rotation(poses, joints)
-        turned = poses @ np.swapaxes(rotation, -1, -2)
-        scale = (turned * joints).sum(axis=(1, 2)) / (turned**2).sum(axis=(1, 2))
-        scale = np.maximum(scale, MIN_SCALE)
-        in_body_frame = (joints / scale[:, None, None]) @ rotation - model.mean
-        # a joint has one variance, the same along all axes of the body
-        variance = np.maximum((std / scale[:, None, None]) ** 2, MIN_STD_M**2).mean(axis=-1)
-        weight = np.repeat(1 / variance, 3, axis=1)
-        normal = np.swapaxes(flat * weight[..., None], -1, -2) @ flat + np.diag(model.std**-2.0)
-        right = (weight * in_body_frame.reshape(len(good), -1)) @ flat
-        theta = np.linalg.solve(normal, right[..., None])[..., 0]
-    nearest = np.abs(window.times[:, None] - window.times[good]).argmin(axis=1)
-    return InitialValues(theta[nearest], WeakPerspectiveCameras(scale[nearest], rotation[nearest]))

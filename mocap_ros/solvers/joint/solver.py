@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mocap_ros.config import SolverConfig
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.joint.lifted_pose import fit_initial_values
+from mocap_ros.solvers.joint.lifted_start import fit_initial_values
 from mocap_ros.solvers.joint.noise_annealing import COLD_DAMPING, CONTINUED_DAMPING, anneal_stepwise
 from mocap_ros.solvers.joint.noise_estimate import estimate_noise
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE, JointObjective
@@ -145,7 +145,7 @@ def start_from_lifted_poses(window: Window, model: BasePoses) -> Window:
     """Return the window with initial values from its lifted poses, if it has such poses and no initial values."""
     if window.start is not None or window.lifted is None:
         return window
-    return replace(window, start=fit_initial_values(window.lifted, window, model))
+    return replace(window, start=fit_initial_values(window.lifted, window.times, model))
 
 
 def negative_log_posterior(result: JointReconstruction, window: Window, config: SolverConfig) -> float:

@@ -1,0 +1,30 @@
+"""`mocap-ros compile`: compile the inner loops now, which otherwise the first run does."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from importlib import import_module
+
+from mocap_ros.compiled.kernel import compile_kernels
+
+# Modules that, together with what they import, declare all kernels.
+DECLARING_MODULES = ('mocap_ros.tracking.tracker', 'mocap_ros.offline.keyframes.reconstruct')
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the subcommand."""
+    parser.description = (
+        'Compiles the inner loops for this processor, which takes about a minute and otherwise happens at the '
+        'first run. Run it as the owner of the package if the package is in a folder that its users cannot write. '
+        'NUMBA_CACHE_DIR names another folder for what is compiled.'
+    )
+    parser.set_defaults(run=run)
+
+
+def run(_: argparse.Namespace) -> int:
+    """Compile all kernels, and print how many were compiled and how long it took."""
+    for module in DECLARING_MODULES:
+        import_module(module)
+    print(compile_kernels(lambda line: print(line, file=sys.stderr)))
+    return 0

@@ -1,0 +1,92 @@
+"""The encoders of the outputs write the bytes that the library writes for message objects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mocap_ros.messages.cameras import encode_cameras
+from mocap_ros.messages.cdr import Header, decode
+from mocap_ros.messages.markers import MarkerEncoder
+from mocap_ros.messages.point_cloud import encode_points
+from mocap_ros.messages.skeletons import encode_skeletons
+from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
+from mocap_ros.people import Motion, MotionKind, Person3D
+from tests.support.message_objects import (
+    encode_cameras_slowly,
+    encode_markers_slowly,
+    encode_points_slowly,
+    encode_skeletons_slowly,
+    encode_transforms_slowly,
+)
+from tests.support.swinging_body import STANDING
+
+# Texts of every length modulo 8, and some outside ASCII: what follows a text is padded by its length in bytes.
+TEXTS = st.text('aä人', max_size=9)
+HEADERS = st.builds(Header, st.integers(0, 2**31 * 10**9 - 1), TEXTS)
+
+
+@st.composite
+def make_person(draw: st.DrawFn) -> Person3D:
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    return Person3D(
+        id=draw(TEXTS),
+        joints=STANDING + rng.normal(scale=0.1, size=(15, 3)) + [0, 0, 5],
+        std=rng.uniform(0.01, 0.1, 15) * draw(st.sampled_from([1.0, np.nan])),
+        inferred=rng.random(15) < draw(st.sampled_from([0.0, 0.3, 1.0])),
+        scale=rng.uniform(100, 300),
+        rotation=Rotation.from_rotvec(rng.normal(size=3)).as_matrix(),
+        translation=rng.normal(size=2),
+        motion=Motion(draw(st.sampled_from(MotionKind)), draw(TEXTS), 0.1, float('nan')),
+        residual=rng.uniform(0, 9),
+        scale_known=draw(st.booleans()),
+        predicted=draw(st.booleans()),
+    )
+
+
+@st.composite
+def make_people(draw: st.DrawFn) -> list[Person3D]:
+    """Return people of different ids."""
+    return [replace(p, id=f'{n}{p.id}') for n, p in enumerate(draw(st.lists(make_person(), max_size=3)))]
+
+
+@given(header=HEADERS, people=make_people())
+def test_skeletons_cameras_and_points(header: Header, people: list[Person3D]) -> None:
+    assert encode_skeletons(header, people) == encode_skeletons_slowly(header, people)
+    assert encode_cameras(header, people) == encode_cameras_slowly(header, people)
+    assert encode_points(header, people) == encode_points_slowly(header, people)
+
+
+@given(header=HEADERS, people=make_people(), gone=st.integers(0, 2), lifetime_s=st.sampled_from([0.0, 0.5, 59.9]))
+def test_markers(header: Header, people: list[Person3D], gone: int, lifetime_s: float) -> None:
+    encoder, others = MarkerEncoder(), name_others(people, gone)
+    encoder.encode_update(header, [*people, *others], 0.0)
+    deleted_numbers = range(len(people), len(people) + len(others))
+    expected = encode_markers_slowly(header, people, deleted_numbers, lifetime_s)
+    assert encoder.encode_update(header, people, lifetime_s) == expected
+
+
+def name_others(people: Sequence[Person3D], count: int) -> list[Person3D]:
+    """Return further people, whose ids nobody has, if there is anybody whom they can be made of."""
+    return [replace(people[0], id=f'other {n}') for n in range(count)] if people else []
+
+
+@given(header=HEADERS, people=make_people(), prefix=TEXTS)
+def test_transforms(header: Header, people: list[Person3D], prefix: str) -> None:
+    people = [replace(p, id=f'p{n}', scale_known=True) for n, p in enumerate(people)]
+    header = header._replace(frame_id=header.frame_id or 'camera')
+    raw, expected = encode_transforms(header, people, prefix), encode_transforms_slowly(header, people, prefix)
+    assert len(raw) == len(expected)
+    for ours, theirs in zip(
+        decode(raw, TRANSFORMS).transforms, decode(expected, TRANSFORMS).transforms, strict=True
+    ):
+        assert (ours.header, ours.child_frame_id) == (theirs.header, theirs.child_frame_id)
+        for field in ('translation', 'rotation'):
+            ours_numbers, their_numbers = (vars(getattr(t.transform, field)) for t in (ours, theirs))
+            assert ours_numbers == pytest.approx(their_numbers, abs=1e-12)

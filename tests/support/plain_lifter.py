@@ -1,0 +1,97 @@
+"""The lifter in plain NumPy and double precision, which the compiled one is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.geometry.virtual_camera import rotate_rays, rotation_to_optical_axis
+from mocap_ros.models import lifter, lifter_input
+from mocap_ros.skeleton import CMU15
+
+Array = NDArray[np.float64]
+
+MIRROR = list(CMU15.mirror)
+
+
+def sample_history(points: Array, weight: Array, times: Array, newest: int) -> tuple[Array, Array]:
+    """Return one history as `lifter_input.sample_histories` does: points (T, J, 2) and weights (T, J)."""
+    slots = len(lifter_input.HISTORY_SLOTS_S)
+    sampled_points, sampled_weight = np.zeros((slots, *points.shape[1:])), np.zeros((slots, weight.shape[1]))
+    for slot, time in enumerate(times[newest] - lifter_input.HISTORY_SLOTS_S):
+        (late,) = np.nonzero(times[: newest + 1] >= time - lifter_input.TIME_TOLERANCE_S)
+        before, after = max(late[0] - 1, 0), late[0]
+        if abs(times[before] - time) <= lifter_input.TIME_TOLERANCE_S:
+            shares = {before: 1.0}
+        elif abs(times[after] - time) <= lifter_input.TIME_TOLERANCE_S:
+            shares = {after: 1.0}
+        elif after == 0 or times[after] - times[before] > lifter_input.MAX_INTERPOLATION_GAP_S:
+            continue
+        else:
+            share = (time - times[before]) / (times[after] - times[before])
+            shares = {before: 1 - share, after: share}
+        seen = (weight[list(shares)] > 0).all(axis=0)
+        sampled_weight[slot, seen] = sum(share * weight[f, seen] for f, share in shares.items())
+        sampled_points[slot, seen] = sum(share * points[f, seen] for f, share in shares.items())
+    return sampled_points, sampled_weight
+
+
+def encode_features(points: Array, weight: Array, focal: float) -> tuple[Array, Array, float]:
+    """Return the features of one history (T, J, 2) in virtual cameras, its newest points (J, 2) and its unit."""
+    seen = (weight > 0) & (np.abs(points) < lifter_input.MAX_COORDINATE).all(axis=-1)
+    weight = np.where(seen, np.minimum(weight, 1), 0)
+    clean = np.where(seen[..., None], points, 0)
+    total = np.maximum(weight.sum(axis=1), lifter_input.MIN_TOTAL_WEIGHT)
+    centroid = (weight[..., None] * clean).sum(axis=1) / total[:, None]
+    centred = np.where(seen[..., None], clean - centroid[:, None], 0)
+    unit = float(
+        (weight * np.linalg.norm(centred, axis=-1)).sum() / max(weight.sum(), lifter_input.MIN_TOTAL_WEIGHT)
+    )
+    unit = unit if unit > 0 else 1.0
+    relative = np.clip(centred / unit, -lifter_input.MAX_FEATURE, lifter_input.MAX_FEATURE)
+    angular_size = min(unit / focal / lifter_input.ANGULAR_SIZE_UNIT_RAD, lifter_input.MAX_FEATURE)
+    return np.append(np.dstack([relative, weight]), angular_size), relative[0], unit
+
+
+def mirror_features(features: Array) -> Array:
+    """Return the features of the mirror image: x negated, left and right joints exchanged."""
+    block = features[:-1].reshape(-1, len(MIRROR), 3)[:, MIRROR] * [-1, 1, 1]
+    return np.append(block, features[-1])
+
+
+def face_newest_points(points: Array, weight: Array, focal: float) -> tuple[Array, Array]:
+    """Return one history (T, J, 2) in the image of a camera that faces its newest points, and its rotation."""
+    seen = (weight > 0) & (np.abs(points) < lifter_input.MAX_COORDINATE).all(axis=-1)
+    clean = np.where(seen[..., None], points, 0) / focal
+    newest = np.where(seen[0], weight[0], 0)
+    rotation = rotation_to_optical_axis((newest @ clean[0] / max(newest.sum(), 1e-9))[None])[0]
+    return np.where(seen[..., None], focal * rotate_rays(clean, rotation), np.nan), rotation
+
+
+def evaluate(layers: Sequence[tuple[Any, Any]], features: NDArray[Any]) -> Array:
+    """Return the outputs (..., O) of the network for features (..., I)."""
+    (first, bias), *hidden, (last, last_bias) = [(w.astype(float), b.astype(float)) for w, b in layers]
+    h = np.maximum(features @ first + bias, 0)
+    for (a, b), (c, d) in zip(hidden[::2], hidden[1::2], strict=True):
+        h = h + np.maximum(np.maximum(h @ a + b, 0) @ c + d, 0)
+    return np.asarray(h @ last + last_bias)
+
+
+def lift(layers: Sequence[tuple[Any, Any]], points: Array, weight: Array, focal: float) -> tuple[Array, Array]:
+    """Return the lifted pose (J, 3) of one history and its standard deviations (J, 3)."""
+    rotation = np.eye(3)
+    if np.isfinite(focal):
+        points, rotation = face_newest_points(points, weight, focal)
+    features, newest, unit = encode_features(points, weight, focal)
+    if (features[2 : 3 * len(MIRROR) : 3] > 0).sum() < lifter.MIN_SEEN_JOINTS:
+        return np.full((len(MIRROR), 3), np.nan), np.full((len(MIRROR), 3), np.nan)
+    outputs = evaluate(layers, np.stack([features, mirror_features(features)]))
+    pose, mirrored = outputs[:, : 3 * len(MIRROR)].reshape(2, -1, 3)
+    log_std, mirrored_log_std = outputs[:, 3 * len(MIRROR) :].reshape(2, -1, 2)
+    pose = (pose + mirrored[MIRROR] * [-1, 1, 1]) / 2
+    pose[:, :2] += newest
+    std = np.exp(np.clip((log_std + mirrored_log_std[MIRROR]) / 2, *lifter.LOG_STD_RANGE))
+    return (pose - pose.mean(axis=0)) @ rotation * unit, std[:, [0, 0, 1]] * unit
