@@ -70,6 +70,8 @@ class LiftedPoses:
 
 def concatenate_lifted(parts: Sequence[LiftedPoses]) -> LiftedPoses:
     """Concatenate the frames of all parts."""
+    if len(parts) == 1:
+        return parts[0]
     return LiftedPoses(np.concatenate([p.joints for p in parts]), np.concatenate([p.std for p in parts]))
 
 

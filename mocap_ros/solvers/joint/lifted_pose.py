@@ -16,10 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import void
+from numba import types, void
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_4D, kernel
+from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_4D, INPUT_1D, INPUT_3D, kernel
 from mocap_ros.config import SolverConfig
 from mocap_ros.errors import InputError
 from mocap_ros.models.lifter import concatenate_lifted
@@ -68,10 +68,9 @@ class LiftedPoseTerm:
             return None
         if len(given) < len(windows):
             raise InputError('some windows of the batch have lifted poses and some have not')
-        lifted = concatenate_lifted([poses.scale_by(1 / unit) for poses, unit in zip(given, units, strict=True)])
-        known = np.isfinite(lifted.joints)
-        precision = np.where(known, 1 / np.maximum(np.where(known, lifted.std, 1.0), MIN_STD_M) ** 2, 0.0)
-        joints = np.where(known, lifted.joints, 0.0)
+        lifted = concatenate_lifted(given)
+        frame_units = np.repeat(units, [len(poses.joints) for poses in given])
+        joints, precision = _prepare(lifted.joints, lifted.std, frame_units)
         return LiftedPoseTerm(joints, precision, config.lifter_weight, config.lifter_robust_scale)
 
     def cost(self, fit: Fit) -> Array:
@@ -97,6 +96,25 @@ class LiftedPoseTerm:
     def with_components(self, k: int) -> LiftedPoseTerm:  # noqa: ARG002, part of the protocol
         """Return the term itself, which does not depend on the number of base poses."""
         return self
+
+
+@kernel(types.UniTuple(FLOATS_3D, 2)(INPUT_3D, INPUT_3D, INPUT_1D))
+def _prepare(joints: Array, std: Array, units: Array) -> tuple[Array, Array]:
+    """Return the `joints` and the `precision` of the term.
+
+    Args:
+        joints: (N, J, 3) px, lifted poses; NaN where they are not known.
+        std: (N, J, 3) px, their standard deviations.
+        units: (N,) px/m, by which they are divided.
+    """
+    known_joints, precision = np.zeros(joints.shape), np.zeros(joints.shape)
+    for t in range(len(joints)):
+        for j in range(joints.shape[1]):
+            for i in range(3):
+                if np.isfinite(joints[t, j, i]):
+                    known_joints[t, j, i] = joints[t, j, i] / units[t]
+                    precision[t, j, i] = 1 / max(std[t, j, i] / units[t], MIN_STD_M) ** 2
+    return known_joints, precision
 
 
 @kernel(FLOATS_1D(FLOATS_3D, FLOATS_3D, FLOAT, FLOAT, FLOATS_3D))

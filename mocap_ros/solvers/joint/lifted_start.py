@@ -4,8 +4,8 @@
     P = Q_0 + sum_l theta_l Q_l
 
 with y the lifted pose of a frame, v_j the mean variance of the joint's coordinates y / s and sigma_l the standard
-deviation of weight l over the training poses. Camera and weights are found in turn, `ALTERNATIONS` times: rotation R
-and scale s by Procrustes' analysis of the unweighted joints, weights by least squares in the body frame.
+deviation of weight l over the training poses. Camera and weights are found in turn, `ALTERNATIONS` times: rotation
+R and scale s by Procrustes' analysis of the unweighted joints, weights by least squares in the body frame.
 """
 
 from __future__ import annotations

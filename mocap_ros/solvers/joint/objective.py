@@ -108,7 +108,7 @@ class JointObjective:
             reprojection=reprojection,
             bones=bones,
             terms=tuple(terms),
-            is_free=np.concatenate([np.arange(len(w.times)) >= w.fixed_frames for w in windows]),
+            is_free=_find_free_frames(batch, [w.fixed_frames for w in windows]),
         )
 
     def find_term(self, kind: type[AnyTerm]) -> AnyTerm:
@@ -141,7 +141,7 @@ class JointObjective:
         ratio = self.batch.repeat_per_frame(noise / NOISE_REFERENCE)
         reprojection = self.reprojection.with_variance_ratio(ratio)
         terms = tuple(reprojection if term is self.reprojection else term for term in self.terms)
-        return replace(self, reprojection=reprojection, terms=terms)
+        return JointObjective(self.model, self.batch, self.basis, reprojection, self.bones, terms, self.is_free)
 
     def fit(self, state: State, *, settle_translation: bool = False) -> Fit:
         """Return what the terms measure in a state.
@@ -242,8 +242,16 @@ class JointObjective:
         """
         theta = np.concatenate([s.theta for s in starts])
         rotation = np.concatenate([s.cameras.rotation for s in starts])
-        scale = np.concatenate([s.cameras.scale / unit for s, unit in zip(starts, units, strict=True)])
+        scale = np.concatenate([s.cameras.scale for s in starts]) / self.batch.repeat_per_frame(units)
         return State(theta, rotation, np.log(scale), self.reprojection.centroids())
+
+
+def _find_free_frames(batch: Batch, fixed_frames: Sequence[int]) -> NDArray[np.bool_]:
+    """Return (N,) False for the first `fixed_frames` (P,) of each sequence."""
+    is_free = np.ones(len(batch.times), np.bool_)
+    for start, fixed in zip(batch.starts.tolist(), fixed_frames, strict=True):
+        is_free[start : start + fixed] = False
+    return is_free
 
 
 @kernel(types.UniTuple(FLOATS_3D, 2)(FLOATS_2D, FLOATS_3D, FLOATS_1D, FLOATS_2D, FLOATS_2D))

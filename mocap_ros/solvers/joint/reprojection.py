@@ -20,7 +20,7 @@ v = sum_j u e / d.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import types, void
@@ -62,14 +62,14 @@ class Reprojection:
     def build(windows: Sequence[Window], units: Array, config: SolverConfig) -> Reprojection:
         """Return the term of these windows, each divided by its unit (P,) px/m; the noise is the reference's."""
         counts = [len(w.times) for w in windows]
-        frames = sum(counts)
         robust = config.robust_scale if config.robust_scale > MIN_ROBUST_SCALE else np.inf
+        points, frame_units = np.concatenate([w.points for w in windows]), np.repeat(units, counts)
         return Reprojection(
-            image=np.concatenate([w.points / unit for w, unit in zip(windows, units, strict=True)]),
+            image=points / frame_units[:, None, None],
             weight=np.concatenate([w.weight for w in windows]),
-            variance_ratio=np.ones(frames),
-            robust_scale=np.full(frames, robust),
-            focal=np.repeat([w.focal / unit for w, unit in zip(windows, units, strict=True)], counts),
+            variance_ratio=np.ones(len(points)),
+            robust_scale=np.full(len(points), robust),
+            focal=np.repeat([w.focal for w in windows], counts) / frame_units,
         )
 
     def subsampled(self, kept: Subsample) -> Reprojection:
@@ -92,11 +92,12 @@ class Reprojection:
             ratio: (N,) standard deviation of the noise over that of the reference.
         """
         old = np.sqrt(self.variance_ratio)
-        return replace(
-            self,
+        return Reprojection(
+            image=self.image,
             weight=self.weight * (self.variance_ratio / ratio**2)[:, None],
             variance_ratio=ratio**2,
             robust_scale=self.robust_scale * (np.maximum(ratio, 1) / np.maximum(old, 1)),
+            focal=self.focal,
         )
 
     def measure(

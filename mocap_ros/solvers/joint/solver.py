@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.kernel import FLOATS_1D, INPUT_2D, kernel
 from mocap_ros.config import SolverConfig
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
@@ -183,11 +184,23 @@ class FrameValues(NamedTuple):
         """
         state = fit.state
         scale = np.exp(state.log_scale)
-        seen = weight > 0
-        with np.errstate(invalid='ignore'):  # 0 / 0 where no joint is seen
-            residual = units * np.sqrt((seen * fit.squared_error).sum(axis=1) / seen.sum(axis=1))
         joints = fit.scaled_poses / scale[:, None, None]
+        residual = units * _measure_residual(weight, fit.squared_error)
         return FrameValues(joints, scale * units, state.translation * units[:, None], residual)
+
+
+@kernel(FLOATS_1D(INPUT_2D, INPUT_2D))
+def _measure_residual(weight: Array, squared_error: Array) -> Array:
+    """Return the root mean squared error (N,) over the joints of positive weight (N, J); NaN without any."""
+    out = np.empty(len(weight))
+    for t in range(len(weight)):
+        total, seen = 0.0, 0
+        for j in range(weight.shape[1]):
+            if weight[t, j] > 0:
+                total += squared_error[t, j]
+                seen += 1
+        out[t] = np.sqrt(total / seen) if seen > 0 else np.nan
+    return out
 
 
 def _make_reconstructions(
