@@ -35,6 +35,7 @@ from tqdm import tqdm
 from mocap_ros.config import SolverConfig, TrackerConfig
 from mocap_ros.evaluation.metrics import scale_to_reference
 from mocap_ros.formats.mocap.trials import Trial, load_trials, select_trials
+from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import alternation, joint, periodic
@@ -50,6 +51,7 @@ FPS = 30.0  # Hz, frame rate of the motion capture
 # Subjects of the motion capture that the held-out lifter and the base poses beside it are not trained on.
 HELD_OUT_SUBJECTS = ('35', '13', '05', '135', 'UB', 'UT', 'UWW', 'UJ', 'UW')
 HELD_OUT_LIFTER = ROOT / 'build' / 'lifter_heldout.npz'  # file of the lifter that never saw these subjects
+ORTHOGRAPHIC_FOCAL_LENGTH = 20.0  # image widths; so long that perspective looks orthographic, as in the views
 # The fixed amount of linear algebra by which machines are compared.
 REFERENCE_KERNEL = '200 Cholesky factorisations of a 512 x 512 matrix'
 
@@ -127,6 +129,17 @@ class View:
         return Window(np.nan_to_num(keypoints[..., :2]), keypoints[..., 2], self.sequence['timestamps'])
 
     @property
+    def intrinsics(self) -> Intrinsics:
+        if 'camera_matrix' in self.sequence:
+            return Intrinsics.from_matrix(self.sequence['camera_matrix'])
+        width, height = (int(v) for v in self.sequence['image_size'])
+        return Intrinsics.from_image_size(width, height, ORTHOGRAPHIC_FOCAL_LENGTH)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return tuple(str(name) for name in self.sequence['joint_names'])
+
+    @property
     def truth(self) -> Array:
         return self.sequence['joints3d'].astype(float)
 
@@ -137,7 +150,7 @@ class View:
     def hide_joints(self, joints: Sequence[str], frames: slice = slice(None)) -> View:
         """Return the same view, in which some joints are not seen in some frames."""
         keypoints = self.sequence['keypoints'].copy()
-        columns = [list(self.sequence['joint_names']).index(j) for j in joints]
+        columns = [self.joint_names.index(j) for j in joints]
         keypoints[frames, columns] = [np.nan, np.nan, 0]
         return View({**self.sequence, 'keypoints': keypoints}, self.heading)
 
@@ -304,17 +317,20 @@ def compute_bone_lengths_mm(result: Reconstruction, model: BasePoses) -> Array:
 
 
 def measure_time(action: Callable[[], T], repeats: int = 1) -> tuple[T, float]:
-    """Return the result of an action and its median duration in s over the repeats."""
+    """Return the result of an action and the median of its CPU time in s over the repeats.
+
+    CPU time is that of this process, so that others on the same core hardly matter.
+    """
     durations = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start_s = time.process_time()
         result = action()
-        durations.append(time.perf_counter() - start)
+        durations.append(time.process_time() - start_s)
     return result, float(np.median(durations))
 
 
 def measure_reference_kernel_s() -> float:
-    """Return the duration in s of `REFERENCE_KERNEL`, by which machines are compared."""
+    """Return the CPU time in s of `REFERENCE_KERNEL`, by which machines are compared."""
     a = np.random.default_rng(0).standard_normal((512, 512))
     matrix = a @ a.T + 512 * np.eye(512)
     cholesky(matrix)
@@ -322,7 +338,7 @@ def measure_reference_kernel_s() -> float:
 
 
 def describe_machine() -> str:
-    """Describe the machine in one line: processor, versions, and the current duration of the reference kernel."""
+    """Describe the machine in one line: processor, versions, and the current CPU time of the reference kernel."""
     cpu = platform.processor() or platform.machine()
     info = Path('/proc/cpuinfo')
     if info.is_file():

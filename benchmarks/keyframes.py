@@ -26,7 +26,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from common import View
 from numpy.typing import NDArray
-from tracker import choose_intrinsics, track
+from tracker import track
 
 from mocap_ros.config import Config, with_values
 from mocap_ros.evaluation.metrics import LIMB_JOINTS
@@ -154,7 +154,7 @@ def reconstruct_by_keyframes(view: View, config: Config) -> keyframe_method.Keyf
     keypoints = view.sequence['keypoints'].astype(float)
     times = view.sequence['timestamps']
     return keyframe_method.reconstruct(
-        keypoints, CMU15.joints, times, choose_intrinsics(view), train_test_base_poses(), config
+        keypoints, CMU15.joints, times, view.intrinsics, train_test_base_poses(), config
     )
 
 
@@ -162,7 +162,7 @@ def reconstruct_whole(view: View, config: Config) -> Array:
     keypoints = view.sequence['keypoints'].astype(float)
     times = view.sequence['timestamps']
     return reconstruct_sequence(
-        keypoints, CMU15.joints, times, choose_intrinsics(view), train_test_base_poses(), config
+        keypoints, CMU15.joints, times, view.intrinsics, train_test_base_poses(), config
     ).joints
 
 
@@ -173,7 +173,7 @@ def reconstruct_live(view: View, config: Config) -> Array:
 def observe_view(view: View, config: Config) -> ObservedWindow:
     keypoints = view.sequence['keypoints'].astype(float)
     times = view.sequence['timestamps']
-    return observe_shots(keypoints, CMU15.joints, times, choose_intrinsics(view), config.tracker)
+    return observe_shots(keypoints, CMU15.joints, times, view.intrinsics, config.tracker)
 
 
 def compute_frame_errors(view: View, joints: Array) -> Array:
@@ -479,7 +479,7 @@ def find_keyframes_in_process(path: str, connection: Any) -> None:
     times = np.arange(len(keypoints)) / common.FPS
     before = read_peak_mb()
     start_s = time.process_time()
-    intrinsics = choose_intrinsics(View({'image_size': np.array([640, 800])}))
+    intrinsics = View({'image_size': np.array([640, 800])}).intrinsics
     seen = observe_shots(keypoints, CMU15.joints, times, intrinsics, Config().tracker)
     found = keyframe_method.find_keyframes(
         seen.exclude_points(keyframe_method.find_suspect_points(seen)), Config().keyframes

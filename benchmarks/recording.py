@@ -266,11 +266,19 @@ def track_first_person(frames: Sequence[EncodedFrame]) -> Person3D:
     raise AssertionError('nobody was found')
 
 
+def measure_replay(root: Path) -> tuple[float, float]:
+    """Replay the demo recording in a process of its own; return the duration in s and the peak memory in MB."""
+    frames = load_frames()
+    if not (root / 'demo').is_dir():
+        write_keypoints(root / 'demo', frames, len(frames))
+    taken, peak = run_in_process(replay_bag, root / 'demo', Path(tempfile.mkdtemp(dir=root)) / 'out')
+    return taken, peak
+
+
 def measure_replays(root: Path, minutes: int) -> dict[str, float]:
     frames = load_frames()
     seconds = len(frames) / HZ
-    write_keypoints(root / 'demo', frames, len(frames))
-    taken, peak = run_in_process(replay_bag, root / 'demo', root / 'demo_out')
+    taken, peak = measure_replay(root)
     alone, _ = run_in_process(measure_pipeline, frames)
     count = minutes * 60 * HZ
     write_keypoints(root / 'long', frames, count)

@@ -1,6 +1,6 @@
-"""The tracker: time per person and frame, and accuracy in several situations.
+"""The accuracy of the tracker in several situations; `engine.py` measures its time.
 
-The accuracy is measured on the subjects `common.HELD_OUT_SUBJECTS`, on which neither the base poses nor the lifter
+It is measured on the subjects `common.HELD_OUT_SUBJECTS`, on which neither the base poses nor the lifter
 were trained. This program trains that lifter if it is missing (12 minutes). In sections on the same subject, the
 base poses are trained on the other trials of the tested subject.
 """
@@ -12,7 +12,6 @@ import common
 # isort: split
 import argparse
 import resource
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -24,7 +23,6 @@ from numpy.typing import NDArray
 
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import FrameDropped
-from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
@@ -34,9 +32,6 @@ from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
-ORTHOGRAPHIC_FOCAL_LENGTH = (
-    20.0  # image widths; so long that perspective views look orthographic, as those of the protocol
-)
 CATEGORIES = ('walk', 'run', 'jump')
 # Trials of subjects that the models were not trained on, with their categories.
 UNSEEN_TRIALS = (
@@ -71,13 +66,6 @@ class TrackedSequence:
     tracker: Tracker
 
 
-def choose_intrinsics(view: common.View) -> Intrinsics:
-    if 'camera_matrix' in view.sequence:
-        return Intrinsics.from_matrix(view.sequence['camera_matrix'])
-    width, height = (int(v) for v in view.sequence['image_size'])
-    return Intrinsics.from_image_size(width, height, ORTHOGRAPHIC_FOCAL_LENGTH)
-
-
 def make_people(views: Sequence[common.View], frame: int) -> list[Person2D]:
     return [
         Person2D(f'p{i}', CMU15.joints, k[:, :2].astype(float), k[:, 2].astype(float))
@@ -86,7 +74,7 @@ def make_people(views: Sequence[common.View], frame: int) -> list[Person2D]:
 
 
 def track(view: common.View, models: Mapping[str, BasePoses], config: Config) -> TrackedSequence:
-    tracker, camera = Tracker(models, config), choose_intrinsics(view)
+    tracker, camera = Tracker(models, config), view.intrinsics
     stamps = [round(t * NS_PER_S) + 1 for t in view.sequence['timestamps']]
     joints = np.full(view.truth.shape, np.nan)
     std, inferred = np.full(joints.shape[:2], np.nan), np.zeros(joints.shape[:2], bool)
@@ -103,7 +91,7 @@ def track(view: common.View, models: Mapping[str, BasePoses], config: Config) ->
 def reconstruct_whole(view: common.View, models: Mapping[str, BasePoses], config: Config) -> Array:
     keypoints = view.sequence['keypoints'].astype(float)
     times = view.sequence['timestamps']
-    return reconstruct_sequence(keypoints, CMU15.joints, times, choose_intrinsics(view), models, config).joints
+    return reconstruct_sequence(keypoints, CMU15.joints, times, view.intrinsics, models, config).joints
 
 
 def train_models(categories: Iterable[str] = (*CATEGORIES, '')) -> dict[str, BasePoses]:
@@ -117,46 +105,6 @@ def make_tracker_config(prior: str, **values: Any) -> Config:
 
 def list_priors() -> dict[str, str]:
     return {'learned': str(common.HELD_OUT_LIFTER), 'pca': 'pca'}
-
-
-def measure_cost(quick: bool) -> list[dict[str, Any]]:
-    """Measure CPU ms per person and frame: of the update, and of the deferred work (the hypothesis checks)."""
-    rows = []
-    frames = 90 if quick else 240
-    views = common.make_views('09_12', np.arange(10) * 36, frames=frames)
-    models = train_models()
-    cases = [(2.0, 30, 1, 'learned'), (2.0, 30, 10, 'learned'), (2.0, 40, 1, 'learned'), (2.0, 40, 10, 'learned')]
-    cases = cases[:2] if quick else cases
-    if not quick:
-        cases += [(1.0, 30, 1, 'learned'), (4.0, 30, 1, 'learned'), (2.0, 15, 1, 'learned')]
-        cases += [(2.0, 40, 20, 'learned'), (2.0, 40, 1, 'pca'), (2.0, 40, 10, 'pca')]
-    for window, components, people, prior in common.show_progress(cases, 'time'):
-        config = make_tracker_config(prior, tracker__window=window, tracker__components=components)
-        tracker, camera = Tracker(models, config), choose_intrinsics(views[0])
-        updates, deferred_work = [], []
-        for frame in range(views[0].frames):
-            seen = make_people([views[i % 10] for i in range(people)], frame)
-            start_s = time.process_time()
-            tracker.update(round(frame / 30 * NS_PER_S) + 1, seen, camera)
-            between = time.process_time()
-            tracker.run_deferred_work()
-            updates.append((between - start_s) * 1e3 / people)
-            deferred_work.append((time.process_time() - between) * 1e3 / people)
-        late = slice(len(updates) // 3, None)
-        update, deferred = np.array(updates[late]), np.array(deferred_work[late])
-        rows.append(
-            {
-                'window s': window,
-                'K': components,
-                'people': people,
-                'prior': prior,
-                'median ms': float(np.median(update)),
-                'p99 ms': float(np.percentile(update, 99)),
-                'mean ms, with run_deferred_work()': float((update + deferred).mean()),
-                'longest run_deferred_work(), ms': float(deferred.max() * people),
-            }
-        )
-    return rows
 
 
 def measure_lags(quick: bool) -> list[dict[str, Any]]:
@@ -276,7 +224,7 @@ def measure_swaps(quick: bool) -> dict[str, float]:
             keypoints = view.sequence['keypoints'].copy()
             keypoints[swapped] = keypoints[swapped][:, mirror]
             disturbed = common.View({**view.sequence, 'keypoints': keypoints})
-            tracker, camera, before = Tracker(models, config), choose_intrinsics(view), 0
+            tracker, camera, before = Tracker(models, config), view.intrinsics, 0
             for frame in range(view.frames):
                 tracker.update(round(frame / 30 * NS_PER_S) + 1, make_people([disturbed], frame), camera)
                 is_undone = tracker.swapped_frames > before
@@ -373,7 +321,7 @@ def measure_endurance(quick: bool) -> dict[str, float]:
     rng = np.random.default_rng(0)
     views = common.make_views('16_32', (0, 60, 120, 200), frames=120)
     tracker = Tracker(train_models(), Config())
-    camera = choose_intrinsics(views[0])
+    camera = views[0].intrinsics
     exceptions, given, answered, dropped, peaks, start_ns = 0, 0, 0, 0, [], 0
     frames = int(minutes * 60 * 30)
     for frame in common.show_progress(range(frames), 'endurance'):
@@ -436,8 +384,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--only', nargs='+', choices=SECTIONS, default=SECTIONS, help='run only these sections')
 
 
-SECTIONS = ('cost', 'lags', 'perspective', 'metric', 'swaps', 'reliability', 'endurance', 'switching')
-NEED_NO_LIFTER = ('cost', 'endurance')
+SECTIONS = ('lags', 'perspective', 'metric', 'swaps', 'reliability', 'endurance', 'switching')
+NEED_NO_LIFTER = ('endurance',)
 
 
 def main() -> None:
@@ -464,11 +412,6 @@ def main() -> None:
 def run_section(section: str, quick: bool) -> dict[str, Any]:
     """Run a section, print its tables, and return its part of the results."""
     match section:
-        case 'cost':
-            rows = measure_cost(quick)
-            show('CPU time per person and frame', rows)
-            one, ten = rows[0]['median ms'], rows[1]['median ms']
-            return {'cost': rows, 'tracker_ms_person_frame_1': one, 'tracker_ms_person_frame_10': ten}
         case 'lags':
             rows = measure_lags(quick)
             show('MPJPE of the tracker and of the whole-sequence solver, mm', rows)

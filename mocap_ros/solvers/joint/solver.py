@@ -185,7 +185,7 @@ class FrameValues(NamedTuple):
         state = fit.state
         scale = np.exp(state.log_scale)
         joints = fit.scaled_poses / scale[:, None, None]
-        residual = units * _measure_residual(weight, fit.squared_error)
+        residual = units * _measure_residual(np.ascontiguousarray(weight), fit.squared_error)
         return FrameValues(joints, scale * units, state.translation * units[:, None], residual)
 
 
