@@ -199,7 +199,10 @@ class TrackerConfig:
         40, 'maximum number of base poses of the live tracker, at most solver.components', low=1, high=60
     )
     refine_seconds: float = define_parameter(
-        0.15, 's, newest part of the window, which is solved again at every frame', low=0.0, high=20.0
+        0.07,
+        's, newest part of the window, which is solved again at every frame; with a longer tracker.lag, that part',
+        low=0.0,
+        high=20.0,
     )
     iterations: int = define_parameter(2, 'number of solver iterations at every frame', low=1, high=100)
     hypothesis_check_interval: float = define_parameter(

@@ -302,7 +302,8 @@ class Tracker:
     def _select_refined_frames(self, track: Track) -> tuple[int, int]:
         """Return the index of the first frame that the solver gets, and how many frames it must not change."""
         stamps_ns = track.seen.stamps_ns
-        oldest_ns = stamps_ns[-1] - self.config.tracker.refine_seconds * NS_PER_S
+        settings = self.config.tracker
+        oldest_ns = stamps_ns[-1] - max(settings.refine_seconds, settings.lag) * NS_PER_S
         first = min(bisect_left(stamps_ns, oldest_ns), len(track.solved.theta))
         fixed_frames = 1 if first > 0 else 0
         return first - fixed_frames, fixed_frames

@@ -67,9 +67,9 @@ def drop_newest(truth: TrackSolution) -> TrackSolution:
     return replace(truth, **arrays)
 
 
-def predict(seen: SeenFrames, solution: TrackSolution, model: BasePoses) -> tuple[Array, Array, Array]:
+def predict(seen: SeenFrames, solution: TrackSolution) -> tuple[Array, Array, Array]:
     """Return theta (K,), rotation (3, 3) and root (3,) that are predicted for the newest frame."""
-    theta, rotation, roots = append_prediction(seen, solution, model, first=len(solution.theta))
+    theta, rotation, roots = append_prediction(seen, solution, first=len(solution.theta))
     return theta[0], rotation[0], roots[0]
 
 
@@ -232,28 +232,40 @@ def test_a_new_frame_starts_where_the_last_movement_leads(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:
     solution = drop_newest(truth)
-    theta, rotation, root = predict(track.seen, solution, model)
+    theta, rotation, root = predict(track.seen, solution)
     share = EXTRAPOLATION_SHARE
     assert theta == pytest.approx(truth.theta[-2] + share * 0.1 * model.std)
     assert root == pytest.approx(truth.roots[-2] + share * np.array([0.02, 0.01, 0.05]))
     turned = Rotation.from_matrix(rotation @ truth.rotation[-2].T).as_rotvec()
     assert turned == pytest.approx(share * np.array([0.01, 0.04, 0.0]), abs=1e-9)
 
-    # With a lifter the pose moves as the lifted pose does, whatever the last pose was.
-    depth = solution.roots[-1, 2] + share * 0.05
-    movement = model.poses(solution.theta[-1] + 0.2 * model.std) - model.poses(solution.theta[-1])
+
+def test_with_a_lifter_a_new_frame_starts_from_its_lifted_pose(
+    truth: TrackSolution, model: BasePoses, track: Track
+) -> None:
+    solution = drop_newest(truth)
+    depth, turn = truth.roots[-1, 2], Rotation.from_rotvec([0.0, 1.0, 0.0]).as_matrix()
+    pose = 0.7 * model.poses(solution.theta[-1] + 0.2 * model.std) @ turn.T / depth
     lifted = np.zeros((FRAMES, 15, 3))
-    lifted[-1] = movement @ rotation.T / depth
-    poses = LiftedPoses(lifted, np.ones_like(lifted))  # along the real camera's axes
+    lifted[-1] = pose - pose.mean(axis=0)
+    poses = LiftedPoses(lifted, np.full_like(lifted, 0.001))  # along the real camera's axes, in the units of rays
     seen = replace(track.seen, observed=replace(track.seen.observed, lifted=poses))
-    lifted_theta, lifted_rotation, lifted_root = predict(seen, solution, model)
-    np.testing.assert_array_equal(lifted_rotation, rotation)
-    np.testing.assert_array_equal(lifted_root, root)
-    # The last pose is seen under the last rotation and the movement under the new one.
-    joints = model.poses(solution.theta[-1]) @ solution.rotation[-1].T + movement @ rotation.T
-    assert lifted_theta == pytest.approx(model.weights(joints @ rotation), abs=1e-9)
+    window = build_refinement_window(seen, solution, model, first=5, fixed_frames=1)
+    assert window.start is not None
+    assert window.lifted is not None
+    start = window.start.cameras
+    joints = model.poses(window.start.theta[-1]) @ start.rotation[-1].T
+    size = np.linalg.norm(window.lifted.joints[-1]) / np.linalg.norm(joints)
+    assert np.abs(size * joints - window.lifted.joints[-1]).max() < 0.05 * np.abs(window.lifted.joints[-1]).max()
+    plain = build_refinement_window(track.seen, solution, model, first=5, fixed_frames=1)
+    assert plain.start is not None
+    np.testing.assert_array_equal(start.scale, plain.start.cameras.scale)
+    np.testing.assert_array_equal(window.start.theta[:-1], plain.start.theta[:-1])
     lifted[-1, 3, 1] = np.nan  # too few joints were seen for the lifter
-    np.testing.assert_array_equal(predict(seen, solution, model)[0], theta)
+    without = build_refinement_window(seen, solution, model, first=5, fixed_frames=1)
+    assert without.start is not None
+    np.testing.assert_array_equal(without.start.theta, plain.start.theta)
+    np.testing.assert_array_equal(without.start.cameras.rotation, plain.start.cameras.rotation)
 
 
 def test_the_movement_is_repeated_for_a_limited_time(truth: TrackSolution, model: BasePoses, track: Track) -> None:
@@ -262,7 +274,7 @@ def test_the_movement_is_repeated_for_a_limited_time(truth: TrackSolution, model
     for step in steps:
         newest_ns = stamps_ns[-2] + round(step * STEP_NS)
         seen = replace(track.seen, stamps_ns=(*stamps_ns[:-1], newest_ns))
-        theta, rotation, root = predict(seen, solution, model)
+        theta, rotation, root = predict(seen, solution)
         share = EXTRAPOLATION_SHARE * min(step, MAX_EXTRAPOLATION_STEPS)
         assert theta == pytest.approx(truth.theta[-2] + share * 0.1 * model.std, abs=1e-8)
         assert root == pytest.approx(truth.roots[-2] + share * np.array([0.02, 0.01, 0.05]), abs=1e-8)
@@ -270,11 +282,9 @@ def test_the_movement_is_repeated_for_a_limited_time(truth: TrackSolution, model
         assert turned == pytest.approx(share * np.array([0.01, 0.04, 0.0]), abs=1e-8)
 
 
-def test_after_a_single_solved_frame_the_person_stays(
-    truth: TrackSolution, model: BasePoses, track: Track
-) -> None:
+def test_after_a_single_solved_frame_the_person_stays(truth: TrackSolution, track: Track) -> None:
     first = replace(truth, **{n: getattr(truth, n)[:1] for n in ('theta', 'rotation', 'roots', 'bone_lengths')})
-    theta, rotation, root = predict(replace(track.seen, stamps_ns=(0, STEP_NS)), first, model)
+    theta, rotation, root = predict(replace(track.seen, stamps_ns=(0, STEP_NS)), first)
     np.testing.assert_array_equal(theta, truth.theta[0])
     assert rotation == pytest.approx(truth.rotation[0], abs=1e-15)
     np.testing.assert_array_equal(root, truth.roots[0])
@@ -291,8 +301,8 @@ def test_a_solver_gets_the_solution_in_the_virtual_camera(
     assert window.start.theta[:-1] == pytest.approx(expected.theta[:-1])
     assert window.start.cameras.scale[:-1] == pytest.approx(expected.cameras.scale[:-1])
     assert window.start.cameras.rotation[:-1] == pytest.approx(expected.cameras.rotation[:-1])
-    predicted, _, _ = predict(track.seen, solution, model)
-    states = append_prediction(track.seen, solution, model, first=5)
+    predicted, _, _ = predict(track.seen, solution)
+    states = append_prediction(track.seen, solution, first=5)
     for found, name in zip(states, ('theta', 'rotation', 'roots'), strict=True):
         np.testing.assert_array_equal(found[:-1], getattr(solution, name)[5:])
     np.testing.assert_array_equal(window.start.theta[-1], predicted)
