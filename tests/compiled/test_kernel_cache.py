@@ -11,7 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
+import llvmlite
 import numba
 import pytest
 
@@ -157,12 +159,17 @@ def test_a_damaged_file_is_replaced(sources: Sources, damage: str) -> None:
     assert sources.compile()[1].compiled == 0
 
 
-def test_other_options_of_the_compiler_have_files_of_their_own(
-    sources: Sources, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ('owner', 'name', 'value'),
+    [(numba.config, 'BOUNDSCHECK', 1), (numba, '__version__', '0.0'), (llvmlite, '__version__', '0.0')],
+    ids=['option', 'Numba', 'LLVM'],
+)
+def test_other_options_and_versions_of_the_compiler_have_files_of_their_own(
+    sources: Sources, monkeypatch: pytest.MonkeyPatch, owner: Any, name: str, value: object
 ) -> None:
     sources.compile()
     with monkeypatch.context() as changed:
-        changed.setattr(numba.config, 'BOUNDSCHECK', 1)
+        changed.setattr(owner, name, value)
         assert sources.compile()[1].compiled == 3
     assert sources.compile()[1].compiled == 0
     assert len(sources.files()) == 6

@@ -12,7 +12,8 @@ import numpy as np
 from tests.support.paths import ROOT
 from tests.support.tiny_problems import solve_all
 
-TOLERANCE_M = 1e-9  # m; sums in BLAS and in loops have another order
+# m, by problem; sums in BLAS and in loops have another order, in the network those of float32
+TOLERANCES_M = {'window': 1e-9, 'person': 1e-6}
 
 
 def test_uncompiled_code_gives_the_same_results() -> None:
@@ -25,7 +26,7 @@ def test_uncompiled_code_gives_the_same_results() -> None:
         check=True,
     )
     uncompiled, compiled = json.loads(finished.stdout), solve_all()
-    assert uncompiled.keys() == compiled.keys()
+    assert uncompiled.keys() == compiled.keys() == TOLERANCES_M.keys()
     for name, joints in compiled.items():
         assert np.isfinite(joints).all()
-        np.testing.assert_allclose(uncompiled[name], joints, rtol=0, atol=TOLERANCE_M, err_msg=name)
+        np.testing.assert_allclose(uncompiled[name], joints, rtol=0, atol=TOLERANCES_M[name], err_msg=name)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ def track_person(model: BasePoses) -> Array:
     return np.array(joints)
 
 
-def solve_all() -> dict[str, list[object]]:
+def solve_all() -> dict[str, list[Any]]:
     """Return all solutions by the name of their problem."""
     model = load_base_poses('walk').truncate(COMPONENTS)
     return {'window': solve_window(model).tolist(), 'person': track_person(model).tolist()}
