@@ -32,7 +32,7 @@ from mocap_ros.compiled.kernel import (
 )
 from mocap_ros.geometry.rotations import MIN_SINE, write_rotation_from_vector
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.joint.lifted_start import fit_initial_values
+from mocap_ros.solvers.joint.lifted_start import fit_lifted_poses
 from mocap_ros.solvers.window import EarlierFrames, Window
 from mocap_ros.tracking.seen_frames import SeenFrames
 from mocap_ros.tracking.solution import TrackSolution, average_rows
@@ -75,9 +75,10 @@ def build_refinement_window(
         earlier_frames = EarlierFrames(first, average_rows(solution.bone_lengths[:first]))
     window = observed.build_solver_window(start, solution.noise, fixed_frames, earlier_frames)
     if window.lifted is not None:
-        fitted = fit_initial_values(window.lifted.select_frames(slice(-1, None)), window.times[-1:], model)
-        if fitted is not None:
-            start.theta[-1], start.cameras.rotation[-1] = fitted.theta[0], fitted.cameras.rotation[0]
+        newest = window.lifted.select_frames(slice(-1, None))
+        if np.isfinite(newest.joints).all():
+            fitted = fit_lifted_poses(newest, model)
+            start.theta[-1], start.cameras.rotation[-1] = fitted.theta[0], fitted.rotation[0]
     return window
 
 
