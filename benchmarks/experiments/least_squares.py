@@ -68,8 +68,8 @@ class SparseProblem:
         state = State(
             each[:, :k] * self.problem.model.std,
             rotation_from_vector(vector) @ self.start.rotation,
-            each[:, k + 3],
-            each[:, k + 4 :],
+            each[:, k + 3].copy(),
+            each[:, k + 4 :].copy(),
         )
         return state, vector, x[self.frames * self.width :]
 
@@ -96,8 +96,7 @@ class SparseProblem:
             np.sqrt(p.bones.weight) * (fit.bone_length - means),
             np.sqrt(p.find_term(BasePosePrior).precision) * state.theta,
             np.sqrt(p.find_term(PoseSmoothness).weight)[:, None] * np.diff(state.theta, axis=0) / p.model.std,
-            np.sqrt(p.find_term(CameraSmoothness).weight)
-            * np.diff(measure_features(state.rotation, state.log_scale), axis=0),
+            np.sqrt(p.find_term(CameraSmoothness).weight) * np.diff(features, axis=0),
         ]
         return np.concatenate([r.ravel() for r in rows])
 

@@ -4,8 +4,8 @@
     P = Q_0 + sum_l theta_l Q_l
 
 with y the lifted pose of a frame, v the mean variance of the coordinates of y / s, and sigma_l the standard
-deviation of weight l over the training poses. Camera and weights are found in turn, `ALTERNATIONS` times: rotation R
-and scale s by Procrustes' analysis, and the weights, since the base poses Q_l are orthonormal, one by one:
+deviation of weight l over the training poses. Camera and weights are found in turn, `ALTERNATIONS` times: rotation
+R and scale s by Procrustes' analysis, and the weights, since the base poses Q_l are orthonormal, one by one:
 
     theta_l = <Q_l, R^T y / s - Q_0> / (1 + v / sigma_l^2)
 
