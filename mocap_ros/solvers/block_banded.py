@@ -33,6 +33,7 @@ frames are left out of the system.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import types, void
@@ -50,6 +51,7 @@ from mocap_ros.compiled.kernel import (
     BOOL,
     BOOLS_1D,
     BOOLS_2D,
+    FLOAT,
     FLOATS_1D,
     FLOATS_2D,
     FLOATS_3D,
@@ -60,6 +62,8 @@ from mocap_ros.compiled.kernel import (
 )
 
 Array = NDArray[np.float64]
+
+MIN_DIAGONAL = 1e-12  # added to the diagonal, for unknowns on which nothing depends (a frame without seen joints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,39 +137,61 @@ def factorise_blocks(
     return BlockCholesky(inverse, below, is_coupled, is_free) if is_definite else None
 
 
-def solve_low_rank_downdate(
-    factor: BlockCholesky,
+class DampedSolution(NamedTuple):
+    """The solution of a damped system of several people.
+
+    Attributes:
+        solution: (F, n).
+        last_inverse: (P, n, n) inverse of the last diagonal block of L of each person, that of the Cholesky factor
+            of the marginal distribution of the last unknowns, with the low-rank part left out.
+    """
+
+    solution: Array
+    last_inverse: Array
+
+
+def solve_damped(
+    diagonal: Array,
+    coupling: Coupling,
     right: Array,
     vectors: Array,
     strength: Array,
+    damping: Array,
+    is_free: NDArray[np.bool_],
     starts: NDArray[np.intp],
     counts: NDArray[np.intp],
-) -> Array | None:
-    """Solve (B - sum_p s_p G_p G_p^T) x = r by Woodbury's identity (head of this module).
+) -> DampedSolution | None:
+    """Solve (B - sum_p s_p G_p G_p^T) x = r by Woodbury's identity (head of this module), person by person.
+
+    The diagonal of B is multiplied by 1 + damping, and `MIN_DIAGONAL` is added.
 
     Args:
-        factor: Cholesky factor of B.
+        diagonal: (F, n, n) symmetric diagonal blocks.
+        coupling: blocks between frames, 0 between two people.
         right: (F, n) right-hand side r.
         vectors: (F, n, R) rows of the matrices G_p, one after the other: each frame has those of its own person.
         strength: (P,) factors s_p, at least 0.
+        damping: (P,) relative increase of the diagonal.
+        is_free: (F,) False for frames that are held.
         starts: (P,) first frame of each person.
         counts: (P,) number of frames of each person.
 
     Returns:
-        The solution x, (F, n); None if the matrix is not positive definite.
+        None if the matrix of a person is not positive definite.
     """
-    is_definite, solution = _solve_downdate(
-        factor.inverse,
-        factor.below,
-        factor.is_coupled,
-        factor.is_free,
+    is_definite, solution, last_inverse = _solve_damped(
+        diagonal,
+        coupling.diagonal,
+        coupling.corner,
         right,
         vectors,
         strength,
+        damping,
+        is_free,
         starts,
         counts,
     )
-    return solution if is_definite else None
+    return DampedSolution(solution, last_inverse) if is_definite else None
 
 
 @kernel(void(FLOATS_2D, FLOATS_2D))
@@ -291,11 +317,7 @@ def _solve_backward(
     return out
 
 
-@kernel(
-    types.Tuple((BOOL, FLOATS_2D))(
-        FLOATS_3D, FLOATS_4D, BOOLS_2D, BOOLS_1D, FLOATS_2D, FLOATS_3D, FLOATS_1D, INTS_1D, INTS_1D
-    )
-)
+@kernel(types.Tuple((BOOL, FLOATS_2D))(FLOATS_3D, FLOATS_4D, BOOLS_2D, BOOLS_1D, FLOATS_2D, FLOATS_3D, FLOAT))
 def _solve_downdate(
     inverse: Array,
     below: Array,
@@ -303,39 +325,82 @@ def _solve_downdate(
     is_free: NDArray[np.bool_],
     right: Array,
     vectors: Array,
-    strength: Array,
-    starts: NDArray[np.intp],
-    counts: NDArray[np.intp],
+    strength: float,
 ) -> tuple[bool, Array]:
-    """Return whether the downdated matrix is positive definite, and the solution (F, n)."""
+    """Return whether the downdated matrix of one person is positive definite, and the solution (F, n)."""
     frames, n, size = len(vectors), vectors.shape[1], 1 + vectors.shape[2]
     together = np.empty((frames, n, size))
     together[:, :, 0] = right
     together[:, :, 1:] = vectors
     solved = _solve_forward(inverse, below, is_coupled, is_free, together)
+    squares = np.zeros((size, size))  # of (y, V): y^T y, V^T y and V^T V
+    for t in range(frames):
+        if is_free[t]:
+            add_transposed_product(1.0, solved[t], solved[t], squares)
+    reduced, correction = np.empty((size - 1, size - 1)), np.empty((size - 1, 1))
+    for i in range(size - 1):
+        for j in range(size - 1):
+            reduced[i, j] = -strength * squares[1 + i, 1 + j]
+        reduced[i, i] += 1.0
+        correction[i, 0] = strength * squares[1 + i, 0]
+    if not factorise_cholesky(reduced):
+        return False, right
+    solve_lower(reduced, correction)
+    solve_lower_transposed(reduced, correction)
     corrected = np.empty((frames, n, 1))
-    for p in range(len(starts)):
-        first, end = starts[p], starts[p] + counts[p]
-        squares = np.zeros((size, size))  # of (y, V): y^T y, V^T y and V^T V
-        for t in range(first, end):
-            if is_free[t]:
-                add_transposed_product(1.0, solved[t], solved[t], squares)
-        reduced = np.empty((size - 1, size - 1))
-        correction = np.empty((size - 1, 1))
-        for i in range(size - 1):
+    for t in range(frames):
+        for i in range(n):
+            corrected[t, i, 0] = solved[t, i, 0]
             for j in range(size - 1):
-                reduced[i, j] = -strength[p] * squares[1 + i, 1 + j]
-            reduced[i, i] += 1.0
-            correction[i, 0] = strength[p] * squares[1 + i, 0]
-        if not factorise_cholesky(reduced):
-            return False, right
-        solve_lower(reduced, correction)
-        solve_lower_transposed(reduced, correction)
-        for t in range(first, end):
-            for i in range(n):
-                total = solved[t, i, 0]
-                for j in range(size - 1):
-                    total += solved[t, i, 1 + j] * correction[j, 0]
-                corrected[t, i, 0] = total
+                corrected[t, i, 0] += solved[t, i, 1 + j] * correction[j, 0]
     solution = _solve_backward(inverse, below, is_coupled, is_free, corrected)
     return True, solution.reshape((frames, n))
+
+
+@kernel(
+    types.Tuple((BOOL, FLOATS_2D, FLOATS_3D))(
+        FLOATS_3D,
+        FLOATS_3D,
+        FLOATS_4D,
+        FLOATS_2D,
+        FLOATS_3D,
+        FLOATS_1D,
+        FLOATS_1D,
+        BOOLS_1D,
+        INTS_1D,
+        INTS_1D,
+    )
+)
+def _solve_damped(
+    diagonal: Array,
+    coupling_diagonal: Array,
+    coupling_corner: Array,
+    right: Array,
+    vectors: Array,
+    strength: Array,
+    damping: Array,
+    is_free: NDArray[np.bool_],
+    starts: NDArray[np.intp],
+    counts: NDArray[np.intp],
+) -> tuple[bool, Array, Array]:
+    """Compute `solve_damped`; one person's matrices stay in the processor's cache, those of all people may not."""
+    n = diagonal.shape[1]
+    solution, last_inverse = np.empty(right.shape), np.empty((len(starts), n, n))
+    for p in range(len(starts)):
+        own = slice(starts[p], starts[p] + counts[p])
+        blocks, is_own_free = diagonal[own].copy(), is_free[own]
+        for t in range(len(blocks)):
+            for i in range(n):
+                blocks[t, i, i] += damping[p] * blocks[t, i, i] + MIN_DIAGONAL
+        is_definite, inverse, below, is_coupled = _factorise(
+            blocks, coupling_diagonal[:, own].copy(), coupling_corner[:, own].copy(), is_own_free
+        )
+        if is_definite:
+            is_definite, own_solution = _solve_downdate(
+                inverse, below, is_coupled, is_own_free, right[own], vectors[own], strength[p]
+            )
+        if not is_definite:
+            return False, solution, last_inverse
+        solution[own] = own_solution
+        last_inverse[p] = inverse[-1]
+    return True, solution, last_inverse

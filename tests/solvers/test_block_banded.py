@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve
 
-from mocap_ros.solvers.block_banded import Coupling, factorise_blocks, solve_low_rank_downdate
+from mocap_ros.solvers.block_banded import Coupling, factorise_blocks, solve_damped
 from tests.support.dense_matrices import make_dense_coupling
 
 FRAMES, UNKNOWNS, CORNER, VECTORS = 7, 5, 2, 3
@@ -59,13 +59,21 @@ def test_low_rank_downdate_of_each_sequence_equals_the_dense_solution(
     for s, start, count in zip(strength, STARTS, COUNTS, strict=True):
         own = slice(start, start + count)
         dense[own, :, own] -= s * np.einsum('tib,ujb->tiuj', vectors[own], vectors[own])
-    factor = factorise_blocks(diagonal, coupling)
+    damping, is_free = np.array([0.0, 0.5]), np.ones(FRAMES, bool)
+    for p, start in enumerate(STARTS):
+        for t in range(start, start + COUNTS[p]):
+            dense[t, :, t] += damping[p] * np.diag(np.diag(diagonal[t]))
+    system = diagonal, coupling, right, vectors
+    found = solve_damped(*system, strength, damping, is_free, STARTS, COUNTS)
+    assert found is not None
+    assert found.solution.ravel() == pytest.approx(solve(as_matrix(dense), right.ravel()), rel=1e-9)
+    without_vectors = solve_damped(*system, 0 * strength, 0 * damping, is_free, STARTS, COUNTS)
+    factor = factorise_blocks(diagonal.copy(), coupling)
     assert factor is not None
-    x = solve_low_rank_downdate(factor, right, vectors, strength, STARTS, COUNTS)
-    assert x is not None
-    assert x.ravel() == pytest.approx(solve(as_matrix(dense), right.ravel()), rel=1e-9)
+    assert without_vectors is not None
+    assert without_vectors.last_inverse == pytest.approx(factor.inverse[STARTS + COUNTS - 1], rel=1e-9)
     too_strong = np.array([100.0, 0.0])
-    assert solve_low_rank_downdate(factor, right, vectors, too_strong, STARTS, COUNTS) is None
+    assert solve_damped(*system, too_strong, damping, is_free, STARTS, COUNTS) is None
 
 
 @pytest.mark.parametrize('distances', [1, 2])
@@ -80,11 +88,9 @@ def test_frames_that_are_held_do_not_move(rng: np.random.Generator, distances: i
     free = np.repeat(is_free, UNKNOWNS)
     expected = np.zeros(FRAMES * UNKNOWNS)
     expected[free] = solve(as_matrix(dense)[np.ix_(free, free)], right.ravel()[free])
-    factor = factorise_blocks(diagonal, coupling, is_free)
-    assert factor is not None
-    x = solve_low_rank_downdate(factor, right, vectors, strength, STARTS, COUNTS)
-    assert x is not None
-    assert x.ravel() == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    found = solve_damped(diagonal, coupling, right, vectors, strength, np.zeros(2), is_free, STARTS, COUNTS)
+    assert found is not None
+    assert found.solution.ravel() == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
 def test_a_matrix_that_is_not_positive_definite_has_no_factor(rng: np.random.Generator) -> None:

@@ -20,7 +20,7 @@ derivative and v half the gradient by the translation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import types, void
@@ -55,7 +55,9 @@ class NormalEquations:
         coupling: blocks of A between neighbouring frames.
         gradient: (N, n) half the gradient of the objective.
         bones: (N, n, B) the vectors g of the mean bone lengths.
-        joint_jacobian: (N, 3 J, n) derivatives of the scaled joint positions by the unknowns.
+        cameras: (N, 3, 3) s R, and
+        scaled_poses: (N, J, 3) m, the joint positions q, which with
+        basis: (3 J, K) the base poses, a coordinate of a joint in each row, give the derivatives J.
         joint_matrix: (N, J, 3, 3) matrices M_j of all terms but the reprojection.
         image_matrix: (N, J, 3, 3) matrices M_j of the reprojection, v (1 0 a; 0 1 b)^T (1 0 a; 0 1 b), by
             which the noise estimate counts the unknowns.
@@ -70,7 +72,9 @@ class NormalEquations:
     coupling: Coupling
     gradient: Array
     bones: Array
-    joint_jacobian: Array
+    cameras: Array
+    scaled_poses: Array
+    basis: Array
     joint_matrix: Array
     image_matrix: Array
     joint_gradient: Array
@@ -88,10 +92,8 @@ class NormalEquations:
             bones: number of bones.
             is_active: (N,) whether the equations of a frame are needed.
         """
-        state = fit.state
-        jacobian = differentiate_joints(state.rotation, state.log_scale, fit.scaled_poses, basis, is_active)
         blocks, of_bones, of_pairs, corners, by_joints, by_image, gradient, of_joints, by_translation, w, v = (
-            _allocate(len(jacobian), fit.depth.shape[1], jacobian.shape[2], bones)
+            _allocate(fit.depth.shape[0], fit.depth.shape[1], basis.shape[1] + CAMERA_UNKNOWNS, bones)
         )
         return NormalEquations(
             is_active=is_active,
@@ -99,7 +101,9 @@ class NormalEquations:
             coupling=Coupling(of_pairs, corners),
             gradient=gradient,
             bones=of_bones,
-            joint_jacobian=jacobian,
+            cameras=np.exp(fit.state.log_scale)[:, None, None] * fit.state.rotation,
+            scaled_poses=fit.scaled_poses,
+            basis=basis,
             joint_matrix=by_joints,
             image_matrix=by_image,
             joint_gradient=of_joints,
@@ -112,7 +116,9 @@ class NormalEquations:
         """Add what the terms of the joints' positions have added to the matrix and the gradient, in place."""
         _transfer_from_joints(
             self.is_active,
-            self.joint_jacobian,
+            self.cameras,
+            self.scaled_poses,
+            self.basis,
             self.joint_matrix,
             self.image_matrix,
             self.joint_gradient,
@@ -132,7 +138,9 @@ class NormalEquations:
         return _count_absorbed_coordinates(
             frames,
             self.diagonal,
-            self.joint_jacobian,
+            self.cameras,
+            self.scaled_poses,
+            self.basis,
             self.image_matrix,
             self.translation_coupling,
             self.translation_matrix,
@@ -147,7 +155,7 @@ class NormalEquations:
             for new, before in (
                 (self.diagonal, old.diagonal),
                 (self.bones, old.bones),
-                (self.joint_jacobian, old.joint_jacobian),
+                (self.cameras, old.cameras),
                 (self.image_matrix, old.image_matrix),
                 (self.translation_coupling, old.translation_coupling),
                 (self.translation_matrix, old.translation_matrix),
@@ -158,6 +166,8 @@ class NormalEquations:
                 (self.coupling.corner, old.coupling.corner),
             ):
                 new[:, frames] = before[:, frames]
+            scaled_poses = np.where(frames[:, None, None], old.scaled_poses, self.scaled_poses)
+            return replace(self, scaled_poses=scaled_poses)
         return self
 
 
@@ -195,35 +205,23 @@ def _allocate(frames: int, joints: int, n: int, bones: int) -> tuple[Array, ...]
     )
 
 
-@kernel(FLOATS_3D(FLOATS_3D, FLOATS_1D, FLOATS_3D, FLOATS_2D, BOOLS_1D))
-def differentiate_joints(
-    rotation: Array, log_scale: Array, scaled_poses: Array, basis: Array, is_active: NDArray[np.bool_]
-) -> Array:
-    """Return the derivatives (N, 3 J, n) of scaled joint positions q = s R P, P = Q_0 + sum_l theta_l Q_l.
+@kernel(void(FLOATS_2D, FLOATS_2D, FLOATS_2D, FLOATS_2D))
+def write_joint_jacobian(camera: Array, scaled_pose: Array, basis: Array, out: Array) -> None:
+    """Write the derivatives J (3 J, n) of the scaled joint positions q = s R P, P = Q_0 + sum_l theta_l Q_l.
 
     Args:
-        rotation: (N, 3, 3) body frame to camera frame.
-        log_scale: (N,) logarithm of the scale s.
-        scaled_poses: (N, J, 3) m, the positions q.
+        camera: (3, 3) s R.
+        scaled_pose: (J, 3) m, the positions q.
         basis: (3 J, K) the base poses, a coordinate of a joint in each row.
-        is_active: (N,) False for frames whose derivatives are not needed; these hold nothing of use.
+        out: (3 J, n) overwritten.
     """
-    frames, joints, _ = scaled_poses.shape
     k = basis.shape[1]
-    out = np.empty((frames, 3 * joints, k + CAMERA_UNKNOWNS))
-    for t in range(frames):
-        if not is_active[t]:
-            continue
-        scale = np.exp(log_scale[t])
-        for j in range(joints):
-            for row in range(3):
-                a, b, c = scale * rotation[t, row, 0], scale * rotation[t, row, 1], scale * rotation[t, row, 2]
-                for i in range(k):
-                    out[t, 3 * j + row, i] = (
-                        a * basis[3 * j, i] + b * basis[3 * j + 1, i] + c * basis[3 * j + 2, i]
-                    )
-            write_point_jacobian(scaled_poses[t, j], out[t], 3 * j, k)
-    return out
+    for j in range(len(scaled_pose)):
+        for row in range(3):
+            a, b, c = camera[row, 0], camera[row, 1], camera[row, 2]
+            for i in range(k):
+                out[3 * j + row, i] = a * basis[3 * j, i] + b * basis[3 * j + 1, i] + c * basis[3 * j + 2, i]
+        write_point_jacobian(scaled_pose[j], out, 3 * j, k)
 
 
 @kernel(void(FLOATS_3D, FLOATS_2D, FLOATS_2D))
@@ -243,12 +241,25 @@ def _multiply_blocks(matrices: Array, jacobian: Array, out: Array) -> None:
 
 @kernel(
     void(
-        BOOLS_1D, FLOATS_3D, FLOATS_4D, FLOATS_4D, FLOATS_2D, FLOATS_3D, FLOATS_1D, FLOATS_2D, FLOATS_3D, FLOATS_2D
+        BOOLS_1D,
+        FLOATS_3D,
+        FLOATS_3D,
+        FLOATS_2D,
+        FLOATS_4D,
+        FLOATS_4D,
+        FLOATS_2D,
+        FLOATS_3D,
+        FLOATS_1D,
+        FLOATS_2D,
+        FLOATS_3D,
+        FLOATS_2D,
     )
 )
 def _transfer_from_joints(
     is_active: NDArray[np.bool_],
-    jacobian: Array,
+    cameras: Array,
+    scaled_poses: Array,
+    basis: Array,
     joint_matrix: Array,
     image_matrix: Array,
     joint_gradient: Array,
@@ -259,18 +270,20 @@ def _transfer_from_joints(
     gradient: Array,
 ) -> None:
     """Add J^T M J - u u^T / w to the diagonal blocks and J^T m - u v / w to the gradient (head of this module)."""
-    frames, rows, n = jacobian.shape
-    weighted = np.empty((rows, n))
+    frames, n = gradient.shape
+    rows = len(basis)
+    jacobian, weighted = np.empty((rows, n)), np.empty((rows, n))
     for t in range(frames):
         if not is_active[t]:
             continue
-        _multiply_blocks(joint_matrix[t] + image_matrix[t], jacobian[t], weighted)
-        add_transposed_product(1.0, jacobian[t], weighted, diagonal[t])
+        write_joint_jacobian(cameras[t], scaled_poses[t], basis, jacobian)
+        _multiply_blocks(joint_matrix[t] + image_matrix[t], jacobian, weighted)
+        add_transposed_product(1.0, jacobian, weighted, diagonal[t])
         by_joints = np.zeros((n, 1))
-        add_transposed_product(1.0, jacobian[t], joint_gradient[t].reshape((rows, 1)), by_joints)
+        add_transposed_product(1.0, jacobian, joint_gradient[t].reshape((rows, 1)), by_joints)
         by_translation = np.zeros((n, 2))
         if translation_matrix[t] > 0:
-            add_transposed_product(1.0, jacobian[t], translation_coupling[t], by_translation)
+            add_transposed_product(1.0, jacobian, translation_coupling[t], by_translation)
             add_product_transposed(-1 / translation_matrix[t], by_translation, by_translation, diagonal[t])
             by_translation /= translation_matrix[t]
         for i in range(n):
@@ -281,18 +294,21 @@ def _transfer_from_joints(
             )
 
 
-@kernel(FLOATS_1D(INTS_1D, FLOATS_3D, FLOATS_3D, FLOATS_4D, FLOATS_3D, FLOATS_1D))
+@kernel(FLOATS_1D(INTS_1D, FLOATS_3D, FLOATS_3D, FLOATS_3D, FLOATS_2D, FLOATS_4D, FLOATS_3D, FLOATS_1D))
 def _count_absorbed_coordinates(
     examined: NDArray[np.intp],
     diagonal: Array,
-    jacobian: Array,
+    cameras: Array,
+    scaled_poses: Array,
+    basis: Array,
     image_matrix: Array,
     translation_coupling: Array,
     translation_matrix: Array,
 ) -> Array:
     """Return tr(A_t^-1 D_t) + 2 for some frames (M,); see `NormalEquations.count_absorbed_coordinates`."""
-    _, rows, n = jacobian.shape
+    rows, n = len(basis), diagonal.shape[1]
     joints = rows // 3
+    jacobian = np.empty((rows, n))
     out = np.zeros(len(examined))
     # D_t = X X^T - u u^T / w, with two columns of X for each joint: M_j, of rank 2, is their sum of squares
     columns = np.empty((n, 2 * joints + 2))
@@ -304,16 +320,17 @@ def _count_absorbed_coordinates(
         if not factorise_cholesky(factor):
             out[index] = 2.0
             continue
+        write_joint_jacobian(cameras[t], scaled_poses[t], basis, jacobian)
         for j in range(joints):
             m = image_matrix[t, j]
             root = np.sqrt(max(m[0, 0], 0.0))
             inverse = 1 / root if root > 0 else 0.0
             for i in range(n):
-                x, y, z = jacobian[t, 3 * j, i], jacobian[t, 3 * j + 1, i], jacobian[t, 3 * j + 2, i]
+                x, y, z = jacobian[3 * j, i], jacobian[3 * j + 1, i], jacobian[3 * j + 2, i]
                 columns[i, 2 * j] = root * x + inverse * m[0, 2] * z
                 columns[i, 2 * j + 1] = root * y + inverse * m[1, 2] * z
         by_translation = np.zeros((n, 2))
-        add_transposed_product(1.0, jacobian[t], translation_coupling[t], by_translation)
+        add_transposed_product(1.0, jacobian, translation_coupling[t], by_translation)
         columns[:, 2 * joints :] = by_translation
         solve_lower(factor, columns)
         total = 0.0

@@ -23,16 +23,16 @@ from numba import types
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.blas import add_product, add_product_transposed
-from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, INTS_1D, kernel
+from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, kernel
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.block_banded import BlockCholesky, factorise_blocks, solve_low_rank_downdate
+from mocap_ros.solvers.block_banded import DampedSolution, solve_damped
 from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
 from mocap_ros.solvers.joint.batch import Batch, Subsample
 from mocap_ros.solvers.joint.bone_lengths import BoneLengths
 from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness
 from mocap_ros.solvers.joint.lifted_pose import LiftedPoseTerm
-from mocap_ros.solvers.joint.normal_equations import NormalEquations, differentiate_joints
+from mocap_ros.solvers.joint.normal_equations import NormalEquations, write_joint_jacobian
 from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
 from mocap_ros.solvers.joint.reprojection import Reprojection
 from mocap_ros.solvers.joint.state import Fit, State
@@ -43,7 +43,6 @@ Array = NDArray[np.float64]
 AnyTerm = TypeVar('AnyTerm')
 
 NOISE_REFERENCE = 0.01  # m; image noise at the body for which the weights in the configuration are given
-MIN_DIAGONAL = 1e-12  # added to the diagonal, for unknowns on which nothing depends (a frame without seen joints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +194,7 @@ class JointObjective:
         equations.transfer_from_joints()
         return equations
 
-    def step(self, equations: NormalEquations, damping: Array) -> tuple[Array, BlockCholesky] | None:
+    def step(self, equations: NormalEquations, damping: Array) -> DampedSolution | None:
         """Solve for a Levenberg-Marquardt step.
 
         Args:
@@ -203,35 +202,33 @@ class JointObjective:
             damping: (P,) relative increase of the diagonal.
 
         Returns:
-            The step (N, n), and the factored matrix without its low-rank part; None where the matrix is not
-            positive definite.
+            The negative of the step (N, n); None where the matrix is not positive definite.
         """
-        batch = self.batch
-        diagonal = _damp(damping, batch.starts, batch.counts, equations.diagonal)
-        factor = factorise_blocks(diagonal, equations.coupling, self.is_free)
-        if factor is None:
-            return None
-        step = solve_low_rank_downdate(
-            factor, equations.gradient, equations.bones, self.bones.strength, batch.starts, batch.counts
+        return solve_damped(
+            equations.diagonal,
+            equations.coupling,
+            equations.gradient,
+            equations.bones,
+            self.bones.strength,
+            damping,
+            self.is_free,
+            self.batch.starts,
+            self.batch.counts,
         )
-        return None if step is None else (-step, factor)
 
-    def joint_std(self, fit: Fit, factor: BlockCholesky) -> Array:
+    def joint_std(self, fit: Fit, last_inverse: Array) -> Array:
         """(P, J) m, posterior standard deviation of each sequence's last joints about the body's origin.
 
-        It is the root of the trace of each joint's covariance. The last block of a Cholesky factor is that of the
-        marginal distribution of the last unknowns.
+        It is the root of the trace of each joint's covariance.
+
+        Args:
+            fit: of the state at hand.
+            last_inverse: (P, n, n) as in the solution of a step.
         """
-        last = self.batch.starts + self.batch.counts - 1
-        state = fit.state
-        jacobian = differentiate_joints(
-            state.rotation[last],
-            np.zeros(len(last)),
-            np.exp(-state.log_scale[last])[:, None, None] * fit.scaled_poses[last],
-            self.basis,
-            np.ones(len(last), np.bool_),
-        )
-        return NOISE_REFERENCE * _spread_of_joints(factor.inverse[last], jacobian)
+        last, state = self.batch.starts + self.batch.counts - 1, fit.state
+        size = np.exp(state.log_scale[last])[:, None, None]
+        poses = fit.scaled_poses[last] / size
+        return NOISE_REFERENCE * _spread_of_joints(last_inverse, state.rotation[last], poses, self.basis)
 
     def initial_state(self, starts: Sequence[InitialValues], units: Array) -> State:
         """Return the state at these starts, with the translations at the centroids of the image points.
@@ -275,32 +272,24 @@ def _pose_bodies(
     return poses, scaled_poses
 
 
-@kernel(FLOATS_3D(FLOATS_1D, INTS_1D, INTS_1D, FLOATS_3D))
-def _damp(damping: Array, starts: NDArray[np.intp], counts: NDArray[np.intp], diagonal: Array) -> Array:
-    """Return blocks (N, n, n) with their diagonals multiplied by 1 + the damping (P,) of their sequence."""
-    out = diagonal.copy()
-    for p in range(len(starts)):
-        for t in range(starts[p], starts[p] + counts[p]):
-            for i in range(out.shape[1]):
-                out[t, i, i] += damping[p] * out[t, i, i] + MIN_DIAGONAL
-    return out
-
-
-@kernel(FLOATS_2D(FLOATS_3D, FLOATS_3D))
-def _spread_of_joints(inverse: Array, jacobian: Array) -> Array:
+@kernel(FLOATS_2D(FLOATS_3D, FLOATS_3D, FLOATS_3D, FLOATS_2D))
+def _spread_of_joints(inverse: Array, rotation: Array, poses: Array, basis: Array) -> Array:
     """Return the root of the trace of J_j (L L^T)^-1 J_j^T for each joint of P frames, (P, J).
 
     Args:
         inverse: (P, n, n) matrices L^-1.
-        jacobian: (P, 3 J, n) derivatives J of joints of a given size, which the log scale does not move.
+        rotation: (P, 3, 3) body frame to camera frame.
+        poses: (P, J, 3) m, unscaled joints along the camera's axes, which the log scale does not move.
+        basis: (3 J, K) the base poses, a coordinate of a joint in each row.
     """
-    frames, rows, n = jacobian.shape
-    out = np.zeros((frames, rows // 3))
-    for p in range(frames):
-        derivatives = jacobian[p].copy()
-        derivatives[:, n - 1] = 0.0
+    rows, n = len(basis), inverse.shape[1]
+    jacobian = np.empty((rows, n))
+    out = np.zeros((len(poses), rows // 3))
+    for p in range(len(poses)):
+        write_joint_jacobian(rotation[p], poses[p], basis, jacobian)
+        jacobian[:, n - 1] = 0.0
         whitened = np.zeros((rows, n))
-        add_product_transposed(1.0, derivatives, inverse[p], whitened)
+        add_product_transposed(1.0, jacobian, inverse[p], whitened)
         for row in range(rows):
             for i in range(n):
                 out[p, row // 3] += whitened[row, i] ** 2

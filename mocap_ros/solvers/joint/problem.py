@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.solvers import levenberg_marquardt
-from mocap_ros.solvers.block_banded import BlockCholesky
+from mocap_ros.solvers.block_banded import DampedSolution
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
 from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.joint.state import Fit
@@ -17,19 +17,7 @@ from mocap_ros.solvers.joint.state import Fit
 Array = NDArray[np.float64]
 
 
-class Step(NamedTuple):
-    """A step of Levenberg-Marquardt.
-
-    Attributes:
-        change: (N, n) change of the unknowns.
-        factor: Cholesky factor of the damped matrix without its low-rank part.
-    """
-
-    change: Array
-    factor: BlockCholesky
-
-
-Descent: TypeAlias = levenberg_marquardt.Descent[Fit, NormalEquations, Step]
+Descent: TypeAlias = levenberg_marquardt.Descent[Fit, NormalEquations, DampedSolution]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,14 +43,13 @@ class JointProblem:
         equations = self.objective.normal_equations(fit, self.objective.is_free & ~done_frames)
         return equations.with_frozen(done_frames, previous)
 
-    def step(self, equations: NormalEquations, damping: Array) -> Step | None:
-        """Return the step under these dampings; None if the matrix is not positive definite."""
-        solved = self.objective.step(equations, damping)
-        return None if solved is None else Step(*solved)
+    def step(self, equations: NormalEquations, damping: Array) -> DampedSolution | None:
+        """Return the negative of the step under these dampings; None if the matrix is not positive definite."""
+        return self.objective.step(equations, damping)
 
-    def advance(self, fit: Fit, step: Step) -> Fit:
+    def advance(self, fit: Fit, step: DampedSolution) -> Fit:
         """Return the fit after a step, with the best translations."""
-        return self.objective.with_optimal_translation(fit.state.advanced(step.change))
+        return self.objective.with_optimal_translation(fit.state.advanced(-step.solution))
 
     def choose(self, is_chosen: NDArray[np.bool_], new: Fit, old: Fit) -> Fit:
         """Return the new fit in the sequences that are chosen, and the old one in the others."""

@@ -213,7 +213,7 @@ def _make_reconstructions(
     """Return the reconstruction of each sequence of a batch; units (P,) px/m."""
     fit, step, batch = descent.point, descent.step, objective.batch
     noise = estimate_noise(objective.reprojection, batch, objective.is_free, fit, descent.equations)
-    joint_std = None if step is None else objective.joint_std(fit, step.factor)
+    joint_std = None if step is None else objective.joint_std(fit, step.last_inverse)
     weight = windows[0].weight if len(windows) == 1 else np.concatenate([w.weight for w in windows])
     values = FrameValues.of_fit(fit, batch.repeat_per_frame(units), weight)
     history = np.array(descent.history).T.tolist()
