@@ -196,7 +196,7 @@ class TrackerConfig:
     )
     window: float = define_parameter(2.0, 's, length of the sliding window', low=0.1, high=20.0)
     components: int = define_parameter(
-        40, 'maximum number of base poses of the live tracker, at most solver.components', low=1, high=60
+        30, 'maximum number of base poses of the live tracker, at most solver.components', low=1, high=60
     )
     refine_seconds: float = define_parameter(
         0.07,

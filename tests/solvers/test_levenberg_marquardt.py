@@ -141,10 +141,10 @@ def test_an_objective_that_is_not_finite_is_no_success(curves: Curves) -> None:
 def test_steps_are_judged_by_the_rules(rng: np.random.Generator, is_singular: bool) -> None:
     """The kernel against the same rules for arrays."""
     n, tolerance = 200, 0.05
-    cost = 10.0 ** rng.integers(-3, 4, n)
+    cost = np.asarray(10.0 ** rng.integers(-3, 4, n), np.float64)
     trial = cost * rng.choice([0.5, 0.99, 1.0, 1.5, np.nan], n)
     cost[:5] = np.inf
-    damping = 10.0 ** rng.integers(-6, 11, n)
+    damping = np.asarray(10.0 ** rng.integers(-6, 11, n), np.float64)
     iterations, status = rng.integers(0, 9, n), rng.integers(-1, 3, n)
     is_done = rng.random(n) < 0.3
 

@@ -51,10 +51,19 @@ def test_only_the_work_itself_overflows_silently() -> None:
 def test_each_piece_has_one_step_at_most(walk_model: BasePoses, monkeypatch: pytest.MonkeyPatch) -> None:
     window = make_noisy_window(walk_model, seed=0, missing=0.1)
     models = {'walk': walk_model}
-    steps = []
-    for kind, name in ((JointObjective, 'step'), (PeriodicEquations, 'solve_step')):
+    steps: list[int] = []
+
+    def count(kind: type, name: str) -> None:
         step = getattr(kind, name)
-        monkeypatch.setattr(kind, name, lambda *args, step=step: steps.append(1) or step(*args))
+
+        def count_step(*args: object) -> object:
+            steps.append(1)
+            return step(*args)
+
+        monkeypatch.setattr(kind, name, count_step)
+
+    count(JointObjective, 'step')
+    count(PeriodicEquations, 'solve_step')
     all_work: list[Stepwise[object]] = [
         joint.solve_stepwise([window], walk_model, CONFIG),
         joint.solve_hypotheses_stepwise([window], walk_model, CONFIG),

@@ -57,9 +57,9 @@ def dense_matrices(equations: PeriodicEquations) -> tuple[np.ndarray, np.ndarray
         for t, block in enumerate(make_dense_coupling(equations.camera_coupling, distance)):
             prior[t + distance, :, t], prior[t, :, t + distance] = block, block.T
     size = FRAMES * CAMERA_UNKNOWNS
-    prior, image = prior.reshape(size, size), image.reshape(size, size)
+    prior_matrix, image_matrix = prior.reshape(size, size), image.reshape(size, size)
     series = equations.series_matrix + np.diag(equations.series_prior)
-    return series, equations.mixed_matrix.reshape(size, -1).T, image + prior, prior
+    return series, equations.mixed_matrix.reshape(size, -1).T, image_matrix + prior_matrix, prior_matrix
 
 
 def test_gradient_is_half_that_of_the_objective(objective_and_point: tuple[PeriodicObjective, Point]) -> None:

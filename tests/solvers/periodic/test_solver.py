@@ -158,11 +158,11 @@ def test_a_run_goes_on_with_the_damping_after_a_success(walk_model: BasePoses) -
     start = InitialValues(theta[:, :6], cameras)
     search = Search(objective, measure_initial_point(objective, series, start, 200.0), max_trials=4)
     run_to_end(search.run(tolerance=1e9))
-    assert search.status is SolverStatus.CONVERGED
+    assert search.status.name == 'CONVERGED'
     assert search.damping == pytest.approx(WARM_DAMPING * DAMPING_AFTER_SUCCESS)
     assert (search.remaining_trials, len(search.history)) == (3, 2)
     run_to_end(search.run(tolerance=0.0))
-    assert search.status is SolverStatus.MAX_ITERATIONS
+    assert search.status.name == 'MAX_ITERATIONS'
     assert (search.remaining_trials, len(search.history)) == (0, 5)
     assert search.history[-1] == pytest.approx(objective.cost(search.point)[0], rel=1e-12)
     run_to_end(search.run(tolerance=1e9))
