@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,32 +54,6 @@ class BasePoses:
         In such a model the z axis of the body frame is vertical in every pose.
         """
         return self.provenance.get('alignment') == 'heading'
-
-    @cached_property
-    def flat_components(self) -> Array:
-        """Base poses (3 J, K), a coordinate of a joint in each row."""
-        return np.ascontiguousarray(self.components.reshape(len(self.components), -1).T)
-
-    @cached_property
-    def flat_bones(self) -> Array:
-        """Change of the vectors along the bones with the weights, (3 B, K), a coordinate of a bone in each row."""
-        vectors = self.components[:, self.children] - self.components[:, self.parents]
-        return np.ascontiguousarray(vectors.reshape(len(vectors), -1).T)
-
-    @cached_property
-    def parents(self) -> NDArray[np.intp]:
-        """(B,) index of each bone's inner joint."""
-        return np.array([parent for parent, _ in self.skeleton.bones])
-
-    @cached_property
-    def children(self) -> NDArray[np.intp]:
-        """(B,) index of each bone's outer joint."""
-        return np.array([child for _, child in self.skeleton.bones])
-
-    @cached_property
-    def mean_bone_lengths(self) -> Array:
-        """(B,) m, bone lengths of the mean pose."""
-        return self.skeleton.bone_lengths(self.mean)
 
     def poses(self, theta: Array) -> Array:
         """Return the poses (..., J, 3) in m, body frame, of weights theta (..., K) in m (eq. 1).

@@ -55,9 +55,9 @@ def read_object(zed_object: Any, size: ImageSize, _: NodeConfig) -> Person2D | N
     seen = np.isfinite(points).all(axis=1) & (points >= 0).all(axis=1) & (points != 0).any(axis=1)
     if not 0 <= zed_object.confidence <= MAX_CONFIDENCE:
         raise InputError(f'confidence: {zed_object.confidence:g}, expected 0 to {MAX_CONFIDENCE}')
-    score = (
-        np.asarray(zed_object.skeleton_keypoint_confidence, np.float64)[list(indices.values())] / MAX_CONFIDENCE
-    )
+    with np.errstate(invalid='ignore'):  # a signalling NaN of a damaged message
+        confidence = np.asarray(zed_object.skeleton_keypoint_confidence, np.float64)
+    score = confidence[list(indices.values())] / MAX_CONFIDENCE
     if not (score > 0).any():
         score = np.full(len(indices), zed_object.confidence / MAX_CONFIDENCE)
     points = np.where(np.isinf(points), np.nan, points)

@@ -28,6 +28,7 @@ from mocap_ros.compiled.blas import add_transposed_product
 from mocap_ros.compiled.kernel import BOOLS_1D, FLOATS_1D, FLOATS_2D, FLOATS_3D, INTS_1D, kernel
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.model_arrays import arrange_model
 from mocap_ros.solvers.joint.batch import Batch, Subsample
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
 from mocap_ros.solvers.joint.state import Fit
@@ -67,17 +68,18 @@ class BoneLengths:
     def build(batch: Batch, windows: Sequence[Window], model: BasePoses, config: SolverConfig) -> BoneLengths:
         """Return the term of these windows."""
         earlier = [w.earlier_frames for w in windows]
-        mean_lengths = model.mean_bone_lengths
+        arrays = arrange_model(model)
+        mean_lengths = arrays.mean_bone_lengths
         earlier_frames = np.array([0 if e is None else e.count for e in earlier])
         return BoneLengths(
             batch=batch,
             weight=np.full(len(mean_lengths), config.bone_weight),
-            parents=model.parents,
-            children=model.children,
+            parents=arrays.parents,
+            children=arrays.children,
             earlier_lengths=np.array([mean_lengths if e is None else e.mean_bone_lengths for e in earlier]),
             earlier_frames=earlier_frames,
             strength=1 / (batch.counts + earlier_frames),
-            flat_bones=model.flat_bones,
+            flat_bones=arrays.bones,
         )
 
     def measure(self, poses: Array) -> tuple[Array, Array, Array, Array]:

@@ -26,6 +26,7 @@ from mocap_ros.geometry.rotations import write_best_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.models.model_arrays import arrange_model
 from mocap_ros.solvers.window import InitialValues
 
 Array = NDArray[np.float64]
@@ -55,7 +56,7 @@ def fit_lifted_poses(lifted: LiftedPoses, model: BasePoses) -> FittedPoses:
         lifted: (F, J, 3) poses in any unit.
         model: base poses, metric.
     """
-    return FittedPoses(*_fit(lifted.joints, lifted.std, model.flat_components, model.mean, model.std))
+    return FittedPoses(*_fit(lifted.joints, lifted.std, arrange_model(model).components, model.mean, model.std))
 
 
 def fit_initial_values(lifted: LiftedPoses, times: Array, model: BasePoses) -> InitialValues | None:

@@ -26,6 +26,7 @@ from mocap_ros.compiled.blas import add_product, add_product_transposed
 from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, kernel
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.model_arrays import arrange_model
 from mocap_ros.solvers.block_banded import DampedSolution, solve_damped
 from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
 from mocap_ros.solvers.joint.batch import Batch, Subsample
@@ -103,7 +104,7 @@ class JointObjective:
         return JointObjective(
             model=model,
             batch=batch,
-            basis=model.flat_components,
+            basis=arrange_model(model).components,
             reprojection=reprojection,
             bones=bones,
             terms=tuple(terms),
@@ -118,7 +119,7 @@ class JointObjective:
         """Return the objective with the first `k` base poses."""
         model, bones = self.model.truncate(k), self.bones.with_components(k)
         terms = tuple(bones if term is self.bones else term.with_components(k) for term in self.terms)
-        return replace(self, model=model, basis=model.flat_components, bones=bones, terms=terms)
+        return replace(self, model=model, basis=arrange_model(model).components, bones=bones, terms=terms)
 
     def subsampled(self, step: float) -> tuple[JointObjective, Subsample]:
         """Return the objective of the best-seen frame of every `step` s, and which frames those are."""
