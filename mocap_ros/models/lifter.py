@@ -43,7 +43,7 @@ BONE_SUM_PER_STATURE = 2.36  # 1, sum of all bone lengths over stature; mean of 
 
 OUTPUT_COUNT = 5 * JOINT_COUNT  # x, y and z of each joint; log standard deviations of x and y together, and of z
 
-_INPUT32_3D = types.Array(float32, 3, 'C', readonly=True)
+_INPUT32_3D = types.Array(float32, 3, 'C', readonly=True)  # types of kernels' arguments
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,7 +52,7 @@ JOINT_COUNT = len(CMU15.joints)  # joints
 MIRROR_PERMUTATION = np.array(CMU15.mirror)  # joint indices with left and right exchanged
 FEATURE_COUNT = 3 * JOINT_COUNT * len(HISTORY_SLOTS_S) + 1  # x, y and score of each joint and slot; angular size
 
-_FLOATS32_3D = types.Array(float32, 3, 'C')
+_FLOATS32_3D = types.Array(float32, 3, 'C')  # types of kernels' arguments
 
 
 def sample_histories(points: Array, weight: Array, times: Array, frames: NDArray[np.intp]) -> tuple[Array, Array]:

@@ -36,12 +36,13 @@ HALF_MAX_EXPONENT = 15  # numbers of half precision reach to twice 2^15
 HALF_MIN = 2.0**-24  # the least number of half precision above 0; the largest weight of a network is not smaller
 EXPONENT_BIAS_DIFFERENCE = 112  # bias of the exponent in single precision, 127, less that in half precision, 15
 FRACTION_SHIFT = np.int32(13)  # bits that single precision has more for the fraction, 23, than half precision, 10
-ZERO = np.float32(0)
+ZERO = np.float32(0)  # of single precision
 SIGN_AND_NUMBER = np.int32(-0x70002000)  # bits 31 and 27 to 13, which a shifted number of half precision fills
 
-_FLOATS32_2D, _FLOATS32_3D = (types.Array(float32, n, 'C') for n in (2, 3))
+_FLOATS32_2D, _FLOATS32_3D = (types.Array(float32, n, 'C') for n in (2, 3))  # types of kernels' arguments
+# types of kernels' arguments that they only read
 _INPUT32_1D, _INPUT32_2D, _INPUT32_3D = (types.Array(float32, n, 'C', readonly=True) for n in (1, 2, 3))
-_CODES_2D, _CODES_3D = (types.Array(int16, n, 'C', readonly=True) for n in (2, 3))
+_CODES_2D, _CODES_3D = (types.Array(int16, n, 'C', readonly=True) for n in (2, 3))  # half-precision weights
 
 
 @dataclass(frozen=True, eq=False)
