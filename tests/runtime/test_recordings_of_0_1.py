@@ -21,7 +21,9 @@ from tests.support.pipeline_inputs import encode_demo_frames
 
 BAG = ROOT / 'tests' / 'data' / 'recorded_by_0_1'
 FRAMES = 40
-MEAN_DIFFERENCE_M = 0.03  # m, of the joints about their mean; the tracker has improved, 18 mm were measured when it did
+MEAN_DIFFERENCE_M = (
+    0.03  # m, of joints about their mean; the tracker has improved: 18 mm were measured when it did
+)
 START_NS = 1_700_000_000_000_000_000  # since the epoch
 
 
