@@ -196,7 +196,7 @@ class TrackerConfig:
     )
     window: float = define_parameter(2.0, 's, length of the sliding window', low=0.1, high=20.0)
     components: int = define_parameter(
-        30, 'maximum number of base poses of the live tracker, at most solver.components', low=1, high=60
+        40, 'maximum number of base poses of the live tracker, at most solver.components', low=1, high=60
     )
     refine_seconds: float = define_parameter(
         0.07,
@@ -206,10 +206,11 @@ class TrackerConfig:
     )
     iterations: int = define_parameter(2, 'number of solver iterations at every frame', low=1, high=100)
     hypothesis_check_interval: float = define_parameter(
-        0.5,
-        's, time between hypothesis checks of a person: the window is fitted with another candidate model, '
-        'whose solution replaces the current one if it is more likely',
-        low=0.05,
+        0.0,
+        's, longest time between hypothesis checks of a person: the window is solved from scratch or with another '
+        'candidate model, whose solution replaces the current one if it is more likely; 0: 5 s with a lifter, 0.5 '
+        's without',
+        low=0.0,
     )
     lag: float = define_parameter(
         0.0,

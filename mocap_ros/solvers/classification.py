@@ -115,8 +115,19 @@ def minus_twice_log_evidence_stepwise(
     model = model.truncate(config.components)
     adaptive = replace(config, adapt_noise=True)
     (fit,) = yield from joint.solve_stepwise([replace(window, noise=noise)], model, adaptive)
-    occam = len(window.times) * np.log1p(OBSERVED_FRACTION * (model.std / noise) ** 2).sum()
-    return fit.cost / NOISE_REFERENCE**2 + float(occam), fit
+    return measure_evidence(fit, model, noise), fit
+
+
+def measure_evidence(fit: JointReconstruction, model: BasePoses, noise: float) -> float:
+    """Return -2 log p(x | model) up to a constant (formula at the head of this module).
+
+    Args:
+        fit: minimum of the objective under `noise`.
+        model: its base poses.
+        noise: m, standard deviation of a coordinate of an image point.
+    """
+    occam = len(fit.theta) * np.log1p(OBSERVED_FRACTION * (model.std / noise) ** 2).sum()
+    return fit.cost / NOISE_REFERENCE**2 + float(occam)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,108 +1,212 @@
 """The work of a tracker that waits until the outputs of a frame are published: hypothesis checks, classification.
 
-At most one piece of work is done for a frame, and none sooner than `MIN_DEFERRED_GAP_S` after the last: the one
-that is due longest.
+No frame waits for a whole check. The work is done in slices, each about a step of a solver, and after each frame
+only as many are done as `FRAME_BUDGET` allows. The budget is one of unknowns, not of time (`slices`), so a replay
+does the same slices after the same frames as the live node.
+
+One piece of work is done at a time. It is about one person, and about this person's track as it was when the work
+began. What it finds is taken over when its last slice is done, some frames later (`take_over`). It ends without a
+result, and is due again, if meanwhile the person was forgotten, the camera changed, left and right of an earlier
+frame were exchanged, or the image noise rose so much that all models are tried again.
+
+The next piece is the one that is latest in proportion to its interval. So a new person, whose checks are due every
+0.1 s, comes before those who are checked every few seconds. Nobody is passed over for ever: whoever waits gets
+later all the time, while a piece that was done is not due again before its interval has passed. If more is due
+than can be done, all intervals become longer.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TypeAlias
 
 from mocap_ros.tracking.hypotheses import HypothesisChecker
-from mocap_ros.tracking.state import TrackerState
+from mocap_ros.tracking.slices import Slices
+from mocap_ros.tracking.state import BegunWork, TrackerState, WorkKind
+from mocap_ros.tracking.take_over import is_outdated, take_over
 from mocap_ros.tracking.track import Track
-from mocap_ros.units import NS_PER_S
 
-MIN_DEFERRED_GAP_S = 0.2  # s between two checks or classifications; each takes up to 70 ms (docs/tracker.md)
+FRAME_BUDGET = 4400  # unknowns; 2 ms of a core, so that the next frame does not wait (docs/tracker.md)
+WINDOW_COST = 400  # unknowns; building the windows of a piece of work, its first slice, takes as long
 
-
-@dataclass(frozen=True, eq=False)
-class DueWork:
-    """A piece of work that is due.
-
-    Attributes:
-        due_ns: ns, stamp since which it is due.
-        track: the track that it is about.
-        is_classification: True to classify the motion, False to check the solution.
-    """
-
-    due_ns: int
-    track: Track
-    is_classification: bool
+# What a piece of work has found: a function that takes it over into the track as it is now.
+Finding: TypeAlias = Callable[[Track], Track]
 
 
-@dataclass(frozen=True, eq=False)
 class DeferredWork:
-    """Chooses and does the deferred work.
+    """Chooses the deferred work, and does it slice by slice.
 
-    Attributes:
+    Args:
         checker: makes the checks.
         candidate_models: names of the models to check, in turn.
         max_check_interval_s: s, upper limit of the time between two checks of a track.
     """
 
-    checker: HypothesisChecker
-    candidate_models: tuple[str, ...]
-    max_check_interval_s: float
+    def __init__(
+        self, checker: HypothesisChecker, candidate_models: tuple[str, ...], max_check_interval_s: float
+    ) -> None:
+        self._checker = checker
+        self._candidate_models = candidate_models
+        self._max_check_interval_s = max_check_interval_s
+        self._run: _Run | None = None  # the latest run; only a cache, for `state.begun_work` determines it
 
-    def choose(self, state: TrackerState) -> tuple[TrackerState, DueWork | None]:
-        """Choose the work for the newest frame.
+    def advance(self, state: TrackerState) -> Iterator[TrackerState]:
+        """Do the slices that follow the newest frame, if that was not done yet.
 
         Args:
             state: state after this frame.
 
-        Returns:
-            The state in which the work has begun, so that work that fails is not repeated at once; and the work,
-            None if nothing is due.
+        Yields:
+            The state before and after each piece of work of which slices are done. The piece itself is in the last
+            state alone, so if a slice raises an error, the state before has no trace of the piece but that it has
+            begun, and it is not repeated at once.
         """
-        stamp_ns, pending_ids = state.newest_stamp_ns, state.pending_ids
-        if stamp_ns is None or not pending_ids:
-            return state, None
-        pending = [self._restart_if_noise_rose(t, stamp_ns) for t in state.tracks if t.id in pending_ids]
-        state = replace(state.put_tracks(pending), pending_ids=())
-        if stamp_ns < state.last_check_ns + MIN_DEFERRED_GAP_S * NS_PER_S:
-            return state, None
-        work = [DueWork(t.schedule.next_check_ns, t, False) for t in pending if t.seen.age_s > 0]
-        work += [DueWork(t.schedule.next_classification_ns, t, True) for t in pending]
-        due = [w for w in work if w.due_ns <= stamp_ns]
+        if not state.is_work_pending:
+            return
+        work = state.begun_work
+        state = self._restart_where_noise_rose(replace(state, is_work_pending=False, begun_work=None))
+        if work is not None and _has_ended(work, state.find_track(work.track.id)):
+            state, work = _make_due_again(state, work), None
+        budget = FRAME_BUDGET
+        while True:
+            if work is None:
+                state, work = self._begin_latest(state)
+            yield state
+            if work is None:
+                return
+            run = self._resume(work)
+            while run.finding is None and (budget == FRAME_BUDGET or run.next_cost <= budget):
+                budget -= run.next_cost
+                run.do_slice()
+            if run.finding is None:
+                yield replace(state, begun_work=run.pause())
+                return
+            state = state.put_tracks([run.finding(t) for t in state.tracks if t.id == work.track.id])
+            work = None
+
+    def _restart_where_noise_rose(self, state: TrackerState) -> TrackerState:
+        """Return the state, with re-initialisations under all models due where the image noise has risen much."""
+        restarted = []
+        for track in state.newest_tracks:
+            stamp_ns, models = track.seen.stamps_ns[-1], len(self._candidate_models)
+            schedule = track.schedule.restart_if_noise_rose(track.solved.noise, stamp_ns, models)
+            if schedule is not track.schedule:
+                restarted.append(replace(track, schedule=schedule))
+        return state.put_tracks(restarted)
+
+    def _begin_latest(self, state: TrackerState) -> tuple[TrackerState, BegunWork | None]:
+        """Return the state in which the latest piece has begun, and this piece; None if none is due."""
+        pieces = []
+        for track in state.newest_tracks:
+            schedule, stamp_ns = track.schedule, track.seen.stamps_ns[-1]
+            if track.seen.age_s > 0:
+                pieces.append((schedule.measure_check_lateness(stamp_ns), WorkKind.CHECK, track))
+            pieces.append((schedule.measure_classification_lateness(stamp_ns), WorkKind.CLASSIFICATION, track))
+        due = [piece for piece in pieces if piece[0] >= 0]
         if not due:
             return state, None
-        chosen = min(due, key=lambda w: w.due_ns)
-        state = replace(state, last_check_ns=stamp_ns)
-        if not chosen.is_classification:
-            track = replace(chosen.track, schedule=chosen.track.schedule.begin_check())
-            state, chosen = state.put_tracks([track]), replace(chosen, track=track)
-        return state, chosen
+        _, kind, track = max(due, key=lambda piece: piece[0])
+        schedule, stamp_ns = track.schedule, track.seen.stamps_ns[-1]
+        if kind is WorkKind.CHECK:
+            schedule = schedule.begin_check(stamp_ns, track.seen.age_s, self._max_check_interval_s)
+        else:
+            schedule = schedule.begin_classification(stamp_ns)
+        track = replace(track, schedule=schedule)
+        return state.put_tracks([track]), BegunWork(kind, track)
 
-    def do(self, work: DueWork) -> Track:
-        """Return the track after a piece of work that `choose` has chosen."""
-        return self._classify(work.track) if work.is_classification else self._check(work.track)
+    def _resume(self, work: BegunWork) -> _Run:
+        """Return the run of a piece of work, from the cache or, after a `restore`, done again so far."""
+        if self._run is None or self._run.work is not work:
+            find = self._check if work.kind is WorkKind.CHECK else self._classify
+            self._run = _Run(work, find(work.track))
+        return self._run
 
-    def _restart_if_noise_rose(self, track: Track, stamp_ns: int) -> Track:
-        """Return the track, with re-initialisations under all models due if its image noise has risen much."""
-        models = len(self.candidate_models)
-        schedule = track.schedule.restart_if_noise_rose(track.solved.noise, stamp_ns, models)
-        return track if schedule is track.schedule else replace(track, schedule=schedule)
-
-    def _classify(self, track: Track) -> Track:
-        """Return the track with its motion classified."""
-        classification = self.checker.classify_motion(track)
+    def _classify(self, track: Track) -> Slices[Finding]:
+        """Classify the motion of a track."""
+        yield WINDOW_COST
+        classification = yield from self._checker.classify_motion(track)
         stamp_ns = track.seen.stamps_ns[-1]
-        return replace(track, schedule=track.schedule.finish_classification(stamp_ns, classification))
+        return lambda now: replace(now, schedule=now.schedule.finish_classification(stamp_ns, classification))
 
-    def _check(self, track: Track) -> Track:
-        """Return the track after a check against the model whose turn it is.
+    def _check(self, track: Track) -> Slices[Finding]:
+        """Check a track against the model whose turn it is.
 
         The hypothesis is the track's own poses under that model. It is a solution from scratch if the model is the
         track's own, if the track is new, or after a rise of the image noise.
         """
-        schedule, age_s, stamp_ns = track.schedule, track.seen.age_s, track.seen.stamps_ns[-1]
-        count = len(self.candidate_models)
-        name = self.candidate_models[(schedule.check_count - 1) % count]
-        if schedule.is_from_scratch(age_s) or name == track.solved.model_name:
-            outcome = self.checker.reinitialise(track, [name])
+        yield WINDOW_COST
+        schedule, count = track.schedule, len(self._candidate_models)
+        name = self._candidate_models[(schedule.check_count - 1) % count]
+        if schedule.is_from_scratch(track.seen.age_s) or name == track.solved.model_name:
+            outcome = yield from self._checker.reinitialise(track, [name])
         else:
-            outcome = self.checker.compare_models(track, [name])
-        noise = outcome.solution.noise
-        schedule = schedule.finish_check(stamp_ns, age_s, self.max_check_interval_s, noise, count)
-        return replace(track, solution=outcome.solution, schedule=schedule)
+            outcome = yield from self._checker.compare_models(track, [name])
+
+        def finish(now: Track) -> Track:
+            solution = now.solved
+            if outcome.is_replaced:
+                solution = take_over(outcome.solution, track, now, self._checker.models)
+            return replace(now, solution=solution, schedule=now.schedule.finish_check(solution.noise, count))
+
+        return finish
+
+
+class _Run:
+    """The run of a piece of work.
+
+    Args:
+        work: the piece; the slices of it that are done are done again.
+        slices: all its slices.
+
+    Attributes:
+        work: the piece as it was when it was last paused.
+        next_cost: cost of the next slice.
+        finding: what was found; None before the last slice.
+    """
+
+    def __init__(self, work: BegunWork, slices: Slices[Finding]) -> None:
+        self.work = work
+        self.finding: Finding | None = None
+        self.next_cost = next(slices)
+        self._slices = slices
+        self._slices_done = 0
+        while self._slices_done < work.slices_done:
+            self.do_slice()
+
+    def do_slice(self) -> None:
+        """Do the next slice."""
+        self._slices_done += 1
+        try:
+            self.next_cost = next(self._slices)
+        except StopIteration as end:
+            self.finding = end.value
+
+    def pause(self) -> BegunWork:
+        """Return the piece of work with the slices that are done, from which the run can go on."""
+        self.work = replace(self.work, slices_done=self._slices_done)
+        return self.work
+
+
+def _has_ended(work: BegunWork, now: Track | None) -> bool:
+    """Return whether a piece of work ends without a result, because its person's track is not what it was.
+
+    Args:
+        work: the piece of work.
+        now: the track of that id now; None if there is none.
+    """
+    then = work.track
+    if now is None or now.seen.first_stamp_ns != then.seen.first_stamp_ns:
+        return True
+    has_restarted = now.schedule.pending_restarts > then.schedule.pending_restarts
+    return is_outdated(then.seen, now.seen) or (has_restarted and work.kind is WorkKind.CHECK)
+
+
+def _make_due_again(state: TrackerState, work: BegunWork) -> TrackerState:
+    """Return the state in which a piece of work that has ended without a result is due, if its person is there."""
+    track, stamp_ns = state.find_track(work.track.id), state.newest_stamp_ns
+    if track is None or stamp_ns is None or track.seen.first_stamp_ns != work.track.seen.first_stamp_ns:
+        return state
+    is_check = work.kind is WorkKind.CHECK
+    schedule = track.schedule.check_at(stamp_ns) if is_check else track.schedule.classify_at(stamp_ns)
+    return state.put_tracks([replace(track, schedule=schedule)])

@@ -2,10 +2,10 @@
 
 Hypotheses are compared by -2 log evidence of the image points (`classification.minus_twice_log_evidence`), all
 under the same image noise. A hypothesis replaces the track's solution if its value is the lowest; one of another
-model must be lower by `EVIDENCE_MARGIN`. A check costs as much as several frames, so the tracker makes few of them
-at a time.
+model must be lower by `EVIDENCE_MARGIN`. A check costs as much as several frames, so it is made in slices
+(`slices`), one or a few after each frame.
 
-A check changes nothing: it returns the solution that the track has from now on.
+A check changes nothing: it returns the solution that the track, as it was at the beginning, has from now on.
 """
 
 from __future__ import annotations
@@ -27,28 +27,44 @@ from mocap_ros.solvers.classification import (
     MIN_COMPARISON_NOISE,
     PERIODIC_CATEGORIES,
     PeriodicSwitch,
-    fit_periodic,
-    minus_twice_log_evidence,
+    fit_periodic_stepwise,
+    measure_evidence,
+    minus_twice_log_evidence_stepwise,
 )
-from mocap_ros.solvers.joint.solver import JointReconstruction, solve, solve_hypotheses
+from mocap_ros.solvers.joint.solver import (
+    JointReconstruction,
+    solve,
+    solve_hypotheses,
+    solve_hypotheses_stepwise,
+    solve_stepwise,
+    start_from_lifted_poses,
+)
 from mocap_ros.solvers.periodic.solver import EstimatedPoses
-from mocap_ros.solvers.window import InitialValues, Window
+from mocap_ros.solvers.window import InitialValues, Window, choose_initial_values
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.schedule import Classification
+from mocap_ros.tracking.slices import Slices, do_in_slices, step_cost
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.solver_input import build_solver_window
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
 REINIT_MAX_ITERATIONS = 5  # steps of a solution from scratch; limits its time, the comparison refines it further
+MAX_STARTS = 2  # cameras that `solve_hypotheses` starts from at most; lifted poses leave one
 REINIT_COMPONENTS = 20  # base poses of a solution from scratch; limits its time, the comparison uses all of them
 COMPARISON_MAX_ITERATIONS = 4  # steps that each hypothesis gets before its evidence is compared; limits the time
 ADOPTION_MAX_ITERATIONS = 3  # steps on all frames after a hypothesis of some of them was adopted; limits the time
+ADOPTION_STEP_S = 0.025  # s; of a faster stream one frame of each step is solved then, which limits a slice
+INITIAL_MAX_ITERATIONS = (
+    6  # steps of a first solution, which the first checks improve; limits the time of the frame
+)
+INITIAL_NOISE = 0.02  # m; image noise of a first solution: large, since a first lifted pose may be far off
 EVIDENCE_MARGIN = 10.0  # -2 log evidence, a factor of exp(5) = 150; keeps the choice of a model from chattering
 CHECK_STEP_S = 0.1  # s; one frame of each step is checked, for neighbouring frames add more time than evidence
 CHECK_SPAN_S = 1.0  # s; newest part of the window that is checked, for the older part may be another motion
 CLASSIFICATION_STEP_S = 1 / 15  # s; halves the frames of a 30 Hz stream, and samples a running cycle 10 times
 CLASSIFICATION_MAX_ITERATIONS = 8  # steps of the periodic solver, which starts from the solution; limits the time
+PERIODIC_COST = 2  # a step of the periodic solver takes up to twice as long as one of the joint solver
 MIN_SECTION_SHARE = 0.9  # share of a section that must be filled before it is classified; stamps vary
 KEY_POSE_STEP_S = 0.25  # s; poses nearer in time look the same to the memory of key poses
 NOISE_RATIO = 0.88  # estimated noise over true image noise, of the base poses alone (CMU walks, docs/solvers.md)
@@ -77,7 +93,7 @@ class CheckOutcome:
     Attributes:
         solution: solution of the track from now on; its own if that is the likeliest.
         is_replaced: whether a hypothesis replaced the track's own solution.
-        model_names: names of the models of the hypotheses that were compared, the track's own last if it has one.
+        model_names: names of the models of the hypotheses that were compared, the track's own last.
         minus_twice_log_evidence: value of each of these, up to a constant and without `EVIDENCE_MARGIN`.
     """
 
@@ -114,36 +130,65 @@ class HypothesisChecker:
             memory = memory.remember(points, weight, pose)
         return memory
 
-    def initialise(self, track: Track, model_names: Sequence[str], memory: KeyPoseMemory) -> TrackSolution:
-        """Return the first solution of a track.
+    def initialise(
+        self, tracks: Sequence[Track], model_names: Sequence[str], memory: KeyPoseMemory
+    ) -> list[TrackSolution]:
+        """Return the first solutions of tracks, from few steps of one batch for each model.
 
-        A remembered pose that looks like the person is a further hypothesis beside a solution from scratch.
+        The hypotheses are a solution from scratch under each model and, for a person who looks like a remembered
+        pose, that pose under the first model. All are compared under the same image noise.
 
         Args:
-            track: a track without a solution.
+            tracks: tracks without a solution, at least one.
             model_names: names of the candidate models.
             memory: key poses of people who were lost.
         """
-        newest = track.seen.observed.select_frames(slice(-1, None))
-        recalled = memory.recall(newest.points[0], newest.weight[0])
-        hypotheses = []
-        if recalled is not None:
-            model = self.models[model_names[0]]
-            rotation = fit_rotation(model.mean[None], recalled.pose[None])
-            theta = model.weights(recalled.pose @ rotation)
-            start = InitialValues(theta, WeakPerspectiveCameras(np.array([recalled.scale]), rotation))
-            hypotheses.append(Hypothesis(model_names[0], start, math.inf))
-        return self.reinitialise(track, model_names, hypotheses).solution
+        solver = replace(self.config.solver, max_iterations=INITIAL_MAX_ITERATIONS)
+        first_model = self.models[model_names[0]]
+        windows = [self._build_first_window(t, first_model) for t in tracks]
+        fits: list[list[tuple[str, JointReconstruction]]] = [[] for _ in tracks]
+        for name in model_names:
+            for own_fits, fit in zip(fits, solve_hypotheses(windows, self.models[name], solver), strict=True):
+                own_fits.append((name, fit))
+        starts = [self._recall_start(t, memory, first_model) for t in tracks]
+        recalled = [i for i, start in enumerate(starts) if start is not None]
+        if recalled:
+            started = [replace(windows[i], start=starts[i]) for i in recalled]
+            for i, fit in zip(recalled, solve(started, first_model, solver), strict=True):
+                fits[i].append((model_names[0], fit))
+        solutions = []
+        for track, own_fits in zip(tracks, fits, strict=True):
+            evidence = [measure_evidence(fit, self.models[name], INITIAL_NOISE) for name, fit in own_fits]
+            name, fit = own_fits[int(np.argmin(evidence))]
+            frames, observed = np.arange(len(track.seen.stamps_ns)), track.seen.observed
+            solutions.append(TrackSolution.interpolate(fit, observed, frames, name, self.models[name], None))
+        return solutions
 
-    def reinitialise(
-        self, track: Track, model_names: Iterable[str], further: Sequence[Hypothesis] = ()
-    ) -> CheckOutcome:
+    def _build_first_window(self, track: Track, model: BasePoses) -> Window:
+        """Return the frames of a new track as the input of a solver, with the same unit for all hypotheses."""
+        window = replace(track.seen.observed.build_solver_window(), noise=INITIAL_NOISE)
+        start, _ = choose_initial_values(
+            start_from_lifted_poses(window, model), model, self.config.solver.start_window
+        )
+        return replace(window, unit=float(np.median(start.cameras.scale)))
+
+    def _recall_start(self, track: Track, memory: KeyPoseMemory, model: BasePoses) -> InitialValues | None:
+        """Return the remembered pose that a new track's newest frame looks like, for all its frames; or None."""
+        newest, count = track.seen.observed.select_frames(slice(-1, None)), len(track.seen.stamps_ns)
+        recalled = memory.recall(newest.points[0], newest.weight[0])
+        if recalled is None:
+            return None
+        rotation = fit_rotation(model.mean, recalled.pose)
+        theta = model.weights(recalled.pose @ rotation)
+        cameras = WeakPerspectiveCameras(np.full(count, recalled.scale), np.tile(rotation, (count, 1, 1)))
+        return InitialValues(np.tile(theta, (count, 1)), cameras)
+
+    def reinitialise(self, track: Track, model_names: Iterable[str]) -> Slices[CheckOutcome]:
         """Solve a track from scratch under some models, and find the likeliest hypothesis.
 
         Args:
-            track: the track.
+            track: a solved track.
             model_names: names of the candidate models.
-            further: further hypotheses to compare with.
         """
         frames = self._select_check_frames(track)
         window = self._build_window(track, frames)
@@ -154,15 +199,19 @@ class HypothesisChecker:
             components=REINIT_COMPONENTS,
             noise_floor=MIN_COMPARISON_NOISE,
         )
-        hypotheses = list(further)
+        hypotheses = []
         for name in model_names:
-            (fit,) = solve_hypotheses([window_without_start], self.models[name], solver)
-            unsolved = len(self.models[name].std) - fit.theta.shape[1]
+            model = self.models[name]
+            solution = solve_hypotheses_stepwise([window_without_start], model, solver)
+            starts = MAX_STARTS if window.lifted is None else 1
+            cost = step_cost(starts * len(frames), min(REINIT_COMPONENTS, len(model.std)))
+            (fit,) = yield from do_in_slices(solution, cost)
+            unsolved = len(model.std) - fit.theta.shape[1]
             theta = np.pad(fit.theta, [(0, 0), (0, max(unsolved, 0))])
             hypotheses.append(Hypothesis(name, InitialValues(theta, fit.cameras), fit.noise))
-        return self._choose_likeliest(track, frames, window, hypotheses)
+        return (yield from self._choose_likeliest(track, frames, window, hypotheses))
 
-    def compare_models(self, track: Track, model_names: Iterable[str]) -> CheckOutcome:
+    def compare_models(self, track: Track, model_names: Iterable[str]) -> Slices[CheckOutcome]:
         """Convert the poses of a solved track to other models, and find the likeliest hypothesis.
 
         Args:
@@ -179,70 +228,64 @@ class HypothesisChecker:
                 rotation, theta = solution.convert_poses(model, self.models[name], frames)
                 start = observed.convert_to_initial_values(theta, rotation, solution.roots[frames])
                 hypotheses.append(Hypothesis(name, start, solution.noise))
-        return self._choose_likeliest(track, frames, self._build_window(track, frames), hypotheses)
+        return (yield from self._choose_likeliest(track, frames, self._build_window(track, frames), hypotheses))
 
     def _build_window(self, track: Track, frames: NDArray[np.intp]) -> Window:
-        """Return some frames of a track as the input of a solver."""
-        if track.solution is None:
-            return track.seen.observed.select_frames(frames).build_solver_window()
-        return build_solver_window(track.seen, track.solution, frames)
+        """Return some frames of a solved track as the input of a solver."""
+        return build_solver_window(track.seen, track.solved, frames)
 
     def _select_check_frames(self, track: Track) -> NDArray[np.intp]:
-        """Return the indices of the frames that are checked: some of the newest, or all of an unsolved track."""
-        if track.solution is not None:
-            return track.seen.select_frames(CHECK_STEP_S, CHECK_SPAN_S)
-        return np.arange(len(track.seen.stamps_ns))
+        """Return the indices of the frames that are checked, some of the newest."""
+        return track.seen.select_frames(CHECK_STEP_S, CHECK_SPAN_S)
 
     def _choose_likeliest(
-        self, track: Track, frames: NDArray[np.intp], window: Window, hypotheses: Sequence[Hypothesis]
-    ) -> CheckOutcome:
-        """Return the likeliest of some hypotheses and the track's own solution, if it has one.
+        self, track: Track, frames: NDArray[np.intp], window: Window, others: Sequence[Hypothesis]
+    ) -> Slices[CheckOutcome]:
+        """Return the likeliest of some hypotheses and the track's own solution.
 
         Args:
-            track: the track.
+            track: a solved track.
             frames: (n,) indices of the frames to compare by, increasing.
             window: these frames, with the track's own solution as initial values.
-            hypotheses: the other hypotheses.
+            others: the other hypotheses.
         """
-        own = track.solution
-        if own is not None and window.start is not None:
-            hypotheses = [*hypotheses, Hypothesis(own.model_name, window.start, own.noise)]
+        own, start = track.solved, window.start
+        if start is None:
+            raise ValueError(f'track {track.id}: the window has no initial values')
+        hypotheses = [*others, Hypothesis(own.model_name, start, own.noise)]
         noise = min(h.noise for h in hypotheses)
-        unit = float(np.median(hypotheses[-1].start.cameras.scale))
         solver = replace(self.config.solver, max_iterations=COMPARISON_MAX_ITERATIONS)
-        fits = [
-            minus_twice_log_evidence(
-                replace(window, start=h.start, unit=unit), self.models[h.model_name], noise, solver
-            )
-            for h in hypotheses
-        ]
+        fits = []
+        for h in hypotheses:
+            model, started = self.models[h.model_name], replace(window, start=h.start)
+            comparison = minus_twice_log_evidence_stepwise(started, model, noise, solver)
+            fit = yield from do_in_slices(comparison, step_cost(len(frames), len(model.std)))
+            fits.append(fit)
         names = tuple(h.model_name for h in hypotheses)
         evidence = tuple(value for value, _ in fits)
-        own_name = own.model_name if own is not None else None
-        handicaps = [EVIDENCE_MARGIN if own_name not in (None, name) else 0.0 for name in names]
+        handicaps = [EVIDENCE_MARGIN if own.model_name != name else 0.0 for name in names]
         likeliest = int(np.argmin(np.add(evidence, handicaps)))
-        if own is not None and likeliest == len(hypotheses) - 1:
+        if likeliest == len(others):
             return CheckOutcome(own, False, names, evidence)
-        solution = self._adopt(track, frames, names[likeliest], fits[likeliest][1])
-        return CheckOutcome(solution, own is not None, names, evidence)
+        solution = yield from self._adopt(track, frames, names[likeliest], fits[likeliest][1])
+        return CheckOutcome(solution, True, names, evidence)
 
     def _adopt(
         self, track: Track, frames: NDArray[np.intp], model_name: str, reconstruction: JointReconstruction
-    ) -> TrackSolution:
-        """Return the solution of a track that a reconstruction of some of its frames gives, refined on all."""
-        model, seen = self.models[model_name], track.seen
-        earlier = track.solution if frames[0] > 0 else None
-        if earlier is not None and earlier.model_name != model_name:
+    ) -> Slices[TrackSolution]:
+        """Return the solution of a track that follows from a reconstruction of some of its frames, refined."""
+        model, seen, earlier = self.models[model_name], track.seen, track.solved
+        if earlier.model_name != model_name:
             earlier = earlier.change_model(self.models[earlier.model_name], model_name, model)
         solution = TrackSolution.interpolate(reconstruction, seen.observed, frames, model_name, model, earlier)
-        if len(frames) == len(seen.stamps_ns):
-            return solution
-        all_frames = np.arange(len(seen.stamps_ns))
         solver = replace(self.config.solver, max_iterations=ADOPTION_MAX_ITERATIONS)
-        (refined,) = solve([build_solver_window(seen, solution, all_frames)], model, solver)
-        return solution.refine(refined, seen.observed, 0, 0, model)
+        frames = seen.select_frames(ADOPTION_STEP_S, self.config.tracker.window)
+        window = build_solver_window(seen, solution, frames)
+        refinement = solve_stepwise([window], model, solver)
+        (refined,) = yield from do_in_slices(refinement, step_cost(len(frames), len(model.std)))
+        return TrackSolution.interpolate(refined, seen.observed, frames, model_name, model, solution)
 
-    def classify_motion(self, track: Track) -> Classification | None:
+    def classify_motion(self, track: Track) -> Slices[Classification | None]:
         """Classify the newest section of a track's window as periodic or not (TPAMI 2016, section 4.9).
 
         Args:
@@ -259,7 +302,7 @@ class HypothesisChecker:
         if duration_s < MIN_SECTION_SHARE * min(settings.section, self.config.tracker.window):
             return None
         for name in self._order_periodic_models(track, periodic_names):
-            motion = self._fit_periodic_motion(track, name)
+            motion = yield from self._fit_periodic_motion(track, name)
             if motion is not None:
                 return Classification(motion, name)
         motion = Motion(MotionKind.NON_PERIODIC, solution.model_name, solution.residual, math.nan)
@@ -280,7 +323,7 @@ class HypothesisChecker:
         turn = schedule.classification_count % 2 if takes_turns else 0
         return [likeliest, *rest][turn : turn + 1] + (rest if is_periodic else [])
 
-    def _fit_periodic_motion(self, track: Track, name: str) -> Motion | None:
+    def _fit_periodic_motion(self, track: Track, name: str) -> Slices[Motion | None]:
         """Return the motion as one periodic model explains it; None if that model does not explain it."""
         settings = self.config.classifier
         frames = track.seen.select_frames(CLASSIFICATION_STEP_S, settings.section)
@@ -293,7 +336,8 @@ class HypothesisChecker:
         )
         poses = self._current_poses(track, window.start)
         try:
-            fit = fit_periodic(window_without_start, {name: self.models[name]}, solver, poses)
+            fitting = fit_periodic_stepwise(window_without_start, {name: self.models[name]}, solver, poses)
+            fit = yield from do_in_slices(fitting, PERIODIC_COST * step_cost(len(frames), settings.components))
         except InputError:
             return None
         was_periodic = track.schedule.classification.motion.kind is MotionKind.PERIODIC

@@ -41,6 +41,7 @@ class CheckSchedule:
 
     Attributes:
         next_check_ns: ns, stamp at which the next hypothesis check is due.
+        check_interval_s: s, interval from the check before it, in which its lateness is measured.
         check_count: number of hypothesis checks that have begun.
         pending_restarts: number of re-initialisations that are still due after the image noise has risen.
         baseline_noise: m, image noise after the last round of checks in which every model had its turn; infinite
@@ -51,6 +52,7 @@ class CheckSchedule:
     """
 
     next_check_ns: int = 0
+    check_interval_s: float = MIN_CHECK_INTERVAL_S
     check_count: int = 0
     pending_restarts: int = 0
     baseline_noise: float = math.inf
@@ -59,8 +61,20 @@ class CheckSchedule:
     classification: Classification = Classification(UNKNOWN_MOTION, '')
 
     def check_at(self, stamp_ns: int) -> CheckSchedule:
-        """Return the schedule with the next check at a stamp in ns."""
-        return replace(self, next_check_ns=stamp_ns)
+        """Return the schedule with an urgent check at a stamp in ns."""
+        return replace(self, next_check_ns=stamp_ns, check_interval_s=MIN_CHECK_INTERVAL_S)
+
+    def classify_at(self, stamp_ns: int) -> CheckSchedule:
+        """Return the schedule with the next classification at a stamp in ns."""
+        return replace(self, next_classification_ns=stamp_ns)
+
+    def measure_check_lateness(self, stamp_ns: int) -> float:
+        """Return how late the next check is at a stamp in ns, in intervals; negative before it is due."""
+        return (stamp_ns - self.next_check_ns) / (self.check_interval_s * NS_PER_S)
+
+    def measure_classification_lateness(self, stamp_ns: int) -> float:
+        """Return how late the next classification is at a stamp in ns, in intervals; negative before it is due."""
+        return (stamp_ns - self.next_classification_ns) / (self.classification_interval_s * NS_PER_S)
 
     def check_after_initialisation(self, stamp_ns: int) -> CheckSchedule:
         """Return the schedule of a track that was initialised at a stamp in ns."""
@@ -75,12 +89,27 @@ class CheckSchedule:
             model_count: number of candidate models.
         """
         if noise > NOISE_ALARM_RATIO * self.baseline_noise:
-            return replace(self, pending_restarts=model_count, baseline_noise=math.inf, next_check_ns=stamp_ns)
+            restarted = replace(self, pending_restarts=model_count, baseline_noise=math.inf)
+            return restarted.check_at(stamp_ns)
         return self
 
-    def begin_check(self) -> CheckSchedule:
-        """Return the schedule after the beginning of a check, so that a failing one is not repeated for ever."""
-        return replace(self, check_count=self.check_count + 1)
+    def begin_check(self, stamp_ns: int, age_s: float, max_interval_s: float) -> CheckSchedule:
+        """Return the schedule after the beginning of a check, with the next one an interval later.
+
+        Args:
+            stamp_ns: ns, stamp of the newest frame.
+            age_s: s, time since the person was first seen.
+            max_interval_s: s, upper limit of the interval.
+        """
+        interval_s = min(max(MIN_CHECK_INTERVAL_S, CHECK_INTERVAL_GROWTH * age_s), max_interval_s)
+        if self.pending_restarts:
+            interval_s = min(interval_s, MIN_CHECK_INTERVAL_S)
+        return replace(
+            self,
+            check_count=self.check_count + 1,
+            next_check_ns=stamp_ns + round(interval_s * NS_PER_S),
+            check_interval_s=interval_s,
+        )
 
     def is_from_scratch(self, age_s: float) -> bool:
         """Return whether a check must start from the keypoints alone, for the solution may be wrong.
@@ -90,46 +119,41 @@ class CheckSchedule:
         """
         return self.pending_restarts > 0 or age_s < NEW_TRACK_S
 
-    def finish_check(
-        self, stamp_ns: int, age_s: float, max_interval_s: float, noise: float, model_count: int
-    ) -> CheckSchedule:
+    def finish_check(self, noise: float, model_count: int) -> CheckSchedule:
         """Return the schedule after a check that has begun with `begin_check`.
 
         Args:
-            stamp_ns: ns, stamp of the newest frame.
-            age_s: s, time since the person was first seen.
-            max_interval_s: s, upper limit of the time to the next check.
             noise: m, image noise of the solution after the check.
             model_count: number of candidate models.
         """
-        interval_s = min(max(MIN_CHECK_INTERVAL_S, CHECK_INTERVAL_GROWTH * age_s), max_interval_s)
         pending_restarts = max(self.pending_restarts - 1, 0)
-        if self.pending_restarts:
-            interval_s = min(interval_s, MIN_CHECK_INTERVAL_S)
         has_finished_round = self.check_count % model_count == 0
         return replace(
             self,
-            next_check_ns=stamp_ns + round(interval_s * NS_PER_S),
             pending_restarts=pending_restarts,
             baseline_noise=noise if has_finished_round and not pending_restarts else self.baseline_noise,
         )
+
+    @property
+    def classification_interval_s(self) -> float:
+        """Time in s from one classification to the next."""
+        is_periodic = self.classification.motion.kind is MotionKind.PERIODIC
+        return CLASSIFICATION_INTERVAL_S if is_periodic else CLASSIFICATION_INTERVAL_S / 2
+
+    def begin_classification(self, stamp_ns: int) -> CheckSchedule:
+        """Return the schedule after the beginning of a classification, with the next one an interval later."""
+        return replace(self, next_classification_ns=stamp_ns + round(self.classification_interval_s * NS_PER_S))
 
     def finish_classification(self, stamp_ns: int, classification: Classification | None) -> CheckSchedule:
         """Return the schedule after a classification.
 
         Args:
-            stamp_ns: ns, stamp of the newest frame.
+            stamp_ns: ns, stamp of the newest frame when it began.
             classification: its result; None if the window is too short for one.
         """
         if classification is None:
             count, classification = self.classification_count, self.classification
         else:
             count = self.classification_count + 1
-        is_periodic = classification.motion.kind is MotionKind.PERIODIC
-        interval_s = CLASSIFICATION_INTERVAL_S if is_periodic else CLASSIFICATION_INTERVAL_S / 2
-        return replace(
-            self,
-            next_classification_ns=stamp_ns + round(interval_s * NS_PER_S),
-            classification_count=count,
-            classification=classification,
-        )
+        finished = replace(self, classification_count=count, classification=classification)
+        return finished.begin_classification(stamp_ns)

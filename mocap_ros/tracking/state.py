@@ -4,9 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum
 
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.track import Track
+
+
+class WorkKind(str, Enum):
+    """What a piece of deferred work finds out of a person."""
+
+    CHECK = 'check'
+    CLASSIFICATION = 'classification'
+
+
+@dataclass(frozen=True, eq=False)
+class BegunWork:
+    """A piece of deferred work that has begun; with the tracker's parameters it determines its result.
+
+    Attributes:
+        kind: what is found out.
+        track: the track as it was when the work began.
+        slices_done: number of slices that are done.
+    """
+
+    kind: WorkKind
+    track: Track
+    slices_done: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,8 +41,8 @@ class TrackerState:
         newest_stamp_ns: ns, stamp of the newest accepted frame; None before the first.
         output_stamp_ns: ns, stamp of the frame whose people `Tracker.update` last returned; with `tracker.lag`, an
             older one.
-        pending_ids: ids of the tracks of the newest frame whose deferred work was not begun yet.
-        last_check_ns: ns, stamp of the newest frame when deferred work was last done.
+        is_work_pending: whether the slices of deferred work that follow the newest frame are still to be done.
+        begun_work: the piece of deferred work that has begun and is not finished; None if there is none.
         pose_memory: key poses of people who were lost.
         name_count: number of names that the tracker has given to people without an id.
         backward_jump_s: s by which the stamp of the newest frame went back, so that tracking restarted; else 0.
@@ -32,8 +55,8 @@ class TrackerState:
     tracks: tuple[Track, ...] = ()
     newest_stamp_ns: int | None = None
     output_stamp_ns: int = 0
-    pending_ids: tuple[str, ...] = ()
-    last_check_ns: int = 0
+    is_work_pending: bool = False
+    begun_work: BegunWork | None = None
     pose_memory: KeyPoseMemory = field(default_factory=KeyPoseMemory)
     name_count: int = 0
     backward_jump_s: float = 0.0
@@ -52,6 +75,15 @@ class TrackerState:
             models=self.models,
             is_lifted=self.is_lifted,
         )
+
+    @property
+    def newest_tracks(self) -> tuple[Track, ...]:
+        """The tracks of the people whom the newest frame shows."""
+        return tuple(t for t in self.tracks if t.seen.stamps_ns[-1] == self.newest_stamp_ns)
+
+    def find_track(self, name: str) -> Track | None:
+        """Return the track with an id; None if there is none."""
+        return next((t for t in self.tracks if t.id == name), None)
 
     def put_tracks(self, tracks: Sequence[Track]) -> TrackerState:
         """Return the state with some tracks in the places of those with the same ids; new ones come last."""

@@ -41,7 +41,8 @@ from mocap_ros.tracking.state import TrackerState
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
-LIFTER_CHECK_INTERVAL_S = 5.0  # s; maximum interval with a lifter, whose prior makes wrong solutions rare
+CHECK_INTERVAL_S = 0.5  # s; longest interval between checks without a lifter, where models take turns
+LIFTER_CHECK_INTERVAL_S = 5.0  # s; the same with a lifter, whose prior makes wrong solutions rare
 
 
 class Tracker:
@@ -79,7 +80,8 @@ class Tracker:
         is_all_enough = has_lifter and ALL_MOTIONS in self.models
         self._candidate_models = (ALL_MOTIONS,) if is_all_enough else tuple(self.models)
         self._checker = HypothesisChecker(self.models, config)
-        max_interval_s = LIFTER_CHECK_INTERVAL_S if has_lifter else settings.hypothesis_check_interval
+        default_interval_s = LIFTER_CHECK_INTERVAL_S if has_lifter else CHECK_INTERVAL_S
+        max_interval_s = settings.hypothesis_check_interval or default_interval_s
         self._deferred_work = DeferredWork(self._checker, self._candidate_models, max_interval_s)
         self._refinement_config = replace(config.solver, max_iterations=settings.iterations)
         sizes = tuple((name, len(model.components)) for name, model in self.models.items())
@@ -171,7 +173,7 @@ class Tracker:
             state,
             newest_stamp_ns=stamp_ns,
             output_stamp_ns=output_stamp_ns,
-            pending_ids=tuple(t.id for t in tracks),
+            is_work_pending=True,
             backward_jump_s=backward_jump_s,
             swapped_frames=state.swapped_frames + sum(t.seen.is_newest_swapped for t in tracks),
             unusable_people=state.unusable_people + len(people) - len(detections),
@@ -179,13 +181,12 @@ class Tracker:
         return output
 
     def run_deferred_work(self) -> None:
-        """Check the hypotheses of the people of the last frame, if that was not done yet.
+        """Do the part of the hypothesis checks and classifications that follows the last frame, if not done yet.
 
         The next `update` would do this work first. A caller who has time before then spares that frame the delay.
         """
-        self._state, work = self._deferred_work.choose(self._state)
-        if work is not None:
-            self._state = self._state.put_tracks([self._deferred_work.do(work)])
+        for state in self._deferred_work.advance(self._state):
+            self._state = state
 
     def _measure_backward_jump(self, stamp_ns: int) -> float:
         """Return by how many seconds the stamp goes back, so that tracking must restart; 0 for a newer stamp.
@@ -272,12 +273,11 @@ class Tracker:
         return out
 
     def _initialise_tracks(self, tracks: Sequence[Track], memory: KeyPoseMemory) -> list[Track]:
-        """Return the tracks with a first solution where there is none."""
-        names = self._candidate_models
-        return [
-            t if t.solution is not None else t.begin_solution(self._checker.initialise(t, names, memory))
-            for t in tracks
-        ]
+        """Return the tracks with a first solution where there is none, all new people in one batch a model."""
+        new = [t for t in tracks if t.solution is None]
+        solutions = self._checker.initialise(new, self._candidate_models, memory) if new else []
+        started = {t.id: t.begin_solution(s) for t, s in zip(new, solutions, strict=True)}
+        return [started.get(t.id, t) for t in tracks]
 
     def _refine_tracks(self, tracks: Sequence[Track]) -> list[Track]:
         """Return the tracks with their newest `tracker.refine_seconds` solved, all people of a model in one batch.

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import mocap_ros.tracking.hypotheses as hypotheses_module
 from mocap_ros.config import Config, with_values
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.keypoints.person import Person2D
@@ -14,14 +15,15 @@ from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.people import MotionKind, Person3D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Array
-from mocap_ros.tracking.hypotheses import EVIDENCE_MARGIN, KEY_POSE_STEP_S, Hypothesis, HypothesisChecker
+from mocap_ros.tracking.hypotheses import EVIDENCE_MARGIN, KEY_POSE_STEP_S, HypothesisChecker
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
+from mocap_ros.tracking.slices import finish_slices
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.frozen_state import list_values
 from tests.support.synthetic_walk import Walk, make_walk
-from tests.support.tracks import CAMERA, STEP_NS, track_walk
+from tests.support.tracks import CAMERA, STEP_NS, make_track, track_walk
 
 FRAMES = 45
 CONFIG = with_values(Config(), {'solver.prior': 'pca', 'tracker.components': 20})
@@ -67,7 +69,7 @@ def measure_error(joints: Array, walk_model: BasePoses, walk: Walk, frames: NDAr
 def test_a_wrong_model_is_replaced(track: Track, checker: HypothesisChecker) -> None:
     models = checker.models
     wrong = replace(track, solution=track.solved.change_model(models['walk'], 'jump', models['jump']))
-    outcome = checker.compare_models(wrong, ['walk'])
+    outcome = finish_slices(checker.compare_models(wrong, ['walk']))
     assert outcome.is_replaced
     assert outcome.solution.model_name == 'walk'
     assert outcome.model_names == ('walk', 'jump')
@@ -78,7 +80,8 @@ def test_a_wrong_model_is_replaced(track: Track, checker: HypothesisChecker) -> 
 
 
 def test_the_right_model_is_kept(track: Track, checker: HypothesisChecker) -> None:
-    for outcome in (checker.compare_models(track, ['jump']), checker.reinitialise(track, ['jump'])):
+    for check in (checker.compare_models(track, ['jump']), checker.reinitialise(track, ['jump'])):
+        outcome = finish_slices(check)
         assert not outcome.is_replaced
         assert outcome.solution is track.solution
         assert outcome.model_names == ('jump', 'walk')
@@ -92,7 +95,8 @@ def test_a_margin_keeps_the_choice_of_the_model(
     """A twin of the model with a slightly tighter prior is slightly more likely, which is not enough."""
     walk_model = checker.models['walk']
     twin = replace(walk_model, std=std_ratio * walk_model.std)
-    outcome = HypothesisChecker({**checker.models, 'twin': twin}, CONFIG).compare_models(track, ['twin'])
+    with_twin = HypothesisChecker({**checker.models, 'twin': twin}, CONFIG)
+    outcome = finish_slices(with_twin.compare_models(track, ['twin']))
     twins, own = outcome.minus_twice_log_evidence
     assert (own > twins) is (std_ratio < 1)
     assert (own - twins > EVIDENCE_MARGIN) is is_replaced
@@ -106,7 +110,7 @@ def test_there_is_no_margin_within_a_model(
     """A solution from scratch under the track's own model needs no margin to replace a wrong one."""
     wrong = replace(track, solution=turn_round(track.solved))
     before = list_values(wrong)
-    outcome = checker.reinitialise(wrong, ['walk'])
+    outcome = finish_slices(checker.reinitialise(wrong, ['walk']))
     assert outcome.is_replaced
     assert outcome.model_names == ('walk', 'walk')
     frames = np.arange(FRAMES - 30, FRAMES)  # the newest second, which is checked
@@ -143,29 +147,33 @@ def centre(person: Person3D) -> Array:
     return np.asarray(person.joints - person.joints.mean(axis=0))
 
 
-def test_a_first_solution_has_all_frames_and_the_likeliest_model(track: Track, checker: HypothesisChecker) -> None:
+def test_first_solutions_have_all_frames_and_the_likeliest_model(track: Track, checker: HypothesisChecker) -> None:
     unsolved = replace(track, solution=None)
-    solution = checker.initialise(unsolved, ['jump', 'walk'], KeyPoseMemory())
-    assert (solution.model_name, len(solution.theta)) == ('walk', FRAMES)
+    solutions = checker.initialise([unsolved, unsolved], ['jump', 'walk'], KeyPoseMemory())
+    assert [(s.model_name, len(s.theta)) for s in solutions] == [('walk', FRAMES)] * 2
+    assert solutions[0].theta == pytest.approx(solutions[1].theta, abs=1e-9), 'people of a batch are independent'
     assert unsolved.solution is None
-    outcome = checker.reinitialise(unsolved, ['jump', 'walk'])
-    assert not outcome.is_replaced, 'there was none to replace'
-    assert outcome.model_names == ('jump', 'walk')
 
 
-def test_further_hypotheses_take_part(track: Track, checker: HypothesisChecker) -> None:
-    """A recalled pose comes in this way; here it is the right solution, against one from scratch."""
-    frames = np.arange(FRAMES)
-    own = track.solved
-    start = track.seen.observed.convert_to_initial_values(own.theta, own.rotation, own.roots)
-    recalled = Hypothesis('walk', start, own.noise)
-    outcome = checker.reinitialise(replace(track, solution=None), ['jump'], [recalled])
-    assert outcome.model_names == ('walk', 'jump')
-    assert outcome.solution.model_name == 'walk'
-    difference = outcome.solution.compute_joints(checker.models['walk'], frames) - own.compute_joints(
-        checker.models['walk'], frames
-    )
-    assert np.linalg.norm(difference, axis=-1).mean() < 0.01
+def test_a_remembered_pose_is_a_hypothesis(
+    track: Track, checker: HypothesisChecker, walk: Walk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a single step a solution from scratch is still far from the pose, and the remembered one is not."""
+    monkeypatch.setattr(hypotheses_module, 'INITIAL_MAX_ITERATIONS', 1)
+    model, frame = checker.models['walk'], 20
+    unsolved, other = make_track(walk[2][frame : frame + 1]), make_track(walk[2][frame + 15 : frame + 16])
+    joints = track.solved.compute_joints(model, np.array([frame]))
+    newest = unsolved.seen.observed
+    pose = newest.virtual_camera.to_virtual_camera(joints)[0]
+    memory = KeyPoseMemory().remember(newest.points[0], newest.weight[0], pose)
+    assert memory.recall(other.seen.observed.points[0], other.seen.observed.weight[0]) is None
+    errors = []
+    for known in (KeyPoseMemory(), memory):
+        solution, unlike = checker.initialise([unsolved, other], ['walk'], known)
+        difference = solution.compute_joints(model, np.array([0])) - joints
+        errors.append(np.linalg.norm(difference - difference.mean(axis=1, keepdims=True), axis=-1).mean())
+        assert unlike.theta.shape == (1, 20)
+    assert errors[1] < 0.5 * errors[0]
 
 
 def test_poses_that_look_different_are_remembered(track: Track, checker: HypothesisChecker) -> None:
@@ -180,20 +188,21 @@ def test_poses_that_look_different_are_remembered(track: Track, checker: Hypothe
 
 
 def test_a_short_window_is_not_classified(track: Track, checker: HypothesisChecker) -> None:
-    assert checker.classify_motion(track) is None, '1.5 s of 2 s'
+    assert finish_slices(checker.classify_motion(track)) is None, '1.5 s of 2 s'
     only_jump = HypothesisChecker({'jump': checker.models['jump'], 'all': checker.models['walk']}, CONFIG)
     short = with_values(CONFIG, {'classifier.section': 1.0})
     long_enough = replace(track, solution=replace(track.solved, model_name='all'))
-    assert replace(only_jump, config=short).classify_motion(long_enough) is None, 'no model is periodic'
+    only_jump = replace(only_jump, config=short)
+    assert finish_slices(only_jump.classify_motion(long_enough)) is None, 'no model is periodic'
 
 
 def test_a_walk_of_a_full_section_is_classified(track: Track, checker: HypothesisChecker) -> None:
     config = with_values(CONFIG, {'classifier.section': 1.2, 'classifier.walk_residual': 0.2})
-    classification = replace(checker, config=config).classify_motion(track)
+    classification = finish_slices(replace(checker, config=config).classify_motion(track))
     assert classification is not None
     assert (classification.motion.kind, classification.periodic_model_name) == (MotionKind.PERIODIC, 'walk')
     strict = with_values(config, {'classifier.amplitude': 0.9})
-    other = replace(checker, config=strict).classify_motion(track)
+    other = finish_slices(replace(checker, config=strict).classify_motion(track))
     assert other is not None
     assert (other.motion.kind, other.periodic_model_name) == (MotionKind.NON_PERIODIC, '')
     assert other.motion.category == 'walk'

@@ -11,6 +11,7 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
+from mocap_ros.tracking.person_in_frame import make_person
 from mocap_ros.tracking.prediction import PREDICTION_STD_PER_S
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.synthetic_walk import make_walk
@@ -39,7 +40,10 @@ def track_walker(model: BasePoses, start: list[float], velocity: list[float], ga
     joints = poses + np.array(start) + times[:, None, None] * np.array(velocity)
     for frame in range(FRAMES):
         seen = Person2D('', CMU15.joints, CAMERA.project(joints[frame]), np.ones(15))
-        (last,) = tracker.update(frame * STEP_NS, [seen], CAMERA)
+        tracker.update(frame * STEP_NS, [seen], CAMERA)
+    tracker.run_deferred_work()
+    (track,) = tracker.snapshot().tracks
+    last = make_person(track, len(track.seen.stamps_ns) - 1, tracker.models[track.solved.model_name])
     (predicted,) = tracker.update((FRAMES - 1 + gap) * STEP_NS, [], CAMERA)
     return [last, predicted]
 

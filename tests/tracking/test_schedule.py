@@ -1,31 +1,21 @@
-"""Tests of when a track is checked and classified, and of the choice of the work that is due."""
+"""Tests of when a track is checked and classified."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from mocap_ros.config import Config, with_values
-from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.people import Motion, MotionKind
-from mocap_ros.tracking.deferred_work import MIN_DEFERRED_GAP_S, DeferredWork
-from mocap_ros.tracking.hypotheses import HypothesisChecker
 from mocap_ros.tracking.schedule import NEW_TRACK_S, CheckSchedule, Classification
-from mocap_ros.tracking.state import TrackerState
-from mocap_ros.tracking.track import Track
-from tests.support.synthetic_walk import make_walk
-from tests.support.tracks import STEP_NS, track_walk
 
 S = 10**9  # ns
 PERIODIC = Classification(Motion(MotionKind.PERIODIC, 'walk', 0.01, 0.9), 'walk')
 OTHER = Classification(Motion(MotionKind.NON_PERIODIC, 'jump', 0.01, np.nan), '')
-CONFIG = with_values(Config(), {'solver.prior': 'pca', 'tracker.components': 10})
 
 
 def check(schedule: CheckSchedule, stamp_s: float, age_s: float, noise: float = 0.01) -> CheckSchedule:
     """Return the schedule after a check among three models, at most half a second apart."""
-    return schedule.begin_check().finish_check(round(stamp_s * S), age_s, 0.5, noise, model_count=3)
+    return schedule.begin_check(round(stamp_s * S), age_s, 0.5).finish_check(noise, model_count=3)
 
 
 def test_checks_become_rarer_with_age() -> None:
@@ -92,99 +82,19 @@ def test_a_classification_that_was_not_possible_changes_no_result() -> None:
     assert periodic.classification is PERIODIC
 
 
-@pytest.fixture(scope='module')
-def track(walk_model: BasePoses) -> Track:
-    """A track of one second."""
-    tracker = track_walk({'walk': walk_model}, CONFIG, make_walk(walk_model, 31)[2])
-    (track,) = tracker.snapshot().tracks
-    return track
+def test_lateness_is_measured_in_intervals() -> None:
+    new = check(CheckSchedule().check_after_initialisation(0), 1.0, age_s=0.3)
+    old = check(CheckSchedule(), 1.0, age_s=9.0)
+    assert new.measure_check_lateness(round(1.2 * S)) == pytest.approx(1)
+    assert old.measure_check_lateness(round(1.2 * S)) == pytest.approx(-0.6)
+    assert old.measure_check_lateness(2 * S) == pytest.approx(1)
+    assert old.check_at(2 * S).measure_check_lateness(round(2.1 * S)) == pytest.approx(1), 'an urgent check'
+    periodic = CheckSchedule().finish_classification(4 * S, PERIODIC)
+    assert periodic.measure_classification_lateness(7 * S) == pytest.approx(2)
+    assert periodic.classify_at(6 * S).measure_classification_lateness(7 * S) == pytest.approx(1)
 
 
-@pytest.fixture(scope='module')
-def models(walk_model: BasePoses) -> dict[str, BasePoses]:
-    return {'jump': load_base_poses('jump').truncate(10), 'walk': walk_model.truncate(10)}
-
-
-def with_schedule(track: Track, name: str, check_ns: int, classification_ns: int) -> Track:
-    schedule = CheckSchedule(next_check_ns=check_ns, next_classification_ns=classification_ns)
-    return replace(track, id=name, schedule=schedule)
-
-
-def make_state(*tracks: Track) -> TrackerState:
-    """Return the state after a frame that shows these people."""
-    (stamp_ns,) = {t.seen.stamps_ns[-1] for t in tracks}
-    return TrackerState(tracks, newest_stamp_ns=stamp_ns, pending_ids=tuple(t.id for t in tracks))
-
-
-def test_the_work_that_is_due_longest_is_chosen(track: Track, models: dict[str, BasePoses]) -> None:
-    work = DeferredWork(HypothesisChecker(models, CONFIG), ('jump', 'walk'), 0.5)
-    now = track.seen.stamps_ns[-1]
-    late = now + STEP_NS
-    ann, bob = with_schedule(track, 'ann', 500, late), with_schedule(track, 'bob', 600, 400)
-    state, chosen = work.choose(make_state(ann, bob))
-    assert chosen is not None
-    assert (chosen.track.id, chosen.is_classification) == ('bob', True)
-    assert (state.last_check_ns, state.pending_ids) == (now, ())
-    assert [t.schedule.check_count for t in state.tracks] == [0, 0]
-
-    state, chosen = work.choose(
-        make_state(ann, replace(bob, schedule=replace(bob.schedule, next_classification_ns=late)))
-    )
-    assert chosen is not None
-    assert (chosen.track.id, chosen.is_classification) == ('ann', False)
-    assert [t.schedule.check_count for t in state.tracks] == [1, 0], 'it has begun'
-    assert ann.schedule.check_count == 0
-
-    assert work.choose(make_state(with_schedule(track, 'ann', late, late)))[1] is None
-    undetected = replace(make_state(ann, bob), pending_ids=('ann',))
-    _, chosen = work.choose(undetected)
-    assert chosen is not None
-    assert chosen.track.id == 'ann', 'only people of the newest frame'
-
-
-def test_pieces_of_work_keep_a_distance(track: Track, models: dict[str, BasePoses]) -> None:
-    work = DeferredWork(HypothesisChecker(models, CONFIG), ('jump', 'walk'), 0.5)
-    state = make_state(with_schedule(track, 'ann', 0, 0))
-    now = track.seen.stamps_ns[-1]
-    gap_ns = round(MIN_DEFERRED_GAP_S * S)
-    assert work.choose(replace(state, last_check_ns=now - gap_ns + 1))[1] is None
-    assert work.choose(replace(state, last_check_ns=now - gap_ns))[1] is not None
-    assert work.choose(replace(state, pending_ids=()))[1] is None
-
-
-def test_work_that_fails_is_not_repeated_for_ever(track: Track, models: dict[str, BasePoses]) -> None:
-    """The next check is that of the next model; here the first model of the two does not exist."""
-    work = DeferredWork(HypothesisChecker(models, CONFIG), ('missing', 'walk'), 0.5)
-    state, chosen = work.choose(make_state(with_schedule(track, 'ann', 0, 2 * S)))
-    assert chosen is not None
-    with pytest.raises(KeyError, match='missing'):
-        work.do(chosen)
-    state, chosen = work.choose(replace(state, pending_ids=('ann',), last_check_ns=0))
-    assert chosen is not None
-    after = work.do(chosen)
-    assert after.schedule.check_count == 2
-    assert after.schedule.next_check_ns > state.tracks[0].schedule.next_check_ns
-
-
-@pytest.mark.parametrize(
-    ('checked_model', 'restarts', 'age_s', 'is_found'),
-    [('walk', 0, 9.0, True), ('jump', 0, 9.0, False), ('jump', 1, 9.0, True), ('jump', 0, 0.9, True)],
-)
-def test_only_a_check_from_scratch_finds_another_heading(
-    track: Track, models: dict[str, BasePoses], checked_model: str, restarts: int, age_s: float, is_found: bool
-) -> None:
-    """A check of another model starts from the poses so far, unless the solution may be wrong."""
-    right, newest_ns = track.solved.rotation[-1], track.seen.stamps_ns[-1]
-    half_turn = np.diag([-1.0, -1.0, 1.0])
-    wrong = replace(track.solved, rotation=track.solved.rotation @ half_turn, theta=0 * track.solved.theta)
-    seen = replace(track.seen, first_stamp_ns=newest_ns - round(age_s * S))
-    names = (checked_model, 'walk' if checked_model == 'jump' else 'jump')
-    work = DeferredWork(HypothesisChecker(models, CONFIG), names, 0.5)
-    late = CheckSchedule(pending_restarts=restarts, next_classification_ns=newest_ns + S)
-    _, chosen = work.choose(make_state(replace(track, seen=seen, solution=wrong, schedule=late)))
-    assert chosen is not None
-    after = work.do(chosen)
-    same_heading = np.trace(after.solved.rotation[-1] @ right.T) > 2  # less than 60 degrees apart
-    assert same_heading == is_found
-    assert after.schedule.check_count == 1
-    assert after.schedule.next_check_ns > newest_ns
+def test_work_that_has_begun_is_not_due_before_its_interval_has_passed() -> None:
+    begun = CheckSchedule().begin_check(3 * S, 9.0, 0.5)
+    assert (begun.check_count, begun.next_check_ns) == (1, 3.5 * S)
+    assert CheckSchedule().begin_classification(3 * S).next_classification_ns == 3.5 * S

@@ -19,7 +19,7 @@ SEQUENCE = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
 FIRST_CAMERA = SEQUENCE.intrinsics(1.0)
 SECOND_CAMERA = Intrinsics(FIRST_CAMERA.focal * 1.3, (300.0, 260.0), is_focal_known=True)
 CAMERA_CHANGE, LAST = 70, 110  # frames
-EXPECTED_FIELDS = {'tracks', 'newest_stamp_ns', 'pose_memory', 'pending_ids', 'name_count', 'swapped_frames'}
+EXPECTED_FIELDS = {'tracks', 'newest_stamp_ns', 'pose_memory', 'is_work_pending', 'name_count', 'swapped_frames'}
 
 
 def make_detection(frame: int, name: str, offset: float) -> Person2D:
@@ -74,6 +74,25 @@ def test_a_tracker_continues_from_a_snapshot_bit_for_bit(tracker: Tracker) -> No
         assert list_values(restored.snapshot()) == list_values(snapshot)
         assert list_values(tuple(feed(restored, 35, LAST))) == expected
         assert list_values(restored.snapshot()) == expected_state
+
+
+def test_a_tracker_continues_in_the_middle_of_a_check(tracker: Tracker) -> None:
+    """Another tracker does the slices of the check again that were done, and takes over the same answer."""
+    frame, slices_done = 30, 0
+    while slices_done < 3:
+        feed(tracker, frame, frame + 1)
+        tracker.run_deferred_work()
+        begun = tracker.snapshot().begun_work
+        frame, slices_done = frame + 1, 0 if begun is None else begun.slices_done
+    snapshot = tracker.snapshot()
+    assert forbid_writing(snapshot) > 20
+    fresh = Tracker(load_base_pose_models('auto'), tracker.config)
+    fresh.restore(snapshot)
+    outputs = [list_values(tuple(feed(t, frame, frame + 30))) for t in (tracker, fresh)]
+    assert outputs[0] == outputs[1]
+    assert list_values(tracker.snapshot()) == list_values(fresh.snapshot())
+    tracker.restore(snapshot)
+    assert list_values(tuple(feed(tracker, frame, frame + 30))) == outputs[0], 'its own slices are further on'
 
 
 @pytest.mark.parametrize(
@@ -131,5 +150,5 @@ def test_a_reset_forgets_people_but_keeps_counting(tracker: Tracker) -> None:
     tracker.reset()
     state = tracker.snapshot()
     assert (state.tracks, state.newest_stamp_ns, state.name_count) == ((), None, 0)
-    assert state.pending_ids == ()
+    assert (state.is_work_pending, state.begun_work) == (False, None)
     assert state.unusable_people == tracker.unusable_people == 1

@@ -269,7 +269,7 @@ def test_a_walk_is_classified_as_periodic_and_a_jump_is_not(prior: str) -> None:
         seen = Person2D('p', sequence.joint_names, np.nan_to_num(keypoints[:, :2]), np.nan_to_num(keypoints[:, 2]))
         for person in tracker.update(round(stamp * 1e9), [seen], camera):
             motions[stamp] = person.motion
-    walk, jump = motions[sequence.timestamps[120]], motions[sequence.timestamps[280]]
+    walk, jump = motions[sequence.timestamps[120]], motions[sequence.timestamps[310]]
     assert (walk.kind, walk.category) == (MotionKind.PERIODIC, 'walk')
     assert walk.cadence == pytest.approx(0.9, abs=1.1 * 0.029)  # Hz; measured: 0.871 and 0.874
     assert jump.kind is MotionKind.NON_PERIODIC

@@ -1,0 +1,55 @@
+"""Work in slices whose costs are known before they are done.
+
+The cost of a slice is counted in unknowns: a step of a solver over F frames with n unknowns each costs F n, and
+`SLICE_BASE` more for what does not grow with the window. It follows from the input and is no measured time, so it
+is the same whenever the same work is done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import TypeAlias, TypeVar
+
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
+from mocap_ros.solvers.stepwise import Stepwise
+
+Result = TypeVar('Result')
+
+# Yields the cost of the slice that the next call of `next` will do, and returns the result at its end.
+Slices: TypeAlias = Generator[int, None, Result]
+
+SLICE_BASE = 150  # unknowns; a step over a single frame takes about as long as this much of a larger one
+
+
+def step_cost(frames: int, components: int) -> int:
+    """Return the cost of a step of a solver.
+
+    Args:
+        frames: number of frames of its window.
+        components: number of base poses.
+    """
+    return SLICE_BASE + frames * (components + CAMERA_UNKNOWNS)
+
+
+def do_in_slices(work: Stepwise[Result], cost: int) -> Slices[Result]:
+    """Do the pieces of stepwise work as slices, and return its result.
+
+    Args:
+        work: the work.
+        cost: cost of each piece.
+    """
+    while True:
+        yield cost
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value
+
+
+def finish_slices(slices: Slices[Result]) -> Result:
+    """Do all slices at once, and return the result."""
+    try:
+        while True:
+            next(slices)
+    except StopIteration as end:
+        return end.value
