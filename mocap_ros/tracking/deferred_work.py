@@ -1,7 +1,7 @@
 """The work of a tracker that waits until the outputs of a frame are published: hypothesis checks, classification.
 
 No frame waits for a whole check. The work is done in slices, each about a step of a solver, and after each frame
-only as many are done as `FRAME_BUDGET` allows. The budget is one of unknowns, not of time (`slices`), so a replay
+only as many are done as `FRAME_BUDGET` allows. The budget limits the cost and not the time (`slices`), so a replay
 does the same slices after the same frames as the live node.
 
 One piece of work is done at a time. It is about one person, and about this person's track as it was when the work
@@ -27,8 +27,8 @@ from mocap_ros.tracking.state import BegunWork, TrackerState, WorkKind
 from mocap_ros.tracking.take_over import is_outdated, take_over
 from mocap_ros.tracking.track import Track
 
-FRAME_BUDGET = 4400  # unknowns; 2 ms of a core, so that the next frame does not wait (docs/tracker.md)
-WINDOW_COST = 400  # unknowns; building the windows of a piece of work, its first slice, takes as long
+FRAME_BUDGET = 100_000  # elements; 2 to 3 ms of a core, so that the next frame does not wait (docs/tracker.md)
+WINDOW_COST = 20_000  # elements; building the windows of a piece of work, its first slice, takes as long
 
 # What a piece of work has found: a function that takes it over into the track as it is now.
 Finding: TypeAlias = Callable[[Track], Track]
@@ -68,7 +68,7 @@ class DeferredWork:
         state = self._restart_where_noise_rose(replace(state, is_work_pending=False, begun_work=None))
         if work is not None and _has_ended(work, state.find_track(work.track.id)):
             state, work = _make_due_again(state, work), None
-        budget = FRAME_BUDGET
+        budget: float = FRAME_BUDGET
         while True:
             if work is None:
                 state, work = self._begin_latest(state)

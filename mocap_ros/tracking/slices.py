@@ -1,8 +1,8 @@
 """Work in slices whose costs are known before they are done.
 
-The cost of a slice is counted in unknowns: a step of a solver over F frames with n unknowns each costs F n, and
-`SLICE_BASE` more for what does not grow with the window. It follows from the input and is no measured time, so it
-is the same whenever the same work is done.
+The cost of a slice is counted in elements of the solver's matrix: a step over F frames with n unknowns each costs
+F n^2, and `SLICE_BASE` more for what does not grow with the window. It follows from the input and is no measured
+time, so it is the same whenever the same work is done.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from mocap_ros.solvers.stepwise import Stepwise
 Result = TypeVar('Result')
 
 # Yields the cost of the slice that the next call of `next` will do, and returns the result at its end.
-Slices: TypeAlias = Generator[int, None, Result]
+Slices: TypeAlias = Generator[float, None, Result]
 
-SLICE_BASE = 150  # unknowns; a step over a single frame takes about as long as this much of a larger one
+SLICE_BASE = 4000  # elements; what a step does once for all frames takes as long as so many of them
 
 
 def step_cost(frames: int, components: int) -> int:
-    """Return the cost of a step of a solver.
+    """Return the cost of a step of the joint solver.
 
     Args:
         frames: number of frames of its window.
         components: number of base poses.
     """
-    return SLICE_BASE + frames * (components + CAMERA_UNKNOWNS)
+    return SLICE_BASE + frames * (components + CAMERA_UNKNOWNS) ** 2
 
 
-def do_in_slices(work: Stepwise[Result], cost: int) -> Slices[Result]:
+def do_in_slices(work: Stepwise[Result], cost: float) -> Slices[Result]:
     """Do the pieces of stepwise work as slices, and return its result.
 
     Args:

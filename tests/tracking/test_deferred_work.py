@@ -23,7 +23,7 @@ from tests.support.tracks import CAMERA, STEP_NS, make_detection, track_walk
 S = 10**9  # ns
 FRAMES = 61
 CONFIG = with_values(Config(), {'solver.prior': 'pca', 'tracker.components': 10})
-CHECK_SLICES, CHECK_COST = 20, 600
+CHECK_SLICES, CHECK_COST = 20, 12_000
 
 
 @dataclass(frozen=True, eq=False)

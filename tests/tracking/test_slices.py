@@ -25,4 +25,4 @@ def test_each_piece_of_stepwise_work_is_a_slice_that_tells_its_cost_before() -> 
 
 
 def test_the_cost_grows_with_frames_and_base_poses() -> None:
-    assert step_cost(11, 40) == SLICE_BASE + 11 * 44
+    assert step_cost(11, 40) == SLICE_BASE + 11 * 44**2
