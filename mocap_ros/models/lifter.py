@@ -63,10 +63,6 @@ class LiftedPoses:
         """Return the poses of the given frames."""
         return LiftedPoses(self.joints[frames], self.std[frames])
 
-    def scale_by(self, factor: float) -> LiftedPoses:
-        """Return the poses multiplied by a factor, for example to convert their unit."""
-        return LiftedPoses(self.joints * factor, self.std * factor)
-
 
 def concatenate_lifted(parts: Sequence[LiftedPoses]) -> LiftedPoses:
     """Concatenate the frames of all parts."""
