@@ -1,7 +1,7 @@
 """The work of a tracker that waits until the outputs of a frame are published: hypothesis checks, classification.
 
 No frame waits for a whole check. The work is done in slices, each about a step of a solver, and after each frame
-only as many are done as `FRAME_BUDGET` allows. The budget limits the cost and not the time (`slices`), so a replay
+only as many are done as a budget allows. The budget limits the cost and not the time (`slices`), so a replay
 does the same slices after the same frames as the live node.
 
 One piece of work is done at a time. It is about one person, and about this person's track as it was when the work
@@ -28,6 +28,9 @@ from mocap_ros.tracking.take_over import is_outdated, take_over
 from mocap_ros.tracking.track import Track
 
 FRAME_BUDGET = 100_000  # elements; 2 to 3 ms of a core, so that the next frame does not wait (docs/tracker.md)
+# The same without a lifter, up to 8 ms. Only the checks then find the model and the heading, and with a smaller
+# budget they come too late: the error of the newest frame rises by 3 to 10 %.
+FRAME_BUDGET_WITHOUT_LIFTER = 300_000
 WINDOW_COST = 20_000  # elements; building the windows of a piece of work, its first slice, takes as long
 
 # What a piece of work has found: a function that takes it over into the track as it is now.
@@ -41,14 +44,20 @@ class DeferredWork:
         checker: makes the checks.
         candidate_models: names of the models to check, in turn.
         max_check_interval_s: s, upper limit of the time between two checks of a track.
+        frame_budget: elements, largest cost of the slices that follow a frame; one is done whatever it costs.
     """
 
     def __init__(
-        self, checker: HypothesisChecker, candidate_models: tuple[str, ...], max_check_interval_s: float
+        self,
+        checker: HypothesisChecker,
+        candidate_models: tuple[str, ...],
+        max_check_interval_s: float,
+        frame_budget: int = FRAME_BUDGET,
     ) -> None:
         self._checker = checker
         self._candidate_models = candidate_models
         self._max_check_interval_s = max_check_interval_s
+        self._frame_budget = frame_budget
         self._run: _Run | None = None  # the latest run; only a cache, for `state.begun_work` determines it
 
     def advance(self, state: TrackerState) -> Iterator[TrackerState]:
@@ -68,7 +77,7 @@ class DeferredWork:
         state = self._restart_where_noise_rose(replace(state, is_work_pending=False, begun_work=None))
         if work is not None and _has_ended(work, state.find_track(work.track.id)):
             state, work = _make_due_again(state, work), None
-        budget: float = FRAME_BUDGET
+        budget: float = self._frame_budget
         while True:
             if work is None:
                 state, work = self._begin_latest(state)
@@ -76,7 +85,7 @@ class DeferredWork:
             if work is None:
                 return
             run = self._resume(work)
-            while run.finding is None and (budget == FRAME_BUDGET or run.next_cost <= budget):
+            while run.finding is None and (budget == self._frame_budget or run.next_cost <= budget):
                 budget -= run.next_cost
                 run.do_slice()
             if run.finding is None:

@@ -29,7 +29,7 @@ from mocap_ros.models.model_file import load_prior_lifter
 from mocap_ros.people import Person3D
 from mocap_ros.solvers.joint.solver import solve
 from mocap_ros.solvers.observed_window import RAY_FOCAL
-from mocap_ros.tracking.deferred_work import DeferredWork
+from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_LIFTER, DeferredWork
 from mocap_ros.tracking.detection import Detection
 from mocap_ros.tracking.hypotheses import HypothesisChecker
 from mocap_ros.tracking.matching import match_detections
@@ -82,7 +82,8 @@ class Tracker:
         self._checker = HypothesisChecker(self.models, config)
         default_interval_s = LIFTER_CHECK_INTERVAL_S if has_lifter else CHECK_INTERVAL_S
         max_interval_s = settings.hypothesis_check_interval or default_interval_s
-        self._deferred_work = DeferredWork(self._checker, self._candidate_models, max_interval_s)
+        budget = FRAME_BUDGET if has_lifter else FRAME_BUDGET_WITHOUT_LIFTER
+        self._deferred_work = DeferredWork(self._checker, self._candidate_models, max_interval_s, budget)
         self._refinement_config = replace(config.solver, max_iterations=settings.iterations)
         sizes = tuple((name, len(model.components)) for name, model in self.models.items())
         self._state = TrackerState(models=sizes, is_lifted=has_lifter)

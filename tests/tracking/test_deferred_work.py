@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-import mocap_ros.tracking.deferred_work as deferred_work_module
 from mocap_ros.config import Config, with_values
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses
@@ -144,7 +143,7 @@ def test_only_people_of_the_newest_frame_are_checked_and_only_once(track: Track,
 
 
 def test_a_frame_is_followed_by_as_many_slices_as_the_budget_allows(
-    track: Track, monkeypatch: pytest.MonkeyPatch
+    track: Track,
 ) -> None:
     checker = IdleChecker({}, CONFIG)
     work = DeferredWork(checker, ('walk',), 0.5)
@@ -159,7 +158,7 @@ def test_a_frame_is_followed_by_as_many_slices_as_the_budget_allows(
     per_frame = np.diff(counts).tolist()
     assert per_frame[:-1] == [first] + [whole] * (len(per_frame) - 2)
     assert sum(per_frame) == CHECK_SLICES
-    monkeypatch.setattr(deferred_work_module, 'FRAME_BUDGET', 1)
+    work = DeferredWork(checker, ('walk',), 0.5, frame_budget=1)
     for frame in range(4):
         state = advance(work, replace(state, is_work_pending=True))
         assert state.begun_work is not None
