@@ -287,6 +287,7 @@ def mean_error(records: Sequence[dict[str, float]], key: str = 'mpjpe_mm') -> fl
     return float(np.mean([r[key] for r in records]))
 
 
+        'pose_acceleration_weight': 0.0,
 def worst_error(records: Sequence[dict[str, float]]) -> float:
     """Return the largest MPJPE of the records in mm."""
     return float(np.max([r['mpjpe_mm'] for r in records]))

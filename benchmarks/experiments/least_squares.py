@@ -18,8 +18,10 @@ from scipy.sparse import coo_array, csr_array
 
 from mocap_ros.geometry.rotations import cross_matrix, rotation_from_vector
 from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
-from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness, measure_features
+from mocap_ros.solvers.joint.camera_acceleration import CameraAcceleration
+from mocap_ros.solvers.joint.camera_smoothness import CAMERA_FEATURES, CameraSmoothness, measure_features
 from mocap_ros.solvers.joint.objective import JointObjective
+from mocap_ros.solvers.joint.pose_acceleration import PoseAcceleration
 from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
 from mocap_ros.solvers.joint.state import State
 
@@ -97,6 +99,8 @@ class SparseProblem:
             np.sqrt(p.find_term(BasePosePrior).precision) * state.theta,
             np.sqrt(p.find_term(PoseSmoothness).weight)[:, None] * np.diff(state.theta, axis=0) / p.model.std,
             np.sqrt(p.find_term(CameraSmoothness).weight) * np.diff(features, axis=0),
+            _change_velocity(p.find_term(PoseAcceleration), state.theta),
+            _change_velocity(p.find_term(CameraAcceleration), features[:, np.flatnonzero(CAMERA_FEATURES)]),
         ]
         return np.concatenate([r.ravel() for r in rows])
 
@@ -140,12 +144,22 @@ class SparseProblem:
         camera = np.zeros((frames, 4, 2, 4))
         camera[..., :3] = (-cross_matrix(of_columns) @ turn[:, None])[..., :2, :]
         camera[:, :3, :, 3] = scaled[..., :2]
-        camera_rows = np.swapaxes(camera, 1, 2).reshape(frames, 8, 4)
-        root_flip = np.sqrt(p.find_term(CameraSmoothness).weight[:, :8, None])
+        camera_rows = np.zeros((frames, 9, 4))
+        camera_rows[:, :8] = np.swapaxes(camera, 1, 2).reshape(frames, 8, 4)
+        camera_rows[:, 8, 3] = 1.0  # the log of the scale
+        root_flip = np.sqrt(p.find_term(CameraSmoothness).weight[..., None])
         both = np.concatenate([-root_flip * camera_rows[:-1], root_flip * camera_rows[1:]], axis=-1)
-        blocks.add_difference(np.sqrt(p.find_term(CameraSmoothness).weight[:, 8:]), own[:, k + 3 : k + 4])
         columns_of = own[:, k : k + 4]
         blocks.add(both, np.concatenate([columns_of[:-1], columns_of[1:]], axis=1))
+
+        pose, turning = p.find_term(PoseAcceleration), p.find_term(CameraAcceleration)
+        factors = np.sqrt(pose.weight) * pose.velocity_change[:-2, :, None, None]
+        per_frame = factors * np.diag(p.model.std)
+        blocks.add_neighbours([per_frame[:, e] for e in range(3)], own[:, :k])
+        factors = np.sqrt(turning.weight) * turning.velocity_change[:-2, :, None, None]
+        of_m = camera_rows[:, np.flatnonzero(CAMERA_FEATURES)]
+        later = [of_m[e : frames - 2 + e] for e in range(3)]
+        blocks.add_neighbours([factors[:, e] * rows for e, rows in enumerate(later)], columns_of)
         return blocks.matrix()
 
     def solve(self, differences: bool = False, **options: Any) -> tuple[State, Progress, int]:
@@ -184,6 +198,12 @@ class SparseProblem:
         return self.unpack(found.x)[0], progress, int(found.njev)
 
 
+def _change_velocity(term: PoseAcceleration | CameraAcceleration, values: Array) -> Array:
+    """Return the rows (F - 2, D) whose squares are the term, for values (F, D) of its unknowns."""
+    a, b, c = np.sqrt(term.weight) * term.velocity_change[:-2].T[..., None]
+    return np.asarray(a * values[:-2] + b * values[1:-1] + c * values[2:])
+
+
 def _left_jacobian(vector: Array) -> Array:
     """Return J (..., 3, 3) for which exp(v + dv) = exp(J dv) exp(v) to first order."""
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
@@ -212,6 +232,12 @@ class _Blocks:
         index = self.rows + np.arange(frames * rows).reshape(frames, rows, 1)
         self._append(blocks, np.broadcast_to(index, blocks.shape), np.broadcast_to(columns[:, None], blocks.shape))
         self.rows += frames * rows
+
+    def add_neighbours(self, blocks: list[Array], columns: NDArray[np.intp]) -> None:
+        """Add rows that depend on n neighbouring frames: n blocks (F - n + 1, R, C) in `columns` (F, C)."""
+        count = len(columns) - len(blocks) + 1
+        together = [columns[e : e + count] for e in range(len(blocks))]
+        self.add(np.concatenate(blocks, axis=-1), np.concatenate(together, axis=1))
 
     def add_bones(
         self, blocks: Array, columns: NDArray[np.intp], of_mean: Array, mean_columns: NDArray[np.intp]

@@ -27,8 +27,7 @@ _INT = types.CPointer(types.int32)
 _FLOAT = types.CPointer(types.float64)
 
 # Letters by which the routines are told what to do.
-_UPPER, _NO, _TRANSPOSED = ord('U'), ord('N'), ord('T')
-_LEFT, _RIGHT = ord('L'), ord('R')
+_UPPER, _NO, _TRANSPOSED, _RIGHT = ord('U'), ord('N'), ord('T'), ord('R')
 
 
 def _bind(library: str, routine: str, *arguments: Any) -> Any:
@@ -131,7 +130,7 @@ def _compile_solve_lower(factor: Any, right: Any) -> Any:
     _require_matrices(factor, right)
 
     def implementation(factor: Any, right: Any) -> None:
-        _divide(_RIGHT, _NO, right.shape[1], right.shape[0], factor, right)
+        _solve_triangular(_NO, factor, right)
 
     return implementation
 
@@ -146,43 +145,29 @@ def _compile_solve_lower_transposed(factor: Any, right: Any) -> Any:
     _require_matrices(factor, right)
 
     def implementation(factor: Any, right: Any) -> None:
-        _divide(_RIGHT, _TRANSPOSED, right.shape[1], right.shape[0], factor, right)
+        _solve_triangular(_TRANSPOSED, factor, right)
 
     return implementation
 
 
-def divide_by_lower_transposed(left: Array, factor: Array) -> None:
-    """Overwrite C (R, n) with C L^-T, L the lower triangle of `factor` (n, n)."""
-    left[:] = scipy.linalg.solve_triangular(factor, left.T, lower=True, check_finite=False).T
-
-
-@overload(divide_by_lower_transposed)
-def _compile_divide_by_lower_transposed(left: Any, factor: Any) -> Any:
-    _require_matrices(left, factor)
-
-    def implementation(left: Any, factor: Any) -> None:
-        _divide(_LEFT, _TRANSPOSED, left.shape[1], left.shape[0], factor, left)
-
-    return implementation
-
-
-def _divide(side: int, trans: int, rows: int, columns: int, factor: Array, right: Array) -> None:
-    """Solve a triangular system; all arguments are as the routine `dtrsm` sees them."""
+def _solve_triangular(trans: int, factor: Array, right: Array) -> None:
+    """Overwrite B with op(L)^-1 B."""
     raise NotImplementedError  # only kernels call it
 
 
-@overload(_divide)
-def _compile_divide(side: Any, trans: Any, rows: Any, columns: Any, factor: Any, right: Any) -> Any:
-    def implementation(side: Any, trans: Any, rows: Any, columns: Any, factor: Any, right: Any) -> None:
-        if rows == 0 or columns == 0:
+@overload(_solve_triangular)
+def _compile_solve_triangular(trans: Any, factor: Any, right: Any) -> Any:
+    def implementation(trans: Any, factor: Any, right: Any) -> None:
+        if right.shape[0] == 0 or right.shape[1] == 0:
             return
+        # The routine sees the transposes of both matrices, and (L^-1 B)^T = B^T L^-T: the factor is on the right.
         _dtrsm(
-            _by_reference(np.uint8(side)),
+            _by_reference(np.uint8(_RIGHT)),
             _by_reference(np.uint8(_UPPER)),
             _by_reference(np.uint8(trans)),
             _by_reference(np.uint8(_NO)),
-            _by_reference(np.int32(rows)),
-            _by_reference(np.int32(columns)),
+            _by_reference(np.int32(right.shape[1])),
+            _by_reference(np.int32(right.shape[0])),
             _by_reference(1.0),
             _first(factor),
             _by_reference(np.int32(factor.shape[1])),

@@ -107,6 +107,11 @@ class SolverConfig:
     smooth_weight: float = define_weight(
         3e-6, 'm^2 s, weight of the squared change of the base-pose weights between frames, in standard deviations'
     )
+    pose_acceleration_weight: float = define_weight(
+        3e-5,
+        's^3, weight of the squared acceleration of the base-pose weights, in whole sequences and in a tracker '
+        'with a lag of 0.15 s or more; 0 also leaves out that of the camera, except in the periodic model',
+    )
     robust_scale: float = define_weight(
         0.05, "m, reprojection error beyond which Cauchy's loss discounts a point; 0 selects least squares"
     )
@@ -129,7 +134,7 @@ class SolverConfig:
         0.001, 'm^2 s, weight of the squared velocity of the camera in the periodic model'
     )
     camera_acceleration_weight: float = define_weight(
-        0.0003, 'm^2 s^3, weight of the squared acceleration of the camera in the periodic model'
+        0.0003, 'm^2 s^3, weight of the squared acceleration of the camera; see pose_acceleration_weight'
     )
     method: str = define_parameter(
         'joint',

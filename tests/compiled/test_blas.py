@@ -32,11 +32,6 @@ def solve_lower_transposed(factor: Array, right: Array) -> None:
     blas.solve_lower_transposed(factor, right)
 
 
-@kernel(void(FLOATS_2D, FLOATS_2D))
-def divide_by_lower_transposed(left: Array, factor: Array) -> None:
-    blas.divide_by_lower_transposed(left, factor)
-
-
 @kernel(void(FLOAT, FLOATS_2D, FLOATS_2D, FLOATS_2D))
 def add_product(factor: float, a: Array, b: Array, out: Array) -> None:
     blas.add_product(factor, a, b, out)
@@ -108,17 +103,6 @@ def test_triangular_systems(rng: np.random.Generator, n: int, columns: int, is_c
         solved = right.copy()
         choose(function, is_compiled)(spoil_upper(factor), solved)
         np.testing.assert_allclose(matrix @ solved, right, rtol=1e-10, atol=1e-10)
-
-
-@compiled_and_not
-@pytest.mark.parametrize('rows', [0, 1, 5])
-@pytest.mark.parametrize('n', SIZES)
-def test_division_from_the_right(rng: np.random.Generator, n: int, rows: int, is_compiled: bool) -> None:
-    factor = np.linalg.cholesky(make_definite(rng, n))
-    left = rng.normal(size=(rows, n))
-    divided = left.copy()
-    choose(divide_by_lower_transposed, is_compiled)(divided, spoil_upper(factor))
-    np.testing.assert_allclose(divided @ factor.T, left, rtol=1e-10, atol=1e-10)
 
 
 @compiled_and_not

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+VELOCITY_CHANGE_FRAMES = 3  # frames; a change of velocity compares so many
 MIN_TIME_STEP = 1e-4  # s; guards the division by time steps, far below that of any camera
 
 
@@ -50,6 +51,23 @@ class Batch:
         inverse = 1 / np.maximum(np.diff(self.times), MIN_TIME_STEP)
         inverse[self.starts[1:] - 1] = 0.0
         return inverse
+
+    @cached_property
+    def velocity_change(self) -> Array:
+        """(N, 3) factors c_t of the values x of frames t, t + 1 and t + 2 that give the change of their velocity.
+
+            c_t0 x_t + c_t1 x_(t+1) + c_t2 x_(t+2) = (v_(t+1) - v_t) / sqrt(h_t)
+            v_t = (x_(t+1) - x_t) / dt_t,    h_t = (dt_t + dt_(t+1)) / 2
+
+        dt_t is the time from frame t to the next. Where the three are not of one sequence, the factors are 0.
+        """
+        factors = np.zeros((len(self.times), VELOCITY_CHANGE_FRAMES))
+        first, second = self.inverse_time_steps[:-1], self.inverse_time_steps[1:]
+        together = np.flatnonzero(first * second)
+        a, b = first[together], second[together]
+        root = np.sqrt(2 / (1 / a + 1 / b))
+        factors[together] = np.stack([a * root, -(a + b) * root, b * root], axis=-1)
+        return factors
 
     def sum_per_sequence(self, per_frame: Array) -> Array:
         """Sum values of frames (N, ...) over each sequence, which gives (P, ...)."""

@@ -4,7 +4,8 @@ A step x solves
 
     (A - sum_p sum_b g_pb g_pb^T / F_p) x = -g
 
-where A is block banded, with one n x n block a frame and couplings between neighbouring frames; the low-rank part
+where A is block banded, with one n x n block a frame and couplings with the next frame, or with the next two where
+accelerations count; the low-rank part
 comes from the mean bone lengths of each sequence p, which are eliminated exactly (`bone_lengths`).
 
 Terms of the joints' positions. Such a term need not know how the unknowns move the joints: it adds its matrix M_j
@@ -39,7 +40,6 @@ from mocap_ros.solvers.joint.state import Fit
 
 Array = NDArray[np.float64]
 
-COUPLED_FRAMES = 1  # next frames with which each frame is coupled: the terms compare neighbours
 MIN_INFORMATION = 1e-9  # m^2; keeps a block solvable in which the image does not determine an unknown
 
 
@@ -52,7 +52,7 @@ class NormalEquations:
     Attributes:
         is_active: (N,) whether the equations of a frame are complete.
         diagonal: (N, n, n) diagonal blocks of A.
-        coupling: blocks of A between neighbouring frames.
+        coupling: blocks of A between a frame and the next one or two.
         gradient: (N, n) half the gradient of the objective.
         bones: (N, n, B) the vectors g of the mean bone lengths.
         cameras: (N, 3, 3) s R, and
@@ -83,7 +83,9 @@ class NormalEquations:
     translation_gradient: Array
 
     @staticmethod
-    def begin(fit: Fit, basis: Array, bones: int, is_active: NDArray[np.bool_]) -> NormalEquations:
+    def begin(
+        fit: Fit, basis: Array, bones: int, is_active: NDArray[np.bool_], coupled_frames: int = 1
+    ) -> NormalEquations:
         """Return equations to which no term has added yet.
 
         Args:
@@ -91,9 +93,12 @@ class NormalEquations:
             basis: (3 J, K) the base poses, a coordinate of a joint in each row.
             bones: number of bones.
             is_active: (N,) whether the equations of a frame are needed.
+            coupled_frames: number of next frames with which a frame is coupled.
         """
         blocks, of_bones, of_pairs, corners, by_joints, by_image, gradient, of_joints, by_translation, w, v = (
-            _allocate(fit.depth.shape[0], fit.depth.shape[1], basis.shape[1] + CAMERA_UNKNOWNS, bones)
+            _allocate(
+                fit.depth.shape[0], fit.depth.shape[1], basis.shape[1] + CAMERA_UNKNOWNS, bones, coupled_frames
+            )
         )
         return NormalEquations(
             is_active=is_active,
@@ -186,15 +191,15 @@ class NormalEquations:
             FLOATS_1D,
             FLOATS_2D,
         )
-    )(INT, INT, INT, INT)
+    )(INT, INT, INT, INT, INT)
 )
-def _allocate(frames: int, joints: int, n: int, bones: int) -> tuple[Array, ...]:
+def _allocate(frames: int, joints: int, n: int, bones: int, coupled_frames: int) -> tuple[Array, ...]:
     """Return the arrays of equations, all 0: one compiled call in place of eleven."""
     return (
         np.zeros((frames, n, n)),
         np.zeros((frames, n, bones)),
-        np.zeros((COUPLED_FRAMES, frames, n)),
-        np.zeros((COUPLED_FRAMES, frames, CAMERA_UNKNOWNS, CAMERA_UNKNOWNS)),
+        np.zeros((coupled_frames, frames, n)),
+        np.zeros((coupled_frames, frames, CAMERA_UNKNOWNS, CAMERA_UNKNOWNS)),
         np.zeros((frames, joints, 3, 3)),
         np.zeros((frames, joints, 3, 3)),
         np.zeros((frames, n)),

@@ -1,14 +1,14 @@
 """The objective of the joint solver: the reprojection and a list of further terms, a file each.
 
     E = reprojection (eq. 9) + bone lengths (eq. 20) + base-pose prior + smoothness of the weights
-      + smoothness of the camera (eq. 12) + lifted poses, where there are any
+      + smoothness of the camera (eq. 12) + accelerations of both + lifted poses, where there are any
 
 over all frames of a batch at once. The weights of all terms but the first are given for an image noise of 10 mm
 (`NOISE_REFERENCE`). Under another noise, which is found from the residual in a few rounds, the reprojection is
 divided by the ratio of the variances, as the maximum of the posterior demands.
 
 A frame has K weights, three rotation parameters and the logarithm of a scale as unknowns; its translation is
-eliminated. The normal matrix is block tridiagonal, the mean bone lengths are eliminated exactly by a low-rank
+eliminated. The normal matrix is block banded, the mean bone lengths are eliminated exactly by a low-rank
 correction, and the sequences of a batch are not coupled with each other.
 """
 
@@ -31,9 +31,11 @@ from mocap_ros.solvers.block_banded import DampedSolution, solve_damped
 from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
 from mocap_ros.solvers.joint.batch import Batch, Subsample
 from mocap_ros.solvers.joint.bone_lengths import BoneLengths
+from mocap_ros.solvers.joint.camera_acceleration import CameraAcceleration
 from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness
 from mocap_ros.solvers.joint.lifted_pose import LiftedPoseTerm
 from mocap_ros.solvers.joint.normal_equations import NormalEquations, write_joint_jacobian
+from mocap_ros.solvers.joint.pose_acceleration import PoseAcceleration
 from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
 from mocap_ros.solvers.joint.reprojection import Reprojection
 from mocap_ros.solvers.joint.state import Fit, State
@@ -58,6 +60,7 @@ class JointObjective:
         bones: the term of the bone lengths.
         terms: all terms, those two included.
         is_free: (N,) False for frames that keep their initial values.
+        coupled_frames: number of next frames with which a frame is coupled; 2 for accelerations.
     """
 
     model: BasePoses
@@ -67,6 +70,7 @@ class JointObjective:
     bones: BoneLengths
     terms: tuple[Term, ...]
     is_free: NDArray[np.bool_]
+    coupled_frames: int = 1
 
     @staticmethod
     def build(windows: Sequence[Window], units: Array, model: BasePoses, config: SolverConfig) -> JointObjective:
@@ -99,6 +103,10 @@ class JointObjective:
             PoseSmoothness(smooth * batch.inverse_time_steps),
             CameraSmoothness.build(batch.inverse_time_steps, flip, tilt, config.scale_weight),
         ]
+        if config.pose_acceleration_weight > 0:
+            change = batch.velocity_change
+            terms.append(PoseAcceleration(config.pose_acceleration_weight, change))
+            terms.append(CameraAcceleration(config.camera_acceleration_weight, change))
         if lifted is not None:
             terms.append(lifted)
         return JointObjective(
@@ -109,6 +117,7 @@ class JointObjective:
             bones=bones,
             terms=tuple(terms),
             is_free=_find_free_frames(batch, [w.fixed_frames for w in windows]),
+            coupled_frames=2 if config.pose_acceleration_weight > 0 else 1,
         )
 
     def find_term(self, kind: type[AnyTerm]) -> AnyTerm:
@@ -141,7 +150,16 @@ class JointObjective:
         ratio = self.batch.repeat_per_frame(noise / NOISE_REFERENCE)
         reprojection = self.reprojection.with_variance_ratio(ratio)
         terms = tuple(reprojection if term is self.reprojection else term for term in self.terms)
-        return JointObjective(self.model, self.batch, self.basis, reprojection, self.bones, terms, self.is_free)
+        return JointObjective(
+            self.model,
+            self.batch,
+            self.basis,
+            reprojection,
+            self.bones,
+            terms,
+            self.is_free,
+            self.coupled_frames,
+        )
 
     def fit(self, state: State, *, settle_translation: bool = False) -> Fit:
         """Return what the terms measure in a state.
@@ -189,7 +207,7 @@ class JointObjective:
             is_active: (N,) whether the equations of a frame are needed; None for those of all free frames.
         """
         is_active = self.is_free if is_active is None else is_active
-        equations = NormalEquations.begin(fit, self.basis, len(self.bones.weight), is_active)
+        equations = NormalEquations.begin(fit, self.basis, len(self.bones.weight), is_active, self.coupled_frames)
         for term in self.terms:
             term.add_to(equations, fit)
         equations.transfer_from_joints()

@@ -13,8 +13,10 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
+from mocap_ros.solvers.joint.camera_acceleration import CameraAcceleration
 from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness, measure_features
 from mocap_ros.solvers.joint.objective import JointObjective
+from mocap_ros.solvers.joint.pose_acceleration import PoseAcceleration
 from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
 from mocap_ros.solvers.joint.state import State
 from mocap_ros.solvers.window import (
@@ -33,6 +35,7 @@ PLAIN = SolverConfig(
     bone_weight=20.0,
     flip_weight=0.005,
     smooth_weight=0.0,
+    pose_acceleration_weight=0.0,
     robust_scale=0.0,
     heading_flip_factor=1.0,
     heading_prior_factor=1.0,
@@ -100,6 +103,12 @@ def test_gradient_agrees_with_finite_differences(
     assert np.abs(gradient - numeric).max() < 1e-6 * np.abs(gradient).max()
 
 
+def change_velocity(term: PoseAcceleration | CameraAcceleration, values: np.ndarray) -> np.ndarray:
+    """(N, D) what the term squares, of the values (N, D) of its unknowns."""
+    later = np.stack([values, np.roll(values, -1, axis=0), np.roll(values, -2, axis=0)], axis=1)
+    return np.asarray(np.sqrt(term.weight) * (term.velocity_change[:, :, None] * later).sum(axis=1))
+
+
 @pytest.mark.parametrize('focal', [math.inf, 300.0])
 def test_normal_matrix_is_that_of_the_residuals(
     walk_model: BasePoses, rng: np.random.Generator, focal: float
@@ -110,7 +119,13 @@ def test_normal_matrix_is_that_of_the_residuals(
     """
     model = walk_model.truncate(4)
     config = SolverConfig(
-        smooth_weight=1e-3, flip_weight=0.02, tilt_weight=0.1, scale_weight=0.01, robust_scale=0.0
+        smooth_weight=1e-3,
+        flip_weight=0.02,
+        tilt_weight=0.1,
+        scale_weight=0.01,
+        pose_acceleration_weight=1e-4,
+        camera_acceleration_weight=1e-3,
+        robust_scale=0.0,
     )
     objective, state = objective_and_state(model, config, rng, focal)
     equations = objective.normal_equations(objective.fit(state))
@@ -130,6 +145,11 @@ def test_normal_matrix_is_that_of_the_residuals(
             smooth,
             np.sqrt(objective.find_term(CameraSmoothness).weight)
             * np.diff(measure_features(moved.rotation, moved.log_scale), axis=0),
+            change_velocity(objective.find_term(PoseAcceleration), moved.theta),
+            change_velocity(
+                objective.find_term(CameraAcceleration),
+                (np.exp(moved.log_scale)[:, None, None] * moved.rotation[:, :2]).reshape(frames, 6),
+            ),
         ]
         return np.concatenate([p.ravel() for p in parts])
 
@@ -145,12 +165,12 @@ def test_normal_matrix_is_that_of_the_residuals(
     expected = rest @ rest.T
 
     matrix = np.zeros((frames, n, frames, n))
-    below = make_dense_coupling(equations.coupling)
     for t in range(frames):
         matrix[t, :, t] = equations.diagonal[t]
-        if t:
-            matrix[t, :, t - 1] = below[t - 1]
-            matrix[t - 1, :, t] = below[t - 1].T
+    for distance in (1, 2):
+        for t, block in enumerate(make_dense_coupling(equations.coupling, distance)):
+            matrix[t + distance, :, t] = block
+            matrix[t, :, t + distance] = block.T
     for start, count in zip(objective.batch.starts, objective.batch.counts, strict=True):
         own = slice(start, start + count)
         g = equations.bones[own]

@@ -13,11 +13,14 @@ from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
+from mocap_ros.solvers.joint.batch import Batch
 from mocap_ros.solvers.joint.bone_lengths import BoneLengths
+from mocap_ros.solvers.joint.camera_acceleration import CameraAcceleration
 from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness
 from mocap_ros.solvers.joint.lifted_pose import LiftedPoseTerm
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
 from mocap_ros.solvers.joint.objective import JointObjective
+from mocap_ros.solvers.joint.pose_acceleration import PoseAcceleration
 from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
 from mocap_ros.solvers.joint.state import State
 from mocap_ros.solvers.joint.term import Term
@@ -27,7 +30,15 @@ from tests.support.synthetic_walk import make_walk
 
 COMPONENTS = 6
 STEP = 1e-5  # of the finite differences: errors of rounding and of the third order are about equal
-TERMS = (BoneLengths, BasePosePrior, PoseSmoothness, CameraSmoothness, LiftedPoseTerm)
+TERMS = (
+    BoneLengths,
+    BasePosePrior,
+    PoseSmoothness,
+    CameraSmoothness,
+    PoseAcceleration,
+    CameraAcceleration,
+    LiftedPoseTerm,
+)
 
 
 @pytest.fixture
@@ -52,6 +63,8 @@ def objective_and_state(walk_model: BasePoses, rng: np.random.Generator) -> tupl
         tilt_weight=0.3,
         scale_weight=0.2,
         lifter_weight=0.1,
+        pose_acceleration_weight=1e-4,
+        camera_acceleration_weight=1e-3,
     )
     objective = JointObjective.build(windows, units, model, config)
     state = objective.initial_state(starts, units)
@@ -60,7 +73,11 @@ def objective_and_state(walk_model: BasePoses, rng: np.random.Generator) -> tupl
 
 def empty_equations(objective: JointObjective, state: State) -> NormalEquations:
     return NormalEquations.begin(
-        objective.fit(state), objective.basis, len(objective.bones.weight), objective.is_free
+        objective.fit(state),
+        objective.basis,
+        len(objective.bones.weight),
+        objective.is_free,
+        objective.coupled_frames,
     )
 
 
@@ -94,7 +111,7 @@ def test_gradient_is_half_that_of_the_cost(
     assert np.abs(equations.gradient - numeric).max() < 1e-6 * np.abs(numeric).max()
 
 
-@pytest.mark.parametrize('kind', [BasePosePrior, PoseSmoothness])
+@pytest.mark.parametrize('kind', [BasePosePrior, PoseSmoothness, PoseAcceleration])
 def test_matrix_of_quadratic_terms_is_their_second_derivative(
     objective_and_state: tuple[JointObjective, State], kind: type[Term]
 ) -> None:
@@ -105,7 +122,7 @@ def test_matrix_of_quadratic_terms_is_their_second_derivative(
         return equations_of(term, objective, at).gradient
 
     equations = equations_of(term, objective, state)
-    below = make_dense_coupling(equations.coupling)
+    below = [make_dense_coupling(equations.coupling, distance) for distance in (1, 2)]
     frames, n = equations.gradient.shape
     for frame, unknown in ((0, 0), (3, 2), (6, 1), (7, 4), (11, 5)):
         step = np.zeros((frames, n))
@@ -113,10 +130,11 @@ def test_matrix_of_quadratic_terms_is_their_second_derivative(
         column = (gradient(state.advanced(step)) - gradient(state.advanced(-step))) / (2 * STEP)
         expected = np.zeros((frames, n))
         expected[frame] = equations.diagonal[frame, :, unknown]
-        if frame + 1 < frames:
-            expected[frame + 1] = below[frame][:, unknown]
-        if frame:
-            expected[frame - 1] = below[frame - 1][unknown]
+        for distance, blocks in enumerate(below, start=1):
+            if frame + distance < frames:
+                expected[frame + distance] = blocks[frame][:, unknown]
+            if frame >= distance:
+                expected[frame - distance] = blocks[frame - distance][unknown]
         assert column == pytest.approx(expected, abs=1e-6 * np.abs(equations.diagonal).max())
 
 
@@ -126,8 +144,10 @@ def test_nothing_couples_two_sequences(
 ) -> None:
     objective, state = objective_and_state
     equations = equations_of(objective.find_term(kind), objective, state)
-    seam = objective.batch.starts[1] - 1
-    assert (make_dense_coupling(equations.coupling)[seam] == 0).all()
+    second = objective.batch.starts[1]
+    for distance in (1, 2):
+        blocks = make_dense_coupling(equations.coupling, distance)
+        assert (blocks[second - distance : second] == 0).all()
 
 
 @pytest.mark.parametrize('kind', TERMS)
@@ -140,6 +160,33 @@ def test_first_base_poses_alone_are_all_of_them_with_the_others_at_zero(
     whole = State(theta, state.rotation, state.log_scale, state.translation)
     costs = [o.find_term(kind).cost(o.fit(s)) for o, s in ((objective, whole), (few, whole.with_components(3)))]
     assert costs[0] == pytest.approx(costs[1], rel=1e-12)
+
+
+def test_motion_at_constant_velocity_has_no_acceleration_at_any_times(
+    objective_and_state: tuple[JointObjective, State], rng: np.random.Generator
+) -> None:
+    objective, state = objective_and_state
+    times = np.cumsum(rng.uniform(0.01, 0.2, len(state.theta)))
+    change = Batch(times, objective.batch.starts, objective.batch.counts).velocity_change
+    theta = times[:, None] * rng.normal(size=(1, COMPONENTS)) + rng.normal(size=(1, COMPONENTS))
+    steady = objective.fit(State(theta, state.rotation, state.log_scale, state.translation))
+    shaken = objective.fit(State(theta**2, state.rotation, state.log_scale, state.translation))
+    term = PoseAcceleration(1.0, change)
+    assert term.cost(steady) == pytest.approx(0.0, abs=1e-15 / np.diff(times).min() ** 3)
+    assert term.cost(shaken).sum() > 1e-3
+
+
+def test_acceleration_of_a_parabola_is_its_second_derivative_at_any_rate(
+    objective_and_state: tuple[JointObjective, State],
+) -> None:
+    objective, state = objective_and_state
+    for rate in (10.0, 30.0):
+        times = np.arange(len(state.theta)) / rate
+        theta = np.tile(0.5 * times[:, None] ** 2, (1, COMPONENTS))  # acceleration 1 m/s^2
+        fit = objective.fit(State(theta, state.rotation, state.log_scale, state.translation))
+        term = PoseAcceleration(3.0, Batch.of_times([times]).velocity_change)
+        inner = len(times) - 2
+        assert term.cost(fit).sum() == pytest.approx(3.0 * COMPONENTS * inner / rate, rel=1e-9)
 
 
 def test_reprojection_of_a_far_camera_is_weak_perspective(
