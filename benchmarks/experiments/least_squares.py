@@ -153,10 +153,10 @@ class SparseProblem:
         blocks.add(both, np.concatenate([columns_of[:-1], columns_of[1:]], axis=1))
 
         pose, turning = p.find_term(PoseAcceleration), p.find_term(CameraAcceleration)
-        factors = np.sqrt(pose.weight) * pose.velocity_change[:-2, :, None, None]
+        factors = pose.factors[:-2, :, None, None]
         per_frame = factors * np.diag(p.model.std)
         blocks.add_neighbours([per_frame[:, e] for e in range(3)], own[:, :k])
-        factors = np.sqrt(turning.weight) * turning.velocity_change[:-2, :, None, None]
+        factors = turning.factors[:-2, :, None, None]
         of_m = camera_rows[:, np.flatnonzero(CAMERA_FEATURES)]
         later = [of_m[e : frames - 2 + e] for e in range(3)]
         blocks.add_neighbours([factors[:, e] * rows for e, rows in enumerate(later)], columns_of)
@@ -200,7 +200,7 @@ class SparseProblem:
 
 def _change_velocity(term: PoseAcceleration | CameraAcceleration, values: Array) -> Array:
     """Return the rows (F - 2, D) whose squares are the term, for values (F, D) of its unknowns."""
-    a, b, c = np.sqrt(term.weight) * term.velocity_change[:-2].T[..., None]
+    a, b, c = term.factors[:-2].T[..., None]
     return np.asarray(a * values[:-2] + b * values[1:-1] + c * values[2:])
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.geometry.rotations import rotation_from_vector, vector_from_rotation
-from mocap_ros.solvers.joint.batch import MIN_TIME_STEP, Batch
+from mocap_ros.solvers.joint.batch import MIN_TIME_STEP, Batch, Subsample
 from mocap_ros.solvers.joint.noise_estimate import estimate_noise
 from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.joint.problem import Descent, JointProblem
@@ -59,6 +59,9 @@ def anneal_stepwise(
     noise = np.array([max(w.noise or COARSE_NOISE_M[0], config.noise_floor) for w in windows])
     is_unknown = np.array([w.noise is None for w in windows])
     if not is_unknown.any():
+        if objective.limits_accelerations:
+            kept = _choose_coarse_frames(objective)
+            objective = objective.with_activity(fit.state.select(kept.frames), kept.batch)
         return objective.with_noise(noise), fit, np.zeros(len(windows), np.int64)
 
     def updated_noise(current: JointObjective, descent: Descent, least: float) -> Array:
@@ -68,7 +71,8 @@ def anneal_stepwise(
         return np.where(is_unknown, np.maximum(estimate, max(least, config.noise_floor)), noise)
 
     tolerance = max(ROUND_TOLERANCE, config.tolerance)
-    coarse_objective, kept = objective.subsampled(COARSE_FRAME_STEP_S)
+    kept = _choose_coarse_frames(objective)
+    coarse_objective = objective.subsampled(kept)
     coarse = fit.state.select(kept.frames)
     damping = COLD_DAMPING
     iterations = np.zeros(len(windows), np.int64)
@@ -84,6 +88,7 @@ def anneal_stepwise(
         noise = updated_noise(current, descent, least)
         damping = CONTINUED_DAMPING
         yield
+    objective = objective.with_activity(coarse, kept.batch)
     fit = objective.with_optimal_translation(interpolate(coarse, kept.frames, objective.batch))
     for least in (*FINE_NOISE_M[1:], 0.0):
         current = objective.with_noise(noise)
@@ -97,6 +102,11 @@ def anneal_stepwise(
         if np.array_equal(noise, before):
             break
     return objective.with_noise(noise), fit, iterations
+
+
+def _choose_coarse_frames(objective: JointObjective) -> Subsample:
+    """Return the best-seen frame of every `COARSE_FRAME_STEP_S`."""
+    return objective.batch.subsample(COARSE_FRAME_STEP_S, objective.reprojection.weight.sum(axis=1))
 
 
 def interpolate(coarse: State, frames: NDArray[np.intp], batch: Batch) -> State:

@@ -28,14 +28,19 @@ from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_arrays import arrange_model
 from mocap_ros.solvers.block_banded import DampedSolution, solve_damped
+from mocap_ros.solvers.joint.acceleration import Acceleration, measure_activity
 from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
 from mocap_ros.solvers.joint.batch import Batch, Subsample
 from mocap_ros.solvers.joint.bone_lengths import BoneLengths
-from mocap_ros.solvers.joint.camera_acceleration import CameraAcceleration
+from mocap_ros.solvers.joint.camera_acceleration import (
+    TYPICAL_PER_S2,
+    CameraAcceleration,
+    measure_matrices,
+)
 from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness
 from mocap_ros.solvers.joint.lifted_pose import LiftedPoseTerm
 from mocap_ros.solvers.joint.normal_equations import NormalEquations, write_joint_jacobian
-from mocap_ros.solvers.joint.pose_acceleration import PoseAcceleration
+from mocap_ros.solvers.joint.pose_acceleration import TYPICAL_M_S2, PoseAcceleration
 from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
 from mocap_ros.solvers.joint.reprojection import Reprojection
 from mocap_ros.solvers.joint.state import Fit, State
@@ -60,7 +65,7 @@ class JointObjective:
         bones: the term of the bone lengths.
         terms: all terms, those two included.
         is_free: (N,) False for frames that keep their initial values.
-        coupled_frames: number of next frames with which a frame is coupled; 2 for accelerations.
+        limits_accelerations: whether there are the two terms of acceleration.
     """
 
     model: BasePoses
@@ -70,7 +75,12 @@ class JointObjective:
     bones: BoneLengths
     terms: tuple[Term, ...]
     is_free: NDArray[np.bool_]
-    coupled_frames: int = 1
+    limits_accelerations: bool = False
+
+    @property
+    def coupled_frames(self) -> int:
+        """Number of next frames with which a frame is coupled."""
+        return 2 if self.limits_accelerations else 1
 
     @staticmethod
     def build(windows: Sequence[Window], units: Array, model: BasePoses, config: SolverConfig) -> JointObjective:
@@ -104,9 +114,8 @@ class JointObjective:
             CameraSmoothness.build(batch.inverse_time_steps, flip, tilt, config.scale_weight),
         ]
         if config.pose_acceleration_weight > 0:
-            change = batch.velocity_change
-            terms.append(PoseAcceleration(config.pose_acceleration_weight, change))
-            terms.append(CameraAcceleration(config.camera_acceleration_weight, change))
+            terms.append(PoseAcceleration.build(config.pose_acceleration_weight, TYPICAL_M_S2, batch))
+            terms.append(CameraAcceleration.build(config.camera_acceleration_weight, TYPICAL_PER_S2, batch))
         if lifted is not None:
             terms.append(lifted)
         return JointObjective(
@@ -117,7 +126,7 @@ class JointObjective:
             bones=bones,
             terms=tuple(terms),
             is_free=_find_free_frames(batch, [w.fixed_frames for w in windows]),
-            coupled_frames=2 if config.pose_acceleration_weight > 0 else 1,
+            limits_accelerations=config.pose_acceleration_weight > 0,
         )
 
     def find_term(self, kind: type[AnyTerm]) -> AnyTerm:
@@ -130,12 +139,11 @@ class JointObjective:
         terms = tuple(bones if term is self.bones else term.with_components(k) for term in self.terms)
         return replace(self, model=model, basis=arrange_model(model).components, bones=bones, terms=terms)
 
-    def subsampled(self, step: float) -> tuple[JointObjective, Subsample]:
-        """Return the objective of the best-seen frame of every `step` s, and which frames those are."""
-        kept = self.batch.subsample(step, self.reprojection.weight.sum(axis=1))
+    def subsampled(self, kept: Subsample) -> JointObjective:
+        """Return the objective of some frames only."""
         bones, reprojection = self.bones.subsampled(kept), self.reprojection.subsampled(kept)
         further = (term.subsampled(kept) for term in self.terms if term not in (self.bones, self.reprojection))
-        objective = replace(
+        return replace(
             self,
             batch=kept.batch,
             reprojection=reprojection,
@@ -143,22 +151,45 @@ class JointObjective:
             terms=(reprojection, bones, *further),
             is_free=self.is_free[kept.frames],
         )
-        return objective, kept
+
+    def with_activity(self, state: State, coarse: Batch) -> JointObjective:
+        """Return the objective whose limits to accelerations give way to those of some frames.
+
+        Args:
+            state: the unknowns in these frames.
+            coarse: layout of these frames; the same sequences.
+        """
+        if not self.limits_accelerations:
+            return self
+        of_pose = measure_activity(state.theta, coarse, self.batch)
+        of_camera = measure_activity(measure_matrices(state.rotation, state.log_scale), coarse, self.batch)
+        terms: list[Term] = []
+        for term in self.terms:
+            if isinstance(term, PoseAcceleration):
+                terms.append(term.with_activity(of_pose))
+            else:
+                terms.append(term.with_activity(of_camera) if isinstance(term, CameraAcceleration) else term)
+        return replace(self, terms=tuple(terms))
 
     def with_noise(self, noise: Array) -> JointObjective:
         """Return the objective under image noise of these standard deviations (P,) m, one a sequence."""
         ratio = self.batch.repeat_per_frame(noise / NOISE_REFERENCE)
         reprojection = self.reprojection.with_variance_ratio(ratio)
-        terms = tuple(reprojection if term is self.reprojection else term for term in self.terms)
+        terms: list[Term] = []
+        for term in self.terms:
+            if isinstance(term, Acceleration):
+                terms.append(term.with_noise_ratio(ratio))
+            else:
+                terms.append(reprojection if term is self.reprojection else term)
         return JointObjective(
             self.model,
             self.batch,
             self.basis,
             reprojection,
             self.bones,
-            terms,
+            tuple(terms),
             self.is_free,
-            self.coupled_frames,
+            self.limits_accelerations,
         )
 
     def fit(self, state: State, *, settle_translation: bool = False) -> Fit:

@@ -167,11 +167,11 @@ def test_motion_at_constant_velocity_has_no_acceleration_at_any_times(
 ) -> None:
     objective, state = objective_and_state
     times = np.cumsum(rng.uniform(0.01, 0.2, len(state.theta)))
-    change = Batch(times, objective.batch.starts, objective.batch.counts).velocity_change
+    batch = Batch(times, objective.batch.starts, objective.batch.counts)
     theta = times[:, None] * rng.normal(size=(1, COMPONENTS)) + rng.normal(size=(1, COMPONENTS))
     steady = objective.fit(State(theta, state.rotation, state.log_scale, state.translation))
     shaken = objective.fit(State(theta**2, state.rotation, state.log_scale, state.translation))
-    term = PoseAcceleration(1.0, change)
+    term = PoseAcceleration.build(1.0, 1.0, batch)
     assert term.cost(steady) == pytest.approx(0.0, abs=1e-15 / np.diff(times).min() ** 3)
     assert term.cost(shaken).sum() > 1e-3
 
@@ -184,7 +184,7 @@ def test_acceleration_of_a_parabola_is_its_second_derivative_at_any_rate(
         times = np.arange(len(state.theta)) / rate
         theta = np.tile(0.5 * times[:, None] ** 2, (1, COMPONENTS))  # acceleration 1 m/s^2
         fit = objective.fit(State(theta, state.rotation, state.log_scale, state.translation))
-        term = PoseAcceleration(3.0, Batch.of_times([times]).velocity_change)
+        term = PoseAcceleration.build(3.0, 1.0, Batch.of_times([times]))
         inner = len(times) - 2
         assert term.cost(fit).sum() == pytest.approx(3.0 * COMPONENTS * inner / rate, rel=1e-9)
 
