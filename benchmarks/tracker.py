@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import FrameDropped
+from mocap_ros.keypoints.left_right import PARTS, BodySides, exchange_sides
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
@@ -44,8 +45,13 @@ UNSEEN_TRIALS = (
 )
 # Trials that are tested with base poses of the same subject.
 SAME_SUBJECT_TRIALS = (('35_02', 'walk'), ('35_17', 'run'))
-# Trials in which left and right are swapped.
+# Trials in which left and right are swapped, and the parts that are, with the most frames of a burst.
 SWAP_TRIALS = ('35_02', '35_17', 'UW_22', 'UJ_01', '13_11', '05_04', 'UB_01')
+SWAPPED_PARTS: dict[str, tuple[tuple[str, ...], int]] = {
+    'the whole body': (PARTS, 9),
+    'the legs': (('legs',), 3),
+    'the arms': (('arms',), 3),
+}
 # Trials on which the predicted standard deviations are tested; none of them served to choose their factors.
 RELIABILITY_TRIALS = ('35_20', '35_23', 'UW_22', '13_19x', 'UT_01', 'UWW_01', '135_04', '135_08')
 # Joints that are hidden in the tests of the standard deviations.
@@ -212,28 +218,38 @@ def measure_metric(quick: bool) -> list[dict[str, Any]]:
     return rows
 
 
-def measure_swaps(quick: bool) -> dict[str, float]:
-    """Swap left and right in 10 % of the frames, in bursts of up to 0.3 s; return the shares undone."""
-    mirror = np.array(CMU15.mirror)
-    undone = missed = wrong = right = 0
+def measure_swaps(quick: bool) -> list[dict[str, Any]]:
+    """Swap left and right in 10 % of the frames, in bursts; return the shares undone by the part that is swapped.
+
+    A frame is undone if just the swapped parts are exchanged, and false if another part is.
+    """
+    sides = BodySides.of(CMU15)
+    rows = []
     models, config = train_models(), make_tracker_config(list_priors()['learned'])
-    for trial in common.show_progress(SWAP_TRIALS[:2] if quick else SWAP_TRIALS, 'swaps'):
-        for view in common.make_views(trial, (110,) if quick else common.HEADINGS_DEG, frames=240, noise=0.01):
-            rng = np.random.default_rng(int(view.heading))
-            swapped = draw_bursts(view.frames, 0.1, 9, rng)
-            keypoints = view.sequence['keypoints'].copy()
-            keypoints[swapped] = keypoints[swapped][:, mirror]
-            disturbed = common.View({**view.sequence, 'keypoints': keypoints})
-            tracker, camera, before = Tracker(models, config), view.intrinsics, 0
-            for frame in range(view.frames):
-                tracker.update(round(frame / 30 * NS_PER_S) + 1, make_people([disturbed], frame), camera)
-                is_undone = tracker.swapped_frames > before
-                before = tracker.swapped_frames
-                undone += is_undone and swapped[frame]
-                missed += not is_undone and swapped[frame]
-                wrong += is_undone and not swapped[frame]
-                right += not is_undone and not swapped[frame]
-    return {'undone': undone / max(undone + missed, 1), 'false': wrong / max(wrong + right, 1)}
+    trials = SWAP_TRIALS[:2] if quick else SWAP_TRIALS
+    for name, (parts, longest) in SWAPPED_PARTS.items():
+        undone = swapped_frames = false = frames = 0
+        is_part = np.isin(PARTS, parts)
+        for trial in common.show_progress(trials, f'swaps of {name}'):
+            for view in common.make_views(trial, (110,) if quick else common.HEADINGS_DEG, frames=240, noise=0.01):
+                rng = np.random.default_rng(int(view.heading))
+                true = draw_bursts(view.frames, 0.1, longest, rng)[:, None] & is_part
+                given = view.sequence['keypoints']
+                swapped = exchange_sides(given[..., :2].astype(float), given[..., 2].astype(float), true, sides)
+                keypoints = np.concatenate([swapped[0], swapped[1][..., None]], axis=-1)
+                disturbed = common.View({**view.sequence, 'keypoints': keypoints})
+                tracker = Tracker(models, config)
+                for frame in range(view.frames):
+                    tracker.update(
+                        round(frame / 30 * NS_PER_S) + 1, make_people([disturbed], frame), view.intrinsics
+                    )
+                    found = tracker.snapshot().tracks[0].seen.swap_filter.is_swapped[-1]
+                    undone += bool(true[frame].any()) and bool((found == true[frame]).all())
+                    false += bool((found & ~true[frame]).any())
+                swapped_frames += int(true.any(axis=1).sum())
+                frames += view.frames
+        rows.append({'swapped': name, 'undone': undone / max(swapped_frames, 1), 'false': false / max(frames, 1)})
+    return rows
 
 
 def draw_bursts(frames: int, share: float, longest: int, rng: np.random.Generator) -> NDArray[np.bool_]:
@@ -390,6 +406,7 @@ NEED_NO_LIFTER = ('endurance',)
 
 def main() -> None:
     args = common.parse_arguments(__doc__, add_options)
+    common.choose_capture('motion')
     machine = common.describe_machine()
     print(f'# Tracker\n\n{machine}')
     record: dict[str, Any] = {'machine': machine}
@@ -430,9 +447,9 @@ def run_section(section: str, quick: bool) -> dict[str, Any]:
             show('Metric errors at 3 m, body height given, subject left out', rows)
             return {'metric': rows}
         case 'swaps':
-            undone = measure_swaps(quick)
-            show('Left and right swapped by the detector', [undone])
-            return {'swaps': undone}
+            swaps = measure_swaps(quick)
+            show('Left and right swapped by the detector', swaps)
+            return {'swaps': swaps}
         case 'reliability':
             found = {
                 'learned': measure_reliability(quick, list_priors()['learned'], (20,) if quick else (20, 200))

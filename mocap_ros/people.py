@@ -58,6 +58,7 @@ class Person3D:
         residual: px, RMS reprojection error over the seen joints; NaN if no joint was seen.
         scale_known: True if the focal length is known and not nominal.
         predicted: True if the person was not detected in this frame.
+        tentative: True if the person has been seen too shortly to be sure that there is somebody.
     """
 
     id: str
@@ -71,12 +72,14 @@ class Person3D:
     residual: float
     scale_known: bool
     predicted: bool
+    tentative: bool = False
 
     def __repr__(self) -> str:
         if self.predicted:
             how = 'predicted'
         else:
             how = f'{(~self.inferred).sum()} of {len(self.inferred)} joints seen, residual {self.residual:.1f} px'
+        how = f'tentative, {how}' if self.tentative else how
         return f'Person3D {self.id!r}: {self.joints.mean(axis=0)[2]:.1f} m away, {how}, {self.motion}'
 
     @property

@@ -219,9 +219,12 @@ class TrackerConfig:
     )
     lag: float = define_parameter(
         0.0,
-        's, delay of the output behind the newest frame; a longer delay makes the output steadier',
+        's, delay of the output behind the newest frame; from 0.15 s on, later frames make the output steady',
         low=0.0,
         high=5.0,
+    )
+    steady_output: bool = define_parameter(
+        True, 'filter the joints that are put out with a lag below 0.15 s, so that they tremble less'
     )
     undo_swaps: bool = define_parameter(
         True, 'detect frames in which the detector exchanged left and right joints, and undo the exchange'

@@ -2,17 +2,25 @@
 
 The distance of a person p and a detection d has a gate, the largest distance at which the two may be the same
 person. The Hungarian method chooses the pairs with the least sum of costs; pairs beyond their gate are no pairs.
-With the centre m and the size s of keypoints, and the seconds age_p since the person was last seen, the tracker,
-which predicts where it expects each person (`associate`), uses
 
-    distance(p, d) = |m_d - m_p| / max(s_d, s_p) + |log(s_d / s_p)|
-    gate(p) = BASE_GATE + GATE_GROWTH_PER_S * age_p
-    cost(p, d) = distance(p, d) + GATE_GROWTH_PER_S * age_p
+The tracker predicts where it expects each joint of a person (`expect_person`). With the points p_j and d_j of the
+joints j that are expected and detected, their RMS radii r_p and r_d about their centres, the sizes s_p of the
+person and s_d of the detection, and s the larger of the two, `measure_distances` returns
+
+    distance(p, d) = median over j of |d_j - p_j| / s + |growth|
+    growth = log((r_d + 0.1 s) / (r_p + 0.1 s))
+
+or the same of the detection with left and right exchanged, if its distance is less. So part of a person is as near
+to the person as the whole, and crossing people, whose centres and sizes are alike, are told apart by their joints.
+Where fewer than four joints are both expected and detected, centres m and sizes are compared instead:
+
+    distance(p, d) = |m_d - m_p| / s + |growth|
+    growth = log(s_d / s_p)
 
 Readers of files have no predictions and compare the keypoints with those of the last detection of the person
-(`associate_keypoints`). Crossing people often overlap, and the keypoints tell them apart where the extents do not:
+(`associate_keypoints`), age_p seconds ago:
 
-    distance(p, d) = median over joints j of |d_j - p_j| / max(s_d, s_p)
+    distance(p, d) = median over joints j of |d_j - p_j| / s
     gate(p) = BASE_GATE + UNPREDICTED_GATE_GROWTH_PER_S * age_p
     cost(p, d) = distance(p, d) / gate(p)
 """
@@ -28,19 +36,31 @@ from numba import types
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from mocap_ros.compiled.kernel import BOOLS_2D, FLOAT, FLOATS_2D, INPUT_1D, INPUT_2D, kernel
+from mocap_ros.compiled.kernel import (
+    FLOAT,
+    FLOATS_1D,
+    FLOATS_2D,
+    INPUT_1D,
+    INPUT_2D,
+    INPUT_3D,
+    INPUT_INTS_1D,
+    INT,
+    kernel,
+)
 from mocap_ros.keypoints.person import Person2D
 
 Array = NDArray[np.float64]
 
 BASE_GATE = 1.0  # person sizes (RMS radius, about 0.5 m of an adult); nobody moves farther between two frames
-GATE_GROWTH_PER_S = 2.0  # person sizes/s; an unseen person may walk away and the predicted position gets worse
 UNPREDICTED_GATE_GROWTH_PER_S = 3.0  # person sizes/s; more than with a prediction, as the person keeps moving
+VELOCITY_SPAN_S = 0.25  # s; velocities are averaged over this time, which evens out image noise and single steps
+MIN_VELOCITY_SPAN_S = 0.05  # s; over a shorter time image noise, divided by the time, looks like a fast movement
+MIN_SHARED_JOINTS = 4  # joints; a median of fewer is that of one limb, which may be anywhere
+RADIUS_OFFSET = 0.1  # person sizes; the radius of a few joints that lie close together is mostly image noise
 MIN_SIZE_PX = 1.0  # px; guards a division by the size of a person of whom a single keypoint is seen
 MIN_SIZE = 1e-9  # in the units of the points; guards the divisions by a size when all joints coincide
 # rays, 0.5 px at a focal length of 500 px; a detection that is no larger has all its joints in one place
 MIN_DETECTION_SIZE = 1e-3
-FORBIDDEN_COST = 1e3  # person sizes; cost of a pair beyond its gate, far above that of permitted pairs
 
 
 class Extent(NamedTuple):
@@ -62,20 +82,16 @@ class Extent(NamedTuple):
         return not self.size > MIN_DETECTION_SIZE
 
 
-class ExpectedExtent(NamedTuple):
-    """Position and size at which a tracked person is expected.
+class ExpectedPerson(NamedTuple):
+    """Where the joints of a tracked person are expected.
 
     Attributes:
-        x: x of the predicted mean of the joints, in the units of the points.
-        y: y of it, in the same units.
-        size: RMS distance of the joints from their mean when the person was last seen, in the same units.
-        age_s: s since the person was last seen.
+        points: (J, 2) predicted image points, in any unit; 0 for a joint of which nothing is known.
+        weight: (J,) 1 for a joint that was seen lately, else 0.
     """
 
-    x: float
-    y: float
-    size: float
-    age_s: float
+    points: Array
+    weight: Array
 
 
 def measure_extent(points: Array, weight: Array) -> Extent:
@@ -104,57 +120,127 @@ def _measure_extent(points: Array, weight: Array) -> tuple[float, float, float]:
     return x, y, math.sqrt(squares / seen) + MIN_SIZE
 
 
-def compute_distance(expected: ExpectedExtent, detected: Extent) -> float:
-    """Return the distance d(p, d) of a detection from an expected person, in sizes of the larger of the two."""
-    return float(_measure_distance(*expected[:3], *detected))
+def expect_person(points: Array, weight: Array, age_s: Array) -> ExpectedPerson:
+    """Return where the joints of a person are expected, from the frames in which the person was seen lately.
 
-
-@kernel(FLOAT(FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT))
-def _measure_distance(x: float, y: float, size: float, other_x: float, other_y: float, other_size: float) -> float:
-    """Return the distance of two extents."""
-    return math.hypot(other_x - x, other_y - y) / max(size, other_size) + abs(math.log(other_size / size))
-
-
-def compute_gate(expected: ExpectedExtent) -> float:
-    """Return the largest distance at which a detection may be this person, in person sizes."""
-    return BASE_GATE + GATE_GROWTH_PER_S * expected.age_s
-
-
-def associate(expected: Sequence[ExpectedExtent], detected: Sequence[Extent]) -> list[int | None]:
-    """Associate detections with expected people so that the sum of distances is least (Hungarian method).
-
-    No pair is farther apart than the person's gate. The time since a person was last seen adds to the cost, so
-    that of two people who are equally near a detection the one who was seen more recently gets it.
+    Each joint is where it was last seen, moved on with the mean velocity of the joints that the first and the last
+    of the frames show, for at most `VELOCITY_SPAN_S`.
 
     Args:
-        expected: where the known people are expected.
-        detected: the detections, in the same units.
+        points: (F, J, 2) image points in the frames, in the order of time.
+        weight: (F, J) confidence scores; 0 for a joint that was not seen.
+        age_s: (F,) s, time from each frame to the time at which the person is expected.
+    """
+    return ExpectedPerson(*_expect_person(points, weight, age_s))
+
+
+@kernel(types.Tuple((FLOATS_2D, FLOATS_1D))(INPUT_3D, INPUT_2D, INPUT_1D))
+def _expect_person(points: Array, weight: Array, age_s: Array) -> tuple[Array, Array]:
+    """Compute `expect_person`."""
+    last = len(age_s) - 1
+    shared, x, y, span_s = 0, 0.0, 0.0, age_s[0] - age_s[last]
+    if span_s >= MIN_VELOCITY_SPAN_S:
+        for j in range(weight.shape[1]):
+            if weight[0, j] > 0 and weight[last, j] > 0:
+                shared += 1
+                x, y = x + points[last, j, 0] - points[0, j, 0], y + points[last, j, 1] - points[0, j, 1]
+    if shared >= MIN_SHARED_JOINTS:
+        x, y = x / (shared * span_s), y / (shared * span_s)
+    else:
+        x, y = 0.0, 0.0
+    expected, is_known = np.zeros((weight.shape[1], 2)), np.zeros(weight.shape[1])
+    for j in range(weight.shape[1]):
+        frame = last
+        while frame > 0 and weight[frame, j] <= 0:
+            frame -= 1
+        if weight[frame, j] > 0:
+            moved_s = min(age_s[frame], VELOCITY_SPAN_S)
+            expected[j, 0], expected[j, 1] = points[frame, j, 0] + x * moved_s, points[frame, j, 1] + y * moved_s
+            is_known[j] = 1.0
+    return expected, is_known
+
+
+@kernel(types.UniTuple(FLOAT, 2)(INPUT_2D, INPUT_1D, INPUT_2D, INPUT_1D, INPUT_INTS_1D))
+def _measure_distance(
+    expected: Array, known: Array, detected: Array, seen: Array, counterpart: NDArray[np.int64]
+) -> tuple[float, float]:
+    """Return distance and growth of a pair; joint j of the person is called counterpart[j] in the detection."""
+    person_x, person_y, person_size = _measure_extent(expected, known)
+    x, y, detection_size = _measure_extent(detected, seen)
+    size = max(person_size, detection_size)
+    offset, shared = np.empty(len(known)), 0
+    own_x, own_y, own_squares, other_x, other_y, other_squares = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(len(known)):
+        i = counterpart[j]
+        if known[j] > 0 and seen[i] > 0:
+            own = expected[j, 0] - person_x, expected[j, 1] - person_y
+            other = detected[i, 0] - x, detected[i, 1] - y
+            own_x, own_y, own_squares = own_x + own[0], own_y + own[1], own_squares + own[0] ** 2 + own[1] ** 2
+            other_x, other_y = other_x + other[0], other_y + other[1]
+            other_squares += other[0] ** 2 + other[1] ** 2
+            offset[shared] = math.hypot(detected[i, 0] - expected[j, 0], detected[i, 1] - expected[j, 1])
+            shared += 1
+    if shared < MIN_SHARED_JOINTS:
+        growth = math.log(detection_size / person_size)
+        return math.hypot(x - person_x, y - person_y) / size + abs(growth), growth
+    radius = math.sqrt(max(own_squares / shared - (own_x**2 + own_y**2) / shared**2, 0.0))
+    other_radius = math.sqrt(max(other_squares / shared - (other_x**2 + other_y**2) / shared**2, 0.0))
+    growth = math.log((other_radius + RADIUS_OFFSET * size) / (radius + RADIUS_OFFSET * size))
+    return float(np.median(offset[:shared])) / size + abs(growth), growth
+
+
+def measure_distances(
+    expected: Sequence[ExpectedPerson],
+    detected: Sequence[tuple[Array, Array]],
+    mirror: NDArray[np.int_],
+    min_shared: int = 0,
+) -> tuple[Array, Array]:
+    """Measure the distances of all detections from all people.
+
+    Args:
+        expected: where the P people are expected.
+        detected: points (J, 2) and weight (J,) of the D detections, in the same units; of each a joint is seen.
+        mirror: (J,) for each joint its counterpart on the other side of the body.
+        min_shared: number of joints that must be both expected and detected; with fewer the distance is infinite.
 
     Returns:
-        The index of the expected person for each detection; None for a detection of nobody known.
+        The distances (D, P) in sizes of the larger of the two, and the growths (D, P), the natural
+        logarithms of the ratios of detected to expected size.
     """
     if not expected or not detected:
-        return [None] * len(detected)
-    return _choose_pairs(*_compute_costs(np.array(expected), np.array(detected)))
+        return np.zeros((len(detected), len(expected))), np.zeros((len(detected), len(expected)))
+    people = np.array([e.points for e in expected]), np.array([e.weight for e in expected])
+    seen = np.array([points for points, _ in detected]), np.array([weight for _, weight in detected])
+    labels = np.arange(len(mirror)), np.ascontiguousarray(mirror, np.int64)
+    distances, growths = _measure_distances(*people, *seen, *labels, min_shared)
+    return distances, growths
 
 
-@kernel(types.Tuple((FLOATS_2D, BOOLS_2D))(INPUT_2D, INPUT_2D))
-def _compute_costs(expected: Array, detected: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Compute cost(p, d) of all pairs (D, P), and whether their distance is within the gate.
-
-    Args:
-        expected: (P, 4) fields of `ExpectedExtent`.
-        detected: (D, 3) fields of `Extent`.
-    """
-    cost = np.full((len(detected), len(expected)), FORBIDDEN_COST)
-    is_within_gate = np.zeros(cost.shape, np.bool_)
-    for d in range(len(detected)):
-        for p in range(len(expected)):
-            x, y, size, age_s = expected[p, 0], expected[p, 1], expected[p, 2], expected[p, 3]
-            distance = _measure_distance(x, y, size, detected[d, 0], detected[d, 1], detected[d, 2])
-            if distance < BASE_GATE + GATE_GROWTH_PER_S * age_s:
-                cost[d, p], is_within_gate[d, p] = distance + GATE_GROWTH_PER_S * age_s, True
-    return cost, is_within_gate
+@kernel(
+    types.Tuple((FLOATS_2D, FLOATS_2D))(INPUT_3D, INPUT_2D, INPUT_3D, INPUT_2D, INPUT_INTS_1D, INPUT_INTS_1D, INT)
+)
+def _measure_distances(
+    expected: Array,
+    known: Array,
+    detected: Array,
+    seen: Array,
+    same: NDArray[np.int64],
+    mirror: NDArray[np.int64],
+    min_shared: int,
+) -> tuple[Array, Array]:
+    """Compute `measure_distances` of (P, J, 2) and (P, J), (D, J, 2) and (D, J)."""
+    distance = np.full((len(detected), len(expected)), math.inf)
+    growth = np.zeros(distance.shape)
+    for p in range(len(expected)):
+        for d in range(len(detected)):
+            shared = 0
+            for j in range(len(mirror)):
+                shared += known[p, j] > 0 and seen[d, j] > 0
+            if shared >= min_shared:
+                own = _measure_distance(expected[p], known[p], detected[d], seen[d], same)
+                exchanged = _measure_distance(expected[p], known[p], detected[d], seen[d], mirror)
+                distance[d, p], growth[d, p] = own if own[0] <= exchanged[0] else exchanged
+    return distance, growth
 
 
 def associate_keypoints(
@@ -174,7 +260,7 @@ def associate_keypoints(
         return [None] * len(detected)
     gates = [BASE_GATE + UNPREDICTED_GATE_GROWTH_PER_S * age_s for age_s in ages_s]
     cost = np.array([[compute_keypoint_distance(k, d) for k in known] for d in detected]) / gates
-    return _choose_pairs(cost, cost < 1)
+    return choose_pairs(cost, cost < 1)
 
 
 def compute_keypoint_distance(a: Person2D, b: Person2D) -> float:
@@ -187,7 +273,7 @@ def compute_keypoint_distance(a: Person2D, b: Person2D) -> float:
     return math.hypot(extents[0].x - extents[1].x, extents[0].y - extents[1].y) / size
 
 
-def _choose_pairs(cost: Array, is_permitted: NDArray[np.bool_]) -> list[int | None]:
+def choose_pairs(cost: Array, is_permitted: NDArray[np.bool_]) -> list[int | None]:
     """Return the person of each detection, None for none, so that the sum of costs is least (Hungarian method).
 
     Args:

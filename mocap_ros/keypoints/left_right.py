@@ -1,26 +1,45 @@
-"""Detection of frames whose left and right the detector has swapped: a hidden Markov model, decoded by Viterbi.
+"""Detection of left and right exchanged by the detector: a hidden Markov model, decoded by Viterbi's algorithm.
 
-The hidden state z_t of frame t is 0 if the labels are correct and 1 if left and right are swapped. Over n frames
-of 1/30 s the transition probabilities are those of n steps of a two-state Markov chain:
+Detectors exchange left and right of the whole body, of the legs alone or of the arms alone. The hidden state z_t
+of frame t has a bit for each of these, and each bit is a Markov chain of its own. Over n frames of 1/30 s
 
-    P(z_t = 1 | z_(t-1) = 0) = a m(n),   P(z_t = 0 | z_(t-1) = 1) = b m(n)
+    P(bit is set | it was not) = a m(n),   P(bit is not set | it was) = b m(n)
     m(n) = (1 - (1 - a - b)^n) / (a + b)
 
-with a = `ENTER_PROBABILITY` and b = `LEAVE_PROBABILITY`. The likelihood of the image points x_j, relabelled as the
-state says, compares them with predicted points x'_j. The prediction starts from the path's last relabelled points
-y_j with velocities v_j, seen d_j seconds before:
+with a = `ENTER_PROBABILITY` and b = `LEAVE_PROBABILITY`. The labels of the shoulders are wrong if the bit of the
+whole body is set, those of legs and arms if either that bit or their own is set, and not both. The likelihood of
+the image points x_j, relabelled as the state says, compares them with predicted points x'_j. The prediction starts
+from the last relabelled points y_j of a path with velocities v_j, seen d_j seconds before; c_j is the confidence
+score:
 
-    -log p(x | z, path) = sum_j [c log(1 + e_j^2 / (2 c)) + 2 log sigma_j]
+    -log p(x_j | z, path) = -log[(1 - eps) exp(-e_j^2 / 2) / sigma_j^2 + eps / (sigma_j^2 + s^2)]
     e_j     = |x_j - x'_j| / (sigma_j * body size)
-    x'_j    = y_j + g v_j tau (1 - exp(-d_j / tau))
-    sigma_j = PREDICTION_STD + PREDICTION_STD_PER_S d_j + PREDICTION_STD_PER_S2 d_j^2
+    x'_j    = y_j + v_j tau (1 - exp(-d_j / tau))
+    sigma_j = (2 - c_j) (PREDICTION_STD + PREDICTION_STD_PER_S d_j + PREDICTION_STD_PER_S2 d_j^2)
 
-with c = `CAUCHY_SCALE`, tau = `VELOCITY_TIME_S` and g = `VELOCITY_GAIN`, over the joints that have a counterpart
-on the other side. Viterbi's algorithm keeps the likeliest path to each of the two states:
+with eps = `OUTLIER_PROBABILITY`, s = `OUTLIER_STD` and tau = `VELOCITY_TIME_S`, over the joints that have a
+counterpart on the other side. Where left and right are close together, as in somebody seen from the side, the
+likelihood is the same for both labels, and the state stays as it is.
+
+A path may have confused left and right of a part before, where they crossed. With C_g(l) the sum of these costs
+over the joints of part g with labels l (as they are or exchanged), the path may exchange them in its own past:
+
+    C'_g(l) = min[C_g(l), C_g(other l) + CONFUSION_COST]
+
+This bounds what one frame can say, so that a wrong verdict is left again: to stay in a state with a bit set costs
+-log(1 - b) in each frame.
+
+Hips are below their own shoulder and elbows on their own upper arm. Let D_g be, in body sizes, by how much the
+lines from the shoulders to the hips or elbows of part g get longer if left and right of these are exchanged. A
+state whose bit for the legs or the arms is set costs in addition
+
+    ATTACHMENT_COST max(0, tanh(D_g / ATTACHMENT_SCALE)) min(elapsed time / ATTACHMENT_TIME_S, 1)
+
+Viterbi's algorithm keeps the likeliest path to each of the eight states:
 
     cost_t(k) = min_i [cost_(t-1)(i) - log p(x_t | z_t = k, path i) - log P(z_t = k | z_(t-1) = i)]
 
-Each path carries its own relabelled points. A later frame may make the other path the likelier one, which changes
+Each path carries its own relabelled points. A later frame may make another path the likeliest one, which changes
 the decisions about earlier frames of the window.
 """
 
@@ -28,13 +47,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.kernel import (
-    BOOLS_2D,
     FLOAT,
     FLOATS_1D,
     FLOATS_2D,
@@ -42,46 +61,106 @@ from mocap_ros.compiled.kernel import (
     INPUT_1D,
     INPUT_2D,
     INPUT_3D,
-    INPUT_BOOLS_1D,
     INPUT_BOOLS_2D,
     INPUT_INTS_1D,
-    INT,
+    INTS_1D,
     kernel,
 )
 from mocap_ros.keypoints.association import measure_extent
+from mocap_ros.skeleton import Skeleton
 
 Array = NDArray[np.float64]
 
-# The values were tuned on CMU motions; `benchmarks/tracker.py --only swaps` measures their effect
-# (docs/tracker.md).
-ENTER_PROBABILITY = 0.01  # per 1/30 s; a, the probability that a detector with correct labels begins to swap
-LEAVE_PROBABILITY = 0.15  # per 1/30 s; a detector that swaps returns to correct labels (b), so swaps are short
-INITIAL_SWAP_COST = 3.0  # nats; a first frame is swapped with odds of exp(-3), for nothing was seen before it
+# Parts whose labels a state exchanges together, and the ends of the names of their joints; other joints that exist
+# on both sides, such as eyes, go with the shoulders.
+PARTS = ('shoulders', 'legs', 'arms')
+_LEG_JOINTS = ('hip', 'knee', 'ankle', 'heel', 'toe', 'foot_index')
+_ARM_JOINTS = ('elbow', 'wrist', 'hand', 'index', 'pinky', 'thumb')
+# Joints whose line from the upper to the lower one tells which lower joint belongs to which shoulder, by part.
+_ATTACHMENTS = {'legs': ('lshoulder', 'lhip'), 'arms': ('lshoulder', 'lelbow')}
+
+STATES = 8  # bit 0: whole body, bit 1: legs, bit 2: arms
+STATE_BITS = np.array([[s >> bit & 1 for bit in range(3)] for s in range(STATES)])
+SWAPPED_PARTS = (STATE_BITS ^ (STATE_BITS[:, :1] & [0, 1, 1])).astype(bool)  # (8, 3) parts with wrong labels
+
+# The values were tuned on motion capture as models of three real detectors see it; `benchmarks/detectors.py`
+# measures their effect on other people (docs/tracker.md). The probabilities are per 1/30 s, for the whole body,
+# the legs and the arms: real detectors swap the whole body in 0.1 % of the frames, for 0.3 s, legs and arms in 0.3
+# to 3 %, for 0.06 s.
+ENTER_PROBABILITY = np.array([0.0005, 0.003, 0.003])  # a, the probability that a swap begins
+LEAVE_PROBABILITY = np.array([0.2, 0.55, 0.55])  # b, the probability that it ends
+INITIAL_COST = np.array([7.0, 5.0, 5.0])  # nats; about the shares of frames above, for nothing was seen before
 PREDICTION_STD = 0.05  # body sizes; std of a predicted coordinate with no time in between: image noise
 PREDICTION_STD_PER_S = 1.0  # body sizes/s; growth of that std, for the velocity is not known exactly
-PREDICTION_STD_PER_S2 = 5.0  # body sizes/s^2; makes either labelling acceptable after a gap
-CAUCHY_SCALE = 9.0  # nats; scale of the Cauchy loss, so that one misplaced joint cannot decide (c)
-VELOCITY_TIME_S = 0.06  # s; tau, time constant of the smoothing of velocities and of their decay in a prediction
-VELOCITY_GAIN = 2.0  # no unit; factor on the predicted displacement (g)
+PREDICTION_STD_PER_S2 = 2.0  # body sizes/s^2; makes either labelling acceptable after a gap
+OUTLIER_PROBABILITY = 0.1  # eps; share of points that are far from where the joint is
+OUTLIER_STD = 0.3  # body sizes (s); such points are still on the body
+CONFUSION_COST = 12.0  # nats; more than to enter a swap of legs or arms, so that these are seen at once
+ATTACHMENT_COST = 5.0  # nats; log odds that the much shorter lines are those of the right labels
+ATTACHMENT_SCALE = 0.25  # body sizes; lines that are longer by this have log odds of about 4 nats
+ATTACHMENT_TIME_S = 0.1  # s; frames that follow each other more closely say the same
+VELOCITY_TIME_S = 0.08  # s; tau, time constant of the smoothing of velocities and of their decay in a prediction
 MAX_VELOCITY_GAP_S = 0.2  # s; a joint that was not seen for longer restarts with velocity 0
 MIN_STEP_S = 1e-3  # s; guards the divisions by a time step, for images may be a millisecond apart
-REFERENCE_FRAME_S = 1 / 30  # s; frame interval that the two transition probabilities refer to
+REFERENCE_FRAME_S = 1 / 30  # s; frame interval that the transition probabilities refer to
+
+_Indices = NDArray[np.intp]
+_Frame = tuple[float, Array, Array, float, _Indices, _Indices, _Indices, _Indices]
+_NEWEST_STATES = np.arange(STATES, dtype=np.int8)[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class BodySides:
+    """Which joints of a skeleton are left and right ones, and to which part they belong.
+
+    Attributes:
+        mirror: (J,) index of each joint's counterpart on the other side; its own index for a joint without one.
+        part: (J,) index of each joint's part in `PARTS`; -1 for a joint without a counterpart.
+        upper: (3,) left joint from which the line to a part starts that tells left from right; -1 for none.
+        lower: (3,) left joint of the part at which the line ends; -1 for none.
+    """
+
+    mirror: NDArray[np.intp]
+    part: NDArray[np.intp]
+    upper: NDArray[np.intp]
+    lower: NDArray[np.intp]
+
+    @staticmethod
+    @lru_cache(maxsize=16)
+    def of(skeleton: Skeleton) -> BodySides:
+        """Return the sides of a skeleton."""
+        mirror = np.array(skeleton.mirror)
+        part = np.array([_find_part(name) for name in skeleton.joints])
+        part[mirror == np.arange(len(mirror))] = -1
+        lines = np.full((len(PARTS), 2), -1)
+        for name, ends in _ATTACHMENTS.items():
+            if set(ends) <= set(skeleton.joints):
+                lines[PARTS.index(name)] = [skeleton.index(joint) for joint in ends]
+        upper, lower = lines.T
+        return BodySides(mirror, part, np.ascontiguousarray(upper), np.ascontiguousarray(lower))
+
+
+def _find_part(joint: str) -> int:
+    """Return the index in `PARTS` of the part of a joint that has a counterpart."""
+    if joint.endswith(_LEG_JOINTS):
+        return PARTS.index('legs')
+    return PARTS.index('arms') if joint.endswith(_ARM_JOINTS) else PARTS.index('shoulders')
 
 
 @dataclass(frozen=True, eq=False)
 class ViterbiPaths:
-    """The likeliest path to each state of the newest frame: row 0 to correct labels, row 1 to swapped ones.
+    """The likeliest path to each of the eight states of the newest frame, in the order of `SWAPPED_PARTS`.
 
     Attributes:
-        cost: (2,) negative log likelihoods in nats, up to a common constant.
-        is_swapped: (2, F) decisions about the frames of the window.
-        points: (2, J, 2) last seen image point of each joint as the path relabels it.
-        velocity: (2, J, 2) velocities of these points, per second.
-        last_seen_s: (2, J) s, time at which each joint was last seen; -inf if never.
+        cost: (8,) negative log likelihoods in nats, up to a common constant.
+        states: (8, F) states in the frames of the window.
+        points: (8, J, 2) last seen image point of each joint as the path relabels it.
+        velocity: (8, J, 2) velocities of these points, per second.
+        last_seen_s: (8, J) s, time at which each joint was last seen; -inf if never.
     """
 
     cost: Array
-    is_swapped: NDArray[np.bool_]
+    states: NDArray[np.int8]
     points: Array
     velocity: Array
     last_seen_s: Array
@@ -89,20 +168,20 @@ class ViterbiPaths:
 
 @dataclass(frozen=True, eq=False)
 class SwapFilter:
-    """Filter that finds the frames of one person whose left and right are swapped.
+    """Filter that finds the parts of one person's body whose left and right are swapped.
 
     The filter is immutable: every method returns a new one.
 
     Attributes:
-        mirror: (J,) index of each joint's counterpart on the other side; its own index for a joint without one.
+        sides: left and right joints.
         enabled: False if the detector's labels are to be believed.
-        is_swapped: (F,) decisions about the frames of the window, along the likelier path.
-        paths: both Viterbi paths; None before the first frame, or if the filter is not enabled.
+        is_swapped: (F, 3) decisions about the parts in the frames of the window, along the likeliest path.
+        paths: the Viterbi paths; None before the first frame, or if the filter is not enabled.
     """
 
-    mirror: NDArray[np.intp]
+    sides: BodySides
     enabled: bool = True
-    is_swapped: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
+    is_swapped: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, len(PARTS)), bool))
     paths: ViterbiPaths | None = None
 
     def update(
@@ -114,196 +193,301 @@ class SwapFilter:
             time_s: s, time of the frame.
             points: (J, 2) points as the detector labelled them.
             weight: (J,) confidence scores; 0 for a joint that was not seen.
-            body_size: size of the body in the units of the points.
+            body_size: size of the body in the units of the points, above 0.
             dropped: number of the oldest frames, which leave the window.
         """
         if not self.enabled:
-            return SwapFilter(self.mirror, False, np.zeros(len(self.is_swapped) - dropped + 1, bool))
+            frames = len(self.is_swapped) - dropped + 1
+            return SwapFilter(self.sides, False, np.zeros((frames, len(PARTS)), bool))
         if self.paths is None:
-            paths = ViterbiPaths(*_begin_paths(time_s, points, weight, self.mirror))
+            cost, *rest = _begin_paths(*_describe(time_s, points, weight, body_size, self.sides))
+            states = _NEWEST_STATES
         else:
             old = self.paths
-            paths = ViterbiPaths(
-                *_continue_paths(
-                    old.cost,
-                    old.is_swapped,
-                    old.points,
-                    old.velocity,
-                    old.last_seen_s,
-                    time_s,
-                    points,
-                    weight,
-                    self.mirror,
-                    body_size,
-                    dropped,
-                )
+            predecessor, cost, *rest = _continue_paths(
+                old.cost,
+                old.points,
+                old.velocity,
+                old.last_seen_s,
+                *_describe(time_s, points, weight, body_size, self.sides),
             )
-        likelier = 1 if paths.cost[1] < paths.cost[0] else 0
-        return SwapFilter(self.mirror, True, paths.is_swapped[likelier], paths)
+            states = np.concatenate([old.states[predecessor, dropped:], _NEWEST_STATES], axis=1)
+        is_swapped = SWAPPED_PARTS[states[cost.argmin()]]
+        return SwapFilter(self.sides, True, is_swapped, ViterbiPaths(cost, states, *rest))
+
+
+def _describe(time_s: float, points: Array, weight: Array, body_size: float, sides: BodySides) -> _Frame:
+    """Return the arguments of the kernels that describe a frame and the body."""
+    return time_s, points, weight, body_size, sides.mirror, sides.part, sides.upper, sides.lower
 
 
 @kernel(FLOATS_2D(FLOAT))
 def compute_transition_cost(elapsed_s: float) -> Array:
-    """Return -log P(z_t | z_(t-1)), (2, 2) in nats: rows are states before and columns states after a time step.
+    """Return -log P(z_t | z_(t-1)), (8, 8) in nats: rows are states before and columns states after a time step.
 
     Args:
         elapsed_s: s, length of the time step.
     """
     frames = max(elapsed_s, MIN_STEP_S) / REFERENCE_FRAME_S
-    mixing = (1 - (1 - ENTER_PROBABILITY - LEAVE_PROBABILITY) ** frames) / (ENTER_PROBABILITY + LEAVE_PROBABILITY)
-    enter, leave = ENTER_PROBABILITY * mixing, LEAVE_PROBABILITY * mixing
-    return -np.log(np.array([[1 - enter, enter], [leave, 1 - leave]]))
+    cost = np.zeros((STATES, STATES))
+    for bit in range(3):
+        a, b = ENTER_PROBABILITY[bit], LEAVE_PROBABILITY[bit]
+        mixing = (1 - (1 - a - b) ** frames) / (a + b)
+        step = -np.log(np.array([[1 - a * mixing, a * mixing], [b * mixing, 1 - b * mixing]]))
+        for before in range(STATES):
+            for after in range(STATES):
+                cost[before, after] += step[STATE_BITS[before, bit], STATE_BITS[after, bit]]
+    return cost
 
 
-_PATHS = types.Tuple((FLOATS_1D, BOOLS_2D, FLOATS_3D, FLOATS_3D, FLOATS_2D))  # the fields of `ViterbiPaths`
+_FRAME = (FLOAT, INPUT_2D, INPUT_1D, FLOAT)  # types of time, points, weight and body size
+_SIDES = (INPUT_INTS_1D, INPUT_INTS_1D, INPUT_INTS_1D, INPUT_INTS_1D)  # types of the fields of `BodySides`
 
 
-@kernel(_PATHS(FLOAT, INPUT_2D, INPUT_1D, INPUT_INTS_1D))
+@kernel(FLOATS_1D(INPUT_2D, INPUT_1D, FLOAT, INPUT_INTS_1D, INPUT_INTS_1D, INPUT_INTS_1D))
+def compute_attachment_cost(
+    points: Array,
+    weight: Array,
+    body_size: float,
+    mirror: NDArray[np.intp],
+    upper: NDArray[np.intp],
+    lower: NDArray[np.intp],
+) -> Array:
+    """Return what it costs to exchange left and right of a part, but not of the shoulders, (3,) in nats.
+
+    Args:
+        points: (J, 2) points as the detector labelled them.
+        weight: (J,) confidence scores.
+        body_size: size of the body in the units of the points.
+        mirror: (J,) as in `BodySides`.
+        upper: (3,) as in `BodySides`.
+        lower: (3,) as in `BodySides`.
+    """
+    cost = np.zeros(len(upper))
+    for part in range(len(upper)):
+        if upper[part] < 0:
+            continue
+        left, right, longer = upper[part], mirror[upper[part]], 0.0
+        near, far = lower[part], mirror[lower[part]]
+        if weight[left] > 0 and weight[right] > 0 and weight[near] > 0 and weight[far] > 0:
+            for a, b, sign in ((left, far, 1), (right, near, 1), (left, near, -1), (right, far, -1)):
+                longer += sign * math.hypot(points[a, 0] - points[b, 0], points[a, 1] - points[b, 1])
+            cost[part] = ATTACHMENT_COST * max(0.0, math.tanh(longer / body_size / ATTACHMENT_SCALE))
+    return cost
+
+
+@kernel(types.Tuple((FLOATS_1D, FLOATS_3D, FLOATS_3D, FLOATS_2D))(*_FRAME, *_SIDES))
 def _begin_paths(
-    time_s: float, points: Array, weight: Array, mirror: NDArray[np.intp]
-) -> tuple[Array, NDArray[np.bool_], Array, Array, Array]:
-    """Return the paths that consist of a first frame; the arguments are those of `SwapFilter.update`."""
+    time_s: float,
+    points: Array,
+    weight: Array,
+    body_size: float,
+    mirror: NDArray[np.intp],
+    part: NDArray[np.intp],
+    upper: NDArray[np.intp],
+    lower: NDArray[np.intp],
+) -> tuple[Array, Array, Array, Array]:
+    """Return the paths that consist of a first frame: costs, points, velocities and times of `ViterbiPaths`.
+
+    The arguments are those of `SwapFilter.update` and the fields of `BodySides`.
+    """
     joints = len(mirror)
-    path_points, last_seen_s = np.empty((2, joints, 2)), np.full((2, joints), -np.inf)
-    for state in range(2):
+    attachment_cost = compute_attachment_cost(points, weight, body_size, mirror, upper, lower)
+    cost = np.zeros(STATES)
+    path_points, last_seen_s = np.empty((STATES, joints, 2)), np.full((STATES, joints), -np.inf)
+    for state in range(STATES):
+        for bit in range(3):
+            cost[state] += STATE_BITS[state, bit] * (INITIAL_COST[bit] + attachment_cost[bit])
         for j in range(joints):
-            source = mirror[j] if state else j
+            source = mirror[j] if part[j] >= 0 and SWAPPED_PARTS[state, part[j]] else j
             path_points[state, j] = points[source]
             if weight[source] > 0:
                 last_seen_s[state, j] = time_s
-    cost, is_swapped = np.array([0.0, INITIAL_SWAP_COST]), np.array([[False], [True]])
-    return cost, is_swapped, path_points, np.zeros((2, joints, 2)), last_seen_s
+    return cost, path_points, np.zeros((STATES, joints, 2)), last_seen_s
 
 
-@kernel(FLOATS_2D(INPUT_3D, INPUT_3D, INPUT_2D, FLOAT, INPUT_2D, INPUT_1D, INPUT_INTS_1D, FLOAT))
-def _compute_likelihood_cost(
+@kernel(FLOATS_3D(INPUT_3D, INPUT_3D, INPUT_2D, *_FRAME, INPUT_INTS_1D, INPUT_INTS_1D))
+def compute_label_cost(
     path_points: Array,
     velocity: Array,
     last_seen_s: Array,
     time_s: float,
     points: Array,
     weight: Array,
-    mirror: NDArray[np.intp],
     body_size: float,
+    mirror: NDArray[np.intp],
+    part: NDArray[np.intp],
 ) -> Array:
-    """Return -log p(x | z, path) of a frame for each path (rows) and each state (columns), (2, 2) in nats.
+    """Return the costs C_g(l) of a frame in nats, (8, 3, 2): for each path, part and label, 1 for exchanged.
 
-    The first arguments are fields of `ViterbiPaths`, the others those of `SwapFilter.update`.
+    The first arguments are fields of `ViterbiPaths`, the others those of `SwapFilter.update` and `BodySides`.
     """
-    cost = np.zeros((2, 2))
-    for path in range(2):
+    cost = np.zeros((STATES, len(PARTS), 2))
+    for path in range(STATES):
         for j in range(len(mirror)):
-            if mirror[j] == j or last_seen_s[path, j] == -np.inf:
+            if part[j] < 0 or last_seen_s[path, j] == -np.inf:
                 continue
             age = time_s - last_seen_s[path, j]
-            horizon = VELOCITY_TIME_S * (1 - math.exp(-age / VELOCITY_TIME_S)) * VELOCITY_GAIN
-            std = PREDICTION_STD + PREDICTION_STD_PER_S * age + PREDICTION_STD_PER_S2 * age**2
-            for state in range(2):
-                source = mirror[j] if state else j
+            horizon = VELOCITY_TIME_S * (1 - math.exp(-age / VELOCITY_TIME_S))
+            growth = PREDICTION_STD + PREDICTION_STD_PER_S * age + PREDICTION_STD_PER_S2 * age**2
+            for label in range(2):
+                source = mirror[j] if label else j
                 if weight[source] > 0:
                     error_x = points[source, 0] - (path_points[path, j, 0] + velocity[path, j, 0] * horizon)
                     error_y = points[source, 1] - (path_points[path, j, 1] + velocity[path, j, 1] * horizon)
-                    squared = (error_x * error_x + error_y * error_y) / (body_size * std) ** 2
-                    cost[path, state] += CAUCHY_SCALE * math.log1p(0.5 / CAUCHY_SCALE * squared)
-                    cost[path, state] += 2 * math.log(std)
+                    variance = (growth * (2 - weight[source])) ** 2
+                    squared = (error_x * error_x + error_y * error_y) / (body_size * body_size * variance)
+                    likelihood = (1 - OUTLIER_PROBABILITY) * math.exp(-0.5 * squared) / variance
+                    likelihood += OUTLIER_PROBABILITY / (variance + OUTLIER_STD**2)
+                    cost[path, part[j], label] -= math.log(likelihood)
     return cost
 
 
+@kernel(types.Tuple((FLOATS_1D, INTS_1D))(INPUT_1D, INPUT_2D, INPUT_3D))
+def _find_predecessors(
+    path_cost: Array, transition_cost: Array, label_cost: Array
+) -> tuple[Array, NDArray[np.intp]]:
+    """Return the least cost of each state with the path that it continues: (8,) in nats, and (8,).
+
+    Args:
+        path_cost: (8,) cost of the paths so far.
+        transition_cost: (8, 8) cost of the states after those before.
+        label_cost: (8, 3, 2) cost of the labels of each part, for each path.
+    """
+    cost, predecessor = np.full(STATES, np.inf), np.zeros(STATES, np.int64)
+    for state in range(STATES):
+        for path in range(STATES):
+            total = path_cost[path] + transition_cost[path, state]
+            for part in range(len(PARTS)):
+                total += label_cost[path, part, int(SWAPPED_PARTS[state, part])]
+            if total < cost[state]:
+                cost[state], predecessor[state] = total, path
+    return cost, predecessor
+
+
 @kernel(
-    _PATHS(
-        *(INPUT_1D, INPUT_BOOLS_2D, INPUT_3D, INPUT_3D, INPUT_2D),
-        *(FLOAT, INPUT_2D, INPUT_1D, INPUT_INTS_1D, FLOAT, INT),
+    types.Tuple((INTS_1D, FLOATS_1D, FLOATS_3D, FLOATS_3D, FLOATS_2D))(
+        *(INPUT_1D, INPUT_3D, INPUT_3D, INPUT_2D), *_FRAME, *_SIDES
     )
 )
 def _continue_paths(
     path_cost: Array,
-    is_swapped: NDArray[np.bool_],
     path_points: Array,
     velocity: Array,
     last_seen_s: Array,
     time_s: float,
     points: Array,
     weight: Array,
-    mirror: NDArray[np.intp],
     body_size: float,
-    dropped: int,
-) -> tuple[Array, NDArray[np.bool_], Array, Array, Array]:
-    """Return the paths continued by a frame.
+    mirror: NDArray[np.intp],
+    part: NDArray[np.intp],
+    upper: NDArray[np.intp],
+    lower: NDArray[np.intp],
+) -> tuple[NDArray[np.intp], Array, Array, Array, Array]:
+    """Return the paths continued by a frame: which path each state continues (8,), then as `_begin_paths`.
 
-    The first arguments are the fields of `ViterbiPaths`, the others those of `SwapFilter.update`.
+    The first arguments are fields of `ViterbiPaths`, the others those of `SwapFilter.update` and `BodySides`.
     """
-    joints, frames = len(mirror), is_swapped.shape[1] - dropped
-    cost = compute_transition_cost(time_s - last_seen_s[0].max())
-    cost += _compute_likelihood_cost(path_points, velocity, last_seen_s, time_s, points, weight, mirror, body_size)
-    new_cost, new_is_swapped = np.empty(2), np.empty((2, frames + 1), np.bool_)
-    new_points, new_velocity = np.empty((2, joints, 2)), np.empty((2, joints, 2))
-    new_last_seen_s = np.empty((2, joints))
-    for state in range(2):
-        path = 1 if path_cost[1] + cost[1, state] < path_cost[0] + cost[0, state] else 0
-        new_cost[state] = path_cost[path] + cost[path, state]
-        new_is_swapped[state, :frames] = is_swapped[path, dropped:]
-        new_is_swapped[state, frames] = state == 1
+    joints, elapsed_s = len(mirror), time_s - last_seen_s[0].max()
+    label_cost = compute_label_cost(
+        path_points, velocity, last_seen_s, time_s, points, weight, body_size, mirror, part
+    )
+    is_confused = np.zeros(label_cost.shape, np.bool_)  # whether the path exchanges the part in its own past
+    for path in range(STATES):
+        for p in range(len(PARTS)):
+            bound = label_cost[path, p].min() + CONFUSION_COST
+            for label in range(2):
+                is_confused[path, p, label] = label_cost[path, p, label] > bound
+                label_cost[path, p, label] = min(label_cost[path, p, label], bound)
+    cost, predecessor = _find_predecessors(path_cost, compute_transition_cost(elapsed_s), label_cost)
+    attachment_cost = compute_attachment_cost(points, weight, body_size, mirror, upper, lower)
+    share = min(elapsed_s / ATTACHMENT_TIME_S, 1.0)
+    new_points, new_velocity = np.empty(path_points.shape), np.empty(velocity.shape)
+    new_last_seen_s = np.empty(last_seen_s.shape)
+    for state in range(STATES):
+        path = predecessor[state]
+        for bit in range(3):
+            cost[state] += STATE_BITS[state, bit] * attachment_cost[bit] * share
         for j in range(joints):
-            source = mirror[j] if state else j
+            source, before = j, j
+            if part[j] >= 0:
+                label = int(SWAPPED_PARTS[state, part[j]])
+                source = mirror[j] if label else j
+                before = mirror[j] if is_confused[path, part[j], label] else j
             if not weight[source] > 0:
-                new_points[state, j] = path_points[path, j]
-                new_velocity[state, j] = velocity[path, j]
-                new_last_seen_s[state, j] = last_seen_s[path, j]
+                new_points[state, j] = path_points[path, before]
+                new_velocity[state, j] = velocity[path, before]
+                new_last_seen_s[state, j] = last_seen_s[path, before]
                 continue
-            age = max(time_s - last_seen_s[path, j], MIN_STEP_S)
+            age = max(time_s - last_seen_s[path, before], MIN_STEP_S)
             blend = 1 - math.exp(-age / VELOCITY_TIME_S)
             for d in range(2):
-                measured = (points[source, d] - path_points[path, j, d]) / age
-                smoothed = velocity[path, j, d] + blend * (measured - velocity[path, j, d])
+                measured = (points[source, d] - path_points[path, before, d]) / age
+                smoothed = velocity[path, before, d] + blend * (measured - velocity[path, before, d])
                 new_points[state, j, d] = points[source, d]
                 new_velocity[state, j, d] = smoothed if age < MAX_VELOCITY_GAP_S else 0.0
             new_last_seen_s[state, j] = time_s
-    return new_cost - new_cost.min(), new_is_swapped, new_points, new_velocity, new_last_seen_s
+    return predecessor, cost - cost.min(), new_points, new_velocity, new_last_seen_s
 
 
-def find_swapped_frames(times: Array, points: Array, weight: Array, mirror: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return the frames of a sequence whose left and right are swapped, (F,).
+def find_swapped_parts(times: Array, points: Array, weight: Array, sides: BodySides) -> NDArray[np.bool_]:
+    """Return the parts of the body whose left and right are swapped in the frames of a sequence, (F, 3).
 
     Args:
         times: (F,) s, increasing.
-        points: (F, J, 2) image points in any unit.
+        points: (F, J, 2) image points in rays or px; a frame with all of them in one place tells nothing.
         weight: (F, J) confidence scores; 0 for a joint that was not seen.
-        mirror: (J,) index of each joint's counterpart on the other side.
+        sides: left and right joints.
     """
-    swap_filter, is_swapped = SwapFilter(mirror), np.zeros(len(times), bool)
-    seen_frames = np.flatnonzero((weight > 0).sum(axis=1) > 1)
-    for frame in seen_frames:
-        body_size = measure_extent(points[frame], weight[frame]).size
-        swap_filter = swap_filter.update(float(times[frame]), points[frame], weight[frame], body_size)
-    is_swapped[seen_frames] = swap_filter.is_swapped
+    is_swapped = np.zeros((len(times), len(PARTS)), bool)
+    extents = [measure_extent(*frame) for frame in zip(points, weight, strict=True)]
+    frames = np.flatnonzero([not e.is_one_place for e in extents])
+    if not len(frames):
+        return is_swapped
+    seen = [_describe(float(times[f]), points[f], weight[f], extents[f].size, sides) for f in frames]
+    cost, path_points, velocity, last_seen_s = _begin_paths(*seen[0])
+    predecessors = []
+    for frame in seen[1:]:
+        predecessor, cost, path_points, velocity, last_seen_s = _continue_paths(
+            cost, path_points, velocity, last_seen_s, *frame
+        )
+        predecessors.append(predecessor)
+    states = [int(cost.argmin())]
+    for predecessor in predecessors[::-1]:
+        states.append(int(predecessor[states[-1]]))
+    is_swapped[frames] = SWAPPED_PARTS[states[::-1]]
     return is_swapped
 
 
 def exchange_sides(
-    points: Array, weight: Array, is_swapped: NDArray[np.bool_], mirror: NDArray[np.intp]
+    points: Array, weight: Array, is_swapped: NDArray[np.bool_], sides: BodySides
 ) -> tuple[Array, Array]:
-    """Return points (F, J, 2) and weights (F, J) with left and right exchanged in some frames.
+    """Return points (F, J, 2) and weights (F, J) with left and right of some parts exchanged in some frames.
 
     Args:
         points: (F, J, 2) image points in any unit.
         weight: (F, J) confidence scores.
-        is_swapped: (F,) frames whose sides are exchanged.
-        mirror: (J,) index of each joint's counterpart on the other side.
+        is_swapped: (F, 3) parts, in the order of `PARTS`, whose sides are exchanged in a frame.
+        sides: left and right joints.
     """
-    return (
-        _exchange_sides(points, weight, is_swapped, mirror) if np.count_nonzero(is_swapped) else (points, weight)
-    )
+    if not np.count_nonzero(is_swapped):
+        return points, weight
+    return _exchange_sides(points, weight, is_swapped, sides.mirror, sides.part)
 
 
-@kernel(types.Tuple((FLOATS_3D, FLOATS_2D))(INPUT_3D, INPUT_2D, INPUT_BOOLS_1D, INPUT_INTS_1D))
+@kernel(types.Tuple((FLOATS_3D, FLOATS_2D))(INPUT_3D, INPUT_2D, INPUT_BOOLS_2D, INPUT_INTS_1D, INPUT_INTS_1D))
 def _exchange_sides(
-    points: Array, weight: Array, is_swapped: NDArray[np.bool_], mirror: NDArray[np.intp]
+    points: Array,
+    weight: Array,
+    is_swapped: NDArray[np.bool_],
+    mirror: NDArray[np.intp],
+    part: NDArray[np.intp],
 ) -> tuple[Array, Array]:
     """Compute `exchange_sides`."""
     new_points, new_weight = np.empty_like(points), np.empty_like(weight)
     for frame in range(weight.shape[0]):
         for j in range(weight.shape[1]):
-            source = mirror[j] if is_swapped[frame] else j
+            source = mirror[j] if part[j] >= 0 and is_swapped[frame, part[j]] else j
             new_points[frame, j] = points[frame, source]
             new_weight[frame, j] = weight[frame, source]
     return new_points, new_weight

@@ -2,7 +2,7 @@
 
 Each person has one SPHERE_LIST (namespace `joints`) and one LINE_LIST (namespace `bones`), because a marker for
 each joint would cost ten times as much. Inferred joints, and bones that end in one, are pale and translucent. A
-person who was not detected in the image and is predicted is grey.
+person who was not detected in the image and is predicted, or who is tentative, is grey and translucent.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class _Style(NamedTuple):
 # All styles are chosen for the look.
 SEEN_STYLE = _Style(0.75, 1.0)
 INFERRED_STYLE = _Style(0.3, 0.35)
-PREDICTED_STYLE = _Style(0.0, 0.35)
+UNCERTAIN_STYLE = _Style(0.0, 0.35)  # of people who are predicted or tentative
 
 
 class _MarkerShape(NamedTuple):
@@ -185,7 +185,7 @@ class MarkerEncoder:
 
 def _add_person(writer: _MarkerWriter, person: Person3D, number: int, lifetime_ns: int) -> None:
     """Append the two markers of a person."""
-    seen_color, inferred_color = _choose_colors(number, is_predicted=person.predicted)
+    seen_color, inferred_color = _choose_colors(number, person.predicted, person.tentative)
     is_bone_inferred = person.inferred[BONE_ENDS].reshape(-1, 2).any(axis=1).repeat(2)
     for shape, points, is_inferred in (
         (JOINTS, person.joints, person.inferred),
@@ -197,11 +197,14 @@ def _add_person(writer: _MarkerWriter, person: Person3D, number: int, lifetime_n
 
 
 @lru_cache(maxsize=1000)  # more people than are ever seen at once
-def _choose_colors(number: int, *, is_predicted: bool) -> tuple[Colors, Colors]:
+def _choose_colors(number: int, is_predicted: bool, is_tentative: bool) -> tuple[Colors, Colors]:
     """Return the colours of a person's seen and inferred joints; neighbouring numbers get very different hues."""
     hue = (FIRST_HUE + number * GOLDEN_RATIO) % 1
     seen, inferred = (
         np.array([*colorsys.hsv_to_rgb(hue, style.saturation, BRIGHTNESS), style.opacity], np.float32)
-        for style in (SEEN_STYLE, PREDICTED_STYLE if is_predicted else INFERRED_STYLE)
+        for style in (
+            UNCERTAIN_STYLE if is_tentative else SEEN_STYLE,
+            UNCERTAIN_STYLE if is_tentative or is_predicted else INFERRED_STYLE,
+        )
     )
     return seen, inferred

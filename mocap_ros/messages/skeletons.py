@@ -15,8 +15,9 @@ from mocap_ros.skeleton import CMU15, Skeleton
 SKELETONS = MOCAP_ROS_MSGS + 'Skeleton3DArray'
 SKELETON_DEFINITION = MOCAP_ROS_MSGS + 'SkeletonDefinition'
 
-# Fields of Skeleton3D from motion.residual on: it, motion.cadence, reprojection_residual, scale_source, predicted.
-_LAST_FIELDS = struct.Struct('<fffB?')
+# Fields of Skeleton3D from motion.residual on: it, motion.cadence, reprojection_residual, scale_source, predicted
+# and tentative.
+_LAST_FIELDS = struct.Struct('<fffB??')
 
 
 def encode_skeletons(header: Header, people: Sequence[Person3D]) -> bytes:
@@ -34,8 +35,8 @@ def encode_skeletons(header: Header, people: Sequence[Person3D]) -> bytes:
         writer.add(8, camera.tobytes())
         writer.add(1, bytes([motion.kind]))
         writer.add_text(motion.category)
-        last_fields = motion.residual, motion.cadence, person.residual, person.scale_known, person.predicted
-        writer.add(4, _LAST_FIELDS.pack(*last_fields))
+        numbers = motion.residual, motion.cadence, person.residual
+        writer.add(4, _LAST_FIELDS.pack(*numbers, person.scale_known, person.predicted, person.tentative))
     return writer.finish()
 
 

@@ -1,4 +1,8 @@
-"""Encode people as the messages of all output topics: for the node, replays and reconstructed sequences."""
+"""Encode people as the messages of all output topics: for the node, replays and reconstructed sequences.
+
+Tentative people are flagged in the skeletons, have cameras and points, and are drawn grey. They have no
+transforms, because a robot would act on them, and because a coordinate frame is remembered after its last message.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +64,8 @@ class OutputEncoder:
             'points': encode_points(header, people),
         }
         if transforms_prefix is not None:
-            data['/tf'] = encode_transforms(header, people, transforms_prefix)
+            certain = [p for p in people if not p.tentative]
+            data['/tf'] = encode_transforms(header, certain, transforms_prefix)
         types = OUTPUTS | TF_OUTPUT
         return tuple(OutputMessage(topic, types[topic], header.stamp_ns, raw) for topic, raw in data.items())
 

@@ -28,7 +28,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera, solver_focal
 from mocap_ros.keypoints.association import measure_extent
-from mocap_ros.keypoints.left_right import exchange_sides, find_swapped_frames
+from mocap_ros.keypoints.left_right import BodySides, exchange_sides, find_swapped_parts
 from mocap_ros.keypoints.rays import convert_to_rays
 from mocap_ros.models.lifter import LiftedPoses, Lifter, concatenate_lifted
 from mocap_ros.models.lifter_input import (
@@ -235,10 +235,10 @@ def observe_sequence(
     require_camera_frame(weight)
     rays, weight = _exclude_frames_in_one_place(rays, weight)
     if config.undo_swaps:
-        mirror = np.array(skeleton.mirror)
+        sides = BodySides.of(skeleton)
         shots = find_shots(rays, weight, times) if find_shots is not None else [slice(None)]
-        swapped = [find_swapped_frames(times[s], rays[s], weight[s], mirror) for s in shots]
-        rays, weight = exchange_sides(rays, weight, np.concatenate(swapped), mirror)
+        swapped = [find_swapped_parts(times[s], rays[s], weight[s], sides) for s in shots]
+        rays, weight = exchange_sides(rays, weight, np.concatenate(swapped), sides)
     return ObservedWindow.facing_person(
         times, rays, weight, intrinsics, solver_focal(intrinsics, config.perspective)
     )

@@ -54,3 +54,10 @@ class Detection:
             return None
         extent = measure_extent(rays, weight)
         return None if extent.is_one_place else Detection(person.id, rays, weight, extent)
+
+    def join(self, part: Detection) -> Detection:
+        """Return the detection with the joints of another detection of the same person that this one lacks."""
+        is_own = self.weight > 0
+        rays = np.where(is_own[:, None], self.rays, part.rays)
+        weight = np.where(is_own, self.weight, part.weight)
+        return Detection(self.given_id or part.given_id, rays, weight, measure_extent(rays, weight))

@@ -1,15 +1,56 @@
-"""Which tracked person each detection of a frame is: by the detector's id, else by position and size."""
+"""Which tracked person each detection of a frame is, and which detections are but parts of a person.
+
+The steps, each for the people and detections that are left by those before:
+
+1. A detection with a person's id that is near where the person is expected is this person: a detector that gives
+   good ids decides who is who, also where people cross.
+2. So is one that is farther away, unless it is part of somebody who was found in the first step.
+3. The others are matched by position, size and pose (Hungarian method). A detection without an id, or with an id
+   that is new, goes on with the track of a known person; with a new id it must be nearer.
+4. A detection that fits a person who has been found is part of it or the same once more, and one that fits a new
+   detection with more joints is part of that. It is joined to it, and never a person of its own.
+
+Whoever is left is new.
+"""
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from mocap_ros.keypoints.association import ExpectedExtent, Extent, associate, compute_distance, compute_gate
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.keypoints.association import (
+    MIN_SHARED_JOINTS,
+    VELOCITY_SPAN_S,
+    Array,
+    ExpectedPerson,
+    choose_pairs,
+    expect_person,
+    measure_distances,
+)
+from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.detection import Detection
+from mocap_ros.tracking.seen_frames import SeenFrames
 from mocap_ros.tracking.track import Track
+from mocap_ros.units import NS_PER_S
 
-ID_REUSE_GATE_FACTOR = 5.0  # gates; a detection with a known id that is farther away belongs to another person
+GATE = 0.6  # person sizes (RMS radius, about 0.5 m of an adult); acrobats move less from frame to frame
+GATE_GROWTH_PER_S = 3.0  # person sizes/s; an unseen person may walk away and the predicted position gets worse
+SIZE_GATE = (
+    0.4  # natural logarithm of 1.5; nobody shrinks by more from one frame to the next, but parts are smaller
+)
+SIZE_GATE_GROWTH_PER_S = 1.0  # the same per s; an unseen person may crouch or walk away
+NEW_ID_GATE = 0.5  # person sizes; a detector that gives a new id may mean another person, who is farther away
+NEW_ID_GATE_GROWTH_PER_S = 1.0  # person sizes/s; likewise
+SAME_ID_GATE = 5.0  # person sizes; a detection with a known id that is farther away belongs to another person
+SAME_ID_GATE_GROWTH_PER_S = 10.0  # person sizes/s; likewise
+PART_GATE = 0.3  # person sizes, about 0.15 m; the joints of a part are those of the person, but for image noise
+TENTATIVE_COST = 0.5  # person sizes; a known person gets a detection sooner than one who may be none
+
+_MIRROR = np.array(CMU15.mirror)
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,43 +58,176 @@ class Matches:
     """The matches of a frame.
 
     Attributes:
-        tracks: the track of each detection; None for a detection of nobody known.
+        detections: the detections of people, in their order, with their parts joined to them.
+        tracks: the track of each of these detections; None for a detection of nobody known.
         replaced_ids: ids of tracks whose id the detector has given to another person.
     """
 
+    detections: tuple[Detection, ...]
     tracks: tuple[Track | None, ...]
     replaced_ids: frozenset[str]
 
 
 def match_detections(stamp_ns: int, tracks: Sequence[Track], detections: Sequence[Detection]) -> Matches:
-    """Match the detections of a frame with the known people.
+    """Match the detections of a frame with the tracked people.
 
     Args:
         stamp_ns: ns, time of the image.
-        tracks: the known people.
+        tracks: the tracked people.
         detections: the detections.
     """
-    by_given_id = {t.seen.given_id: t for t in tracks if t.seen.given_id}
-    replaced = set()
-    for detection in detections:
-        track = by_given_id.get(detection.given_id)
-        if track is not None and _is_other_person(track.seen.expect_extent(stamp_ns), detection.extent):
-            replaced.add(by_given_id.pop(detection.given_id).id)
-    tracks_without_id = [t for t in tracks if not t.seen.given_id]
-    nameless = [i for i, detection in enumerate(detections) if not detection.given_id]
-    nearest = associate(
-        [t.seen.expect_extent(stamp_ns) for t in tracks_without_id], [detections[i].extent for i in nameless]
-    )
-    associated = {
-        i: tracks_without_id[index] for i, index in zip(nameless, nearest, strict=True) if index is not None
-    }
-    matched = tuple(
-        by_given_id.pop(detection.given_id, None) if detection.given_id else associated.get(i)
-        for i, detection in enumerate(detections)
-    )
-    return Matches(matched, frozenset(replaced))
+    expected = [_expect(t.seen, stamp_ns) for t in tracks]
+    age_s = np.array([(stamp_ns - t.seen.stamps_ns[-1]) / NS_PER_S for t in tracks])
+    distances, growths = measure_distances(expected, [(d.rays, d.weight) for d in detections], _MIRROR)
+    has_size = growths >= -(SIZE_GATE + SIZE_GATE_GROWTH_PER_S * age_s)
+    matcher = _Matcher(tracks, detections, expected, age_s, distances, has_size)
+    matcher.match_near_ids()
+    matcher.match_far_ids()
+    matcher.match_positions()
+    matcher.join_parts()
+    return matcher.finish()
 
 
-def _is_other_person(expected: ExpectedExtent, detected: Extent) -> bool:
-    """Return whether a detection with a known id is so far away that the detector has reused the id."""
-    return compute_distance(expected, detected) > ID_REUSE_GATE_FACTOR * compute_gate(expected)
+def _expect(seen: SeenFrames, stamp_ns: int) -> ExpectedPerson:
+    """Return where a person is expected, from the frames of the last `VELOCITY_SPAN_S` before the newest."""
+    first = bisect_left(seen.stamps_ns, seen.stamps_ns[-1] - VELOCITY_SPAN_S * NS_PER_S)
+    age_s = np.array([stamp_ns - s for s in seen.stamps_ns[first:]]) / NS_PER_S
+    return expect_person(seen.rays[first:], seen.weight[first:], age_s)
+
+
+@dataclass(eq=False)
+class _Matcher:
+    """The matching of one frame, step by step.
+
+    Attributes:
+        tracks: the P tracked people.
+        detections: the D detections.
+        expected: (P,) where the people are expected.
+        age_s: (P,) s, time since each person was last seen.
+        distances: (D, P) distances of all detections from all people.
+        has_size: (D, P) whether the detection is large enough to be that of the person.
+        track_of: index of the track of each matched detection, by the detection's index.
+        whole_of: detection of which a detection is part, by indices.
+    """
+
+    tracks: Sequence[Track]
+    detections: Sequence[Detection]
+    expected: Sequence[ExpectedPerson]
+    age_s: Array
+    distances: Array
+    has_size: NDArray[np.bool_]
+    track_of: dict[int, int] = field(default_factory=dict)
+    whole_of: dict[int, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.gates = GATE + GATE_GROWTH_PER_S * self.age_s
+        self.same_id_gates = SAME_ID_GATE + SAME_ID_GATE_GROWTH_PER_S * self.age_s
+        self.new_id_gates = NEW_ID_GATE + NEW_ID_GATE_GROWTH_PER_S * self.age_s
+
+    def match_near_ids(self) -> None:
+        """Match detections with people of their id who are near."""
+        for d in range(len(self.detections)):
+            p = self._find_same_id(d, self.gates)
+            if p is not None:
+                self.track_of[d] = p
+
+    def match_far_ids(self) -> None:
+        """Match detections with people of their id who are far, but for parts of people who have been found."""
+        found = list(self.track_of)
+        for d in range(len(self.detections)):
+            p = None if d in self.track_of else self._find_same_id(d, self.same_id_gates)
+            if p is not None and self._find_whole(d, found) is None:
+                self.track_of[d] = p
+
+    def _find_same_id(self, d: int, gates: Array) -> int | None:
+        """Return the likeliest person with a detection's id within gates (P,); None if there is none."""
+        name, taken = self.detections[d].given_id, self.track_of.values()
+        if not name:
+            return None
+        called = [p for p, t in enumerate(self.tracks) if p not in taken and _is_called(t, name)]
+        near = [p for p in called if self.has_size[d, p] and self.distances[d, p] <= gates[p]]
+
+        def rank(p: int) -> tuple[bool, bool, float]:
+            return self.tracks[p].seen.given_id != name, self.tracks[p].is_tentative, self.distances[d, p]
+
+        return min(near, key=rank, default=None)
+
+    def match_positions(self) -> None:
+        """Match detections with people by their distances."""
+        free_d = [d for d in range(len(self.detections)) if d not in self.track_of]
+        free_p = [p for p in range(len(self.tracks)) if p not in self.track_of.values()]
+        if not free_d or not free_p:
+            return
+        distances, age_s = self.distances[free_d][:, free_p], self.age_s[free_p]
+        is_tentative = np.array([self.tracks[p].is_tentative for p in free_p])
+        has_steady_id = np.array([self.tracks[p].seen.given_id == self.tracks[p].id for p in free_p])
+        has_new_id = np.array([self.detections[d].given_id != '' for d in free_d])
+        gates = np.where(
+            has_new_id[:, None] & has_steady_id & ~is_tentative, self.new_id_gates[free_p], self.gates[free_p]
+        )
+        is_permitted = (distances < gates) & self.has_size[free_d][:, free_p]
+        cost = np.where(is_permitted, distances, self.gates[free_p])
+        cost = cost + GATE_GROWTH_PER_S * age_s + TENTATIVE_COST * is_tentative
+        for d, index in zip(free_d, choose_pairs(cost, is_permitted), strict=True):
+            if index is not None:
+                self.track_of[d] = free_p[index]
+
+    def join_parts(self) -> None:
+        """Find the detections that are parts of others."""
+        free = [d for d in range(len(self.detections)) if d not in self.track_of]
+        if not free:
+            return
+        joints = [np.count_nonzero(d.weight) for d in self.detections]
+        wholes = list(self.track_of)
+        for d in sorted(free, key=lambda d: -joints[d]):
+            whole = self._find_whole(d, [w for w in wholes if w in self.track_of or joints[w] > joints[d]])
+            if whole is None:
+                wholes.append(d)
+            else:
+                self.whole_of[d] = whole
+
+    def _find_whole(self, d: int, wholes: Sequence[int]) -> int | None:
+        """Return the nearest of some detections of which another may be a part; None if there is none."""
+        if not wholes:
+            return None
+        detection = self.detections[d]
+        seen = [(detection.rays, detection.weight)]
+        people = [self._complete(whole) for whole in wholes]
+        distances = measure_distances(people, seen, _MIRROR, MIN_SHARED_JOINTS)[0][0]
+        ages_s = [self.age_s[self.track_of[w]] if w in self.track_of else 0.0 for w in wholes]
+        distances /= PART_GATE + NEW_ID_GATE_GROWTH_PER_S * np.array(ages_s)
+        nearest = int(np.argmin(distances))
+        return wholes[nearest] if distances[nearest] < 1 else None
+
+    def _complete(self, d: int) -> ExpectedPerson:
+        """Return the joints of a detection, and where the others are expected if the person is known."""
+        detection = self.detections[d]
+        is_seen = detection.weight > 0
+        if d not in self.track_of:
+            return ExpectedPerson(detection.rays, is_seen.astype(float))
+        expected = self.expected[self.track_of[d]]
+        points = np.where(is_seen[:, None], detection.rays, expected.points)
+        return ExpectedPerson(points, np.maximum(is_seen, expected.weight))
+
+    def finish(self) -> Matches:
+        """Return the matches."""
+        detections = list(self.detections)
+        for part, whole in self.whole_of.items():
+            detections[whole] = detections[whole].join(self.detections[part])
+        people = [d for d in range(len(detections)) if d not in self.whole_of]
+        tracks = [self.tracks[self.track_of[d]] if d in self.track_of else None for d in people]
+        unmatched = [p for p in range(len(self.tracks)) if p not in self.track_of.values()]
+        new = [d for d in people if d not in self.track_of]
+        replaced = frozenset(self.tracks[p].id for p in unmatched if any(self._is_replaced(p, d) for d in new))
+        return Matches(tuple(detections[d] for d in people), tuple(tracks), replaced)
+
+    def _is_replaced(self, p: int, d: int) -> bool:
+        """Return whether the detector has given a person's id to a new detection that is somebody else's."""
+        name = self.detections[d].given_id
+        is_far = self.distances[d, p] > self.same_id_gates[p]
+        return bool(is_far) and name != '' and _is_called(self.tracks[p], name)
+
+
+def _is_called(track: Track, name: str) -> bool:
+    """Return whether a name is the id that the detector gave a person last, or the person's in the output."""
+    return name in (track.seen.given_id, track.id)

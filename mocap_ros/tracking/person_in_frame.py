@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.joint_std import estimate_joint_std
 from mocap_ros.people import Motion, Person3D
 from mocap_ros.tracking.track import Track
 
+Array = NDArray[np.float64]
+
+
+def locate_joints(track: Track, frame: int, model: BasePoses) -> Array:
+    """Return the joints (J, 3) m in the camera's frame as they were solved; arguments as for `make_person`."""
+    solution = track.solved
+    pose = model.poses(solution.theta[frame]) @ solution.rotation[frame].T + solution.roots[frame]
+    return np.asarray(pose / solution.stature_ratio)
+
 
 def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
-    """Return the person of a track in one solved frame of its window.
+    """Return the person of a track in one solved frame of its window, with filtered joints if there are any.
 
     Args:
         track: a solved track.
@@ -19,10 +31,13 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
     solution, observed, classification = track.solved, track.seen.observed, track.schedule.classification
     intrinsics, lifted = track.seen.intrinsics, observed.lifted
     size = 1 / solution.stature_ratio
-    rotation, root = solution.rotation[frame], solution.roots[frame] * size
+    rotation, joints = solution.rotation[frame], locate_joints(track, frame, model)
+    motion_filter = track.motion_filter
+    if motion_filter is not None and motion_filter.stamps_ns[-1] == track.seen.stamps_ns[frame]:
+        joints = motion_filter.joints
+    root = joints.mean(axis=0)
     inferred = observed.weight[frame] == 0
     lifted_std = None if lifted is None else lifted.std[frame] * root[2]
-    joints = model.poses(solution.theta[frame]) @ rotation.T * size + root
     motion, category = classification.motion, classification.periodic_model_name or solution.model_name
     return Person3D(
         id=track.id,
@@ -36,4 +51,5 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
         residual=solution.frame_residual,
         scale_known=intrinsics.is_focal_known,
         predicted=False,
+        tentative=track.is_tentative,
     )

@@ -36,10 +36,10 @@ def predict_person(track: Track, stamp_ns: int, model: BasePoses) -> Person3D:
     age_s = (stamp_ns - stamps_ns[-1]) / NS_PER_S
     last = make_person(track, len(stamps_ns) - 1, model)
     movement = solution.estimate_velocity(stamps_ns) * age_s / solution.stature_ratio
-    root = solution.roots[-1] / solution.stature_ratio + movement
+    root = last.joints.mean(axis=0) + movement
     joints = last.joints + movement
     if root[2] < joints[:, 2].max() - root[2] + MIN_CLEARANCE_M:
-        joints, root = last.joints, solution.roots[-1] / solution.stature_ratio
+        joints, root = last.joints, last.joints.mean(axis=0)
     return replace(
         last,
         joints=joints,

@@ -1,7 +1,7 @@
 """What was seen of a tracked person: the keypoints of the sliding window, with left and right put right.
 
-A new frame may change the decision whether left and right were swapped in earlier frames. These frames are then
-corrected anew, and their lifted poses are dropped.
+A new frame may change the decision whether left and right of the body or of a part of it were swapped in earlier
+frames. These frames are then corrected anew, and the lifted poses from the first of them on are dropped.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
-from mocap_ros.keypoints.association import ExpectedExtent, Extent, measure_extent
+from mocap_ros.keypoints.association import Extent, measure_extent
 from mocap_ros.keypoints.left_right import SwapFilter, exchange_sides
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.observed_window import ObservedWindow
@@ -23,22 +23,19 @@ from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
-VELOCITY_SPAN_S = 0.25  # s; velocities are averaged over this time, which evens out image noise and single steps
-MIN_VELOCITY_SPAN_S = 0.05  # s; over a shorter time image noise, divided by the time, looks like a fast movement
-
 
 @dataclass(frozen=True, eq=False)
 class SeenFrames:
     """The F frames of a person's window, F >= 1.
 
     Attributes:
-        given_id: name that the detector gives the person; empty if it gives none.
+        given_id: name that the detector gave the person last; empty if it gave none.
         first_stamp_ns: ns, stamp of the person's first frame, which the window may have left behind.
         stamps_ns: (F,) ns, stamps of the frames, increasing.
         rays: (F, J, 2) x / z and y / z of the joints in the real camera, with the detector's labels.
         weight: (F, J) confidence scores with the detector's labels; 0 for a joint that was not seen.
         extents: (F,) centre and size of the person in the image, in the units of rays.
-        swap_filter: filter that finds the frames with swapped left and right.
+        swap_filter: filter that finds the parts of the body whose left and right are swapped.
         observed: the same frames with swaps undone, their lifted poses, and one virtual camera that faces the
             person in all of them; its times begin with 0 at the first frame of the window.
         is_relabelled: whether the newest frame has changed the decision about swaps in a frame before it.
@@ -85,8 +82,8 @@ class SeenFrames:
 
     @property
     def is_newest_swapped(self) -> bool:
-        """Whether left and right were swapped in the newest frame."""
-        return bool(self.swap_filter.is_swapped[-1])
+        """Whether left and right of the body or of a part of it were swapped in the newest frame."""
+        return bool(self.swap_filter.is_swapped[-1].any())
 
     def count_older_frames(self, stamp_ns: int, window_s: float) -> int:
         """Return the number of frames that are too old for a window that ends at a stamp.
@@ -108,16 +105,18 @@ class SeenFrames:
         time_s = (stamp_ns - self.first_stamp_ns) / NS_PER_S
         seen = detection.rays, detection.weight, detection.extent.size
         swap_filter = self.swap_filter.update(time_s, *seen, dropped)
-        is_relabelled = bool((swap_filter.is_swapped[:-1] != self.swap_filter.is_swapped[dropped:]).any())
+        is_changed = (swap_filter.is_swapped[:-1] != self.swap_filter.is_swapped[dropped:]).any(axis=1)
+        is_relabelled = bool(is_changed.any())
+        unchanged = int(is_changed.argmax()) if is_relabelled else len(is_changed)
         stamps_ns = (*self.stamps_ns[dropped:], stamp_ns)
         rays = np.concatenate([self.rays[dropped:], detection.rays[None]])
         weight = np.concatenate([self.weight[dropped:], detection.weight[None]])
         lifted, old = None, self.observed
-        if old.lifted is not None and not is_relabelled:
-            lifted = old.lifted.select_frames(slice(dropped, None))
+        if old.lifted is not None and unchanged:
+            lifted = old.lifted.select_frames(slice(dropped, dropped + unchanged))
         observed = _correct_sides(stamps_ns, rays, weight, swap_filter, self.intrinsics, old.focal, lifted)
         extents = (*self.extents[dropped:], detection.extent)
-        name, first_ns = self.given_id, self.first_stamp_ns
+        name, first_ns = detection.given_id or self.given_id, self.first_stamp_ns
         return SeenFrames(name, first_ns, stamps_ns, rays, weight, extents, swap_filter, observed, is_relabelled)
 
     def append_lifted(self, lifted: LiftedPoses) -> SeenFrames:
@@ -146,24 +145,6 @@ class SeenFrames:
         observed = _correct_sides(self.stamps_ns, rays, self.weight, self.swap_filter, intrinsics, focal, None)
         extents = tuple(measure_extent(*frame) for frame in zip(rays, self.weight, strict=True))
         return replace(self, rays=rays, extents=extents, observed=observed)
-
-    def expect_extent(self, stamp_ns: int) -> ExpectedExtent:
-        """Return where the person is expected in the image, in the units of rays.
-
-        The centre moves on with its mean velocity over the last `VELOCITY_SPAN_S`, for at most as long.
-
-        Args:
-            stamp_ns: ns, time of the image.
-        """
-        x, y, size = self.extents[-1]
-        newest_ns = self.stamps_ns[-1]
-        age_s = (stamp_ns - newest_ns) / NS_PER_S
-        first = bisect_left(self.stamps_ns, newest_ns - VELOCITY_SPAN_S * NS_PER_S)
-        span_s = (newest_ns - self.stamps_ns[first]) / NS_PER_S
-        if span_s >= MIN_VELOCITY_SPAN_S:
-            steps = min(age_s, VELOCITY_SPAN_S) / span_s
-            x, y = x + (x - self.extents[first].x) * steps, y + (y - self.extents[first].y) * steps
-        return ExpectedExtent(x, y, size, age_s)
 
     def select_frames(self, step_s: float, span_s: float) -> NDArray[np.intp]:
         """Return the indices of the frames with the highest scores, one for each step of time, increasing.
@@ -194,7 +175,7 @@ def _correct_sides(
     lifted: LiftedPoses | None,
 ) -> ObservedWindow:
     """Return frames with swaps of left and right undone, seen by a virtual camera that faces the person."""
-    corrected = exchange_sides(rays, weight, swap_filter.is_swapped, swap_filter.mirror)
+    corrected = exchange_sides(rays, weight, swap_filter.is_swapped, swap_filter.sides)
     camera = VirtualCamera.look_at_mean_position(*corrected, intrinsics)
     times = (np.array(stamps_ns) - stamps_ns[0]) / NS_PER_S
     return ObservedWindow(times, *corrected, camera, focal, lifted)

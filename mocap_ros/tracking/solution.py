@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation, Slerp
 from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INPUT_2D, INPUT_3D, INPUT_INTS_1D, kernel
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
+from mocap_ros.keypoints.association import VELOCITY_SPAN_S
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint import JointReconstruction
 from mocap_ros.solvers.observed_window import ObservedWindow
-from mocap_ros.tracking.seen_frames import VELOCITY_SPAN_S
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]

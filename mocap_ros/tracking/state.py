@@ -47,7 +47,8 @@ class TrackerState:
         name_count: number of names that the tracker has given to people without an id.
         backward_jump_s: s by which the stamp of the newest frame went back, so that tracking restarted; else 0.
         swapped_frames: number of frames so far in which a person's left and right were swapped back.
-        unusable_people: number of detections so far with too few joints, or with all of them in one place.
+        unusable_people: number of detections so far with too few joints, with all of them in one place, or of a
+            part of somebody who was detected besides.
         models: name and number of base poses of each of the tracker's models.
         is_lifted: whether the tracker has a lifter, so that the frames of the tracks hold lifted poses.
     """
@@ -78,8 +79,8 @@ class TrackerState:
 
     @property
     def newest_tracks(self) -> tuple[Track, ...]:
-        """The tracks of the people whom the newest frame shows."""
-        return tuple(t for t in self.tracks if t.seen.stamps_ns[-1] == self.newest_stamp_ns)
+        """The tracks of the people whom the newest frame shows, without those who may be none."""
+        return tuple(t for t in self.tracks if t.seen.stamps_ns[-1] == self.newest_stamp_ns and not t.is_tentative)
 
     def find_track(self, name: str) -> Track | None:
         """Return the track with an id; None if there is none."""

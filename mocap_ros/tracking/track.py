@@ -4,13 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.left_right import SwapFilter
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.tracking.detection import Detection
+from mocap_ros.tracking.motion_filter import MotionFilter
 from mocap_ros.tracking.schedule import CheckSchedule
 from mocap_ros.tracking.seen_frames import SeenFrames
 from mocap_ros.tracking.solution import TrackSolution
+
+# What a new person must have been seen for; docs/tracker.md has what other numbers cost.
+MIN_FRAMES = 3  # frames; at a low frame rate a wrong detection is in one or two
+MIN_AGE_S = 0.06  # s; at a high frame rate it lasts for several frames; three frames at 30 Hz last 0.067 s
+
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,12 +34,16 @@ class Track:
         solution: solution of the first S of these frames, where S is F, or F - 1 between the arrival of a frame
             and its solution; None before the first solution.
         schedule: the checks of the solution that are due.
+        is_tentative: whether the person has not been seen for long enough to be sure that there is somebody.
+        motion_filter: filter of the output; None before the first output, or if nothing is filtered.
     """
 
     id: str
     seen: SeenFrames
     solution: TrackSolution | None = None
     schedule: CheckSchedule = field(default_factory=CheckSchedule)
+    is_tentative: bool = False
+    motion_filter: MotionFilter | None = None
 
     @property
     def solved(self) -> TrackSolution:
@@ -54,6 +69,7 @@ class Track:
         swap_filter: SwapFilter,
         intrinsics: Intrinsics,
         focal: float,
+        is_tentative: bool = True,
     ) -> Track:
         """Return the track of a person who is seen for the first time; the arguments are those of `SeenFrames`.
 
@@ -64,8 +80,10 @@ class Track:
             swap_filter: filter that has seen no frame.
             intrinsics: intrinsics of the real camera.
             focal: px, focal length that the solvers assume.
+            is_tentative: whether only later frames can tell that there is somebody.
         """
-        return Track(name, SeenFrames.begin(stamp_ns, detection, swap_filter, intrinsics, focal))
+        seen = SeenFrames.begin(stamp_ns, detection, swap_filter, intrinsics, focal)
+        return Track(name, seen, is_tentative=is_tentative)
 
     def add_frame(self, stamp_ns: int, detection: Detection, window_s: float) -> Track:
         """Return the track with one more frame and without the frames that are too old.
@@ -83,15 +101,27 @@ class Track:
         schedule = self.schedule
         if seen.is_relabelled:
             schedule = schedule.check_at(stamp_ns)
-        return Track(self.id, seen, solution, schedule)
+        is_tentative = self.is_tentative and not _is_seen_for_long(seen)
+        return Track(self.id, seen, solution, schedule, is_tentative, self.motion_filter)
 
     def append_lifted(self, lifted: LiftedPoses) -> Track:
         """Return the track with lifted poses of the frames that had none; see `ObservedWindow.append_lifted`."""
-        return Track(self.id, self.seen.append_lifted(lifted), self.solution, self.schedule)
+        seen = self.seen.append_lifted(lifted)
+        return Track(self.id, seen, self.solution, self.schedule, self.is_tentative, self.motion_filter)
 
     def refine(self, solution: TrackSolution) -> Track:
         """Return the track with a newer solution of all its frames."""
-        return Track(self.id, self.seen, solution, self.schedule)
+        return Track(self.id, self.seen, solution, self.schedule, self.is_tentative, self.motion_filter)
+
+    def filter_motion(self, stamp_ns: int, joints: Array) -> Track:
+        """Return the track whose output goes on with the joints (J, 3) m of a frame, stamp in ns."""
+        if self.motion_filter is None:
+            motion_filter = MotionFilter.begin(stamp_ns, joints)
+        elif stamp_ns > self.motion_filter.stamps_ns[-1]:
+            motion_filter = self.motion_filter.advance(stamp_ns, joints)
+        else:  # with a lag, this frame was put out before
+            return self
+        return Track(self.id, self.seen, self.solution, self.schedule, self.is_tentative, motion_filter)
 
     def begin_solution(self, solution: TrackSolution) -> Track:
         """Return the track with its first solution, which is checked soon."""
@@ -107,4 +137,10 @@ class Track:
         """
         old = self.seen.intrinsics
         solution = None if self.solution is None else self.solution.change_camera(old, intrinsics)
-        return replace(self, seen=self.seen.change_camera(intrinsics, focal), solution=solution)
+        seen = self.seen.change_camera(intrinsics, focal)
+        return replace(self, seen=seen, solution=solution, motion_filter=None)
+
+
+def _is_seen_for_long(seen: SeenFrames) -> bool:
+    """Return whether a new person has been seen in enough frames and for long enough to be somebody."""
+    return len(seen.stamps_ns) >= MIN_FRAMES and seen.age_s > MIN_AGE_S

@@ -22,7 +22,7 @@ from mocap_ros.config import Config
 from mocap_ros.errors import FrameDropped, InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import solver_focal
-from mocap_ros.keypoints.left_right import SwapFilter
+from mocap_ros.keypoints.left_right import BodySides, SwapFilter
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.model_file import load_prior_lifter
@@ -33,7 +33,7 @@ from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_
 from mocap_ros.tracking.detection import Detection
 from mocap_ros.tracking.hypotheses import HypothesisChecker
 from mocap_ros.tracking.matching import match_detections
-from mocap_ros.tracking.person_in_frame import make_person
+from mocap_ros.tracking.person_in_frame import locate_joints, make_person
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.prediction import predict_person
 from mocap_ros.tracking.solver_input import build_refinement_window
@@ -78,7 +78,7 @@ class Tracker:
             n: m.rescale(settings.body_height / m.stature).truncate(components) for n, m in by_name.items()
         }
         skeleton = next(iter(self.models.values())).skeleton
-        self._new_swap_filter = SwapFilter(np.array(skeleton.mirror), enabled=settings.undo_swaps)
+        self._new_swap_filter = SwapFilter(BodySides.of(skeleton), enabled=settings.undo_swaps)
         self._lifter = load_prior_lifter(config.solver.prior, skeleton)
         has_lifter = self._lifter is not None
         is_all_enough = has_lifter and ALL_MOTIONS in self.models
@@ -111,7 +111,10 @@ class Tracker:
 
     @property
     def unusable_people(self) -> int:
-        """Number of detections so far with too few joints, or with all of them in one place."""
+        """Number of detections so far that were no person of their own.
+
+        They had too few joints, or all of them in one place, or were part of somebody who was detected besides.
+        """
         return self._state.unusable_people
 
     def snapshot(self) -> TrackerState:
@@ -156,7 +159,9 @@ class Tracker:
 
         Returns:
             All people reconstructed in this frame, in the order of `people`, and then those who are predicted
-            because they were not detected, or with fewer than `tracker.min_joints` joints.
+            because they were not detected, or with fewer than `tracker.min_joints` joints. New people are
+            tentative until they have been seen for a while, and are not predicted before. Parts of a person who
+            were detected as several people are one.
 
         Raises:
             FrameDropped: The stamp repeats the newest or is a little older; the state has not changed.
@@ -175,7 +180,12 @@ class Tracker:
         tracks = self._initialise_tracks(tracks, state.pose_memory)
         tracks = self._refine_tracks(tracks)
         state = state.put_tracks(tracks)
-        output_stamp_ns, output = self._make_output(stamp_ns, state.tracks, tracks)
+        output_stamp_ns, shown = self._choose_output(stamp_ns, state.tracks, tracks)
+        if settings.steady_output and settings.lag < MIN_ACCELERATION_LAG_S:
+            shown = self._filter_motion(output_stamp_ns, shown)
+            state = state.put_tracks([track for track, _ in shown])
+        output = [make_person(t, frame, self.models[t.solved.model_name]) for t, frame in shown]
+        output += self._predict_people(stamp_ns, state.tracks)
         self._state = replace(
             state,
             newest_stamp_ns=stamp_ns,
@@ -183,9 +193,9 @@ class Tracker:
             is_work_pending=True,
             backward_jump_s=backward_jump_s,
             swapped_frames=state.swapped_frames + sum(t.seen.is_newest_swapped for t in tracks),
-            unusable_people=state.unusable_people + len(people) - len(detections),
+            unusable_people=state.unusable_people + len(people) - len(tracks),
         )
-        return output
+        return tuple(output)
 
     def run_deferred_work(self) -> None:
         """Do the part of the hypothesis checks and classifications that follows the last frame, if not done yet.
@@ -222,36 +232,48 @@ class Tracker:
     def _forget_lost_tracks(self, state: TrackerState, stamp_ns: int) -> TrackerState:
         """Return the state without tracks that were not detected for `tracker.forget_after`.
 
-        The state remembers some of their poses.
+        The state remembers some of their poses. Tentative tracks are forgotten sooner and without a trace.
         """
         oldest_kept = stamp_ns - self.config.tracker.forget_after * NS_PER_S
-        kept = tuple(t for t in state.tracks if t.seen.stamps_ns[-1] >= oldest_kept)
-        if len(kept) == len(state.tracks):
+        lost = [
+            t for t in state.tracks if t.seen.stamps_ns[-1] < oldest_kept or self._is_nobody(state, t, stamp_ns)
+        ]
+        if not lost:
             return state
         memory = state.pose_memory
-        for track in state.tracks:
-            if track not in kept:
+        for track in lost:
+            if not track.is_tentative:
                 memory = self._checker.remember_poses(memory, track)
-        return replace(state, tracks=kept, pose_memory=memory)
+        return replace(state, tracks=tuple(t for t in state.tracks if t not in lost), pose_memory=memory)
+
+    @staticmethod
+    def _is_nobody(state: TrackerState, track: Track, stamp_ns: int) -> bool:
+        """Return whether a tentative track was seen neither in the frame before nor shortly before this one."""
+        newest_ns = track.seen.stamps_ns[-1]
+        was_missed = newest_ns != state.newest_stamp_ns
+        return track.is_tentative and was_missed and stamp_ns - newest_ns > TENTATIVE_FORGET_S * NS_PER_S
 
     def _add_detections(
         self, state: TrackerState, stamp_ns: int, detections: Sequence[Detection], intrinsics: Intrinsics
     ) -> tuple[TrackerState, list[Track]]:
         """Match the detections with the known people, and begin the tracks of new people.
 
-        A new person is called as the detector does or, without an id or if it is in use, by a new name.
+        A new person is called as the detector does or, without an id or if it is in use, by a new name, and is
+        tentative. Only in a stream so slow that nobody is known from one frame to the next, new people are not.
 
         Returns:
             The state, without tracks whose id the detector has given to another person; and the track of each
-            detection with this frame added, which the state does not hold yet.
+            person detected with this frame added, which the state does not hold yet.
         """
         settings = self.config.tracker
         focal = solver_focal(intrinsics, settings.perspective)
         matches = match_detections(stamp_ns, state.tracks, detections)
         kept = tuple(t for t in state.tracks if t.id not in matches.replaced_ids)
         used_ids, name_count = {t.id for t in kept}, state.name_count
+        before_ns = stamp_ns if state.newest_stamp_ns is None else state.newest_stamp_ns
+        is_tentative = stamp_ns - before_ns <= settings.forget_after * NS_PER_S
         tracks = []
-        for detection, known in zip(detections, matches.tracks, strict=True):
+        for detection, known in zip(matches.detections, matches.tracks, strict=True):
             if known is not None:
                 tracks.append(known.add_frame(stamp_ns, detection, settings.window))
                 continue
@@ -260,7 +282,8 @@ class Tracker:
                 name_count += 1
                 name = f'person_{name_count}'
             used_ids.add(name)
-            tracks.append(Track.begin(name, stamp_ns, detection, self._new_swap_filter, intrinsics, focal))
+            new = stamp_ns, detection, self._new_swap_filter, intrinsics, focal, is_tentative
+            tracks.append(Track.begin(name, *new))
         if matches.replaced_ids or name_count != state.name_count:
             state = replace(state, tracks=kept, name_count=name_count)
         return state, tracks
@@ -315,39 +338,48 @@ class Tracker:
         fixed_frames = min(first, 1 if self._refinement_config.pose_acceleration_weight == 0 else 2)
         return first - fixed_frames, fixed_frames
 
-    def _make_output(
+    def _choose_output(
         self, stamp_ns: int, tracks: Sequence[Track], detected: Sequence[Track]
-    ) -> tuple[int, tuple[Person3D, ...]]:
-        """Return the people of this frame or, with `tracker.lag`, of the newest that is old enough; and its stamp.
+    ) -> tuple[int, list[tuple[Track, int]]]:
+        """Return the stamp of the frame that is put out, and who was detected in it, each with its index.
+
+        It is this frame or, with `tracker.lag`, the newest that is old enough.
 
         Args:
             stamp_ns: ns, stamp of this frame.
             tracks: all tracks.
             detected: those of the people who were detected, in the order of the detections.
         """
-        settings = self.config.tracker
-        if settings.lag == 0:
-            undetected = [t for t in tracks if t.seen.stamps_ns[-1] < stamp_ns]
-            people = [self._make_person(t, len(t.seen.stamps_ns) - 1) for t in detected]
-            people += [
-                predict_person(t, stamp_ns, self.models[t.solved.model_name])
-                for t in undetected
-                if stamp_ns - t.seen.stamps_ns[-1] <= settings.predict_for * NS_PER_S
-            ]
-            return stamp_ns, tuple(people)
-        newest_allowed = stamp_ns - settings.lag * NS_PER_S
+        if self.config.tracker.lag == 0:
+            return stamp_ns, [(t, len(t.seen.stamps_ns) - 1) for t in detected]
+        newest_allowed = stamp_ns - self.config.tracker.lag * NS_PER_S
         shown_ns = max(
             (t.seen.stamps_ns[i - 1] for t in tracks if (i := bisect_right(t.seen.stamps_ns, newest_allowed))),
             default=None,
         )
         if shown_ns is None:
-            return stamp_ns, ()
-        shown = [t for t in tracks if shown_ns in t.seen.stamps_ns]
-        return shown_ns, tuple(self._make_person(t, t.seen.stamps_ns.index(shown_ns)) for t in shown)
+            return stamp_ns, []
+        return shown_ns, [(t, t.seen.stamps_ns.index(shown_ns)) for t in tracks if shown_ns in t.seen.stamps_ns]
 
-    def _make_person(self, track: Track, frame: int) -> Person3D:
-        """Return the person of a track in one frame of its window."""
-        return make_person(track, frame, self.models[track.solved.model_name])
+    def _filter_motion(self, stamp_ns: int, shown: Sequence[tuple[Track, int]]) -> list[tuple[Track, int]]:
+        """Return the tracks with their motion filtered up to the frame that is put out, stamp in ns."""
+        return [
+            (t.filter_motion(stamp_ns, locate_joints(t, frame, self.models[t.solved.model_name])), frame)
+            for t, frame in shown
+        ]
+
+    def _predict_people(self, stamp_ns: int, tracks: Sequence[Track]) -> list[Person3D]:
+        """Return the people who are predicted for this frame, stamp in ns; nobody with `tracker.lag`."""
+        settings = self.config.tracker
+        if settings.lag > 0:
+            return []
+        return [
+            predict_person(t, stamp_ns, self.models[t.solved.model_name])
+            for t in tracks
+            if t.seen.stamps_ns[-1] < stamp_ns
+            and not t.is_tentative
+            and stamp_ns - t.seen.stamps_ns[-1] <= settings.predict_for * NS_PER_S
+        ]
 
 
 def _describe_models(state: TrackerState) -> str:

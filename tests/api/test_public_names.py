@@ -83,6 +83,7 @@ PUBLIC: dict[str, dict[str, str] | str] = {
         'scale': 'attribute',
         'scale_known': 'attribute',
         'std': 'attribute',
+        'tentative': 'attribute',
         'translation': 'attribute',
     },
     'PoseSequence': {

@@ -1,36 +1,35 @@
 """Tests of the association of detections with expected people."""
 
+from __future__ import annotations
+
+import math
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mocap_ros.keypoints.association import (
     BASE_GATE,
-    FORBIDDEN_COST,
-    GATE_GROWTH_PER_S,
     MIN_DETECTION_SIZE,
+    MIN_SHARED_JOINTS,
+    RADIUS_OFFSET,
     UNPREDICTED_GATE_GROWTH_PER_S,
-    ExpectedExtent,
-    Extent,
-    _compute_costs,
-    associate,
+    VELOCITY_SPAN_S,
+    Array,
+    ExpectedPerson,
     associate_keypoints,
-    compute_distance,
-    compute_gate,
+    choose_pairs,
     compute_keypoint_distance,
+    expect_person,
+    measure_distances,
     measure_extent,
 )
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.skeleton import keypoint_layout
+from mocap_ros.skeleton import CMU15, keypoint_layout
 
-FRAME_S = 1 / 30
-
-
-def expected(x: float, size: float = 0.1, age_s: float = FRAME_S) -> ExpectedExtent:
-    return ExpectedExtent(x, 0.0, size, age_s)
-
-
-def detected(x: float, size: float = 0.1) -> Extent:
-    return Extent(x, 0.0, size)
+MIRROR = np.array(CMU15.mirror)
+JOINTS = len(MIRROR)
 
 
 def test_the_extent_is_the_centre_and_rms_radius_of_the_seen_joints() -> None:
@@ -49,65 +48,116 @@ def test_joints_that_are_all_in_one_place_show_no_person() -> None:
     assert measure_extent(rays, np.array([0.0, 1, 1, 1, 1])).is_one_place
 
 
-def test_the_distance_and_the_gate_are_those_of_the_formula() -> None:
-    assert compute_distance(expected(0.0, 0.1), detected(0.3, 0.2)) == pytest.approx(0.3 / 0.2 + np.log(2))
-    assert compute_distance(expected(0.0, 0.2), detected(0.3, 0.1)) == pytest.approx(0.3 / 0.2 + np.log(2))
-    assert compute_gate(expected(0.0, age_s=0.5)) == pytest.approx(BASE_GATE + 0.5 * GATE_GROWTH_PER_S)
+def make_body(rng: np.random.Generator, x: float = 0.0, size: float = 0.1) -> Array:
+    """Return the points (J, 2) of a body whose RMS radius is about `size`."""
+    return rng.normal(0, size / math.sqrt(2), (JOINTS, 2)) + [x, 0]
 
 
-def test_the_costs_of_all_pairs_are_those_of_each(rng: np.random.Generator) -> None:
-    people = [ExpectedExtent(*row) for row in rng.uniform([-1, -1, 0.1, 0], [1, 1, 0.5, 0.6], (40, 4))]
-    detections = [Extent(*row) for row in rng.uniform([-1, -1, 0.1], [1, 1, 0.5], (30, 3))]
-    cost, is_within_gate = _compute_costs(np.array(people), np.array(detections))
-    expected_cost = np.full((30, 40), FORBIDDEN_COST)
-    for d, p in np.ndindex(30, 40):
-        distance = compute_distance(people[p], detections[d])
-        if distance < compute_gate(people[p]):
-            expected_cost[d, p] = distance + GATE_GROWTH_PER_S * people[p].age_s
-    assert cost == pytest.approx(expected_cost)
-    assert is_within_gate.tolist() == (expected_cost < FORBIDDEN_COST).tolist()
-    assert 100 < is_within_gate.sum() < 1100, 'some pairs are within the gate and some are not'
+def compute_slowly(person: ExpectedPerson, points: Array, weight: Array) -> tuple[float, float]:
+    """Return distance and growth of a pair by the formula."""
+
+    def radius(those: Array) -> float:
+        return float(np.sqrt(((those - those.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+    known, seen = person.weight > 0, weight > 0
+    sizes = radius(person.points[known]), radius(points[seen])
+    candidates = []
+    for labels in (np.arange(JOINTS), MIRROR):
+        shared = known & seen[labels]
+        a, b = person.points[shared], points[labels][shared]
+        if shared.sum() < MIN_SHARED_JOINTS:
+            growth = math.log(sizes[1] / sizes[0])
+            offset = float(np.linalg.norm(points[seen].mean(axis=0) - person.points[known].mean(axis=0)))
+        else:
+            extra = RADIUS_OFFSET * max(sizes)
+            growth = math.log((radius(b) + extra) / (radius(a) + extra))
+            offset = float(np.median(np.linalg.norm(a - b, axis=1)))
+        candidates.append((offset / max(sizes) + abs(growth), growth))
+    return min(candidates, key=lambda c: c[0])
 
 
-def test_crossing_people_keep_their_ids_by_position_and_size() -> None:
-    """Two people walk past each other, one of them 1.5 times as far away; detections come in changing order."""
-    steps = np.linspace(-0.3, 0.3, 31)
-    swapped_size_is_near = 0
-    for number, x in enumerate(steps[1:], start=1):
-        last = steps[number - 1]
-        people = [expected(last, 0.15), expected(-last, 0.10)]
-        detections = [detected(x, 0.15), detected(-x, 0.10)]
-        swapped_size_is_near += abs(2 * x) < 0.1
-        assert associate(people, detections) == [0, 1]
-        assert associate(people, detections[::-1]) == [1, 0]
-    assert swapped_size_is_near > 2
+@given(seed=st.integers(0, 10**6), hidden=st.integers(0, 13))
+def test_the_distances_of_all_pairs_are_those_of_the_formula(seed: int, hidden: int) -> None:
+    rng = np.random.default_rng(seed)
+
+    def choose() -> Array:
+        return (rng.permutation(JOINTS) >= rng.integers(0, hidden + 1)).astype(float)
+
+    people = [ExpectedPerson(make_body(rng, x, 0.2), choose()) for x in (0.0, 0.5, 2.0)]
+    seen = [(make_body(rng, x), choose()) for x in (0.1, 0.4)]
+    distances, growths = measure_distances(people, seen, MIRROR)
+    expected = np.array([[compute_slowly(p, *d) for p in people] for d in seen])
+    assert distances == pytest.approx(expected[..., 0], rel=1e-5)
+    assert growths == pytest.approx(expected[..., 1], abs=1e-5)
 
 
-def test_at_equal_positions_the_size_decides() -> None:
-    people = [expected(0.0, 0.15), expected(0.0, 0.10)]
-    assert associate(people, [detected(0.0, 0.11), detected(0.0, 0.14)]) == [1, 0]
+def test_part_of_a_person_is_as_near_as_the_whole(rng: np.random.Generator) -> None:
+    body, everything = make_body(rng), np.ones(JOINTS)
+    upper = (np.arange(JOINTS) < 7).astype(float)
+    noisy = body + rng.normal(0, 0.002, body.shape)
+    seen = [(noisy, everything), (noisy, upper), (noisy, 1 - upper), (noisy[MIRROR], upper[MIRROR])]
+    distances, growths = measure_distances([ExpectedPerson(body, everything)], seen, MIRROR)
+    assert distances.max() < 0.1
+    assert np.abs(growths).max() < 0.05
+    halved, halved_growth = measure_distances([ExpectedPerson(body, everything)], [(body / 2, everything)], MIRROR)
+    assert halved_growth[0, 0] == pytest.approx(math.log(0.6 / 1.1), abs=0.01)
+    assert halved[0, 0] > 0.6
 
 
-def test_the_sum_of_distances_is_least_not_each_distance() -> None:
-    people = [expected(0.0), expected(0.06)]
-    assert associate(people, [detected(0.05), detected(0.12)]) == [0, 1]
+def test_a_few_shared_joints_are_no_evidence_where_they_are_asked_for(rng: np.random.Generator) -> None:
+    body = make_body(rng)
+    upper, lower = (np.arange(JOINTS) < 9).astype(float), (np.arange(JOINTS) >= 6).astype(float)
+    person = [ExpectedPerson(body, upper)]
+    assert np.isfinite(measure_distances(person, [(body, lower)], MIRROR)[0]).all()
+    assert measure_distances(person, [(body, lower)], MIRROR, MIN_SHARED_JOINTS)[0] == math.inf
+    assert measure_distances(person, [(body, lower)], MIRROR, 3)[0] < math.inf
+    assert measure_distances(person, [], MIRROR)[0].shape == (0, 1)
+    assert measure_distances([], [(body, lower)], MIRROR)[0].shape == (1, 0)
 
 
-def test_of_two_people_the_one_who_was_seen_more_recently_gets_the_detection() -> None:
-    hidden, seen = expected(-0.1, age_s=0.13), expected(0.06, age_s=0.033)
-    assert associate([hidden, seen], [detected(0.08)]) == [1]
-    assert associate([expected(0.0, age_s=0.5), expected(0.02)], [detected(0.0)]) == [1]
+def test_people_who_cross_are_told_apart_by_their_poses(rng: np.random.Generator) -> None:
+    """Two people of the same size and place, whose centres and sizes tell nothing."""
+    poses = [make_body(rng), make_body(rng)]
+    poses = [p - p.mean(axis=0) for p in poses]
+    poses = [p / np.sqrt((p**2).sum(axis=1).mean()) for p in poses]
+    people = [ExpectedPerson(p, np.ones(JOINTS)) for p in poses]
+    seen = [(p + rng.normal(0, 0.05, p.shape), np.ones(JOINTS)) for p in poses]
+    distances, _ = measure_distances(people, seen, MIRROR)
+    assert choose_pairs(distances, distances < BASE_GATE) == [0, 1]
+    distances, _ = measure_distances(people, seen[::-1], MIRROR)
+    assert choose_pairs(distances, distances < BASE_GATE) == [1, 0]
 
 
-def test_the_gate_widens_while_a_person_is_not_seen() -> None:
-    assert associate([expected(-0.1, age_s=0.13)], [detected(0.02)]) == [0]
-    assert associate([expected(-0.1, age_s=0.0)], [detected(0.02)]) == [None]
-    assert associate([expected(-0.1, age_s=0.13)], [detected(0.5)]) == [None]
+def test_a_person_is_expected_where_the_movement_leads(rng: np.random.Generator) -> None:
+    body, step_s = make_body(rng), 1 / 30
+    frames = np.stack([body + [0.02 * i, -0.01 * i] for i in range(6)])
+    weight = np.ones((6, JOINTS))
+    weight[3:, 2] = 0  # this joint was seen 3 frames before the newest
+    weight[:, 5] = 0  # and this one never
+    for gap in (1, 2, 100):
+        age_s: Array = (np.arange(6.0)[::-1] + gap) * step_s
+        person = expect_person(frames, weight, age_s)
+        moved = np.array([0.02, -0.01]) / step_s
+        known = np.arange(JOINTS) != 5
+        at_newest = body + [0.1, -0.05] + moved * min(gap * step_s, VELOCITY_SPAN_S)
+        assert person.points[known & (np.arange(JOINTS) != 2)] == pytest.approx(
+            at_newest[known & (np.arange(JOINTS) != 2)]
+        )
+        held = body[2] + [0.04, -0.02] + moved * min((gap + 3) * step_s, VELOCITY_SPAN_S)
+        assert person.points[2] == pytest.approx(held)
+        assert person.weight.tolist() == known.astype(float).tolist()
 
 
-def test_nobody_expected_or_nobody_detected() -> None:
-    assert associate([], [detected(0.0)]) == [None]
-    assert associate([expected(0.0)], []) == []
+def test_a_part_does_not_change_the_velocity_of_a_person(rng: np.random.Generator) -> None:
+    """The centre of what is seen leaps to the upper half of the body, which the person does not."""
+    body = make_body(rng)
+    weight = np.ones((4, JOINTS))
+    weight[-1, :7] = 0
+    person = expect_person(np.stack([body] * 4), weight, np.array([4, 3, 2, 1]) / 30)
+    assert person.points == pytest.approx(body)
+    weight[0, 8:] = 0.0  # too few joints are in the first and in the last frame
+    moved = np.stack([body + i for i in range(4)])
+    assert expect_person(moved, weight, np.array([4, 3, 2, 1]) / 30).points[8:] == pytest.approx(body[8:] + 3)
 
 
 def make_person(x: float, y: float = 0.0, seen: int = 17) -> Person2D:

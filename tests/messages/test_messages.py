@@ -208,7 +208,7 @@ def check_frame_or_refusal(raw: bytes) -> None:
 
 
 def test_skeletons_and_cameras_hold_the_people() -> None:
-    people = [make_person_3d('anna'), make_person_3d('bob', 7.0)]
+    people = [make_person_3d('anna'), replace(make_person_3d('bob', 7.0), tentative=True)]
     skeletons = decode(encode_skeletons(HEADER, people), SKELETONS)
     cameras = decode(encode_cameras(HEADER, people), CAMERAS)
     assert (skeletons.header.stamp.sec, skeletons.header.stamp.nanosec) == (12, 345678901)
@@ -270,7 +270,7 @@ def test_rclpy_decodes_the_same_content() -> None:
 
     from mocap_ros.ros.message_types import load_interface_class
 
-    people = [make_person_3d('anna'), make_person_3d('bob')]
+    people = [make_person_3d('anna'), replace(make_person_3d('bob'), tentative=True)]
     outputs = {
         KEYPOINTS: VALID,
         SKELETONS: encode_skeletons(HEADER, people),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -10,6 +12,7 @@ from rosbags.typesys.store import Typestore
 from mocap_ros.errors import InputError
 from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES, Header, decode, typestore
 from mocap_ros.messages.markers import MARKERS, MarkerEncoder
+from mocap_ros.messages.skeletons import SKELETONS, encode_skeletons
 from mocap_ros.messages.versions import VersionConverter
 from tests.support.people import make_person_3d
 
@@ -113,3 +116,22 @@ def test_a_nested_type_that_cannot_hold_the_content_is_named() -> None:
     source, target = make_store('Item[] a', 'float64 x'), make_store('Item[] a', 'string x')
     convert = VersionConverter(source, target, BOX)
     assert convert.unconvertible == [f'{ITEM}.x is string instead of float64']
+
+
+def test_skeletons_recorded_before_there_was_a_flag_for_tentative_people_are_of_certain_people() -> None:
+    text, _ = typestore().generate_msgdef(SKELETONS, ros_version=2)
+    assert 'bool tentative\n' in text
+    old = get_typestore(Stores.EMPTY)
+    for part in text.replace('bool tentative\n', '').split('=' * 80 + '\n'):
+        first, _, rest = part.partition('\n')
+        is_nested = first.startswith('MSG: ')
+        name = first.removeprefix('MSG: ').replace('/', '/msg/') if is_nested else SKELETONS
+        old.register(get_types_from_msg(rest if is_nested else part, name))
+    people = [make_person_3d('a'), make_person_3d('b')]
+    flagged = [replace(p, tentative=True) for p in people]
+    to_old = VersionConverter(typestore(), old, SKELETONS)
+    assert to_old.unconvertible == []
+    assert to_old.left_out == ['mocap_ros_msgs/msg/Skeleton3D.tentative']
+    header = Header(7, 'camera')
+    recorded = to_old(encode_skeletons(header, flagged))
+    assert VersionConverter(old, typestore(), SKELETONS)(recorded) == encode_skeletons(header, people)

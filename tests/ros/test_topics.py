@@ -5,15 +5,19 @@ from __future__ import annotations
 import re
 import signal
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from mocap_ros.messages.cdr import Header
+from mocap_ros.demo.scene import make_recording
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.ros.message_types import load_interface_class
+from mocap_ros.skeleton import keypoint_layout
 from tests.support.ros_node import Peer, StartNode, keypoints_at, stop_node
 
 pytest.importorskip('rclpy')
@@ -101,3 +105,29 @@ def test_peers_with_an_incompatible_qos_are_logged_once(peer: Peer, start_node: 
         '/keypoints: a publisher offers a weaker RELIABILITY policy than this node requests'
     )
     assert subscriber.startswith('/skeletons: a subscriber requests a stricter DURABILITY policy than this node')
+
+
+def test_a_person_whom_the_detector_breaks_in_two_stays_one(peer: Peer, start_node: StartNode) -> None:
+    joints = keypoint_layout('coco17').joints
+    recording = make_recording().sequence()
+    is_upper = np.array([not j.endswith(('hip', 'knee', 'ankle')) for j in joints])
+    broken, named_anew, count = (8, 9, 15), (12, 18), 24
+
+    def detect(frame: int) -> list[Person2D]:
+        person = replace(recording.person(frame), id=f'new_{frame}' if frame in named_anew else 'ann')
+        if frame not in broken:
+            return [person]
+        parts = ((f'upper_{frame}', is_upper), ('ann' if frame == 8 else f'lower_{frame}', ~is_upper))
+        return [replace(person, id=n, score=np.where(part, person.score, 0.0)) for n, part in parts]
+
+    node = start_node()
+    peer.wait_for_node()
+    peer.wait_for_keypoints_subscription()
+    for frame in range(count):
+        header = Header(10**9 + frame * 33_333_333, 'camera')
+        peer.keypoints.publish(encode_keypoints(header, recording.image_size, detect(frame)))
+        peer.wait_for_frames(frame + 1)
+    published = [decode(raw, SKELETONS).people for raw in peer.received['skeletons']]
+    flags = [[(p.id, p.tentative, p.predicted) for p in people] for people in published]
+    assert flags == [[('ann', frame < 2, False)] for frame in range(count)]
+    stop_node(node)

@@ -216,9 +216,9 @@ def test_transforms_need_a_metric_scale_and_follow_rep_155(stream: list[bytes]) 
         (tf,) = (o for o in process(pipeline, raw) if o.topic == '/tf')
         return {t.child_frame_id: t for t in decode(tf.data, tf.type).transforms}
 
-    assert transforms(stream[0]) == {}
+    assert [transforms(raw) for raw in stream[:5]] == [{}] * 5
     pipeline.set_camera_info(camera_info())
-    found = transforms(stream[1])
+    found = transforms(stream[5])
     person = pipeline.people[0]
     assert len(found) == 15
     body = found[f'cam1_body_{person.id}']
@@ -243,18 +243,34 @@ def test_transforms_need_a_metric_scale_and_follow_rep_155(stream: list[bytes]) 
     np.testing.assert_allclose(body_to_camera.apply([0, 0, 1]), up, atol=1e-9)
 
 
+def test_tentative_people_are_flagged_and_have_no_transforms(stream: list[bytes]) -> None:
+    pipeline = Pipeline(with_values(FAST_CONFIG, {'node.publish_tf': True}))
+    pipeline.set_camera_info(camera_info())
+    shown = []
+    for raw in stream:
+        outputs = {o.topic: decode(o.data, o.type) for o in process(pipeline, raw)}
+        (person,) = outputs['skeletons'].people
+        assert list(outputs['cameras'].ids) == [person.id] == ['person_1']
+        assert (len(outputs['markers'].markers), outputs['points'].width) == (2, 15)
+        color = outputs['markers'].markers[0].color
+        shown.append((person.tentative, color.r == color.g == color.b, len(outputs['/tf'].transforms)))
+    assert shown == [(True, True, 0)] * 2 + [(False, False, 15)] * 4
+
+
 def test_seen_inferred_and_predicted_joints_are_drawn_in_different_colors(stream: list[bytes]) -> None:
     encoder = MarkerEncoder()
     pipeline = Pipeline(FAST_CONFIG)
     process(pipeline, stream[0])
-    (person,) = pipeline.people
+    person = replace(pipeline.people[0], tentative=False)
     colors = {}
     changes: dict[str, dict[str, Any]] = {
         'seen': {'inferred': np.zeros(15, bool)},
         'inferred': {'inferred': np.ones(15, bool)},
         'predicted': {'inferred': np.ones(15, bool), 'predicted': True},
+        'tentative': {'inferred': np.zeros(15, bool), 'tentative': True},
     }
     for name, change in changes.items():
         raw = encoder.encode_update(Header(1, 'camera'), [replace(person, **change)], 0.5)
         colors[name] = repr(decode(raw, MARKERS).markers[0].colors[0])
+    assert colors.pop('tentative') == colors['predicted']
     assert len(set(colors.values())) == 3

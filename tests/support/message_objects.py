@@ -22,8 +22,8 @@ from mocap_ros.messages.markers import (
     INFERRED_STYLE,
     JOINTS,
     MARKERS,
-    PREDICTED_STYLE,
     SEEN_STYLE,
+    UNCERTAIN_STYLE,
     _Style,
 )
 from mocap_ros.messages.point_cloud import DATATYPES, POINT_DTYPE, POINTS
@@ -86,6 +86,7 @@ def encode_skeletons_slowly(header: Header, people: Sequence[Person3D]) -> bytes
             reprojection_residual=person.residual,
             scale_source=int(person.scale_known),
             predicted=person.predicted,
+            tentative=person.tentative,
         )
         for person in people
     ]
@@ -161,8 +162,9 @@ def create_marker(header: Header, namespace: str, number: int, action: int) -> A
 def create_person_markers(header: Header, person: Person3D, number: int, lifetime_s: float) -> list[Any]:
     bones = np.array(CMU15.bones)
     inferred_bones = person.inferred[bones].any(axis=1)
-    seen_color = create_color(number, SEEN_STYLE)
-    inferred_color = create_color(number, PREDICTED_STYLE if person.predicted else INFERRED_STYLE)
+    seen_color = create_color(number, UNCERTAIN_STYLE if person.tentative else SEEN_STYLE)
+    is_uncertain = person.predicted or person.tentative
+    inferred_color = create_color(number, UNCERTAIN_STYLE if is_uncertain else INFERRED_STYLE)
     markers = []
     for shape, points, is_inferred in (
         (JOINTS, person.joints, person.inferred),

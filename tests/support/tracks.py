@@ -8,7 +8,7 @@ import numpy as np
 
 from mocap_ros.config import Config
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.left_right import SwapFilter
+from mocap_ros.keypoints.left_right import BodySides, SwapFilter
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
@@ -33,7 +33,7 @@ def make_detection(points: Array, name: str = '', camera: Intrinsics = CAMERA) -
 def make_track(points: Array, window_s: float = 2.0) -> Track:
     """Return the track, without a solution, of a person seen at points (F, J, 2) px."""
     first, *rest = points
-    track = Track.begin('person', 0, make_detection(first), SwapFilter(MIRROR), CAMERA, CAMERA.focal)
+    track = Track.begin('person', 0, make_detection(first), SwapFilter(BodySides.of(CMU15)), CAMERA, CAMERA.focal)
     for frame, image in enumerate(rest, 1):
         track = track.add_frame(frame * STEP_NS, make_detection(image), window_s)
     return track

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.detection import Detection
-from mocap_ros.tracking.matching import match_detections
+from mocap_ros.tracking.matching import NEW_ID_GATE, NEW_ID_GATE_GROWTH_PER_S, match_detections
 from mocap_ros.tracking.track import Track
 from tests.support.synthetic_walk import make_walk
 from tests.support.tracks import CAMERA, STEP_NS, make_detection, make_track
@@ -25,7 +26,7 @@ def points(walk_model: BasePoses) -> Array:
 
 def make_known(points: Array, name: str, given_id: str = '') -> Track:
     track = make_track(points[None])
-    return replace(track, id=name, seen=replace(track.seen, given_id=given_id))
+    return replace(track, id=name, seen=replace(track.seen, given_id=given_id), is_tentative=False)
 
 
 def test_the_detectors_ids_decide_before_the_position(points: Array) -> None:
@@ -41,7 +42,7 @@ def test_people_without_an_id_are_matched_by_position(points: Array) -> None:
     named = make_known(points, 'named', 'n')
     detections = [make_detection(points + [x, 0]) for x in (205.0, 2.0, -190.0)]
     matches = match_detections(NEXT_NS, (left, named, right), detections)
-    assert matches.tracks == (right, None, left), 'the person with an id is nobody for a detection without one'
+    assert matches.tracks == (right, named, left), 'a detection without an id may be a person who had one'
 
 
 def test_an_id_far_away_was_given_to_another_person(points: Array) -> None:
@@ -55,7 +56,122 @@ def test_an_id_far_away_was_given_to_another_person(points: Array) -> None:
 def test_an_id_that_is_there_twice_is_one_known_person(points: Array) -> None:
     ann = make_known(points, 'ann', 'a')
     detections = [make_detection(points, 'a'), make_detection(points + [20, 0], 'a')]
-    assert match_detections(NEXT_NS, (ann,), detections).tracks == (ann, None)
+    matches = match_detections(NEXT_NS, (ann,), detections)
+    assert matches.tracks == (ann,)
+    np.testing.assert_array_equal(matches.detections[0].rays, detections[0].rays)
+
+
+LOWER_JOINTS = ('pelvis', 'lhip', 'lknee', 'lankle', 'rhip', 'rknee', 'rankle')
+UPPER = ~np.isin(CMU15.joints, LOWER_JOINTS)
+
+
+def see_part(points: Array, joints: NDArray[np.bool_], name: str = '') -> Detection:
+    """Return the detection of a person of whom only some joints were seen."""
+    person = Person2D(name, CMU15.joints, points, np.where(joints, 0.9, 0.0))
+    detection = Detection.from_person(person, CAMERA, min_score=0.1, min_joints=6)
+    assert detection is not None
+    return detection
+
+
+@pytest.mark.parametrize('ids', [('', ''), ('x', ''), ('', 'x'), ('x', 'y'), ('a', 'x'), ('x', 'a'), ('a', 'a')])
+@pytest.mark.parametrize('known_id', ['a', ''])
+def test_two_parts_of_a_person_are_the_person(points: Array, ids: tuple[str, str], known_id: str) -> None:
+    ann, bob = make_known(points, 'ann', known_id), make_known(points + [150, 0], 'bob', 'b')
+    moved = points + [4, 0]
+    parts = [see_part(moved, UPPER, ids[0]), see_part(moved, ~UPPER, ids[1])]
+    for order in ([0, 1], [1, 0]):
+        detections = [parts[i] for i in order] + [make_detection(points + [150, 0], 'b')]
+        matches = match_detections(NEXT_NS, (bob, ann), detections)
+        assert matches.tracks == (ann, bob)
+        assert matches.replaced_ids == frozenset()
+        whole = matches.detections[0]
+        assert (whole.weight > 0).all()
+        assert CAMERA.focal * whole.rays + CAMERA.center == pytest.approx(moved)
+        assert whole.extent == pytest.approx(make_detection(moved).extent)
+
+
+def test_a_part_besides_the_whole_is_nobody(points: Array) -> None:
+    ann = make_known(points, 'ann', 'a')
+    for ids in (('', 'x'), ('a', 'x'), ('x', 'a'), ('x', 'y')):
+        detections = [make_detection(points, ids[0]), see_part(points + [5, 3], UPPER, ids[1])]
+        for order in (detections, detections[::-1]):
+            matches = match_detections(NEXT_NS, (ann,), order)
+            assert matches.tracks == (ann,)
+            assert (matches.detections[0].weight > 0).all()
+
+
+def test_a_part_of_a_new_person_is_nobody(points: Array) -> None:
+    detections = [see_part(points, UPPER, 'x'), make_detection(points, 'y'), make_detection(points + [80, 0], 'z')]
+    matches = match_detections(NEXT_NS, (), detections)
+    assert [d.given_id for d in matches.detections] == ['y', 'z']
+    assert matches.tracks == (None, None)
+
+
+def test_somebody_new_beside_a_person_is_no_part(points: Array) -> None:
+    ann = make_known(points, 'ann', 'a')
+    new = make_detection(points[:, ::-1] + [40, -30], 'x')  # in another pose, at nearly the same place
+    matches = match_detections(NEXT_NS, (ann,), [make_detection(points, 'a'), new])
+    assert matches.tracks == (ann, None)
+
+
+def test_a_new_id_goes_on_with_a_person_who_is_near(points: Array) -> None:
+    ann, size = make_known(points, 'a', 'a'), CAMERA.focal * make_detection(points).extent.size
+    age_s = STEP_NS / 1e9
+    gate = NEW_ID_GATE + NEW_ID_GATE_GROWTH_PER_S * age_s
+    for share, is_ann in ((0.98, True), (1.02, False)):
+        new = make_detection(points + [share * gate * size, 0], 'x')
+        assert match_detections(NEXT_NS, (ann,), [new]).tracks == ((ann,) if is_ann else (None,)), share
+    beyond = points + [1.02 * gate * size, 0]
+    for other in (replace(ann, is_tentative=True), make_known(points, 'a'), make_known(points, 'a', 'old')):
+        tracks = match_detections(NEXT_NS, (other,), [make_detection(beyond, 'x')]).tracks
+        assert tracks == (other,), 'whose id was not steady may have another one'
+
+
+def test_a_person_of_half_the_size_is_not_the_person(points: Array) -> None:
+    """A detector that makes a small whole person of half of a person, with the person's id."""
+    ann = make_known(points, 'ann', 'ann')
+    small = points.mean(axis=0) + (points - points.mean(axis=0)) / 2
+    matches = match_detections(NEXT_NS, (ann,), [make_detection(small, 'ann')])
+    assert matches.tracks == (None,)
+    assert matches.replaced_ids == frozenset(), 'nor is the person somebody else'
+    large = make_known(small, 'ann', 'ann')
+    assert match_detections(NEXT_NS, (large,), [make_detection(points, 'ann')]).tracks == (large,)
+    assert match_detections(10**9, (ann,), [make_detection(small, 'ann')]).tracks == (ann,), 'later it may be'
+
+
+def test_an_id_that_jumps_to_another_person_is_believed_unless_that_person_is_there(points: Array) -> None:
+    """The detector gives bob's id to what it finds where ann was, 1.5 sizes away."""
+    ann, bob = make_known(points, 'ann', 'a'), make_known(points + [150, 0], 'bob', 'b')
+    assert match_detections(NEXT_NS, (ann, bob), [make_detection(points, 'b')]).tracks == (bob,)
+    both = [see_part(points, ~UPPER, 'b'), see_part(points, UPPER, 'a')]
+    assert match_detections(NEXT_NS, (ann, bob), both).tracks == (ann,)
+
+
+def test_the_newest_of_a_persons_ids_counts_most(points: Array) -> None:
+    """The detector has exchanged the ids of ann and bob for good."""
+    ann, bob = make_known(points, 'a', 'b'), make_known(points + [20, 0], 'b', 'a')
+    detections = [make_detection(points + [20, 0], 'a'), make_detection(points, 'b')]
+    assert match_detections(NEXT_NS, (ann, bob), detections).tracks == (bob, ann)
+    assert match_detections(NEXT_NS, (ann,), [make_detection(points, 'a')]).tracks == (ann,)
+
+
+def test_a_known_person_gets_a_detection_sooner_than_a_tentative_one(points: Array) -> None:
+    ann = make_known(points, 'ann')
+    ghost = replace(make_known(points, 'ghost'), is_tentative=True)
+    for tracks in ((ann, ghost), (ghost, ann)):
+        assert match_detections(NEXT_NS, tracks, [make_detection(points + [3, 0])]).tracks == (ann,)
+    lost_for_ns = 10 * STEP_NS
+    seen = replace(ghost.seen, stamps_ns=(lost_for_ns - STEP_NS,))
+    new = replace(ghost, seen=seen)
+    found = match_detections(lost_for_ns, (ann, new), [make_detection(points + [3, 0])]).tracks
+    assert found == (new,), 'but who was lost does not take the detection of somebody new'
+
+
+def test_a_person_who_is_gone_does_not_push_others(points: Array) -> None:
+    """Somebody new is within reach of bob, and bob within reach of ann, who is gone."""
+    ann, bob = make_known(points, 'ann'), make_known(points + [80, 0], 'bob')
+    detections = [make_detection(points + [80, 0]), make_detection(points + [160, 0])]
+    assert match_detections(NEXT_NS, (ann, bob), detections).tracks == (bob, None)
 
 
 def test_nobody_known_and_nobody_seen(points: Array) -> None:

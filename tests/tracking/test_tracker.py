@@ -189,7 +189,7 @@ def test_a_person_near_the_camera_and_off_its_axis_is_located(walk_model: BasePo
     theta, cameras, _, _ = make_walk(walk_model, frames=45)
     camera = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True, distortion=lens)
     size = CONFIG.tracker.body_height / walk_model.stature
-    tracker = Tracker(walk_model, CONFIG)
+    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.steady_output': False}))
     for frame in range(45):
         joints = walk_model.poses(theta[frame]) @ cameras.rotation[frame].T * size
         joints = joints + [0.5 + 0.01 * frame, 0.1, 3.0]

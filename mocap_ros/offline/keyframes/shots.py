@@ -17,7 +17,6 @@ from mocap_ros.solvers.window import MIN_JOINTS_FOR_CAMERA
 
 Array = NDArray[np.float64]
 
-MAX_SHOT_S = 60.0  # s; bounds the time of the search for swapped sides, which grows with its square
 CUT_DISPLACEMENT = 0.5  # torso lengths between frames; more than a body moves, less than it jumps at a cut
 MAX_ABSENCE_S = 0.5  # s without a pose, after which the motion before no longer says which side is left
 
@@ -66,8 +65,7 @@ def find_shots(points: Array, weight: Array, times: Array) -> list[slice]:
     """Split a sequence into shots at its cuts.
 
     A cut is where the median joint moves more than `CUT_DISPLACEMENT` between frames, or where no frame shows a
-    pose for more than `MAX_ABSENCE_S`. Swapped left and right are no cut. A shot longer than `MAX_SHOT_S` is
-    split.
+    pose for more than `MAX_ABSENCE_S`. Swapped left and right are no cut.
 
     Args:
         points: (F, J, 2) any unit, joints of `CMU15`; arbitrary where the weight is 0.
@@ -88,6 +86,5 @@ def find_shots(points: Array, weight: Array, times: Array) -> list[slice]:
         displacements.append(np.nan_to_num(nan_median(np.where(both_seen, moved, np.nan), axis=1)))
     displacement = np.minimum(*displacements)
     is_cut = (displacement > CUT_DISPLACEMENT * torso) | (np.diff(times[pose_frames]) > MAX_ABSENCE_S)
-    section_starts = {section.start for _, section in split_into_sections(times, MAX_SHOT_S, 0.0)}
-    bounds = sorted({0, *after[is_cut].tolist(), *section_starts, len(times)})
+    bounds = [0, *after[is_cut].tolist(), len(times)]
     return [slice(a, b) for a, b in pairwise(bounds)]

@@ -1,0 +1,176 @@
+"""People who are none are never more than tentative, and those who are there stay who they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mocap_ros.config import Config, with_values
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.people import Person3D
+from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.window import Array
+from mocap_ros.tracking.tracker import TENTATIVE_FORGET_S, Tracker
+from tests.support.synthetic_walk import make_walk
+from tests.support.tracks import CAMERA, STEP_NS
+
+CONFIG = with_values(Config(), {'solver.components': 8, 'solver.prior': 'pca'})
+FRAMES = 60
+APART = np.array([400.0, 0.0])  # px
+UPPER = np.array(
+    [joint in ('head', 'neck') or joint[1:] in ('shoulder', 'elbow', 'wrist') for joint in CMU15.joints]
+)
+
+
+@pytest.fixture(scope='module')
+def points(walk_model: BasePoses) -> Array:
+    return make_walk(walk_model, FRAMES)[2]
+
+
+@pytest.fixture
+def tracker(walk_model: BasePoses) -> Tracker:
+    return Tracker(walk_model, CONFIG)
+
+
+def see(points: Array, name: str = '', joints: Array | None = None) -> Person2D:
+    """Return the detection of a person at points (J, 2) px, of whom all joints or some were seen."""
+    return Person2D(name, CMU15.joints, points, np.ones(15) if joints is None else joints.astype(float))
+
+
+def describe(people: tuple[Person3D, ...]) -> list[tuple[str, str]]:
+    """Return the id of each person, and whether the person is tentative, predicted or neither."""
+    return [(p.id, 'tentative' if p.tentative else 'predicted' if p.predicted else 'seen') for p in people]
+
+
+def test_a_new_person_is_tentative_under_the_id_that_stays(tracker: Tracker, points: Array) -> None:
+    seen = [describe(tracker.update(f * STEP_NS, [see(points[f])], CAMERA)) for f in range(5)]
+    assert seen == [[('person_1', 'tentative')]] * 2 + [[('person_1', 'seen')]] * 3
+    assert 'tentative' in repr(Tracker(tracker.models, CONFIG).update(0, [see(points[0])], CAMERA)[0])
+
+
+def test_ten_people_who_come_at_once_are_answered_at_once(tracker: Tracker, points: Array) -> None:
+    crowd = [see(points[0] + i * APART) for i in range(10)]
+    assert describe(tracker.update(0, crowd, CAMERA)) == [(f'person_{i + 1}', 'tentative') for i in range(10)]
+
+
+def test_a_tentative_person_is_never_predicted_and_costs_no_deferred_work(tracker: Tracker, points: Array) -> None:
+    ghosts = 0
+    for frame in range(12):
+        seen = [see(points[frame])] + ([see(points[frame] + APART)] if frame == 6 else [])
+        people = describe(tracker.update(frame * STEP_NS, seen, CAMERA))
+        tracker.run_deferred_work()
+        begun = tracker.snapshot().begun_work
+        assert begun is None or begun.track.id == 'person_1'
+        ghosts += len(people) > 1
+        if len(people) > 1:
+            assert people == [('person_1', 'seen'), ('person_2', 'tentative')]
+            assert [t.id for t in tracker.snapshot().newest_tracks] == ['person_1']
+    assert ghosts == 1
+    tracker.update((12 + round(TENTATIVE_FORGET_S * 30)) * STEP_NS, [], CAMERA)
+    assert [t.id for t in tracker.snapshot().tracks] == ['person_1']
+
+
+def test_a_tentative_person_who_is_missed_for_a_few_frames_keeps_the_id(tracker: Tracker, points: Array) -> None:
+    for frame, expected in ((0, 'tentative'), (3, 'tentative'), (6, 'seen')):
+        assert describe(tracker.update(frame * STEP_NS, [see(points[0])], CAMERA)) == [('person_1', expected)]
+        assert (describe(tracker.update((frame + 1) * STEP_NS, [], CAMERA)) != []) == (expected == 'seen')
+
+
+@pytest.mark.parametrize('step_s', [0.2, 0.5, 1.0])
+def test_at_a_low_frame_rate_the_third_frame_makes_certain(tracker: Tracker, points: Array, step_s: float) -> None:
+    seen = [describe(tracker.update(round(f * step_s * 1e9), [see(points[0])], CAMERA)) for f in range(4)]
+    assert seen == [[('person_1', 'tentative')]] * 2 + [[('person_1', 'seen')]] * 2
+
+
+def test_where_nobody_is_known_from_frame_to_frame_nobody_is_tentative(tracker: Tracker, points: Array) -> None:
+    seen = [describe(tracker.update(f * 1_500_000_000, [see(points[0])], CAMERA)) for f in range(3)]
+    assert seen == [[('person_1', 'tentative')], [('person_2', 'seen')], [('person_3', 'seen')]]
+
+
+def test_a_person_who_comes_back_while_the_track_is_kept_is_certain(tracker: Tracker, points: Array) -> None:
+    for frame in range(5):
+        tracker.update(frame * STEP_NS, [see(points[0], 'ann')], CAMERA)
+    assert tracker.update(5 * STEP_NS + 600_000_000, [], CAMERA) == ()
+    back = tracker.update(5 * STEP_NS + 700_000_000, [see(points[0] + 5, 'new')], CAMERA)
+    assert describe(back) == [('ann', 'seen')]
+    assert describe(tracker.update(10**10, [see(points[0], 'ann')], CAMERA)) == [('ann', 'seen')], 'after silence'
+    tracker.update(2 * 10**10, [], CAMERA)
+    again = tracker.update(2 * 10**10 + STEP_NS, [see(points[0], 'ann')], CAMERA)
+    assert describe(again) == [('ann', 'tentative')], 'who was forgotten is new'
+
+
+@pytest.mark.parametrize('name', ['p', ''])
+@pytest.mark.parametrize('seed', [0, 1])
+def test_fragments_and_new_ids_make_no_people(tracker: Tracker, points: Array, name: str, seed: int) -> None:
+    """A tenth of the detections are broken in two, seen twice or given a new id, of two people side by side."""
+    rng = np.random.default_rng(seed)
+    new_ids = [f'new_{i}' for i in range(1000)] if name else [''] * 1000
+
+    def disturb(person: Array, own_id: str) -> list[Person2D]:
+        kind = rng.choice(['whole', 'broken', 'twice', 'new id'], p=[0.7, 0.1, 0.1, 0.1])
+        if kind == 'whole':
+            return [see(person, own_id)]
+        if kind == 'new id':
+            return [see(person, new_ids.pop())]
+        first, second = own_id if rng.random() < 0.5 else new_ids.pop(), new_ids.pop()
+        whole = UPPER if kind == 'broken' else np.ones(15)
+        return [see(person, first, whole), see(person + rng.normal(0, 1, (15, 2)), second, ~UPPER)]
+
+    detections = people = 0
+    for frame in range(FRAMES):
+        both = (points[frame], f'{name}1' if name else ''), (points[frame] + APART, f'{name}2' if name else '')
+        seen = [d for body, own in both for d in (disturb(body, own) if frame else [see(body, own)])]
+        order = rng.permutation(len(seen)) if frame else [0, 1]
+        published = describe(tracker.update(frame * STEP_NS, [seen[i] for i in order], CAMERA))
+        expected = 'tentative' if frame < 2 else 'seen'
+        names = (f'{name}1', f'{name}2') if name else ('person_1', 'person_2')
+        assert sorted(published) == [(n, expected) for n in names], frame
+        detections, people = detections + len(seen), people + len(published)
+    assert detections > 1.1 * people
+    assert tracker.unusable_people == detections - people
+
+
+def test_broken_and_whole_give_the_same_person(walk_model: BasePoses, points: Array) -> None:
+    plain, broken = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
+    for frame in range(20):
+        (expected,) = plain.update(frame * STEP_NS, [see(points[frame], 'ann')], CAMERA)
+        seen = [see(points[frame], 'ann')]
+        if frame == 10:
+            seen = [see(points[frame], 'x', ~UPPER), see(points[frame], 'ann', UPPER)]
+        (found,) = broken.update(frame * STEP_NS, seen, CAMERA)
+        np.testing.assert_array_equal(found.joints, expected.joints)
+
+
+def test_an_id_given_anew_in_every_frame_is_one_person(tracker: Tracker, points: Array) -> None:
+    for frame in range(30):
+        moved = points[frame] + [4.0 * frame, 0]
+        (person,) = tracker.update(frame * STEP_NS, [see(moved, f'new_{frame}')], CAMERA)
+        assert (person.id, person.tentative) == ('new_0', frame < 2)
+
+
+@pytest.mark.parametrize('ids', [('', ''), ('ann', 'bob')])
+@pytest.mark.parametrize('hidden', [range(0), range(26, 34)])
+def test_people_who_cross_keep_their_ids(
+    tracker: Tracker, points: Array, ids: tuple[str, str], hidden: range
+) -> None:
+    """Two people of one size in different poses walk through each other, one of them hidden for a while."""
+    other = points[::-1] * [-1, 1] + [640, 0]
+    for frame in range(FRAMES):
+        x = 6.0 * (frame - FRAMES / 2)
+        bodies = {'ann': points[frame] + [x, 0], 'bob': other[frame] - [x, 0]}
+        present = ['ann', 'bob'] if frame not in hidden else ['ann']
+        seen = [see(bodies[n], i) for n, i in zip(('ann', 'bob'), ids, strict=True) if n in present]
+        people = tracker.update(frame * STEP_NS, seen, CAMERA)
+        known = ids if ids[0] else ('person_1', 'person_2')
+        assert [p.id for p in people] == list(known), frame
+        assert [p.predicted for p in people] == [False, len(present) == 1]
+
+
+def test_with_a_lag_those_who_have_become_certain_are(walk_model: BasePoses, points: Array) -> None:
+    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.09}))
+    for frame in range(12):
+        seen = [see(points[frame])] + ([see(points[frame] + APART)] if frame == 6 else [])
+        people = describe(tracker.update(frame * STEP_NS, seen, CAMERA))
+        ghost = [('person_2', 'tentative')] if frame == 9 else []
+        assert people == ([('person_1', 'seen'), *ghost] if frame >= 3 else [])
