@@ -80,6 +80,7 @@ _ARM_JOINTS = ('elbow', 'wrist', 'hand', 'index', 'pinky', 'thumb')
 _ATTACHMENTS = {'legs': ('lshoulder', 'lhip'), 'arms': ('lshoulder', 'lelbow')}
 
 STATES = 8  # bit 0: whole body, bit 1: legs, bit 2: arms
+# (8, 3), the bits of each state.
 STATE_BITS = np.array([[s >> bit & 1 for bit in range(3)] for s in range(STATES)])
 SWAPPED_PARTS = (STATE_BITS ^ (STATE_BITS[:, :1] & [0, 1, 1])).astype(bool)  # (8, 3) parts with wrong labels
 

@@ -52,7 +52,7 @@ MAX_STEP_S = 0.2  # s; over a longer gap the differences say nothing of the trem
 DIFFERENCE_FRAMES = 4  # frames that a third difference compares
 # Rows of the state: position, velocity, the three elements of P, and the two mean squares.
 _X, _V, _PXX, _PXV, _PVV, _SECOND, _THIRD = range(7)
-STATE_ROWS = 7
+STATE_ROWS = 7  # as many as these
 
 
 @dataclass(frozen=True, eq=False)
