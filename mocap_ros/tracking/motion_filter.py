@@ -92,6 +92,11 @@ class MotionFilter:
         """(J, 3) m, filtered joints of the newest frame."""
         return np.asarray(self.state[_X, :-1] + self.state[_X, -1])
 
+    @property
+    def centre(self) -> Array:
+        """(3,) m, filtered mean of these joints."""
+        return np.asarray(self.state[_X, -1])
+
     def advance(self, stamp_ns: int, joints: Array) -> MotionFilter:
         """Return the filter after a newer frame.
 

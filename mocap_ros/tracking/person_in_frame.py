@@ -31,11 +31,11 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
     solution, observed, classification = track.solved, track.seen.observed, track.schedule.classification
     intrinsics, lifted = track.seen.intrinsics, observed.lifted
     size = 1 / solution.stature_ratio
-    rotation, joints = solution.rotation[frame], locate_joints(track, frame, model)
     motion_filter = track.motion_filter
     if motion_filter is not None and motion_filter.stamps_ns[-1] == track.seen.stamps_ns[frame]:
-        joints = motion_filter.joints
-    root = joints.mean(axis=0)
+        joints, root = motion_filter.joints, motion_filter.centre
+    else:
+        joints, root = locate_joints(track, frame, model), solution.roots[frame] * size
     inferred = observed.weight[frame] == 0
     lifted_std = None if lifted is None else lifted.std[frame] * root[2]
     motion, category = classification.motion, classification.periodic_model_name or solution.model_name
@@ -45,7 +45,7 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
         std=estimate_joint_std(solution.joint_std * size, inferred, lifted_std),
         inferred=inferred,
         scale=float(intrinsics.focal / root[2]),
-        rotation=rotation,
+        rotation=solution.rotation[frame],
         translation=intrinsics.project(root),
         motion=Motion(motion.kind, category, solution.residual, motion.cadence),
         residual=solution.frame_residual,
