@@ -31,11 +31,13 @@ else
   export LD_LIBRARY_PATH := $(VENV)/lib:$(LD_LIBRARY_PATH)
 endif
 
-CMU ?=
-OF_CMU = '$(CMU)' \
-    --source 'CMU Graphics Lab Motion Capture Database, 15 joints, 30 Hz' \
+MOTION ?=
+OF_MOTION = '$(MOTION)' \
+    --source 'CMU Graphics Lab Motion Capture Database, UI-PRMD and Perfume motion capture; 15 joints, 30 Hz, \
+wrists where the hands bend' \
     --acknowledgement 'The data used in this project was obtained from mocap.cs.cmu.edu. \
-The database was created with funding from NSF EIA-0196217.'
+The database was created with funding from NSF EIA-0196217. UI-PRMD (A. Vakanski et al., University of Idaho) is in \
+the public domain (Open Data Commons PDDL). Perfume motion data: MIT License, Copyright (c) 2012 Perfume Dev Team.'
 
 .PHONY: help setup demo test lint format bench models architecture colcon clean
 
@@ -65,13 +67,13 @@ bench: setup  ## run every benchmark, shortened
 	@set -e; for benchmark in $(BENCHMARKS); do \
 	    echo "== $$benchmark"; $(BIN)/python "$$benchmark" --quick; done
 
-models: setup  ## retrain the shipped models from CMU=cmu15_30fps.npz (the lifter wants PyTorch)
-	@test -f '$(CMU)' || { echo 'make models CMU=path/to/cmu15_30fps.npz' >&2; exit 2; }
+models: setup  ## retrain the shipped models from MOTION=body26_30fps.npz (the lifter wants PyTorch)
+	@test -f '$(MOTION)' || { echo 'make models MOTION=path/to/body26_30fps.npz' >&2; exit 2; }
 	@for category in walk run jump; do \
-	    $(BIN)/mocap-ros train $(OF_CMU) --category $$category -o mocap_ros/models/shipped/$$category.npz; done
-	@$(BIN)/mocap-ros train $(OF_CMU) -o mocap_ros/models/shipped/all.npz
-	@$(BIN)/mocap-ros train-lifter $(OF_CMU) -o mocap_ros/models/shipped/lifter.npz
-	@$(BIN)/python -m mocap_ros.demo '$(CMU)'
+	    $(BIN)/mocap-ros train $(OF_MOTION) --category $$category -o mocap_ros/models/shipped/$$category.npz; done
+	@$(BIN)/mocap-ros train $(OF_MOTION) -o mocap_ros/models/shipped/all.npz
+	@$(BIN)/mocap-ros train-lifter $(OF_MOTION) -o mocap_ros/models/shipped/lifter.npz
+	@$(BIN)/python -m mocap_ros.demo '$(MOTION)'
 
 architecture: setup  ## draw docs/img/architecture.png from the imports
 	@$(BIN)/python docs/draw_architecture.py

@@ -38,8 +38,10 @@ from mocap_ros.formats.mocap.trials import Trial, load_trials, select_trials
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers import alternation, joint, periodic
 from mocap_ros.solvers.window import Reconstruction, Window
+from mocap_ros.training.balance import balance_trials
 from mocap_ros.training.base_poses import fit_base_poses
 
 Array = NDArray[np.float64]
@@ -49,19 +51,30 @@ ROOT = Path(__file__).resolve().parent.parent
 HEADINGS_DEG = tuple(range(0, 360, 45))  # degrees, directions from which the test views look; 0 is the front
 FPS = 30.0  # Hz, frame rate of the motion capture
 # Subjects of the motion capture that the held-out lifter and the base poses beside it are not trained on.
-HELD_OUT_SUBJECTS = ('35', '13', '05', '135', 'UB', 'UT', 'UWW', 'UJ', 'UW')
+HELD_OUT_SUBJECTS = (
+    *('35', '13', '05', '135', 'UB', 'UT', 'UWW', 'UJ', 'UW', '12', '26', '27'),
+    *('14', '86', '94', 'uiprmd_s07', 'uiprmd_s08'),
+)
 HELD_OUT_LIFTER = ROOT / 'build' / 'lifter_heldout.npz'  # file of the lifter that never saw these subjects
+# Files of motion capture below `data`, and the one that this program uses.
+CAPTURE_FILES = {'cmu': ('cmu', 'cmu15_30fps.npz'), 'motion': ('motion', 'body26_30fps.npz')}
+_chosen_capture = ['cmu']
 ORTHOGRAPHIC_FOCAL_LENGTH = 20.0  # image widths; so long that perspective looks orthographic, as in the views
 # The fixed amount of linear algebra by which machines are compared.
 REFERENCE_KERNEL = '200 Cholesky factorisations of a 512 x 512 matrix'
 
 
 def parse_arguments(
-    description: str, add: Callable[[argparse.ArgumentParser], None] | None = None
+    description: str, add: Callable[[argparse.ArgumentParser], None] | None = None, one_core: bool = True
 ) -> argparse.Namespace:
     """Parse the command line that every benchmark has, and put this process on one core.
 
     The process ends here, with a message, if the evaluation data is missing.
+
+    Args:
+        description: what the benchmark measures.
+        add: adds the benchmark's own options.
+        one_core: False for a benchmark that measures no times, which may run beside others.
     """
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument('--quick', action='store_true', help='run a short version, which takes less than 40 s')
@@ -69,7 +82,7 @@ def parse_arguments(
     if add is not None:
         add(parser)
     args = parser.parse_args()
-    if hasattr(os, 'sched_setaffinity'):
+    if one_core and hasattr(os, 'sched_setaffinity'):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     if not data_path('bench', 'protocol.py').is_file():
         print(f'skipped: no evaluation data in {_data_folder()}; set MOCAP_ROS_SHARED to its folder')
@@ -97,18 +110,35 @@ def load_protocol() -> ModuleType:
     return module
 
 
+def choose_capture(name: str) -> None:
+    """Choose the motion capture of this program: a key of `CAPTURE_FILES`; `cmu` if no program chooses.
+
+    The models for detectors are trained and tested on `motion`, whose wrists are those of people. The papers'
+    experiments keep `cmu`, whose wrists are two thirds down the forearm.
+    """
+    _chosen_capture[:] = [name]
+    for cached in (load_capture, list_trials, train_base_poses):
+        cached.cache_clear()
+
+
+def _capture_path() -> Path:
+    return data_path('data', *CAPTURE_FILES[_chosen_capture[0]])
+
+
 @cache
 def load_capture() -> tuple[dict[str, Array], list[str]]:
     """Load the trials, (F, 15, 3) mm with y up at `FPS`, by name, and the names of their joints."""
-    with np.load(data_path('data', 'cmu', 'cmu15_30fps.npz')) as archive:
-        joints = [str(j) for j in archive['_joints']]
-        return {k: archive[k].astype(float) for k in archive.files if not k.startswith('_')}, joints
+    with np.load(_capture_path()) as archive:
+        names = [str(j) for j in archive['_joints']]
+        order = [names.index(j) for j in CMU15.joints]
+        motion = {k: archive[k][:, order].astype(float) for k in archive.files if not k.startswith('_')}
+        return motion, list(CMU15.joints)
 
 
 @cache
 def list_trials() -> list[Trial]:
     """Load the trials of the motion capture with their subjects and categories."""
-    return load_trials(data_path('data', 'cmu', 'cmu15_30fps.npz'))
+    return load_trials(_capture_path())
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +209,8 @@ def train_base_poses(
 ) -> BasePoses:
     """Train base poses as `mocap-ros train` does, scaled to the body height that the tracker assumes.
 
+    Those of `cmu` are not balanced, for the papers' are not.
+
     Args:
         category: names of categories joined by `+`; empty for all motions.
         without_trials: trials that are left out.
@@ -194,8 +226,12 @@ def train_base_poses(
         only_subjects=only_subjects,
     )
     augmented = bool(category) and not plain
+    balanced = balance_trials(
+        [t.category for t in chosen], [t.subject for t in chosen], [len(t.poses) for t in chosen]
+    )
     model = fit_base_poses(
         [t.poses for t in chosen],
+        shares=None if _chosen_capture == ['cmu'] else balanced,
         name=category or 'all',
         alignment='heading' if category else 'rotation',
         mirror=augmented,
@@ -210,7 +246,7 @@ def provide_held_out_lifter(path: Path = HELD_OUT_LIFTER) -> Path:
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
         command = [sys.executable, '-m', 'mocap_ros.cli.main', 'train-lifter']
-        command += [str(data_path('data', 'cmu', 'cmu15_30fps.npz')), '-o', str(path)]
+        command += [str(data_path('data', *CAPTURE_FILES['motion'])), '-o', str(path)]
         command += [word for s in HELD_OUT_SUBJECTS for word in ('--without-subject', s)]
         print(f'training a lifter without the tested subjects: {" ".join(command)}', file=sys.stderr)
         subprocess.run(command, check=True)
@@ -251,6 +287,7 @@ def make_paper_config(**overrides: Any) -> SolverConfig:
         'components': 6,
         'prior_weight': 0.0,
         'smooth_weight': 0.0,
+        'pose_acceleration_weight': 0.0,
         'robust_scale': 0.0,
         'start_window': 0.0,
         'flip_weight': 1e-4,
@@ -287,7 +324,6 @@ def mean_error(records: Sequence[dict[str, float]], key: str = 'mpjpe_mm') -> fl
     return float(np.mean([r[key] for r in records]))
 
 
-        'pose_acceleration_weight': 0.0,
 def worst_error(records: Sequence[dict[str, float]]) -> float:
     """Return the largest MPJPE of the records in mm."""
     return float(np.max([r['mpjpe_mm'] for r in records]))
@@ -296,12 +332,17 @@ def worst_error(records: Sequence[dict[str, float]]) -> float:
 def compute_frame_errors(view: View, result: Reconstruction, *, per_frame_similarity: bool = False) -> Array:
     """Return the MPJPE (or PA-MPJPE) of the protocol for each frame, (F,) mm."""
     truth, found = centre_poses(view.truth), centre_poses(result.joints)
-    if per_frame_similarity:
+    if not per_frame_similarity:
+        found = scale_to_reference(found, truth)
+    return compute_pose_errors(found, truth, similarity=per_frame_similarity)
+
+
+def compute_pose_errors(found: Array, truth: Array, *, similarity: bool) -> Array:
+    """Return the mean joint error of centred poses (F, J, 3) m, (F,) mm; with `similarity`, after one for each."""
+    if similarity:
         turned = found @ np.swapaxes(fit_rotation(found, truth), -1, -2)
         factor = (turned * truth).sum(axis=(1, 2)) / (turned * turned).sum(axis=(1, 2))
         found = turned * factor[:, None, None]
-    else:
-        found = scale_to_reference(found, truth)
     return np.linalg.norm(found - truth, axis=-1).mean(axis=1) * 1e3
 
 

@@ -442,6 +442,7 @@ def format_verdict(key: str, value: float) -> str:
 
 def main() -> None:
     args = common.parse_arguments(__doc__ or '', add_options)
+    common.choose_capture('motion')
     machine = common.describe_machine()
     print(f'# The engine\n\n{machine}')
     record: dict[str, Any] = {'machine': machine, 'reference_s': {}}

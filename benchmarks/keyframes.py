@@ -553,6 +553,7 @@ def print_table(title: str, rows: Sequence[dict[str, Any]]) -> None:
 
 def main() -> None:
     args = common.parse_arguments(__doc__)
+    common.choose_capture('motion')
     machine = common.describe_machine()
     lifter = 'held out' if common.HELD_OUT_LIFTER.is_file() else 'as shipped'
     print(f'# Keyframes\n\n{machine}\n\nLifter: {lifter}', flush=True)

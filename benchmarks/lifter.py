@@ -42,7 +42,7 @@ from mocap_ros.solvers.window import Window
 TEST_ROWS: dict[str, tuple[Callable[[Trial], bool], float]] = {
     '35 walk': (lambda t: t.subject == '35' and t.category == 'walk', 16),
     '35 run': (lambda t: t.subject == '35' and t.category == 'run', 22),
-    '13 jump': (lambda t: t.subject == '13', 40),
+    '13 jump': (lambda t: t.subject == '13' and t.category == 'jump', 40),
     '05 dance': (lambda t: t.subject == '05' and t.category == 'dance', 65),
     '135 martial arts': (lambda t: t.subject == '135', 60),
     'U* gestures': (lambda t: t.subject.startswith('U') and t.category == 'gesture', 34),
@@ -348,6 +348,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def main() -> None:
     args = common.parse_arguments(__doc__, add_options)
+    common.choose_capture('motion')
     compile_kernels()
     cameras = CAMERAS[1:2] if args.quick else CAMERAS
     machine = common.describe_machine()

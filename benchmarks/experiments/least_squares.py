@@ -18,8 +18,8 @@ from scipy.sparse import coo_array, csr_array
 
 from mocap_ros.geometry.rotations import cross_matrix, rotation_from_vector
 from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
-from mocap_ros.solvers.joint.camera_acceleration import CameraAcceleration
-from mocap_ros.solvers.joint.camera_smoothness import CAMERA_FEATURES, CameraSmoothness, measure_features
+from mocap_ros.solvers.joint.camera_acceleration import CameraAcceleration, measure_directions
+from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness, measure_features
 from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.joint.pose_acceleration import PoseAcceleration
 from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
@@ -100,7 +100,7 @@ class SparseProblem:
             np.sqrt(p.find_term(PoseSmoothness).weight)[:, None] * np.diff(state.theta, axis=0) / p.model.std,
             np.sqrt(p.find_term(CameraSmoothness).weight) * np.diff(features, axis=0),
             _change_velocity(p.find_term(PoseAcceleration), state.theta),
-            _change_velocity(p.find_term(CameraAcceleration), features[:, np.flatnonzero(CAMERA_FEATURES)]),
+            _change_velocity(p.find_term(CameraAcceleration), measure_directions(state.rotation)),
         ]
         return np.concatenate([r.ravel() for r in rows])
 
@@ -157,7 +157,8 @@ class SparseProblem:
         per_frame = factors * np.diag(p.model.std)
         blocks.add_neighbours([per_frame[:, e] for e in range(3)], own[:, :k])
         factors = turning.factors[:-2, :, None, None]
-        of_m = camera_rows[:, np.flatnonzero(CAMERA_FEATURES)]
+        of_m = camera_rows[:, [0, 1, 2, 4, 5, 6]] / np.exp(state.log_scale)[:, None, None]
+        of_m[..., 3] = 0.0  # by the scale
         later = [of_m[e : frames - 2 + e] for e in range(3)]
         blocks.add_neighbours([factors[:, e] * rows for e, rows in enumerate(later)], columns_of)
         return blocks.matrix()

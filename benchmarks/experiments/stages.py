@@ -40,7 +40,10 @@ STAGES: Mapping[str, tuple[str, ...]] = {
     'solve': ('mocap_ros.tracking.tracker:solve',),
     'results': (
         'mocap_ros.tracking.tracker:Tracker._refine_tracks',
-        'mocap_ros.tracking.tracker:Tracker._make_output',
+        'mocap_ros.tracking.tracker:Tracker._choose_output',
+        'mocap_ros.tracking.tracker:Tracker._filter_motion',
+        'mocap_ros.tracking.tracker:Tracker._predict_people',
+        'mocap_ros.tracking.tracker:make_person',
     ),
     'questions': (
         'mocap_ros.tracking.tracker:Tracker._initialise_tracks',

@@ -100,7 +100,7 @@ messages() {
 }
 
 kernels() {
-    step 'Compiling the inner loops (a minute)' .venv/bin/mocap-ros compile
+    step 'Compiling the inner loops (one to two minutes)' .venv/bin/mocap-ros compile
 }
 
 mkdir -p build

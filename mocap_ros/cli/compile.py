@@ -15,7 +15,7 @@ DECLARING_MODULES = ('mocap_ros.tracking.tracker', 'mocap_ros.offline.keyframes.
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Describe the subcommand."""
     parser.description = (
-        'Compiles the inner loops for this processor, which takes about a minute and otherwise happens at the '
+        'Compiles the inner loops for this processor, which takes one to two minutes and otherwise happens at the '
         'first run. Run it as the owner of the package if the package is in a folder that its users cannot write. '
         'NUMBA_CACHE_DIR names another folder for what is compiled.'
     )

@@ -12,6 +12,7 @@ from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, load_marker_map
 from mocap_ros.formats.mocap.trials import TrialOptions, load_trials, select_trials
 from mocap_ros.formats.text_files import check_output, guard_output
 from mocap_ros.models import model_file
+from mocap_ros.training.balance import balance_trials
 from mocap_ros.training.base_poses import fit_base_poses
 
 
@@ -19,9 +20,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Describe the subcommand and add its options."""
     parser.description = (
         'Trains base poses from motion capture: folders or files of ASF/AMC, BVH and C3D, or .npz. '
-        'An .npz file holds an (F, 15, 3) array in mm with y up for each trial, and the joint names under the '
-        'key _joints. A manifest.csv beside the data gives the subject and the category of each trial; without '
-        'it, the category of a file is the name of its folder.'
+        'An .npz file holds an (F, J, 3) array in mm with y up for each trial, and under the key _joints the J '
+        'joint names, among them those of the model. A manifest.csv beside the data gives the subject and the '
+        'category of each trial, by which the training is balanced; without it, the category of a file is the '
+        'name of its folder.'
     )
     parser.add_argument(
         'data', nargs='+', type=Path, metavar='DATA', help='motion capture: folder, .amc, .bvh, .c3d or .npz'
@@ -122,6 +124,9 @@ def run(args: argparse.Namespace) -> int:
     model = fit_base_poses(
         [t.poses for t in trials],
         labels=[t.name for t in trials],
+        shares=balance_trials(
+            [t.category for t in trials], [t.subject for t in trials], [len(t.poses) for t in trials]
+        ),
         name=args.name or '+'.join(args.category) or 'all',
         components=args.components,
         alignment=args.alignment or ('heading' if one_category else 'rotation'),

@@ -10,6 +10,7 @@ from mocap_ros.errors import MocapError
 from mocap_ros.formats.mocap.trials import DEFAULT_OPTIONS, load_trials, select_trials
 from mocap_ros.formats.text_files import guard_output
 from mocap_ros.models import model_file
+from mocap_ros.training.balance import balance_trials
 
 DEFAULT_STEPS = 20000  # optimiser steps with which the shipped lifter was trained
 
@@ -82,9 +83,12 @@ def run(args: argparse.Namespace) -> int:
         'without_subjects': args.without_subject,
         'trials': [t.name for t in trials],
     }
+    shares = balance_trials(
+        [t.category for t in trials], [t.subject for t in trials], [len(t.poses) for t in trials]
+    )
     settings = TrainingSettings(steps=args.steps, seed=args.seed)
     lifter = train_lifter(
-        [t.poses for t in trials], settings, provenance, lambda steps: show_progress(steps, 'train')
+        [t.poses for t in trials], shares, settings, provenance, lambda steps: show_progress(steps, 'train')
     )
     with guard_output(args.output):
         model_file.save_lifter(lifter, args.output)

@@ -61,7 +61,11 @@ class KernelCache:
 
     def is_stored(self, signature: Any, target: Any) -> bool:
         """Return whether there is a file for the kernel, which may still turn out to be damaged."""
-        return any(path.is_file() for path in self._list_paths(signature, target))
+        for path in self._list_paths(signature, target):
+            with suppress(OSError):  # a folder that may not be entered holds nothing for this user
+                if path.is_file():
+                    return True
+        return False
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return the compiled kernel, or None where no folder has an undamaged file.
@@ -75,9 +79,14 @@ class KernelCache:
             with suppress(Exception):  # whatever is wrong with a file, the kernel can be compiled
                 content = path.read_bytes()
                 digest, payload = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
-                if hashlib.sha256(payload).digest() == digest:
+                if self._compute_digest(payload) == digest:
                     return CompileResult._rebuild(target, *pickle.loads(payload))  # noqa: S301, written by this user
         return None
+
+    def _compute_digest(self, payload: bytes) -> bytes:
+        """Return the digest of what is stored for this kernel; the content of another kernel has another one."""
+        name = f'{self._function.__module__}.{self._function.__qualname__}\0'
+        return hashlib.sha256(name.encode() + payload).digest()
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Write a compiled kernel into the first folder that can be written, and remove its outdated files there.
@@ -88,7 +97,7 @@ class KernelCache:
         if result.library.has_dynamic_globals:
             raise ValueError(f'{self._function.__qualname__} cannot be cached: pass its large arrays as arguments')
         payload = dumps(result._reduce())
-        content = hashlib.sha256(payload).digest() + payload
+        content = self._compute_digest(payload) + payload
         errors = []
         for path in self._list_paths(signature, result.target_context):
             try:

@@ -1,4 +1,4 @@
-"""Make the shipped files of the demo again: `python -m mocap_ros.demo [CMU15.npz]`.
+"""Make the shipped files of the demo again: `python -m mocap_ros.demo [BODY26.npz]`.
 
 With a file of motion capture, the motions are first learned from it (`demo_motion.npz`). The recording
 (`demo.npz`) is made from the learned motions alone.

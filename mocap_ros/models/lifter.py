@@ -39,7 +39,7 @@ LOG_STD_RANGE = -7.0, 1.0  # log of the output unit; bounds standard deviations 
 MIN_SEEN_JOINTS = 3  # joints of the newest frame; with fewer the pose is NaN
 EPSILON = 1e-9  # guards divisions by sums of weights and logarithms of bone lengths
 SIZE_SMOOTHING_S = 0.25  # s, standard deviation of the Gaussian that averages the size of the bones over time
-BONE_SUM_PER_STATURE = 2.36  # 1, sum of all bone lengths over stature; mean of the CMU trials (2.32 to 2.41)
+BONE_SUM_PER_STATURE = 2.42  # 1, sum of all bone lengths over stature; mean of 46 people (2.33 to 2.49)
 
 OUTPUT_COUNT = 5 * JOINT_COUNT  # x, y and z of each joint; log standard deviations of x and y together, and of z
 

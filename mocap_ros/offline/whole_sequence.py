@@ -1,4 +1,14 @@
-"""Reconstruction of one person over a whole sequence in one solve, without a sliding window."""
+"""Reconstruction of one person over a whole sequence at once, without a sliding window.
+
+A detector at times takes something else for a joint, for some frames on end and often at a good score. The
+solver's robust loss bears that, but the lifter does not. So with a lifter a sequence is solved twice: the points
+that the first solution does not explain are hidden from the lifter before the second one,
+
+    e_tj > UNEXPLAINED_MEDIANS max(median e, MIN_MEDIAN_ERROR_M)
+
+with e_tj the reprojection error in m at the body, and its median over all joints that were seen. In frames with
+more than `MAX_UNEXPLAINED_JOINTS` such points all are believed.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +23,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
+from mocap_ros.models.lifter import Lifter
 from mocap_ros.models.model_file import load_prior_lifter
 from mocap_ros.skeleton import Skeleton, estimate_stature
 from mocap_ros.solvers import alternation, joint
@@ -21,6 +32,13 @@ from mocap_ros.solvers.observed_window import ObservedWindow, observe_sequence
 from mocap_ros.solvers.window import Reconstruction, Window
 
 Array = NDArray[np.float64]
+
+UNEXPLAINED_MEDIANS = 4.0  # median errors; 4.7 standard deviations of a coordinate, if errors are Gaussian
+# m at the body; a smaller median error counts as this much, so that precise points are believed even where the
+# model cannot follow them
+MIN_MEDIAN_ERROR_M = 0.03
+# joints of a frame; where more are unexplained, the solution is wrong rather than the detector
+MAX_UNEXPLAINED_JOINTS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,11 +131,12 @@ def reconstruct_window(
     models = {name: model.rescale(body_height / model.stature) for name, model in models.items()}
     skeleton = next(iter(models.values())).skeleton
     lifter = load_prior_lifter(config.solver.prior, skeleton) if config.solver.method == 'joint' else None
-    if lifter is not None:
-        observed = observed.lift(lifter)
+    if lifter is None:
+        category, solution = _solve(observed.build_solver_window(), models, config.solver)
+    else:
         if ALL_MOTIONS in models:
             models = {ALL_MOTIONS: models[ALL_MOTIONS]}
-    category, solution = _solve(observed.build_solver_window(), models, config.solver)
+        category, solution = _solve_with_lifter(observed, lifter, models, config.solver)
     camera = observed.virtual_camera
     root = camera.root_positions(solution.cameras, solution.translation)
     joints = camera.to_real_camera(solution.joints) + root[:, None]
@@ -137,6 +156,44 @@ def find_frames_in_sight(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     seen_frames = np.flatnonzero(seen.any(axis=1))
     frames = np.arange(len(seen))
     return np.asarray((frames >= seen_frames.min(initial=len(seen))) & (frames <= seen_frames.max(initial=-1)))
+
+
+def measure_errors(window: Window, solution: Reconstruction) -> Array:
+    """Return the reprojection errors (F, J) of a solution in m at the body; 0 where a joint was not seen.
+
+    Args:
+        window: image points of F frames.
+        solution: solution of these frames.
+    """
+    scale = solution.cameras.scale[:, None]
+    depth = 1 + scale * solution.joints[..., 2] / window.focal
+    image = (scale[..., None] * solution.joints[..., :2] + solution.translation[:, None]) / depth[..., None]
+    return np.where(window.weight > 0, np.linalg.norm(image - window.points, axis=-1) / scale, 0.0)
+
+
+def find_unexplained_points(error: Array, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Find the points that a solution does not explain (formula of the module).
+
+    Args:
+        error: (F, J) m, reprojection errors.
+        seen: (F, J) True where the joint was seen; some joint was.
+    """
+    median = max(float(np.median(error[seen])), MIN_MEDIAN_ERROR_M)
+    unexplained = seen & (error > UNEXPLAINED_MEDIANS * median)
+    return np.asarray(unexplained & (unexplained.sum(axis=1, keepdims=True) <= MAX_UNEXPLAINED_JOINTS))
+
+
+def _solve_with_lifter(
+    observed: ObservedWindow, lifter: Lifter, models: Mapping[str, BasePoses], config: SolverConfig
+) -> tuple[str, Reconstruction]:
+    """Reconstruct with lifted poses, and again if there are points that the result does not explain."""
+    window = observed.lift(lifter).build_solver_window()
+    category, solution = _solve(window, models, config)
+    unexplained = find_unexplained_points(measure_errors(window, solution), window.weight > 0)
+    if not unexplained.any():
+        return category, solution
+    lifted = observed.exclude_points(unexplained).lift(lifter).lifted
+    return _solve(replace(observed, lifted=lifted).build_solver_window(), models, config)
 
 
 def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> tuple[str, Reconstruction]:

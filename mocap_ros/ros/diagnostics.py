@@ -109,7 +109,7 @@ class DiagnosticsReporter:
             'residual (px)': f'{np.mean(residuals):.2f}' if residuals else 'nan',
             'category': ', '.join(sorted({p.motion.category for p in people})),
             'swapped frames': pipeline.swapped_frames,
-            'people of whom too little was seen': pipeline.unusable_people,
+            'detections that were no person': pipeline.unusable_people,
             'camera': 'from CameraInfo' if pipeline.camera_info is not None else 'nominal focal length',
             'recorder': recorder,
         }

@@ -108,7 +108,7 @@ class FrameTracker(Protocol):
 
     @property
     def unusable_people(self) -> int:
-        """Number of detections so far of whom too little was seen."""
+        """Number of detections so far that were no person of their own: too little seen, or part of somebody."""
 
     def update(self, stamp_ns: int, people: tuple[Person2D, ...], intrinsics: Intrinsics) -> tuple[Person3D, ...]:
         """Track the people of an image; see `tracker.Tracker.update`."""

@@ -126,7 +126,7 @@ class DeferredWork:
 
     def _resume(self, work: BegunWork) -> _Run:
         """Return the run of a piece of work, from the cache or, after a `restore`, done again so far."""
-        if self._run is None or self._run.work is not work:
+        if self._run is None or not self._run.is_at(work):
             find = self._check if work.kind is WorkKind.CHECK else self._classify
             self._run = _Run(work, find(work.track))
         return self._run
@@ -190,6 +190,10 @@ class _Run:
             self.next_cost = next(self._slices)
         except StopIteration as end:
             self.finding = end.value
+
+    def is_at(self, work: BegunWork) -> bool:
+        """Return whether this is the run of a piece of work, and no slice further."""
+        return self.work is work and self._slices_done == work.slices_done
 
     def pause(self) -> BegunWork:
         """Return the piece of work with the slices that are done, from which the run can go on."""

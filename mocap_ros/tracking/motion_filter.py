@@ -49,6 +49,8 @@ INITIAL_DENSITY = 0.3  # m^2/s^3, likewise
 INITIAL_VELOCITY_M_S = 1.0  # m/s; standard deviation of a first velocity: that of a walker
 NOMINAL_STEP_S = 1 / 30  # s; time step for which the initial mean squares are computed
 MAX_STEP_S = 0.2  # s; over a longer gap the differences say nothing of the tremble
+MAX_SPEED_M_S = 10.0  # m/s; of a sprinter
+MAX_DEPTH_CHANGE = 0.3  # of the depth; a larger change from frame to frame is no tremble but another solution
 DIFFERENCE_FRAMES = 4  # frames that a third difference compares
 # Rows of the state: position, velocity, the three elements of P, and the two mean squares.
 _X, _V, _PXX, _PXV, _PVV, _SECOND, _THIRD = range(7)
@@ -102,14 +104,23 @@ class MotionFilter:
 
         Args:
             stamp_ns: ns, stamp of the frame, later than the one before.
-            joints: (J, 3) m, unfiltered.
+            joints: (J, 3) m, unfiltered. Where they are too far away for a person to have moved there, another
+                solution has been found, and the filter begins anew.
         """
+        if self._is_elsewhere(stamp_ns, joints):
+            return MotionFilter.begin(stamp_ns, joints)
         stamps_ns = (*self.stamps_ns[1 - DIFFERENCE_FRAMES :], stamp_ns)
         recent = np.concatenate([self.recent[1 - DIFFERENCE_FRAMES :], _split(joints)[None]])
         times = np.array([(s - stamp_ns) / NS_PER_S for s in stamps_ns])
         if times[-1] - times[-2] > MAX_STEP_S:
             stamps_ns, recent, times = stamps_ns[-2:], recent[-2:], times[-2:]
         return MotionFilter(stamps_ns, recent, advance_state(self.state, recent, times))
+
+    def _is_elsewhere(self, stamp_ns: int, joints: Array) -> bool:
+        """Return whether the centre of joints is farther away than a person moves and a depth trembles."""
+        old, new = self.centre.tolist(), (joints.sum(axis=0) / len(joints)).tolist()
+        moved = MAX_SPEED_M_S * (stamp_ns - self.stamps_ns[-1]) / NS_PER_S
+        return math.dist(old, new) > MAX_DEPTH_CHANGE * abs(old[2]) + moved
 
 
 @kernel(FLOATS_2D(INPUT_2D))

@@ -28,13 +28,14 @@ BODY_SEED = 0  # of these factors; any fixed number, so that training can be rep
 MIN_WEIGHT_STD_M = 1e-4  # m; base poses that vary less are numerical noise, and solvers divide by their variance
 
 
-def align_to_mean(poses: Array, align: Callable[[Array, Array], Array]) -> tuple[Array, Array]:
+def align_to_mean(poses: Array, shares: Array, align: Callable[[Array, Array], Array]) -> tuple[Array, Array]:
     """Align all poses to their own mean by rotations (generalised Procrustes analysis).
 
     The first pose is the first estimate of the mean, and so determines the orientation of the result.
 
     Args:
         poses: (N, J, 3) m, centred poses.
+        shares: (N,) weight of each pose in the mean, with the sum 1.
         align: function of the poses and a target (J, 3) that returns the rotations (N, 3, 3) that bring the poses
             closest to the target: `fit_rotation` or `fit_heading_rotation`.
 
@@ -44,7 +45,7 @@ def align_to_mean(poses: Array, align: Callable[[Array, Array], Array]) -> tuple
     mean = poses[0]
     for _ in range(MAX_ALIGNMENT_PASSES):
         aligned = poses @ np.swapaxes(align(poses, mean), -1, -2)
-        updated_mean = aligned.mean(axis=0)
+        updated_mean = np.tensordot(shares, aligned, axes=1)
         change = np.abs(updated_mean - mean).max()
         mean = updated_mean
         if change < ALIGNMENT_TOLERANCE_M:
@@ -108,6 +109,7 @@ def _check_trial(trial: Array, skeleton: Skeleton, label: object) -> None:
 def fit_base_poses(
     trials: Sequence[Array],
     *,
+    shares: Sequence[float] | Array | None = None,
     name: str = 'all',
     skeleton: Skeleton = CMU15,
     components: int = 45,
@@ -121,6 +123,8 @@ def fit_base_poses(
 
     Args:
         trials: arrays (F_i, J, 3) in m, z up.
+        shares: weight of each trial, which its poses share, such as from `balance.balance_trials`; by default
+            every pose weighs the same.
         name: motion category of the model.
         skeleton: names and bones of the J joints.
         components: largest number of base poses; those with a standard deviation below `MIN_WEIGHT_STD_M` are
@@ -145,13 +149,19 @@ def fit_base_poses(
     rng = np.random.default_rng(BODY_SEED)
     motions = [np.asarray(t, float) for t in trials]
     motions += [b for t in motions for b in _transfer_to_random_bodies(t, skeleton, bodies, rng)]
+    lengths = np.array([len(t) for t in trials])
+    trial_shares = lengths / lengths.sum() if shares is None else np.asarray(shares) / np.sum(shares)
+    copies = np.concatenate([np.arange(len(trials)), np.repeat(np.arange(len(trials)), bodies)])
+    of_pose = np.repeat((trial_shares / np.maximum(lengths, 1))[copies], lengths[copies])
     poses = centre_poses(np.concatenate(motions))
     if mirror:
         poses = np.concatenate([poses, mirror_poses(poses, skeleton)])
-    mean, aligned = align_to_mean(poses, align)
+        of_pose = np.concatenate([of_pose, of_pose])
+    pose_shares = of_pose / of_pose.sum()
+    mean, aligned = align_to_mean(poses, pose_shares, align)
     rotation = rotation_to_face_forward(mean, skeleton)
     mean, aligned = mean @ rotation.T, aligned @ rotation.T
-    basis, variance, total_variance = _principal_components(aligned, mean, components)
+    basis, variance, total_variance = _principal_components(aligned, pose_shares, mean, components)
     return BasePoses(
         name=name,
         skeleton=skeleton,
@@ -159,7 +169,7 @@ def fit_base_poses(
         components=basis,
         std=np.sqrt(variance),
         explained=np.cumsum(variance) / total_variance,
-        stature=estimate_stature(np.concatenate(motions), skeleton),
+        stature=float(trial_shares @ [estimate_stature(t, skeleton) for t in trials]),
         provenance={
             'alignment': alignment,
             'mirror': mirror,
@@ -172,8 +182,10 @@ def fit_base_poses(
     )
 
 
-def _principal_components(poses: Array, mean: Array, max_components: int) -> tuple[Array, Array, float]:
-    """Return the principal components of poses (N, J, 3) about their mean (J, 3).
+def _principal_components(
+    poses: Array, shares: Array, mean: Array, max_components: int
+) -> tuple[Array, Array, float]:
+    """Return the principal components of poses (N, J, 3) with weights (N,) about their mean (J, 3).
 
     Returns:
         (K, J, 3) orthonormal components by decreasing variance, the entry of largest magnitude positive; their
@@ -183,7 +195,7 @@ def _principal_components(poses: Array, mean: Array, max_components: int) -> tup
         ModelError: No component varies by `MIN_WEIGHT_STD_M`.
     """
     flat = (poses - mean).reshape(len(poses), -1)
-    variance, vectors = np.linalg.eigh(flat.T @ flat / len(flat))
+    variance, vectors = np.linalg.eigh(flat.T @ (shares[:, None] * flat))
     order = np.argsort(variance)[::-1][:max_components]
     order = order[variance[order] > MIN_WEIGHT_STD_M**2]
     if not len(order):

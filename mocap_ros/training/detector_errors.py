@@ -1,11 +1,18 @@
 """Synthetic errors of a 2D keypoint detector, for training examples.
 
+    x'_tj = x_tj + k_j (s_tj / s_0)^-e (c_j + g z_tj + h n_tj) + a_tj
+    z_t = r z_t-1 + sqrt(1 - r^2) n'_t,    r = exp(-dt / tau)
+
+c_j is constant over the history (this camera, this posture), z wanders slowly, n is new at every time, k_j differs
+between joints, and a_tj is large where a joint is lost for a while. s is the confidence score and s_0 the score of
+a joint that is seen well. What is fixed to the body is in `synthesis.py`.
+
 Image points are in metres at the person's distance. Shapes: N examples, T slots of the history (newest first),
 J joints of `skeleton.CMU15`.
 
-The errors are of the kinds that OpenPose and MediaPipe make. Their magnitudes are estimates, wide enough for
-many detectors. The mixture as a whole was chosen on CMU subjects 02, 16 and 49, with lifters that had seen neither
-these nor the test subjects (docs/lifter.md, "Training"). Shares are shares of the examples unless noted.
+The errors are of the kinds that OpenPose, MediaPipe and MoveNet make on recordings with known 3D joints. Each
+magnitude is drawn for every example from a range that is wide enough for other detectors, too. Shares are shares
+of the examples unless noted.
 """
 
 from __future__ import annotations
@@ -19,48 +26,64 @@ from mocap_ros.models.lifter_input import (
     MAX_INTERPOLATION_GAP_S,
     MIRROR_PERMUTATION,
 )
+from mocap_ros.skeleton import CMU15
 from mocap_ros.training.body_parts import joint_indices, limb_indices
 from mocap_ros.training.random_arrays import Array, RandomArrays
 
 # Confidence scores.
-CONSTANT_SCORE_SHARE = 0.35  # share; scores that are all 1, from detectors whose scores carry no information
-MEAN_SCORE_RANGE = (0.4, 0.95)  # 1, mean score of an example; detectors differ in their scale
-JOINT_SCORE_STD = 0.15  # 1, standard deviation of the score between joints of an example
-FRAME_SCORE_STD = 0.08  # 1, standard deviation of the score of a joint between frames
-MIN_SCORE = 0.05  # 1; joints that are seen have no lower score
+CONSTANT_SCORE_SHARE = 0.25  # share; scores that are all 1, from detectors whose scores carry no information
+GOOD_SCORE_RANGE = (0.45, 1.0)  # 1, score of a joint that is seen well; detectors differ in their scale
+JOINT_SCORE_STD = 0.08  # 1, standard deviation of the score between joints of an example
+MAX_FRAME_SCORE_STD = 0.1  # 1, largest standard deviation of the score of a joint between frames
+MIN_SCORE = 0.03  # 1; joints that are seen have no lower score
+MAX_SCORE_EXPONENT = 1.3  # 1, largest e; errors at the lowest scores are 1 to 5 times those at good ones
+MAX_ERROR_FACTOR = 5.0  # 1; bounds the growth of the errors at low scores
 
-# Lapses: a joint is detected badly for a few frames.
-LAPSE_SHARE = 0.2  # share of the examples with lapses
-LAPSE_JOINT_SHARE = 0.2  # share of the joints in these examples
-LAPSE_SCORE_FACTOR = 0.35  # 1; detectors mostly notice a lapse and lower the score
-MISPLACED_LAPSE_SHARE = 0.5  # share of the examples in which lapses also displace the joint
+# Dim joints: their score is low for a while, most often that of arms on the far side of the body.
+MAX_DIM_SHARE = 0.6  # share of the time in which a wrist is dim, uniform from 0
+DIM_TIME_RANGE_S = (0.3, 1.5)  # s, mean length of such a time, log-uniform
+NEAR_SIDE_FACTOR, FAR_SIDE_FACTOR = 0.5, 1.5  # 1, on this share for the nearer and the farther of two joints
 
-# Position noise, from white and slowly varying parts.
-NOISELESS_SHARE = 0.4  # share; keeps the lifter accurate for precise keypoints
-NOISE_RANGE_M = (0.003, 0.03)  # m, standard deviation at score 1, log-uniform; 0.2 to 2 % of the stature
-JOINT_NOISE_LOG_STD = 0.4  # 1, standard deviation of the noise level's logarithm between joints; makes heavy tails
-MAX_SCORE_EXPONENT = 1.5  # 1; noise grows as score^-e with e between 0 and this, as detectors' scores differ
-WHITE_NOISE_SHARE = 0.75  # 1, amplitude of the part that is independent between frames
-SLOW_NOISE_SHARE = 0.5  # 1, amplitude of the part that drifts
-DRIFT_TIME_S = 0.4  # s in which the drift reaches the size of the constant part of the slow noise
+# Position errors: standard deviations at a good score, log-uniform.
+CONSTANT_RANGE_M = (0.004, 0.035)  # m, of the part that is constant over the history
+WANDER_RANGE_M = (0.003, 0.04)  # m, of the part that wanders
+WANDER_TIME_RANGE_S = (0.08, 1.5)  # s, time constant tau of the wandering part, log-uniform
+WHITE_RANGE_M = (0.002, 0.035)  # m, of the part that is new in every frame
+JOINT_NOISE_LOG_STD = 0.3  # 1, standard deviation of the logarithm of k_j; makes heavy tails
+# Per joint: factor on the errors, on the share of lost joints and on that of dim joints; others as the trunk's.
+JOINT_FACTORS = {
+    'wrist': (1.3, 1.0, 1.0),
+    'elbow': (1.1, 0.6, 1.0),
+    'knee': (0.95, 0.5, 0.5),
+    'ankle': (1.0, 0.7, 0.4),
+}
+TRUNK_FACTORS = (0.9, 0.25, 0.1)
 
-# Gross errors: a joint is detected somewhere else.
-GROSS_ERROR_POINT_SHARE = 0.01  # share of all points
-DISPLACEMENT_M = 0.12  # m, standard deviation of the displacement of a joint, the same in all frames
-GROSS_ERROR_JITTER = 0.15  # 1, amplitude of additional noise on gross errors
-LAPSE_JITTER = 0.03  # 1, amplitude of additional noise on misplaced lapses, which stay in one place
+# Lost joints: they are detected somewhere else for a while.
+LOST_SHARE_RANGE = (0.003, 0.12)  # share of the time in which a wrist is lost, log-uniform
+LOST_TIME_RANGE_S = (0.04, 0.4)  # s, mean length of such a time, log-uniform
+MIN_LOST_M = 0.08  # m, least distance of a lost joint from its place
+MEAN_LOST_M = 0.15  # m, mean of what is added to it, exponential
+ON_TWIN_SHARE = 0.3  # share of the lost joints of a side that are seen where the other side's is
+UNNOTICED_SHARE = 0.5  # share of the lost joints that keep their score
+LOST_SCORE_RANGE = (0.2, 0.7)  # 1, factor on the score of the others
 
-# Swaps of left and right for a few frames.
-SWAP_SHARE = 0.2  # share of the examples with a swap
+# Swaps of left and right.
+SWAP_SHARE = 0.25  # share of the examples with a swap
+SWAPPED_PARTS = ('all', 'legs', 'legs', 'arms', 'arms')  # equally probable
+MAX_PART_SWAP_SLOTS = 2  # slots; legs or arms alone are swapped for one or two frames
 MIN_SPAN_START = -4  # slots; spans may begin before the newest frame, so that the newest frame is often within one
-MAX_SPAN_SLOTS = 8  # slots; longest lapse or swap
+MAX_SPAN_SLOTS = 8  # slots; longest swap of the whole body
+WHOLE_LIMB_SHARE = 0.5  # share of the swaps of arms or legs with shoulders or hips
 
 # Joints that are not seen.
 COMPLETE_SHARE = 0.6  # share of the examples in which no single points are missing
 MAX_MISSING_POINT_SHARE = 0.25  # share of the points in the others, uniform from 0
 HIDDEN_LIMBS_SHARE = 0.12  # share of the examples with limbs hidden by the body or an object
-MISSING_MIDLINE_JOINT_SHARE = 0.2  # share, for each of head, neck and pelvis, which many detectors lack
-MISSING_MIDLINE_SHARE = 0.12  # share in which head, neck and pelvis are all missing
+MISSING_MIDLINE_JOINT_SHARE = 0.15  # share, for each of head, neck and pelvis, which many detectors lack
+MISSING_MIDLINE_SHARE = 0.1  # share in which head, neck and pelvis are all missing
+DERIVED_MIDLINE_SHARE = 0.5  # share in which neck and pelvis are the midpoints that `joint_map.py` derives
+DERIVED_HEAD_SCORE_RANGE = (0.1, 0.5)  # 1, factor on the score of a head that is derived as well
 BORDER_SHARE = 0.1  # share of the examples in which the image's border cuts the person off
 BORDER_RANGE_M = (0.0, 0.8)  # m from the centroid to the border
 MIN_SEEN_JOINTS = 5  # joints; examples with fewer in the newest frame teach little
@@ -80,6 +103,31 @@ MIN_INTERPOLATION_WEIGHT = 1 - 1e-4  # 1; a slot is seen if all frames that it i
 # Limbs that may be hidden together.
 _HIDDEN_LIMBS = ('larm', 'rarm', 'lleg', 'rleg', 'legs', 'arms')
 
+_SLOT_INTERVALS_S = np.diff(HISTORY_SLOTS_S).astype(np.float32)  # s from each slot to the next older one
+_HAS_TWIN = np.arange(JOINT_COUNT) != MIRROR_PERMUTATION
+_ERROR_FACTOR, _LOST_FACTOR, _DIM_FACTOR = np.array(
+    [
+        next((f for joint, f in JOINT_FACTORS.items() if name.endswith(joint)), TRUNK_FACTORS)
+        for name in CMU15.joints
+    ],
+    np.float32,
+).T
+
+
+def _list_swapped_joints() -> NDArray[np.bool_]:
+    """Return (P, 2, J) which joints a swap of each of `SWAPPED_PARTS` exchanges, without and with their ends."""
+    ends = {'legs': ('lhip', 'rhip'), 'arms': ('lshoulder', 'rshoulder')}
+    out = np.ones((len(SWAPPED_PARTS), 2, JOINT_COUNT), bool)
+    for i, part in enumerate(SWAPPED_PARTS):
+        if part in ends:
+            out[i] = False
+            out[i, :, limb_indices(part)] = True
+            out[i, 1, joint_indices(*ends[part])] = True
+    return out
+
+
+_SWAPPED_JOINTS = _list_swapped_joints()
+
 
 class DetectorErrors:
     """Errors of many different detectors.
@@ -93,77 +141,138 @@ class DetectorErrors:
         self.random = random
         self.gap_patterns = make_gap_patterns(random.rng, GAP_PATTERN_COUNT)
 
-    def detect(self, image: Array, is_recorded: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def detect(
+        self, image: Array, depth: Array, is_recorded: NDArray[np.bool_], is_precise: NDArray[np.bool_]
+    ) -> tuple[Array, Array]:
         """Return what detectors would detect: the true image points with random errors and gaps.
 
         Args:
             image: (N, T, J, 2) m at the person's distance, true image points.
+            depth: (N, J) m, depth of the newest joints, by which the far side of the body is known.
             is_recorded: (N, T) True for slots of the history at which the motion has a frame.
+            is_precise: (N,) True for examples without noise.
 
         Returns:
             (N, T, J, 2) m, detected image points, arbitrary where the score is 0, and (N, T, J) confidence scores
             in [0, 1], 0 for joints that were not seen.
         """
-        image, score = self._add_noise(image)
+        image, score = self._add_noise(image, depth, is_precise)
         image, score = self._swap_sides(image, score)
         score = np.where(self._hide(image, is_recorded), 0, score)
+        image, score = self._derive_midline(image, score)
         return self._interpolate_gaps(image, score)
 
-    def _add_noise(self, image: Array) -> tuple[Array, Array]:
+    def _add_noise(self, image: Array, depth: Array, is_precise: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Return noisy points (N, T, J, 2) and their confidence scores (N, T, J)."""
-        random, rng = self.random, self.random.rng
+        random = self.random
         count, slots = image.shape[:2]
-        is_constant = random.chance(count, CONSTANT_SCORE_SHARE, axes=2)
-        mean_score = random.uniform(*MEAN_SCORE_RANGE, count, 1, 1)
-        score = (
-            mean_score
-            + JOINT_SCORE_STD * random.normal(count, 1, JOINT_COUNT)
-            + FRAME_SCORE_STD * random.normal(count, slots, JOINT_COUNT)
-        )
-        lapse = (
-            self._draw_spans(count, slots)
-            & random.chance(count, LAPSE_SHARE, axes=2)
-            & (rng.random((count, 1, JOINT_COUNT)) < LAPSE_JOINT_SHARE)
-        )
-        score = np.where(lapse, np.float32(LAPSE_SCORE_FACTOR) * score, score)
+        good = random.uniform(*GOOD_SCORE_RANGE, count, 1, 1)
+        score = good + JOINT_SCORE_STD * random.normal(count, 1, JOINT_COUNT)
+        frame_std = random.uniform(0, MAX_FRAME_SCORE_STD, count, 1, 1)
+        score = score + frame_std * random.normal(count, slots, JOINT_COUNT)
+        score = np.where(self._draw_dim(depth, slots), self._draw_dim_scores(good), score)
         score = np.clip(score, np.float32(MIN_SCORE), np.float32(1))
         exponent = random.uniform(0, MAX_SCORE_EXPONENT, count, 1, 1)
-        level = np.exp(random.uniform(*np.log(NOISE_RANGE_M), count, 1, 1))
-        level = level * random.choose(count, NOISELESS_SHARE, 0, 1, axes=2)
-        level = level * np.exp(JOINT_NOISE_LOG_STD * random.normal(count, 1, JOINT_COUNT))
-        level = level * np.exp(-exponent * np.log(score))
-        slow = random.normal(count, 1, JOINT_COUNT, 2)
-        drift = random.normal(count, 1, JOINT_COUNT, 2)
-        slow = slow + HISTORY_SLOTS_S.astype(np.float32)[:, None, None] / DRIFT_TIME_S * drift
-        white = random.normal(count, slots, JOINT_COUNT, 2)
-        noise = WHITE_NOISE_SHARE * white + SLOW_NOISE_SHARE * slow
-        gross = rng.random((count, slots, JOINT_COUNT), dtype=np.float32) < GROSS_ERROR_POINT_SHARE
-        misplaced = gross | (lapse & random.chance(count, MISPLACED_LAPSE_SHARE, axes=2))
-        image = image + level[..., None] * noise
-        at = np.nonzero(misplaced)
-        displacement = random.normal(count, JOINT_COUNT, 2)[at[0], at[2]]
-        jitter = np.where(gross[at], np.float32(GROSS_ERROR_JITTER), np.float32(LAPSE_JITTER))[:, None]
-        image[at] += DISPLACEMENT_M * displacement + jitter * noise[at]
-        return image, np.where(is_constant, np.float32(1), score)
+        factor = np.exp(JOINT_NOISE_LOG_STD * random.normal(count, 1, JOINT_COUNT)) * _ERROR_FACTOR
+        noise_factor = factor * np.minimum((score / good) ** -exponent, np.float32(MAX_ERROR_FACTOR))
+        white = self._draw_sizes(WHITE_RANGE_M, count) * random.normal(count, slots, JOINT_COUNT, 2)
+        noise = self._draw_sizes(WANDER_RANGE_M, count) * self._draw_wander(count) + white
+        constant = self._draw_sizes(CONSTANT_RANGE_M, count) * random.normal(count, 1, JOINT_COUNT, 2)
+        error = noise_factor[..., None] * noise + factor[..., None] * constant
+        noisy = image + np.where(is_precise[:, None, None, None], np.float32(0), error)
+        noisy, score = self._lose_joints(noisy, score)
+        return noisy, np.where(random.chance(count, CONSTANT_SCORE_SHARE, axes=2), np.float32(1), score)
 
-    def _draw_spans(self, count: int, slots: int) -> NDArray[np.bool_]:
-        """Return (N, T, 1) whether each slot lies within a random span of slots, one span for each example."""
-        first = self.random.rng.integers(MIN_SPAN_START, slots, (count, 1))
-        length = self.random.rng.integers(1, MAX_SPAN_SLOTS + 1, (count, 1))
+    def _draw_sizes(self, size_range: tuple[float, float], count: int) -> Array:
+        """Return log-uniform numbers (N, 1, 1, 1)."""
+        return np.exp(self.random.uniform(*np.log(size_range), count, 1, 1, 1))
+
+    def _draw_wander(self, count: int) -> Array:
+        """Return unit errors (N, T, J, 2) that wander with a time constant of their own in each example."""
+        tau = self._draw_sizes(WANDER_TIME_RANGE_S, count)[:, 0]
+        out = self.random.normal(count, len(HISTORY_SLOTS_S), JOINT_COUNT, 2)
+        for slot, interval in enumerate(_SLOT_INTERVALS_S, start=1):
+            keep = np.exp(-interval / tau)
+            out[:, slot] = keep * out[:, slot - 1] + np.sqrt(1 - keep**2) * out[:, slot]
+        return out
+
+    def _draw_times(self, share: Array, length: Array) -> NDArray[np.bool_]:
+        """Return (N, T, J) whether a joint is in a state that it enters and leaves at random.
+
+        Args:
+            share: (N, J) share of the time in the state.
+            length: (N, 1) s, mean length of a time in the state.
+        """
+        chance = self.random.rng.random((len(share), len(HISTORY_SLOTS_S), JOINT_COUNT), dtype=np.float32)
+        out = chance < share[:, None]
+        for slot, interval in enumerate(_SLOT_INTERVALS_S, start=1):
+            keep = np.exp(-interval / (length * (1 - share)))
+            out[:, slot] = chance[:, slot] < share + (out[:, slot - 1] - share) * keep
+        return out
+
+    def _draw_dim(self, depth: Array, slots: int) -> NDArray[np.bool_]:
+        """Return (N, T, J) whether a joint is dim."""
+        count = len(depth)
+        is_far = depth > depth[:, MIRROR_PERMUTATION]
+        is_near = depth < depth[:, MIRROR_PERMUTATION]
+        factor = np.where(is_far, FAR_SIDE_FACTOR, np.where(is_near, NEAR_SIDE_FACTOR, 1)).astype(np.float32)
+        share = self.random.uniform(0, MAX_DIM_SHARE, count, 1) * factor * _DIM_FACTOR
+        return self._draw_times(share, self._draw_sizes(DIM_TIME_RANGE_S, count)[:, :, 0, 0])[:, :slots]
+
+    def _draw_dim_scores(self, good: Array) -> Array:
+        """Return scores (N, T, J) of dim joints, which change steadily between two scores below good ones."""
+        newest, oldest = self.random.rng.random((2, len(good), 1, JOINT_COUNT), dtype=np.float32) * good
+        ago = (HISTORY_SLOTS_S / HISTORY_SLOTS_S[-1]).astype(np.float32)[:, None]
+        return np.asarray(newest + ago * (oldest - newest))
+
+    def _lose_joints(self, image: Array, score: Array) -> tuple[Array, Array]:
+        """Return points (N, T, J, 2) and scores (N, T, J), in which some joints are somewhere else for a while."""
+        random, rng = self.random, self.random.rng
+        count = len(image)
+        share = self._draw_sizes(LOST_SHARE_RANGE, count)[:, :, 0, 0] * _LOST_FACTOR
+        is_lost = self._draw_times(share, self._draw_sizes(LOST_TIME_RANGE_S, count)[:, :, 0, 0])
+        distance = MIN_LOST_M + MEAN_LOST_M * rng.standard_exponential((count, 1, JOINT_COUNT), dtype=np.float32)
+        angle = random.uniform(0, 2 * np.pi, count, 1, JOINT_COUNT)
+        away = distance[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        is_on_twin = _HAS_TWIN & (rng.random((count, 1, JOINT_COUNT)) < ON_TWIN_SHARE)
+        lost = np.where(is_on_twin[..., None], image[:, :, MIRROR_PERMUTATION], image + away)
+        is_noticed = is_lost & (rng.random((count, 1, JOINT_COUNT)) >= UNNOTICED_SHARE)
+        lower = np.maximum(score * random.uniform(*LOST_SCORE_RANGE, count, 1, JOINT_COUNT), np.float32(MIN_SCORE))
+        return np.where(is_lost[..., None], lost, image), np.where(is_noticed, lower, score)
+
+    def _draw_spans(self, max_slots: NDArray[np.intp], slots: int) -> NDArray[np.bool_]:
+        """Return (N, T, 1) whether each slot lies within a random span of at most `max_slots` (N,) slots."""
+        count = len(max_slots)
+        length = self.random.rng.integers(1, max_slots + 1)[:, None]
+        first = self.random.rng.integers(np.maximum(MIN_SPAN_START, 1 - length), slots, (count, 1))
         slot = np.arange(slots)
         return ((slot >= first) & (slot < first + length))[..., None]
 
     def _swap_sides(self, image: Array, score: Array) -> tuple[Array, Array]:
         """Exchange left and right in a span of slots, for all joints, the legs or the arms."""
         count, slots = score.shape[:2]
-        parts = np.zeros((3, JOINT_COUNT), bool)
-        parts[0] = True
-        parts[1, [*limb_indices('legs'), *joint_indices('lhip', 'rhip')]] = True
-        parts[2, [*limb_indices('arms'), *joint_indices('lshoulder', 'rshoulder')]] = True
-        part = parts[np.minimum(self.random.rng.integers(0, 5, count), 2)]  # one in five all, one in five the legs
-        swapped = self._draw_spans(count, slots) & self.random.chance(count, SWAP_SHARE, axes=2) & part[:, None]
+        number = self.random.rng.integers(0, len(SWAPPED_PARTS), count)
+        has_ends = self.random.chance(count, WHOLE_LIMB_SHARE).astype(np.intp)
+        part = _SWAPPED_JOINTS[number, has_ends]
+        is_whole = np.array([p == 'all' for p in SWAPPED_PARTS])[number]
+        spans = self._draw_spans(np.where(is_whole, MAX_SPAN_SLOTS, MAX_PART_SWAP_SLOTS), slots)
+        swapped = spans & self.random.chance(count, SWAP_SHARE, axes=2) & part[:, None]
         image = np.where(swapped[..., None], image[:, :, MIRROR_PERMUTATION], image)
         return image, np.where(swapped, score[:, :, MIRROR_PERMUTATION], score)
+
+    def _derive_midline(self, image: Array, score: Array) -> tuple[Array, Array]:
+        """Return points (N, T, J, 2) and scores (N, T, J), in some examples with a derived neck and pelvis."""
+        is_derived = self.random.chance(len(image), DERIVED_MIDLINE_SHARE, axes=1)
+        for joint, left, right in (('neck', 'lshoulder', 'rshoulder'), ('pelvis', 'lhip', 'rhip')):
+            j, a, b = joint_indices(joint, left, right)
+            midpoint = (image[:, :, a] + image[:, :, b]) / 2
+            image[:, :, j] = np.where(is_derived[..., None], midpoint, image[:, :, j])
+            lesser = np.minimum(score[:, :, a], score[:, :, b])
+            score[:, :, j] = np.where(is_derived, lesser, score[:, :, j])
+        (head,) = joint_indices('head')
+        factor = self.random.uniform(*DERIVED_HEAD_SCORE_RANGE, len(image), 1)
+        score[:, :, head] *= np.where(is_derived, factor, np.float32(1))
+        return image, score
 
     def _hide(self, image: Array, is_recorded: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return (N, T, J) whether a joint is not seen.

@@ -130,6 +130,7 @@ def compute_loss(out: Tensor, batch: ExampleBatch, uncertainty: float) -> tuple[
 
 def train_lifter(
     trials: Sequence[Array],
+    shares: Array,
     settings: TrainingSettings,
     provenance: Mapping[str, object],
     progress: Callable[[Iterable[int]], Iterable[int]] = iter,
@@ -138,6 +139,7 @@ def train_lifter(
 
     Args:
         trials: arrays (F, 15, 3) in m, z up, 30 frames per second, joints as `skeleton.CMU15`.
+        shares: (N,) share of each trial in the examples, as from `balance.balance_trials`.
         settings: settings of the training.
         provenance: entries of the lifter's provenance; the settings and the last mean error on examples are added.
         progress: function that wraps the iteration over the steps, for example to show a progress bar.
@@ -145,7 +147,7 @@ def train_lifter(
     compile_kernels()
     torch.manual_seed(settings.seed)
     torch.set_flush_denormal(True)
-    synthesiser = ExampleSynthesiser(MotionLibrary.from_trials(trials), settings.seed)
+    synthesiser = ExampleSynthesiser(MotionLibrary.from_trials(trials, shares), settings.seed)
     network = LifterNetwork(settings.width, settings.blocks, settings.dropout)
     averaged = LifterNetwork(settings.width, settings.blocks, 0.0).eval()
     averaged.load_state_dict(network.state_dict())

@@ -37,16 +37,18 @@ class MotionLibrary:
     cumulative_probability: Array64
 
     @staticmethod
-    def from_trials(trials: Sequence[Array64]) -> MotionLibrary:
-        """Build the library from trials (F, J, 3) in m, z up, at `FPS`.
+    def from_trials(trials: Sequence[Array64], shares: Array64) -> MotionLibrary:
+        """Build the library.
 
-        The probability of a trial grows with the square root of its length, so that long trials do not dominate.
+        Args:
+            trials: arrays (F, J, 3) in m, z up, at `FPS`.
+            shares: (N,) probability of each trial, as from `balance.balance_trials`.
         """
         parents = np.array([max(p, 0) for p in CMU15.parents])
         root = CMU15.parents.index(-1)
         parents[root] = root
         vectors, first_frame, probability, count = [], [], [], 0
-        for trial in trials:
+        for trial, trial_share in zip(trials, shares, strict=True):
             for speed, share in SPEED_SHARES.items():
                 position = np.arange(0, len(trial) - 1 + TIME_TOLERANCE_FRAMES, abs(speed))
                 low = np.minimum(position.astype(int), max(len(trial) - 2, 0))
@@ -55,7 +57,7 @@ class MotionLibrary:
                 poses = poses[::-1] if speed < 0 else poses
                 vectors.append((poses - poses[:, parents]).astype(np.float32))
                 first_frame.append(np.full(len(poses), count))
-                probability.append(np.full(len(poses), share * np.sqrt(len(trial)) / len(poses)))
+                probability.append(np.full(len(poses), share * trial_share / len(poses)))
                 count += len(poses)
         total = np.cumsum(np.concatenate(probability))
         return MotionLibrary(np.concatenate(vectors), np.concatenate(first_frame), total / total[-1])

@@ -21,6 +21,7 @@ from mocap_ros.skeleton import CMU15
 from mocap_ros.training.body_parts import LIMBS, joint_indices, limb_indices
 from mocap_ros.training.detector_errors import DetectorErrors
 from mocap_ros.training.motion_library import FPS, MotionLibrary
+from mocap_ros.training.postures import take_postures
 from mocap_ros.training.random_arrays import Array, RandomArrays
 
 Array64 = NDArray[np.float64]
@@ -42,26 +43,30 @@ STRONG_TILT_STD_RAD = 0.5  # rad, standard deviation of each component of their 
 SLIGHT_TILT_STD_RAD = 0.05  # rad, the same for all other bodies, as real floors and leaning differ
 
 # Offsets between the joints of motion capture and those of detectors, which define joints differently.
-OFFSET_SHARE = 0.6  # share of the examples with offsets
+PRECISE_SHARE = 0.2  # share of examples whose points have neither offsets nor noise; keeps precise points precise
+OFFSET_SIZE_RANGE = (0.3, 2.2)  # 1, factor on the offsets of an example, log-uniform; detectors differ
 # Standard deviations (forward, sideways, up) in m of the offset of each joint, constant over an example and the
-# same on both sides; estimates of how far detectors' definitions differ, largest for the head and the hips.
+# same on both sides: joints of real detectors are 25 to 40 mm off, half of it fixed to the body.
 OFFSET_STD_M = {
     'head': (0.05, 0.01, 0.05),
     'neck': (0.02, 0.005, 0.03),
     'pelvis': (0.03, 0.005, 0.03),
-    'hip': (0.02, 0.03, 0.03),
+    'hip': (0.02, 0.025, 0.03),
     'shoulder': (0.02, 0.02, 0.02),
-    'elbow': (0.01, 0.01, 0.015),
-    'wrist': (0.015, 0.01, 0.015),
-    'knee': (0.015, 0.015, 0.015),
-    'ankle': (0.015, 0.015, 0.02),
+    'elbow': (0.018, 0.018, 0.018),
+    'wrist': (0.018, 0.018, 0.018),
+    'knee': (0.018, 0.018, 0.02),
+    'ankle': (0.018, 0.018, 0.022),
 }
 
 # Cameras.
 TURNING_SHARE = 0.3  # share of examples in which camera or person turns beyond the recorded motion
 HEADING_RATE_STD = 0.4  # rad/s, standard deviation of the rate of the heading in these
 ELEVATION_RATE_STD = 0.1  # rad/s, standard deviation of the rate of the elevation in these
-ELEVATION_RANGE_DEG = (-15, 35)  # degrees above the horizon; from a camera on the floor to one under the ceiling
+# Degrees above the horizon: most cameras are on robots, tripods and walls and look slightly down.
+COMMON_ELEVATION_SHARE = 0.65  # share of the examples with such a camera
+COMMON_ELEVATION_DEG = (8, 9)  # degrees, mean and standard deviation of the elevation in these
+ELEVATION_RANGE_DEG = (-20, 45)  # degrees in the others; from a camera on the floor to one under the ceiling
 ROLL_STD_DEG = 7  # degrees, standard deviation; hand-held cameras and cameras that are not levelled
 
 # Projection.
@@ -76,7 +81,6 @@ NEAR_AXIS_STD = 0.03  # 1, the same in the others, as a virtual camera does not 
 MIN_RELATIVE_DEPTH = 0.2  # distances; keeps joints in front of the camera
 UNKNOWN_FOCAL_SHARE = 0.4  # share of the perspective images whose focal length the lifter is not given
 
-_MIDLINE = ('head', 'neck', 'pelvis')  # joints that the lifter estimates as motion capture defines them
 _FRAMES_AGO = np.round(HISTORY_SLOTS_S * FPS).astype(int)  # frames from each slot to the newest frame
 
 
@@ -118,14 +122,13 @@ class ExampleSynthesiser:
         vectors, is_recorded = self._draw_motion(count)
         vectors = self._vary_bodies(vectors)
         points = self.joints_from_bones @ vectors  # (N, T, J, 3)
-        detector_points = points + self._draw_offsets(points)
+        is_precise = self.random.chance(count, PRECISE_SHARE)
+        offsets = np.where(is_precise[:, None, None, None], np.float32(0), self._draw_offsets(points))
         rotation = self._draw_cameras(count)
-        in_camera = _rotate_points(detector_points, rotation)
-        truth = in_camera[:, 0].copy()
-        midline = joint_indices(*_MIDLINE)
-        truth[:, midline] = _rotate_points(points[:, :1], rotation[:, :1])[:, 0, midline]
+        truth = _rotate_points(points[:, :1], rotation[:, :1])[:, 0]
+        in_camera = _rotate_points(points + offsets, rotation)
         image, focal = self._project(in_camera)
-        image, weight = self.errors.detect(image, is_recorded)
+        image, weight = self.errors.detect(image, in_camera[:, 0, :, 2], is_recorded, is_precise)
         features, newest, size = encode_features(image, weight, focal)
         target = (truth - truth.mean(axis=1, keepdims=True)) / size[:, None, None]
         return ExampleBatch(
@@ -155,7 +158,7 @@ class ExampleSynthesiser:
         return _rotate_points(vectors, _axis_rotations(2, yaw)[:, None]), index >= first
 
     def _vary_bodies(self, vectors: Array) -> Array:
-        """Vary bone vectors (N, T, J, 3): bone lengths, borrowed limbs, rotated limbs and tilted bodies."""
+        """Vary bone vectors (N, T, J, 3): bone lengths, borrowed limbs, postures, rotated limbs, tilted bodies."""
         random = self.random
         count = len(vectors)
         limit = MAX_BONE_LENGTH_DEVIATIONS
@@ -171,6 +174,7 @@ class ExampleSynthesiser:
             borrowed = donor[:, :, joints] * lengths / donor_lengths
             is_borrowed = random.chance(count, share, axes=3)
             vectors[:, :, joints] = np.where(is_borrowed, borrowed, vectors[:, :, joints])
+        vectors = take_postures(vectors, random)
         for limb in LIMBS:
             chosen = np.flatnonzero(random.chance(count, ROTATED_LIMB_SHARE))
             joints = limb_indices(limb)
@@ -182,7 +186,10 @@ class ExampleSynthesiser:
         return _rotate_points(vectors, _rotations_from_vectors(tilt)[:, None])
 
     def _draw_offsets(self, points: Array) -> Array:
-        """Return offsets (N, 1, J, 3) in m from the joints of motion capture to those of a detector."""
+        """Return offsets (N, T, J, 3) in m from the joints of motion capture to those of a detector.
+
+        They are fixed in the frame of the trunk, whose upward axis ends midway between the shoulders.
+        """
         count = len(points)
         out = np.zeros((count, 1, JOINT_COUNT, 3), np.float32)
         for name, std in OFFSET_STD_M.items():
@@ -192,7 +199,8 @@ class ExampleSynthesiser:
             else:
                 out[:, 0, CMU15.index('l' + name)] = offset
                 out[:, 0, CMU15.index('r' + name)] = offset * np.array([1, -1, 1], np.float32)
-        return np.where(self.random.chance(count, OFFSET_SHARE, axes=3), out, np.float32(0))
+        size = np.exp(self.random.uniform(*np.log(OFFSET_SIZE_RANGE), count, 1, 1))
+        return np.asarray((out[:, 0] * size)[:, None] @ np.swapaxes(_find_trunks(points), -1, -2))
 
     def _draw_cameras(self, count: int) -> Array:
         """Return rotations (N, T, 3, 3) from the body frame to the camera's optical frame; some turn slowly."""
@@ -201,7 +209,12 @@ class ExampleSynthesiser:
         turning_time = random.choose(count, TURNING_SHARE, 1, 0, axes=1) * ago
         heading = random.uniform(-np.pi, np.pi, count, 1)
         heading = heading + HEADING_RATE_STD * random.normal(count, 1) * turning_time
-        elevation = np.radians(random.uniform(*ELEVATION_RANGE_DEG, count, 1))
+        mean, std = COMMON_ELEVATION_DEG
+        is_common = random.chance(count, COMMON_ELEVATION_SHARE, axes=1)
+        elevation = np.where(
+            is_common, mean + std * random.normal(count, 1), random.uniform(*ELEVATION_RANGE_DEG, count, 1)
+        )
+        elevation = np.radians(elevation)
         elevation = elevation + ELEVATION_RATE_STD * random.normal(count, 1) * turning_time
         roll = np.radians(ROLL_STD_DEG) * np.broadcast_to(random.normal(count, 1), heading.shape)
         to_optical = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]], np.float32)
@@ -240,6 +253,22 @@ def _sum_along_bones() -> Array:
     for parent, child in CMU15.outward_bones():
         out[child] += out[parent]
     return out
+
+
+def _find_trunks(points: Array) -> Array:
+    """Return rotations (N, T, 3, 3) from the trunk's axes (forward, left, up) to those of the points."""
+    left_hip, right_hip, left_shoulder, right_shoulder = (
+        points[:, :, j] for j in joint_indices('lhip', 'rhip', 'lshoulder', 'rshoulder')
+    )
+    up = _normalise(left_shoulder + right_shoulder - left_hip - right_hip)
+    left = left_hip - right_hip
+    left = _normalise(left - (left * up).sum(axis=-1, keepdims=True) * up)
+    return np.stack([np.cross(left, up), left, up], axis=-1)
+
+
+def _normalise(vectors: Array) -> Array:
+    """Return vectors (..., 3) at unit length."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-6))
 
 
 def _rotate_points(points: Array, rotation: Array) -> Array:

@@ -31,7 +31,8 @@ def openpose(sequence: mocap_ros.KeypointSequence, tmp_path: Path) -> Path:
     folder.mkdir()
     for frame, flat in enumerate(flatten_keypoints(sequence)):
         with_neck = [*flat[:3], 0.0, 0.0, 0.0, *flat[3:]]
-        people = [{'pose_keypoints_2d': with_neck}] * (2 if frame == 0 else 1)
+        aside = [v + 150 if i % 3 == 0 and v else v for i, v in enumerate(with_neck)]
+        people = [{'pose_keypoints_2d': p} for p in (with_neck, aside)[: 2 if frame == 0 else 1]]
         (folder / f'walk_{frame:012d}_keypoints.json').write_text(json.dumps({'people': people}), encoding='utf-8')
     return folder
 

@@ -116,6 +116,15 @@ def test_after_a_gap_the_filter_follows_at_once(rng: np.random.Generator) -> Non
     assert np.abs(found[60] - poses[60]).max() < 0.1
 
 
+def test_the_filter_begins_anew_where_another_solution_is_found(rng: np.random.Generator) -> None:
+    """Depth from 100 m to 5 m: none of the filtered frames is behind the camera or on the way."""
+    poses = rng.normal(0, 0.3, (1, JOINTS, 3)) + rng.normal(0, 0.01, (40, JOINTS, 3))
+    poses[:20] += [0, 0, 100.0]
+    poses[20:] += [0, 0, 5.0]
+    found = filter_all(np.arange(40) / 30, poses)
+    assert np.abs(found - poses).max() < 0.2
+
+
 def test_a_filter_is_not_changed_by_its_successors(rng: np.random.Generator) -> None:
     poses = rng.normal(size=(8, JOINTS, 3))
     motion = MotionFilter.begin(0, poses[0])

@@ -50,7 +50,7 @@ def test_a_walk_is_reconstructed(walk_model: BasePoses, walk: Walk) -> None:
         error.append(np.linalg.norm(pose - truth, axis=-1).mean() * 1e3)
         assert person.id == 'person_1'
         assert not person.inferred.any()
-    assert np.mean(error[10:]) < 1.1 * 22.0  # mm, measured
+    assert np.mean(error[10:]) < 1.1 * 25.2  # mm, measured
     depth = CAMERA.focal / cameras.scale[-1] * CONFIG.tracker.body_height / walk_model.stature
     assert person.joints[:, 2].mean() == pytest.approx(depth, rel=0.05)
     assert person.joints.mean(axis=0)[:2] == pytest.approx([0, 0], abs=0.05)
@@ -197,7 +197,7 @@ def test_a_person_near_the_camera_and_off_its_axis_is_located(walk_model: BasePo
         (person,) = tracker.update(frame * STEP_NS, seen, camera)
     assert np.linalg.norm(person.joints - joints, axis=-1).mean() < 1.1 * 0.0602  # m, measured
     reprojection_error = np.linalg.norm(camera.project(person.joints) - seen[0].points, axis=-1)
-    assert reprojection_error.max() < 1.1 * 2.6  # px, measured
+    assert reprojection_error.max() < 1.1 * 2.9  # px, measured
 
 
 def test_hidden_joints_are_inferred_and_flagged(walk_model: BasePoses, walk: Walk) -> None:

@@ -19,3 +19,22 @@ def test_random_bodies_have_equal_left_and_right_bones(walk_model: BasePoses) ->
     for component in model.components:
         assert component == pytest.approx(mirror_poses(component, CMU15), abs=1e-4)
     assert len(model.std) > 3, 'the bodies differ'
+
+
+def test_a_share_counts_as_often_as_the_trial_were_there(walk_model: BasePoses, rng: np.random.Generator) -> None:
+    one, other = (walk_model.poses(rng.normal(0, 0.1, (20, 5))) for _ in range(2))
+    weighted = fit_base_poses([one, other], shares=[3, 1], alignment='heading', mirror=True, bodies=1)
+    repeated = fit_base_poses([one, one, one, other], alignment='heading', mirror=True)
+    plain = fit_base_poses([one, other], shares=[3, 1], alignment='heading', mirror=True)
+    assert plain.mean == pytest.approx(repeated.mean, abs=1e-6)
+    assert plain.std == pytest.approx(repeated.std, rel=1e-4)
+    assert plain.stature == pytest.approx(repeated.stature)
+    assert weighted.std[: len(plain.std)] != pytest.approx(plain.std, rel=1e-4), 'the bodies differ'
+
+
+def test_a_trial_without_share_does_not_matter(walk_model: BasePoses, rng: np.random.Generator) -> None:
+    one, other = (walk_model.poses(rng.normal(0, 0.1, (20, 5))) for _ in range(2))
+    alone = fit_base_poses([one], alignment='heading')
+    both = fit_base_poses([one, other], shares=[1, 0], alignment='heading')
+    assert both.mean == pytest.approx(alone.mean, abs=1e-9)
+    assert both.std == pytest.approx(alone.std, rel=1e-9)

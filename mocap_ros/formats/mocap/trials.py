@@ -84,10 +84,10 @@ def load_trials(
 ) -> list[Trial]:
     """Load the trials of a file, or of all files in a folder and the folders below it.
 
-    An .npz archive holds (F, 15, 3) arrays in mm, y up, under one key for each trial, and the joint names under
-    `_joints`. The skeleton of an .amc file is beside it: `35.asf` for `35_01.amc`, or the only .asf file there. A
-    trial that is not in the manifest has as subject the part of its name before the `_`, and as category the name
-    of its folder.
+    An .npz archive holds (F, J, 3) arrays in mm, y up, under one key for each trial, and under `_joints` the names
+    of the J joints, among them the 15 of the model. The skeleton of an .amc file is beside it: `35.asf` for
+    `35_01.amc`, or the only .asf file there. A trial that is not in the manifest has as subject the part of its
+    name before the `_`, and as category the name of its folder.
 
     Args:
         path: path of the file or folder.
@@ -138,7 +138,7 @@ def _read_archive(path: Path, manifest: Manifest) -> Iterator[Trial]:
             keys = [k for k in archive.files if not k.startswith('_')]
             has_names = '_joints' in archive.files
             names = canonical_joint_names([str(n) for n in archive['_joints']]) if has_names else ()
-            if sorted(names) != sorted(CMU15.joints):
+            if len(set(names)) != len(names) or not set(CMU15.joints) <= set(names):
                 raise InputError(f'key _joints must name the joints of {CMU15.name}')
             order = [names.index(j) for j in CMU15.joints]
             for key in keys:

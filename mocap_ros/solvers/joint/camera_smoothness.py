@@ -27,8 +27,6 @@ Array = NDArray[np.float64]
 
 FEATURES = 9  # for both rows of M its three elements and the image of the vertical, then the log of the scale
 LOG_SCALE_FEATURE = 8  # the last of them
-# Which of them are elements of M.
-CAMERA_FEATURES = (True, True, True, False, True, True, True, False, False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +53,7 @@ class CameraSmoothness:
         _add_change(
             self.weight,
             measure_features(fit.state.rotation, fit.state.log_scale),
-            differentiate_features(fit.state.rotation, fit.state.log_scale),
+            _differentiate_features(fit.state.rotation, fit.state.log_scale),
             equations.diagonal,
             equations.coupling.corner,
             equations.gradient,
@@ -85,7 +83,7 @@ def measure_features(rotation: Array, log_scale: Array) -> Array:
 
 
 @kernel(FLOATS_3D(FLOATS_3D, FLOATS_1D))
-def differentiate_features(rotation: Array, log_scale: Array) -> Array:
+def _differentiate_features(rotation: Array, log_scale: Array) -> Array:
     """Return the derivatives (N, 9, 4) of the features by the rotation vector and the logarithm of the scale."""
     out = np.zeros((len(log_scale), FEATURES, CAMERA_UNKNOWNS))
     point, block = np.empty(3), np.empty((3, CAMERA_UNKNOWNS))

@@ -35,7 +35,7 @@ from mocap_ros.solvers.joint.bone_lengths import BoneLengths
 from mocap_ros.solvers.joint.camera_acceleration import (
     TYPICAL_PER_S2,
     CameraAcceleration,
-    measure_matrices,
+    measure_directions,
 )
 from mocap_ros.solvers.joint.camera_smoothness import CameraSmoothness
 from mocap_ros.solvers.joint.lifted_pose import LiftedPoseTerm
@@ -162,7 +162,7 @@ class JointObjective:
         if not self.limits_accelerations:
             return self
         of_pose = measure_activity(state.theta, coarse, self.batch)
-        of_camera = measure_activity(measure_matrices(state.rotation, state.log_scale), coarse, self.batch)
+        of_camera = measure_activity(measure_directions(state.rotation), coarse, self.batch)
         terms: list[Term] = []
         for term in self.terms:
             if isinstance(term, PoseAcceleration):

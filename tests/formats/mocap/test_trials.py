@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -96,3 +97,20 @@ def test_missing_files_are_named(tmp_path: Path) -> None:
         load_trials(tmp_path / 'empty')
     with pytest.raises(InputError, match=r'none\.amc: no skeleton beside it'):
         load_trials(tmp_path / 'none.amc')
+
+
+def test_an_archive_may_hold_more_joints_than_the_model(tmp_path: Path, poses: np.ndarray) -> None:
+    names = ['nose', *CMU15.joints[::-1], 'ltoe']
+    motion = np.concatenate([poses[:, :1], poses[:, ::-1], poses[:, :1]], axis=1) @ Z_UP_TO_Y_UP.T * 1e3
+    arrays: dict[str, Any] = {'_joints': np.array(names), '99_01': motion}
+    np.savez(tmp_path / 'm.npz', **arrays)
+    (trial,) = load_trials(tmp_path / 'm.npz')
+    assert trial.poses == pytest.approx(poses, abs=1e-9)
+
+
+@pytest.mark.parametrize('names', [CMU15.joints[1:], (*CMU15.joints, CMU15.joints[0])])
+def test_an_archive_names_each_joint_of_the_model_once(tmp_path: Path, names: tuple[str, ...]) -> None:
+    arrays: dict[str, Any] = {'_joints': np.array(names), '99_01': np.zeros((5, len(names), 3))}
+    np.savez(tmp_path / 'm.npz', **arrays)
+    with pytest.raises(InputError, match='_joints must name'):
+        load_trials(tmp_path / 'm.npz')

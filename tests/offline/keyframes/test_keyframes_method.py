@@ -47,7 +47,7 @@ def test_a_projected_motion_is_reconstructed_with_and_without_outliers() -> None
     distance = np.linalg.norm(clean.result.joints.mean(axis=1) - truth.mean(axis=1), axis=-1)
     assert distance.mean() < 1.1 * 0.0852  # m, measured
     reprojection_error = np.linalg.norm(CAMERA.project(clean.result.joints) - keypoints[..., :2], axis=-1)
-    assert reprojection_error.mean() < 1.1 * 4.3  # px, measured
+    assert reprojection_error.mean() < 1.1 * 4.8  # px, measured
     assert reprojection_error.max() < 1.1 * 23.5  # px, measured
     assert np.ptp(CMU15.bone_lengths(clean.result.joints), axis=0).max() < 1e-6
     assert not clean.outliers.any()

@@ -148,7 +148,7 @@ def test_normal_matrix_is_that_of_the_residuals(
             change_velocity(objective.find_term(PoseAcceleration), moved.theta),
             change_velocity(
                 objective.find_term(CameraAcceleration),
-                (np.exp(moved.log_scale)[:, None, None] * moved.rotation[:, :2]).reshape(frames, 6),
+                moved.rotation[:, :2].reshape(frames, 6),
             ),
         ]
         return np.concatenate([p.ravel() for p in parts])

@@ -1,0 +1,111 @@
+"""Postures that motion capture hardly holds: bent over, crouching, kneeling, sitting on the heels, on all fours.
+
+    trunk: R_y(p)      thigh: (cos d sin a, +-sin d, -cos d cos a)      shank: the same with b and -d / 2
+
+p, a, b and d are angles in the body frame (x forward, y left, z up): p leans forward, a and b are 0 where the limb
+hangs down and positive where its end is in front, d spreads the knees. They change slowly over the history. A
+posture replaces the directions of the legs, and on all fours of the arms; trunk and head lean as a whole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap_ros.models.lifter_input import HISTORY_SLOTS_S
+from mocap_ros.training.body_parts import joint_indices
+from mocap_ros.training.random_arrays import Array, RandomArrays
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class _Posture:
+    """One kind of posture.
+
+    Attributes:
+        share: share of the examples.
+        trunk: degrees, range of the trunk's lean p.
+        thigh: degrees, range of the angle a.
+        shank: degrees, range of the angle b.
+        on_hands: whether the arms support the body.
+    """
+
+    share: float
+    trunk: Range
+    thigh: Range
+    shank: Range
+    on_hands: bool = False
+
+
+POSTURES = (
+    _Posture(0.02, trunk=(35, 110), thigh=(-20, 30), shank=(-35, 5)),  # bent over, knees nearly straight
+    _Posture(0.02, trunk=(0, 70), thigh=(50, 125), shank=(-55, 5)),  # crouching
+    _Posture(0.02, trunk=(-10, 35), thigh=(-20, 30), shank=(-105, -70)),  # kneeling upright
+    _Posture(0.015, trunk=(-10, 50), thigh=(55, 100), shank=(-110, -75)),  # sitting on the heels
+    _Posture(0.015, trunk=(55, 105), thigh=(-25, 35), shank=(-110, -70), on_hands=True),  # on all fours
+)
+SIDE_STD_RAD = 0.2  # rad, standard deviation of each component by which the two sides differ
+SPREAD_RANGE_RAD = (-0.1, 0.5)  # rad, by which knees are apart
+HANGING_ARMS_SHARE = 0.5  # share of the others whose arms keep their directions instead of leaning with the trunk
+MOVING_SHARE = 0.5  # share of the examples that move into or out of the posture
+RATE_STD_RAD_S = 0.5  # rad/s, standard deviation of the rate of each angle in these
+
+_TRUNK = joint_indices('head', 'neck', 'lshoulder', 'rshoulder', 'lhip', 'rhip')
+_ARMS = joint_indices('lelbow', 'lwrist', 'relbow', 'rwrist')
+
+
+def take_postures(vectors: Array, random: RandomArrays) -> Array:
+    """Return bone vectors (N, T, J, 3) in m of bodies that face +x, some of them in postures of `POSTURES`."""
+    number = np.searchsorted(np.cumsum([p.share for p in POSTURES]), random.rng.random(len(vectors)), side='right')
+    out = vectors.copy()
+    for i, posture in enumerate(POSTURES):
+        chosen = np.flatnonzero(number == i)
+        if len(chosen):
+            out[chosen] = _take_posture(vectors[chosen], posture, random)
+    return out
+
+
+def _take_posture(vectors: Array, posture: _Posture, random: RandomArrays) -> Array:
+    """Return the bone vectors (N, T, J, 3) with the angles of one posture."""
+    count = len(vectors)
+    out = vectors.copy()
+    lean = _draw_angles(count, posture.trunk, random)
+    out[:, :, _TRUNK] = _lean_forward(vectors[:, :, _TRUNK], lean)
+    leaning_arms = _lean_forward(vectors[:, :, _ARMS], lean)
+    hangs = random.chance(count, HANGING_ARMS_SHARE, axes=3)
+    out[:, :, _ARMS] = np.where(hangs, vectors[:, :, _ARMS], leaning_arms)
+    thigh, shank = (_draw_angles(count, angles, random) for angles in (posture.thigh, posture.shank))
+    spread = random.uniform(*SPREAD_RANGE_RAD, count, 1)
+    support = _draw_angles(count, (-25, 25), random)
+    for side, outwards in (('l', 1), ('r', -1)):
+        limbs: list[tuple[str, Array, Array]] = [
+            ('knee', thigh, spread),
+            ('ankle', shank, -np.float32(0.5) * spread),
+        ]
+        if posture.on_hands:
+            limbs += [('elbow', support, np.zeros_like(spread)), ('wrist', support, np.zeros_like(spread))]
+        for joint, angle, apart in limbs:
+            (index,) = joint_indices(side + joint)
+            length = np.linalg.norm(vectors[:, :, index], axis=-1, keepdims=True)
+            a = angle + SIDE_STD_RAD * random.normal(count, 1)
+            d = apart + SIDE_STD_RAD * random.normal(count, 1)
+            aside = np.broadcast_to(outwards * np.sin(d), a.shape)
+            direction = np.stack([np.cos(d) * np.sin(a), aside, -np.cos(d) * np.cos(a)], axis=-1)
+            out[:, :, index] = length * direction
+    return out
+
+
+def _draw_angles(count: int, degrees: Range, random: RandomArrays) -> Array:
+    """Return angles (N, T) in rad, the newest within a range in degrees."""
+    newest = np.radians(random.uniform(*degrees, count, 1))
+    rate = random.choose(count, MOVING_SHARE, RATE_STD_RAD_S, 0, axes=1) * random.normal(count, 1)
+    return np.asarray(newest - rate * HISTORY_SLOTS_S.astype(np.float32))
+
+
+def _lean_forward(vectors: Array, angle: Array) -> Array:
+    """Rotate vectors (N, T, M, 3) by angles (N, T) about y."""
+    c, s = np.cos(angle)[..., None], np.sin(angle)[..., None]
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.stack([c * x + s * z, y, c * z - s * x], axis=-1)

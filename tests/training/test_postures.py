@@ -1,0 +1,68 @@
+"""Synthetic postures: bones keep their lengths, and limbs point where the posture says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.lifter_input import HISTORY_SLOTS_S
+from mocap_ros.skeleton import CMU15
+from mocap_ros.training.body_parts import joint_indices
+from mocap_ros.training.postures import POSTURES, SIDE_STD_RAD, take_postures
+from mocap_ros.training.random_arrays import Array, RandomArrays
+
+EXAMPLES = 2000
+KNEELING = 2  # index in `POSTURES`
+ON_HANDS = 4
+
+
+@pytest.fixture(scope='module')
+def standing(walk_model: BasePoses) -> Array:
+    """Bone vectors of the same standing person in all examples."""
+    root = CMU15.parents.index(-1)
+    parents = [root if p < 0 else p for p in CMU15.parents]
+    vectors = (walk_model.mean - walk_model.mean[parents]).astype(np.float32)
+    return np.broadcast_to(vectors, (EXAMPLES, len(HISTORY_SLOTS_S), *vectors.shape)).copy()
+
+
+@pytest.fixture(scope='module')
+def taken(standing: Array) -> Array:
+    return take_postures(standing, RandomArrays(3))
+
+
+def find_shanks(vectors: Array) -> Array:
+    """Directions (N, 2, 3) of the shanks in the newest frame."""
+    shanks = vectors[:, 0, joint_indices('lankle', 'rankle')]
+    return np.asarray(shanks / np.linalg.norm(shanks, axis=-1, keepdims=True))
+
+
+def test_bones_keep_their_lengths(standing: Array, taken: Array) -> None:
+    assert np.linalg.norm(taken, axis=-1) == pytest.approx(np.linalg.norm(standing, axis=-1), abs=1e-5)
+
+
+def test_as_many_examples_as_stated_take_a_posture(standing: Array, taken: Array) -> None:
+    changed = (taken != standing).any(axis=(1, 2, 3))
+    expected = sum(p.share for p in POSTURES)
+    assert changed.mean() == pytest.approx(expected, abs=4 * np.sqrt(expected / EXAMPLES))
+
+
+def test_people_kneel_with_shanks_on_the_floor_behind_them(standing: Array, taken: Array) -> None:
+    shares = np.array([p.share for p in POSTURES])
+    assert POSTURES[KNEELING].shank[1] < -60
+    level = find_shanks(taken)[..., 2].mean(axis=1) > -np.sin(np.radians(35))
+    kneeling = level & (taken != standing).any(axis=(1, 2, 3))
+    low = shares[KNEELING:].sum()  # these and those who sit on their heels or are on all fours
+    assert kneeling.mean() == pytest.approx(low, abs=0.25 * low)
+    assert (find_shanks(taken[kneeling])[..., 0] < 0).mean() > 0.95, 'behind the knee'
+
+
+def test_arms_support_the_body_on_all_fours(standing: Array, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('mocap_ros.training.postures.POSTURES', (POSTURES[ON_HANDS],))
+    taken = take_postures(standing, RandomArrays(4))
+    fours = taken[(taken != standing).any(axis=(1, 2, 3))][:, 0]
+    trunk = fours[:, joint_indices('neck')[0]]
+    assert (trunk[:, 0] > 0.5 * np.linalg.norm(trunk, axis=1)).all(), 'leaning forward by more than 30 degrees'
+    arms = fours[:, joint_indices('lelbow', 'lwrist', 'relbow', 'rwrist')]
+    down = -arms[..., 2] / np.linalg.norm(arms, axis=-1)
+    assert np.median(down) > np.cos(np.radians(25) + SIDE_STD_RAD)
