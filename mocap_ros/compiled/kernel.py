@@ -105,7 +105,8 @@ def compile_kernels(warn: Callable[[str], object] = LOGGER.warning) -> Compilati
         missing = sum(not d._cache.is_stored(signature, d.targetctx) for d, signature in _pending)
         if missing:
             warn(
-                f'compiling {missing} functions, once after installation or an update; this takes one to two minutes'
+                f'compiling {missing} functions, once after installation or an update; '
+                'this takes one to two minutes'
             )
         for dispatcher, _ in _pending:  # a kernel that was declared before one cannot call it with other types
             dispatcher._can_compile = False

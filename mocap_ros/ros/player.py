@@ -138,8 +138,8 @@ class Player:
         while not any(p.get_subscription_count() for p in awaited):
             if time.monotonic() > deadline:
                 raise MocapError(
-                    f'nobody subscribed to {names} within {self._options.wait:g} s; a node that starts for the first time '
-                    'compiles its inner loops for one to two minutes before it listens'
+                    f'nobody subscribed to {names} within {self._options.wait:g} s; '
+                    'a node that starts for the first time compiles for one to two minutes before it listens'
                 )
             time.sleep(DISCOVERY_POLL_SECONDS)
         time.sleep(SETTLE_SECONDS)

@@ -33,7 +33,8 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
     size = 1 / solution.stature_ratio
     motion_filter = track.motion_filter
     if motion_filter is not None and motion_filter.stamps_ns[-1] == track.seen.stamps_ns[frame]:
-        joints, root = motion_filter.joints, motion_filter.centre
+        joints = motion_filter.joints
+        root = joints.sum(axis=0) / len(joints)
     else:
         joints, root = locate_joints(track, frame, model), solution.roots[frame] * size
     inferred = observed.weight[frame] == 0

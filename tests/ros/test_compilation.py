@@ -84,7 +84,7 @@ def test_a_cold_start_says_that_it_compiles_and_can_be_stopped_at_once(
     assert process.stderr is not None
     line = process.stderr.readline()
     assert 'compiling' in line
-    assert 'once after installation or an update; this may take a minute' in line
+    assert 'once after installation or an update; this takes one to two minutes' in line
     process.send_signal(by)
     _, log = process.communicate(timeout=TIMEOUT_S)
     assert (process.returncode, log) == (0, '')
