@@ -64,8 +64,8 @@ TURNING_SHARE = 0.3  # share of examples in which camera or person turns beyond 
 HEADING_RATE_STD = 0.4  # rad/s, standard deviation of the rate of the heading in these
 ELEVATION_RATE_STD = 0.1  # rad/s, standard deviation of the rate of the elevation in these
 # Degrees above the horizon: most cameras are on robots, tripods and walls and look slightly down.
-COMMON_ELEVATION_SHARE = 0.65  # share of the examples with such a camera
-COMMON_ELEVATION_DEG = (8, 9)  # degrees, mean and standard deviation of the elevation in these
+COMMON_ELEVATION_SHARE = 0.6  # share of the examples with such a camera
+COMMON_ELEVATION_DEG = (12, 14)  # degrees, mean and standard deviation of the elevation in these
 ELEVATION_RANGE_DEG = (-20, 45)  # degrees in the others; from a camera on the floor to one under the ceiling
 ROLL_STD_DEG = 7  # degrees, standard deviation; hand-held cameras and cameras that are not levelled
 
