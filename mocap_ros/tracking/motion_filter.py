@@ -10,9 +10,9 @@ the variance of the white noise of the reconstruction. From one frame to the nex
 and the position z of the new frame corrects them by the gains (P_xx, P_xv) / (P_xx + r).
 
 How much a person trembles depends on the detector, the camera and the joint, and how much a joint accelerates on
-the motion, so r and q are estimated from the last half second. The second and third differences of the positions,
-scaled to sums of squared coefficients of 6 and 20 (at uneven times they are divided differences), have the mean
-squares
+the motion, so r and q (of the centre r alone) are estimated from the last half second. The second and third
+differences of the positions, scaled to sums of squared coefficients of 6 and 20 (at uneven times they are divided
+differences), have the mean squares
 
     m_2 = 6 r + 2/3 q h^3,    m_3 = 20 r + q h^3
 
@@ -42,7 +42,7 @@ ACCELERATION_SHARE = 0.3
 MAX_RISE = 4.0  # mean squares; a single squared difference counts at most so much, for it may be an outlier
 MIN_DENSITY = 1.0  # m^2/s^3; half of a walker's limbs', so that the filter never falls far behind a moving joint
 MAX_DENSITY = 50.0  # m^2/s^3; of a kick
-MAX_CENTRE_DENSITY = 0.3  # m^2/s^3; of the centre of a body that walks; its depth trembles most of all
+CENTRE_DENSITY = 0.3  # m^2/s^3; of the centre of a body that walks, not estimated, for its depth trembles too much
 MIN_NOISE_M = 1e-4  # m; far below what is seen, keeps the gains defined
 INITIAL_NOISE_M = 0.02  # m; noise of the first frames, until it is estimated
 INITIAL_DENSITY = 0.3  # m^2/s^3, likewise
@@ -94,11 +94,6 @@ class MotionFilter:
         """(J, 3) m, filtered joints of the newest frame."""
         return np.asarray(self.state[_X, :-1] + self.state[_X, -1])
 
-    @property
-    def centre(self) -> Array:
-        """(3,) m, filtered mean of these joints."""
-        return np.asarray(self.state[_X, -1])
-
     def advance(self, stamp_ns: int, joints: Array) -> MotionFilter:
         """Return the filter after a newer frame.
 
@@ -107,18 +102,19 @@ class MotionFilter:
             joints: (J, 3) m, unfiltered. Where they are too far away for a person to have moved there, another
                 solution has been found, and the filter begins anew.
         """
-        if self._is_elsewhere(stamp_ns, joints):
+        points = _split(joints)
+        if self._is_elsewhere(stamp_ns, points[-1]):
             return MotionFilter.begin(stamp_ns, joints)
         stamps_ns = (*self.stamps_ns[1 - DIFFERENCE_FRAMES :], stamp_ns)
-        recent = np.concatenate([self.recent[1 - DIFFERENCE_FRAMES :], _split(joints)[None]])
+        recent = np.concatenate([self.recent[1 - DIFFERENCE_FRAMES :], points[None]])
         times = np.array([(s - stamp_ns) / NS_PER_S for s in stamps_ns])
         if times[-1] - times[-2] > MAX_STEP_S:
             stamps_ns, recent, times = stamps_ns[-2:], recent[-2:], times[-2:]
         return MotionFilter(stamps_ns, recent, advance_state(self.state, recent, times))
 
-    def _is_elsewhere(self, stamp_ns: int, joints: Array) -> bool:
-        """Return whether the centre of joints is farther away than a person moves and a depth trembles."""
-        old, new = self.centre.tolist(), (joints.sum(axis=0) / len(joints)).tolist()
+    def _is_elsewhere(self, stamp_ns: int, centre: Array) -> bool:
+        """Return whether a centre (3,) m is farther away than a person moves and a depth trembles."""
+        old, new = self.state[_X, -1].tolist(), centre.tolist()
         moved = MAX_SPEED_M_S * (stamp_ns - self.stamps_ns[-1]) / NS_PER_S
         return math.dist(old, new) > MAX_DEPTH_CHANGE * abs(old[2]) + moved
 
@@ -172,7 +168,7 @@ def advance_state(state: Array, recent: Array, times: Array) -> Array:
         _write_difference(times, third)
     for p in range(points):
         is_centre = p == points - 1
-        most = MAX_CENTRE_DENSITY if is_centre else MAX_DENSITY
+        least, most = (CENTRE_DENSITY, CENTRE_DENSITY) if is_centre else (MIN_DENSITY, MAX_DENSITY)
         fade = CENTRE_VELOCITY_FADE_PER_S if is_centre else VELOCITY_FADE_PER_S
         kept = math.exp(-fade * step)
         for c in range(3):
@@ -187,7 +183,7 @@ def advance_state(state: Array, recent: Array, times: Array) -> Array:
                 out[_THIRD, p, c] += forgotten * (min(b * b, MAX_RISE * old_b) - old_b)
             cubed = mean_step**3
             motion = (10 / 3 * out[_SECOND, p, c] - out[_THIRD, p, c]) / (11 / 9)  # q h^3, from both mean squares
-            motion = min(max(motion, MIN_DENSITY * cubed), most * cubed)
+            motion = min(max(motion, least * cubed), most * cubed)
             noise = max((out[_THIRD, p, c] - motion) / 20, MIN_NOISE_M**2)
             density = ACCELERATION_SHARE * motion / cubed
             pxx, pxv, pvv = state[_PXX, p, c], state[_PXV, p, c], state[_PVV, p, c]

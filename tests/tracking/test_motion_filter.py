@@ -44,7 +44,9 @@ def swing_joints(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return place + swing + times[:, None, None] * [1.0, 0, 0]
 
 
-def advance_plainly(state: np.ndarray, recent: np.ndarray, times: np.ndarray, most: float, b: float) -> np.ndarray:
+def advance_plainly(
+    state: np.ndarray, recent: np.ndarray, times: np.ndarray, limits: tuple[float, float], b: float
+) -> np.ndarray:
     """The formulas of the module for one coordinate: state (7,), recent (4,)."""
     x, v, pxx, pxv, pvv, second, third = state
     h = times[-1] - times[-2]
@@ -59,7 +61,7 @@ def advance_plainly(state: np.ndarray, recent: np.ndarray, times: np.ndarray, mo
     third += rate * (min(differences[1], module.MAX_RISE * third) - third)
     mean = (times[-1] - times[0]) / 3
     noise, motion = np.linalg.solve(np.array([[6, 2 / 3], [20, 1]]), np.array([second, third]))  # r and q h^3
-    motion = np.clip(motion, module.MIN_DENSITY * mean**3, most * mean**3)
+    motion = np.clip(motion, limits[0] * mean**3, limits[1] * mean**3)
     noise = max((third - motion) / 20, module.MIN_NOISE_M**2)
     q = module.ACCELERATION_SHARE * motion / mean**3
     f = np.array([[1, h], [0, np.exp(-b * h)]])
@@ -79,10 +81,10 @@ def test_a_step_is_that_of_the_formulas(rng: np.random.Generator) -> None:
     recent = rng.normal(0, 0.02, (4, 3, 3)) + state[0]
     found = advance_state(state, recent, times)
     for p, c in np.ndindex(3, 3):
-        most, fade = module.MAX_DENSITY, module.VELOCITY_FADE_PER_S
+        limits, fade = (module.MIN_DENSITY, module.MAX_DENSITY), module.VELOCITY_FADE_PER_S
         if p == 2:
-            most, fade = module.MAX_CENTRE_DENSITY, module.CENTRE_VELOCITY_FADE_PER_S
-        expected = advance_plainly(state[:, p, c], recent[:, p, c], times, most, fade)
+            limits, fade = (module.CENTRE_DENSITY, module.CENTRE_DENSITY), module.CENTRE_VELOCITY_FADE_PER_S
+        expected = advance_plainly(state[:, p, c], recent[:, p, c], times, limits, fade)
         assert found[:, p, c] == pytest.approx(expected, rel=1e-9)
 
 

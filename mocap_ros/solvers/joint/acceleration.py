@@ -17,6 +17,7 @@ exact points are left alone, and those of people at rest with points as detector
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -56,7 +57,7 @@ class Acceleration:
         frames = len(batch.times)
         return cls(weight, typical, batch.velocity_change, np.zeros(frames), np.ones(frames))
 
-    @property
+    @cached_property
     def factors(self) -> Array:
         """(N, 3) factors of the values of three neighbours that give what is squared."""
         limit = self.typical * self.noise_ratio**2
