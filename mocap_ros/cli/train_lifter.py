@@ -12,7 +12,7 @@ from mocap_ros.formats.text_files import guard_output
 from mocap_ros.models import model_file
 from mocap_ros.training.balance import balance_trials
 
-DEFAULT_STEPS = 20000  # optimiser steps with which the shipped lifter was trained
+DEFAULT_STEPS = 40000  # optimiser steps with which the shipped lifter was trained
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

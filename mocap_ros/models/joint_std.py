@@ -1,12 +1,15 @@
 """Standard deviation of each joint position.
 
-    with a lifter:     std_j = f_j |sigma_j|                             sigma_j: the lifter's standard deviations
-    without a lifter:  std_j = sqrt((f_j posterior_std_j)^2 + floor^2)
+    with a lifter, seen:      std_j = sqrt((f |sigma_j|)^2 + (n noise)^2)
+    with a lifter, inferred:  std_j = g |sigma_j|                    sigma_j: the lifter's standard deviations
+    without a lifter:         std_j = sqrt((h_j posterior_std_j)^2 + floor^2)
 
-The factors f_j are larger for inferred joints than for seen ones. They were chosen so that two thirds of the true
-errors are within the standard deviation (docs/tracker.md, "Standard deviations"): that of the lifter's seen joints
-on eight trials of people whom it was trained on, under three models of detectors; the others on CMU trials of
-subject 35 (walk), UJ, UB and 05, with the subject left out of training.
+The lifter knows which poses an image leaves uncertain, and the image noise, which the solver estimates, how well
+this detector sees this person. The factors were chosen so that two thirds of the true errors are within the
+standard deviation and 95 % within two (docs/tracker.md, "Standard deviations"): those with a lifter on 31 trials
+of training persons, with clean points and under three models of detectors, all limbs seen or an arm or a leg
+hidden; the factors h_j, which are larger for inferred joints than for seen ones, on CMU trials of subject 35
+(walk), UJ, UB and 05, with the subject left out of training.
 """
 
 from __future__ import annotations
@@ -16,44 +19,49 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOATS_1D, INPUT_1D, INPUT_2D, INPUT_BOOLS_1D, kernel
+from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, INPUT_1D, INPUT_2D, INPUT_BOOLS_1D, kernel
 
 Array = NDArray[np.float64]
 
-LIFTER_FACTOR_SEEN = 0.66  # 1, factor on the lifter's standard deviations of seen joints; tuned as described above
-LIFTER_FACTOR_INFERRED = 0.75  # 1, the same for inferred joints
+LIFTER_FACTOR_SEEN = 0.6  # 1, f: factor on the lifter's standard deviations of seen joints, tuned as described
+NOISE_FACTOR_SEEN = 1.6  # 1, n: factor on the image noise for seen joints, tuned likewise
+LIFTER_FACTOR_INFERRED = 0.75  # 1, g: as f for inferred joints, of which the image says little
 POSTERIOR_FACTOR_SEEN = 3.5  # 1, factor on the solver's posterior of seen joints; tuned as described above
 POSTERIOR_FACTOR_INFERRED = 5.6  # 1, the same for inferred joints
 POSTERIOR_FLOOR_M = 0.011  # m; the posterior does not know the poses that the base poses cannot represent
 
 
 def estimate_joint_std(
-    posterior_std: Array, inferred: NDArray[np.bool_], lifter_std: Array | None = None
+    posterior_std: Array, inferred: NDArray[np.bool_], lifter_std: Array | None = None, noise: float = 0.0
 ) -> Array:
     """Estimate the standard deviation in m of each joint position (J,), relative to the body's origin.
 
-    It rests on the lifter's standard deviations for the joints that the lifter estimated, because the lifter has
-    learned which poses an image leaves uncertain. For the others it rests on the solver's posterior.
+    It rests on the lifter's standard deviations and the image noise for the joints that the lifter estimated. For
+    the others it rests on the solver's posterior.
 
     Args:
         posterior_std: (J,) m, posterior standard deviation of each joint (`joint_std` of `JointReconstruction`).
         inferred: (J,) True for joints that were not seen.
         lifter_std: (J, 3) m, standard deviations of the joints' coordinates (`LiftedPoses.std`), NaN for frames
             that the lifter did not lift; None without a lifter.
+        noise: m, image noise at the body, as the solver estimated it.
     """
     if lifter_std is None:
         lifter_std = np.full((len(posterior_std), 3), np.nan)
-    return _estimate_joint_std(posterior_std, inferred, lifter_std)
+    return _estimate_joint_std(posterior_std, inferred, lifter_std, noise)
 
 
-@kernel(FLOATS_1D(INPUT_1D, INPUT_BOOLS_1D, INPUT_2D))
-def _estimate_joint_std(posterior_std: Array, inferred: NDArray[np.bool_], lifter_std: Array) -> Array:
+@kernel(FLOATS_1D(INPUT_1D, INPUT_BOOLS_1D, INPUT_2D, FLOAT))
+def _estimate_joint_std(
+    posterior_std: Array, inferred: NDArray[np.bool_], lifter_std: Array, noise: float
+) -> Array:
     """Compute `estimate_joint_std`, with NaN for joints that the lifter did not estimate."""
     out = np.empty(len(posterior_std))
     for j in range(len(out)):
         length = math.sqrt(lifter_std[j, 0] ** 2 + lifter_std[j, 1] ** 2 + lifter_std[j, 2] ** 2)
         if math.isfinite(length):
-            out[j] = (LIFTER_FACTOR_INFERRED if inferred[j] else LIFTER_FACTOR_SEEN) * length
+            seen = math.sqrt((LIFTER_FACTOR_SEEN * length) ** 2 + (NOISE_FACTOR_SEEN * noise) ** 2)
+            out[j] = LIFTER_FACTOR_INFERRED * length if inferred[j] else seen
         else:
             factor = POSTERIOR_FACTOR_INFERRED if inferred[j] else POSTERIOR_FACTOR_SEEN
             out[j] = math.sqrt((factor * posterior_std[j]) ** 2 + POSTERIOR_FLOOR_M**2)

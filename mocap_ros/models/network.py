@@ -2,7 +2,7 @@
 
     h_0 = relu(W_0 x + b_0),   h_(i+1) = h_i + relu(W'_i relu(W_i h_i + b_i) + b'_i),   y = W h + b
 
-For few inputs, the time goes into fetching the 1.4 million weights. They are therefore fetched as the 16 bits in
+For few inputs, the time goes into fetching the 2.8 million weights. They are therefore fetched as the 16 bits in
 which a lifter's file holds them, and only where the input that they belong to is not 0; relu makes half of the
 inputs 0. Neither changes the result.
 

@@ -42,9 +42,9 @@ class TrainingSettings:
         seed: seed of the examples, the initial weights and dropout.
     """
 
-    steps: int = 20000
+    steps: int = 40000
     batch: int = 256
-    width: int = 512
+    width: int = 768
     blocks: int = 2
     dropout: float = 0.0
     rate: float = 2e-3
@@ -151,7 +151,7 @@ def train_lifter(
     network = LifterNetwork(settings.width, settings.blocks, settings.dropout)
     averaged = LifterNetwork(settings.width, settings.blocks, 0.0).eval()
     averaged.load_state_dict(network.state_dict())
-    optimiser = torch.optim.AdamW(network.parameters(), lr=settings.rate, weight_decay=settings.decay)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=settings.rate, weight_decay=settings.decay, fused=True)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, settings.rate, settings.steps, pct_start=WARM_UP_SHARE
     )

@@ -31,3 +31,13 @@ def test_the_lifter_decides_where_it_lifted_the_frame() -> None:
     assert inferred == pytest.approx(joint_std.LIFTER_FACTOR_INFERRED * 0.07)
     assert inferred > seen, 'an inferred joint is less certain than a seen one with the same lifter_std'
     assert not_lifted == estimate_joint_std(POSTERIOR_STD, INFERRED)[2]
+
+
+def test_joints_are_less_certain_where_the_detector_sees_a_person_badly() -> None:
+    noise = 0.03
+    seen, inferred, not_lifted = estimate_joint_std(POSTERIOR_STD, INFERRED, LIFTER_STD, noise)
+    assert seen**2 == pytest.approx(
+        (joint_std.LIFTER_FACTOR_SEEN * 0.07) ** 2 + (joint_std.NOISE_FACTOR_SEEN * noise) ** 2
+    )
+    assert inferred == pytest.approx(joint_std.LIFTER_FACTOR_INFERRED * 0.07), 'the image says nothing of it'
+    assert not_lifted == estimate_joint_std(POSTERIOR_STD, INFERRED)[2], 'the posterior knows the noise'

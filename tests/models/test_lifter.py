@@ -194,7 +194,7 @@ def test_save_and_load(tmp_path: Path, shipped: Lifter) -> None:
     model_file.save_lifter(shipped, tmp_path / 'a.npz')
     model_file.save_lifter(shipped, tmp_path / 'b.npz')
     assert (tmp_path / 'a.npz').read_bytes() == (tmp_path / 'b.npz').read_bytes()
-    assert (tmp_path / 'a.npz').stat().st_size < 4 << 20
+    assert (tmp_path / 'a.npz').stat().st_size < 6 << 20
     loaded = model_file.load_lifter(tmp_path / 'a.npz')
     for layer, expected in zip(loaded.layers, shipped.layers, strict=True):
         assert all((a == b).all() for a, b in zip(layer, expected, strict=True))
