@@ -9,6 +9,7 @@ lifter were not trained on the tested people; the program trains them if they ar
     live        the tracker's newest frame
     swaps       swaps of left and right undone, and joints exchanged wrongly, in trials of 10 s and more
     oracles     the same errors without some of the detectors' errors: what is left to gain
+    own         base poses of the very person's other trials: given to the defaults, given alone, not given
     recordings  the recorded detections of `data/detections`, 12 joints of the limbs
     ghosts      people published who are not there
     pictures    best, median and worst sequence of all detectors, into docs/img/detectors
@@ -47,6 +48,7 @@ from experiments.detector_views import (
     list_views,
     make_view,
 )
+from experiments.own_base_poses import ALONE, NOT_GIVEN, OWN, measure_own_base_poses, summarise_own
 
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import Config, with_values
@@ -56,7 +58,7 @@ from mocap_ros.models.model_file import AUTO, LEARNED, load_base_pose_models, lo
 from mocap_ros.skeleton import CMU15
 
 WAYS = ('whole', 'live')
-SECTIONS = (*WAYS, 'swaps', 'oracles', 'recordings', 'ghosts', 'pictures')
+SECTIONS = (*WAYS, 'swaps', 'oracles', 'own', 'recordings', 'ghosts', 'pictures')
 QUICK_SECTIONS = (*WAYS, 'swaps', 'recordings')
 QUICK_FRAMES = 150  # frames, 5 s
 MAX_FRAMES = 600  # frames, 20 s
@@ -374,6 +376,15 @@ def run_oracles(run: Measurement) -> Records:
     return errors
 
 
+def run_own(run: Measurement) -> Records:
+    options = list_views(choose_trials(run.persons, 1), run.detectors, QUICK_FRAMES, run.seeds[:1])
+    errors = measure_own_base_poses(options, run.ways, run.models, run.config)
+    print('\n## Base poses of the very person: MPJPE, mm; the ratio is the geometric mean over the views\n')
+    header = ['detector', 'way', 'views', OWN, ALONE, NOT_GIVEN, 'own / pca']
+    print(common.format_table(header, summarise_own(errors)))
+    return errors
+
+
 def run_recordings(run: Measurement) -> Records:
     errors = measure_recordings(run)
     print_recordings(errors)
@@ -414,6 +425,7 @@ RUNS: Mapping[str, Callable[[Measurement], Any]] = {
     'errors': run_errors,
     'swaps': run_swaps,
     'oracles': run_oracles,
+    'own': run_own,
     'recordings': run_recordings,
     'ghosts': run_ghosts,
     'pictures': run_pictures,

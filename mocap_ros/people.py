@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 from mocap_ros.skeleton import CMU15
 
 Array = NDArray[np.float64]
+
+HIPS = CMU15.index('lhip'), CMU15.index('rhip')  # joints between which the root is
 
 
 class MotionKind(IntEnum):
@@ -42,6 +45,23 @@ class Motion:
         return ', '.join(w for w in words if w) + (f' of {self.cadence:.2f} Hz' if self.cadence > 0 else '')
 
 
+class CameraVertical(NamedTuple):
+    """What is known of the vertical of a camera, for outputs.
+
+    Attributes:
+        direction: (3,) unit vector upwards in the camera's optical frame.
+        std: rad, standard deviation of the direction.
+    """
+
+    direction: Array
+    std: float
+
+
+def _unknown(*shape: int) -> Array:
+    """Return an array of NaN, which says that a quantity is not known."""
+    return np.full(shape, np.nan)
+
+
 @dataclass(frozen=True, eq=False)
 class Person3D:
     """One reconstructed person in one frame.
@@ -59,6 +79,12 @@ class Person3D:
         scale_known: True if the focal length is known and not nominal.
         predicted: True if the person was not detected in this frame.
         tentative: True if the person has been seen too shortly to be sure that there is somebody.
+        velocity: (J, 3) m/s, velocity of each joint in the same frame as `joints`; NaN if unknown.
+        velocity_std: (J,) m/s, standard deviation of each joint's velocity; NaN if unknown.
+        root_covariance: (3, 3) m^2, covariance of `root`; NaN if unknown.
+        root_velocity_covariance: (3, 3) m^2/s^2, covariance of `root_velocity`; NaN if unknown.
+        age: s, time since the person was first seen; NaN if unknown.
+        unseen_for: s, time since the person was last seen; 0 if in this frame.
     """
 
     id: str
@@ -73,6 +99,12 @@ class Person3D:
     scale_known: bool
     predicted: bool
     tentative: bool = False
+    velocity: Array = field(default_factory=lambda: _unknown(len(CMU15.joints), 3))
+    velocity_std: Array = field(default_factory=lambda: _unknown(len(CMU15.joints)))
+    root_covariance: Array = field(default_factory=lambda: _unknown(3, 3))
+    root_velocity_covariance: Array = field(default_factory=lambda: _unknown(3, 3))
+    age: float = float('nan')
+    unseen_for: float = 0.0
 
     def __repr__(self) -> str:
         if self.predicted:
@@ -81,6 +113,16 @@ class Person3D:
             how = f'{(~self.inferred).sum()} of {len(self.inferred)} joints seen, residual {self.residual:.1f} px'
         how = f'tentative, {how}' if self.tentative else how
         return f'Person3D {self.id!r}: {self.joints.mean(axis=0)[2]:.1f} m away, {how}, {self.motion}'
+
+    @property
+    def root(self) -> Array:
+        """(3,) m, the place between the hips."""
+        return np.asarray((self.joints[HIPS[0]] + self.joints[HIPS[1]]) / 2)
+
+    @property
+    def root_velocity(self) -> Array:
+        """(3,) m/s, velocity of `root`; NaN if unknown."""
+        return np.asarray((self.velocity[HIPS[0]] + self.velocity[HIPS[1]]) / 2)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

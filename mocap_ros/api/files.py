@@ -28,25 +28,29 @@ def read(
     fps: float | None = None,
     image_size: tuple[int, int] | None = None,
     layout: str = '',
+    detector: str | Path | None = None,
 ) -> KeypointSequence:
-    """Read one person's keypoints from a sequence file, a bag, a folder of OpenPose files or COCO keypoints.
+    """Read one person's keypoints from a sequence file, a bag, OpenPose files, COCO keypoints, or a video.
 
     What was chosen and assumed is logged as warnings by the logger `mocap_ros`: the person, the messages that were
     left out, and an image size that no file states.
 
     Args:
         path: sequence file (`.npz`), bag of ROS 2 or ROS 1, folder of OpenPose's JSON, or COCO keypoints
-            (`.json`). A sequence file takes none of the other arguments.
+            (`.json`), or video. A sequence file takes none of the other arguments.
         person: id of the person; by default the person who is seen in most frames.
         topic: topic of the keypoints; needed only for a bag with several.
         fps: Hz, frame rate; needed for JSON, which has no times.
         image_size: (width, height) in px, where JSON does not state it.
         layout: name of the keypoint layout of JSON; by default the one with that number of keypoints.
+        detector: file of the model that finds the keypoints in a video: MediaPipe's pose landmarker (`.task`), or
+            RTMPose or MoveNet (`.onnx`); by default the one that comes with MediaPipe 0.10.14.
 
     Raises:
         InputError: the file has none of these formats, or its content or an argument is not valid; the error names
             the file and the place in it, or the argument.
         SkeletonError: no keypoint layout has the name given as `layout`.
+        ModelError: the detector cannot be used.
     """
     path = read_path('path', path)
     if fps is not None:
@@ -55,8 +59,10 @@ def read(
         image_size = check_image_size(image_size)
     if layout:
         name_argument('layout', lambda: keypoint_layout(layout))
+    model = None if detector is None else read_path('detector', detector)
     try:
-        sequence, lines = load_input(path, Video(fps, image_size, layout), NodeConfig(), person, topic)
+        video = Video(fps, image_size, layout, model)
+        sequence, lines = load_input(path, video, NodeConfig(), person, topic)
     except InputError as error:
         raise InputError(_name_arguments(str(error))) from None
     for line in lines:
@@ -68,8 +74,8 @@ def write(path: str | Path, result: PoseSequence | KeypointSequence) -> None:
     """Write a result in the format that the suffix of the path names, or keypoints as a sequence file.
 
     The formats of results are those of `mocap-ros reconstruct`: `.npz` and `.csv` (m, optical frame), `.mcap` (a
-    bag of messages), `.bvh` (cm, y up) and `.trc` (mm, y up). Keypoints are written as `.npz`, with the truth if
-    there is one.
+    bag of messages), `.bvh` (cm, y up), `.trc` (mm, y up), `.angles.csv` (degrees), and OpenSim's `.mot` and
+    `.osim`. Keypoints are written as `.npz`, with the truth if there is one.
 
     Args:
         path: the file, which is overwritten if it exists.
@@ -85,7 +91,7 @@ def write(path: str | Path, result: PoseSequence | KeypointSequence) -> None:
     if not isinstance(result, PoseSequence | KeypointSequence):
         raise InputError(f'result: {format_value(result)}, expected a PoseSequence or a KeypointSequence')
     suffixes = save_results.SUFFIXES if isinstance(result, PoseSequence) else ('.npz',)
-    if path.suffix not in suffixes:
+    if not path.name.endswith(suffixes):
         raise InputError(f'path: {path}: unknown file type; expected {", ".join(suffixes)}')
     with guard_output(path):
         if isinstance(result, PoseSequence):

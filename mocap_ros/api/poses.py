@@ -114,6 +114,16 @@ class PoseSequence:
         return self._cameras[1]
 
     @property
+    def vertical(self) -> Array:
+        """(F, 3) unit vectors upwards in the camera's optical frame; NaN where nothing is known."""
+        return self._reconstruction.result.vertical
+
+    @property
+    def vertical_std(self) -> Array:
+        """(F,) rad, standard deviations of the direction of `vertical`; NaN where nothing is known."""
+        return self._reconstruction.result.vertical_std
+
+    @property
     def is_scale_known(self) -> bool:
         """True if the focal length was given; False if it is nominal, and the distances with it."""
         return self._reconstruction.result.virtual_camera.intrinsics.is_focal_known

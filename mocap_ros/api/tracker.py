@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -82,6 +83,18 @@ class Tracker:
     def output_time_s(self) -> float:
         """Time in s of the frame whose people `update` last returned; with `tracker.lag`, of an older one."""
         return self._tracker.output_stamp_ns / NS_PER_S
+
+    @property
+    def vertical(self) -> Array | None:
+        """(3,) unit vector upwards in the camera's optical frame, as far as it is known now; None if it is not."""
+        known = self._tracker.vertical
+        return None if known is None else known.direction
+
+    @property
+    def vertical_std(self) -> float:
+        """Standard deviation of the direction of `vertical` in rad; NaN if it is not known."""
+        known = self._tracker.vertical
+        return math.nan if known is None else known.std
 
     def update(self, time_s: float, people: ArrayLike, *, ids: Sequence[str] | None = ()) -> list[Person3D]:
         """Track the people of the next frame.

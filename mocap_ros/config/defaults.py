@@ -170,10 +170,16 @@ class ClassifierConfig:
         2.0, 's, length of the newest section of the window, which is classified', low=0.3, high=20.0
     )
     walk_residual: float = define_parameter(
-        0.0175, 'largest RMS 2D residual of a walk, as a fraction of body height', low=0.0, high=1.0
+        0.0175,
+        'largest unexplained RMS movement of a joint in the image of a walk, as a fraction of body height',
+        low=0.0,
+        high=1.0,
     )
     run_residual: float = define_parameter(
-        0.021, 'largest RMS 2D residual of a run, as a fraction of body height', low=0.0, high=1.0
+        0.021,
+        'largest unexplained RMS movement of a joint in the image of a run, as a fraction of body height',
+        low=0.0,
+        high=1.0,
     )
     walk_cadence: float = define_parameter(0.5, 'Hz, smallest cadence of a walk (full cycles)', low=0.0, high=5.0)
     run_cadence: float = define_parameter(1.0, 'Hz, smallest cadence of a run (full cycles)', low=0.0, high=5.0)
@@ -229,6 +235,13 @@ class TrackerConfig:
     undo_swaps: bool = define_parameter(
         True, 'detect frames in which the detector exchanged left and right joints, and undo the exchange'
     )
+    vertical: str = define_parameter(
+        'auto',
+        'vertical of the camera, towards which lifted poses are turned: auto (found from how people stand and '
+        "walk), none, or the direction upwards in the camera's optical frame as three numbers, such as 0 -1 0 of "
+        'a level camera',
+        read_only=True,
+    )
     min_score: float = define_parameter(
         0.1, 'confidence score below which a keypoint counts as not seen', low=0.0, high=1.0
     )
@@ -237,6 +250,12 @@ class TrackerConfig:
     )
     forget_after: float = define_parameter(
         1.0, 's, time without a detection after which a person is forgotten', low=0.0, high=60.0
+    )
+    forget_all_after: float = define_parameter(
+        60.0,
+        's, time without anybody (at least forget_after) after which also the poses and names of earlier people '
+        'are forgotten, so that what follows does not depend on what came before',
+        low=0.0,
     )
     predict_for: float = define_parameter(
         0.5,
@@ -302,10 +321,48 @@ class NodeConfig:
     publish_tf: bool = define_parameter(
         False, 'publish people as frames on /tf, where CameraInfo gives a true scale', read_only=True
     )
+    publish_people: bool = define_parameter(
+        False, 'publish people_msgs/People on the topic people', read_only=True
+    )
+    publish_detections: bool = define_parameter(
+        False, 'publish vision_msgs/Detection3DArray on the topic detections', read_only=True
+    )
+    publish_obstacles: bool = define_parameter(
+        False, 'publish nav2_dynamic_msgs/ObstacleArray on the topic obstacles', read_only=True
+    )
+    publish_poses: bool = define_parameter(
+        False, 'publish geometry_msgs/PoseArray on the topic poses', read_only=True
+    )
+    publish_capsules: bool = define_parameter(
+        False,
+        'publish bodies as capsules, mocap_ros_msgs/BodyCapsulesArray, on the topic capsules',
+        read_only=True,
+    )
+    publish_collision_objects: bool = define_parameter(
+        False, 'publish moveit_msgs/CollisionObject of each person on the topic collision_object', read_only=True
+    )
     frame_prefix: str = define_parameter(
         '',
         'prefix of the names of the frames on /tf, which distinguishes the people of several cameras',
         read_only=True,
+    )
+    output_frame: str = define_parameter(
+        '',
+        'coordinate frame of the outputs, such as map or base_link; where the camera is in it comes from '
+        "node.camera_pose, else from /tf and /tf_static; empty: the camera's optical frame",
+        read_only=True,
+    )
+    camera_pose: str = define_parameter(
+        '',
+        'x y z in m and roll pitch yaw in rad of a camera that stands still in node.output_frame; with angles of '
+        '0 it looks along x with z up, and a positive pitch lowers its view; empty: from /tf',
+        read_only=True,
+    )
+    transform_tolerance: float = define_parameter(
+        0.1,
+        's, time by which an image may be later than the newest transform of the camera, which then holds',
+        low=0.0,
+        high=5.0,
     )
     marker_lifetime: float = define_parameter(
         0.5, 's, time for which a marker stays after the last message that holds it', low=0.0, high=60.0

@@ -1,5 +1,8 @@
 """Reconstruction of one person over a whole sequence at once, without a sliding window.
 
+With a lifter, either its lifted poses lead or the base poses do, whichever suits the person
+(`solvers.leading_prior`).
+
 A detector at times takes something else for a joint, for some frames on end and often at a good score. The
 solver's robust loss bears that, but the lifter does not. So with a lifter a sequence is solved twice: the points
 that the first solution does not explain are hidden from the lifter before the second one,
@@ -14,21 +17,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.config import Config, SolverConfig
+from mocap_ros.config import Config, SolverConfig, TrackerConfig
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.lifter import Lifter
 from mocap_ros.models.model_file import load_prior_lifter
+from mocap_ros.models.upward_direction import find_upward
 from mocap_ros.skeleton import Skeleton, estimate_stature
 from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.classification import choose_category
-from mocap_ros.solvers.observed_window import ObservedWindow, observe_sequence
+from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_well, let_base_poses_lead
+from mocap_ros.solvers.observed_window import RAY_FOCAL, ObservedWindow, observe_sequence
+from mocap_ros.solvers.vertical import AUTO, find_vertical, read_given_vertical, turn_towards_vertical
 from mocap_ros.solvers.window import Reconstruction, Window
 
 Array = NDArray[np.float64]
@@ -54,6 +61,8 @@ class SequenceResult:
         solution: weights, cameras and residuals in the images of the virtual cameras, before the body was scaled
             to `tracker.body_height`.
         virtual_camera: the virtual cameras of `solution`, one a frame, with the real camera's intrinsics.
+        vertical: (F, 3) unit vectors upwards in the real camera's optical frame; NaN where it is not known.
+        vertical_std: (F,) rad, standard deviations of these directions; NaN where they are not known.
     """
 
     joints: Array
@@ -62,6 +71,8 @@ class SequenceResult:
     category: str
     solution: Reconstruction
     virtual_camera: VirtualCamera
+    vertical: Array
+    vertical_std: Array
 
     def cameras_in_real_image(self) -> tuple[WeakPerspectiveCameras, Array]:
         """Return the weak-perspective cameras that show the body where the real camera shows it.
@@ -94,13 +105,14 @@ def reconstruct_sequence(
         intrinsics: intrinsics of the camera.
         model: base poses, or several by name. Of several, the most probable are chosen (`solvers.classification`);
             with a learned prior, those of all motions are used if present.
-        config: parameters of the solver; `min_score`, `undo_swaps`, `perspective` and `body_height` of `tracker`
-            apply.
+        config: parameters of the solver; `min_score`, `undo_swaps`, `perspective`, `vertical` and `body_height` of
+            `tracker` apply.
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
         InputError: No frame has four seen joints, or all seen points lie in one place.
         ModelError: The lifter that `solver.prior` names cannot be loaded.
+        ConfigError: The vertical that `tracker.vertical` gives is no unit vector.
     """
     models = {model.name: model} if isinstance(model, BasePoses) else model
     skeleton = next(iter(models.values())).skeleton
@@ -118,7 +130,7 @@ def reconstruct_window(
     Args:
         observed: the person's joints in F frames, not lifted yet.
         models: base poses by name, as in `reconstruct_sequence`.
-        config: parameters of the solver; `body_height` of `tracker` applies.
+        config: parameters of the solver; `body_height` and `vertical` of `tracker` apply.
 
     Returns:
         The motion in all frames, also before the first and after the last in which a joint was seen.
@@ -126,6 +138,7 @@ def reconstruct_window(
     Raises:
         InputError: No frame has four seen joints.
         ModelError: The lifter that `solver.prior` names cannot be loaded.
+        ConfigError: The vertical that `tracker.vertical` gives is no unit vector.
     """
     body_height = config.tracker.body_height
     models = {name: model.rescale(body_height / model.stature) for name, model in models.items()}
@@ -133,15 +146,19 @@ def reconstruct_window(
     lifter = load_prior_lifter(config.solver.prior, skeleton) if config.solver.method == 'joint' else None
     if lifter is None:
         category, solution = _solve(observed.build_solver_window(), models, config.solver)
+        vertical = None
     else:
         if ALL_MOTIONS in models:
             models = {ALL_MOTIONS: models[ALL_MOTIONS]}
-        category, solution = _solve_with_lifter(observed, lifter, models, config.solver)
+        observed, vertical = _lift(observed, lifter, config.tracker)
+        category, solution = _solve_with_lifter(observed, vertical, lifter, models, config)
     camera = observed.virtual_camera
     root = camera.root_positions(solution.cameras, solution.translation)
     joints = camera.to_real_camera(solution.joints) + root[:, None]
     joints *= body_height / estimate_stature(solution.joints, skeleton)
-    return SequenceResult(joints, observed.weight > 0, skeleton, category, solution, camera)
+    if vertical is None:
+        vertical = _choose_vertical(observed.times, find_upward(joints), config.tracker)
+    return SequenceResult(joints, observed.weight > 0, skeleton, category, solution, camera, *vertical)
 
 
 def find_frames_in_sight(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -183,17 +200,72 @@ def find_unexplained_points(error: Array, seen: NDArray[np.bool_]) -> NDArray[np
     return np.asarray(unexplained & (unexplained.sum(axis=1, keepdims=True) <= MAX_UNEXPLAINED_JOINTS))
 
 
+class _Verticals(NamedTuple):
+    """The vertical in each frame, as `SequenceResult` has it: (F, 3) and (F,) rad."""
+
+    direction: Array
+    std: Array
+
+
+def _choose_vertical(times: Array, upward: Array, config: TrackerConfig) -> _Verticals:
+    """Return the vertical in each frame as `tracker.vertical` says: given, found, or NaN.
+
+    Args:
+        times: (F,) s.
+        upward: (F, 3) directions upwards that the poses tell, in the real camera's optical frame.
+        config: parameters; `vertical` applies.
+    """
+    if config.vertical == AUTO:
+        return _Verticals(*find_vertical(times, upward))
+    given, frames = read_given_vertical(config), len(times)
+    if given is None:
+        return _Verticals(np.full((frames, 3), np.nan), np.full(frames, np.nan))
+    return _Verticals(np.tile(given.direction, (frames, 1)), np.full(frames, given.std))
+
+
+def _lift(
+    observed: ObservedWindow, lifter: Lifter, config: TrackerConfig, known: _Verticals | None = None
+) -> tuple[ObservedWindow, _Verticals]:
+    """Return a window with lifted poses that are turned towards the vertical, and the vertical.
+
+    Args:
+        observed: the person's joints in F frames, not lifted yet.
+        lifter: the lifter.
+        config: parameters; `vertical` applies.
+        known: the vertical, if it was found before.
+    """
+    lifted = lifter.lift(*observed.sample_unlifted_histories(), RAY_FOCAL)
+    camera, upward = observed.virtual_camera, find_upward(lifted.joints)
+    in_real_camera = camera.to_real_camera(upward[:, None])[:, 0]
+    vertical = known or _choose_vertical(observed.times, in_real_camera, config)
+    direction = camera.to_virtual_camera(vertical.direction[:, None])[:, 0]
+    return observed.append_lifted(turn_towards_vertical(lifted, upward, direction, vertical.std)), vertical
+
+
 def _solve_with_lifter(
-    observed: ObservedWindow, lifter: Lifter, models: Mapping[str, BasePoses], config: SolverConfig
+    observed: ObservedWindow,
+    vertical: _Verticals,
+    lifter: Lifter,
+    models: Mapping[str, BasePoses],
+    config: Config,
 ) -> tuple[str, Reconstruction]:
-    """Reconstruct with lifted poses, and again if there are points that the result does not explain."""
-    window = observed.lift(lifter).build_solver_window()
-    category, solution = _solve(window, models, config)
+    """Reconstruct with lifted poses, and again if there are points that the result does not explain.
+
+    Args:
+        observed: the person's joints in F frames, lifted.
+        vertical: the vertical towards which they were turned.
+        lifter: the lifter.
+        models: base poses by name.
+        config: all parameters.
+    """
+    window = observed.build_solver_window()
+    category, solution = _solve(window, models, config.solver)
     unexplained = find_unexplained_points(measure_errors(window, solution), window.weight > 0)
     if not unexplained.any():
         return category, solution
-    lifted = observed.exclude_points(unexplained).lift(lifter).lifted
-    return _solve(replace(observed, lifted=lifted).build_solver_window(), models, config)
+    without = replace(observed, lifted=None).exclude_points(unexplained)
+    again, _ = _lift(without, lifter, config.tracker, vertical)
+    return _solve(replace(observed, lifted=again.lifted).build_solver_window(), models, config.solver)
 
 
 def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> tuple[str, Reconstruction]:
@@ -209,4 +281,7 @@ def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig
     if config.method == 'alternation':
         return name, alternation.reconstruct(window, model, config)
     (solution,) = joint.solve_hypotheses([window], model, config)
-    return name, solution
+    if window.lifted is None or not can_base_poses_lead(name):
+        return name, solution
+    (led,) = joint.solve_hypotheses([window], model, let_base_poses_lead(config))
+    return name, led if explains_as_well(led.noise, solution.noise) else solution

@@ -12,12 +12,12 @@ different images the model could have explained. (A base pose has unit length ov
 image shows two thirds of them.) The residual alone would nearly always select the model of all motions.
 
 A window is periodic if, for the periodic model of a walk or a run (section 3.3), the RMS 2D residual is below a
-threshold, as in the paper, and the amplitude and the cadence of the motion are above theirs. With residuals and
-amplitudes as fractions of the stature,
+threshold, as in the paper, and the amplitude and the cadence of the motion are above theirs; residuals and
+amplitudes are fractions of the stature. With points of a real detector, most of the residual is the detector's
+error, whatever the motion. So where poses found without periodicity are at hand, their image y takes the place of
+the points, and the periodic motion, with the image x, must explain how y moves:
 
-    excess residual = (residual^2 - 2 noise^2)^(1/2)
-
-is compared with the threshold, since the image noise of two coordinates does not count against the motion.
+    excess residual = (mean_tj |d_tj - median_t d_tj|^2)^(1/2),    d_tj = x_tj - y_tj, each about its mean over j
 """
 
 from __future__ import annotations
@@ -42,9 +42,6 @@ PERIODIC_CATEGORIES = ('walk', 'run')
 OBSERVED_FRACTION = 2 / 3  # the image shows two of three coordinates
 # m; smallest noise under which models are compared: base poses represent an unseen person no better than that.
 MIN_COMPARISON_NOISE = 0.01
-# m; largest noise that is subtracted from a residual: a noise estimate above it, which would be as large as the
-# thresholds (1.75 % of 1.7 m), would make every motion periodic.
-MAX_SUBTRACTED_NOISE = 0.03
 PERIODIC_FIT_TOLERANCE = 1e-3  # relative decrease of the objective; a residual needs no closer minimum
 
 
@@ -137,8 +134,8 @@ class PeriodicFit:
     Attributes:
         category: `walk` or `run`, the one with the smaller residual.
         residual: RMS 2D residual as a fraction of the stature.
-        excess_residual: residual without the image noise as a fraction of the stature; equals `residual` if the
-            noise is unknown.
+        excess_residual: what the periodic motion leaves unexplained of the movement found without periodicity, as
+            a fraction of the stature (formula of the module); equals `residual` if no such movement is known.
         amplitude: RMS movement of a joint about its mean as a fraction of the stature.
         reconstruction: result under the periodic model, with the cadence.
     """
@@ -198,12 +195,23 @@ def _measure_periodic_fit(
     movement = result.theta - result.theta.mean(axis=0)
     amplitude = np.sqrt((movement**2).sum(axis=1).mean() / len(model.mean))
     residual = np.sqrt(np.nanmean((result.residual / result.cameras.scale) ** 2))
-    noise = 0.0 if initial is None else min(initial.noise, MAX_SUBTRACTED_NOISE)
-    excess = np.sqrt(max(residual**2 - 2 * noise**2, 0.0))
+    excess = residual if initial is None else _compare_movements(result, initial)
     stature = model.stature
     return PeriodicFit(
         name, float(residual) / stature, float(excess) / stature, float(amplitude) / stature, result
     )
+
+
+def _compare_movements(result: PeriodicReconstruction, estimated: EstimatedPoses) -> float:
+    """Return the RMS difference in m between the images of two motions, without what is constant in each joint."""
+    images = [
+        joints[..., :2] * (scale / estimated.scale)[:, None, None]
+        for joints, scale in ((result.joints, result.cameras.scale), (estimated.joints, estimated.scale))
+    ]
+    periodic, free = (image - image.mean(axis=1, keepdims=True) for image in images)
+    difference = periodic - free
+    difference -= np.median(difference, axis=0)
+    return float(np.sqrt((difference**2).sum(axis=-1).mean()))
 
 
 def is_periodic(fit: PeriodicFit, config: ClassifierConfig, threshold_factor: float = 1.0) -> bool:

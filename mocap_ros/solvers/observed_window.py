@@ -30,7 +30,7 @@ from mocap_ros.geometry.virtual_camera import VirtualCamera, solver_focal
 from mocap_ros.keypoints.association import measure_extent
 from mocap_ros.keypoints.left_right import BodySides, exchange_sides, find_swapped_parts
 from mocap_ros.keypoints.rays import convert_to_rays
-from mocap_ros.models.lifter import LiftedPoses, Lifter, concatenate_lifted
+from mocap_ros.models.lifter import LiftedPoses, concatenate_lifted
 from mocap_ros.models.lifter_input import (
     HISTORY_SLOTS_S,
     MAX_INTERPOLATION_GAP_S,
@@ -145,10 +145,6 @@ class ObservedWindow:
         before = [] if self.lifted is None else [self.lifted]
         all_lifted = concatenate_lifted([*before, in_real_camera])
         return ObservedWindow(self.times, self.rays, self.weight, self.virtual_camera, self.focal, all_lifted)
-
-    def lift(self, lifter: Lifter) -> ObservedWindow:
-        """Return the window with lifted poses of all frames."""
-        return self.append_lifted(lifter.lift(*self.sample_unlifted_histories(), RAY_FOCAL))
 
     def convert_to_initial_values(self, theta: Array, rotation: Array, roots: Array) -> InitialValues:
         """Return a state of the person in the real camera as initial values for a solver.

@@ -45,6 +45,7 @@ class DeferredWork:
         candidate_models: names of the models to check, in turn.
         max_check_interval_s: s, upper limit of the time between two checks of a track.
         frame_budget: elements, largest cost of the slices that follow a frame; one is done whatever it costs.
+        compares_leads: whether the leading prior (`solvers.leading_prior`) has a turn after the models.
     """
 
     def __init__(
@@ -53,9 +54,12 @@ class DeferredWork:
         candidate_models: tuple[str, ...],
         max_check_interval_s: float,
         frame_budget: int = FRAME_BUDGET,
+        *,
+        compares_leads: bool = False,
     ) -> None:
         self._checker = checker
         self._candidate_models = candidate_models
+        self._turns = len(candidate_models) + compares_leads
         self._max_check_interval_s = max_check_interval_s
         self._frame_budget = frame_budget
         self._run: _Run | None = None  # the latest run; only a cache, for `state.begun_work` determines it
@@ -98,8 +102,8 @@ class DeferredWork:
         """Return the state, with re-initialisations under all models due where the image noise has risen much."""
         restarted = []
         for track in state.newest_tracks:
-            stamp_ns, models = track.seen.stamps_ns[-1], len(self._candidate_models)
-            schedule = track.schedule.restart_if_noise_rose(track.solved.noise, stamp_ns, models)
+            stamp_ns = track.seen.stamps_ns[-1]
+            schedule = track.schedule.restart_if_noise_rose(track.solved.noise, stamp_ns, self._turns)
             if schedule is not track.schedule:
                 restarted.append(replace(track, schedule=schedule))
         return state.put_tracks(restarted)
@@ -139,15 +143,18 @@ class DeferredWork:
         return lambda now: replace(now, schedule=now.schedule.finish_classification(stamp_ns, classification))
 
     def _check(self, track: Track) -> Slices[Finding]:
-        """Check a track against the model whose turn it is.
+        """Check a track against the model whose turn it is, or compare the leading priors.
 
         The hypothesis is the track's own poses under that model. It is a solution from scratch if the model is the
         track's own, if the track is new, or after a rise of the image noise.
         """
         yield WINDOW_COST
-        schedule, count = track.schedule, len(self._candidate_models)
-        name = self._candidate_models[(schedule.check_count - 1) % count]
-        if schedule.is_from_scratch(track.seen.age_s) or name == track.solved.model_name:
+        schedule, count = track.schedule, self._turns
+        turn = (schedule.check_count - 1) % count
+        name = self._candidate_models[turn] if turn < len(self._candidate_models) else ''
+        if not name:
+            outcome = yield from self._checker.compare_leads(track)
+        elif schedule.is_from_scratch(track.seen.age_s) or name == track.solved.model_name:
             outcome = yield from self._checker.reinitialise(track, [name])
         else:
             outcome = yield from self._checker.compare_models(track, [name])

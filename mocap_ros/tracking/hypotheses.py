@@ -5,6 +5,9 @@ under the same image noise. A hypothesis replaces the track's solution if its va
 model must be lower by `EVIDENCE_MARGIN`. A check costs as much as several frames, so it is made in slices
 (`slices`), one or a few after each frame.
 
+Where there are lifted poses, the evidence does not tell which prior is to lead; the image noise does, with either
+in the lead (`leading_prior`).
+
 A check changes nothing: it returns the solution that the track, as it was at the beginning, has from now on.
 """
 
@@ -13,11 +16,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.config import Config
+from mocap_ros.config import Config, SolverConfig
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
@@ -39,6 +43,11 @@ from mocap_ros.solvers.joint.solver import (
     solve_stepwise,
     start_from_lifted_poses,
 )
+from mocap_ros.solvers.leading_prior import (
+    can_base_poses_lead,
+    explains_as_well,
+    let_base_poses_lead,
+)
 from mocap_ros.solvers.periodic.solver import EstimatedPoses
 from mocap_ros.solvers.window import InitialValues, Window, choose_initial_values
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
@@ -53,6 +62,9 @@ REINIT_MAX_ITERATIONS = 5  # steps of a solution from scratch; limits its time, 
 MAX_STARTS = 2  # cameras that `solve_hypotheses` starts from at most; lifted poses leave one
 REINIT_COMPONENTS = 20  # base poses of a solution from scratch; limits its time, the comparison uses all of them
 COMPARISON_MAX_ITERATIONS = 4  # steps that each hypothesis gets before its evidence is compared; limits the time
+SETTLING_ROUNDS = 3  # rounds of `COMPARISON_MAX_ITERATIONS` steps, each under the noise that the last one left
+MIN_LEAD_FRAMES = 6  # frames, one each `CHECK_STEP_S`; the noise of fewer says too little about the lead
+LEAD_SLACK = 1.1  # factor on the limits of base poses that lead already; keeps the lead from chattering
 ADOPTION_MAX_ITERATIONS = 3  # steps on all frames after a hypothesis of some of them was adopted; limits the time
 ADOPTION_STEP_S = 0.025  # s; of a faster stream one frame of each step is solved then, which limits a slice
 INITIAL_MAX_ITERATIONS = (
@@ -194,7 +206,7 @@ class HypothesisChecker:
         window = self._build_window(track, frames)
         window_without_start = replace(window, start=None, unit=None, noise=None)
         solver = replace(
-            self.config.solver,
+            self._choose_solver(track),
             max_iterations=REINIT_MAX_ITERATIONS,
             components=REINIT_COMPONENTS,
             noise_floor=MIN_COMPARISON_NOISE,
@@ -230,6 +242,47 @@ class HypothesisChecker:
                 hypotheses.append(Hypothesis(name, start, solution.noise))
         return (yield from self._choose_likeliest(track, frames, self._build_window(track, frames), hypotheses))
 
+    def compare_leads(self, track: Track) -> Slices[CheckOutcome]:
+        """Solve a track with either prior in the lead, from its own solution, and find out which is to lead.
+
+        Args:
+            track: a solved track.
+        """
+        own, frames = track.solved, self._select_check_frames(track)
+        kept = CheckOutcome(own, False, (own.model_name,), ())
+        if track.seen.observed.lifted is None or not can_base_poses_lead(own.model_name):
+            return kept
+        if len(frames) < MIN_LEAD_FRAMES:
+            return kept
+        name, window = own.model_name, self._build_window(track, frames)
+        led = yield from self._settle(window, name, self._lead(base_poses_lead=True))
+        by_lifter = yield from self._settle(window, name, self._lead(base_poses_lead=False))
+        slack = LEAD_SLACK if own.base_poses_lead else 1.0
+        base_poses_lead = explains_as_well(led.noise, by_lifter.noise, slack)
+        if base_poses_lead == own.base_poses_lead:
+            return kept
+        fit = led if base_poses_lead else by_lifter
+        solution = yield from self._adopt(track, frames, name, fit, base_poses_lead=base_poses_lead)
+        return CheckOutcome(solution, True, (name,), ())
+
+    def _settle(self, window: Window, model_name: str, solver: SolverConfig) -> Slices[JointReconstruction]:
+        """Return the solution of a window with initial values, after some rounds in which its noise settles."""
+        model, solver = self.models[model_name], replace(solver, max_iterations=COMPARISON_MAX_ITERATIONS)
+        cost = step_cost(len(window.times), len(model.std))
+        for _ in range(SETTLING_ROUNDS):
+            (fit,) = yield from do_in_slices(solve_stepwise([window], model, solver), cost)
+            window = replace(window, start=InitialValues(fit.theta, fit.cameras), noise=fit.noise)
+        return fit
+
+    def _lead(self, *, base_poses_lead: bool) -> SolverConfig:
+        """Return the parameters of the solver with one or the other prior in the lead."""
+        solver = self.config.solver
+        return let_base_poses_lead(solver) if base_poses_lead else solver
+
+    def _choose_solver(self, track: Track) -> SolverConfig:
+        """Return the parameters of the solver with the prior in the lead that leads in the track's solution."""
+        return self._lead(base_poses_lead=track.solved.base_poses_lead)
+
     def _build_window(self, track: Track, frames: NDArray[np.intp]) -> Window:
         """Return some frames of a solved track as the input of a solver."""
         return build_solver_window(track.seen, track.solved, frames)
@@ -254,7 +307,7 @@ class HypothesisChecker:
             raise ValueError(f'track {track.id}: the window has no initial values')
         hypotheses = [*others, Hypothesis(own.model_name, start, own.noise)]
         noise = min(h.noise for h in hypotheses)
-        solver = replace(self.config.solver, max_iterations=COMPARISON_MAX_ITERATIONS)
+        solver = replace(self._choose_solver(track), max_iterations=COMPARISON_MAX_ITERATIONS)
         fits = []
         for h in hypotheses:
             model, started = self.models[h.model_name], replace(window, start=h.start)
@@ -267,23 +320,33 @@ class HypothesisChecker:
         likeliest = int(np.argmin(np.add(evidence, handicaps)))
         if likeliest == len(others):
             return CheckOutcome(own, False, names, evidence)
-        solution = yield from self._adopt(track, frames, names[likeliest], fits[likeliest][1])
+        lead = own.base_poses_lead
+        solution = yield from self._adopt(
+            track, frames, names[likeliest], fits[likeliest][1], base_poses_lead=lead
+        )
         return CheckOutcome(solution, True, names, evidence)
 
     def _adopt(
-        self, track: Track, frames: NDArray[np.intp], model_name: str, reconstruction: JointReconstruction
+        self,
+        track: Track,
+        frames: NDArray[np.intp],
+        model_name: str,
+        reconstruction: JointReconstruction,
+        *,
+        base_poses_lead: bool,
     ) -> Slices[TrackSolution]:
         """Return the solution of a track that follows from a reconstruction of some of its frames, refined."""
         model, seen, earlier = self.models[model_name], track.seen, track.solved
         if earlier.model_name != model_name:
             earlier = earlier.change_model(self.models[earlier.model_name], model_name, model)
-        solution = TrackSolution.interpolate(reconstruction, seen.observed, frames, model_name, model, earlier)
-        solver = replace(self.config.solver, max_iterations=ADOPTION_MAX_ITERATIONS)
+        interpolate = partial(TrackSolution.interpolate, base_poses_lead=base_poses_lead)
+        solution = interpolate(reconstruction, seen.observed, frames, model_name, model, earlier)
+        solver = replace(self._lead(base_poses_lead=base_poses_lead), max_iterations=ADOPTION_MAX_ITERATIONS)
         frames = seen.select_frames(ADOPTION_STEP_S, self.config.tracker.window)
         window = build_solver_window(seen, solution, frames)
         refinement = solve_stepwise([window], model, solver)
         (refined,) = yield from do_in_slices(refinement, step_cost(len(frames), len(model.std)))
-        return TrackSolution.interpolate(refined, seen.observed, frames, model_name, model, solution)
+        return interpolate(refined, seen.observed, frames, model_name, model, solution)
 
     def classify_motion(self, track: Track) -> Slices[Classification | None]:
         """Classify the newest section of a track's window as periodic or not (TPAMI 2016, section 4.9).

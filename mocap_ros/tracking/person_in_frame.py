@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.joint_std import estimate_joint_std
-from mocap_ros.people import Motion, Person3D
+from mocap_ros.people import HIPS, Motion, Person3D
+from mocap_ros.tracking.joint_velocity import estimate_root_covariance, estimate_velocity
 from mocap_ros.tracking.track import Track
+from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
@@ -40,10 +42,13 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
     inferred = observed.weight[frame] == 0
     lifted_std = None if lifted is None else lifted.std[frame] * root[2]
     motion, category = classification.motion, classification.periodic_model_name or solution.model_name
+    std = estimate_joint_std(solution.joint_std * size, inferred, lifted_std, solution.noise * size)
+    velocity = estimate_velocity(track, frame, model)
+    place = (joints[HIPS[0]] + joints[HIPS[1]]) / 2
     return Person3D(
         id=track.id,
         joints=joints,
-        std=estimate_joint_std(solution.joint_std * size, inferred, lifted_std),
+        std=std,
         inferred=inferred,
         scale=float(intrinsics.focal / root[2]),
         rotation=solution.rotation[frame],
@@ -53,4 +58,11 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
         scale_known=intrinsics.is_focal_known,
         predicted=False,
         tentative=track.is_tentative,
+        velocity=velocity.joints,
+        velocity_std=velocity.std,
+        root_covariance=estimate_root_covariance(
+            place, float((std[HIPS[0]] + std[HIPS[1]]) / 2), is_focal_known=intrinsics.is_focal_known
+        ),
+        root_velocity_covariance=velocity.root_covariance,
+        age=(track.seen.stamps_ns[frame] - track.first_ns) / NS_PER_S,
     )

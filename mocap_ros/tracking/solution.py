@@ -39,6 +39,7 @@ class TrackSolution:
         joint_std: (J,) m, posterior standard deviations of the newest frame's joints; NaN if they are not known.
         residual: RMS reprojection error of the last solved frames as a fraction of the body's RMS radius.
         frame_residual: px, RMS reprojection error of the newest frame.
+        base_poses_lead: whether the base poses lead and not the lifted poses (`solvers.leading_prior`).
     """
 
     model_name: str
@@ -51,6 +52,7 @@ class TrackSolution:
     joint_std: Array
     residual: float
     frame_residual: float
+    base_poses_lead: bool = False
 
     def __post_init__(self) -> None:
         if len(self.bone_lengths) != len(self.theta):
@@ -64,6 +66,8 @@ class TrackSolution:
         model_name: str,
         model: BasePoses,
         earlier: TrackSolution | None,
+        *,
+        base_poses_lead: bool = False,
     ) -> TrackSolution:
         """Return a solution of all frames, interpolated between some that are solved.
 
@@ -75,6 +79,7 @@ class TrackSolution:
             model: these base poses.
             earlier: solution under the same model of the frames before the first of `frames`; None if there are
                 none.
+            base_poses_lead: whether the base poses led in the reconstruction.
         """
         camera = observed.virtual_camera
         solved_times = observed.times[frames]
@@ -93,7 +98,9 @@ class TrackSolution:
             roots = np.concatenate([earlier.roots[:first], roots])
             lengths = np.concatenate([earlier.bone_lengths[:first], lengths])
         states = (theta, rotation, roots, lengths)
-        return _make_solution(reconstruction, *states, reconstruction.noise, model_name, model)
+        return _make_solution(
+            reconstruction, *states, reconstruction.noise, model_name, model, base_poses_lead=base_poses_lead
+        )
 
     def refine(
         self,
@@ -129,6 +136,7 @@ class TrackSolution:
             math.sqrt(old_share * self.noise**2 + (1 - old_share) * reconstruction.noise**2),
             self.model_name,
             model,
+            base_poses_lead=self.base_poses_lead,
         )
 
     def append_states(self, theta: Array, rotation: Array, roots: Array, model: BasePoses) -> TrackSolution:
@@ -170,6 +178,7 @@ class TrackSolution:
             self.joint_std,
             self.residual,
             self.frame_residual,
+            self.base_poses_lead,
         )
 
     def change_camera(self, old: Intrinsics, new: Intrinsics) -> TrackSolution:
@@ -249,6 +258,8 @@ def _make_solution(
     noise: float,
     model_name: str,
     model: BasePoses,
+    *,
+    base_poses_lead: bool,
 ) -> TrackSolution:
     """Return the solution with these states, and with the fit of the reconstruction that ended them."""
     joint_std, newest = reconstruction.joint_std, reconstruction.joints[-1, :, :2].ravel()
@@ -268,6 +279,7 @@ def _make_solution(
         joint_std=joint_std,
         residual=rms_error / body_radius_px,
         frame_residual=float(reconstruction.residual[-1]),
+        base_poses_lead=base_poses_lead,
     )
 
 

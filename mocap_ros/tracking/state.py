@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
+from mocap_ros.solvers.vertical import Vertical
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.track import Track
 
@@ -45,12 +46,15 @@ class TrackerState:
         begun_work: the piece of deferred work that has begun and is not finished; None if there is none.
         pose_memory: key poses of people who were lost.
         name_count: number of names that the tracker has given to people without an id.
+        newest_person_ns: ns, stamp of the newest frame with a detection that can be used; None if there was none
+            since everybody was forgotten.
         backward_jump_s: s by which the stamp of the newest frame went back, so that tracking restarted; else 0.
         swapped_frames: number of frames so far in which a person's left and right were swapped back.
         unusable_people: number of detections so far with too few joints, with all of them in one place, or of a
             part of somebody who was detected besides.
         models: name and number of base poses of each of the tracker's models.
         is_lifted: whether the tracker has a lifter, so that the frames of the tracks hold lifted poses.
+        vertical: what is known of the camera's vertical; None if nothing is.
     """
 
     tracks: tuple[Track, ...] = ()
@@ -60,14 +64,19 @@ class TrackerState:
     begun_work: BegunWork | None = None
     pose_memory: KeyPoseMemory = field(default_factory=KeyPoseMemory)
     name_count: int = 0
+    newest_person_ns: int | None = None
     backward_jump_s: float = 0.0
     swapped_frames: int = 0
     unusable_people: int = 0
     models: tuple[tuple[str, int], ...] = ()
     is_lifted: bool = False
+    vertical: Vertical | None = None
 
     def forget_everybody(self) -> TrackerState:
-        """Return the state without people, names and stamps, but with models, counters and last output."""
+        """Return the state without people, names and stamps.
+
+        It keeps the models, the counters, the last output, and a vertical that was given.
+        """
         return TrackerState(
             output_stamp_ns=self.output_stamp_ns,
             backward_jump_s=self.backward_jump_s,
@@ -75,6 +84,7 @@ class TrackerState:
             unusable_people=self.unusable_people,
             models=self.models,
             is_lifted=self.is_lifted,
+            vertical=self.vertical and self.vertical.forget(),
         )
 
     @property

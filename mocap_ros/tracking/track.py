@@ -36,6 +36,7 @@ class Track:
         schedule: the checks of the solution that are due.
         is_tentative: whether the person has not been seen for long enough to be sure that there is somebody.
         motion_filter: filter of the output; None before the first output, or if nothing is filtered.
+        first_ns: ns, stamp of the frame in which the person was first seen.
     """
 
     id: str
@@ -44,6 +45,7 @@ class Track:
     schedule: CheckSchedule = field(default_factory=CheckSchedule)
     is_tentative: bool = False
     motion_filter: MotionFilter | None = None
+    first_ns: int = 0
 
     @property
     def solved(self) -> TrackSolution:
@@ -83,7 +85,7 @@ class Track:
             is_tentative: whether only later frames can tell that there is somebody.
         """
         seen = SeenFrames.begin(stamp_ns, detection, swap_filter, intrinsics, focal)
-        return Track(name, seen, is_tentative=is_tentative)
+        return Track(name, seen, is_tentative=is_tentative, first_ns=stamp_ns)
 
     def add_frame(self, stamp_ns: int, detection: Detection, window_s: float) -> Track:
         """Return the track with one more frame and without the frames that are too old.
@@ -102,26 +104,33 @@ class Track:
         if seen.is_relabelled:
             schedule = schedule.check_at(stamp_ns)
         is_tentative = self.is_tentative and not _is_seen_for_long(seen)
-        return Track(self.id, seen, solution, schedule, is_tentative, self.motion_filter)
+        return Track(self.id, seen, solution, schedule, is_tentative, self.motion_filter, self.first_ns)
 
     def append_lifted(self, lifted: LiftedPoses) -> Track:
         """Return the track with lifted poses of the frames that had none; see `ObservedWindow.append_lifted`."""
         seen = self.seen.append_lifted(lifted)
-        return Track(self.id, seen, self.solution, self.schedule, self.is_tentative, self.motion_filter)
+        return Track(
+            self.id, seen, self.solution, self.schedule, self.is_tentative, self.motion_filter, self.first_ns
+        )
 
     def refine(self, solution: TrackSolution) -> Track:
         """Return the track with a newer solution of all its frames."""
-        return Track(self.id, self.seen, solution, self.schedule, self.is_tentative, self.motion_filter)
+        return Track(
+            self.id, self.seen, solution, self.schedule, self.is_tentative, self.motion_filter, self.first_ns
+        )
 
     def filter_motion(self, stamp_ns: int, joints: Array) -> Track:
         """Return the track whose output goes on with the joints (J, 3) m of a frame, stamp in ns."""
         if self.motion_filter is None:
             motion_filter = MotionFilter.begin(stamp_ns, joints)
         elif stamp_ns > self.motion_filter.stamps_ns[-1]:
-            motion_filter = self.motion_filter.advance(stamp_ns, joints)
+            image_noise = self.solved.noise / self.solved.stature_ratio
+            motion_filter = self.motion_filter.advance(stamp_ns, joints, image_noise)
         else:  # with a lag, this frame was put out before
             return self
-        return Track(self.id, self.seen, self.solution, self.schedule, self.is_tentative, motion_filter)
+        return Track(
+            self.id, self.seen, self.solution, self.schedule, self.is_tentative, motion_filter, self.first_ns
+        )
 
     def begin_solution(self, solution: TrackSolution) -> Track:
         """Return the track with its first solution, which is checked soon."""

@@ -11,11 +11,13 @@ this way.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import Config
@@ -26,9 +28,13 @@ from mocap_ros.keypoints.left_right import BodySides, SwapFilter
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.model_file import load_prior_lifter
-from mocap_ros.people import Person3D
+from mocap_ros.models.upward_direction import find_upward
+from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.solvers.joint.solver import solve
+from mocap_ros.solvers.leading_prior import can_base_poses_lead, let_base_poses_lead
 from mocap_ros.solvers.observed_window import RAY_FOCAL
+from mocap_ros.solvers.vertical import NONE as NO_VERTICAL
+from mocap_ros.solvers.vertical import Vertical, read_given_vertical, turn_towards_vertical
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_LIFTER, DeferredWork
 from mocap_ros.tracking.detection import Detection
 from mocap_ros.tracking.hypotheses import HypothesisChecker
@@ -40,6 +46,8 @@ from mocap_ros.tracking.solver_input import build_refinement_window
 from mocap_ros.tracking.state import TrackerState
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
+
+Array = NDArray[np.float64]
 
 CHECK_INTERVAL_S = 0.5  # s; longest interval between checks without a lifter, where models take turns
 TENTATIVE_FORGET_S = 0.2  # s; a detector misses a person for a few frames, and a new one must not be new again
@@ -62,6 +70,7 @@ class Tracker:
 
     Raises:
         ModelError: The lifter that `solver.prior` names cannot be loaded.
+        ConfigError: The vertical that `tracker.vertical` gives is no unit vector.
 
     Attributes:
         config: all parameters.
@@ -88,11 +97,17 @@ class Tracker:
         default_interval_s = LIFTER_CHECK_INTERVAL_S if has_lifter else CHECK_INTERVAL_S
         max_interval_s = settings.hypothesis_check_interval or default_interval_s
         budget = FRAME_BUDGET if has_lifter else FRAME_BUDGET_WITHOUT_LIFTER
-        self._deferred_work = DeferredWork(self._checker, self._candidate_models, max_interval_s, budget)
+        compares_leads = has_lifter and any(map(can_base_poses_lead, self._candidate_models))
+        self._deferred_work = DeferredWork(
+            self._checker, self._candidate_models, max_interval_s, budget, compares_leads=compares_leads
+        )
         refinement = checked.solver if settings.lag < MIN_ACCELERATION_LAG_S else config.solver
-        self._refinement_config = replace(refinement, max_iterations=settings.iterations)
+        refinement = replace(refinement, max_iterations=settings.iterations)
+        self._refinement_configs = {False: refinement, True: let_base_poses_lead(refinement)}
+        self._limits_accelerations = refinement.pose_acceleration_weight > 0
         sizes = tuple((name, len(model.components)) for name, model in self.models.items())
-        self._state = TrackerState(models=sizes, is_lifted=has_lifter)
+        vertical = read_given_vertical(settings)
+        self._state = TrackerState(models=sizes, is_lifted=has_lifter, vertical=vertical)
 
     @property
     def backward_jump_s(self) -> float:
@@ -116,6 +131,12 @@ class Tracker:
         They had too few joints, or all of them in one place, or were part of somebody who was detected besides.
         """
         return self._state.unusable_people
+
+    @property
+    def vertical(self) -> CameraVertical | None:
+        """What is known of the camera's vertical; None if nothing is."""
+        known = self._state.vertical
+        return None if known is None else CameraVertical(known.direction, known.std)
 
     def snapshot(self) -> TrackerState:
         """Return the whole state, for `restore`; later updates do not change it."""
@@ -175,8 +196,9 @@ class Tracker:
         state = self._state.forget_everybody() if backward_jump_s > 0 else self._state
         state = self._change_camera(state, intrinsics)
         state = self._forget_lost_tracks(state, stamp_ns)
+        state = self._forget_all_after_absence(state, stamp_ns)
         state, tracks = self._add_detections(state, stamp_ns, detections, intrinsics)
-        tracks = self._lift_new_frames(tracks)
+        state, tracks = self._lift_new_frames(state, stamp_ns, tracks)
         tracks = self._initialise_tracks(tracks, state.pose_memory)
         tracks = self._refine_tracks(tracks)
         state = state.put_tracks(tracks)
@@ -189,6 +211,7 @@ class Tracker:
         self._state = replace(
             state,
             newest_stamp_ns=stamp_ns,
+            newest_person_ns=stamp_ns if detections else state.newest_person_ns,
             output_stamp_ns=output_stamp_ns,
             is_work_pending=True,
             backward_jump_s=backward_jump_s,
@@ -227,7 +250,11 @@ class Tracker:
         if all(t.seen.intrinsics == intrinsics for t in state.tracks):
             return state
         focal = solver_focal(intrinsics, self.config.tracker.perspective)
-        return replace(state, tracks=tuple(t.change_camera(intrinsics, focal) for t in state.tracks))
+        return replace(
+            state,
+            tracks=tuple(t.change_camera(intrinsics, focal) for t in state.tracks),
+            vertical=state.vertical and state.vertical.forget(),
+        )
 
     def _forget_lost_tracks(self, state: TrackerState, stamp_ns: int) -> TrackerState:
         """Return the state without tracks that were not detected for `tracker.forget_after`.
@@ -245,6 +272,19 @@ class Tracker:
             if not track.is_tentative:
                 memory = self._checker.remember_poses(memory, track)
         return replace(state, tracks=tuple(t for t in state.tracks if t not in lost), pose_memory=memory)
+
+    def _forget_all_after_absence(self, state: TrackerState, stamp_ns: int) -> TrackerState:
+        """Return the state of a new tracker, with the newest stamp, if nobody was there for long enough.
+
+        Poses and names of earlier people then have no influence on what follows, so a recording that is cut in
+        two after such an absence gives the same people as the whole.
+        """
+        settings = self.config.tracker
+        absence_s = max(settings.forget_all_after, settings.forget_after)
+        newest_ns = state.newest_person_ns
+        if newest_ns is None or stamp_ns - newest_ns <= absence_s * NS_PER_S:
+            return state
+        return replace(state.forget_everybody(), newest_stamp_ns=state.newest_stamp_ns)
 
     @staticmethod
     def _is_nobody(state: TrackerState, track: Track, stamp_ns: int) -> bool:
@@ -288,19 +328,57 @@ class Tracker:
             state = replace(state, tracks=kept, name_count=name_count)
         return state, tracks
 
-    def _lift_new_frames(self, tracks: list[Track]) -> list[Track]:
-        """Return the tracks with their new frames lifted, all in one batch, if there is a lifter."""
+    def _lift_new_frames(
+        self, state: TrackerState, stamp_ns: int, tracks: list[Track]
+    ) -> tuple[TrackerState, list[Track]]:
+        """Return the tracks with their new frames lifted, all in one batch, if there is a lifter.
+
+        The lifted poses are turned towards the vertical as it was known before; the state has it as it is known
+        now, stamp in ns.
+        """
         if self._lifter is None or not tracks:
-            return tracks
+            return state, tracks
         inputs = [t.seen.observed.sample_unlifted_histories() for t in tracks]
         points, weight = (np.concatenate(parts) for parts in zip(*inputs, strict=True))
         lifted = self._lifter.lift(points, weight, RAY_FOCAL)
-        out, first = [], 0
-        for track, (_, own_weight) in zip(tracks, inputs, strict=True):
-            last = first + len(own_weight)
-            out.append(track.append_lifted(lifted.select_frames(slice(first, last))))
-            first = last
-        return out
+        counts = [len(own_weight) for _, own_weight in inputs]
+        if self.config.tracker.vertical != NO_VERTICAL:
+            upward = find_upward(lifted.joints)
+            cameras = [t.seen.observed.virtual_camera.rotation for t in tracks]
+            if state.vertical is not None:
+                seen = np.repeat([camera @ state.vertical.direction for camera in cameras], counts, axis=0)
+                std = np.full(len(seen), state.vertical.std)
+                lifted = turn_towards_vertical(lifted, upward, seen, std)
+            state = self._update_vertical(state, stamp_ns, tracks, upward[np.cumsum(counts) - 1], cameras)
+        ends = np.cumsum(counts).tolist()
+        return state, [
+            track.append_lifted(lifted.select_frames(slice(end - count, end)))
+            for track, count, end in zip(tracks, counts, ends, strict=True)
+        ]
+
+    @staticmethod
+    def _update_vertical(
+        state: TrackerState, stamp_ns: int, tracks: Sequence[Track], upward: Array, cameras: Sequence[Array]
+    ) -> TrackerState:
+        """Return the state with what the newest poses of people who are not tentative tell of the vertical.
+
+        Args:
+            state: state before.
+            stamp_ns: ns, stamp of the newest frame.
+            tracks: P tracks of the people in it.
+            upward: (P, 3) directions upwards that their newest poses tell, in the axes of the virtual cameras.
+            cameras: P rotations (3, 3) from the real camera to the virtual cameras.
+        """
+        told = [
+            u @ camera
+            for track, u, camera in zip(tracks, upward, cameras, strict=True)
+            if not track.is_tentative and math.isfinite(u[0])
+        ]
+        if not told:
+            return state
+        if state.vertical is None:
+            return replace(state, vertical=Vertical.begin(stamp_ns, np.array(told)))
+        return replace(state, vertical=state.vertical.advance(stamp_ns, np.array(told)))
 
     def _initialise_tracks(self, tracks: Sequence[Track], memory: KeyPoseMemory) -> list[Track]:
         """Return the tracks with a first solution where there is none, all new people in one batch a model."""
@@ -310,20 +388,24 @@ class Tracker:
         return [started.get(t.id, t) for t in tracks]
 
     def _refine_tracks(self, tracks: Sequence[Track]) -> list[Track]:
-        """Return the tracks with their newest `tracker.refine_seconds` solved, all people of a model in one batch.
+        """Return the tracks with their newest `tracker.refine_seconds` solved.
 
-        The frame before them keeps its state, so the older part of a window does not change and costs no time.
+        All people of one model and one leading prior are a batch.
+
+        The frame before the refined ones keeps its state, so the older part of a window does not change and costs
+        no time.
         """
         refined = {t.id: t for t in tracks}
         unsolved = [t for t in tracks if t.has_unsolved_frame]
-        for name in {t.solved.model_name: None for t in unsolved}:
-            model, own_tracks = self.models[name], [t for t in unsolved if t.solved.model_name == name]
+        for name, lead in {(t.solved.model_name, t.solved.base_poses_lead): None for t in unsolved}:
+            model, config = self.models[name], self._refinement_configs[lead]
+            own_tracks = [t for t in unsolved if (t.solved.model_name, t.solved.base_poses_lead) == (name, lead)]
             parts = [self._select_refined_frames(t) for t in own_tracks]
             windows = [
                 build_refinement_window(t.seen, t.solved, model, *part)
                 for t, part in zip(own_tracks, parts, strict=True)
             ]
-            results = solve(windows, model, self._refinement_config)
+            results = solve(windows, model, config)
             for track, part, result in zip(own_tracks, parts, results, strict=True):
                 solution = track.solved.refine(result, track.seen.observed, *part, model)
                 refined[track.id] = track.refine(solution)
@@ -335,7 +417,7 @@ class Tracker:
         settings = self.config.tracker
         oldest_ns = stamps_ns[-1] - max(settings.refine_seconds, settings.lag) * NS_PER_S
         first = min(bisect_left(stamps_ns, oldest_ns), len(track.solved.theta))
-        fixed_frames = min(first, 1 if self._refinement_config.pose_acceleration_weight == 0 else 2)
+        fixed_frames = min(first, 2 if self._limits_accelerations else 1)
         return first - fixed_frames, fixed_frames
 
     def _choose_output(

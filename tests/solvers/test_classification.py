@@ -18,6 +18,7 @@ from mocap_ros.solvers.classification import (
     fit_periodic,
     is_periodic,
 )
+from mocap_ros.solvers.periodic.solver import EstimatedPoses
 from mocap_ros.solvers.window import Window
 from mocap_ros.training.base_poses import fit_base_poses
 from tests.support.evaluation_data import shared
@@ -97,3 +98,31 @@ def test_switch_has_hysteresis(walk_model: BasePoses) -> None:
     switch = PeriodicSwitch(config)
     decisions = [switch.update(fit_with_residual(s)) for s in (1.5, 1.02, 0.98, 0.85, 0.98, 1.05, 1.2, 1.05)]
     assert decisions == [False, False, False, True, True, True, False, False]
+
+
+def test_a_walk_is_periodic_whatever_the_detector_adds_to_all_frames_alike(walk_model: BasePoses) -> None:
+    theta, cameras, points, times = make_walk(walk_model, 60)
+    rng = np.random.default_rng(3)
+    offset = 12 * rng.normal(size=(1, *points.shape[1:]))  # px, 5 cm at the body, constant in each joint
+    poses = walk_model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2)
+    estimated = EstimatedPoses(poses, cameras.scale, 0.01)
+    window = Window(points + offset, np.ones(points.shape[:2]), times)
+    by_residual = fit_periodic(window, {'walk': walk_model}, QUICK)
+    by_movement = fit_periodic(window, {'walk': walk_model}, QUICK, estimated)
+    assert not is_periodic(by_residual, ClassifierConfig())
+    assert is_periodic(by_movement, ClassifierConfig())
+    assert by_movement.excess_residual < 0.5 * by_residual.excess_residual
+
+
+def test_what_a_periodic_motion_does_not_explain_counts(walk_model: BasePoses) -> None:
+    theta, cameras, points, times = make_walk(walk_model, 60)
+    estimates = []
+    for added in (0.0, 1.0):  # m, of a movement that is no cycle of the walk
+        moved = theta.copy()
+        moved[:, 1] += added * np.sin(times**2 * 4)
+        poses = walk_model.poses(moved) @ np.swapaxes(cameras.rotation, -1, -2)
+        window = Window(cameras.project(walk_model.poses(moved)), np.ones(points.shape[:2]), times)
+        fit = fit_periodic(window, {'walk': walk_model}, QUICK, EstimatedPoses(poses, cameras.scale, 0.01))
+        estimates.append(fit.excess_residual)
+    assert estimates[0] < 0.005
+    assert estimates[1] > 2 * ClassifierConfig().walk_residual

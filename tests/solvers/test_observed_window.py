@@ -15,7 +15,7 @@ from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
-from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.lifter_input import sample_histories
 from mocap_ros.models.model_file import load_shipped_lifter
 from mocap_ros.skeleton import CMU15
@@ -31,6 +31,11 @@ PLACE_M = np.array([1.5, -0.3, 4.0])  # m in the camera's frame: 20 degrees off 
 CONFIG = TrackerConfig()
 MIRROR = np.array(CMU15.mirror)
 SINGLE_CAMERA = pytest.mark.parametrize('single_camera', [False, True], ids=['camera a frame', 'one camera'])
+
+
+def lift(observed: ObservedWindow, lifter: Lifter) -> ObservedWindow:
+    """Return the window with lifted poses of all frames."""
+    return observed.append_lifted(lifter.lift(*observed.sample_unlifted_histories(), RAY_FOCAL))
 
 
 def make_person() -> tuple[Array, Array, Array]:
@@ -159,7 +164,7 @@ def test_a_nominal_focal_length_or_a_setting_selects_weak_perspective(perspectiv
 
 @SINGLE_CAMERA
 def test_selected_frames_are_seen_as_before(single_camera: bool) -> None:
-    observed = observe(single_camera).lift(load_shipped_lifter())
+    observed = lift(observe(single_camera), load_shipped_lifter())
     frames = np.array([3, 4, 20, 59])
     part, whole = observed.select_frames(frames).build_solver_window(), observed.build_solver_window()
     assert (part.points == whole.points[frames]).all()
@@ -186,7 +191,7 @@ def test_excluded_points_are_not_seen_and_the_others_stay() -> None:
 def test_lifted_poses_reach_the_solver_in_px_of_the_virtual_camera(single_camera: bool) -> None:
     observed, lifter = observe(single_camera), load_shipped_lifter()
     expected = lifter.lift_sequence(observed.points, observed.weight, observed.times, CAMERA.focal)
-    found = observed.lift(lifter).build_solver_window().lifted
+    found = lift(observed, lifter).build_solver_window().lifted
     assert found is not None
     assert found.joints == pytest.approx(expected.joints, abs=1e-3)  # px; the network computes in single precision
     assert found.std == pytest.approx(expected.std, rel=1e-4)
@@ -194,13 +199,13 @@ def test_lifted_poses_reach_the_solver_in_px_of_the_virtual_camera(single_camera
 
 def test_lifted_poses_of_new_frames_are_appended_while_the_camera_turns() -> None:
     lifter, whole = load_shipped_lifter(), observe(single_camera=True)
-    observed = whole.select_frames(slice(0, 50)).lift(lifter)
+    observed = lift(whole.select_frames(slice(0, 50)), lifter)
     turned = VirtualCamera.look_at_mean_position(whole.rays[40:], whole.weight[40:], CAMERA)
     extended = replace(whole, virtual_camera=turned, lifted=observed.lifted)
     points, weight = extended.sample_unlifted_histories()
     assert len(points) == len(weight) == FRAMES - 50
     extended = extended.append_lifted(lifter.lift(points, weight, RAY_FOCAL))
-    at_once = whole.lift(lifter)
+    at_once = lift(whole, lifter)
     assert extended.lifted is not None
     assert at_once.lifted is not None
     assert (extended.lifted.joints[:50] == at_once.lifted.joints[:50]).all()

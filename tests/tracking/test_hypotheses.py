@@ -88,6 +88,12 @@ def test_the_right_model_is_kept(track: Track, checker: HypothesisChecker) -> No
         assert outcome.minus_twice_log_evidence[1] < outcome.minus_twice_log_evidence[0]
 
 
+def test_without_lifted_poses_there_is_nothing_to_lead(track: Track, checker: HypothesisChecker) -> None:
+    outcome = finish_slices(checker.compare_leads(track))
+    assert not outcome.is_replaced
+    assert outcome.solution is track.solution
+
+
 @pytest.mark.parametrize(('std_ratio', 'is_replaced'), [(0.98, False), (0.93, True), (1.05, False)])
 def test_a_margin_keeps_the_choice_of_the_model(
     track: Track, checker: HypothesisChecker, std_ratio: float, is_replaced: bool

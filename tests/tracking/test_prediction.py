@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,10 +12,11 @@ from mocap_ros.config import Config, with_values
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.people import Person3D
+from mocap_ros.people import Motion, MotionKind, Person3D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.person_in_frame import make_person
-from mocap_ros.tracking.prediction import PREDICTION_STD_PER_S
+from mocap_ros.tracking.prediction import PREDICTION_STD_PER_S, predict_person
+from mocap_ros.tracking.schedule import Classification
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.synthetic_walk import make_walk
 
@@ -75,3 +79,34 @@ def test_a_person_who_walks_towards_the_camera_is_not_predicted_behind_it(walk_m
     assert predicted.joints == pytest.approx(last.joints)
     assert predicted.translation == pytest.approx(last.translation)
     assert predicted.scale == pytest.approx(last.scale)
+
+
+@pytest.mark.parametrize(('window_s', 'goes_on'), [(3.0, True), (0.8, False)])
+def test_a_gait_goes_on_during_a_gap_if_a_cycle_is_known(
+    walk_model: BasePoses, window_s: float, goes_on: bool
+) -> None:
+    cadence = 6 / (2 * np.pi)  # Hz of `make_walk`, whose cycle takes 1.05 s
+    last, gaps = 55, (4, 8, 15)  # frames
+    theta, cameras, _, _ = make_walk(walk_model, last + max(gaps) + 1)
+    config = with_values(Config(), {'solver.components': 8, 'tracker.window': window_s})
+    size = config.tracker.body_height / walk_model.stature
+    joints = walk_model.poses(theta) @ np.swapaxes(cameras.rotation[:1], -1, -2) * size + [0.0, 0.0, 4.0]
+    tracker = Tracker(walk_model, config)
+    for frame in range(last + 1):
+        seen = Person2D('', CMU15.joints, CAMERA.project(joints[frame]), np.ones(15))
+        tracker.update(frame * STEP_NS, [seen], CAMERA)
+    (track,) = tracker.snapshot().tracks
+    model = tracker.models[track.solved.model_name]
+
+    def measure_error(motion: Motion, gap: int) -> float:
+        """Return the mean error of the joints about their centre, m."""
+        schedule = replace(track.schedule, classification=Classification(motion, 'walk'))
+        pose = predict_person(replace(track, schedule=schedule), (last + gap) * STEP_NS, model).joints
+        truth = joints[last + gap]
+        difference = pose - pose.mean(axis=0) - truth + truth.mean(axis=0)
+        return float(np.linalg.norm(difference, axis=1).mean())
+
+    for gap in gaps:
+        periodic = measure_error(Motion(MotionKind.PERIODIC, 'walk', 0.0, cadence), gap)
+        other = measure_error(Motion(MotionKind.NON_PERIODIC, 'walk', 0.0, math.nan), gap)
+        assert periodic < 0.5 * other if goes_on else periodic == pytest.approx(other, abs=1e-9)

@@ -19,7 +19,9 @@ SEQUENCE = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
 FIRST_CAMERA = SEQUENCE.intrinsics(1.0)
 SECOND_CAMERA = Intrinsics(FIRST_CAMERA.focal * 1.3, (300.0, 260.0), is_focal_known=True)
 CAMERA_CHANGE, LAST = 70, 110  # frames
-EXPECTED_FIELDS = {'tracks', 'newest_stamp_ns', 'pose_memory', 'is_work_pending', 'name_count', 'swapped_frames'}
+EXPECTED_FIELDS = {
+    *('tracks', 'newest_stamp_ns', 'pose_memory', 'is_work_pending', 'name_count', 'swapped_frames', 'vertical')
+}
 
 
 def make_detection(frame: int, name: str, offset: float) -> Person2D:

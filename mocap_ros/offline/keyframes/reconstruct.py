@@ -18,6 +18,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.upward_direction import find_upward
 from mocap_ros.offline.keyframes.body_halves import estimate_torso_lengths, extract_half_poses, split_into_halves
 from mocap_ros.offline.keyframes.detector_offsets import estimate_joint_offsets, subtract_offsets
 from mocap_ros.offline.keyframes.filters import interpolate_gaps
@@ -43,6 +44,7 @@ from mocap_ros.offline.keyframes.taylor import DepthChoice
 from mocap_ros.offline.whole_sequence import SequenceResult, find_frames_in_sight
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import ObservedWindow
+from mocap_ros.solvers.vertical import find_vertical
 from mocap_ros.solvers.window import Reconstruction
 
 Array = NDArray[np.float64]
@@ -331,4 +333,5 @@ def _build_result(
     camera = observed.virtual_camera
     in_camera = camera.to_real_camera(joints) + camera.root_positions(cameras, translation)[:, None]
     in_camera[~in_sight] = np.nan
-    return SequenceResult(in_camera, seen, CMU15, category, solution, camera)
+    vertical = find_vertical(observed.times, find_upward(in_camera))
+    return SequenceResult(in_camera, seen, CMU15, category, solution, camera, *vertical)

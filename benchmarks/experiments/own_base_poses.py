@@ -1,0 +1,70 @@
+"""Errors with base poses of the very person: given to the defaults, given alone, and not given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import common
+import numpy as np
+
+from experiments.detector_errors import compute_errors, reconstruct
+from experiments.detector_views import ViewOptions, make_view
+from mocap_ros.config import Config, with_values
+from mocap_ros.models.base_poses import BasePoses
+
+OWN, ALONE, NOT_GIVEN = 'own base poses', 'own base poses, pca', 'base poses of all motions'
+MAX_TRIALS = 25  # trials of the person's base poses; more make them no better
+
+
+def train_own_base_poses(trial: str) -> BasePoses | None:
+    """Return base poses of the other trials of a trial's person and category; None if there are none."""
+    by_name = {t.name: t for t in common.list_trials()}
+    shown = by_name[trial]
+    others = [
+        name
+        for name, t in by_name.items()
+        if (t.subject, t.category) == (shown.subject, shown.category) and name != trial
+    ]
+    if not others:
+        return None
+    dropped = (trial, *others[MAX_TRIALS:])
+    return common.train_base_poses(shown.category, only_subjects=(shown.subject,), without_trials=dropped)
+
+
+def measure_own_base_poses(
+    options: Sequence[ViewOptions], ways: Sequence[str], models: Mapping[str, BasePoses], config: Config
+) -> list[dict[str, Any]]:
+    """Return one record for each view of a person with other trials, way, and base poses.
+
+    Args:
+        options: the views.
+        ways: `whole` and `live`, or one of them.
+        models: base poses of all motions, not trained on these people.
+        config: parameters, with the lifter.
+    """
+    records = []
+    for chosen in common.show_progress(options, 'own base poses'):
+        model = train_own_base_poses(chosen.trial)
+        if model is None:
+            continue
+        seen = make_view(chosen)
+        own: Mapping[str, BasePoses] = {'own': model}
+        alone = with_values(config, {'solver.prior': 'pca'})
+        for way in ways:
+            for given, poses, parameters in ((OWN, own, config), (ALONE, own, alone), (NOT_GIVEN, models, config)):
+                errors = compute_errors(seen, reconstruct(way, seen.view, poses, parameters))
+                records.append({**asdict(chosen), 'way': way, 'given': given, 'mpjpe_mm': errors['mpjpe_mm']})
+    return records
+
+
+def summarise_own(records: Sequence[Mapping[str, Any]]) -> list[list[object]]:
+    """Return the rows of a table: detector, way, views, mean errors, and the mean ratio to those of `pca`."""
+    rows: list[list[object]] = []
+    for detector, way in dict.fromkeys((r['detector'], r['way']) for r in records):
+        mine = [r for r in records if (r['detector'], r['way']) == (detector, way)]
+        error = {g: np.array([r['mpjpe_mm'] for r in mine if r['given'] == g]) for g in (OWN, ALONE, NOT_GIVEN)}
+        ratio = float(np.exp(np.mean(np.log(error[OWN] / error[ALONE]))))
+        rows.append([detector, way, len(error[OWN]), *(f'{e.mean():.1f}' for e in error.values()), f'{ratio:.2f}'])
+    return rows

@@ -1,0 +1,259 @@
+"""The vertical of a camera, and lifted poses turned towards it.
+
+How far a body leans along the line of sight hardly shows in its image, so lifted poses lean by several degrees
+to and fro, for as long as a detector's errors last. What all people of a camera share is the vertical. Each pose
+tells a direction upwards u (`models.upward_direction`), which is off by the lean of the lifted pose and by what
+the person does. The vertical v is the mean of these directions over all people and some time, robust and with weights
+that fade:
+
+    v_t = normalise(sum_i k_i u_i),    k_i = exp(-|t - t_i| / T) dt_i / (1 + (angle(u_i, v) / A)^2)
+    s_v = min(S sqrt(C / sum_i k_i), MAX_STD_DEG)
+
+with dt_i the time to the next frame; live, over the frames before t alone. Directions of one person within C are
+much the same, so that s_v is the standard deviation of as many means as the people have been seen for multiples
+of C.
+
+Each lifted pose y is then turned about the horizontal axis of its virtual camera, as the probabilities demand:
+
+    y' = R_x(g phi / (1 + (phi / B)^2)) y,    g = s_y^2 / (s_y^2 + s_u^2 + s_v^2)
+
+with phi the angle about that axis from u to v, s_y = KAPPA sigma_z / r the standard deviation of the lean of a
+lifted pose of radius r and depths of standard deviation sigma_z, and s_u that of the angle from u to the vertical
+in true poses. Turns about the line of sight and about the vertical are left to the image.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, FLOATS_3D, INPUT_1D, INPUT_2D, INPUT_3D, kernel
+from mocap_ros.config import TrackerConfig
+from mocap_ros.errors import ConfigError
+from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.units import NS_PER_S
+
+Array = NDArray[np.float64]
+
+AUTO, NONE = 'auto', 'none'  # values of `tracker.vertical` besides three numbers
+# Constants of the formulas above; angles in degrees. All were measured on training persons seen by the protocol's
+# detectors from elevations of 0 to 32 degrees (docs/solvers.md, "The vertical").
+MEMORY_S = 20.0  # s; T: long for people who turn about, short enough for a camera that is moved
+DIRECTION_STD_DEG = 8.0  # S: of the direction that a lifted pose tells
+CORRELATION_S = 4.0  # s; C: means over so long still differ by almost as much as those of single frames
+OUTLIER_DEG = 10.0  # A: who lies, sits or tumbles does not tell the vertical
+MAX_STD_DEG = 16.0  # of a vertical of which next to nothing is known
+LEAN_PER_DEPTH = 0.36  # 1; KAPPA: share of the depths' errors that is a lean of the whole body
+BALANCE_STD_DEG = 6.0  # s_u
+MAX_TURN_DEG = 20.0  # B: a larger angle is rather a person who does not stand
+GIVEN_STD_DEG = 1.0  # s_v of a vertical that is given: that of a spirit level or an accelerometer at rest
+MAX_STEP_S = 0.2  # s; longest time that one frame stands for
+ROBUST_ROUNDS = 4  # rounds of weights and means of a whole sequence; more change nothing
+UNIT_TOLERANCE = 0.01  # 1; difference of a given direction's length from 1 that rounding may cause
+
+
+@dataclass(frozen=True, eq=False)
+class Vertical:
+    """What is known of the vertical of a camera; it is immutable, and `advance` returns a new one.
+
+    Attributes:
+        direction: (3,) unit vector upwards in the camera's optical frame.
+        seconds: s, for how long people have been seen, those of long ago counting less; infinite where it is
+            given.
+        stamp_ns: ns, stamp of the newest frame that it rests on.
+    """
+
+    direction: Array
+    seconds: float
+    stamp_ns: int = 0
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the direction in rad."""
+        if math.isinf(self.seconds):
+            return math.radians(GIVEN_STD_DEG)
+        std_deg = DIRECTION_STD_DEG * math.sqrt(CORRELATION_S / max(self.seconds, 1e-9))
+        return math.radians(min(std_deg, MAX_STD_DEG))
+
+    @staticmethod
+    def begin(stamp_ns: int, upward: Array) -> Vertical:
+        """Return the vertical that the first poses tell; upward (P, 3), P >= 1, stamp in ns."""
+        total = upward.sum(axis=0)
+        return Vertical(total / max(float(np.linalg.norm(total)), 1e-9), 0.0, stamp_ns)
+
+    def advance(self, stamp_ns: int, upward: Array) -> Vertical:
+        """Return the vertical after another frame.
+
+        Args:
+            stamp_ns: ns, stamp of the frame, later than those before.
+            upward: (P, 3) directions upwards that the poses of P >= 0 people tell, in the camera's optical frame.
+        """
+        if math.isinf(self.seconds):
+            return self
+        age_s = (stamp_ns - self.stamp_ns) / NS_PER_S
+        kept = self.seconds * math.exp(-age_s / MEMORY_S)
+        direction, seconds = _advance(self.direction, kept, min(age_s, MAX_STEP_S), np.ascontiguousarray(upward))
+        return Vertical(direction, seconds, stamp_ns)
+
+    def forget(self) -> Vertical | None:
+        """Return what is left when the camera may have changed: a vertical that was given."""
+        return self if math.isinf(self.seconds) else None
+
+
+def read_given_vertical(config: TrackerConfig) -> Vertical | None:
+    """Return the vertical that `tracker.vertical` gives; None where it is to be found, or not to be used.
+
+    Raises:
+        ConfigError: The parameter is neither a word that it may be nor a unit vector of three numbers.
+    """
+    text = config.vertical
+    if text in (AUTO, NONE):
+        return None
+    try:
+        direction = np.array([float(word) for word in text.replace(',', ' ').split()])
+    except ValueError:
+        direction = np.empty(0)
+    if direction.shape != (3,) or not abs(float(np.linalg.norm(direction)) - 1) <= UNIT_TOLERANCE:
+        raise ConfigError(
+            f'tracker.vertical = {text!r}: expected auto, none, or a unit vector upwards in the optical frame of '
+            "the camera, such as '0 -1 0' of a level camera"
+        )
+    return Vertical(direction / np.linalg.norm(direction), math.inf)
+
+
+def turn_towards_vertical(lifted: LiftedPoses, upward: Array, vertical: Array, std: Array) -> LiftedPoses:
+    """Return lifted poses turned towards the vertical (formulas of this module).
+
+    Args:
+        lifted: poses of F frames in the axes of their virtual cameras; NaN where they are not known.
+        upward: (F, 3) directions upwards that these poses tell, in the same axes.
+        vertical: (F, 3) vertical in the same axes.
+        std: (F,) rad, standard deviation of the vertical.
+    """
+    joints = _turn(
+        np.ascontiguousarray(lifted.joints),
+        np.ascontiguousarray(lifted.std),
+        np.ascontiguousarray(upward),
+        np.ascontiguousarray(vertical),
+        np.ascontiguousarray(std),
+    )
+    return LiftedPoses(joints, lifted.std)
+
+
+def find_vertical(times: Array, upward: Array) -> tuple[Array, Array]:
+    """Return the vertical of a whole sequence, found from all its frames.
+
+    Args:
+        times: (F,) s, increasing.
+        upward: (F, 3) directions upwards that the poses of one person tell, in the optical frame of the camera;
+            NaN where there is no pose.
+
+    Returns:
+        (F, 3) unit vectors and (F,) rad, their standard deviations; NaN where no frame has a pose.
+    """
+    known = np.asarray(np.isfinite(upward).all(axis=1))
+    if not known.any():
+        return np.full(upward.shape, np.nan), np.full(len(times), np.nan)
+    steps = np.minimum(np.diff(times, append=times[-1]), MAX_STEP_S)
+    steps[-1] = steps[-2] if len(steps) > 1 else MAX_STEP_S
+    weight = np.where(known, np.maximum(steps, 1e-9), 0.0)
+    directions, seconds = _find(times, np.where(known[:, None], upward, 0.0), weight)
+    std_deg = DIRECTION_STD_DEG * np.sqrt(CORRELATION_S / np.maximum(seconds, 1e-9))
+    return directions, np.radians(np.minimum(std_deg, MAX_STD_DEG))
+
+
+@kernel(FLOAT(FLOATS_1D, INPUT_2D, types.int64))
+def _discount(direction: Array, upward: Array, row: int) -> float:
+    """Return 1 / (1 + (angle / A)^2) of the angle between a direction (3,) and a row of others (N, 3)."""
+    cosine = direction[0] * upward[row, 0] + direction[1] * upward[row, 1] + direction[2] * upward[row, 2]
+    angle = math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
+    return 1 / (1 + (angle / OUTLIER_DEG) ** 2)
+
+
+@kernel(types.Tuple((FLOATS_1D, FLOAT))(INPUT_1D, FLOAT, FLOAT, INPUT_2D))
+def _advance(direction: Array, kept: float, step: float, upward: Array) -> tuple[Array, float]:
+    """Return the new direction (3,) and its seconds.
+
+    Args:
+        direction: (3,) of the frame before.
+        kept: s, seconds that it counts for now.
+        step: s, time that the new frame stands for.
+        upward: (P, 3) directions of the new frame.
+    """
+    old, out, seconds = direction.copy(), kept * direction, kept
+    for p in range(len(upward)):
+        weight = step * _discount(old, upward, p)
+        if not weight >= 0:  # not known
+            continue
+        seconds += weight
+        for i in range(3):
+            out[i] += weight * upward[p, i]
+    norm = math.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
+    return (out / norm if norm > 0 else old), seconds
+
+
+@kernel(types.Tuple((FLOATS_2D, FLOATS_1D))(INPUT_1D, INPUT_2D, INPUT_1D))
+def _find(times: Array, upward: Array, weight: Array) -> tuple[Array, Array]:
+    """Return the directions (F, 3) and their seconds (F,) of a whole sequence.
+
+    Args:
+        times: (F,) s.
+        upward: (F, 3) directions that poses tell.
+        weight: (F,) s, time that each frame stands for; 0 where it tells nothing.
+    """
+    frames = len(times)
+    directions, seconds, robust = np.empty((frames, 3)), np.empty(frames), weight.copy()
+    total = np.zeros(4)
+    for _ in range(ROBUST_ROUNDS):
+        total[:] = 0.0
+        for t in range(frames):  # frames before t and itself
+            if t > 0:
+                total *= math.exp((times[t - 1] - times[t]) / MEMORY_S)
+            total[3] += robust[t]
+            for i in range(3):
+                total[i] += robust[t] * upward[t, i]
+                directions[t, i] = total[i]
+            seconds[t] = total[3]
+        total[:] = 0.0
+        for t in range(frames - 2, -1, -1):  # frames after t
+            total[3] += robust[t + 1]
+            for i in range(3):
+                total[i] += robust[t + 1] * upward[t + 1, i]
+            total *= math.exp((times[t] - times[t + 1]) / MEMORY_S)
+            for i in range(3):
+                directions[t, i] += total[i]
+            seconds[t] += total[3]
+        for t in range(frames):
+            norm = math.sqrt(directions[t, 0] ** 2 + directions[t, 1] ** 2 + directions[t, 2] ** 2)
+            for i in range(3):
+                directions[t, i] /= max(norm, 1e-300)
+            robust[t] = weight[t] * _discount(directions[t], upward, t)
+    return directions, seconds
+
+
+@kernel(FLOATS_3D(INPUT_3D, INPUT_3D, INPUT_2D, INPUT_2D, INPUT_1D))
+def _turn(joints: Array, std: Array, upward: Array, vertical: Array, vertical_std: Array) -> Array:
+    """Compute `turn_towards_vertical`: joints and std (F, J, 3), upward and vertical (F, 3), vertical_std (F,)."""
+    out = joints.copy()
+    count = joints.shape[1]
+    for t in range(len(joints)):
+        u, v = upward[t], vertical[t]
+        angle = math.atan2(u[1] * v[2] - u[2] * v[1], u[1] * v[1] + u[2] * v[2])
+        spread = radius = 0.0
+        for j in range(count):
+            spread += std[t, j, 2] ** 2
+            radius += joints[t, j, 1] ** 2 + joints[t, j, 2] ** 2
+        lean = LEAN_PER_DEPTH**2 * spread / max(radius, 1e-300)
+        share = lean / (lean + math.radians(BALANCE_STD_DEG) ** 2 + vertical_std[t] ** 2)
+        turn = share * angle / (1 + (angle / math.radians(MAX_TURN_DEG)) ** 2)
+        if not math.isfinite(turn):
+            continue
+        cosine, sine = math.cos(turn), math.sin(turn)
+        for j in range(count):
+            out[t, j, 1] = cosine * joints[t, j, 1] - sine * joints[t, j, 2]
+            out[t, j, 2] = sine * joints[t, j, 1] + cosine * joints[t, j, 2]
+    return out

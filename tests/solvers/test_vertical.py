@@ -1,0 +1,150 @@
+"""The vertical of a camera: what poses tell of it, what is given, and lifted poses turned towards it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mocap_ros.config import TrackerConfig
+from mocap_ros.errors import ConfigError
+from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.solvers import vertical as module
+from mocap_ros.solvers.vertical import Vertical, find_vertical, read_given_vertical, turn_towards_vertical
+
+UP = np.array([0.0, -math.cos(0.3), -math.sin(0.3)])  # of a camera that looks down by 17 degrees
+STEP_NS = 33_333_333  # ns; 30 frames per second
+
+
+def scatter(rng: np.random.Generator, count: int, std_deg: float, up: np.ndarray = UP) -> np.ndarray:
+    """(count, 3) directions about one."""
+    return Rotation.from_rotvec(np.radians(std_deg) * rng.normal(size=(count, 3))).apply(up)
+
+
+def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
+    return math.degrees(math.acos(float(np.clip(a @ b, -1, 1))))
+
+
+def advance(vertical: Vertical | None, upward: np.ndarray) -> Vertical:
+    """Frame by frame, upward (F, P, 3)."""
+    for told in upward:
+        if vertical is None:
+            vertical = Vertical.begin(STEP_NS, told)
+        else:
+            vertical = vertical.advance(vertical.stamp_ns + STEP_NS, told)
+    assert vertical is not None
+    return vertical
+
+
+def test_frames_of_several_people_tell_the_vertical_more_surely_than_those_of_one(
+    rng: np.random.Generator,
+) -> None:
+    upward = scatter(rng, 900, 8.0).reshape(300, 3, 3)
+    together, alone = advance(None, upward), advance(None, upward[:, :1])
+    assert angle_deg(together.direction, UP) < 2
+    assert 0 < together.std < alone.std < advance(None, upward[:3, :1]).std == math.radians(module.MAX_STD_DEG)
+
+
+def test_who_lies_does_not_tell_the_vertical(rng: np.random.Generator) -> None:
+    upright, lying = scatter(rng, 300, 4.0), scatter(rng, 300, 4.0, np.array([1.0, 0.0, 0.0]))
+    learned = advance(None, upright[:, None])
+    misled = advance(learned, lying[:100, None])
+    assert angle_deg(misled.direction, UP) < 3
+    both = np.concatenate([lying[:100], upright])
+    directions, _ = find_vertical(np.arange(400) / 30, both)
+    assert max(angle_deg(d, UP) for d in directions) < 3
+
+
+def test_a_camera_that_was_tilted_is_forgotten(rng: np.random.Generator) -> None:
+    tilted = np.array([0.0, -math.cos(0.6), -math.sin(0.6)])  # by 17 degrees more
+    before, after = scatter(rng, 600, 4.0), scatter(rng, 1800, 4.0, tilted)
+    assert angle_deg(advance(advance(None, before[:, None]), after[:, None]).direction, tilted) < 2
+    directions, _ = find_vertical(np.arange(2400) / 30, np.concatenate([before, after]))
+    assert angle_deg(directions[0], UP) < 9, 'half of the tilt: later frames count a little'
+    assert angle_deg(directions[-1], tilted) < 2
+
+
+def test_time_without_people_makes_it_less_certain(rng: np.random.Generator) -> None:
+    known = advance(None, scatter(rng, 600, 4.0)[:, None])
+    later = known.advance(known.stamp_ns + 30 * 10**9, scatter(rng, 1, 4.0))
+    assert later.std > known.std
+
+
+def test_whole_sequences_do_not_depend_on_the_direction_of_time(rng: np.random.Generator) -> None:
+    times = np.cumsum(rng.uniform(0.02, 0.05, 100))
+    upward = scatter(rng, 100, 6.0)
+    upward[10:20] = np.nan
+    steady = np.arange(100) / 30
+    forward, std = find_vertical(steady, upward)
+    backward, _ = find_vertical(steady, upward[::-1].copy())
+    assert forward == pytest.approx(backward[::-1], abs=1e-6)
+    assert np.isfinite(std).all()
+    assert np.isfinite(find_vertical(times, upward)[0]).all(), 'the vertical is known where the person is not'
+    unknown, unknown_std = find_vertical(times, np.full((100, 3), np.nan))
+    assert np.isnan(unknown).all()
+    assert np.isnan(unknown_std).all()
+    assert np.isfinite(find_vertical(times[:1], upward[:1])[0]).all(), 'one frame'
+
+
+def make_lifted(rng: np.random.Generator, frames: int, depth_std: float) -> LiftedPoses:
+    std = np.full((frames, 15, 3), 0.02)
+    std[..., 2] = depth_std
+    return LiftedPoses(rng.normal(scale=0.4, size=(frames, 15, 3)), std)
+
+
+def test_poses_are_turned_about_the_horizontal_axis_by_the_share_of_the_formula(rng: np.random.Generator) -> None:
+    lifted = make_lifted(rng, 4, 0.1)
+    upward = np.array([Rotation.from_rotvec([a, 0, 0]).apply(UP) for a in (-0.2, -0.01, 0.0, 0.05)])
+    turned = turn_towards_vertical(lifted, upward, np.tile(UP, (4, 1)), np.full(4, 0.03))
+    for pose, std, angle, result in zip(
+        lifted.joints, lifted.std, (0.2, 0.01, 0.0, -0.05), turned.joints, strict=True
+    ):
+        radius = math.sqrt((pose[:, 1:] ** 2).sum() / 15)
+        lean = module.LEAN_PER_DEPTH * math.sqrt((std[:, 2] ** 2).mean()) / radius
+        share = lean**2 / (lean**2 + math.radians(module.BALANCE_STD_DEG) ** 2 + 0.03**2)
+        turn = share * angle / (1 + (angle / math.radians(module.MAX_TURN_DEG)) ** 2)
+        assert result == pytest.approx(Rotation.from_rotvec([turn, 0, 0]).apply(pose), abs=1e-12)
+    assert turned.std is lifted.std
+
+
+def test_what_is_not_known_turns_nothing(rng: np.random.Generator) -> None:
+    lifted = make_lifted(rng, 2, 0.1)
+    up = np.tile(UP, (2, 1))
+    unknown = turn_towards_vertical(lifted, up, np.full((2, 3), np.nan), np.full(2, np.nan))
+    assert np.array_equal(unknown.joints, lifted.joints)
+    lost = LiftedPoses(np.full((2, 15, 3), np.nan), lifted.std)
+    assert np.isnan(turn_towards_vertical(lost, np.full((2, 3), np.nan), up, np.full(2, 0.1)).joints).all()
+
+
+def test_a_given_vertical_is_never_changed_by_what_people_do(rng: np.random.Generator) -> None:
+    given_vertical = read_given_vertical(TrackerConfig(vertical='0 -0.8, -0.6'))
+    assert given_vertical is not None
+    assert given_vertical.direction == pytest.approx([0, -0.8, -0.6])
+    assert given_vertical.std == pytest.approx(math.radians(module.GIVEN_STD_DEG))
+    assert given_vertical.advance(10**9, scatter(rng, 3, 5.0)) is given_vertical
+    assert given_vertical.forget() is given_vertical
+    assert advance(None, scatter(rng, 3, 5.0)[:, None]).forget() is None
+    assert read_given_vertical(TrackerConfig()) is None
+    assert read_given_vertical(TrackerConfig(vertical='none')) is None
+
+
+@pytest.mark.parametrize(
+    'text', ['', 'up', '0 -1', '0 -1 0 0', '0 0 0', '0 -9.81 0', 'nan 0 1', '0 inf 0', 'AUTO']
+)
+def test_a_vertical_that_is_no_unit_vector_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match=r'tracker\.vertical = '):
+        read_given_vertical(TrackerConfig(vertical=text))
+
+
+@given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=3, max_size=3))
+def test_no_direction_makes_the_vertical_unusable(direction: list[float]) -> None:
+    told = np.array([direction])
+    with np.errstate(all='ignore'):
+        vertical = Vertical.begin(1, np.array([UP])).advance(STEP_NS, told)
+        norm = float(np.linalg.norm(direction))
+    if abs(norm - 1) < 1e-6 or math.isnan(norm):
+        assert np.linalg.norm(vertical.direction) == pytest.approx(1)

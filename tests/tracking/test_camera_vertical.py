@@ -1,0 +1,115 @@
+"""The vertical of the camera in the tracker and in whole sequences: found, given, forgotten, and of use."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocap_ros.config import Config, with_values
+from mocap_ros.errors import ConfigError
+from mocap_ros.formats.sequence_file import load_sequence
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.models.model_file import load_base_pose_models
+from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence
+from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.units import NS_PER_S
+from tests.support.paths import ROOT
+
+SEQUENCE = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
+CAMERA = SEQUENCE.intrinsics(1.0)
+MODELS = load_base_pose_models('all')
+FRAMES = 60
+
+
+def make_tracker(**values: object) -> Tracker:
+    return Tracker(MODELS, with_values(Config(), {f'tracker.{k}': v for k, v in values.items()}))
+
+
+def feed(tracker: Tracker, first: int, last: int, camera: Intrinsics = CAMERA) -> list[np.ndarray]:
+    """Track some frames; the joints of the last person of each."""
+    out = []
+    for frame in range(first, last):
+        keypoints = np.nan_to_num(SEQUENCE.keypoints[frame])
+        person = Person2D('ann', SEQUENCE.joint_names, keypoints[:, :2], keypoints[:, 2])
+        out.append(tracker.update(round(frame * NS_PER_S / 30) + 1, [person], camera)[-1].joints)
+    return out
+
+
+def reconstruct(vertical: str, frames: int = FRAMES) -> SequenceResult:
+    keypoints = SEQUENCE.keypoints[:frames].astype(float)
+    config = with_values(Config(), {'tracker.vertical': vertical})
+    times = SEQUENCE.timestamps[:frames]
+    return reconstruct_sequence(keypoints, SEQUENCE.joint_names, times, CAMERA, MODELS, config)
+
+
+def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
+    return math.degrees(math.acos(float(np.clip(a @ b, -1, 1))))
+
+
+def test_it_is_found_from_certain_people_and_is_that_of_the_whole_sequence() -> None:
+    tracker = make_tracker()
+    feed(tracker, 0, 2)
+    tentative = tracker.vertical
+    assert tentative is None, 'a tentative person may be none'
+    feed(tracker, 2, 4)
+    early = tracker.vertical
+    feed(tracker, 4, FRAMES)
+    late, whole = tracker.vertical, reconstruct('auto')
+    assert early is not None
+    assert late is not None
+    assert late.std < early.std
+    assert np.linalg.norm(late.direction) == pytest.approx(1)
+    assert late.direction[1] < -0.9, 'y is down in the camera, which is nearly level'
+    assert angle_deg(late.direction, whole.vertical[-1]) < 3
+    assert late.std == pytest.approx(whole.vertical_std[-1], rel=0.2)
+
+
+def test_a_new_camera_or_a_restart_forgets_what_was_found() -> None:
+    tracker = make_tracker()
+    feed(tracker, 0, FRAMES)
+    known = tracker.vertical
+    feed(tracker, FRAMES, FRAMES + 1, replace(CAMERA, focal=1.3 * CAMERA.focal))
+    begun = tracker.vertical
+    assert known is not None
+    assert begun is not None
+    assert begun.std > known.std
+    tracker.reset()
+    assert tracker.vertical is None
+
+
+def test_a_given_vertical_stays_and_turns_people() -> None:
+    tilted = make_tracker(vertical='0 -0.9397 -0.3420')  # the camera looks down by 20 degrees, which is not true
+    plain = make_tracker(vertical='none')
+    joints = feed(tilted, 0, 30)[-1], feed(plain, 0, 30)[-1]
+    assert tilted.vertical is not None
+    assert tilted.vertical.direction == pytest.approx([0, -0.9397, -0.3420], abs=1e-3)
+    assert plain.vertical is None
+    trunks = [(j[1] - j[8]) / np.linalg.norm(j[1] - j[8]) for j in joints]  # neck less pelvis
+    assert trunks[0][2] < trunks[1][2] - 0.02, 'the upper body is nearer to the camera'
+    tilted.reset()
+    assert tilted.vertical is not None
+    with pytest.raises(ConfigError, match=r'tracker\.vertical'):
+        make_tracker(vertical='0 -2 0')
+
+
+def test_a_snapshot_holds_it() -> None:
+    tracker, other = make_tracker(), make_tracker()
+    feed(tracker, 0, 20)
+    other.restore(tracker.snapshot())
+    for own, others in zip(feed(tracker, 20, 40), feed(other, 20, 40), strict=True):
+        assert np.array_equal(own, others)
+    assert tracker.vertical is not None
+    assert other.vertical is not None
+    assert np.array_equal(tracker.vertical.direction, other.vertical.direction)
+
+
+def test_whole_sequences_say_what_was_given_or_that_nothing_is_known() -> None:
+    given, none = reconstruct('0 -1 0', 10), reconstruct('none', 10)
+    assert np.array_equal(given.vertical, np.tile([0.0, -1.0, 0.0], (10, 1)))
+    assert given.vertical_std == pytest.approx(np.full(10, math.radians(1)))
+    assert np.isnan(none.vertical).all()
+    assert np.isnan(none.vertical_std).all()

@@ -1,0 +1,109 @@
+"""Velocities of joints: of the motion filter, of a smooth solution, and in a gap; and how sure they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from mocap_ros.config import Config, with_values
+from mocap_ros.demo.scene import FOCAL_LENGTH_PX, IMAGE_SIZE, make_recording
+from mocap_ros.geometry.differences import MAX_STEP_S, central_velocity
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.models.model_file import load_base_pose_models
+from mocap_ros.people import HIPS, Person3D
+from mocap_ros.tracking.joint_velocity import HEIGHT_SHARE, estimate_root_covariance
+from mocap_ros.tracking.motion_filter import MotionFilter
+from mocap_ros.tracking.tracker import Tracker
+from tests.support.swinging_body import STANDING
+
+FRAMES = 75  # 2.5 s of the demo, in which the person walks
+FIRST = 30  # the first second, until the filter knows the tremble, is not judged
+STEP_NS = 33_333_333  # ns; 30 Hz
+IMAGE_NOISE_M = 0.01  # m at the body
+CAMERA = Intrinsics(FOCAL_LENGTH_PX, (IMAGE_SIZE[0] / 2, IMAGE_SIZE[1] / 2), is_focal_known=True)
+
+
+def track_demo(values: dict[str, object], frames: Sequence[int]) -> dict[int, Person3D]:
+    """Return the person of each frame that is put out; frames that are not listed show nobody."""
+    config = with_values(Config(), {'tracker.model': 'walk', **values})
+    tracker, sequence = Tracker(load_base_pose_models('walk'), config), make_recording().sequence()
+    found = {}
+    for frame in range(max(frames) + 1):
+        people = (sequence.person(frame, 'anna'),) if frame in frames else ()
+        for person in tracker.update(sequence.stamps_ns[frame], people, CAMERA):
+            found[sequence.stamps_ns.index(tracker.output_stamp_ns)] = person
+    return found
+
+
+def test_the_filter_finds_the_velocity_of_a_body_that_moves_steadily() -> None:
+    velocity, motion_filter = np.array([1.2, -0.3, 0.5]), MotionFilter.begin(0, STANDING)
+    for frame in range(1, 90):
+        motion_filter = motion_filter.advance(
+            frame * STEP_NS, STANDING + velocity * frame * STEP_NS / 1e9, IMAGE_NOISE_M
+        )
+    np.testing.assert_allclose(motion_filter.velocity, np.tile(velocity, (15, 1)), atol=0.02)
+    assert (motion_filter.velocity_variance > 0).all()
+
+
+def test_velocities_of_the_live_output_are_better_than_its_differences_and_as_good_as_they_say() -> None:
+    people, recording = track_demo({}, range(FRAMES)), make_recording()
+    truth = central_velocity(recording.timestamps, recording.truth)
+    frames = range(FIRST, FRAMES)
+    errors, differences, std = [], [], []
+    for frame in frames:
+        errors.append(np.linalg.norm(people[frame].velocity - truth[frame], axis=1))
+        difference = (people[frame].joints - people[frame - 1].joints) / (STEP_NS / 1e9)
+        differences.append(np.linalg.norm(difference - truth[frame], axis=1))
+        std.append(people[frame].velocity_std)
+        assert people[frame].age == pytest.approx(frame * STEP_NS / 1e9, abs=1e-6)
+        assert people[frame].unseen_for == 0
+    assert np.sqrt(np.mean(np.square(errors))) < 0.9 * np.sqrt(np.mean(np.square(differences)))
+    assert 0.5 < np.mean(np.array(errors) < np.array(std)) < 0.97
+    for person in (people[f] for f in frames):
+        assert (np.linalg.eigvalsh(person.root_velocity_covariance) > 0).all()
+
+
+def test_with_a_lag_velocities_are_those_of_the_smooth_solution_without_deviations() -> None:
+    people, recording = track_demo({'tracker.lag': 0.2}, range(FRAMES)), make_recording()
+    truth = central_velocity(recording.timestamps, recording.truth)
+    errors = [np.linalg.norm(p.velocity - truth[f], axis=1) for f, p in people.items() if f >= FIRST]
+    assert np.sqrt(np.mean(np.square(errors))) < 0.7 * np.sqrt((truth[FIRST:FRAMES] ** 2).sum(axis=-1).mean())
+    assert all(np.isnan(p.velocity_std).all() for p in people.values())
+
+
+def test_in_a_gap_the_velocity_is_that_of_the_prediction_and_less_sure_every_frame() -> None:
+    gap = (FRAMES - 5, FRAMES - 1)
+    people = track_demo({}, [*range(gap[0]), FRAMES])
+    last, first = people[gap[0] - 1], people[gap[0]]
+    moved = (people[gap[1]].root - first.root) / ((gap[1] - gap[0]) * STEP_NS / 1e9)
+    np.testing.assert_allclose(first.root_velocity, moved, atol=0.5)  # the gait goes on about the root
+    for n, frame in enumerate(range(gap[0], FRAMES), 1):
+        person = people[frame]
+        assert person.predicted
+        assert person.unseen_for == pytest.approx(n * STEP_NS / 1e9, abs=1e-6)
+        assert (person.velocity_std > last.velocity_std).all()
+        assert np.trace(person.root_covariance) > np.trace(people[frame - 1].root_covariance)
+    assert people[FRAMES].unseen_for == 0
+    assert people[FRAMES].age == pytest.approx(FRAMES * STEP_NS / 1e9, abs=1e-6)
+
+
+def test_differences_are_unknown_at_both_ends_and_beside_gaps() -> None:
+    times = np.array([0.0, 0.1, 0.2, 0.3 + MAX_STEP_S, 0.4 + MAX_STEP_S, 0.5 + MAX_STEP_S])
+    points = np.stack([times**2, times, np.ones(6)], axis=-1)[:, None]
+    velocity = central_velocity(times, points)[:, 0]
+    assert np.isfinite(velocity).all(axis=1).tolist() == [False, True, False, False, True, False]
+    np.testing.assert_allclose(velocity[[1, 4]], [[2 * t, 1, 0] for t in times[[1, 4]]], atol=1e-12)
+    assert np.isnan(central_velocity(times[:2], points[:2])).all()
+
+
+def test_the_place_of_a_body_is_least_sure_along_the_line_of_sight() -> None:
+    root = np.array([1.0, -0.5, 4.0])
+    covariance = estimate_root_covariance(root, 0.06, is_focal_known=True)
+    variances, axes = np.linalg.eigh(covariance)
+    across = 0.06**2 / 3
+    np.testing.assert_allclose(variances, [across, across, across + HEIGHT_SHARE**2 * root @ root], rtol=1e-9)
+    assert abs(axes[:, 2] @ root) == pytest.approx(np.linalg.norm(root))
+    assert np.trace(estimate_root_covariance(root, 0.06, is_focal_known=False)) > 4 * np.trace(covariance)
+    assert len(HIPS) == 2
