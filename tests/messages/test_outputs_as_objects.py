@@ -11,13 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from mocap_ros.geometry.rigid_transform import RigidTransform
+from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cameras import encode_cameras
 from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.markers import MarkerEncoder
 from mocap_ros.messages.point_cloud import encode_points
 from mocap_ros.messages.skeletons import encode_skeletons
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
-from mocap_ros.people import Motion, MotionKind, Person3D
+from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D
 from tests.support.message_objects import (
     encode_cameras_slowly,
     encode_markers_slowly,
@@ -47,6 +49,12 @@ def make_person(draw: st.DrawFn) -> Person3D:
         residual=rng.uniform(0, 9),
         scale_known=draw(st.booleans()),
         predicted=draw(st.booleans()),
+        velocity=rng.normal(size=(15, 3)),
+        velocity_std=rng.uniform(0.1, 1, 15),
+        root_covariance=rng.normal(size=(3, 3)),
+        root_velocity_covariance=rng.normal(size=(3, 3)),
+        age=rng.uniform(0, 9),
+        unseen_for=rng.uniform(0, 1),
     )
 
 
@@ -59,6 +67,11 @@ def make_people(draw: st.DrawFn) -> list[Person3D]:
 @given(header=HEADERS, people=make_people())
 def test_skeletons_cameras_and_points(header: Header, people: list[Person3D]) -> None:
     assert encode_skeletons(header, people) == encode_skeletons_slowly(header, people)
+    vertical = CameraVertical(np.array([0.1, -0.9, -0.4]), 0.05)
+    assert encode_skeletons(header, people, vertical) == encode_skeletons_slowly(header, people, vertical)
+    pose = RigidTransform.from_numbers((1.5, -2.0, 0.25, 0.6, 0.0, -0.8, 0.0))
+    raw = encode_skeletons(header, people, vertical, CameraPlacement('optical', pose))
+    assert raw == encode_skeletons_slowly(header, people, vertical, CameraPlacement('optical', pose))
     assert encode_cameras(header, people) == encode_cameras_slowly(header, people)
     assert encode_points(header, people) == encode_points_slowly(header, people)
 

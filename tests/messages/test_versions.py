@@ -135,3 +135,21 @@ def test_skeletons_recorded_before_there_was_a_flag_for_tentative_people_are_of_
     header = Header(7, 'camera')
     recorded = to_old(encode_skeletons(header, flagged))
     assert VersionConverter(old, typestore(), SKELETONS)(recorded) == encode_skeletons(header, people)
+
+
+def test_skeletons_recorded_before_the_vertical_was_published_have_none() -> None:
+    old = get_typestore(Stores.EMPTY)
+    text, _ = typestore().generate_msgdef(SKELETONS, ros_version=2)
+    for line in ('geometry_msgs/Vector3 vertical\n', 'float32 vertical_std\n'):
+        assert line in text
+        text = text.replace(line, '')
+    for part in text.split('=' * 80 + '\n'):
+        first, _, rest = part.partition('\n')
+        is_nested = first.startswith('MSG: ')
+        name = first.removeprefix('MSG: ').replace('/', '/msg/') if is_nested else SKELETONS
+        old.register(get_types_from_msg(rest if is_nested else part, name))
+    people, header = [make_person_3d('a')], Header(7, 'camera')
+    recorded = VersionConverter(typestore(), old, SKELETONS)(encode_skeletons(header, people))
+    message = decode(VersionConverter(old, typestore(), SKELETONS)(recorded), SKELETONS)
+    assert [message.vertical.x, message.vertical.y, message.vertical.z] == [0, 0, 0]
+    assert message.people[0].id == 'a'

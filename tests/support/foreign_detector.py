@@ -1,7 +1,8 @@
 """A detector that publishes YOLO or ROS4HRI messages; run as a program, with the foreign packages on its path.
 
-Its arguments are `yolo` or `hri`, and `tf` if it is to wait for transforms and print their frames as JSON. Its
-standard input is JSON: for each frame its stamp in ns, and for each person the (x, y, score) of each joint.
+Its arguments are `yolo` or `hri`, `tf` if it is to wait for transforms and print their frames as JSON, and `map`
+if it is to say where the camera is in the frame map, by a latched transform and one that moves. Its standard input
+is JSON: for each frame its stamp in ns, and for each person the (x, y, score) of each joint.
 """
 
 import json
@@ -11,7 +12,9 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
+from geometry_msgs.msg import TransformStamped
 from hri_msgs.msg import IdsList, Skeleton2D
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 from yolo_msgs.msg import Detection, DetectionArray, KeyPoint2D
 
@@ -21,7 +24,15 @@ kind, frames = sys.argv[1], json.loads(sys.stdin.read())
 rclpy.init()
 node = rclpy.create_node('detector')
 transforms: list[Any] = []
-node.create_subscription(TFMessage, '/tf', transforms.append, 1000)
+
+
+def keep_people(message: Any) -> None:
+    """Keep the transforms of people, and not those of the camera that this program publishes itself."""
+    if all(t.child_frame_id != 'base' for t in message.transforms):
+        transforms.append(message)
+
+
+node.create_subscription(TFMessage, '/tf', keep_people, 1000)
 
 
 def wait_until(condition: Callable[[], object]) -> None:
@@ -35,6 +46,28 @@ def with_header(message: Any, stamp_ns: int) -> Any:
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
     message.header.frame_id = 'camera'
     return message
+
+
+def make_transform(parent: str, child: str, stamp_ns: int, x: float) -> Any:
+    transform = TransformStamped(child_frame_id=child)
+    transform.header.stamp.sec, transform.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    transform.header.frame_id = parent
+    transform.transform.translation.x = x
+    return transform
+
+
+def publish_camera() -> None:
+    """Publish a base that moves along x at 1 m/s, and a camera 0.5 m ahead on it."""
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    static = node.create_publisher(TFMessage, '/tf_static', latched)
+    static.publish(TFMessage(transforms=[make_transform('base', 'camera', 0, 0.5)]))
+    moving = node.create_publisher(TFMessage, '/tf', 100)
+    wait_until(
+        lambda: static.get_subscription_count() and moving.get_subscription_count() > 1
+    )  # and this node's own
+    for stamp_ns in range(0, frames[-1][0] + 10**8, 5 * 10**7):
+        moving.publish(TFMessage(transforms=[make_transform('map', 'base', stamp_ns, stamp_ns / 1e9)]))
+    time.sleep(0.5)
 
 
 def publish_yolo() -> None:
@@ -74,6 +107,8 @@ def publish_hri() -> None:
         time.sleep(0.03)
 
 
+if 'map' in sys.argv:
+    publish_camera()
 if kind == 'yolo':
     publish_yolo()
 else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -19,6 +20,8 @@ PREFIX = ROOT / 'build' / 'foreign'
 FOXY_PREFIX = ROOT / 'build' / 'foxy'
 SITE = f'lib/python{sys.version_info[0]}.{sys.version_info[1]}/site-packages'
 PACKAGES = ('yolo_msgs', 'hri_msgs', 'tf2_msgs')
+# Of the outputs for robots. moveit_msgs is not among them: it needs shape_msgs, which the wheels have apart.
+ROBOT_PACKAGES = ('people_msgs', 'nav2_dynamic_msgs', 'vision_msgs')
 FOXY_MARKERS = tuple(f'visualization_msgs/msg/{name}' for name in ('Marker', 'MarkerArray'))
 TEXTS: Mapping[str, str] = {**DEFINITIONS, 'tf2_msgs/msg/TFMessage': 'geometry_msgs/TransformStamped[] transforms'}
 
@@ -60,11 +63,11 @@ def build(packages: Sequence[str] = PACKAGES, all_texts: Mapping[str, str] = TEX
             (source / 'msg' / f'{name}.msg').write_text(text + '\n')
         for file in ('CMakeLists.txt', 'package.xml'):
             text = (ROOT / 'msg_defs' / file).read_text().replace('mocap_ros_msgs', package)
-            (source / file).write_text(text)
+            (source / file).write_text(add_dependencies(text, package, texts))
         options = [
             '-DBUILD_TESTING=OFF',
             f'-DCMAKE_INSTALL_PREFIX={prefix}',
-            f'-DCMAKE_PREFIX_PATH={env["AMENT_PREFIX_PATH"].replace(":", ";")}',
+            f'-DCMAKE_PREFIX_PATH={prefix};{env["AMENT_PREFIX_PATH"].replace(":", ";")}',
             f'-DPYTHON_INSTALL_DIR={SITE}',
             f'-DPython3_EXECUTABLE={sys.executable}',
         ]
@@ -79,6 +82,17 @@ def build(packages: Sequence[str] = PACKAGES, all_texts: Mapping[str, str] = TEX
         done.write_text(key)
 
 
+def add_dependencies(text: str, package: str, definitions: Mapping[str, str]) -> str:
+    """Return a CMakeLists.txt with the packages whose types these definitions use besides the usual ones."""
+    used = {name for d in definitions.values() for name in re.findall(r'^(\w+)/', d, re.MULTILINE)}
+    for name in sorted(used - {package, 'geometry_msgs', 'std_msgs'}):
+        text = text.replace(
+            'find_package(std_msgs REQUIRED)', f'find_package({name} REQUIRED)\nfind_package(std_msgs REQUIRED)'
+        )
+        text = text.replace('DEPENDENCIES geometry_msgs', f'DEPENDENCIES {name} geometry_msgs')
+    return text
+
+
 if __name__ == '__main__':
-    build()
+    build((*PACKAGES, *ROBOT_PACKAGES))
     build_foxy_markers()

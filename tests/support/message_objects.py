@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.geometry.rotations import quaternion_from_rotation
+from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cameras import CAMERAS
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, create_header, create_message, encode
 from mocap_ros.messages.markers import (
@@ -29,7 +31,7 @@ from mocap_ros.messages.markers import (
 from mocap_ros.messages.point_cloud import DATATYPES, POINT_DTYPE, POINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.messages.transforms import TRANSFORMS
-from mocap_ros.people import Person3D
+from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.units import NS_PER_S
 
@@ -51,6 +53,15 @@ def create_vector(x: float, y: float, z: float) -> Any:
     return create_message('geometry_msgs/msg/Vector3', x=x, y=y, z=z)
 
 
+def create_pose(transform: RigidTransform | None) -> Any:
+    transform = transform or RigidTransform.identity()
+    return create_message(
+        'geometry_msgs/msg/Pose',
+        position=create_points(transform.translation[None])[0],
+        orientation=create_quaternion(*transform.quaternion),
+    )
+
+
 def create_camera(person: Person3D) -> Any:
     return create_message(
         MOCAP_ROS_MSGS + 'WeakPerspectiveCamera',
@@ -66,7 +77,12 @@ def encode_cameras_slowly(header: Header, people: Sequence[Person3D]) -> bytes:
     return encode(create_message(CAMERAS, header=create_header(header), ids=ids, cameras=cameras), CAMERAS)
 
 
-def encode_skeletons_slowly(header: Header, people: Sequence[Person3D]) -> bytes:
+def encode_skeletons_slowly(
+    header: Header,
+    people: Sequence[Person3D],
+    vertical: CameraVertical | None = None,
+    camera: CameraPlacement | None = None,
+) -> bytes:
     skeletons = [
         create_message(
             MOCAP_ROS_MSGS + 'Skeleton3D',
@@ -87,10 +103,28 @@ def encode_skeletons_slowly(header: Header, people: Sequence[Person3D]) -> bytes
             scale_source=int(person.scale_known),
             predicted=person.predicted,
             tentative=person.tentative,
+            joint_velocity=[create_vector(*velocity) for velocity in person.velocity.tolist()],
+            joint_velocity_std=person.velocity_std.astype(np.float32),
+            root=create_points(person.root[None])[0],
+            root_covariance=person.root_covariance.ravel(),
+            root_velocity=create_vector(*person.root_velocity.tolist()),
+            root_velocity_covariance=person.root_velocity_covariance.ravel(),
+            age=person.age,
+            unseen_for=person.unseen_for,
         )
         for person in people
     ]
-    return encode(create_message(SKELETONS, header=create_header(header), people=skeletons), SKELETONS)
+    direction, std = (np.zeros(3), float('nan')) if vertical is None else vertical
+    message = create_message(
+        SKELETONS,
+        header=create_header(header),
+        people=skeletons,
+        vertical=create_vector(*direction),
+        vertical_std=std,
+        camera_frame_id=header.frame_id if camera is None else camera.frame_id,
+        camera_pose=create_pose(camera.pose if camera else None),
+    )
+    return encode(message, SKELETONS)
 
 
 def encode_points_slowly(header: Header, people: Sequence[Person3D]) -> bytes:

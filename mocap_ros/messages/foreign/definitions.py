@@ -1,8 +1,9 @@
-"""Definitions of other packages' messages that are accepted as keypoints.
+"""Definitions of other packages' messages that are accepted as keypoints or put out for robots.
 
-With these definitions the messages are read although their packages are not installed. The definitions are those
-of yolo_msgs (yolo_ros), hri_msgs (ROS4HRI, REP-155), zed_msgs (ZED wrapper) and openpose_ros2_msgs. A message in
-another version of a type is converted to these fields by name, on live topics and in bags.
+With these definitions the messages are read and written although their packages are not installed. The definitions
+of inputs are those of yolo_msgs (yolo_ros), hri_msgs (ROS4HRI, REP-155), zed_msgs (ZED wrapper) and
+openpose_ros2_msgs; those of outputs are of people_msgs, vision_msgs, nav2_dynamic_msgs and moveit_msgs. A message
+in another version of a type is converted to or from these fields by name, on live topics and in bags.
 
 The definitions are not beside the readers, because `cdr` registers them and the readers import `cdr`.
 """
@@ -66,5 +67,53 @@ OPENPOSE_DEFINITIONS = {
     OPENPOSE_POSES: 'std_msgs/Header header\nopenpose_ros2_msgs/PoseKeyPoints[] pose_key_points_list',
 }
 
+PEOPLE = 'people_msgs/msg/People'
+PEOPLE_DEFINITIONS = {
+    'people_msgs/msg/Person': (
+        'string name\ngeometry_msgs/Point position\ngeometry_msgs/Point velocity\nfloat64 reliability\n'
+        'string[] tagnames\nstring[] tags'
+    ),
+    PEOPLE: 'std_msgs/Header header\npeople_msgs/Person[] people',
+}
+
+DETECTIONS_3D = 'vision_msgs/msg/Detection3DArray'
+VISION_DEFINITIONS = {
+    'vision_msgs/msg/ObjectHypothesis': 'string class_id\nfloat64 score',
+    'vision_msgs/msg/ObjectHypothesisWithPose': (
+        'vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose'
+    ),
+    'vision_msgs/msg/BoundingBox3D': 'geometry_msgs/Pose center\ngeometry_msgs/Vector3 size',
+    'vision_msgs/msg/Detection3D': (
+        'std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox3D bbox\n'
+        'string id'
+    ),
+    DETECTIONS_3D: 'std_msgs/Header header\nvision_msgs/Detection3D[] detections',
+}
+
+OBSTACLES = 'nav2_dynamic_msgs/msg/ObstacleArray'
+OBSTACLE_DEFINITIONS = {
+    'nav2_dynamic_msgs/msg/Obstacle': (
+        'unique_identifier_msgs/UUID uuid\nfloat32 score\ngeometry_msgs/Point position\n'
+        'geometry_msgs/Vector3 velocity\ngeometry_msgs/Vector3 size'
+    ),
+    OBSTACLES: 'std_msgs/Header header\nnav2_dynamic_msgs/Obstacle[] obstacles',
+}
+
+COLLISION_OBJECT = 'moveit_msgs/msg/CollisionObject'
+MOVEIT_DEFINITIONS = {
+    'object_recognition_msgs/msg/ObjectType': 'string key\nstring db',
+    COLLISION_OBJECT: (
+        'std_msgs/Header header\ngeometry_msgs/Pose pose\nstring id\nobject_recognition_msgs/ObjectType type\n'
+        'shape_msgs/SolidPrimitive[] primitives\ngeometry_msgs/Pose[] primitive_poses\n'
+        'shape_msgs/Mesh[] meshes\ngeometry_msgs/Pose[] mesh_poses\nshape_msgs/Plane[] planes\n'
+        'geometry_msgs/Pose[] plane_poses\nstring[] subframe_names\ngeometry_msgs/Pose[] subframe_poses\n'
+        'byte operation'
+    ),
+}
+
+# Definitions of messages that are accepted as keypoints.
+INPUT_DEFINITIONS = {**YOLO_DEFINITIONS, **HRI_DEFINITIONS, **ZED_DEFINITIONS, **OPENPOSE_DEFINITIONS}
+# Definitions of messages that are put out for robots.
+OUTPUT_DEFINITIONS = {**PEOPLE_DEFINITIONS, **VISION_DEFINITIONS, **OBSTACLE_DEFINITIONS, **MOVEIT_DEFINITIONS}
 # All definitions: the name of each message type and its fields as in a .msg file.
-DEFINITIONS = {**YOLO_DEFINITIONS, **HRI_DEFINITIONS, **ZED_DEFINITIONS, **OPENPOSE_DEFINITIONS}
+DEFINITIONS = {**INPUT_DEFINITIONS, **OUTPUT_DEFINITIONS}

@@ -1,0 +1,60 @@
+"""Follow the person who was there first at DISTANCE_M: geometry_msgs/Twist on `cmd_vel`.
+
+Run mocap_node with -p node.output_frame:=base_link (x ahead, y to the left). Without the person the robot stands.
+"""
+
+import math
+
+DISTANCE_M = 1.5
+GAIN_PER_S = 0.8  # 1/s, of the distance and of the direction
+MAX_SPEED_M_S = 0.6
+MAX_TURN_RAD_S = 1.0
+LOST_S = 0.3  # s; a person who was not seen for longer is not followed
+
+
+def choose_person(skeletons, followed=''):
+    """Return the person with this id, or else the one who was first seen longest ago; None where nobody is."""
+    people = [p for p in skeletons.people if not p.tentative and p.unseen_for <= LOST_S]
+    same = [p for p in people if p.id == followed]
+    return same[0] if same else max(people, key=lambda p: p.age, default=None)
+
+
+def choose_command(person):
+    """Return speed in m/s and turn in rad/s towards the place at the distance from the person."""
+    if person is None:
+        return 0.0, 0.0
+    x, y = person.root.x, person.root.y
+    direction, distance = math.atan2(y, x), math.hypot(x, y)
+    away = 0.0 if math.isnan(person.root_velocity.x) else person.root_velocity.x  # goes with the person
+    speed = (GAIN_PER_S * (distance - DISTANCE_M) + away) * max(math.cos(direction), 0.0)
+    turn = GAIN_PER_S * direction
+    return (
+        min(max(speed, 0.0), MAX_SPEED_M_S),
+        min(max(turn, -MAX_TURN_RAD_S), MAX_TURN_RAD_S),
+    )
+
+
+def main():
+    """Run the node."""
+    import rclpy
+    from geometry_msgs.msg import Twist
+    from mocap_ros_msgs.msg import Skeleton3DArray
+
+    rclpy.init()
+    node = rclpy.create_node('follow_person')
+    publisher = node.create_publisher(Twist, 'cmd_vel', 10)
+    followed = ['']
+
+    def take(skeletons):
+        person = choose_person(skeletons, followed[0])
+        followed[0] = person.id if person else ''
+        command = Twist()
+        command.linear.x, command.angular.z = choose_command(person)
+        publisher.publish(command)
+
+    node.create_subscription(Skeleton3DArray, 'skeletons', take, 10)
+    rclpy.spin(node)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,149 @@
+"""Rigid transforms between coordinate frames, their composition and their interpolation.
+
+A transform T = (R, t) takes coordinates in its child frame to coordinates in its parent frame:
+
+    x_parent = R x_child + t,    T_1 T_2 = (R_1 R_2, R_1 t_2 + t_1),    T^-1 = (R^T, -R^T t)
+
+Between two transforms at the share a of the time from the first to the second, the translation is interpolated
+linearly, and the rotation along the shortest arc of unit quaternions q_0 and q_1 at the angle w to each other:
+
+    q(a) = (sin((1 - a) w) q_0 + sin(a w) q_1) / sin w,    cos w = q_0 . q_1
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.errors import ConfigError, InputError
+from mocap_ros.geometry.rotations import quaternion_from_rotation
+
+Array = NDArray[np.float64]
+Quaternion = tuple[float, float, float, float]  # x, y, z, w, of unit length
+
+MAX_COSINE = 0.9999999  # 1; above it two rotations are so close that the arc is a straight line
+QUATERNION_TOLERANCE = 0.1  # 1; a quaternion whose length is further from 1 is no rotation
+# Rotation from a camera's optical frame (x right, y down, z forward) to a body's frame (x forward, y left, z up).
+OPTICAL_TO_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+POSE_NUMBERS = 6  # numbers of a pose in a parameter: x, y, z in m and roll, pitch, yaw in rad
+
+
+@dataclass(frozen=True, eq=False)
+class RigidTransform:
+    """A transform from a child frame to its parent frame.
+
+    Attributes:
+        translation: (3,) m, origin of the child frame in the parent frame.
+        quaternion: rotation from the child frame to the parent frame.
+    """
+
+    translation: Array
+    quaternion: Quaternion
+
+    @staticmethod
+    def identity() -> RigidTransform:
+        """Return the transform between two frames that are one."""
+        return RigidTransform(np.zeros(3), (0.0, 0.0, 0.0, 1.0))
+
+    @staticmethod
+    def from_numbers(numbers: Sequence[float]) -> RigidTransform:
+        """Return the transform of the translation x, y, z in m and of the quaternion x, y, z, w, normalised.
+
+        Raises:
+            InputError: a number is not finite, or the quaternion is not of unit length.
+        """
+        length = math.sqrt(sum(q * q for q in numbers[3:7]))
+        if not all(map(math.isfinite, numbers)) or not abs(length - 1) < QUATERNION_TOLERANCE:
+            raise InputError('the translation is not finite, or the quaternion is not of unit length')
+        x, y, z, w = (q / length for q in numbers[3:7])
+        return RigidTransform(np.array(numbers[:3], np.float64), (x, y, z, w))
+
+    @property
+    def rotation(self) -> Array:
+        """(3, 3) rotation from the child frame to the parent frame."""
+        x, y, z, w = self.quaternion
+        return np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+
+    def apply(self, points: Array) -> Array:
+        """Return points (..., 3) of the child frame in the parent frame."""
+        return np.asarray(points @ self.rotation.T + self.translation)
+
+    def rotate(self, vectors: Array) -> Array:
+        """Return vectors (..., 3) of the child frame, such as velocities, in the parent frame."""
+        return np.asarray(vectors @ self.rotation.T)
+
+    def rotate_covariance(self, covariance: Array) -> Array:
+        """Return the covariance (3, 3) of a vector of the child frame in the parent frame."""
+        rotation = self.rotation
+        return np.asarray(rotation @ covariance @ rotation.T)
+
+    def inverse(self) -> RigidTransform:
+        """Return the transform from the parent frame to the child frame."""
+        x, y, z, w = self.quaternion
+        return RigidTransform(-(self.translation @ self.rotation), (-x, -y, -z, w))
+
+    def compose(self, child: RigidTransform) -> RigidTransform:
+        """Return this transform after another, whose parent frame is the child frame of this one."""
+        x, y, z, w = self.quaternion
+        a, b, c, d = child.quaternion
+        product = (
+            w * a + x * d + y * c - z * b,
+            w * b - x * c + y * d + z * a,
+            w * c + x * b - y * a + z * d,
+            w * d - x * a - y * b - z * c,
+        )
+        length = math.sqrt(sum(q * q for q in product))
+        x, y, z, w = (q / length for q in product)
+        return RigidTransform(self.apply(child.translation), (x, y, z, w))
+
+
+def interpolate(first: RigidTransform, second: RigidTransform, share: float) -> RigidTransform:
+    """Return the transform at a share in [0, 1] of the way between two transforms (formula of the module)."""
+    cosine = sum(p * q for p, q in zip(first.quaternion, second.quaternion, strict=True))
+    sign = math.copysign(1.0, cosine)  # q and -q are one rotation; the arc between them must be the shorter one
+    if abs(cosine) > MAX_COSINE:
+        before, after = 1 - share, share
+    else:
+        angle = math.acos(abs(cosine))
+        before, after = (math.sin(part * angle) / math.sin(angle) for part in (1 - share, share))
+    mixed = [before * p + sign * after * q for p, q in zip(first.quaternion, second.quaternion, strict=True)]
+    length = math.sqrt(sum(q * q for q in mixed))
+    x, y, z, w = (q / length for q in mixed)
+    translation = (1 - share) * first.translation + share * second.translation
+    return RigidTransform(translation, (x, y, z, w))
+
+
+def parse_camera_pose(text: str, name: str) -> RigidTransform:
+    """Return the transform from a camera's optical frame to the frame in which its pose is given.
+
+    Args:
+        text: x, y, z in m and roll, pitch, yaw in rad, separated by blanks: of a camera that looks along x, with
+            z up, where the angles are 0. The rotations are about the fixed axes x, y and z in this order.
+        name: name of the parameter that holds the text, for the error message.
+
+    Raises:
+        ConfigError: the text is not six finite numbers.
+    """
+    try:
+        numbers = [float(word) for word in text.split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != POSE_NUMBERS or not all(map(math.isfinite, numbers)):
+        raise ConfigError(f'{name} = {text!r}: expected six numbers: x y z in m and roll pitch yaw in rad')
+    sin_roll, sin_pitch, sin_yaw = map(math.sin, numbers[3:])
+    cos_roll, cos_pitch, cos_yaw = map(math.cos, numbers[3:])
+    roll = np.array([[1, 0, 0], [0, cos_roll, -sin_roll], [0, sin_roll, cos_roll]])
+    pitch = np.array([[cos_pitch, 0, sin_pitch], [0, 1, 0], [-sin_pitch, 0, cos_pitch]])
+    yaw = np.array([[cos_yaw, -sin_yaw, 0], [sin_yaw, cos_yaw, 0], [0, 0, 1]])
+    rotation = yaw @ pitch @ roll @ OPTICAL_TO_BODY
+    return RigidTransform(np.array(numbers[:3]), quaternion_from_rotation(rotation))

@@ -1,0 +1,1 @@
+"""People as messages that other packages' planners and monitors take in; a parameter switches each of them on."""

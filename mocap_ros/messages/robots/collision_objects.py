@@ -1,0 +1,94 @@
+"""moveit_msgs/CollisionObject: each person as an object of MoveIt's planning scene, made of cylinders.
+
+A capsule between two places at the distance l with the radius r lies in the cylinder of the length l + 2 r and the
+radius r about the same axis; planning scenes have no capsules.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+
+import numpy as np
+
+from mocap_ros.messages.cdr import Array, CdrWriter, Header
+from mocap_ros.messages.robots.capsules import compute_capsules
+from mocap_ros.people import Person3D
+
+ID_PREFIX = 'person_'  # of the names of the objects in the planning scene
+
+# Values of moveit_msgs/CollisionObject.operation and of shape_msgs/SolidPrimitive.type.
+ADD = 0
+REMOVE = 1
+CYLINDER = 3
+
+TYPE_KEY = 'person'  # CollisionObject.type.key
+EMPTY_SEQUENCES = (
+    6  # fields between the shapes and the operation: meshes, planes and subframes, each with its poses
+)
+MIN_LENGTH_M = 1e-6  # m; between places that are nearer to each other there is no axis
+MIN_QUATERNION = 1e-6  # 1; length of the quaternion before it is made 1, of an axis that points down
+_POSE = struct.Struct('<7d')
+_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # the pose that leaves the shapes where they are
+
+
+class CollisionObjectEncoder:
+    """Encoder of the successive collision objects; it remembers who was there, to remove them from the scene."""
+
+    def __init__(self) -> None:
+        self._present: dict[str, None] = {}  # ids, in the order in which they came
+
+    def encode_update(self, header: Header, people: Sequence[Person3D]) -> list[bytes]:
+        """Encode a message for each person, and one for each who is gone.
+
+        Args:
+            header: time of the image, and the frame in which the people are.
+            people: the people.
+        """
+        ids = {person.id: None for person in people}
+        gone = [person_id for person_id in self._present if person_id not in ids]
+        self._present = ids
+        return [_encode(header, i, REMOVE) for i in gone] + [_encode(header, p.id, ADD, p) for p in people]
+
+    def encode_clear(self, header: Header) -> list[bytes]:
+        """Encode a message for each person who was there, which removes them, and forget all people."""
+        return self.encode_update(header, [])
+
+
+def _encode(header: Header, person_id: str, operation: int, person: Person3D | None = None) -> bytes:
+    """Encode the message of a person, field by field; without a person the object has no shapes."""
+    dimensions, poses = (np.zeros((0, 2)), np.zeros((0, 7))) if person is None else _compute_cylinders(person)
+    writer = CdrWriter()
+    writer.add_header(header)
+    writer.add(8, _POSE.pack(*_ORIGIN))
+    for text in (ID_PREFIX + person_id, TYPE_KEY, ''):
+        writer.add_text(text)
+    writer.add_count(len(dimensions))
+    for numbers in dimensions:
+        writer.add(1, bytes([CYLINDER]))
+        writer.add_sequence(numbers)
+        writer.add_count(0)  # points of the polygon of a prism
+    writer.add_sequence(poses)
+    for _ in range(EMPTY_SEQUENCES):
+        writer.add_count(0)
+    writer.add(1, bytes([operation]))
+    return writer.finish()
+
+
+def _compute_cylinders(person: Person3D) -> tuple[Array, Array]:
+    """Return the length and the radius (P, 2) in m of the cylinder about each capsule, and its pose (P, 7).
+
+    The pose is the position in m and the quaternion x, y, z, w that turns the z axis to the axis a of the capsule
+    by the shortest way: (-a_y, a_x, 0, 1 + a_z), of unit length; half a turn about x where the axis points down.
+    """
+    start, end, radius = compute_capsules(person)
+    length = np.linalg.norm(end - start, axis=1)
+    axis = (end - start) / np.maximum(length, MIN_LENGTH_M)[:, None]
+    axis[length < MIN_LENGTH_M] = 0, 0, 1
+    poses = np.zeros((len(length), 7))
+    poses[:, :3] = (start + end) / 2
+    poses[:, 3], poses[:, 4], poses[:, 6] = -axis[:, 1], axis[:, 0], 1 + axis[:, 2]
+    norm = np.linalg.norm(poses[:, 3:], axis=1)
+    poses[norm < MIN_QUATERNION, 3:] = 1, 0, 0, 0
+    poses[:, 3:] /= np.where(norm < MIN_QUATERNION, 1, norm)[:, None]
+    return np.column_stack([length + 2 * radius, radius]), poses

@@ -1,0 +1,240 @@
+"""tf2_msgs/TFMessage as input: where the camera is in another coordinate frame at the time of an image.
+
+Every frame has one parent. The transform from a frame s to a frame g leads from both up to their common ancestor a
+
+    T_gs(t) = T_ag(t)^-1 T_as(t)
+
+where each is the product of the transforms on the way, interpolated at the time t. Transforms on /tf_static hold
+at all times; those on /tf are kept for `HISTORY_S`. No clock is read: the same messages in the same order always
+give the same transforms.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left, insort
+from dataclasses import dataclass, field
+from typing import Any
+
+from mocap_ros.errors import InputError
+from mocap_ros.geometry.rigid_transform import RigidTransform, interpolate
+from mocap_ros.messages.cdr import Header, create_header, create_message, decode, encode
+from mocap_ros.messages.foreign.shared import MAX_MESSAGE_BYTES
+from mocap_ros.messages.transforms import CHILD_LINKS, ROOT_LINK, TRANSFORMS
+from mocap_ros.units import NS_PER_S
+
+HISTORY_S = 10.0  # s; as tf2 keeps transforms, and longer than any tracker.lag
+MAX_FRAMES = 1000  # frames; many times those of a robot; guards the memory against names that never end
+MAX_DEPTH = 100  # frames from a frame up to its root; guards the search against loops
+
+
+@dataclass
+class _Link:
+    """The transforms from a frame to its parent.
+
+    Attributes:
+        parent: name of the parent frame.
+        is_static: whether the only transform holds at all times.
+        samples: stamps in ns and transforms, oldest first.
+    """
+
+    parent: str
+    is_static: bool
+    samples: list[tuple[int, RigidTransform]] = field(default_factory=list)
+
+    def add(self, stamp_ns: int, transform: RigidTransform) -> None:
+        """Add a transform; one that is far older than the newest begins anew, as time itself has gone back."""
+        history_ns = int(HISTORY_S * NS_PER_S)
+        if self.is_static or (self.samples and stamp_ns < self.samples[-1][0] - history_ns):
+            self.samples = []
+        index = bisect_left(self.samples, stamp_ns, key=_get_stamp)
+        if index < len(self.samples) and self.samples[index][0] == stamp_ns:
+            self.samples[index] = (stamp_ns, transform)
+        else:
+            insort(self.samples, (stamp_ns, transform), key=_get_stamp)
+        oldest_kept = self.samples[-1][0] - history_ns
+        del self.samples[: bisect_left(self.samples, oldest_kept, key=_get_stamp)]
+
+    def find(self, child: str, stamp_ns: int, tolerance_ns: int) -> RigidTransform:
+        """Return the transform at a time in ns.
+
+        Raises:
+            InputError: the time is before the first or after the last transform by more than the tolerance.
+        """
+        samples = self.samples
+        if self.is_static:
+            return samples[0][1]
+        index = bisect_left(samples, stamp_ns, key=_get_stamp)
+        if index == len(samples) or (index == 0 and samples[0][0] != stamp_ns):
+            nearest_ns, transform = samples[min(index, len(samples) - 1)]
+            if abs(nearest_ns - stamp_ns) <= tolerance_ns:
+                return transform
+            relation = 'newest' if index else 'oldest'
+            apart_s = abs(stamp_ns - nearest_ns) / NS_PER_S
+            raise InputError(
+                f'the {relation} transform of {child} is {apart_s:.2f} s {"older" if index else "newer"} than '
+                'the image'
+            )
+        after_ns, after = samples[index]
+        if after_ns == stamp_ns:
+            return after
+        before_ns, before = samples[index - 1]
+        return interpolate(before, after, (stamp_ns - before_ns) / (after_ns - before_ns))
+
+
+def _get_stamp(sample: tuple[int, RigidTransform]) -> int:
+    return sample[0]
+
+
+class TransformTree:
+    """All coordinate frames that /tf and /tf_static have named, and their transforms over the last seconds."""
+
+    def __init__(self) -> None:
+        self._links: dict[str, _Link] = {}  # by child frame
+
+    def add(self, raw: bytes, *, is_static: bool) -> None:
+        """Add the transforms of a TFMessage.
+
+        Args:
+            raw: CDR bytes.
+            is_static: whether the message came on /tf_static.
+
+        Raises:
+            InputError: the bytes are no TFMessage, a transform is not valid, or there are more than `MAX_FRAMES`
+                frames; nothing was added.
+        """
+        if len(raw) > MAX_MESSAGE_BYTES:
+            raise InputError(f'{len(raw)} bytes, more than a {TRANSFORMS} may have ({MAX_MESSAGE_BYTES})')
+        added = [_read_transform(i, stamped) for i, stamped in enumerate(decode(raw, TRANSFORMS).transforms)]
+        new = {child for child, *_ in added if child not in self._links}
+        if len(self._links) + len(new) > MAX_FRAMES:
+            self._forget_old_frames()
+        if len(self._links) + len(new) > MAX_FRAMES:
+            raise InputError(f'transforms: more than {MAX_FRAMES} frames')
+        for child, parent, stamp_ns, transform in added:
+            link = self._links.get(child)
+            if link is None or link.parent != parent or link.is_static != is_static:
+                link = self._links[child] = _Link(parent, is_static)
+            link.add(stamp_ns, transform)
+
+    def find(self, target: str, source: str, stamp_ns: int, tolerance_s: float) -> RigidTransform:
+        """Return the transform from one frame to another at a time.
+
+        Args:
+            target: name of the frame in which coordinates are wanted.
+            source: name of the frame in which coordinates are given.
+            stamp_ns: ns, the time.
+            tolerance_s: s; how far the time may be outside the transforms that are known, where the nearest holds.
+
+        Raises:
+            InputError: the frames are not connected, or not at this time.
+        """
+        source, target = source.lstrip('/'), target.lstrip('/')
+        up, down = self._list_ancestors(source), self._list_ancestors(target)
+        common = next((name for name in up if name in down), None)
+        if common is None:
+            unknown = next((n for n in (source, target) if n not in self._links and not self._is_parent(n)), '')
+            what = f'no transform names {unknown!r}' if unknown else 'they are not connected'
+            raise InputError(f'no transform from {source!r} to {target!r}: {what}')
+        tolerance_ns = round(tolerance_s * NS_PER_S)
+        to_common, from_common = (
+            self._follow(names[: names.index(common)], stamp_ns, tolerance_ns) for names in (up, down)
+        )
+        return from_common.inverse().compose(to_common)
+
+    def encode_all(self) -> tuple[bytes, bytes]:
+        """Return all transforms as two TFMessages, of /tf_static and of /tf, which make another tree the same."""
+        messages: tuple[list[Any], list[Any]] = ([], [])
+        for child, link in self._links.items():
+            for stamp_ns, transform in link.samples:
+                messages[not link.is_static].append(_create_transform(link.parent, child, stamp_ns, transform))
+        static, dynamic = (encode(create_message(TRANSFORMS, transforms=m), TRANSFORMS) for m in messages)
+        return static, dynamic
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no transform is known."""
+        return not self._links
+
+    def _is_parent(self, name: str) -> bool:
+        return any(link.parent == name for link in self._links.values())
+
+    def _list_ancestors(self, name: str) -> list[str]:
+        """Return a frame, its parent, and so on up to its root."""
+        names = [name]
+        while names[-1] in self._links and len(names) < MAX_DEPTH:
+            names.append(self._links[names[-1]].parent)
+        return names
+
+    def _follow(self, names: list[str], stamp_ns: int, tolerance_ns: int) -> RigidTransform:
+        """Return the transform from the first of these frames to the parent of the last."""
+        result = RigidTransform.identity()
+        for name in names:
+            result = self._links[name].find(name, stamp_ns, tolerance_ns).compose(result)
+        return result
+
+    def _forget_old_frames(self) -> None:
+        """Forget the frames on /tf that have not been sent for `HISTORY_S`, such as those of people who left."""
+        newest = max((link.samples[-1][0] for link in self._links.values() if not link.is_static), default=0)
+        oldest_kept = newest - HISTORY_S * NS_PER_S
+        self._links = {
+            child: link
+            for child, link in self._links.items()
+            if link.is_static or link.samples[-1][0] >= oldest_kept
+        }
+
+
+def is_of_people_only(raw: bytes, prefix: str) -> bool:
+    """Return whether a TFMessage holds nothing but links of people, as this package publishes them.
+
+    Such messages say nothing of the camera. A node that publishes people on /tf receives them itself, and a bag of
+    its run has them on the topic of the inputs.
+
+    Args:
+        raw: CDR bytes; bytes that are no TFMessage are not of people.
+        prefix: text before the name of every link.
+    """
+    try:
+        transforms = decode(raw, TRANSFORMS).transforms
+    except InputError:
+        return False
+    pattern = re.compile(rf'{re.escape(prefix)}({"|".join((ROOT_LINK, *CHILD_LINKS))})_\w*', re.ASCII)
+    return all(pattern.fullmatch(t.child_frame_id) for t in transforms)
+
+
+def _read_transform(index: int, stamped: Any) -> tuple[str, str, int, RigidTransform]:
+    """Return child, parent, stamp in ns and transform of a TransformStamped.
+
+    Args:
+        index: index of the transform in its message, for the error message.
+        stamped: message object.
+
+    Raises:
+        InputError: a name is empty, both names are equal, or the transform is not valid.
+    """
+    child, parent = stamped.child_frame_id.lstrip('/'), stamped.header.frame_id.lstrip('/')
+    if not child or not parent or child == parent:
+        raise InputError(f'transforms[{index}]: child_frame_id {child!r} in header.frame_id {parent!r}')
+    translation, rotation = stamped.transform.translation, stamped.transform.rotation
+    numbers = (translation.x, translation.y, translation.z, rotation.x, rotation.y, rotation.z, rotation.w)
+    stamp = stamped.header.stamp
+    try:
+        transform = RigidTransform.from_numbers(numbers)
+    except InputError as error:
+        raise InputError(f'transforms[{index}]: {error}') from None
+    return child, parent, stamp.sec * NS_PER_S + stamp.nanosec, transform
+
+
+def _create_transform(parent: str, child: str, stamp_ns: int, transform: RigidTransform) -> Any:
+    x, y, z = transform.translation.tolist()
+    qx, qy, qz, qw = transform.quaternion
+    return create_message(
+        'geometry_msgs/msg/TransformStamped',
+        header=create_header(Header(stamp_ns, parent)),
+        child_frame_id=child,
+        transform=create_message(
+            'geometry_msgs/msg/Transform',
+            translation=create_message('geometry_msgs/msg/Vector3', x=x, y=y, z=z),
+            rotation=create_message('geometry_msgs/msg/Quaternion', x=qx, y=qy, z=qz, w=qw),
+        ),
+    )

@@ -1,0 +1,112 @@
+"""The examples for robots, against a recorded scene: the demo's person, in the frame of a robot with a camera."""
+
+from __future__ import annotations
+
+import importlib.util
+from copy import deepcopy
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recorder import Recorder
+from mocap_ros.config import RecorderConfig, with_values
+from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.cdr import decode
+from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.runtime.replay import ReplayOptions, replay
+from tests.support.camera_infos import camera_info
+from tests.support.paths import ROOT
+from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames
+
+EXAMPLES = sorted((ROOT / 'examples').glob('*.py'))
+FRAMES = 60
+STEP_NS = 33_333_333  # 30 Hz
+MAX_LINES = 80  # of an example
+
+
+def load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ROOT / 'examples' / f'{name}.py')
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope='module')
+def scene(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+    """Return the skeletons of a recorded scene in the robot's frame: x ahead of the camera, z up."""
+    folder = tmp_path_factory.mktemp('scene')
+    with Recorder(folder / 'bag', RecorderConfig()) as recorder:
+        recorder.write('/camera_info', CAMERA_INFO, camera_info(), 0, 0)
+        for i, raw in enumerate(encode_demo_frames(FRAMES), 1):
+            recorder.write('/keypoints', KEYPOINTS, raw, i * STEP_NS, i * STEP_NS)
+    values = {'node.output_frame': 'base_link', 'node.camera_pose': '0 0 1.5 0 0 0'}
+    with Bag(folder / 'bag') as bag:
+        replay(bag, folder / 'out', ReplayOptions(with_values(FAST_CONFIG, values)))
+    with Bag(folder / 'out') as bag:
+        return [decode(m.raw, SKELETONS) for m in bag.messages(['/skeletons'])]
+
+
+def move(skeletons: Any, ahead_m: float, velocity_m_s: float) -> None:
+    """Move the person of a message so that the root is so far ahead, and let all joints move along x."""
+    (person,) = skeletons.people
+    dx, dy = ahead_m - person.root.x, -person.root.y
+    for point in (person.root, *person.joints):
+        point.x, point.y = point.x + dx, point.y + dy
+    for velocity in (person.root_velocity, *person.joint_velocity):
+        velocity.x, velocity.y, velocity.z = velocity_m_s, 0.0, 0.0
+
+
+@pytest.mark.parametrize('path', EXAMPLES, ids=lambda p: p.stem)
+def test_examples_are_short(path: Path) -> None:
+    assert len(path.read_text().splitlines()) < MAX_LINES
+
+
+def test_a_robot_stops_for_somebody_who_comes_near_and_not_for_one_who_is_far(scene: list[Any]) -> None:
+    example, skeletons = load('stop_when_near'), deepcopy(scene[-1])
+    assert all(np.isfinite(example.nearest_distance(s)) for s in scene[5:])
+    assert not any(example.must_stop(s) for s in scene[5:])  # the person walks some metres away
+    move(skeletons, 3.0, 0.0)
+    assert not example.must_stop(skeletons)
+    move(skeletons, 3.0, -4.0)  # will be 1 m away
+    assert example.must_stop(skeletons)
+    move(skeletons, 3.0, 4.0)
+    assert not example.must_stop(skeletons)
+    move(skeletons, 0.9, 0.0)
+    assert example.must_stop(skeletons)
+    skeletons.people[0].tentative = True
+    assert not example.must_stop(skeletons)
+
+
+def test_a_robot_follows_a_person_and_stands_without(scene: list[Any]) -> None:
+    example, skeletons = load('follow_person'), deepcopy(scene[-1])
+    person = example.choose_person(skeletons)
+    assert person.id == example.choose_person(skeletons, 'somebody else').id
+    person.tentative = False
+    move(skeletons, 3.0, 0.0)
+    speed, turn = example.choose_command(person)
+    assert (speed, turn) == (example.MAX_SPEED_M_S, 0.0)
+    person.root.y = 1.0
+    assert example.choose_command(person)[1] > 0  # to the left
+    move(skeletons, example.DISTANCE_M, 0.0)
+    assert example.choose_command(person) == (pytest.approx(0.0, abs=1e-9), pytest.approx(0.0, abs=1e-9))
+    person.unseen_for = 1.0
+    assert example.choose_command(example.choose_person(skeletons)) == (0.0, 0.0)
+
+
+def test_a_costmap_gets_discs_where_people_are_and_will_be(scene: list[Any]) -> None:
+    example, skeletons = load('people_layer'), deepcopy(scene[-1])
+    skeletons.people[0].tentative = False
+    move(skeletons, 3.0, 1.0)
+    points = np.array(example.list_points(skeletons)).reshape(len(example.AHEAD_S), -1, 3)
+    np.testing.assert_allclose(
+        points.mean(axis=1), [[3 + t, 0, example.HEIGHT_M] for t in example.AHEAD_S], atol=1e-9
+    )
+    skeletons.people[0].tentative = True
+    assert example.list_points(skeletons) == []

@@ -1,0 +1,194 @@
+"""Messages for robots: what they say of people in known poses, and that an independent decoder reads the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap_ros2._dynamic import generate_dynamic
+
+from mocap_ros.config import Config, with_values
+from mocap_ros.messages.cdr import Header, decode, typestore
+from mocap_ros.messages.foreign.definitions import COLLISION_OBJECT, DETECTIONS_3D, OBSTACLES, PEOPLE
+from mocap_ros.messages.robots.capsules import (
+    BODY_PARTS,
+    CAPSULES,
+    INSIDE_FACTOR,
+    compute_capsules,
+    encode_capsules,
+)
+from mocap_ros.messages.robots.collision_objects import ADD, REMOVE, CollisionObjectEncoder
+from mocap_ros.messages.robots.detections import encode_detections
+from mocap_ros.messages.robots.obstacles import encode_obstacles
+from mocap_ros.messages.robots.people import encode_people
+from mocap_ros.messages.robots.poses import POSES, encode_poses
+from mocap_ros.people import Person3D
+from mocap_ros.runtime.outputs import OUTPUTS, SWITCHED_OUTPUTS, OutputEncoder
+from mocap_ros.skeleton import CMU15
+from tests.support.people import make_person_3d
+from tests.support.swinging_body import STANDING
+
+HEADER = Header(12_345_678_901, 'map')
+ENCODERS: dict[str, Callable[[Header, Sequence[Person3D]], bytes]] = {
+    PEOPLE: encode_people,
+    DETECTIONS_3D: encode_detections,
+    OBSTACLES: encode_obstacles,
+    POSES: encode_poses,
+    CAPSULES: encode_capsules,
+    COLLISION_OBJECT: lambda header, people: CollisionObjectEncoder().encode_update(header, people)[0],
+}
+
+
+def make_walker(person_id: str = 'anna', shift: tuple[float, float, float] = (2.0, 1.0, 0.0)) -> Person3D:
+    """Return a person who stands upright, facing along the x axis or away from it, and moves at 1 m/s along y."""
+    return replace(
+        make_person_3d(person_id),
+        joints=STANDING + shift,
+        std=np.full(15, 0.03),
+        velocity=np.tile([0.0, 1.0, 0.0], (15, 1)),
+        root_covariance=np.diag([0.04, 0.01, 0.02]),
+    )
+
+
+def xyz(point: Any) -> list[float]:
+    return [point.x, point.y, point.z]
+
+
+def test_people_for_costmaps() -> None:
+    lost = replace(
+        make_walker('bob', (5, 0, 0)), predicted=True, unseen_for=0.5, velocity=np.full((15, 3), np.nan)
+    )
+    message = decode(encode_people(HEADER, [make_walker(), lost]), PEOPLE)
+    assert (message.header.frame_id, message.header.stamp.nanosec) == ('map', 345_678_901)
+    anna, bob = message.people
+    assert xyz(anna.position) == pytest.approx(make_walker().root)
+    assert xyz(anna.velocity) == [0, 1, 0]
+    assert (anna.name, anna.reliability, anna.tagnames, anna.tags) == ('anna', 1.0, ['predicted'], ['false'])
+    assert xyz(bob.velocity) == [0, 0, 0]  # unknown; planners take no NaN
+    assert (bob.reliability, bob.tags) == (pytest.approx(np.exp(-0.5)), ['true'])
+
+
+def test_detections_hold_pose_covariance_and_box() -> None:
+    person = make_walker()
+    (found,) = decode(encode_detections(HEADER, [person]), DETECTIONS_3D).detections
+    (result,) = found.results
+    assert (found.id, result.hypothesis.class_id, result.hypothesis.score) == ('anna', 'person', 1.0)
+    covariance = result.pose.covariance.reshape(6, 6)
+    np.testing.assert_array_equal(covariance[:3, :3], person.root_covariance)
+    hips = person.joints[[CMU15.index('lhip'), CMU15.index('rhip')]]
+    breadth = np.linalg.norm(hips[0] - hips[1])
+    np.testing.assert_allclose(covariance[3:, 3:], np.eye(3) * 2 / 3 * (0.03 / breadth) ** 2)
+    low, high = (
+        np.array(xyz(found.bbox.center.position)) + s * np.array(xyz(found.bbox.size)) / 2 for s in (-1, 1)
+    )
+    assert (low + 0.09 < person.joints).all()
+    assert (high - 0.09 > person.joints).all()
+    unknown = replace(person, std=np.full(15, np.nan))
+    (found,) = decode(encode_detections(HEADER, [unknown]), DETECTIONS_3D).detections
+    np.testing.assert_allclose(found.results[0].pose.covariance[-1], np.pi**2 / 3)
+
+
+def test_obstacles_have_ids_that_stay() -> None:
+    people = [make_walker(), make_walker('bob')]
+    one, other = (decode(encode_obstacles(HEADER, p), OBSTACLES).obstacles for p in (people, people[::-1]))
+    assert one[0].uuid.uuid.tolist() == other[1].uuid.uuid.tolist() != one[1].uuid.uuid.tolist()
+    assert xyz(one[0].velocity) == [0, 1, 0]
+    assert xyz(one[0].size)[2] == pytest.approx(np.ptp(STANDING[:, 2]) + 0.2)
+
+
+def test_poses_face_ahead() -> None:
+    person = make_walker()
+    (pose,) = decode(encode_poses(HEADER, [person]), POSES).poses
+    assert xyz(pose.position) == pytest.approx(person.root)
+    q = pose.orientation
+    left = person.joints[CMU15.index('lhip')] - person.joints[CMU15.index('rhip')]
+    y_axis = np.array([2 * (q.x * q.y - q.w * q.z), 1 - 2 * (q.x**2 + q.z**2), 2 * (q.y * q.z + q.w * q.x)])
+    assert y_axis @ left / np.linalg.norm(left) == pytest.approx(1, abs=1e-3)
+
+
+@given(st.integers(0, 2**31), st.floats(0.0, 0.2))
+@settings(deadline=None)
+def test_every_joint_is_inside_a_capsule_by_what_its_place_may_be_off(seed: int, std: float) -> None:
+    rng = np.random.default_rng(seed)
+    joints = STANDING + rng.normal(scale=0.1, size=(15, 3))
+    start, end, radius = compute_capsules(replace(make_walker(), joints=joints, std=np.full(15, std)))
+    axis = end - start
+    along = np.einsum('jpk,pk->jp', joints[:, None] - start, axis) / np.maximum((axis**2).sum(axis=1), 1e-12)
+    nearest = start + np.clip(along, 0, 1)[..., None] * axis
+    clearance = radius - np.linalg.norm(joints[:, None] - nearest, axis=2)
+    assert (clearance.max(axis=1) >= min(p.girth_m for p in BODY_PARTS) + INSIDE_FACTOR * std - 1e-9).all()
+
+
+def test_the_factor_holds_95_of_100_places() -> None:
+    offsets = np.random.default_rng(0).normal(scale=1 / np.sqrt(3), size=(100_000, 3))
+    assert (np.linalg.norm(offsets, axis=1) < INSIDE_FACTOR).mean() == pytest.approx(0.95, abs=0.003)
+
+
+def test_capsules_of_unknown_deviation_are_as_thick_as_the_body() -> None:
+    message = decode(encode_capsules(HEADER, [replace(make_walker(), std=np.full(15, np.nan))]), CAPSULES)
+    (person,) = message.people
+    assert person.radius == pytest.approx([p.girth_m for p in BODY_PARTS])
+    assert person.names == [p.name for p in BODY_PARTS]
+    assert len(person.start) == len(person.end) == len(BODY_PARTS)
+
+
+def test_collision_objects_hold_the_capsules_and_leave_the_scene_with_the_person() -> None:
+    encoder, person = CollisionObjectEncoder(), make_walker()
+    (added,) = (decode(raw, COLLISION_OBJECT) for raw in encoder.encode_update(HEADER, [person]))
+    assert (added.id, added.operation, added.header.frame_id) == ('person_anna', ADD, 'map')
+    capsules = compute_capsules(person)
+    for shape, pose, start, end, radius in zip(added.primitives, added.primitive_poses, *capsules, strict=True):
+        height, cylinder_radius = shape.dimensions
+        assert (shape.type, cylinder_radius) == (shape.CYLINDER, radius)
+        q = pose.orientation
+        z_axis = np.array([2 * (q.x * q.z + q.w * q.y), 2 * (q.y * q.z - q.w * q.x), 1 - 2 * (q.x**2 + q.y**2)])
+        top = np.array(xyz(pose.position)) + z_axis * (height / 2 - radius)
+        np.testing.assert_allclose(top, end, atol=1e-9)
+        assert height == pytest.approx(np.linalg.norm(end - start) + 2 * radius)
+    (moved, new) = (decode(raw, COLLISION_OBJECT) for raw in encoder.encode_update(HEADER, [make_walker('bob')]))
+    assert [(m.id, m.operation) for m in (moved, new)] == [('person_anna', REMOVE), ('person_bob', ADD)]
+    (removed,) = (decode(raw, COLLISION_OBJECT) for raw in encoder.encode_clear(HEADER))
+    assert (removed.id, removed.operation, removed.primitives) == ('person_bob', REMOVE, [])
+    assert encoder.encode_clear(HEADER) == []
+
+
+def flatten(value: Any) -> Any:
+    """Return a decoded message as nested lists of its fields, whichever decoder it comes from."""
+    if isinstance(value, (str, bool, int, float, np.generic)):
+        return str(float(value)) if isinstance(value, (float, np.floating)) else str(value)
+    if isinstance(value, (bytes, list, tuple, np.ndarray)):
+        return [flatten(v) for v in value]
+    names = [
+        n for n in getattr(value, '__slots__', None) or vars(value) if not n.startswith('_') and not n.isupper()
+    ]
+    return [flatten(getattr(value, name)) for name in names]
+
+
+@pytest.mark.parametrize('msgtype', [*ENCODERS])
+def test_an_independent_decoder_reads_the_same(msgtype: str) -> None:
+    people = [make_walker('anna ä'), replace(make_walker('bob'), std=np.full(15, np.nan), predicted=True)]
+    raw = ENCODERS[msgtype](HEADER, people)
+    text, _ = typestore().generate_msgdef(msgtype, ros_version=2)
+    decoders = generate_dynamic(msgtype.replace('/msg/', '/'), text)
+    read = decoders.get(msgtype) or decoders[msgtype.replace('/msg/', '/')]
+    assert flatten(read(raw)) == flatten(decode(raw, msgtype))
+
+
+def test_every_switch_adds_its_topics_and_tentative_people_are_in_none_of_them() -> None:
+    tentative = replace(make_walker('nobody'), tentative=True)
+    for field, topics in SWITCHED_OUTPUTS.items():
+        node = with_values(Config(), {f'node.{field}': True}).node
+        outputs = OutputEncoder().encode(HEADER, [make_walker(), tentative], node)
+        added = {o.topic: o.type for o in outputs if o.topic not in OUTPUTS}
+        assert added == topics
+        for output in outputs:
+            if output.topic in added:
+                assert b'anna' in output.data or output.type in (OBSTACLES, POSES)
+                assert b'nobody' not in output.data
+                assert decode(output.data, output.type)
+    assert [o.topic for o in OutputEncoder().encode(HEADER, [make_walker()])] == list(OUTPUTS)

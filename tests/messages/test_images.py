@@ -1,0 +1,110 @@
+"""Images of all encodings, and messages that are none."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mocap_ros.config import NodeConfig
+from mocap_ros.errors import InputError
+from mocap_ros.messages.cdr import Header, create_header, create_message, encode
+from mocap_ros.messages.images import COMPRESSED_IMAGE, ENCODINGS, IMAGE, IMAGE_TYPES, decode_image
+from tests.support.image_messages import encode_pixels, make_compressed
+
+HEADER = Header(5_000_000_007, 'optical')
+LIMITS = NodeConfig()
+
+
+def make_image() -> np.ndarray:
+    """Return an image (10, 12, 3) of colours that change little inside squares of 2 x 2 px."""
+    squares = np.random.default_rng(0).integers(0, 256, (5, 6, 3))
+    squares[0, 0] = 255
+    return squares.repeat(2, axis=0).repeat(2, axis=1).astype(np.uint8)
+
+
+def encode_message(msgtype: str = IMAGE, **fields: Any) -> bytes:
+    fields['data'] = np.frombuffer(fields['data'], np.uint8)
+    return encode(create_message(msgtype, header=create_header(HEADER), **fields), msgtype)
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+@pytest.mark.parametrize('padding', [0, 5])
+def test_every_encoding_gives_red_green_and_blue(encoding: str, padding: int) -> None:
+    image = make_image()
+    header, pixels = decode_image(encode_message(**encode_pixels(image, encoding, padding)), IMAGE, LIMITS)
+    assert header == HEADER
+    assert pixels.dtype == np.uint8
+    is_grey = encoding in ('mono8', '8UC1', 'mono16', '16UC1')
+    expected = image.mean(axis=-1, keepdims=True).repeat(3, axis=-1) if is_grey else image
+    tolerance = 3 if encoding.startswith(('yu', 'uy')) else 1
+    assert np.abs(pixels.astype(float) - expected).max() <= tolerance
+
+
+def test_the_order_of_bytes_is_kept() -> None:
+    for encoding in ('mono16', 'rgb16'):
+        little, big = (
+            decode_image(encode_message(**encode_pixels(make_image(), encoding, 0, order)), IMAGE, LIMITS)[1]
+            for order in (False, True)
+        )
+        assert np.array_equal(little, big)
+
+
+def test_an_odd_image_of_a_bayer_pattern_keeps_its_size() -> None:
+    image = make_image()[:9, :11]
+    _, pixels = decode_image(encode_message(**encode_pixels(image, 'bayer_grbg8')), IMAGE, LIMITS)
+    assert pixels.shape == (9, 11, 3)
+    assert np.abs(pixels[:8, :10].astype(int) - image[:8, :10]).max() <= 1  # the colour of the rest is not known
+
+
+def test_a_compressed_image_is_decoded() -> None:
+    raw = encode_message(COMPRESSED_IMAGE, **make_compressed(make_image(), 'PNG'))
+    header, pixels = decode_image(raw, COMPRESSED_IMAGE, LIMITS)
+    assert header == HEADER
+    assert np.array_equal(pixels, make_image())
+
+
+@pytest.mark.parametrize(
+    ('changes', 'reason'),
+    [
+        ({'encoding': 'rgb9'}, "encoding: 'rgb9', expected one of rgb8, "),
+        ({'step': 35}, 'step: 35 bytes, less than a row of 12 pixels in rgb8'),
+        ({'height': 11}, 'data: 360 bytes, expected 396'),
+        ({'width': 0}, 'width, height: 0 x 10 px'),
+        ({'height': 0}, 'width, height: 12 x 0 px'),
+        ({'width': 2**20, 'height': 2**20}, 'width, height: 1048576 x 1048576 px'),
+        ({'encoding': 'uyvy', 'width': 11}, 'width: 11 is odd'),
+        ({'data': b''}, 'data: 0 bytes, expected 360'),
+    ],
+)
+def test_fields_that_do_not_fit_are_named(changes: dict[str, Any], reason: str) -> None:
+    fields = {**encode_pixels(make_image(), 'rgb8'), **changes}
+    with pytest.raises(InputError, match='^' + reason):
+        decode_image(encode_message(**fields), IMAGE, LIMITS)
+
+
+def test_data_that_is_no_picture_is_named() -> None:
+    fields = make_compressed(make_image(), 'PNG')
+    for data, reason in ((b'no picture', 'data: neither JPEG nor PNG$'), (fields['data'][:-40], 'data: .+')):
+        with pytest.raises(InputError, match=reason):
+            decode_image(encode_message(COMPRESSED_IMAGE, format='', data=data), COMPRESSED_IMAGE, LIMITS)
+
+
+@settings(max_examples=200, deadline=None)
+@given(data=st.data())
+def test_damaged_messages_give_an_image_or_one_error(data: st.DataObject) -> None:
+    msgtype = data.draw(st.sampled_from(IMAGE_TYPES))
+    fields = encode_pixels(make_image(), 'rgb8') if msgtype == IMAGE else make_compressed(make_image(), 'JPEG')
+    raw = bytearray(encode_message(msgtype, **fields))
+    for _ in range(data.draw(st.integers(1, 4))):
+        raw[data.draw(st.integers(0, min(len(raw), 80) - 1))] = data.draw(st.integers(0, 255))
+    damaged = bytes(raw[: data.draw(st.integers(0, len(raw)))])
+    try:
+        _, pixels = decode_image(damaged, msgtype, LIMITS)
+    except InputError:
+        return
+    assert pixels.ndim == 3
+    assert pixels.shape[2] == 3

@@ -1,0 +1,242 @@
+"""People in the frame of the robot: from a parameter, from transforms live and in a replay, and without any."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mocap_ros.bags.journal import Verdict
+from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recorder import Recorder
+from mocap_ros.bags.topics import Source
+from mocap_ros.config import RecorderConfig, with_values
+from mocap_ros.errors import ConfigError
+from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.cdr import decode
+from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
+from mocap_ros.messages.transforms import TRANSFORMS
+from mocap_ros.runtime.load_results import load_result
+from mocap_ros.runtime.outputs import OUTPUTS
+from mocap_ros.runtime.pipeline import Pipeline
+from mocap_ros.runtime.replay import ReplayOptions, replay
+from tests.support.camera_infos import camera_info
+from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, process
+from tests.support.transforms import SECOND_NS, make_transforms
+
+FRAMES = 12
+STEP_NS = 33_333_333  # between two frames of the demo; 30 Hz
+START_NS = 1_700_000_000_000_000_000  # since the epoch
+SPEED_M_S = 2.0  # of the robot along x of map
+# The camera on the robot looks along the robot's x, with z of the robot up.
+OPTICAL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+CAMERA = (0.2, 0.0, 1.5)  # m, of the camera in base
+MAP_CONFIG = with_values(FAST_CONFIG, {'node.output_frame': 'map'})
+
+
+@pytest.fixture(scope='module')
+def stream() -> list[bytes]:
+    return encode_demo_frames(FRAMES)
+
+
+@pytest.fixture(scope='module')
+def in_camera(stream: list[bytes]) -> list[Any]:
+    """Return the skeletons of each frame in the camera's optical frame."""
+    pipeline = Pipeline(FAST_CONFIG)
+    pipeline.set_camera_info(camera_info())
+    return [find_skeletons(process(pipeline, raw)) for raw in stream]
+
+
+def find_skeletons(outputs: Any) -> Any:
+    return decode({o.topic: o for o in outputs}['skeletons'].data, SKELETONS)
+
+
+def stack(array: Any, field: str = 'joints') -> np.ndarray:
+    return np.array([[(p.x, p.y, p.z) for p in getattr(s, field)] for s in array.people])
+
+
+def stamp_of(array: Any) -> int:
+    return int(array.header.stamp.sec * SECOND_NS + array.header.stamp.nanosec)
+
+
+def static_transforms() -> bytes:
+    return make_transforms(('base', 'camera', 0, CAMERA, OPTICAL.as_quat()))
+
+
+def robot_at(stamp_ns: int) -> bytes:
+    """Return where the robot is at a time."""
+    return make_transforms(('map', 'base', stamp_ns, (SPEED_M_S * stamp_ns / SECOND_NS, 0, 0)))
+
+
+def expected_joints(array: Any) -> np.ndarray:
+    """Return the joints of skeletons in the camera's frame as they are in map, from a robot that drives."""
+    moved = np.array([SPEED_M_S * stamp_of(array) / SECOND_NS, 0, 0])
+    joints = stack(array)
+    return OPTICAL.apply(joints.reshape(-1, 3)).reshape(joints.shape) + CAMERA + moved
+
+
+def feed_transforms(pipeline: Pipeline, source: Source, raw: bytes) -> None:
+    result = pipeline.feed(source, raw)
+    assert (result.verdict, result.reason) == (Verdict.ACCEPTED, '')
+
+
+def test_a_camera_that_stands_still_by_parameter(stream: list[bytes], in_camera: list[Any]) -> None:
+    config = with_values(MAP_CONFIG, {'node.camera_pose': '0.2 0 1.5 0 0 0', 'node.publish_tf': True})
+    pipeline = Pipeline(config)
+    pipeline.set_camera_info(camera_info())
+    for raw, own in zip(stream, in_camera, strict=True):
+        outputs = {o.topic: o for o in process(pipeline, raw)}
+        placed = decode(outputs['skeletons'].data, SKELETONS)
+        expected = OPTICAL.apply(stack(own).reshape(-1, 3)) + CAMERA
+        np.testing.assert_allclose(stack(placed).reshape(-1, 3), expected, atol=1e-9)
+        assert (placed.header.frame_id, placed.camera_frame_id) == ('map', 'camera')
+        velocity = OPTICAL.apply(stack(own, 'joint_velocity').reshape(-1, 3))
+        np.testing.assert_allclose(stack(placed, 'joint_velocity').reshape(-1, 3), velocity, atol=1e-9)
+        back = decode_skeletons(outputs['skeletons'].data)
+        np.testing.assert_allclose(stack(back), stack(own), atol=1e-9)
+        for topic in ('markers', 'points', '/tf'):
+            message = decode(outputs[topic].data, (OUTPUTS | {'/tf': TRANSFORMS})[topic])
+            parts = message.markers if topic == 'markers' else message.transforms if topic == '/tf' else [message]
+            assert all(p.header.frame_id in ('map', 'body_person_1') for p in parts), topic
+        assert decode(outputs['cameras'].data, OUTPUTS['cameras']).header.frame_id == 'camera'
+
+
+def test_the_covariance_of_the_root_is_long_along_the_line_of_sight(stream: list[bytes]) -> None:
+    pipeline = Pipeline(with_values(MAP_CONFIG, {'node.camera_pose': '0 0 1.5 0 0 0'}))
+    pipeline.set_camera_info(camera_info())
+    skeleton = [find_skeletons(process(pipeline, raw)) for raw in stream][-1].people[0]
+    root = np.array([skeleton.root.x, skeleton.root.y, skeleton.root.z]) - [0, 0, 1.5]
+    deviations, axes = np.linalg.eigh(skeleton.root_covariance.reshape(3, 3))
+    assert abs(axes[:, -1] @ root) / np.linalg.norm(root) > 0.999
+    assert np.sqrt(deviations[-1]) > 0.05 * np.linalg.norm(root)
+
+
+def test_a_camera_on_a_robot_that_drives_is_where_it_was_at_the_time_of_the_image(
+    stream: list[bytes], in_camera: list[Any]
+) -> None:
+    pipeline = Pipeline(MAP_CONFIG)
+    pipeline.set_camera_info(camera_info())
+    feed_transforms(pipeline, Source.STATIC_TRANSFORMS, static_transforms())
+    feed_transforms(pipeline, Source.TRANSFORMS, robot_at(0))
+    for raw, own in zip(stream, in_camera, strict=True):
+        feed_transforms(pipeline, Source.TRANSFORMS, robot_at(stamp_of(own) + STEP_NS // 2))
+        placed = find_skeletons(process(pipeline, raw))
+        np.testing.assert_allclose(stack(placed), expected_joints(own), atol=1e-9)
+
+
+def test_without_transforms_people_are_in_the_frame_of_the_camera_and_the_reason_is_told(
+    stream: list[bytes], in_camera: list[Any]
+) -> None:
+    pipeline = Pipeline(MAP_CONFIG)
+    pipeline.set_camera_info(camera_info())
+    result = pipeline.feed(Source.KEYPOINTS, stream[0])
+    assert result.verdict is Verdict.ACCEPTED
+    assert result.reason == (
+        "no transform from 'camera' to 'map': no transform names 'camera', "
+        'so people are put out in the frame of the camera'
+    )
+    skeletons = find_skeletons(result.outputs)
+    assert skeletons.header.frame_id == skeletons.camera_frame_id == 'camera'
+    np.testing.assert_array_equal(stack(skeletons), stack(in_camera[0]))
+
+
+@pytest.mark.parametrize(
+    ('values', 'message'),
+    [
+        ({'node.camera_pose': '0 0 1 0 0 0'}, r'node\.camera_pose: needs node\.output_frame'),
+        ({'node.camera_pose': '0 0 1', 'node.output_frame': 'map'}, r"node\.camera_pose = '0 0 1': expected six"),
+    ],
+)
+def test_a_wrong_pose_is_refused(values: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Pipeline(with_values(FAST_CONFIG, values))
+
+
+def write_bag(folder: Path, stream: list[bytes], in_camera: list[Any]) -> None:
+    """Write a bag as `ros2 bag record` does: transforms and keypoints, in the order in which they came."""
+    with Recorder(folder, RecorderConfig()) as recorder:
+        recorder.write('/camera_info', CAMERA_INFO, camera_info(), START_NS, START_NS)
+        recorder.write('/tf_static', TRANSFORMS, static_transforms(), START_NS, START_NS)
+        recorder.write('/tf', TRANSFORMS, robot_at(0), START_NS, START_NS)
+        for i, (raw, own) in enumerate(zip(stream, in_camera, strict=True)):
+            now_ns = START_NS + i * STEP_NS
+            recorder.write('/tf', TRANSFORMS, robot_at(stamp_of(own) + STEP_NS // 2), now_ns, now_ns)
+            recorder.write('/keypoints', KEYPOINTS, raw, now_ns + 1, now_ns + 1)
+
+
+def read_joints(bag_path: Path) -> np.ndarray:
+    with Bag(bag_path) as bag:
+        return np.array([stack(decode(m.raw, SKELETONS)) for m in bag.messages(['/skeletons'])])
+
+
+def test_a_replay_reads_the_transforms_of_the_bag(
+    tmp_path: Path, stream: list[bytes], in_camera: list[Any]
+) -> None:
+    write_bag(tmp_path / 'bag', stream, in_camera)
+    with Bag(tmp_path / 'bag') as bag:
+        result = replay(bag, tmp_path / 'out', ReplayOptions(MAP_CONFIG))
+        replay(bag, tmp_path / 'plain', ReplayOptions(FAST_CONFIG))
+    assert (result.counters.accepted, result.first_rejection) == (FRAMES, '')
+    expected = np.array([expected_joints(own) for own in in_camera])
+    np.testing.assert_allclose(read_joints(tmp_path / 'out'), expected, atol=1e-9)
+    np.testing.assert_allclose(read_joints(tmp_path / 'plain'), [stack(own) for own in in_camera], atol=1e-9)
+    in_optical_frame, _ = load_result(tmp_path / 'out')
+    np.testing.assert_allclose(in_optical_frame.joints, [stack(own)[0] for own in in_camera], atol=1e-9)
+
+
+def test_a_live_run_and_its_replay_agree_also_where_people_are_on_tf(
+    tmp_path: Path, stream: list[bytes], in_camera: list[Any]
+) -> None:
+    pytest.importorskip('rclpy')
+    from mocap_ros.ros.live import LiveRun
+    from tests.support.line_log import LineLog
+
+    config = replace(
+        with_values(MAP_CONFIG, {'node.publish_tf': True, 'node.queue': 3}),
+        recorder=replace(MAP_CONFIG.recorder, folder=str(tmp_path / 'bags')),
+    )
+    names = {
+        name: '/' + name.lstrip('/') for name in (*OUTPUTS, *(s.value for s in Source), 'skeleton_definition')
+    }
+    names['journal'] = '/mocap_node/journal'
+    types = dict.fromkeys((Source.TRANSFORMS, Source.STATIC_TRANSFORMS), TRANSFORMS)
+    types |= {Source.KEYPOINTS: KEYPOINTS, Source.CAMERA_INFO: CAMERA_INFO}
+    published: list[Any] = []
+    run = LiveRun(Pipeline(config), types, names, published.append, LineLog())
+    run.start()
+    run.enqueue(Source.CAMERA_INFO, camera_info(), 5)
+    run.enqueue(Source.STATIC_TRANSFORMS, static_transforms(), 5)
+    run.enqueue(Source.TRANSFORMS, robot_at(0), 5)
+
+    def wait_for(count: int) -> None:
+        deadline = time.monotonic() + 60
+        while sum(o.topic == 'skeletons' for o in published) < count:
+            assert time.monotonic() < deadline
+            time.sleep(0.002)
+
+    for i, (raw, own) in enumerate(zip(stream, in_camera, strict=True)):
+        if i == 4:
+            run.start_recording()  # the transforms that are known come first in the bag
+        for later_ns in range(0, STEP_NS, STEP_NS // 8):  # more messages than the queue may hold of people
+            run.enqueue(Source.TRANSFORMS, robot_at(stamp_of(own) + later_ns), 5)
+        run.enqueue(Source.KEYPOINTS, raw, 5)
+        wait_for(i + 1)
+    run.stop()
+    skeletons = [o.data for o in published if o.topic == 'skeletons']
+    assert len(skeletons) == FRAMES
+    (folder,) = (tmp_path / 'bags').iterdir()
+    with Bag(folder) as bag:
+        result = replay(bag, tmp_path / 'again')
+    assert (result.counters.accepted, result.unrecorded_inputs) == (FRAMES - 4, 0)
+    live = [stack(decode(raw, SKELETONS)) for raw in skeletons[4:]]
+    np.testing.assert_allclose(read_joints(tmp_path / 'again'), live, atol=1e-9)
+    moved = [
+        j[0].mean(axis=0)[0] - o[0].mean(axis=0)[2] for j, o in zip(live, map(stack, in_camera[4:]), strict=True)
+    ]
+    assert moved[-1] - moved[0] == pytest.approx(SPEED_M_S * 7 * STEP_NS / SECOND_NS, abs=0.3)

@@ -1,0 +1,60 @@
+"""Scenes for the tests of the viewers: people who swing their limbs before a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.people import MotionKind
+from mocap_ros.skeleton import CMU15
+from mocap_ros.viewing.scene import Mark, MarkKind, Scene, SceneKeypoints, ScenePerson
+from tests.support.swinging_body import make_swinging_body
+
+INTRINSICS = Intrinsics(600.0, (320.0, 240.0), is_focal_known=True)
+STEP_NS = 33_333_333  # ns between two frames; about 30 Hz
+
+
+def make_scene_person(person_id: str, frames: Sequence[int], place: Sequence[float]) -> ScenePerson:
+    """Return a person who stands at a place (3,) in m in the given frames."""
+    joints = make_swinging_body(len(frames))[0] + np.asarray(place)
+    count = len(frames)
+    return ScenePerson(
+        id=person_id,
+        frames=np.asarray(frames),
+        joints=joints.astype(np.float32),
+        std=np.full((count, 15), 0.05, np.float32),
+        inferred=np.zeros((count, 15), bool),
+        image=INTRINSICS.project(joints).astype(np.float32),
+        residual=np.linspace(2, 3, count, dtype=np.float32),
+        cadence=np.full(count, 0.9, np.float32),
+        motion=np.full(count, MotionKind.PERIODIC, np.uint8),
+        predicted=np.zeros(count, bool),
+        tentative=np.zeros(count, bool),
+    )
+
+
+def make_keypoints(people: Sequence[ScenePerson]) -> SceneKeypoints:
+    """Return keypoints that agree with the people."""
+    frames = np.concatenate([person.frames for person in people])
+    order = np.argsort(frames, kind='stable')
+    points = np.concatenate([person.image for person in people])[order]
+    return SceneKeypoints(CMU15, frames[order], points, np.ones(points.shape[:2], np.float32))
+
+
+def make_scene(frames: int = 40) -> Scene:
+    """Return two people, of whom the second comes later and is predicted at the end, and a drop."""
+    anna = make_scene_person('anna', range(frames), (-0.7, 0.1, 4.0))
+    ben = make_scene_person('<b>en', range(frames // 2, frames), (0.8, 0.0, 5.0))
+    anna.inferred[:, 4] = True
+    ben.predicted[-3:] = True
+    return Scene(
+        title='two </script> people',
+        stamps_ns=[frame * STEP_NS for frame in range(frames)],
+        people=(anna, ben),
+        keypoints=(make_keypoints([anna, ben]),),
+        image_size=(640, 480),
+        intrinsics=INTRINSICS,
+        marks=(Mark(0.5, MarkKind.DROP, 'too late'),),
+    )
