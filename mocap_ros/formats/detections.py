@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count, pairwise
 from math import gcd
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,18 +48,21 @@ MAX_LISTED_PEOPLE = 5  # people named in a line of output
 
 @dataclass(frozen=True)
 class Video:
-    """The properties of a video that a detector's files do not state.
+    """The properties of a video that a detector's files do not state, and the detector for a video itself.
 
     Attributes:
         fps: frame rate in Hz, or None where unknown.
         image_size: (width, height) in px, or None where it is not given.
         layout: name of the keypoint layout, one of `skeleton.LAYOUT_NAMES`; empty where the number of keypoints
             tells the layout.
+        detector: file of the model that finds keypoints in a video; None for the one that comes with some versions
+            of MediaPipe.
     """
 
     fps: float | None = None
     image_size: ImageSize | None = None
     layout: str = ''
+    detector: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +76,8 @@ class Detections:
         intrinsics: intrinsics of the camera, or None where unknown.
         frame_id: name of the camera's optical frame, or empty.
         remarks: lines that say what the reader left out.
+        is_one_person: whether people without an id are of one person if no frame shows two people. It is False
+            for a detector of one person that may go over from one person to another.
     """
 
     people: Sequence[Sequence[Person2D]]
@@ -80,6 +86,7 @@ class Detections:
     intrinsics: Intrinsics | None = None
     frame_id: str = ''
     remarks: tuple[str, ...] = ()
+    is_one_person: bool = True
 
 
 @dataclass(eq=False)
@@ -163,7 +170,8 @@ def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Vi
 def associate_people(detections: Detections) -> list[PersonTrack]:
     """Associate the detections of each person over time, by id, or by position where there is no id.
 
-    If no frame shows two people, all detections without an id are of one person.
+    If no frame shows two people, all detections without an id are of one person, or, without
+    `Detections.is_one_person`, of the person who was seen last where nobody was seen for `MAX_GAP_S`.
 
     Returns:
         The tracks in the order of their first frame.
@@ -185,10 +193,12 @@ def associate_people(detections: Detections) -> list[PersonTrack]:
                     tracks.append(track_by_id.setdefault(person.id, PersonTrack(person.id)))
                 track_by_id[person.id].detection_by_frame[frame] = person
         unnamed = [p for p in people if not p.id and (p.score > 0).any()]
-        if is_alone:
+        if is_alone and detections.is_one_person:
             indices: list[int | None] = [0 if unnamed_tracks else None for _ in unnamed]
         else:
-            unnamed_tracks = [t for t in unnamed_tracks if compute_gap_s(t, frame) <= MAX_GAP_S]
+            recent = [t for t in unnamed_tracks if compute_gap_s(t, frame) <= MAX_GAP_S]
+            last_seen = sorted(unnamed_tracks, key=lambda track: track.last_frame)[-1:]
+            unnamed_tracks = recent or (last_seen if is_alone else [])
             ages_s = [compute_gap_s(t, frame) for t in unnamed_tracks]
             indices = associate_keypoints([t.last_detection for t in unnamed_tracks], ages_s, unnamed)
         for index, person in zip(indices, unnamed, strict=True):

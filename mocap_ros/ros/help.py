@@ -10,12 +10,15 @@ from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.foreign.definitions import HRI_SKELETON
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, TF_OUTPUT
+from mocap_ros.messages.transforms import TRANSFORMS
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, SWITCHED_OUTPUTS
 
 # Type of each service of the node, by name.
 SERVICES = {'~/reset': 'std_srvs/srv/Trigger', '~/record': 'std_srvs/srv/SetBool'}
 # Message type of each input with the default parameters, by relative topic name.
 INPUT_TYPES = {Source.KEYPOINTS.value: KEYPOINTS, Source.CAMERA_INFO.value: CAMERA_INFO}
+# The further inputs with node.output_frame and without node.camera_pose.
+TRANSFORM_INPUTS = {Source.TRANSFORMS.value: TRANSFORMS, Source.STATIC_TRANSFORMS.value: TRANSFORMS}
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -52,7 +55,8 @@ def _describe_interface() -> str:
         },
         'subscribed topics': INPUT_TYPES,
         'published topics': OUTPUTS | LATCHED_OUTPUTS | {'/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray'},
-        'with -p node.publish_tf:=true': TF_OUTPUT,
+        'subscribed with -p node.output_frame:=FRAME': TRANSFORM_INPUTS,
+        **{f'published with -p node.{field}:=true': topics for field, topics in SWITCHED_OUTPUTS.items()},
         'services': SERVICES,
     }
     lines = []

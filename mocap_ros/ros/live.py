@@ -232,13 +232,18 @@ class LiveRun:
             if not self._queue:
                 return True
             message = self._queue.popleft()
-            if len(self._queue) >= config.node.queue:
+            if self._is_behind(config.node.queue):
                 self._first_unskipped = dict(self._received_counts)
             if message.source in PEOPLE_SOURCES and message.number < self._first_unskipped.get(message.topic, 0):
                 self._publish_result(message, self._pipeline.note_backlog())
             else:
                 self._process(message)
         return True
+
+    def _is_behind(self, limit: int) -> bool:
+        """Return whether at least `limit` messages of people are waiting."""
+        queue = self._queue
+        return len(queue) >= limit and sum(m.source in PEOPLE_SOURCES for m in tuple(queue)) >= limit
 
     def _process(self, message: ReceivedMessage) -> None:
         start = time.monotonic()

@@ -10,10 +10,12 @@ from mocap_ros.bags.background import BackgroundRecorder
 from mocap_ros.bags.journal import Journal, Verdict
 from mocap_ros.bags.recorder import RecordedMessage, choose_bag_folder
 from mocap_ros.bags.rosbag2 import Topic, make_topic
+from mocap_ros.bags.topics import Source
 from mocap_ros.config import Config, values
 from mocap_ros.errors import RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import OutputMessage
+from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.throttled_log import Logger
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, build_skeleton_definition
@@ -172,11 +174,17 @@ class LiveRecording:
             self._journal.make_parameters_record(values(pipeline.config), start_ns),
             self._make_output_record(definition, start_ns),
         ]
+        known: list[tuple[Source, str, bytes]] = []
         if pipeline.camera_info is not None:
-            topic, raw = self._names['camera_info'], self._versions.write(CAMERA_INFO, pipeline.camera_info)
-            records += self._declare_input(topic, CAMERA_INFO)
+            known.append((Source.CAMERA_INFO, CAMERA_INFO, pipeline.camera_info))
+        if not pipeline.transforms.is_empty:
+            static, dynamic = pipeline.transforms.encode_all()
+            known += [(Source.STATIC_TRANSFORMS, TRANSFORMS, static), (Source.TRANSFORMS, TRANSFORMS, dynamic)]
+        for source, msgtype, content in known:
+            topic, raw = self._names[source.value], self._versions.write(msgtype, content)
+            records += self._declare_input(topic, msgtype)
             records += self._journal.make_input_records(
-                topic, CAMERA_INFO, raw, (start_ns, start_ns), Verdict.ACCEPTED
+                topic, msgtype, raw, (start_ns, start_ns), Verdict.ACCEPTED
             )
         return records
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import re
 import signal
 import threading
 from collections.abc import Sequence
@@ -14,11 +13,8 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.logging import set_logger_level
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.signals import SignalHandlerOptions
 
 from mocap_ros.bags.topics import Source
 from mocap_ros.compiled.kernel import compile_kernels, is_compiling
@@ -32,8 +28,14 @@ from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.parameters import declare_parameters, select_config_values, warn_of_unknown_parameters
 from mocap_ros.ros.publications import OutputPublishers
 from mocap_ros.ros.qos import QosWarnings, profile_to_rosbag2
+from mocap_ros.ros.startup import initialise_rclpy
 from mocap_ros.ros.subscriptions import InputSubscriptions
-from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, TF_OUTPUT, build_skeleton_definition
+from mocap_ros.runtime.outputs import (
+    LATCHED_OUTPUTS,
+    OUTPUTS,
+    build_skeleton_definition,
+    list_switched_outputs,
+)
 from mocap_ros.runtime.pipeline import Pipeline
 
 NODE_NAME = 'mocap_node'
@@ -137,7 +139,7 @@ class MocapNode(LifecycleNode):
         if compilation.kernels:  # none when the node is configured again
             self.get_logger().info(str(compilation))
         self._pipeline = Pipeline(config)
-        self._outputs.create(self._versions, publishes_tf=config.node.publish_tf)
+        self._outputs.create(self._versions, config.node)
         callbacks = {'~/reset': self._on_reset, '~/record': self._on_record}
         self._provided_services = [
             self.create_service(load_interface_class(srvtype), name, callbacks[name])
@@ -156,7 +158,8 @@ class MocapNode(LifecycleNode):
     def _start_run(self) -> None:
         assert self._pipeline is not None  # noqa: S101
         assert self._inputs is not None  # noqa: S101
-        relative_names = [*(s.value for s in Source), *OUTPUTS, *TF_OUTPUT, *LATCHED_OUTPUTS]
+        switched = list_switched_outputs(self._config.node)
+        relative_names = [*(s.value for s in Source), *OUTPUTS, *switched, *LATCHED_OUTPUTS]
         names = {name: self.resolve_topic_name(name) for name in relative_names}
         names['journal'] = self.resolve_topic_name('~/journal')
         self._run = LiveRun(
@@ -170,7 +173,7 @@ class MocapNode(LifecycleNode):
         )
         self._run.start()
         self._inputs.subscribe(self._run.enqueue)
-        published = ', '.join(names[topic] for topic in (*OUTPUTS, *LATCHED_OUTPUTS))
+        published = ', '.join(names[topic] for topic in (*OUTPUTS, *switched, *LATCHED_OUTPUTS))
         self.get_logger().info(
             f'the node is active: it listens on {" and ".join(self._inputs.topics)}, publishes {published}, '
             f'and uses the model {self._config.tracker.model}'
@@ -281,7 +284,7 @@ def run(arguments: Sequence[str]) -> None:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, request_stop)
-    _initialise_rclpy(arguments)
+    initialise_rclpy(arguments)
     executor = SingleThreadedExecutor()
     try:
         node = MocapNode()
@@ -297,13 +300,3 @@ def run(arguments: Sequence[str]) -> None:
             node.destroy_node()
     finally:
         rclpy.shutdown()
-
-
-def _initialise_rclpy(arguments: Sequence[str]) -> None:
-    set_logger_level('rcl', LoggingSeverity.FATAL)  # rcl would log the reason of a failure as well
-    try:
-        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
-        reason = re.sub(r', at \S+:\d+', '', str(error).removeprefix('failed to initialize rcl: '))
-        raise ConfigError(f'ROS does not accept these arguments: {reason}') from None
-    set_logger_level('rcl', LoggingSeverity.UNSET)

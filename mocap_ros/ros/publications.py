@@ -8,12 +8,14 @@ from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import QoSProfile
 
+from mocap_ros.config import NodeConfig
 from mocap_ros.errors import ConfigError
 from mocap_ros.messages.cdr import OutputMessage
+from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.diagnostics import DIAGNOSTICS
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS, TF_QOS, QosWarnings
-from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, TF_OUTPUT
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, SWITCHED_OUTPUTS
 
 DIAGNOSTICS_TOPIC = '/diagnostics'
 
@@ -31,12 +33,12 @@ class OutputPublishers:
         self._qos_warnings = qos_warnings
         self._publishers: dict[str, Any] = {}  # by relative topic name
 
-    def create(self, versions: MessageVersions, *, publishes_tf: bool) -> None:
+    def create(self, versions: MessageVersions, config: NodeConfig) -> None:
         """Create the publishers.
 
         Args:
             versions: Versions of the message types, to which those of the outputs are added.
-            publishes_tf: Whether to publish transforms on /tf.
+            config: Parameters that switch further outputs on.
 
         Raises:
             ConfigError: A message type is not installed, or the installed version cannot hold the outputs.
@@ -45,8 +47,9 @@ class OutputPublishers:
             for topic, msgtype in topics.items():
                 self._create_publisher(topic, msgtype, qos, versions)
         self._create_publisher(DIAGNOSTICS_TOPIC, DIAGNOSTICS, OUTPUT_QOS, versions)
-        if publishes_tf:
-            self._create_tf_publisher(versions)
+        for field in SWITCHED_OUTPUTS:
+            if getattr(config, field):
+                self._create_switched_publishers(field, versions)
 
     def destroy(self) -> None:
         """Destroy all publishers."""
@@ -64,17 +67,24 @@ class OutputPublishers:
         """Publish a DiagnosticArray, given as CDR of the installed version."""
         self._publishers[DIAGNOSTICS_TOPIC].publish(raw)
 
-    def _create_tf_publisher(self, versions: MessageVersions) -> None:
-        ((topic, msgtype),) = TF_OUTPUT.items()
+    def _create_switched_publishers(self, field: str, versions: MessageVersions) -> None:
+        """Create the publishers that a parameter switches on; what has no installed type is recorded only."""
+        for topic, msgtype in SWITCHED_OUTPUTS[field].items():
+            if self._is_installed(field, topic, msgtype):
+                self._create_publisher(topic, msgtype, TF_QOS if msgtype == TRANSFORMS else OUTPUT_QOS, versions)
+
+    def _is_installed(self, field: str, topic: str, msgtype: str) -> bool:
+        """Return whether the type of an output that a parameter switches on is installed; else log a warning."""
         try:
             load_interface_class(msgtype)
         except ConfigError as error:
             package = msgtype.partition('/')[0]
+            what = 'transforms are' if msgtype == TRANSFORMS else f'{topic} is'
             self._node.get_logger().warning(
-                f'node.publish_tf: {error}; transforms are recorded but not published; install {package}'
+                f'node.{field}: {error}; {what} recorded but not published; install {package}'
             )
-        else:
-            self._create_publisher(topic, msgtype, TF_QOS, versions)
+            return False
+        return True
 
     def _create_publisher(self, topic: str, msgtype: str, qos: QoSProfile, versions: MessageVersions) -> None:
         if left_out := versions.add_output(msgtype):

@@ -27,6 +27,13 @@ INPUT_QOS = QoSProfile(
 # Reliable is compatible with reliable and with best-effort subscribers.
 OUTPUT_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
 TF_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=TF_QUEUE_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+# As tf2_ros subscribes to /tf_static, where each publisher keeps its transforms for late subscribers.
+STATIC_TF_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=TF_QUEUE_DEPTH,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
 # Late subscribers receive the last message.
 LATCHED_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,

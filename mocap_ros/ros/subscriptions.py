@@ -10,30 +10,42 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from mocap_ros.bags.topics import Source, list_input_types, make_body_topic
+from mocap_ros.bags.topics import (
+    PEOPLE_SOURCES,
+    TRANSFORM_SOURCES,
+    Source,
+    list_input_types,
+    make_body_topic,
+    reads_transforms,
+)
 from mocap_ros.config import NodeConfig
-from mocap_ros.errors import InputError
+from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.messages.foreign.definitions import HRI_IDS
 from mocap_ros.messages.foreign.hri import decode_ids
+from mocap_ros.messages.transform_tree import is_of_people_only
+from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
-from mocap_ros.ros.qos import INPUT_QOS, QosWarnings
+from mocap_ros.ros.qos import INPUT_QOS, STATIC_TF_QOS, TF_QOS, QosWarnings
 from mocap_ros.ros.silence import SilenceMonitor
 
 # A body id that may be part of a topic name: letters, digits and single underscores, without a leading digit.
 BODY_ID_IN_TOPIC = re.compile(r'(?!\w*__)[A-Za-z_][A-Za-z0-9_]*')
+
+# The QoS profile of the subscription to each input; by default `INPUT_QOS`.
+QOS_BY_SOURCE = {Source.TRANSFORMS: TF_QOS, Source.STATIC_TRANSFORMS: STATIC_TF_QOS}
 
 # A function that takes a message: its source, its CDR bytes, the time of sending in ns, and its topic.
 Receive = Callable[[Source, bytes, int, str], None]
 
 
 class InputSubscriptions:
-    """Subscriptions to keypoints and CameraInfo, and for ROS4HRI to each tracked body.
+    """Subscriptions to keypoints, CameraInfo and transforms, and for ROS4HRI to each tracked body.
 
     Args:
         node: The node that subscribes.
         input_type: Message type of the keypoints, as in `node.input_type`.
         versions: Versions of the message types, to which those of the inputs are added.
-        get_limits: Function that returns the limits on the content of a message.
+        get_limits: Function that returns the parameters of the node, which limit the content of a message.
         qos_warnings: Log of publishers with an incompatible QoS.
 
     Attributes:
@@ -55,13 +67,28 @@ class InputSubscriptions:
         self._versions = versions
         self._get_limits = get_limits
         self._qos_warnings = qos_warnings
-        self.types = list_input_types(input_type)
-        for msgtype in self.types.values():
-            versions.add_input(msgtype)
+        self.types = list_input_types(input_type, reads_transforms=reads_transforms(get_limits()))
+        self._add_types()
         self._subscriptions: list[Any] = []
         self._body_subscriptions: dict[str, Any] = {}  # by topic
         self._receive: Receive | None = None
         self._silence: SilenceMonitor | None = None
+
+    def _add_types(self) -> None:
+        """Add the types of the inputs to the versions; transforms whose type is not installed are left out."""
+        for source in [s for s in self.types if s not in TRANSFORM_SOURCES]:
+            self._versions.add_input(self.types[source])
+        if Source.TRANSFORMS not in self.types:
+            return
+        try:
+            self._versions.add_input(TRANSFORMS)
+        except ConfigError as error:
+            self.types = {s: t for s, t in self.types.items() if s not in TRANSFORM_SOURCES}
+            package = TRANSFORMS.partition('/')[0]
+            self._node.get_logger().warning(
+                f'node.output_frame: {error}; transforms cannot be received, so people are put out in the frame '
+                f'of the camera; install {package}, or set node.camera_pose'
+            )
 
     @property
     def topics(self) -> list[str]:
@@ -96,7 +123,7 @@ class InputSubscriptions:
             load_interface_class(self.types[source]),
             name,
             lambda raw, info: self._take(source, raw, info['source_timestamp'], topic),
-            INPUT_QOS,
+            QOS_BY_SOURCE.get(source, INPUT_QOS),
             raw=True,
             qos_overriding_options=overridable,
             event_callbacks=SubscriptionEventCallbacks(
@@ -107,11 +134,17 @@ class InputSubscriptions:
     def _take(self, source: Source, raw: bytes, sent_ns: int, topic: str) -> None:
         """Pass a message on as it was received."""
         assert self._receive is not None  # noqa: S101
+        if source in TRANSFORM_SOURCES and self._is_of_people_only(raw):
+            return
         self._receive(source, raw, sent_ns, topic)
-        if source is not Source.CAMERA_INFO and self._silence is not None:
+        if source in PEOPLE_SOURCES and self._silence is not None:
             self._silence.note_input()
         if source is Source.TRACKED_BODIES:
             self._follow_bodies(raw)
+
+    def _is_of_people_only(self, raw: bytes) -> bool:
+        """Return whether transforms are of people only, such as those that this node itself publishes."""
+        return is_of_people_only(self._versions.read(TRANSFORMS, raw), self._get_limits().frame_prefix)
 
     def _follow_bodies(self, raw: bytes) -> None:
         """Subscribe to the tracked bodies and unsubscribe from those that are no longer tracked."""

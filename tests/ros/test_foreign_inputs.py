@@ -17,6 +17,7 @@ from mocap_ros.demo.scene import make_recording
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.replay import replay
 from mocap_ros.skeleton import keypoint_layout
@@ -77,6 +78,8 @@ def test_yolo_detections_with_transforms(
     node = start_node(
         'node.input_type:=yolo_msgs/msg/DetectionArray',
         'node.publish_tf:=true',
+        'node.publish_people:=true',
+        'node.output_frame:=map',
         'node.frame_prefix:=left_',
         'node.silence_warning:=60.0',
         'recorder.enabled:=true',
@@ -88,19 +91,24 @@ def test_yolo_detections_with_transforms(
     time.sleep(0.3)
     info.publish(camera_info())
     time.sleep(0.3)
-    frames = [[(f + 1) * 10**8, place_people(f, 'anna', 'b/ob')] for f in range(8)]
-    transforms = json.loads(run_detector(env, 'yolo', frames, 'tf'))
+    frames: list[Any] = [[(f + 1) * 10**8, place_people(f, 'anna', 'b/ob')] for f in range(8)]
+    transforms = json.loads(run_detector(env, 'yolo', frames, 'tf', 'map'))
     peer.wait_for_frames(len(frames))
-    assert stop_node(node) == []
-    for raw in peer.received['skeletons']:
-        assert [p.id for p in decode(raw, SKELETONS).people] == ['anna', 'b/ob']
+    assert [line for line in stop_node(node) if 'people is recorded but not published' not in line] == []
+    for raw, (stamp_ns, _) in zip(peer.received['skeletons'], frames, strict=True):
+        skeletons = decode(raw, SKELETONS)
+        assert [p.id for p in skeletons.people] == ['anna', 'b/ob']
+        assert (skeletons.header.frame_id, skeletons.camera_frame_id) == ('map', 'camera')
+        assert skeletons.camera_pose.position.x == pytest.approx(stamp_ns / 1e9 + 0.5)
     parents_and_children = {tuple(t) for message in transforms for t in message}
-    assert ('camera', 'left_body_anna') in parents_and_children
+    assert ('map', 'left_body_anna') in parents_and_children
     assert ('left_body_b_ob', 'left_l_shoulder_b_ob') in parents_and_children
     (bag_folder,) = (tmp_path / 'bags').iterdir()
     with Bag(bag_folder) as bag:
         assert bag.topics['/keypoints'] == 'yolo_msgs/msg/DetectionArray'
-        assert bag.count(['/tf']) == len(frames)
+        own = [m for m in bag.messages(['/tf']) if is_of_people_only(m.raw, 'left_')]
+        assert len(own) == len(frames)  # what the node heard of itself is no input
+        assert bag.count(['/people']) == len(frames)
     assert_replay_gives_the_same(bag_folder, tmp_path / 'again', peer.received['skeletons'])
 
 

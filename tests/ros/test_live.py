@@ -245,6 +245,7 @@ class FaultyTracker:
     output_stamp_ns = 0
     swapped_frames = 0
     unusable_people = 0
+    vertical = None
 
     def __init__(self, *_: object) -> None:
         self.frames = 0

@@ -1,4 +1,4 @@
-"""OpenSim's own reader reads the TRC files; `pip install opensim` runs this test."""
+"""OpenSim itself reads the markers, the model and the joint angles; `pip install opensim` runs these tests."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, compute_joint_angles
+from mocap_ros.formats.export.opensim_model import place_markers, save_mot, save_osim
 from mocap_ros.formats.export.trc import save_trc
 from mocap_ros.skeleton import CMU15
 from tests.support.motion_files import FRAMES, Z_UP_TO_Y_UP
+from tests.support.opensim_kinematics import compute_joints, read_markers, require_opensim
 
 FPS = 29.97  # Hz, a rate that is not an integer
 UNSEEN = [0, 1, FRAMES - 1]  # frames without a skeleton
 
 
 def test_opensim_reads_markers_unit_rate_and_frames(tmp_path: Path, poses: np.ndarray) -> None:
-    opensim = pytest.importorskip('opensim', reason='needs OpenSim: pip install opensim')
+    opensim = require_opensim()
     joints = poses @ Z_UP_TO_Y_UP.T
     joints[UNSEEN] = np.nan
     save_trc(tmp_path / 'walk.trc', CMU15.joints, joints, FPS)
@@ -35,3 +38,62 @@ def test_opensim_reads_markers_unit_rate_and_frames(tmp_path: Path, poses: np.nd
     assert [seen.getMarker(j).to_numpy() for j in range(len(CMU15.joints))] == pytest.approx(
         joints[FRAMES // 2] * 1000, abs=1e-3
     )
+
+
+def save_all(folder: Path, joints: np.ndarray) -> None:
+    """Write markers, model and joint angles."""
+    angles = compute_joint_angles(joints, FPS)
+    save_trc(folder / 'walk.trc', CMU15.joints, joints, FPS)
+    save_osim(folder / 'walk.osim', '</a> /\0', place_markers(joints, angles))  # any id of a person
+    save_mot(folder / 'walk.mot', angles, np.arange(len(joints)) / FPS)
+
+
+def test_the_model_in_the_pose_of_the_angles_has_its_markers_at_the_joints(
+    tmp_path: Path, poses: np.ndarray
+) -> None:
+    opensim = require_opensim()
+    joints = poses @ Z_UP_TO_Y_UP.T
+    save_all(tmp_path, joints)
+    angles = compute_joint_angles(joints, FPS)
+    expected = compute_joints(angles.values, place_markers(joints, angles))
+    model = opensim.Model(str(tmp_path / 'walk.osim'))
+    state = model.initSystem()
+    table = opensim.TimeSeriesTable(str(tmp_path / 'walk.mot'))
+    assert tuple(table.getColumnLabels()) == COORDINATES
+    assert table.getTableMetaDataString('inDegrees') == 'yes'
+    for frame in range(0, FRAMES, 7):
+        row = table.getRowAtIndex(frame)
+        for i, name in enumerate(COORDINATES):
+            value = row[i] if name in POSITIONS else np.radians(row[i])
+            model.getCoordinateSet().get(name).setValue(state, value, False)
+        model.realizePosition(state)
+        for j, joint in enumerate(CMU15.joints):
+            place = model.getMarkerSet().get(joint).getLocationInGround(state).to_numpy()
+            assert place == pytest.approx(expected[frame, j], abs=1e-5), (frame, joint)
+
+
+def test_inverse_kinematics_runs_on_the_markers_and_gives_the_angles(tmp_path: Path, poses: np.ndarray) -> None:
+    opensim = require_opensim()
+    joints = poses @ Z_UP_TO_Y_UP.T
+    angles = compute_joint_angles(joints, FPS)
+    rigid = compute_joints(angles.values, place_markers(joints, angles))  # bones of constant length
+    save_all(tmp_path, rigid)
+    tool = opensim.InverseKinematicsTool()
+    model = opensim.Model(str(tmp_path / 'walk.osim'))  # the tool only refers to it
+    tool.setModel(model)
+    tool.setMarkerDataFileName(str(tmp_path / 'walk.trc'))
+    tool.setOutputMotionFileName(str(tmp_path / 'ik.mot'))
+    tool.setResultsDir(str(tmp_path))
+    for joint in CMU15.joints:
+        task = opensim.IKMarkerTask()
+        task.setName(joint)
+        task.setWeight(1.0)
+        tool.getIKTaskSet().cloneAndAppend(task)
+    assert tool.run()
+    errors = opensim.TimeSeriesTable(str(tmp_path / '_ik_marker_errors.sto'))
+    assert errors.getDependentColumn('marker_error_RMS').to_numpy().max() < 0.002, 'm'
+    found = opensim.TimeSeriesTable(str(tmp_path / 'ik.mot'))
+    for i, name in enumerate(COORDINATES):
+        difference = found.getDependentColumn(name).to_numpy() - angles.values[:, i]
+        assert np.sqrt((difference**2).mean()) < 1.0, name
+    assert read_markers(opensim, str(tmp_path / 'walk.trc')) == pytest.approx(rigid, abs=1e-6)

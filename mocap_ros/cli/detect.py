@@ -1,0 +1,111 @@
+"""`mocap-ros detect`: find 2D keypoints in a video or the images of a camera."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from mocap_ros.cli.options import derive_output_stem, parse_count, parse_positive
+from mocap_ros.cli.progress import show_progress
+from mocap_ros.errors import InputError
+from mocap_ros.formats.detections import select_person
+from mocap_ros.formats.sequence_file import describe_frames, save_sequence
+from mocap_ros.formats.text_files import check_output, guard_output
+from mocap_ros.formats.video import VideoImage, find_camera
+from mocap_ros.runtime.detection import detect_in_video
+from mocap_ros.runtime.input_kind import InputKind, require_kind
+from mocap_ros.runtime.save_results import save_detections
+from mocap_ros.units import NS_PER_S
+
+BAG_SUFFIX = '.mcap'
+SUFFIXES = ('.npz', BAG_SUFFIX)  # of the files that the command writes
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the subcommand and add its options."""
+    parser.description = (
+        'Finds the keypoints of people in a video or in the images of a camera and writes them to a file that '
+        '`mocap-ros reconstruct` and the other commands read: a sequence file (.npz) of one person, or a bag '
+        '(.mcap) of all people, which `mocap-ros play` publishes. The times are those of the images. Needs '
+        "`pip install 'mocap_ros[video]'`, and for MediaPipe `'mocap_ros[mediapipe]'`."
+    )
+    parser.add_argument(
+        'input',
+        type=Path,
+        metavar='VIDEO|CAMERA',
+        help='video, or the number or the device of a camera (0, /dev/video0)',
+    )
+    parser.add_argument(
+        '--model',
+        type=Path,
+        metavar='FILE',
+        help="MediaPipe's pose landmarker (.task), or RTMPose or MoveNet (.onnx) (default: the model that comes "
+        'with MediaPipe 0.10.14)',
+    )
+    parser.add_argument(
+        '-o', '--output', type=Path, metavar='OUT', help='.npz or .mcap (default: IN_2d.npz in the current folder)'
+    )
+    parser.add_argument(
+        '--person', metavar='ID', help='person to write to a .npz (default: the person seen in most images)'
+    )
+    parser.add_argument(
+        '--max-people',
+        type=parse_count,
+        default=1,
+        metavar='N',
+        help='largest number of people to find in an image, by models that find several',
+    )
+    parser.add_argument(
+        '--duration',
+        type=parse_positive,
+        metavar='S',
+        help='s, end after this time (default: at the end of the video; for a camera, when interrupted)',
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Detect people, write their keypoints, and print how long they were seen."""
+    camera = find_camera(str(args.input))
+    path = camera or args.input
+    output = args.output or Path(f'{"camera" if camera else derive_output_stem(path)}_2d.npz')
+    if output.suffix not in SUFFIXES:
+        raise InputError(f'{output}: unknown file type; expected {", ".join(SUFFIXES)}')
+    if output.suffix == BAG_SUFFIX and args.person is not None:
+        raise InputError(f'{output}: holds all people; --person applies to a .npz')
+    check_output(output, *([] if camera else [path]))
+    if camera is None:
+        require_kind(path, [InputKind.VIDEO], 'a video, or the number or the device of a camera')
+
+    def limit_and_show(images: Iterable[VideoImage], count: int | None) -> Iterator[VideoImage]:
+        images = show_progress(images, 'detect', count)
+        if args.duration is not None:
+            images = itertools.takewhile(lambda item: item.time_s < args.duration, images)
+        with suppress(*([KeyboardInterrupt] if camera else [])):  # the only way to end a camera without a duration
+            yield from images
+
+    detections = detect_in_video(path, args.model, args.max_people, limit_and_show, is_camera=camera is not None)
+    if output.suffix == BAG_SUFFIX:
+        lines, times = list(detections.remarks), np.array([stamp / NS_PER_S for stamp in detections.stamps_ns])
+        with guard_output(output):
+            save_detections(output, detections)
+        what = f'{len({p.id for people in detections.people for p in people})} people'
+    else:
+        try:
+            sequence, lines = select_person(detections, args.person)
+        except InputError as error:
+            raise InputError(f'{path}: {error}') from None
+        times = sequence.timestamps
+        with guard_output(output):
+            save_sequence(output, sequence)
+        what = f'{len(sequence.joint_names)} keypoints of {sequence.person_id}'
+    for line in lines:
+        print(f'mocap-ros: {path}: {line}', file=sys.stderr)
+    print(f'{output}: {what}, {describe_frames(times)}')
+    return 0

@@ -1,0 +1,61 @@
+"""Load the detector that a model file is for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mocap_ros.detectors.detector import Detector
+from mocap_ros.errors import ModelError
+
+MEDIAPIPE_SUFFIX = '.task'  # of the model bundles of MediaPipe's Tasks API
+ONNX_SUFFIX = '.onnx'
+MODEL_FORMATS = "MediaPipe's pose landmarker (.task), or RTMPose or MoveNet (.onnx)"  # in the words of messages
+
+
+def load_detector(model: Path | None, max_people: int = 1) -> Detector:
+    """Load a model.
+
+    Args:
+        model: the model's file; None for the model that comes with some versions of MediaPipe.
+        max_people: largest number of people to find in an image; models that find one person ignore it.
+
+    Raises:
+        ModelError: there is no such file, it is no model of a known form, or the library that runs it is not
+            installed; the error names the file.
+    """
+    if model is not None and not model.is_file():
+        raise ModelError(f'{model}: no such file; expected {MODEL_FORMATS}')
+    if model is None:
+        from mocap_ros.detectors.mediapipe import BundledMediaPipe
+
+        return BundledMediaPipe()
+    if model.suffix.lower() == MEDIAPIPE_SUFFIX:
+        from mocap_ros.detectors.mediapipe import MediaPipe
+
+        return MediaPipe(model, max_people)
+    if model.suffix.lower() == ONNX_SUFFIX:
+        return _load_onnx(model, max_people)
+    raise ModelError(f'{model}: unknown file type; expected {MODEL_FORMATS}')
+
+
+def _load_onnx(path: Path, max_people: int) -> Detector:
+    """Load a network, whose outputs tell which detector it is.
+
+    Raises:
+        ModelError: the file is no network, or one of another form.
+    """
+    from mocap_ros.detectors import movenet, rtmpose
+    from mocap_ros.detectors.onnx_model import OnnxModel
+
+    model = OnnxModel(path)
+    shapes = model.output_shapes
+    if rtmpose.is_rtmpose(model.input_size, shapes):
+        return rtmpose.RtmPose(model)
+    if movenet.is_single_pose(shapes):
+        return movenet.SinglePoseMoveNet(model)
+    if movenet.is_multi_pose(shapes):
+        return movenet.MultiPoseMoveNet(model, max_people)
+    found = ' and '.join(str(shape) for shape in shapes)
+    raise ModelError(
+        f'{path}: gives arrays of the form {found}; expected {rtmpose.OUTPUT_FORM}, or {movenet.OUTPUT_FORM}'
+    )

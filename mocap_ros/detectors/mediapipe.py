@@ -1,0 +1,122 @@
+"""MediaPipe's pose landmarker (BlazePose; Bazarevsky et al., CVPR workshops 2020): 33 keypoints of each person.
+
+The score of a keypoint is MediaPipe's visibility.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.detectors.detector import Image
+from mocap_ros.errors import ModelError
+
+Array = NDArray[np.float64]
+
+KEYPOINTS = 33  # of BlazePose
+MS_PER_S = 1000.0  # the Tasks API takes whole milliseconds
+INSTALL = "pip install 'mocap_ros[mediapipe]'"
+BUNDLED_COMPLEXITY = 1  # of the model that comes with MediaPipe; 0 and 2 would be downloaded
+
+
+def _import_mediapipe(place: str) -> Any:
+    """Import MediaPipe, whose log about its start-up is no concern of the user.
+
+    Raises:
+        ModelError: it is not installed, or cannot be imported; the error begins with `place`.
+    """
+    os.environ.setdefault('GLOG_minloglevel', '2')  # errors only
+    os.environ.setdefault('TF_CPP_MIN_LOG_LEVEL', '3')  # likewise
+    warnings.filterwarnings('ignore', 'SymbolDatabase.GetPrototype', UserWarning)  # of 0.10.14
+    try:
+        import mediapipe
+    except ImportError as error:
+        missing = isinstance(error, ModuleNotFoundError) and error.name == 'mediapipe'
+        raise ModelError(f'{place}needs MediaPipe: {INSTALL}' + ('' if missing else f' ({error})')) from None
+    return mediapipe
+
+
+def _convert(people: Iterable[Iterable[Any]], image: Image) -> Array:
+    """Return MediaPipe's landmarks, in shares of the image, as keypoints (P, 33, 3) in px and with scores."""
+    size = image.shape[1], image.shape[0]
+    rows = [[(p.x * size[0], p.y * size[1], p.visibility) for p in person] for person in people]
+    return np.array(rows, float).reshape(-1, KEYPOINTS, 3)
+
+
+class MediaPipe:
+    """The Tasks API with a model file.
+
+    Args:
+        model: the model bundle (`.task`).
+        max_people: largest number of people to find.
+
+    Raises:
+        ModelError: MediaPipe is not installed, or the file is no model of the pose landmarker.
+    """
+
+    def __init__(self, model: Path, max_people: int) -> None:
+        mediapipe = _import_mediapipe(f'{model}: ')
+        vision, tasks = mediapipe.tasks.vision, mediapipe.tasks
+        self.name = f'MediaPipe ({model.name})'
+        options = vision.PoseLandmarkerOptions(
+            base_options=tasks.BaseOptions(model_asset_path=str(model)),
+            running_mode=vision.RunningMode.VIDEO,
+            num_poses=max_people,
+        )
+        try:
+            self._landmarker = vision.PoseLandmarker.create_from_options(options)
+        except (RuntimeError, ValueError) as error:
+            reason = ' '.join(str(error).split('\n')[0].split())
+            raise ModelError(f'{model}: no model of the pose landmarker ({reason})') from None
+        self._mediapipe = mediapipe
+        self._last_ms = -1
+
+    def detect(self, image: Image, time_s: float) -> Array:
+        """Find the people; see `Detector`."""
+        self._last_ms = max(round(time_s * MS_PER_S), self._last_ms + 1)
+        picture = self._mediapipe.Image(
+            image_format=self._mediapipe.ImageFormat.SRGB, data=np.ascontiguousarray(image)
+        )
+        return _convert(self._landmarker.detect_for_video(picture, self._last_ms).pose_landmarks, image)
+
+    def close(self) -> None:
+        """Release the model."""
+        self._landmarker.close()
+
+
+class BundledMediaPipe:
+    """The model for one person that comes with MediaPipe up to 0.10.14.
+
+    Raises:
+        ModelError: MediaPipe is not installed, or its version comes without a model.
+    """
+
+    def __init__(self) -> None:
+        place = 'no model file is given, and '
+        mediapipe = _import_mediapipe(f'{place}the model that comes with MediaPipe 0.10.14 ')
+        solutions = getattr(mediapipe, 'solutions', None)
+        if solutions is None:
+            raise ModelError(
+                f'{place}MediaPipe {mediapipe.__version__} comes without one; give the file of a model, or '
+                'pip install mediapipe==0.10.14'
+            )
+        self.name = f'MediaPipe {mediapipe.__version__}'
+        try:
+            self._pose = solutions.pose.Pose(model_complexity=BUNDLED_COMPLEXITY)
+        except (RuntimeError, FileNotFoundError) as error:
+            raise ModelError(f'{place}that of MediaPipe {mediapipe.__version__} fails ({error})') from None
+
+    def detect(self, image: Image, time_s: float) -> Array:  # noqa: ARG002 - this interface takes no time
+        """Find the person; see `Detector`."""
+        landmarks = self._pose.process(np.ascontiguousarray(image)).pose_landmarks
+        return _convert([landmarks.landmark] if landmarks else [], image)
+
+    def close(self) -> None:
+        """Release the model."""
+        self._pose.close()

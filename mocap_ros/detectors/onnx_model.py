@@ -1,0 +1,87 @@
+"""A network in an ONNX file, which onnxruntime runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.detectors.detector import Image
+from mocap_ros.errors import ModelError
+
+Outputs = list[NDArray[np.float32]]
+
+DEFAULT_INPUT_SIDE = 256  # px, of the input of a network that takes any size; MoveNet's multi-pose model wants it
+ERRORS_ONLY = 3  # level of onnxruntime's log: its warnings about graphics cards are no concern of the user
+CHANNELS = 3  # red, green, blue
+NUMBER_TYPES = {'tensor(float)': np.float32, 'tensor(int32)': np.int32, 'tensor(uint8)': np.uint8}
+
+
+class OnnxModel:
+    """A network whose only input is one RGB image.
+
+    Args:
+        path: the ONNX file.
+
+    Attributes:
+        path: the ONNX file.
+        input_size: (width, height) in px of the images that the network takes.
+        takes_any_size: whether images may have another size as well.
+        is_channels_first: whether the input is (1, 3, H, W) instead of (1, H, W, 3).
+        output_shapes: shape of each output for one image.
+
+    Raises:
+        ModelError: onnxruntime is not installed, or the file is no network for images; the error names the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            import onnxruntime
+        except ImportError:
+            raise ModelError(f"{path}: needs onnxruntime: pip install 'mocap_ros[video]'") from None
+        self.path = path
+        options = onnxruntime.SessionOptions()
+        options.log_severity_level = ERRORS_ONLY
+        try:
+            self._session = onnxruntime.InferenceSession(
+                str(path), options, providers=onnxruntime.get_available_providers()
+            )
+        except Exception as error:  # onnxruntime raises many types, all of its own
+            raise ModelError(f'{path}: no ONNX model ({_shorten(error)})') from None
+        inputs = self._session.get_inputs()
+        form = [(i.type, i.shape) for i in inputs]
+        if len(inputs) != 1 or len(inputs[0].shape) != len('NHWC') or inputs[0].type not in NUMBER_TYPES:
+            raise ModelError(f'{path}: takes {form}, expected one image')
+        self._input_name = inputs[0].name
+        self._number_type = NUMBER_TYPES[inputs[0].type]
+        self.is_channels_first = inputs[0].shape[1] == CHANNELS
+        height, width = inputs[0].shape[2:] if self.is_channels_first else inputs[0].shape[1:3]
+        self.takes_any_size = not (isinstance(width, int) and isinstance(height, int))
+        self.input_size = (
+            (DEFAULT_INPUT_SIDE, DEFAULT_INPUT_SIDE) if self.takes_any_size else (int(width), int(height))
+        )
+        try:
+            blank = np.zeros((self.input_size[1], self.input_size[0], CHANNELS), np.uint8)
+            self.output_shapes = tuple(output.shape for output in self.run(blank))
+        except ModelError as error:
+            raise ModelError(f'{path}: {error}') from None
+
+    def run(self, image: Image | NDArray[np.float32]) -> Outputs:
+        """Run the network on an image (H, W, 3) of `input_size`, whose numbers are those that the network expects.
+
+        Raises:
+            ModelError: the network failed.
+        """
+        batch = image[None].astype(self._number_type)
+        if self.is_channels_first:
+            batch = np.ascontiguousarray(batch.transpose(0, 3, 1, 2))
+        try:
+            return list(self._session.run(None, {self._input_name: batch}))
+        except Exception as error:  # see above
+            raise ModelError(f'the network failed ({_shorten(error)})') from None
+
+
+def _shorten(error: Exception) -> str:
+    """Return the first sentence of an error of onnxruntime without its codes."""
+    return str(error).rpartition(' : ')[2].split('\n')[0].strip().rstrip('.') or type(error).__name__

@@ -1,0 +1,200 @@
+"""Images of a video file or a camera, with their times; PyAV of the extra `video` decodes them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Generator, Iterator
+from pathlib import Path
+from queue import Full, Queue
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.errors import InputError, MocapError
+from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+T = TypeVar('T')
+
+CAMERA_FORMAT = 'v4l2'  # of cameras in Linux
+CAMERA_DEVICE = '/dev/video{}'  # of a camera that is named by its number
+FALLBACK_STEP_S = 1 / 30  # s from image to image, where a video gives neither times nor a rate
+READ_AHEAD = 4  # images that are decoded while the detector works; more would only take memory
+QUARTER_TURN_DEG = 90  # degrees; videos are stored turned by multiples of it
+POLL_S = 0.1  # s; bounds how long the decoder outlives a reader who has gone
+
+
+class VideoImage(NamedTuple):
+    """One image of a video.
+
+    Attributes:
+        image: (H, W, 3) red, green and blue, upright.
+        time_s: s since the first image of the video.
+    """
+
+    image: NDArray[np.uint8]
+    time_s: float
+
+
+def find_camera(name: str) -> Path | None:
+    """Return the device of a camera that is named by its number or its path, None if it is no camera's name."""
+    path = Path(CAMERA_DEVICE.format(name)) if name.isdecimal() and not Path(name).exists() else Path(name)
+    return path if path.is_char_device() or (name.isdecimal() and path != Path(name)) else None
+
+
+class VideoReader:
+    """The images of a video file or a camera in the order of their times; a context manager that closes it.
+
+    The times are those that the file gives, also where they are uneven. A video that is stored turned, as upright
+    videos of telephones are, is turned back. An image that is damaged, or not later than the one before, is left
+    out.
+
+    Args:
+        path: the file, or the device of a camera.
+        is_camera: whether it is a camera.
+
+    Attributes:
+        image_count: number of images, about; None where it is not known.
+        left_out: number of images that were left out so far.
+
+    Raises:
+        InputError: the path cannot be opened, holds no video, or one that PyAV cannot decode; the error names it.
+        MocapError: PyAV is not installed.
+    """
+
+    def __init__(self, path: Path, *, is_camera: bool = False) -> None:
+        try:
+            import av
+        except ImportError:
+            raise MocapError(f"{path}: a video needs PyAV: pip install 'mocap_ros[video]'") from None
+        self._path = path
+        self._errors = (av.FFmpegError, ValueError)
+        self.left_out = 0
+        self._is_camera = is_camera
+        try:  # `file:` and the list of protocols keep a name or a playlist from opening anything but files
+            self._container: Any = (
+                av.open(str(path), format=CAMERA_FORMAT)
+                if is_camera
+                else av.open(f'file:{path}', options={'protocol_whitelist': 'file'}, metadata_errors='ignore')
+            )
+        except self._errors as error:
+            what = 'camera' if is_camera else 'video that can be read'
+            raise InputError(f'{path}: no {what} ({_describe(error)})') from None
+        self._stream: Any = next(iter(self._container.streams.video), None)
+        if self._stream is None:
+            self._container.close()
+            raise InputError(f'{path}: holds no video')
+        if getattr(self._stream, 'codec_context', None) is None:
+            self._container.close()
+            raise InputError(f'{path}: its codec is not known, so that it cannot be decoded')
+        self._stream.thread_type = 'AUTO'
+        self.image_count = None if is_camera else self._count_images()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._container.close()
+
+    def _count_images(self) -> int | None:
+        """Return the number of images that the file states, or that its duration and rate give."""
+        stream = self._stream
+        if stream.frames:
+            return int(stream.frames)
+        duration_s = float(self._container.duration or 0) / 1e6  # the container counts in microseconds
+        return round(duration_s * float(stream.average_rate)) or None if stream.average_rate else None
+
+    def __iter__(self) -> Iterator[VideoImage]:
+        """Yield the images.
+
+        Raises:
+            InputError: no image can be decoded.
+        """
+        first_s = last_s = None
+        for frame in self._decode():
+            time_s = frame.time
+            if time_s is None:
+                rate = self._stream.average_rate
+                time_s = 0.0 if last_s is None else last_s + (1 / float(rate) if rate else FALLBACK_STEP_S)
+            if last_s is not None and time_s <= last_s:
+                self.left_out += 1
+                continue
+            if max(frame.width, frame.height) > MAX_IMAGE_SIDE_PX:
+                raise InputError(f'{self._path}: images of {frame.width} x {frame.height} px')
+            first_s, last_s = time_s if first_s is None else first_s, time_s
+            image = frame.to_ndarray(format='rgb24')
+            turns = round(frame.rotation / QUARTER_TURN_DEG)
+            yield VideoImage(np.ascontiguousarray(np.rot90(image, turns)), time_s - first_s)
+        if last_s is None:
+            reason = f': all {self.left_out} are damaged' if self.left_out else ''
+            raise InputError(f'{self._path}: no image can be decoded{reason}')
+
+    def _decode(self) -> Iterator[Any]:
+        """Yield the frames, and count the damaged ones."""
+        packets = self._container.demux(self._stream)
+        while True:
+            try:
+                packet = next(packets)
+            except StopIteration:
+                return
+            except self._errors as error:  # the rest of the file is missing or damaged
+                if self._is_camera:
+                    raise InputError(f'{self._path}: the camera has gone ({_describe(error)})') from None
+                self.left_out += 1
+                return
+            try:
+                yield from packet.decode()
+            except self._errors:
+                self.left_out += 1
+
+
+def read_ahead(items: Iterator[T], depth: int = READ_AHEAD) -> Generator[T]:
+    """Yield the items, which another thread takes from their iterator meanwhile.
+
+    An error of the iterator is raised after the items before it.
+
+    Args:
+        items: the iterator.
+        depth: number of items that wait at most.
+    """
+    queue: Queue[tuple[bool, Any]] = Queue(depth)
+    is_closed = threading.Event()
+
+    def put(is_item: bool, value: object) -> bool:
+        """Hand on a value; return False if nobody wants it any more."""
+        while not is_closed.is_set():
+            try:
+                queue.put((is_item, value), timeout=POLL_S)
+            except Full:
+                continue
+            return True
+        return False
+
+    def fetch() -> None:
+        try:
+            if all(put(True, item) for item in items):
+                put(False, None)
+        except BaseException as error:  # it is raised in the thread that reads
+            put(False, error)
+
+    thread = threading.Thread(target=fetch, name='read_ahead', daemon=True)
+    thread.start()
+    try:
+        while True:
+            is_item, value = queue.get()
+            if not is_item:
+                break
+            yield value
+    finally:
+        is_closed.set()
+        thread.join()
+    if value is not None:
+        raise value
+
+
+def _describe(error: Exception) -> str:
+    """Return what an error of FFmpeg says, without its number and the path."""
+    return str(getattr(error, 'strerror', None) or error).rstrip('.')

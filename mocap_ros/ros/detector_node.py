@@ -1,0 +1,163 @@
+"""The node `detector_node`: find 2D keypoints in the images of a camera and publish them for `mocap_node`."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+import rclpy
+from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.exceptions import ParameterException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from mocap_ros.config import NodeConfig
+from mocap_ros.detectors.detector import Detector
+from mocap_ros.detectors.load import load_detector
+from mocap_ros.errors import ConfigError, InputError, ModelError
+from mocap_ros.messages.images import IMAGE_TYPES, decode_image
+from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
+from mocap_ros.ros.detector_help import IMAGE_TOPIC, KEYPOINTS_TOPIC, MAX_PEOPLE, NODE_NAME, PARAMETERS
+from mocap_ros.ros.message_types import MessageVersions, load_interface_class
+from mocap_ros.ros.qos import OUTPUT_QOS, QosWarnings
+from mocap_ros.ros.startup import initialise_rclpy
+from mocap_ros.ros.throttled_log import ThrottledLog
+from mocap_ros.runtime.detection import detect_people
+from mocap_ros.units import NS_PER_S
+
+SPIN_SECONDS = 0.1  # s; bounds the delay between a signal and the end of the node
+# The newest image only: a detector that is slower than the camera must not fall behind. Best effort is compatible
+# with reliable and with best-effort publishers.
+IMAGE_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class DetectorNode(Node):
+    """Node that runs a detector on the newest image and publishes who is seen in it.
+
+    Every image gives one message with the header of the image, also if nobody is seen. Images that arrive while
+    the detector works are dropped but for the newest.
+
+    Raises:
+        ConfigError: a parameter has a value that it cannot have.
+        ModelError: the model cannot be used.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(NODE_NAME)
+        qos_warnings = QosWarnings(self)
+        model, self._max_people, self._type = self._declare_parameters()
+        self._model = Path(model).expanduser() if model else None
+        self._detector: Detector = load_detector(self._model, self._max_people)
+        self._first_ns = self._last_ns = -1  # stamps of the detector's first and last image
+        self._limits = NodeConfig()
+        self._log = ThrottledLog(self.get_logger())
+        self._count = 0
+        self._versions = MessageVersions()
+        self._versions.add_input(self._type)
+        self._versions.add_output(KEYPOINTS)
+        self._publisher = self.create_publisher(
+            load_interface_class(KEYPOINTS),
+            KEYPOINTS_TOPIC,
+            OUTPUT_QOS,
+            event_callbacks=PublisherEventCallbacks(
+                incompatible_qos=lambda e: qos_warnings.warn_of_subscriber(KEYPOINTS_TOPIC, e.last_policy_kind)
+            ),
+        )
+        self.create_subscription(
+            load_interface_class(self._type),
+            IMAGE_TOPIC,
+            self._take_image,
+            IMAGE_QOS,
+            raw=True,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            event_callbacks=SubscriptionEventCallbacks(
+                incompatible_qos=lambda e: qos_warnings.warn_of_publisher(IMAGE_TOPIC, e.last_policy_kind)
+            ),
+        )
+        self.get_logger().info(
+            f'{self._detector.name} looks at the images on {self.resolve_topic_name(IMAGE_TOPIC)} and publishes '
+            f'keypoints on {self.resolve_topic_name(KEYPOINTS_TOPIC)}'
+        )
+
+    def close(self) -> None:
+        """Release the model."""
+        self._detector.close()
+
+    def _declare_parameters(self) -> tuple[str, int, str]:
+        """Declare the parameters, which are fixed when the node starts, and return their values."""
+        values: list[object] = []
+        try:
+            for name, (default, description) in PARAMETERS.items():
+                descriptor = ParameterDescriptor(description=description, read_only=True)
+                if isinstance(default, int):
+                    descriptor.integer_range = [IntegerRange(from_value=1, to_value=MAX_PEOPLE, step=1)]
+                values.append(self.declare_parameter(name, default, descriptor).value)
+        except ParameterException as error:
+            raise ConfigError(str(error)) from None
+        model, max_people, image_type = values
+        if image_type not in IMAGE_TYPES:
+            raise ConfigError(f'image_type: {image_type!r}, expected {" or ".join(IMAGE_TYPES)}')
+        return str(model), int(str(max_people)), str(image_type)
+
+    def _take_image(self, raw: bytes) -> None:
+        """Publish the keypoints in an image, or log why there are none."""
+        self._count += 1
+        try:
+            header, image = decode_image(self._versions.read(self._type, raw), self._type, self._limits)
+            self._follow_time(header.stamp_ns)
+            people = detect_people(self._detector, image, (header.stamp_ns - self._first_ns) / NS_PER_S)
+        except (InputError, ModelError) as error:
+            self._log.report(self.resolve_topic_name(IMAGE_TOPIC), self._count, str(error))
+            return
+        size = image.shape[1], image.shape[0]
+        self._publisher.publish(self._versions.write(KEYPOINTS, encode_keypoints(header, size, people)))
+
+    def _follow_time(self, stamp_ns: int) -> None:
+        """Note the stamp of the next image; where the time goes back, a new video begins, and a new detector.
+
+        Raises:
+            InputError: the stamp is that of the image before.
+        """
+        if stamp_ns == self._last_ns:
+            raise InputError('header.stamp: that of the image before; it must increase')
+        if stamp_ns < self._last_ns:
+            self.get_logger().warning('the stamps of the images go back; the detector starts anew')
+            self._detector.close()
+            self._detector = load_detector(self._model, self._max_people)
+            self._first_ns = -1
+        self._first_ns = stamp_ns if self._first_ns < 0 else self._first_ns
+        self._last_ns = stamp_ns
+
+
+def run(arguments: Sequence[str]) -> None:
+    """Run the node until SIGINT or SIGTERM.
+
+    Args:
+        arguments: arguments of the command line, which rclpy parses.
+
+    Raises:
+        ConfigError: an argument or a parameter is wrong.
+        ModelError: the model cannot be used.
+    """
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    initialise_rclpy(arguments)
+    executor = SingleThreadedExecutor()
+    try:
+        node = DetectorNode()
+        executor.add_node(node)
+        try:
+            while not stop.is_set():
+                executor.spin_once(timeout_sec=SPIN_SECONDS)
+        finally:
+            executor.shutdown()
+            node.close()
+            node.destroy_node()
+    finally:
+        rclpy.shutdown()

@@ -1,0 +1,134 @@
+"""The command `detect`, and `reconstruct` of a video."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocap_ros.api.evaluate import evaluate
+from mocap_ros.bags.reader import Bag
+from mocap_ros.cli.main import main
+from mocap_ros.demo.scene import make_recording
+from mocap_ros.formats.sequence_file import GroundTruth, load_sequence
+from mocap_ros.messages.cdr import decode
+from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.skeleton import CMU15
+from tests.support.blob_people import draw, save_movenet, save_multi_pose_movenet, walk, write_video
+from tests.support.mediapipe_models import load_portrait, require_mediapipe, save_task
+
+FRAMES = 40
+FPS = 30.0  # Hz, that of the demo
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A video of a walker with four empty images at its beginning, and a network that finds the walker."""
+    path = tmp_path_factory.mktemp('video')
+    images = [draw([])] * 4 + [draw([person]) for person in walk(FRAMES)]
+    write_video(path / 'walk.mp4', images, [i / FPS for i in range(len(images))], 'libx264', 'yuv420p')
+    save_movenet(path / 'movenet.onnx')
+    return path
+
+
+def test_a_video_becomes_a_skeleton_in_one_command(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ['reconstruct', str(folder / 'walk.mp4'), '--detector', str(folder / 'movenet.onnx')]
+    assert main([*command, '-o', str(tmp_path / 'out.npz')]) == 0
+    assert f'{tmp_path / "out.npz"}: 40 frames, ' in capsys.readouterr().out
+    result = np.load(tmp_path / 'out.npz')
+    assert result['timestamps'] == pytest.approx(np.arange(4, FRAMES + 4) / FPS, abs=1e-3)
+    errors = evaluate(result['joints3d'].astype(float), GroundTruth(make_recording().truth[:FRAMES], CMU15.joints))
+    assert errors.pa_mpjpe_mm is not None
+    assert errors.pa_mpjpe_mm < 30.0, 'measured: 22.1'
+    assert main([*command, '-o', str(tmp_path / 'out.bvh')]) == 0
+    assert 'Frames: 40' in (tmp_path / 'out.bvh').read_text()
+
+
+def test_detect_writes_the_keypoints_of_one_person_or_a_bag_of_all(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    command = ['detect', str(folder / 'walk.mp4'), '--model', str(folder / 'movenet.onnx')]
+    assert main(command) == 0
+    assert capsys.readouterr().out == 'walk_2d.npz: 17 keypoints of person_1, 40 frames in 1.3 s\n'
+    assert len(load_sequence('walk_2d.npz')) == FRAMES
+    assert main([*command, '--duration', '0.5', '-o', 'short.npz']) == 0
+    assert len(load_sequence('short.npz')) == 11
+
+    people = walk(6)
+    images = [draw([person - [150.0, 0.0], person + [150.0, 0.0]]) for person in people]
+    write_video(tmp_path / 'two.mkv', images, [i / FPS for i in range(6)])
+    save_multi_pose_movenet(tmp_path / 'multi.onnx')
+    command = ['detect', 'two.mkv', '--model', 'multi.onnx', '--max-people', '2', '-o', 'two.mcap']
+    assert main(command) == 0
+    assert capsys.readouterr().out.endswith('two.mcap: 2 people, 6 frames in 0.2 s\n')
+    with Bag(tmp_path / 'two.mcap') as bag:
+        messages = [decode(message.raw, KEYPOINTS) for message in bag.messages(['/keypoints'])]
+    assert [[person.id for person in message.people] for message in messages] == [['person_1', 'person_2']] * 6
+    assert {(m.image_width, m.image_height) for m in messages} == {(640, 480)}
+
+
+def test_a_model_that_is_not_there_is_named_in_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in (['detect'], ['reconstruct']):
+        option = '--model' if arguments == ['detect'] else '--detector'
+        assert main([*arguments, str(folder / 'walk.mp4'), option, 'none.onnx']) == 1
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith('mocap-ros: none.onnx: no such file; expected MediaPipe')
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'reason'),
+    [
+        (['walk.npz'], 'walk.npz: No such file or directory'),
+        (
+            ['MODEL'],
+            'movenet.onnx: is a file of an unknown type; expected a video, or the number or the device of a',
+        ),
+        (['VIDEO', '-o', 'a.bvh'], 'a.bvh: unknown file type; expected .npz, .mcap'),
+        (['VIDEO', '-o', 'a.mcap', '--person', 'x'], 'a.mcap: holds all people; --person applies to a .npz'),
+        (['99'], '/dev/video99: no camera ('),
+    ],
+)
+def test_wrong_arguments_are_named_in_one_line(
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], reason: str
+) -> None:
+    names = {'VIDEO': str(folder / 'walk.mp4'), 'MODEL': str(folder / 'movenet.onnx')}
+    assert main(['detect', *(names.get(a, a) for a in arguments)]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert reason in line
+
+
+@pytest.mark.parametrize('interface', ['bundled', 'tasks'])
+def test_mediapipe_sees_a_real_person_in_a_video(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], interface: str
+) -> None:
+    require_mediapipe()
+    portrait = load_portrait()
+    images = [np.zeros_like(portrait)] * 3 + [np.roll(portrait, 2 * i, axis=1) for i in range(10)]
+    video = write_video(tmp_path / 'a.mp4', images, [i / 30 for i in range(13)], 'libx264', 'yuv420p')
+    model = [] if interface == 'bundled' else ['--model', str(save_task(tmp_path / 'pose.task'))]
+    assert main(['detect', str(video), '-o', str(tmp_path / 'a.npz'), *model]) == 0
+    assert 'keypoints by MediaPipe' in capsys.readouterr().err
+    sequence = load_sequence(tmp_path / 'a.npz')
+    assert sequence.timestamps == pytest.approx(np.arange(3, 13) / 30, abs=1e-3)
+    nose = sequence.keypoints[:, sequence.joint_names.index('nose')]
+    assert nose[:, 0] - 2 * np.arange(10) == pytest.approx(np.full(10, 270.0), abs=12)
+
+
+@pytest.mark.parametrize('command', ['reconstruct', 'plot', 'keyframes', 'evaluate', 'replay', 'recover'])
+def test_other_commands_say_what_to_do_with_a_video(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    pytest.importorskip('av', reason="needs PyAV: pip install 'mocap_ros[video]'")
+    monkeypatch.chdir(tmp_path)
+    Path('walk.mp4').write_bytes(b'content')
+    assert main([command, 'walk.mp4', *(['-o', 'out'] if command == 'replay' else [])]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith('mocap-ros: walk.mp4: ')
+    if command in ('evaluate', 'replay', 'recover'):
+        assert line.endswith('; `mocap-ros detect` finds the keypoints in it')
+    else:
+        assert line.startswith('mocap-ros: walk.mp4: no video that can be read (')

@@ -1,0 +1,136 @@
+"""RTMPose and MoveNet, as networks of their form find people made of blobs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocap_ros.detectors.load import load_detector
+from mocap_ros.errors import ModelError
+from tests.support import blob_people
+from tests.support.blob_people import COLOURS, SIZE, draw, walk
+
+FRAMES = 12
+SAVE_SINGLE: dict[str, Callable[[Path], Path]] = {
+    'rtmpose': blob_people.save_rtmpose,
+    'movenet': blob_people.save_movenet,
+}
+
+
+@pytest.fixture(params=SAVE_SINGLE)
+def model(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A network for one person."""
+    return SAVE_SINGLE[request.param](tmp_path / 'model.onnx')
+
+
+def check_found(found: np.ndarray, person: np.ndarray, tolerance_px: float) -> None:
+    """Check that the keypoints (17, 3) found are those of a person (17, 2), except what another blob hides."""
+    drawn = np.isfinite(person[:, 0])
+    assert (found[~drawn, 2] < 0.2).all()
+    seen = drawn & (found[:, 2] > 0.5)
+    assert seen.sum() >= drawn.sum() - 3
+    errors = np.linalg.norm(found[seen, :2] - person[seen], axis=1)
+    assert np.median(errors) < tolerance_px
+    assert errors.max() < 6.0
+
+
+def test_a_walker_is_followed(model: Path) -> None:
+    detector = load_detector(model)
+    for frame, person in enumerate(walk(FRAMES)):
+        (found,) = detector.detect(draw([person]), frame / 30)
+        check_found(found, person, 1.0)
+        assert found[:, 2].max() <= 1.0
+
+
+def test_there_is_no_constant_shift(model: Path) -> None:
+    detector = load_detector(model)
+    person = walk(1)[0]
+    shifts = np.linspace(-100, 100, 9)
+    errors = []
+    for index, shift in enumerate(shifts):
+        (found,) = detector.detect(draw([person + shift / 2]), index / 30)
+        seen = found[:, 2] > 0.5
+        errors.append((found[:, :2] - person - shift / 2)[seen & np.isfinite(person[:, 0])].mean(axis=0))
+    assert np.mean(errors, axis=0) == pytest.approx([0.0, 0.0], abs=0.7)
+
+
+def test_a_small_person_at_the_edge_is_found_and_then_seen_larger(model: Path) -> None:
+    person = walk(1)[0]
+    person = (person - person[0]) * 0.9 + [40.0, 60.0]  # partly outside of the image
+    detector = load_detector(model)
+    for time_s in (0.0, 0.1):
+        (found,) = detector.detect(draw([person]), time_s)
+        check_found(found, np.where((person > 0).all(axis=1, keepdims=True), person, np.nan), 1.5)
+
+
+def test_nobody_is_seen_in_empty_images_and_somebody_who_comes_back_is_seen(model: Path) -> None:
+    detector = load_detector(model)
+    person = walk(1)[0]
+    empty, full = draw([]), draw([person])
+    counts = [len(detector.detect(image, t)) for t, image in enumerate([empty, full, empty, empty, full])]
+    assert counts == [0, 1, 0, 0, 1]
+    moved = draw([person + [200.0, 20.0]])  # beyond the region in which the person is expected
+    (found,) = detector.detect(moved, 6.0)
+    check_found(found, person + [200.0, 20.0], 1.0)
+
+
+def test_movenet_for_several_people_finds_each(tmp_path: Path) -> None:
+    model = blob_people.save_multi_pose_movenet(tmp_path / 'multi.onnx')
+    left, right = walk(1)[0] - [150.0, 0.0], walk(1)[0] + [150.0, 0.0]
+    image = draw([left, right])
+    found = load_detector(model, 6).detect(image, 0.0)
+    assert len(found) == 2
+    for person, keypoints in zip((left, right), sorted(found, key=lambda p: float(p[0, 0])), strict=True):
+        check_found(keypoints, person, 1.0)
+    assert len(load_detector(model, 1).detect(image, 0.0)) == 1
+    assert len(load_detector(model, 6).detect(draw([]), 0.0)) == 0
+
+
+@pytest.mark.parametrize(('width', 'height'), [(64, 480), (1920, 64), (1, 1)])
+def test_images_of_any_shape_are_taken(model: Path, width: int, height: int) -> None:
+    assert len(load_detector(model).detect(np.zeros((height, width, 3), np.uint8), 0.0)) == 0
+
+
+@pytest.mark.filterwarnings('error')
+def test_a_person_of_one_point_breaks_nothing(model: Path) -> None:
+    detector = load_detector(model)
+    image = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
+    for index, colour in enumerate(COLOURS):
+        image[240, 300 + index] = colour
+    for time_s in range(3):
+        assert np.isfinite(detector.detect(image, time_s)).all()
+
+
+def test_a_network_of_another_form_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip('onnxruntime')
+    graph = blob_people.Graph()
+    graph.save(tmp_path / 'other.onnx', [1, 3, 8, 8], 'FLOAT', [graph.add('Relu', 'image')])
+    with pytest.raises(ModelError, match=r'other\.onnx: gives arrays of the form \(1, 3, 8, 8\); expected '):
+        load_detector(tmp_path / 'other.onnx')
+    graph = blob_people.Graph()
+    graph.save(tmp_path / 'flat.onnx', [1, 3], 'FLOAT', [graph.add('Relu', 'image')])
+    with pytest.raises(
+        ModelError, match=r"flat\.onnx: takes \[\('tensor\(float\)', \[1, 3\]\)\], expected one image"
+    ):
+        load_detector(tmp_path / 'flat.onnx')
+
+
+@pytest.mark.parametrize(
+    ('name', 'reason'),
+    [
+        ('none.onnx', 'no such file; expected MediaPipe'),
+        ('text.onnx', r'no ONNX model \(.+\)'),
+        ('text.h5', 'unknown file type; expected MediaPipe'),
+    ],
+)
+def test_other_files_are_refused_in_one_line(tmp_path: Path, name: str, reason: str) -> None:
+    pytest.importorskip('onnxruntime')
+    for existing in ('text.onnx', 'text.h5'):
+        (tmp_path / existing).write_text('no model')
+    with pytest.raises(ModelError, match=reason) as raised:
+        load_detector(tmp_path / name)
+    assert str(raised.value).startswith(f'{tmp_path / name}: ')
+    assert '\n' not in str(raised.value)

@@ -1,0 +1,160 @@
+"""Reading of videos: times, turned images, and files that cannot be read."""
+
+from __future__ import annotations
+
+import struct
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from mocap_ros.errors import InputError, MocapError
+from mocap_ros.formats.video import VideoReader, find_camera, read_ahead
+from tests.support.blob_people import write_video
+
+pytest.importorskip('av', reason="needs PyAV: pip install 'mocap_ros[video]'")
+
+TIMES_S = [0.0, 0.04, 0.09, 0.2, 0.21, 0.5]  # of a camera that drops images
+ONE = 1 << 16  # 1 in the fixed-point numbers of the matrix in an .mp4
+# The matrix by which an .mp4 turns its images clockwise by a quarter turn, for images of 48 px height.
+CLOCKWISE = (0, ONE, 0, -ONE, 0, 0, 48 * ONE, 0, 1 << 30)
+
+
+def make_images(count: int = len(TIMES_S)) -> list[np.ndarray]:
+    """Return images (48, 64, 3), each of a grey of its own, with a red corner at the upper left."""
+    images = []
+    for index in range(count):
+        image = np.full((48, 64, 3), 20 * index, np.uint8)
+        image[:16, :16] = [255, 0, 0]
+        images.append(image)
+    return images
+
+
+def read_all(path: Path) -> tuple[np.ndarray, list[float], VideoReader]:
+    with VideoReader(path) as reader:
+        images, times = zip(*reader, strict=True)
+    return np.array(images), list(times), reader
+
+
+@pytest.mark.parametrize('name', ['a.mkv', 'a.avi'])
+def test_images_are_those_of_the_file(tmp_path: Path, name: str) -> None:
+    times_s = TIMES_S if name == 'a.mkv' else [i / 30 for i in range(len(TIMES_S))]  # .avi has a constant rate
+    images, times, reader = read_all(write_video(tmp_path / name, make_images(), times_s))
+    assert np.array_equal(images, make_images())
+    assert times == pytest.approx(times_s, abs=1e-3)
+    assert reader.left_out == 0
+
+
+def test_uneven_times_are_kept_and_begin_with_0(tmp_path: Path) -> None:
+    late = [t + 7.5 for t in TIMES_S]
+    for name, codec, pixels in (('a.mkv', 'ffv1', 'bgr0'), ('a.mp4', 'libx264', 'yuv420p')):
+        images, times, reader = read_all(write_video(tmp_path / name, make_images(), late, codec, pixels))
+        assert times == pytest.approx(TIMES_S, abs=1e-9)
+        assert images[:, -1, -1, 0] == pytest.approx([20 * i for i in range(len(times))], abs=6)
+    assert reader.image_count == len(times)
+
+
+def test_a_video_that_is_stored_turned_is_turned_back(tmp_path: Path) -> None:
+    path = write_video(tmp_path / 'a.mp4', make_images(), TIMES_S, 'libx264', 'yuv420p')
+    content = path.read_bytes()
+    start = content.index(struct.pack('>9i', ONE, 0, 0, 0, ONE, 0, 0, 0, 1 << 30), content.index(b'tkhd'))
+    path.write_bytes(content[:start] + struct.pack('>9i', *CLOCKWISE) + content[start + 36 :])
+    images, _, _ = read_all(path)
+    assert images.shape == (len(TIMES_S), 64, 48, 3)
+    red = images[0, ..., 0] > 128
+    assert np.flatnonzero(red.any(axis=0)).tolist() == list(range(32, 48))  # the corner is at the upper right now
+    assert np.flatnonzero(red.any(axis=1)).tolist() == list(range(16))
+
+
+def test_a_file_that_breaks_off_gives_what_it_holds(tmp_path: Path) -> None:
+    noise = [np.random.default_rng(i).integers(0, 255, (48, 64, 3), np.uint8) for i in range(40)]
+    path = write_video(tmp_path / 'a.mkv', noise, [i / 30 for i in range(40)])
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    images, _, _ = read_all(path)
+    assert 10 < len(images) < 30
+    assert np.array_equal(images[:10], noise[:10])
+
+
+@pytest.mark.parametrize('name', ['text.mp4', 'sound.mka', 'none.mp4'])
+def test_what_is_no_video_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
+    import av
+
+    (tmp_path / 'text.mp4').write_text('no video')
+    with av.open(str(tmp_path / 'sound.mka'), 'w') as container:
+        stream = container.add_stream('pcm_s16le', rate=8000)
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format='s16', layout='mono')
+        frame.sample_rate = 8000
+        container.mux(stream.encode(frame))
+    with pytest.raises(InputError, match=r'no video that can be read \(.+\)$|holds no video$') as raised:
+        VideoReader(tmp_path / name)
+    assert str(raised.value).startswith(f'{tmp_path / name}: ')
+    assert '\n' not in str(raised.value)
+
+
+def test_a_video_of_an_unknown_codec_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = write_video(tmp_path / 'a.mkv', make_images(), TIMES_S)
+    content = path.read_bytes()
+    assert content.count(b'V_FFV1') == 1
+    path.write_bytes(content.replace(b'V_FFV1', b'V_NONE'))
+    with pytest.raises(InputError, match=r'a\.mkv: its codec is not known'):
+        VideoReader(path)
+
+
+@pytest.mark.parametrize('name', ['http://127.0.0.1:9/a.mp4', 'concat:a.mp4|b.mp4', 'pipe:0'])
+def test_a_name_opens_files_only(name: str) -> None:
+    with pytest.raises(InputError, match='no video that can be read'):
+        VideoReader(Path(name))
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(start=st.integers(0, 3000), noise=st.binary(min_size=1, max_size=60))
+def test_damage_gives_fewer_images_or_one_clear_error(tmp_path: Path, start: int, noise: bytes) -> None:
+    path = tmp_path / 'a.mkv'
+    whole = tmp_path / 'whole.mkv'
+    if not whole.exists():
+        write_video(whole, make_images(), TIMES_S)
+    content = bytearray(whole.read_bytes())
+    content[start : start + len(noise)] = noise
+    path.write_bytes(content)
+    times: list[float] = []
+    reason = ''
+    try:
+        with VideoReader(path) as reader:
+            times += [time_s for _, time_s in reader]
+    except MocapError as error:
+        reason = str(error)
+    assert times == sorted(set(times))
+    assert times or (reason.startswith(f'{path}: ') and '\n' not in reason)
+
+
+def test_a_camera_is_named_by_number_or_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert find_camera('3') == Path('/dev/video3')
+    assert find_camera('/dev/null') == Path('/dev/null')
+    assert find_camera('walk.mp4') is None
+    (tmp_path / '3').touch()
+    assert find_camera('3') is None
+    with pytest.raises(InputError, match=r'/dev/null: no camera \(.+\)$'):
+        VideoReader(Path('/dev/null'), is_camera=True)
+
+
+def test_reading_ahead_keeps_the_order_and_the_error() -> None:
+    def count() -> Iterator[int]:
+        yield from range(100)
+        raise InputError('the end')
+
+    seen: list[int] = []
+    with pytest.raises(InputError, match='the end'):
+        seen.extend(read_ahead(count()))
+    assert seen == list(range(100))
+
+
+def test_who_stops_reading_stops_the_thread() -> None:
+    numbers = read_ahead(iter(range(10**9)))
+    assert next(numbers) == 0
+    numbers.close()
+    assert 'read_ahead' not in [thread.name for thread in threading.enumerate()]

@@ -1,0 +1,109 @@
+"""From a video to people: their times, their names, and where a detector goes over to another person."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocap_ros.config import NodeConfig
+from mocap_ros.errors import InputError, ModelError
+from mocap_ros.formats.detections import Detections, Video, create_person, select_person
+from mocap_ros.runtime.detection import detect_in_video, name_people
+from mocap_ros.runtime.load_keypoints import load_input
+from tests.support.blob_people import draw, save_movenet, save_rtmpose, walk, write_video
+
+FRAMES = 12
+STEP_NS = 40_000_000
+
+
+def at(shift_px: Sequence[float | None]) -> Detections:
+    """Return detections of one person or nobody, moved to the right by so many px in each frame."""
+    points = np.nan_to_num(walk(1)[0], nan=300.0)
+    keypoints = np.column_stack([points, np.full(len(points), 0.9)])
+    people = [[] if shift is None else [create_person(keypoints + [shift, 0, 0])] for shift in shift_px]
+    return Detections(people, [STEP_NS * i for i in range(len(people))], (640, 480))
+
+
+def test_the_times_are_those_of_the_images_and_nobody_is_seen_before_and_after(tmp_path: Path) -> None:
+    times_s = np.cumsum([0.0, *([0.033, 0.045] * 10)])[: FRAMES + 6]
+    images = [draw([])] * 3 + [draw([person]) for person in walk(FRAMES)] + [draw([])] * 3
+    path = write_video(tmp_path / 'walk.mkv', images, times_s.tolist())
+    detections = detect_in_video(path, save_rtmpose(tmp_path / 'rtmpose.onnx'))
+    assert np.array(detections.stamps_ns) == pytest.approx(times_s * 1e9, abs=1)
+    assert [len(people) for people in detections.people] == [0] * 3 + [1] * FRAMES + [0] * 3
+    assert detections.image_size == (640, 480)
+    sequence, lines = select_person(detections)
+    assert lines == ["person 'person_1', seen in 12 of 18 frames", 'keypoints by RTMPose (rtmpose.onnx)']
+    assert sequence.timestamps == pytest.approx(times_s[3:-3])
+    seen = sequence.keypoints[..., 2] > 0.5
+    errors = np.linalg.norm(sequence.keypoints[..., :2] - walk(FRAMES), axis=-1)[seen]
+    assert np.median(errors) < 1.0
+
+
+def test_a_video_of_two_people_in_turn_gives_one_of_them_and_a_warning(tmp_path: Path) -> None:
+    here, there = walk(FRAMES) - [200.0, 0.0], walk(FRAMES) + [180.0, 10.0]
+    images = [draw([person]) for person in (*here, *there[:5])]
+    path = write_video(tmp_path / 'two.mkv', images, [i / 25 for i in range(len(images))])
+    model = save_movenet(tmp_path / 'movenet.onnx')
+    sequence, lines = load_input(path, Video(detector=model), NodeConfig())
+    assert len(sequence) == FRAMES
+    assert np.nanmax(sequence.keypoints[..., 0]) < 320
+    choice = '1 more, choose by --person: person_1 (12), person_2 (5)'
+    assert lines == [
+        f"{path}: person 'person_1', seen in 12 of 17 frames; {choice}",
+        f'{path}: keypoints by MoveNet (movenet.onnx)',
+        f'{path}: warning: the detector jumps between people: at 0.48 s from person_1 to person_2',
+    ]
+    other, _ = load_input(path, Video(detector=model), NodeConfig(), 'person_2')
+    assert len(other) == 5
+
+
+@pytest.mark.parametrize(
+    ('shift_px', 'names', 'changes'),
+    [
+        ([0, 5, 10, 15], '1111', 0),
+        ([0, 5, 300, 305, 310, 12], '112221', 2),
+        ([0, None, None, 3], '1..1', 0),
+        ([0, 400, 0], '121', 2),
+        ([0] + [None] * 100 + [400, 405], '1' + '.' * 100 + '11', 0),  # 4 s later
+    ],
+)
+def test_people_of_a_detector_of_one_person_are_told_apart(
+    shift_px: list[float | None], names: str, changes: int
+) -> None:
+    named, lines = name_people(at(shift_px))
+    assert ''.join(people[0].id.removeprefix('person_') if people else '.' for people in named.people) == names
+    assert sum(line.count(' from ') for line in lines) == changes
+
+
+def test_many_changes_are_counted() -> None:
+    _, (line,) = name_people(at([0, 400] * 10))
+    assert line.count(' from ') == 5
+    assert line.endswith(' and 14 times more')
+
+
+def test_people_seen_together_are_no_change() -> None:
+    together = at([0, 5, 10])
+    people = [[*here, *there] for here, there in zip(together.people, at([300, 305, 310]).people, strict=True)]
+    named, lines = name_people(Detections(people, together.stamps_ns, (640, 480)))
+    assert [[p.id for p in frame] for frame in named.people] == [['person_1', 'person_2']] * 3
+    assert lines == []
+
+
+def test_nobody_seen_and_wrong_files_are_named_in_one_line(tmp_path: Path) -> None:
+    empty = write_video(tmp_path / 'empty.mkv', [draw([])] * 3, [0.0, 0.1, 0.2])
+    model = save_movenet(tmp_path / 'movenet.onnx')
+    with pytest.raises(InputError, match=r'empty\.mkv: nobody is seen in any image \(3 images, MoveNet'):
+        detect_in_video(empty, model)
+    with pytest.raises(ModelError, match=r'none\.onnx: no such file'):
+        detect_in_video(empty, tmp_path / 'none.onnx')
+    with pytest.raises(
+        InputError, match=r'empty\.mkv: --topic, --fps, --image-size and --layout do not apply to a'
+    ):
+        load_input(empty, Video(fps=30.0, detector=model), NodeConfig())
+    (tmp_path / 'a.json').write_text('[]')
+    with pytest.raises(InputError, match=r'a\.json: --detector applies to a video only'):
+        load_input(tmp_path / 'a.json', Video(fps=30.0, detector=model), NodeConfig())
