@@ -15,10 +15,10 @@ from mocap_ros.input_file import NEITHER_FILE_NOR_FOLDER, is_special_file
 
 VIDEO_SUFFIXES = ('.mp4', '.m4v', '.mov', '.avi', '.mkv', '.webm', '.mpg', '.mpeg', '.wmv', '.flv', '.gif')
 IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.bmp', '.tif', '.tiff', '.webp', '.heic')
-WRITTEN_SUFFIXES = ('.csv', '.bvh', '.trc')  # of files that `reconstruct` writes and that are not read again
+WRITTEN_SUFFIXES = ('.csv', '.bvh', '.trc', '.mot', '.osim')  # of files that are written, but not read
 
 # What the commands read, in the words of messages.
-KEYPOINT_FORMATS = 'a sequence file (.npz), a bag, a folder of OpenPose JSON, or COCO keypoints (.json)'
+KEYPOINT_FORMATS = 'a sequence file (.npz), a bag, a folder of OpenPose JSON, COCO keypoints (.json), or a video'
 BAG_FORMATS = 'a bag (folder, .mcap, .db3 or .bag)'
 
 
@@ -41,8 +41,8 @@ class InputKind(Enum):
     MISSING = 'No such file or directory'
 
 
-KEYPOINT_KINDS = (InputKind.SEQUENCE, InputKind.BAG, InputKind.OPENPOSE, InputKind.JSON)
-PICTURE_KINDS = (InputKind.VIDEO, InputKind.IMAGE, InputKind.IMAGES)
+KEYPOINT_KINDS = (InputKind.SEQUENCE, InputKind.BAG, InputKind.OPENPOSE, InputKind.JSON, InputKind.VIDEO)
+PICTURE_KINDS = (InputKind.IMAGE, InputKind.IMAGES)
 
 
 def find_input_kind(path: Path) -> InputKind:
@@ -104,6 +104,8 @@ def require_kind(path: Path, accepted: Collection[InputKind], formats: str) -> I
         advice = f'run a 2D keypoint detector on it, and give the keypoints as {KEYPOINT_FORMATS}'
     elif kind is InputKind.RESULT and InputKind.SEQUENCE in accepted:
         advice = 'give the sequence file that it was made from'
+    elif kind is InputKind.VIDEO:
+        advice = f'expected {formats}; `mocap-ros detect` finds the keypoints in it'
     elif kind in KEYPOINT_KINDS:
         advice = f'expected {formats}; `mocap-ros reconstruct` reads it'
     else:

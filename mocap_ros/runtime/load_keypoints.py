@@ -15,17 +15,20 @@ from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import FrameDropped, InputError
 from mocap_ros.formats.coco_json import load_coco
-from mocap_ros.formats.detections import Detections, Video, select_person
+from mocap_ros.formats.detections import Detections, Video, associate_people, select_person
 from mocap_ros.formats.openpose_json import load_openpose
 from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
 from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
 from mocap_ros.messages.keypoints import KeypointsFrame
+from mocap_ros.runtime.detection import ShowProgress, detect_in_video
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 
 Array = NDArray[np.float64]
+
+MIN_FRAMES = 10  # frames; of all people, those who are seen in less are mostly errors of the detector
 
 
 def load_input(
@@ -34,15 +37,17 @@ def load_input(
     limits: NodeConfig,
     person: str | None = None,
     topic: str | None = None,
+    show_progress: ShowProgress = lambda images, _: images,
 ) -> tuple[KeypointSequence, list[str]]:
-    """Load one person from a sequence file, a bag, a folder of OpenPose files or a JSON file of COCO keypoints.
+    """Load one person from a sequence file, a bag, OpenPose files, a JSON file of COCO keypoints or a video.
 
     Args:
         path: The file or folder.
-        video: Frame rate, image size and keypoint layout, which JSON files do not state.
+        video: Frame rate, image size and keypoint layout, which JSON files do not state; the detector of a video.
         limits: Limits on people, joints and text in a message of a bag, and the image size of a bag without one.
         person: Id of the person; by default the person who is seen in most frames.
         topic: Topic of the keypoints; needed only for a bag with several.
+        show_progress: Function that shows the progress of a detector on a video.
 
     Returns:
         The sequence, and lines to print about the chosen person, skipped messages and assumptions.
@@ -54,15 +59,13 @@ def load_input(
     if kind is InputKind.SEQUENCE:
         if person or topic or video != Video():
             raise InputError(
-                f'{path}: --person, --topic, --fps, --image-size and --layout do not apply to a sequence file'
+                f'{path}: --person, --topic, --fps, --image-size, --layout and --detector do not apply to a '
+                'sequence file'
             )
         sequence = load_sequence(path)
         lines: list[str] = []
     else:
-        if kind is InputKind.BAG:
-            detections = load_bag(path, limits, topic)
-        else:
-            detections = load_openpose(path, video) if kind is InputKind.OPENPOSE else load_coco(path, video)
+        detections = load_detections(path, kind, video, limits, topic, show_progress)
         try:
             sequence, lines = select_person(detections, person)
             _check_image_size(sequence, video.image_size)
@@ -71,6 +74,63 @@ def load_input(
     outside = describe_points_outside(*_split_keypoints(sequence), sequence.image_size)
     lines += [f'image size: {outside}'] if outside else []
     return sequence, [f'{path}: {line}' for line in lines]
+
+
+def load_people(
+    path: Path,
+    video: Video,
+    limits: NodeConfig,
+    topic: str | None = None,
+    show_progress: ShowProgress = lambda images, _: images,
+) -> tuple[list[KeypointSequence], list[str]]:
+    """Load all people from a file that may hold several.
+
+    The arguments are those of `load_input`.
+
+    Returns:
+        The sequence of each person who is seen in `MIN_FRAMES` or more, in the order in which they are seen first,
+        and lines to print.
+
+    Raises:
+        InputError: The file is of another format or damaged, or nobody is seen for so long.
+    """
+    kind = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS)
+    if kind is InputKind.SEQUENCE:
+        raise InputError(f'{path}: a sequence file holds one person; --all-people does not apply')
+    detections = load_detections(path, kind, video, limits, topic, show_progress)
+    tracks = associate_people(detections)
+    long_tracks = [track for track in tracks if len(track.detection_by_frame) >= MIN_FRAMES]
+    try:
+        if not long_tracks:
+            raise InputError(f'nobody is seen in {MIN_FRAMES} frames or more')
+        sequences = [select_person(detections, track.id)[0] for track in long_tracks]
+        for sequence in sequences:
+            _check_image_size(sequence, video.image_size)
+    except InputError as error:
+        raise InputError(f'{path}: {error}') from None
+    left_out = len(tracks) - len(long_tracks)
+    lines = [f'{left_out} people are left out, who are seen in less than {MIN_FRAMES} frames'] if left_out else []
+    return sequences, [f'{path}: {line}' for line in (*detections.remarks, *lines)]
+
+
+def load_detections(
+    path: Path,
+    kind: InputKind,
+    video: Video,
+    limits: NodeConfig,
+    topic: str | None = None,
+    show_progress: ShowProgress = lambda images, _: images,
+) -> Detections:
+    """Load all people from an input of a kind that may hold several; see `load_input`."""
+    if video.detector and kind is not InputKind.VIDEO:
+        raise InputError(f'{path}: --detector applies to a video only')
+    if kind is InputKind.BAG:
+        return load_bag(path, limits, topic)
+    if kind is InputKind.VIDEO:
+        if topic or replace(video, detector=None) != Video():
+            raise InputError(f'{path}: --topic, --fps, --image-size and --layout do not apply to a video')
+        return detect_in_video(path, video.detector, show_progress=show_progress)
+    return load_openpose(path, video) if kind is InputKind.OPENPOSE else load_coco(path, video)
 
 
 def _split_keypoints(sequence: KeypointSequence) -> tuple[Array, Array]:
@@ -122,7 +182,7 @@ def load_bag(path: Path, limits: NodeConfig, topic: str | None = None) -> Detect
     with Bag(path) as bag:
         topics = find_people_topics(bag, topic)
         node = replace(limits, input_type=find_people_type(bag, topics))
-        camera = _find_camera(bag, next(iter(topics)), node)
+        camera = find_camera(bag, next(iter(topics)), node)
         camera_size, configured = camera.size if camera else None, (node.image_width, node.image_height)
         size = resolve_image_size(camera=camera_size, configured=configured)
         frames, skipped_count, first_reason = _decode_frames(bag, topics, node, camera, size)
@@ -179,7 +239,7 @@ def _decode_frames(
     return frames, skipped_count, first_reason
 
 
-def _find_camera(bag: Bag, keypoints_topic: str, node: NodeConfig) -> CameraInfo | None:
+def find_camera(bag: Bag, keypoints_topic: str, node: NodeConfig) -> CameraInfo | None:
     """Return the first usable CameraInfo that belongs to a topic of keypoints, or None if there is none."""
     topic = bag.find_camera_info_topic(keypoints_topic)
     for message in bag.messages([topic] if topic else []):

@@ -1,17 +1,27 @@
 """Encode people as the messages of all output topics: for the node, replays and reconstructed sequences.
 
 Tentative people are flagged in the skeletons, have cameras and points, and are drawn grey. They have no
-transforms, because a robot would act on them, and because a coordinate frame is remembered after its last message.
+transforms and are in no message for robots, because a robot would act on them, and because a coordinate frame is
+remembered after its last message.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
+from mocap_ros.config import NodeConfig
+from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cameras import CAMERAS, encode_cameras
 from mocap_ros.messages.cdr import Header, OutputMessage
+from mocap_ros.messages.foreign.definitions import COLLISION_OBJECT, DETECTIONS_3D, OBSTACLES, PEOPLE
 from mocap_ros.messages.markers import MARKERS, MarkerEncoder
 from mocap_ros.messages.point_cloud import POINTS, encode_points
+from mocap_ros.messages.robots.capsules import CAPSULES, encode_capsules
+from mocap_ros.messages.robots.collision_objects import CollisionObjectEncoder
+from mocap_ros.messages.robots.detections import encode_detections
+from mocap_ros.messages.robots.obstacles import encode_obstacles
+from mocap_ros.messages.robots.people import encode_people
+from mocap_ros.messages.robots.poses import POSES, encode_poses
 from mocap_ros.messages.skeletons import (
     SKELETON_DEFINITION,
     SKELETONS,
@@ -19,7 +29,7 @@ from mocap_ros.messages.skeletons import (
     encode_skeletons,
 )
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
-from mocap_ros.people import Person3D
+from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.skeleton import CMU15
 
 # Message type of every output that each accepted image causes, by relative topic name.
@@ -29,45 +39,94 @@ OUTPUTS = {
     'markers': MARKERS,
     'points': POINTS,
 }
-# The further output if the parameter node.publish_tf is set.
-TF_OUTPUT = {'/tf': TRANSFORMS}
+# The further outputs: message types by topic, by the field of `NodeConfig` that switches them on.
+SWITCHED_OUTPUTS = {
+    'publish_tf': {'/tf': TRANSFORMS},
+    'publish_people': {'people': PEOPLE},
+    'publish_detections': {'detections': DETECTIONS_3D},
+    'publish_obstacles': {'obstacles': OBSTACLES},
+    'publish_poses': {'poses': POSES},
+    'publish_capsules': {'capsules': CAPSULES},
+    'publish_collision_objects': {'collision_object': COLLISION_OBJECT},
+}
 # Message type of the output that is published once and kept for late subscribers, by relative topic name.
 LATCHED_OUTPUTS = {'skeleton_definition': SKELETON_DEFINITION}
 
 
+# The encoders of those of them that depend on the people of an image alone.
+ENCODERS: dict[str, Callable[[Header, Sequence[Person3D]], bytes]] = {
+    'publish_people': encode_people,
+    'publish_detections': encode_detections,
+    'publish_obstacles': encode_obstacles,
+    'publish_poses': encode_poses,
+    'publish_capsules': encode_capsules,
+}
+
+
+def list_switched_outputs(node: NodeConfig) -> dict[str, str]:
+    """Return the message types of the further outputs that are switched on, by topic."""
+    return {
+        topic: msgtype
+        for field, topics in SWITCHED_OUTPUTS.items()
+        if getattr(node, field)
+        for topic, msgtype in topics.items()
+    }
+
+
 class OutputEncoder:
-    """Encoder of the outputs of successive images; the markers of an image depend on those of the image before."""
+    """Encoder of the outputs of successive images.
+
+    The markers and the collision objects of an image depend on those of the image before.
+    """
 
     def __init__(self) -> None:
         self._markers = MarkerEncoder()
+        self._collision_objects = CollisionObjectEncoder()
 
     def encode(
         self,
         header: Header,
         people: Sequence[Person3D],
-        marker_lifetime_s: float,
-        transforms_prefix: str | None = None,
+        node: NodeConfig | None = None,
+        camera: CameraPlacement | None = None,
+        vertical: CameraVertical | None = None,
     ) -> tuple[OutputMessage, ...]:
-        """Encode the people in an image; the result has one message for each of `OUTPUTS`.
+        """Encode the people in an image; the result has one message for each of `OUTPUTS`, then those switched on.
 
         Args:
-            header: Time and frame of the image.
-            people: All people in the image.
-            marker_lifetime_s: Time in s after which a viewer removes the markers by itself, 0 for never.
-            transforms_prefix: Text before the name of every coordinate frame of the message of `TF_OUTPUT`; None
-                for no such message.
+            header: Time of the image, and the frame in which the people are put out.
+            people: All people in the image, in the camera's optical frame.
+            node: Parameters of the outputs; None for the defaults.
+            camera: The camera in the frame of the header; None where the header names the optical frame.
+            vertical: What is known of the camera's vertical, in its optical frame; None if nothing is.
         """
+        node = node or NodeConfig()
+        camera = camera or CameraPlacement(header.frame_id)
+        placed = camera.place(people)
         data = {
-            'skeletons': encode_skeletons(header, people),
-            'cameras': encode_cameras(header, people),
-            'markers': self._markers.encode_update(header, people, marker_lifetime_s),
-            'points': encode_points(header, people),
+            'skeletons': encode_skeletons(header, placed, camera.place_vertical(vertical), camera),
+            'cameras': encode_cameras(Header(header.stamp_ns, camera.frame_id), people),
+            'markers': self._markers.encode_update(header, placed, node.marker_lifetime),
+            'points': encode_points(header, placed),
         }
-        if transforms_prefix is not None:
-            certain = [p for p in people if not p.tentative]
-            data['/tf'] = encode_transforms(header, certain, transforms_prefix)
-        types = OUTPUTS | TF_OUTPUT
-        return tuple(OutputMessage(topic, types[topic], header.stamp_ns, raw) for topic, raw in data.items())
+        outputs = [OutputMessage(topic, OUTPUTS[topic], header.stamp_ns, raw) for topic, raw in data.items()]
+        certain = [p for p in placed if not p.tentative]
+        for field, topics in SWITCHED_OUTPUTS.items():
+            if getattr(node, field):
+                ((topic, msgtype),) = topics.items()
+                messages = self._encode_switched(field, header, certain, node)
+                outputs += [OutputMessage(topic, msgtype, header.stamp_ns, raw) for raw in messages]
+        return tuple(outputs)
+
+    def _encode_switched(
+        self, field: str, header: Header, people: Sequence[Person3D], node: NodeConfig
+    ) -> list[bytes]:
+        """Encode the messages of a further output for people who are not tentative."""
+        if field == 'publish_tf':
+            return [encode_transforms(header, people, node.frame_prefix)]
+        if field == 'publish_collision_objects':
+            return self._collision_objects.encode_update(header, people)
+        return [ENCODERS[field](header, people)]
 
     def encode_clear(self, header: Header) -> OutputMessage:
         """Encode the message that deletes all markers, and forget all people."""

@@ -15,18 +15,21 @@ from typing import Protocol
 import numpy as np
 
 from mocap_ros.bags.journal import Verdict
-from mocap_ros.bags.topics import PEOPLE_SOURCES, Source
+from mocap_ros.bags.topics import PEOPLE_SOURCES, TRANSFORM_SOURCES, Source
 from mocap_ros.config import Config
-from mocap_ros.errors import FrameDropped, InputError, SkeletonError
+from mocap_ros.errors import ConfigError, FrameDropped, InputError, SkeletonError
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.rigid_transform import RigidTransform, parse_camera_pose
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
+from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, OutputMessage
 from mocap_ros.messages.keypoints import KeypointsFrame
+from mocap_ros.messages.transform_tree import TransformTree
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.people import Person3D
+from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.tracking.tracker import Tracker
@@ -64,6 +67,20 @@ def _reject(error: Exception) -> ProcessingResult:
         return ProcessingResult(Verdict.DROPPED, str(error))
     reason = f'internal error: {type(error).__name__}: {error}'
     return ProcessingResult(Verdict.DROPPED, reason, error_traceback=''.join(traceback.format_exception(error)))
+
+
+def _read_fixed_pose(config: Config) -> RigidTransform | None:
+    """Return the transform from the optical frame to `node.output_frame` that the parameters give, if any.
+
+    Raises:
+        ConfigError: `node.camera_pose` is not a pose, or there is no frame that it is given in.
+    """
+    node = config.node
+    if not node.camera_pose:
+        return None
+    if not node.output_frame:
+        raise ConfigError('node.camera_pose: needs node.output_frame, the frame in which the pose is given')
+    return parse_camera_pose(node.camera_pose, 'node.camera_pose')
 
 
 def _merge_results(results: Sequence[ProcessingResult]) -> ProcessingResult:
@@ -110,6 +127,10 @@ class FrameTracker(Protocol):
     def unusable_people(self) -> int:
         """Number of detections so far that were no person of their own: too little seen, or part of somebody."""
 
+    @property
+    def vertical(self) -> CameraVertical | None:
+        """What is known of the camera's vertical; None if nothing is."""
+
     def update(self, stamp_ns: int, people: tuple[Person2D, ...], intrinsics: Intrinsics) -> tuple[Person3D, ...]:
         """Track the people of an image; see `tracker.Tracker.update`."""
 
@@ -134,9 +155,12 @@ class Pipeline:
         counters: Numbers of inputs by verdict, since the pipeline was created.
         camera_info: The CameraInfo message in use as CDR, or None.
         header: Header of the last accepted image.
-        people: People in the outputs of the last accepted image.
+        output_header: Header of the outputs of that image, in whose frame the people are put out.
+        transforms: All coordinate frames of /tf and /tf_static.
+        people: People in the outputs of the last accepted image, in the camera's optical frame.
 
     Raises:
+        ConfigError: `node.camera_pose` is not a pose, or is given without `node.output_frame`.
         ModelError: The base poses cannot be loaded.
     """
 
@@ -149,6 +173,8 @@ class Pipeline:
         self.config = config
         self.counters = Counters()
         self.camera_info: bytes | None = None
+        self.transforms = TransformTree()
+        self._fixed_pose = _read_fixed_pose(config)
         self._camera: CameraInfo | None = None
         self.models = models or load_base_pose_models(config.tracker.model)
         self._make_tracker = make_tracker
@@ -156,7 +182,7 @@ class Pipeline:
         self._outputs = OutputEncoder()
         self._assembler = FrameAssembler()
         self._consecutive_errors = 0
-        self.header = Header(0, '')
+        self.header = self.output_header = Header(0, '')
         self.people: tuple[Person3D, ...] = ()
 
     @property
@@ -209,6 +235,9 @@ class Pipeline:
         if source is Source.CAMERA_INFO:
             self.set_camera_info(raw)
             return []
+        if source in TRANSFORM_SOURCES:
+            self.transforms.add(raw, is_static=source is Source.STATIC_TRANSFORMS)
+            return []
         node, camera = self.config.node, self._camera
         configured = (node.image_width, node.image_height)
         size = resolve_image_size(camera=camera.size if camera else None, configured=configured)
@@ -221,17 +250,38 @@ class Pipeline:
             if is_stamp_missing(frame.header.stamp_ns, self.header.stamp_ns):
                 raise FrameDropped(MISSING_STAMP)
             people = self._track(frame, self._find_intrinsics(frame))
-            header = Header(self._tracker.output_stamp_ns, frame.header.frame_id)
-            prefix = node.frame_prefix if node.publish_tf else None
-            outputs = self._outputs.encode(header, people, node.marker_lifetime, prefix)
+            header, camera, remark = self._place_camera(
+                Header(self._tracker.output_stamp_ns, frame.header.frame_id)
+            )
+            outputs = self._outputs.encode(header, people, node, camera, self._tracker.vertical)
         except Exception as error:
             if isinstance(error, FrameDropped) and frame.header.stamp_ns == self.header.stamp_ns == 0:
                 error = FrameDropped(MISSING_STAMP)
             return _reject(error)
-        self.header, self.people = frame.header, people
+        self.header, self.output_header, self.people = frame.header, header, people
         back_s = self._tracker.backward_jump_s
-        remark = f'the stamp went back by {back_s:.1f} s, so tracking was restarted' if back_s else ''
+        if back_s:
+            remark = f'the stamp went back by {back_s:.1f} s, so tracking was restarted'
         return ProcessingResult(Verdict.ACCEPTED, remark, outputs)
+
+    def _place_camera(self, header: Header) -> tuple[Header, CameraPlacement, str]:
+        """Return the header of the outputs, the camera in its frame, and why that is not `node.output_frame`.
+
+        Args:
+            header: Time of the outputs, and the camera's optical frame.
+        """
+        node, own = self.config.node, CameraPlacement(header.frame_id)
+        if not node.output_frame:
+            return header, own, ''
+        pose = self._fixed_pose
+        if pose is None:
+            try:
+                pose = self.transforms.find(
+                    node.output_frame, header.frame_id, header.stamp_ns, node.transform_tolerance
+                )
+            except InputError as error:
+                return header, own, f'{error}, so people are put out in the frame of the camera'
+        return Header(header.stamp_ns, node.output_frame), CameraPlacement(header.frame_id, pose), ''
 
     def _count(self, source: Source, result: ProcessingResult) -> None:
         """Count an input by its result; reset the tracker after `MAX_CONSECUTIVE_ERRORS` internal errors."""
@@ -266,7 +316,7 @@ class Pipeline:
         self._tracker.reset()
         self._assembler.reset()
         self.people = ()
-        return self._outputs.encode_clear(self.header)
+        return self._outputs.encode_clear(self.output_header)
 
     def reconfigure(self, config: Config) -> bool:
         """Use other parameters; return whether the tracker had to be restarted for them."""

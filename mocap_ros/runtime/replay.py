@@ -7,19 +7,28 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from mocap_ros.bags.journal import RESET, Journal, Verdict, read_run
 from mocap_ros.bags.reader import ROS2_SUFFIXES, Bag, BagMessage
 from mocap_ros.bags.recorder import Recorder, choose_partial_path
 from mocap_ros.bags.rosbag2 import METADATA
-from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
+from mocap_ros.bags.topics import (
+    TRANSFORM_SOURCES,
+    Source,
+    find_people_topics,
+    find_people_type,
+    find_transform_topics,
+)
 from mocap_ros.config import Config, RecorderConfig, Value, current_names, values, with_values
 from mocap_ros.errors import ConfigError, InputError, RecordingError
 from mocap_ros.messages.cdr import OutputMessage
+from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.models.model_file import AUTO, PRIORS, list_shipped_base_poses
+from mocap_ros.runtime.appearances import Appearance, AppearanceLog
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, build_skeleton_definition
+from mocap_ros.runtime.parts import Part
 from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
 
@@ -38,11 +47,13 @@ class ReplayOptions:
         config: Parameters; None for the parameters of the recorded run.
         topic: Topic of the keypoints, or for ROS4HRI of the tracked bodies; needed only for a bag with several.
         camera_info: Topic of the CameraInfo; needed only for a bag with several.
+        part: Part of the bag to replay; None for the whole bag.
     """
 
     config: Config | None = None
     topic: str | None = None
     camera_info: str | None = None
+    part: Part | None = None
 
 
 @dataclass(frozen=True)
@@ -55,12 +66,18 @@ class ReplayResult:
         unrecorded_inputs: Number of inputs that the recorded run processed but that the bag lacks; the outputs
             after the first of these may differ from those of the recorded run.
         tracebacks: Tracebacks of internal errors, without repetitions.
+        config: Parameters at the end.
+        appearances: Who was seen, from when to when; tentative people are left out.
+        swapped_frames: Number of detections whose left and right were swapped back.
     """
 
     counters: Counters
     first_rejection: str
     unrecorded_inputs: int = 0
     tracebacks: tuple[str, ...] = ()
+    config: Config = field(default_factory=Config)
+    appearances: tuple[Appearance, ...] = ()
+    swapped_frames: int = 0
 
 
 def replay(
@@ -124,6 +141,7 @@ class _Replay:
 
     def __init__(self, bag: Bag, options: ReplayOptions) -> None:
         self._bag = bag
+        self._part = options.part or Part(0, None, None, 0, None)
         self._inputs = find_people_topics(bag, options.topic)
         keypoints_type = find_people_type(bag, self._inputs)
         keypoints_topic, *_ = self._inputs
@@ -137,17 +155,24 @@ class _Replay:
             config = _apply_recorded_parameters(Config(), self._recorded_run.parameters, bag)
         config = with_values(config, {INPUT_TYPE_PARAMETER: keypoints_type})
         self._recorder_config = RecorderConfig() if self._repeats_parameters else config.recorder
+        self._inputs |= find_transform_topics(bag, config.node, self._recorded_run.input_topics)
+        self._frame_prefix = config.node.frame_prefix
         self._pipeline = Pipeline(config)
+        if self._part.camera_info is not None:
+            self._pipeline.set_camera_info(self._part.camera_info)
         self._journal = Journal(JOURNAL_TOPIC)
+        self._appearances = AppearanceLog(self._pipeline.config.tracker.forget_all_after)
         self._first_rejection = ''
         self._tracebacks: dict[str, str] = {}  # by what identifies the error, in order of occurrence
 
     def run(self, folder: Path, name: str, progress: ProgressWrapper) -> ReplayResult:
-        bag, pipeline = self._bag, self._pipeline
+        bag, pipeline, part = self._bag, self._pipeline, self._part
         attachments = provenance_attachments(pipeline.config, pipeline.models)
         with Recorder(folder, self._recorder_config, attachments, name) as self._recorder:
-            for number, message in enumerate(progress(bag.messages(self._inputs), bag.count(self._inputs)), 1):
-                if number == 1:
+            messages = progress(bag.messages(self._inputs, part.start_ns, part.stop_ns), bag.count(self._inputs))
+            first = part.inputs_before + 1
+            for number, message in enumerate(filter(self._is_input, messages), first):
+                if number == first:
                     self._write_start(message.time_ns)
                 self._repeat_events(number - 1, message.time_ns)
                 if number in self._recorded_run.skipped_inputs:
@@ -162,7 +187,15 @@ class _Replay:
             self._first_rejection,
             self._recorded_run.lost_count,
             tuple(self._tracebacks.values()),
+            pipeline.config,
+            self._appearances.finish(),
+            pipeline.swapped_frames,
         )
+
+    def _is_input(self, message: BagMessage) -> bool:
+        """Return whether a message on the topic of an input is one, and no output of the recorded run on /tf."""
+        is_transform = self._inputs[message.topic] in TRANSFORM_SOURCES
+        return not (is_transform and is_of_people_only(message.raw, self._frame_prefix))
 
     def _write_start(self, now_ns: int) -> None:
         """Write the latched outputs and the parameters, with which every bag starts."""
@@ -170,6 +203,7 @@ class _Replay:
             self._recorder.declare_topic('/' + topic, msgtype, latched=True)
         self._recorder.write(*self._journal.make_parameters_record(values(self._pipeline.config), now_ns))
         self._write(build_skeleton_definition(), now_ns)
+        self._journal.skip_inputs(self._part.inputs_before)
 
     def _repeat_events(self, number: int, now_ns: int) -> None:
         """Repeat the resets and parameter changes that followed this input in the recorded run."""
@@ -192,6 +226,8 @@ class _Replay:
             self._recorder.write(*record)
         for output in result.outputs:
             self._write(output, now_ns)
+        if result.outputs:
+            self._appearances.add(result.outputs[-1].stamp_ns, self._pipeline.people)
         if result.verdict is not Verdict.ACCEPTED and not self._first_rejection:
             self._first_rejection = f'{self._bag.path}: {message.topic}: message {number}: {reason}'
         if result.error_traceback:
@@ -199,6 +235,15 @@ class _Replay:
 
     def _write(self, output: OutputMessage, now_ns: int) -> None:
         self._recorder.write('/' + output.topic.lstrip('/'), output.type, output.data, now_ns, now_ns)
+
+
+def read_recorded_config(bag: Bag) -> Config:
+    """Return the parameters at the start of a recorded run; the defaults if the bag has no journal.
+
+    Raises:
+        InputError: The journal cannot be read, or the run used models that do not come with the package.
+    """
+    return _apply_recorded_parameters(Config(), read_run(bag).parameters, bag)
 
 
 def _apply_recorded_parameters(config: Config, recorded: Mapping[str, Value], bag: Bag) -> Config:

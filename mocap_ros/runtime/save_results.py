@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,22 +16,25 @@ from numpy.typing import NDArray
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
+from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.bvh import save_bvh
+from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, compute_joint_angles
+from mocap_ros.formats.export.opensim_model import place_markers, save_mot, save_osim
 from mocap_ros.formats.export.trc import save_trc
 from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.geometry.differences import central_velocity
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.npz_file import write_npz
 from mocap_ros.offline.whole_sequence import SequenceResult
-from mocap_ros.people import Motion, MotionKind, Person3D
+from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
 from mocap_ros.runtime.sequence_messages import DEFAULT_FRAME_ID
 
 Array = NDArray[np.float64]
 
 DEFAULT_PERSON_ID = 'person_1'  # id in the messages of a bag, if the sequence does not name its person
-MARKER_LIFETIME_S = 0.5  # s; lifetime of the markers in a bag; the default of node.marker_lifetime
 MAX_RESAMPLED_FRAMES = 1_000_000  # frames; guards the memory against two frames that are years apart
 CAMERA_TO_Y_UP = np.array([1.0, -1.0, -1.0])  # factors of x, y, z: optical frame (y down, z forward) to y up
 
@@ -55,7 +60,12 @@ def save(path: Path, reconstruction: ReconstructedSequence) -> None:
         RecordingError: A bag cannot be written.
         OSError: A file of another format cannot be written.
     """
-    WRITERS[path.suffix](path, reconstruction)
+    WRITERS[find_suffix(path)](path, reconstruction)
+
+
+def find_suffix(path: Path) -> str:
+    """Return the suffix in `SUFFIXES` that a path has, the longest if it has several; empty if it has none."""
+    return max((suffix for suffix in SUFFIXES if path.name.endswith(suffix)), key=len, default='')
 
 
 def _save_npz(path: Path, reconstruction: ReconstructedSequence) -> None:
@@ -72,6 +82,8 @@ def _save_npz(path: Path, reconstruction: ReconstructedSequence) -> None:
         'translation': translation,
         'residual_px': result.solution.residual,
         'theta': result.solution.theta,
+        'vertical': result.vertical,
+        'vertical_std': result.vertical_std,
     }
     write_npz(path, arrays)
 
@@ -86,13 +98,37 @@ def _save_csv(path: Path, reconstruction: ReconstructedSequence) -> None:
             writer.writerow([f'{time:.6f}', *(f'{v:.6f}' for v in joints.ravel())])
 
 
+def save_detections(path: Path, detections: Detections) -> None:
+    """Write the keypoints of all people as a bag of `/keypoints`, in a single .mcap file.
+
+    Raises:
+        RecordingError: The bag cannot be written.
+    """
+    with _record_file(path) as recorder:
+        for stamp, people in zip(detections.stamps_ns, detections.people, strict=True):
+            header = Header(stamp, detections.frame_id or DEFAULT_FRAME_ID)
+            raw = encode_keypoints(header, detections.image_size, people)
+            recorder.write('/keypoints', KEYPOINTS, raw, stamp, stamp)
+
+
 def _save_bag(path: Path, reconstruction: ReconstructedSequence) -> None:
     """Write the keypoints and the outputs in the same way as `replay`, but into a single .mcap file."""
+    with _record_file(path) as recorder:
+        _record(recorder, reconstruction)
+
+
+@contextmanager
+def _record_file(path: Path) -> Iterator[Recorder]:
+    """Write a bag into a single .mcap file, which is there when it is complete.
+
+    Raises:
+        RecordingError: The bag cannot be written.
+    """
     with TemporaryDirectory(dir=path.parent, prefix='.mocap_ros_') as folder:
         bag = Path(folder) / 'bag'
         try:
             with Recorder(bag, RecorderConfig(min_free_mb=0), name=path.stem) as recorder:
-                _record(recorder, reconstruction)
+                yield recorder
         except RecordingError as error:
             raise RecordingError(f'{path}: {str(error).rpartition(": ")[2]}') from None
         (file,) = bag.glob('*.mcap')
@@ -108,7 +144,9 @@ def _record(recorder: Recorder, reconstruction: ReconstructedSequence) -> None:
     definition = build_skeleton_definition()
     recorder.write('/' + definition.topic, definition.type, definition.data, stamps[0], stamps[0])
     person_id = sequence.person_id or DEFAULT_PERSON_ID
+    result = reconstruction.result
     for frame, (stamp, person) in enumerate(zip(stamps, _iterate_people(reconstruction), strict=True)):
+        vertical = CameraVertical(result.vertical[frame], float(result.vertical_std[frame]))
         header = Header(stamp, sequence.frame_id or DEFAULT_FRAME_ID)
         keypoints = [sequence.person(frame, person_id)]
         recorder.write(
@@ -118,7 +156,9 @@ def _record(recorder: Recorder, reconstruction: ReconstructedSequence) -> None:
             stamp,
             stamp,
         )
-        for output in encoder.encode(header, [person] if person else [], MARKER_LIFETIME_S):
+        known = None if math.isnan(vertical.std) else vertical
+        people = [person] if person else []
+        for output in encoder.encode(header, people, vertical=known):
             recorder.write('/' + output.topic, output.type, output.data, stamp, stamp)
 
 
@@ -126,7 +166,12 @@ def _iterate_people(reconstruction: ReconstructedSequence) -> Iterator[Person3D 
     """Yield the person of each frame, or None where the result has no skeleton."""
     result, nan = reconstruction.result, float('nan')
     cameras, translation = result.cameras_in_real_image()
+    times = np.asarray(reconstruction.sequence.timestamps)
+    velocity = central_velocity(times, result.joints)
+    first = last_seen = math.nan
     for frame, seen in enumerate(result.seen):
+        if seen.any():
+            first, last_seen = times[frame] if math.isnan(first) else first, times[frame]
         if np.isnan(result.joints[frame]).any():
             yield None
             continue
@@ -142,6 +187,9 @@ def _iterate_people(reconstruction: ReconstructedSequence) -> Iterator[Person3D 
             residual=float(result.solution.residual[frame]),
             scale_known=result.virtual_camera.intrinsics.is_focal_known,
             predicted=not seen.any(),
+            velocity=velocity[frame],
+            age=float(times[frame] - first),
+            unseen_for=float(times[frame] - last_seen),
         )
 
 
@@ -154,6 +202,32 @@ def _save_trc(path: Path, reconstruction: ReconstructedSequence) -> None:
     fps, joints, in_sight = _resample_at_constant_rate(reconstruction)
     joints[~in_sight] = np.nan
     save_trc(path, reconstruction.result.skeleton.joints, joints, fps)
+
+
+def _save_mot(path: Path, reconstruction: ReconstructedSequence) -> None:
+    fps, joints, in_sight = _resample_at_constant_rate(reconstruction)
+    times = np.flatnonzero(in_sight) / fps  # those of the same frames in a .trc file
+    save_mot(path, compute_joint_angles(joints[in_sight], fps), times)
+
+
+def _save_osim(path: Path, reconstruction: ReconstructedSequence) -> None:
+    fps, joints, in_sight = _resample_at_constant_rate(reconstruction)
+    places = place_markers(joints[in_sight], compute_joint_angles(joints[in_sight], fps))
+    save_osim(path, reconstruction.sequence.person_id or DEFAULT_PERSON_ID, places)
+
+
+def _save_angles(path: Path, reconstruction: ReconstructedSequence) -> None:
+    times, joints = reconstruction.sequence.timestamps, reconstruction.result.joints * CAMERA_TO_Y_UP
+    known = np.isfinite(joints).all(axis=(1, 2))
+    values = np.full((len(times), len(COORDINATES)), np.nan)
+    fps = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+    values[known] = compute_joint_angles(joints[known], fps).values
+    units = ['m' if name in POSITIONS else 'deg' for name in COORDINATES]
+    with path.open('w', newline='', encoding='utf-8') as file:
+        writer = csv.writer(file)
+        writer.writerow(['time_s', *(f'{name}_{unit}' for name, unit in zip(COORDINATES, units, strict=True))])
+        for time, row in zip(times, values, strict=True):
+            writer.writerow([f'{time:.6f}', *(f'{v:.6f}' for v in row)])
 
 
 def _resample_at_constant_rate(reconstruction: ReconstructedSequence) -> tuple[float, Array, NDArray[np.bool_]]:
@@ -188,5 +262,8 @@ WRITERS: dict[str, Callable[[Path, ReconstructedSequence], None]] = {
     '.mcap': _save_bag,
     '.bvh': _save_bvh,
     '.trc': _save_trc,
+    '.angles.csv': _save_angles,
+    '.mot': _save_mot,
+    '.osim': _save_osim,
 }
 SUFFIXES = tuple(WRITERS)  # the file suffixes that `save` accepts

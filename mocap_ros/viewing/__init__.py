@@ -1,1 +1,1 @@
-"""Figures of sequences, reconstructions and keyframes."""
+"""Pictures, pages for a browser and recordings for Rerun, of sequences, reconstructions and keyframes."""

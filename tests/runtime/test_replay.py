@@ -243,14 +243,14 @@ def test_an_interrupted_replay_is_repeated_on_resume(
     assert main(command) == 0  # the bag is complete already
 
 
-def test_several_bags_are_replayed_in_several_processes(
+def test_a_bag_that_fails_does_not_stop_the_others(
     tmp_path: Path, stream: list[bytes], skeletons: list[bytes], capfd: pytest.CaptureFixture[str]
 ) -> None:
     for name in ('a', 'b', 'c'):
         write_bag(tmp_path / name, stream)
     (tmp_path / 'b' / 'b_0.mcap').write_bytes(b'')
     bags = [str(tmp_path / name) for name in ('a', 'b', 'c')]
-    assert main(['replay', *bags, '-o', str(tmp_path / 'out'), '--jobs', '2', *FAST_ARGUMENTS]) == 1
+    assert main(['replay', *bags, '-o', str(tmp_path / 'out'), *FAST_ARGUMENTS]) == 1
     out, err = capfd.readouterr()
     assert len(out.splitlines()) == 2
     (line,) = err.splitlines()
@@ -260,24 +260,20 @@ def test_several_bags_are_replayed_in_several_processes(
             assert [m.raw for m in bag.messages(['/skeletons'])] == skeletons
 
 
-def test_an_interrupt_ends_every_process_and_leaves_readable_bags(tmp_path: Path, stream: list[bytes]) -> None:
-    # Enough frames that no replay is complete before it is interrupted.
+def test_an_interrupt_leaves_a_readable_bag(tmp_path: Path, stream: list[bytes]) -> None:
+    # Enough frames that the replay is not complete before it is interrupted.
     frames = [with_stamp(stream[n % FRAMES], START_NS + n * STEP_NS) for n in range(100 * FRAMES)]
-    for name in ('a', 'b'):
-        write_bag(tmp_path / name, frames)
-    command = [sys.executable, '-m', 'mocap_ros.cli.main', 'replay', 'a', 'b', '-o', 'out', '--jobs', '2']
+    write_bag(tmp_path / 'a', frames)
+    command = [sys.executable, '-m', 'mocap_ros.cli.main', 'replay', 'a', '-o', 'out']
     process = subprocess.Popen(
         command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
     )
     deadline = time.monotonic() + 30
-    while len(list(tmp_path.glob('out/*.partial/*.mcap'))) < 2 or not all(
-        f.stat().st_size > MIN_SIZE_WITH_MESSAGES for f in tmp_path.glob('out/*.partial/*.mcap')
-    ):
+    while not any(f.stat().st_size > MIN_SIZE_WITH_MESSAGES for f in tmp_path.glob('out.partial/*.mcap')):
         assert time.monotonic() < deadline
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=20)
     assert (process.returncode, out, err) == (1, '', 'mocap-ros: interrupted\n')
-    for name in ('a', 'b'):
-        with Bag(tmp_path / 'out' / f'{name}.partial') as bag:
-            assert bag.count(['/keypoints']) > 0
+    with Bag(tmp_path / 'out.partial') as bag:
+        assert bag.count(['/keypoints']) > 0

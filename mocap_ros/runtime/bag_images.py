@@ -1,0 +1,62 @@
+"""The images of a bag as JPEG or PNG, one at a time, for the viewers that draw the 2D input over them."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from pathlib import Path, PurePosixPath
+
+from PIL import Image as Pillow
+
+from mocap_ros.bags.reader import Bag
+from mocap_ros.config import NodeConfig
+from mocap_ros.errors import InputError
+from mocap_ros.messages.cdr import decode, validate_header
+from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE_TYPES, decode_image
+from mocap_ros.units import NS_PER_S
+from mocap_ros.viewing.scene import SceneImage
+
+JPEG_QUALITY = 75  # of 100; for a picture behind skeletons
+MEDIA_TYPES = {b'\xff\xd8': 'image/jpeg', b'\x89P': 'image/png'}  # by the first bytes of a compressed image
+
+
+def find_image_topic(bag: Bag, topic: str = '') -> str | None:
+    """Return the topic of images that shares most of its namespace with a topic; None without images."""
+    reference = PurePosixPath(topic).parents
+    candidates = bag.topics_of_type(IMAGE_TYPES)
+    return max(candidates, key=lambda name: len({*PurePosixPath(name).parents} & {*reference}), default=None)
+
+
+def read_images(path: Path, stamps_ns: Sequence[int], limits: NodeConfig, topic: str = '') -> Iterator[SceneImage]:
+    """Yield the images of a bag that belong to a scene; images that cannot be read are left out.
+
+    Args:
+        path: the bag.
+        stamps_ns: times of the frames of the scene in ns; images before the first and after the last are left out.
+        limits: limits on the length of a text.
+        topic: topic of the keypoints, to choose among several topics of images.
+
+    Raises:
+        InputError: the bag is damaged.
+    """
+    with Bag(path) as bag:
+        images = find_image_topic(bag, topic)
+        for message in bag.messages([images] if images else []):
+            try:
+                stamp_ns, data = _read_image(message.raw, message.type, limits)
+            except InputError:
+                continue
+            media_type = MEDIA_TYPES.get(data[:2])
+            if media_type and stamps_ns[0] <= stamp_ns <= stamps_ns[-1]:
+                yield SceneImage((stamp_ns - stamps_ns[0]) / NS_PER_S, data, media_type)
+
+
+def _read_image(raw: bytes, msgtype: str, limits: NodeConfig) -> tuple[int, bytes]:
+    """Return the stamp in ns and the compressed image."""
+    if msgtype == COMPRESSED_IMAGE:
+        message = decode(raw, msgtype)
+        return validate_header(message.header, limits).stamp_ns, message.data.tobytes()
+    header, pixels = decode_image(raw, msgtype, limits)
+    stream = io.BytesIO()
+    Pillow.fromarray(pixels).save(stream, 'JPEG', quality=JPEG_QUALITY)
+    return header.stamp_ns, stream.getvalue()

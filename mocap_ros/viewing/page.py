@@ -1,0 +1,203 @@
+"""One self-contained HTML page that shows a scene in 3D over time, with three.js, in any browser and offline.
+
+The template, the styles and the script are in `viewing/page_files/`. `three.js` beside them is made by
+`make page-bundle` from the packages that `config/page_bundle/package-lock.json` pins.
+
+Arrays are rounded to integers, stored column by column as differences from row to row, split into their bytes
+plane by plane, and compressed together; the script undoes this.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import html
+import json
+import re
+from collections.abc import Mapping
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.skeleton import Skeleton
+from mocap_ros.viewing.plots import INFERRED_COLOUR, TRUTH_COLOUR
+from mocap_ros.viewing.scene import (
+    MARK_COLOURS,
+    PALE_COLOUR,
+    TRAIL_JOINT,
+    Scene,
+    SceneKeypoints,
+    ScenePerson,
+    choose_joint_colours,
+    choose_person_colour,
+    list_colour_key,
+)
+
+NOT_A_NUMBER = -32768  # 1; the int16 that stands for a missing value
+MAX_INT16 = 32767  # 1; the largest other value
+MIN_METRE_STEP = 0.001  # m; joints are rounded to it, far below their error
+MIN_PIXEL_STEP = 0.125  # px; image points are rounded to it, far below a detector's noise
+MAX_IMAGE_SIZES = 3  # image sizes; points farther from the image's corner are clipped, far outside the picture
+STD_STEP = 0.002  # m; standard deviations are rounded to it; up to 0.5 m fit in a byte
+UNKNOWN_STD = 255  # 1; the byte that stands for an unknown standard deviation
+RESIDUAL_STEP = 0.01  # px
+CADENCE_STEP = 0.001  # Hz
+TICK_S = 1e-4  # s; times are rounded to it, far below the time between two frames
+COMPRESSION_LEVEL = 6  # of gzip; 9 takes twice the time for 1 % less
+
+
+class _Packer:
+    """Collects arrays as bytes, and describes where each one is."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._size = 0
+
+    def add(self, array: NDArray[np.integer[Any]]) -> dict[str, int]:
+        """Add an array (N, ...) of integers of 1, 2 or 4 bytes; return its description for the script."""
+        rows = array.reshape(len(array), -1)
+        unsigned = rows.astype(f'<u{rows.itemsize}')
+        steps = np.diff(unsigned, axis=0, prepend=np.zeros((1, rows.shape[1]), unsigned.dtype))
+        columns = np.ascontiguousarray(steps.T.astype(unsigned.dtype))
+        planes = columns.view(np.uint8).reshape(-1, rows.itemsize).T
+        description = {
+            'offset': self._size,
+            'rows': rows.shape[0],
+            'columns': rows.shape[1],
+            'size': rows.itemsize,
+        }
+        self._parts.append(planes.tobytes())
+        self._size += planes.size
+        return description
+
+    def finish(self) -> str:
+        """Return all arrays compressed, as base64."""
+        packed = gzip.compress(b''.join(self._parts), COMPRESSION_LEVEL, mtime=0)
+        return base64.b64encode(packed).decode('ascii')
+
+
+def build_page(scene: Scene) -> str:
+    """Return the page of a scene as HTML; it needs no other file and no network."""
+    packer = _Packer()
+    described = json.dumps(_describe_scene(scene, packer), separators=(',', ':'))
+    parts = {
+        'TITLE': html.escape(scene.title),
+        'STYLE': _read('page.css'),
+        'SCENE': described.replace('<', '\\u003c'),  # so that no text can end the script element
+        'DATA': packer.finish(),
+        'THREE': _read('three.js'),
+        'SCRIPT': _read('page.js'),
+    }
+    return re.sub('@([A-Z]+)@', lambda match: parts[match[1]], _read('page.html'))
+
+
+def _read(name: str) -> str:
+    """Return the text of a file of the page."""
+    return (files('mocap_ros') / 'viewing' / 'page_files' / name).read_text(encoding='utf-8')
+
+
+def _describe_scene(scene: Scene, packer: _Packer) -> dict[str, Any]:
+    """Add the arrays of a scene to the packer, and return all else that the script needs."""
+    metre_step = max(_find_step([p.joints for p in scene.people]), MIN_METRE_STEP)
+    if scene.truth is not None:
+        metre_step = max(metre_step, _find_step([scene.truth]))
+    pixel_step = max(MAX_IMAGE_SIZES * max(scene.image_size) / MAX_INT16, MIN_PIXEL_STEP)
+    truth = None
+    if scene.truth is not None:
+        truth = {'arrays': {'joints': packer.add(_round_to_int16(scene.truth, metre_step))}}
+    return {
+        'title': scene.title,
+        'tickS': TICK_S,
+        'times': packer.add(np.round(scene.times / TICK_S).astype(np.int32)),
+        'metrePerStep': metre_step,
+        'pixelPerStep': pixel_step,
+        'stdPerStep': STD_STEP,
+        'residualPerStep': RESIDUAL_STEP,
+        'cadencePerStep': CADENCE_STEP,
+        'joints': list(scene.skeleton.joints),
+        'bones': [list(bone) for bone in scene.skeleton.bones],
+        'trailJoint': scene.skeleton.index(TRAIL_JOINT),
+        'people': [
+            _describe_person(scene, index, packer, metre_step, pixel_step) for index in range(len(scene.people))
+        ],
+        'keypoints': [_describe_keypoints(k, packer, pixel_step) for k in scene.keypoints],
+        'truth': truth,
+        'camera': {
+            'imageSize': list(scene.image_size),
+            'corners': scene.frustum_corners.tolist(),
+            'fovDeg': float(
+                np.degrees(2 * np.arctan2(scene.image_size[1] / 2, scene.intrinsics.focal_lengths[1]))
+            ),
+        },
+        'centre': scene.centre.tolist(),
+        'extent': scene.extent,
+        'floorY': scene.floor_y,
+        'marks': [
+            {'time': m.time_s, 'kind': m.kind.value, 'text': m.text, 'colour': MARK_COLOURS[m.kind]}
+            for m in scene.marks
+        ],
+        'markKinds': [[k.value, MARK_COLOURS[k]] for k in MARK_COLOURS if any(m.kind is k for m in scene.marks)],
+        'colourKey': list_colour_key(scene),
+        'inferredColour': INFERRED_COLOUR,
+        'paleColour': PALE_COLOUR,
+        'truthColour': TRUTH_COLOUR,
+    }
+
+
+def _describe_person(
+    scene: Scene, index: int, packer: _Packer, metre_step: float, pixel_step: float
+) -> dict[str, Any]:
+    person: ScenePerson = scene.people[index]
+    colours = choose_joint_colours(scene, index)
+    state = (
+        person.predicted.astype(np.uint8)
+        | person.tentative.astype(np.uint8) << 1
+        | scene.swapped[index].astype(np.uint8) << 2
+        | person.motion << 4
+    )
+    inferred = (person.inferred << np.arange(person.inferred.shape[1])).sum(axis=1)
+    std = np.minimum(np.round(np.nan_to_num(person.std, nan=np.inf) / STD_STEP), UNKNOWN_STD)
+    std = np.where(np.isfinite(person.std), np.minimum(std, UNKNOWN_STD - 1), UNKNOWN_STD)
+    arrays: Mapping[str, NDArray[np.integer[Any]]] = {
+        'frames': person.frames.astype(np.int32),
+        'joints': _round_to_int16(person.joints, metre_step),
+        'std': std.astype(np.uint8),
+        'inferred': inferred.astype(np.int32),
+        'image': _round_to_int16(person.image, pixel_step),
+        'state': state.astype(np.uint8),
+        'residual': _round_to_int16(person.residual, RESIDUAL_STEP),
+        'cadence': _round_to_int16(person.cadence, CADENCE_STEP),
+    }
+    return {
+        'id': person.id,
+        'colour': choose_person_colour(scene, index),
+        'jointColours': colours,
+        'boneColours': [colours[child] for _, child in scene.skeleton.bones],
+        'arrays': {name: packer.add(array) for name, array in arrays.items()},
+    }
+
+
+def _describe_keypoints(keypoints: SceneKeypoints, packer: _Packer, pixel_step: float) -> dict[str, Any]:
+    skeleton: Skeleton = keypoints.skeleton
+    return {
+        'names': list(skeleton.joints),
+        'bones': [list(bone) for bone in skeleton.bones],
+        'arrays': {
+            'frames': packer.add(keypoints.frames.astype(np.int32)),
+            'points': packer.add(_round_to_int16(keypoints.points, pixel_step)),
+        },
+    }
+
+
+def _find_step(arrays: list[NDArray[np.float32]]) -> float:
+    """Return the smallest step with which all values fit into 16 bits."""
+    largest = max((float(np.nanmax(np.abs(a), initial=0.0)) for a in arrays if a.size), default=0.0)
+    return largest / MAX_INT16
+
+
+def _round_to_int16(values: NDArray[np.float32], step: float) -> NDArray[np.int16]:
+    """Return values as multiples of the step; values that are too large are clipped, NaN is `NOT_A_NUMBER`."""
+    rounded = np.clip(np.round(values / step), -MAX_INT16, MAX_INT16)
+    return np.where(np.isfinite(rounded), rounded, NOT_A_NUMBER).astype(np.int16)

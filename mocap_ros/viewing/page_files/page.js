@@ -1,0 +1,676 @@
+// The page that `mocap-ros view IN -o page.html` writes. `mocap_ros/viewing/page.py` fills in the scene (JSON) and
+// the data (arrays); THREE is the bundle of three.js beside this file. Coordinates are those of the camera's optical
+// frame (x right, y down, z forward, m); the group `world` turns them so that up is up.
+'use strict';
+
+(() => {
+  const NOT_A_NUMBER = -32768; // the int16 that stands for a missing value
+  const TRAIL_S = 2; // s; length of the trails
+  const JOINT_RADIUS_M = 0.028; // m; joints stand out from bones and hide nothing
+  const BONE_RADIUS_M = 0.016; // m
+  const BODY_RADIUS_M = 0.9; // m; of the sphere that holds a person, for the distance of the view
+  const MAX_RATIO = 2; // canvas pixels per CSS pixel; more is not seen and takes time
+  const MIN_RATIO = 0.5; // canvas pixels per CSS pixel; less is too coarse to read
+  const SLOW_FRAME_MS = 30; // ms; a slower picture lowers the resolution, so that 30 pictures a second remain
+  const MOTION_NAMES = ['unknown', 'periodic', 'not periodic'];
+  const MOTION_COLOURS = ['#dddddd', '#8fbf8f', '#b9a3d0'];
+  const $ = (id) => document.getElementById(id);
+
+  function fail(text) {
+    $('fault').textContent = text;
+    $('fault').hidden = false;
+  }
+
+  // ---- data -------------------------------------------------------------------------------------------------------
+
+  async function inflate(text) {
+    const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream('gzip'));
+    return new Uint8Array(await new Response(stream).arrayBuffer());
+  }
+
+  // Arrays are stored column by column as differences from row to row, and their bytes plane by plane.
+  function unpack(bytes, { offset, rows, columns, size }) {
+    const count = rows * columns;
+    const out = size === 1 ? new Uint8Array(count) : size === 2 ? new Int16Array(count) : new Int32Array(count);
+    for (let column = 0; column < columns; column++) {
+      let value = 0;
+      for (let row = 0; row < rows; row++) {
+        let step = 0;
+        for (let plane = 0; plane < size; plane++) {
+          step |= bytes[offset + plane * count + column * rows + row] << (8 * plane);
+        }
+        value = (value + step) | 0;
+        out[row * columns + column] = value;
+      }
+    }
+    return out;
+  }
+
+  function unpackAll(bytes, described) {
+    const out = {};
+    for (const [name, layout] of Object.entries(described)) out[name] = unpack(bytes, layout);
+    return out;
+  }
+
+  function readScene(bytes) {
+    const scene = JSON.parse($('scene').textContent);
+    const ticks = unpack(bytes, scene.times);
+    scene.seconds = Float64Array.from(ticks, (tick) => tick * scene.tickS);
+    scene.frameCount = ticks.length;
+    for (const person of scene.people) {
+      Object.assign(person, unpackAll(bytes, person.arrays));
+      person.rowOfFrame = new Int32Array(scene.frameCount).fill(-1);
+      person.frames.forEach((frame, row) => { person.rowOfFrame[frame] = row; });
+    }
+    for (const input of scene.keypoints) Object.assign(input, unpackAll(bytes, input.arrays));
+    if (scene.truth) Object.assign(scene.truth, unpackAll(bytes, scene.truth.arrays));
+    return scene;
+  }
+
+  // The index of the last value that is not above `value`, in increasing values.
+  function findLast(values, value) {
+    let low = 0;
+    let high = values.length;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (values[middle] <= value) low = middle + 1; else high = middle;
+    }
+    return low - 1;
+  }
+
+  // ---- 3D ---------------------------------------------------------------------------------------------------------
+
+  class SpaceView {
+    constructor(scene, onChange) {
+      this.scene = scene;
+      this.canvas = $('space-view');
+      this.ratio = Math.min(window.devicePixelRatio, MAX_RATIO);
+      this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: true, preserveDrawingBuffer: true });
+      this.renderer.setClearColor('#fbfbfb');
+      this.camera = new THREE.PerspectiveCamera(40, 1, 0.05, 500);
+      this.controls = new THREE.OrbitControls(this.camera, this.canvas);
+      this.controls.addEventListener('change', onChange);
+      this.space = new THREE.Scene();
+      this.space.add(new THREE.HemisphereLight('#ffffff', '#9a9a9a', 2.6));
+      const sun = new THREE.DirectionalLight('#ffffff', 1.4);
+      sun.position.set(2, 5, 3);
+      this.space.add(sun);
+      this.world = new THREE.Group();
+      this.world.rotation.x = Math.PI; // y down, z forward: to y up, z backward
+      this.space.add(this.world);
+      this.addFloorAndCamera();
+      this.addPeople();
+      this.labels = [];
+      this.mean = new THREE.Vector3();
+      this.hasMean = false;
+    }
+
+    addFloorAndCamera() {
+      const { floorY, camera } = this.scene;
+      const grid = new THREE.GridHelper(20, 20, '#bbbbbb', '#e2e2e2');
+      grid.position.set(0, floorY, this.scene.centre[2]);
+      this.world.add(grid);
+      const corners = camera.corners.flatMap((corner, i) => {
+        const next = camera.corners[(i + 1) % 4];
+        return [[0, 0, 0], corner, corner, next];
+      });
+      const frustum = new THREE.BufferGeometry();
+      frustum.setAttribute('position', new THREE.BufferAttribute(new Float32Array(corners.flat()), 3));
+      this.world.add(new THREE.LineSegments(frustum, new THREE.LineBasicMaterial({ color: '#666666' })));
+    }
+
+    addPeople() {
+      const { people, bones, joints, truth } = this.scene;
+      const count = Math.max(people.length, 1);
+      const lit = () => new THREE.MeshLambertMaterial();
+      const make = (geometry, material, n) => {
+        const mesh = new THREE.InstancedMesh(geometry, material, n);
+        mesh.frustumCulled = false;
+        mesh.count = 0;
+        mesh.setColorAt(0, new THREE.Color());
+        this.world.add(mesh);
+        return mesh;
+      };
+      this.joints = make(new THREE.IcosahedronGeometry(1, 1), lit(), count * joints.length);
+      this.bones = make(new THREE.CylinderGeometry(1, 1, 1, 6, 1, true), lit(), count * bones.length);
+      const cloud = new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.13, depthWrite: false });
+      this.clouds = make(new THREE.IcosahedronGeometry(1, 1), cloud, count * joints.length);
+      const grey = new THREE.MeshLambertMaterial();
+      this.truth = truth ? make(new THREE.CylinderGeometry(1, 1, 1, 5, 1, true), grey, bones.length) : null;
+      const trails = new THREE.BufferGeometry();
+      this.trailSize = 4096; // points of all trails together
+      trails.setAttribute('position', new THREE.BufferAttribute(new Float32Array(this.trailSize * 3), 3));
+      trails.setAttribute('color', new THREE.BufferAttribute(new Float32Array(this.trailSize * 3), 3));
+      this.trails = new THREE.LineSegments(trails, new THREE.LineBasicMaterial({ vertexColors: true }));
+      this.trails.frustumCulled = false;
+      this.world.add(this.trails);
+      this.matrix = new THREE.Matrix4();
+      this.turn = new THREE.Quaternion();
+      this.size = new THREE.Vector3();
+      this.points = [0, 1, 2].map(() => new THREE.Vector3());
+      this.colour = new THREE.Color();
+    }
+
+    jointOf(person, row, joint, out) {
+      const at = (row * this.scene.joints.length + joint) * 3;
+      const metre = this.scene.metrePerStep;
+      return out.set(person.joints[at] * metre, person.joints[at + 1] * metre, person.joints[at + 2] * metre);
+    }
+
+    place(mesh, position, radius, colour) {
+      this.matrix.compose(position, this.turn.identity(), this.size.set(radius, radius, radius));
+      mesh.setMatrixAt(mesh.count, this.matrix);
+      mesh.setColorAt(mesh.count++, this.colour.set(colour));
+    }
+
+    placeBone(mesh, from, to, radius, colour) {
+      const [, , axis] = this.points;
+      axis.subVectors(to, from);
+      const length = axis.length();
+      this.turn.setFromUnitVectors(this.world.up, axis.multiplyScalar(1 / Math.max(length, 1e-6)));
+      const middle = axis.addVectors(from, to).multiplyScalar(0.5);
+      this.matrix.compose(middle, this.turn, this.size.set(radius, length, radius));
+      mesh.setMatrixAt(mesh.count, this.matrix);
+      mesh.setColorAt(mesh.count++, this.colour.set(colour));
+    }
+
+    update(frame) {
+      const { people, bones, joints, truth, seconds } = this.scene;
+      const [from, to] = this.points;
+      const meshes = [this.joints, this.bones, this.clouds, ...(this.truth ? [this.truth] : [])];
+      for (const mesh of meshes) mesh.count = 0;
+      let trailPoints = 0;
+      const mean = new THREE.Vector3();
+      const middles = [];
+      let present = 0;
+      const trailStart = Math.max(findLast(seconds, seconds[frame] - TRAIL_S), 0);
+      for (const person of people) {
+        const row = person.rowOfFrame[frame];
+        if (row < 0) continue;
+        const state = person.state[row];
+        const isPale = state & 3; // predicted or tentative
+        bones.forEach(([a, b], bone) => {
+          this.jointOf(person, row, a, from);
+          this.jointOf(person, row, b, to);
+          const colour = isPale ? this.scene.paleColour : person.boneColours[bone];
+          this.placeBone(this.bones, from, to, BONE_RADIUS_M, colour);
+        });
+        for (let joint = 0; joint < joints.length; joint++) {
+          this.jointOf(person, row, joint, from);
+          const inferred = person.inferred[row] >> joint & 1;
+          const colour = inferred ? this.scene.inferredColour : isPale ? this.scene.paleColour : person.jointColours[joint];
+          this.place(this.joints, from, JOINT_RADIUS_M, colour);
+          const std = person.std[row * joints.length + joint];
+          if (std !== 255 && $('clouds').checked) this.place(this.clouds, from, std * this.scene.stdPerStep, colour);
+          mean.add(from);
+          present++;
+        }
+        middles.push(this.jointOf(person, row, this.scene.trailJoint, new THREE.Vector3()));
+        trailPoints = this.addTrail(person, trailStart, frame, trailPoints);
+      }
+      if (this.truth) {
+        bones.forEach(([a, b]) => {
+          const read = (joint, out) => {
+            const at = (frame * joints.length + joint) * 3;
+            const metre = this.scene.metrePerStep;
+            return out.fromArray(truth.joints, at).multiplyScalar(metre);
+          };
+          if (truth.joints[(frame * joints.length + a) * 3] === NOT_A_NUMBER) return;
+          this.placeBone(this.truth, read(a, from), read(b, to), BONE_RADIUS_M / 2, this.scene.truthColour);
+        });
+      }
+      for (const mesh of meshes) {
+        mesh.instanceMatrix.needsUpdate = true;
+        if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
+      }
+      this.trails.geometry.setDrawRange(0, trailPoints);
+      for (const name of ['position', 'color']) this.trails.geometry.attributes[name].needsUpdate = true;
+      if (present) {
+        this.mean.copy(mean.multiplyScalar(1 / present));
+        this.hasMean = true;
+        this.radius = Math.max(...middles.map((middle) => middle.distanceTo(this.mean)), 0) + BODY_RADIUS_M;
+      }
+    }
+
+    addTrail(person, firstFrame, lastFrame, count) {
+      const position = this.trails.geometry.attributes.position;
+      const colour = this.trails.geometry.attributes.color;
+      this.colour.set(person.colour);
+      let before = -1;
+      for (let frame = firstFrame; frame <= lastFrame && count + 2 <= this.trailSize; frame++) {
+        const row = person.rowOfFrame[frame];
+        if (row >= 0 && before >= 0) {
+          for (const r of [before, row]) {
+            this.jointOf(person, r, this.scene.trailJoint, this.points[0]);
+            position.setXYZ(count, this.points[0].x, this.points[0].y, this.points[0].z);
+            colour.setXYZ(count++, this.colour.r, this.colour.g, this.colour.b);
+          }
+        }
+        before = row;
+      }
+      return count;
+    }
+
+    // Where the people are, in the frame of three.js.
+    target() {
+      const at = this.hasMean && $('follow').checked ? this.mean.toArray() : this.scene.centre;
+      return new THREE.Vector3(at[0], -at[1], -at[2]);
+    }
+
+    follow() {
+      if (!$('follow').checked || !this.hasMean || this.isAtCamera) return;
+      const shift = this.target().sub(this.controls.target).multiplyScalar(0.2);
+      this.controls.target.add(shift);
+      this.camera.position.add(shift);
+    }
+
+    choose(view) {
+      const target = this.target();
+      const radius = $('follow').checked && this.hasMean ? this.radius : this.scene.extent / 2;
+      const distance = 2.2 * radius + 2.2;
+      this.isAtCamera = view === 'camera';
+      const direction = { free: [-0.75, 0.45, 0.75], side: [-1, 0.02, 0], top: [0, 1, 0.001] }[view];
+      this.camera.fov = 40;
+      if (this.isAtCamera) {
+        this.camera.position.set(0, 0, 0);
+        this.camera.fov = this.scene.camera.fovDeg;
+        this.controls.target.set(0, 0, -this.scene.centre[2]);
+      } else {
+        this.controls.target.copy(target);
+        this.camera.position.fromArray(direction).normalize().multiplyScalar(distance).add(target);
+      }
+      this.camera.updateProjectionMatrix();
+      this.controls.update();
+    }
+
+    resize() {
+      const { clientWidth, clientHeight } = this.canvas;
+      this.renderer.setPixelRatio(this.ratio);
+      this.renderer.setSize(clientWidth, clientHeight, false);
+      this.camera.aspect = clientWidth / Math.max(clientHeight, 1);
+      this.camera.updateProjectionMatrix();
+    }
+
+    lowerResolution() {
+      if (this.ratio > MIN_RATIO) {
+        this.ratio = Math.max(this.ratio * 0.8, MIN_RATIO);
+        this.resize();
+      }
+    }
+
+    draw(frame) {
+      this.renderer.render(this.space, this.camera);
+      this.drawNames(frame);
+    }
+
+    drawNames(frame) {
+      const { people, joints } = this.scene;
+      const wanted = [];
+      for (const person of people) {
+        const row = person.rowOfFrame[frame];
+        if (row < 0) continue;
+        if (people.length > 1) wanted.push([person.id, row, person, 0, 0.22, '']);
+        if ($('joint-names').checked) {
+          joints.forEach((name, joint) => wanted.push([name, row, person, joint, 0, 'joint']));
+        }
+      }
+      const box = $('names');
+      while (this.labels.length < wanted.length) this.labels.push(box.appendChild(document.createElement('span')));
+      this.labels.forEach((label, i) => {
+        label.hidden = i >= wanted.length;
+        if (label.hidden) return;
+        const [text, row, person, joint, above, kind] = wanted[i];
+        const at = this.jointOf(person, row, joint, this.points[0]);
+        at.set(at.x, -at.y + above, -at.z).project(this.camera);
+        label.hidden = at.z > 1;
+        label.textContent = text;
+        label.className = kind;
+        label.style.color = kind ? '' : person.colour;
+        label.style.left = `${(at.x + 1) / 2 * this.canvas.clientWidth}px`;
+        label.style.top = `${(1 - at.y) / 2 * this.canvas.clientHeight}px`;
+      });
+    }
+  }
+
+  // ---- 2D ---------------------------------------------------------------------------------------------------------
+
+  function fitCanvas(canvas) {
+    const ratio = Math.min(window.devicePixelRatio, MAX_RATIO);
+    canvas.width = Math.max(canvas.clientWidth * ratio, 1);
+    canvas.height = Math.max(canvas.clientHeight * ratio, 1);
+    const context = canvas.getContext('2d');
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    return context;
+  }
+
+  class ImageView {
+    constructor(scene) {
+      this.scene = scene;
+      this.canvas = $('image-view');
+      $('image-caption').textContent = scene.keypoints.length
+        ? '2D input (black) and the 3D result in the image (colours)' : 'the 3D result in the image; the input is not known';
+    }
+
+    resize() { this.context = fitCanvas(this.canvas); }
+
+    update(frame) {
+      const { context, scene } = this;
+      const { clientWidth: width, clientHeight: height } = this.canvas;
+      const [imageWidth, imageHeight] = scene.camera.imageSize;
+      const scale = Math.min(width / imageWidth, (height - 20) / imageHeight);
+      context.clearRect(0, 0, width, height);
+      const x0 = (width - imageWidth * scale) / 2;
+      const y0 = (height - 20 - imageHeight * scale) / 2;
+      context.fillStyle = '#ffffff';
+      context.fillRect(x0, y0, imageWidth * scale, imageHeight * scale);
+      const step = scene.pixelPerStep * scale;
+      const line = (points, at, a, b) => {
+        const [i, j] = [at + 2 * a, at + 2 * b];
+        if (points[i] === NOT_A_NUMBER || points[j] === NOT_A_NUMBER) return;
+        context.moveTo(x0 + points[i] * step, y0 + points[i + 1] * step);
+        context.lineTo(x0 + points[j] * step, y0 + points[j + 1] * step);
+      };
+      context.save();
+      context.beginPath();
+      context.rect(0, 0, width, height - 18);
+      context.clip();
+      context.lineWidth = 3;
+      for (const person of scene.people) {
+        const row = person.rowOfFrame[frame];
+        if (row < 0) continue;
+        const at = row * scene.joints.length * 2;
+        scene.bones.forEach(([a, b], bone) => {
+          context.beginPath();
+          context.strokeStyle = person.state[row] & 3 ? scene.paleColour : person.boneColours[bone];
+          line(person.image, at, a, b);
+          context.stroke();
+        });
+        for (let joint = 0; joint < scene.joints.length; joint++) {
+          const i = at + 2 * joint;
+          if (!(person.inferred[row] >> joint & 1) || person.image[i] === NOT_A_NUMBER) continue;
+          context.fillStyle = scene.inferredColour;
+          context.beginPath();
+          context.arc(x0 + person.image[i] * step, y0 + person.image[i + 1] * step, 4, 0, 2 * Math.PI);
+          context.fill();
+        }
+      }
+      context.lineWidth = 1;
+      context.strokeStyle = '#000000';
+      context.fillStyle = '#000000';
+      for (const input of scene.keypoints) {
+        const joints = input.names.length;
+        for (let row = findLast(input.frames, frame - 1) + 1; input.frames[row] === frame; row++) {
+          const at = row * joints * 2;
+          context.beginPath();
+          for (const [a, b] of input.bones) line(input.points, at, a, b);
+          context.stroke();
+          for (let joint = 0; joint < joints; joint++) {
+            const i = at + 2 * joint;
+            if (input.points[i] === NOT_A_NUMBER) continue;
+            context.fillRect(x0 + input.points[i] * step - 1.5, y0 + input.points[i + 1] * step - 1.5, 3, 3);
+          }
+        }
+      }
+      context.restore();
+      context.strokeStyle = '#999999';
+      context.strokeRect(x0, y0, imageWidth * scale, imageHeight * scale);
+    }
+  }
+
+  // ---- curves -----------------------------------------------------------------------------------------------------
+
+  const LEFT = 96; // px; room for the names of the curves
+  const RIGHT = 10; // px
+
+  class CurvesView {
+    constructor(scene, goTo) {
+      this.scene = scene;
+      this.canvas = $('curves-view');
+      this.end = Math.max(scene.seconds[scene.frameCount - 1], 1e-3);
+      const drag = (event) => {
+        if (!(event.buttons & 1)) return;
+        const share = (event.offsetX - LEFT) / (this.canvas.clientWidth - LEFT - RIGHT);
+        goTo(Math.min(Math.max(share, 0), 1) * this.end);
+      };
+      this.canvas.addEventListener('pointerdown', drag);
+      this.canvas.addEventListener('pointermove', drag);
+    }
+
+    xOf(seconds) { return LEFT + seconds / this.end * (this.canvas.clientWidth - LEFT - RIGHT); }
+
+    resize() {
+      const context = fitCanvas(this.canvas);
+      const { scene } = this;
+      const width = this.canvas.clientWidth;
+      context.clearRect(0, 0, width, this.canvas.clientHeight);
+      context.font = '11px system-ui, sans-serif';
+      context.textBaseline = 'middle';
+      this.drawAxis(context, width, 152);
+      this.drawCurve(context, 'residual, px', 'residual', scene.residualPerStep, 6, 46);
+      this.drawCurve(context, 'cadence, Hz', 'cadence', scene.cadencePerStep, 60, 30);
+      context.fillStyle = '#333333';
+      ['motion', 'swaps undone', 'not detected', 'marks'].forEach((name, i) => context.fillText(name, 6, 101 + 13 * i));
+      scene.people.forEach((person, index) => this.drawStates(context, person, index));
+      for (const mark of scene.marks) {
+        const x = this.xOf(mark.time);
+        context.fillStyle = context.strokeStyle = mark.colour;
+        context.beginPath();
+        context.moveTo(x, 136); context.lineTo(x + 3, 140); context.lineTo(x, 144); context.lineTo(x - 3, 140);
+        context.fill();
+      }
+      this.drawKey(context, width);
+    }
+
+    drawKey(context, width) {
+      const words = [...MOTION_NAMES.map((name, i) => [name, MOTION_COLOURS[i]]), ...this.scene.markKinds];
+      context.textAlign = 'right';
+      let x = width - RIGHT;
+      for (const [name, colour] of words.reverse()) {
+        context.fillStyle = '#555555';
+        context.fillText(name, x, 177);
+        x -= context.measureText(name).width + 4;
+        context.fillStyle = colour;
+        context.fillRect(x - 9, 173, 9, 9);
+        x -= 20;
+      }
+      context.textAlign = 'left';
+    }
+
+    drawAxis(context, width, y) {
+      const target = (width - LEFT - RIGHT) / 90;
+      const steps = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 3600];
+      const step = steps.find((s) => this.end / s <= target) || 7200;
+      context.textAlign = 'center';
+      for (let t = 0; t <= this.end; t += step) {
+        const x = this.xOf(t);
+        context.strokeStyle = '#eeeeee';
+        context.beginPath(); context.moveTo(x, 4); context.lineTo(x, y - 4); context.stroke();
+        context.fillStyle = '#666666';
+        context.fillText(`${+t.toFixed(1)} s`, x, y + 11);
+      }
+      context.textAlign = 'left';
+    }
+
+    // Lowest and highest value in each column of pixels, so that long recordings keep their peaks.
+    drawCurve(context, name, key, unit, top, height) {
+      const { scene } = this;
+      let highest = 0;
+      for (const person of scene.people) {
+        const known = person[key].filter((value) => value !== NOT_A_NUMBER).sort();
+        if (known.length) highest = Math.max(highest, known[Math.floor((known.length - 1) * 0.995)]);
+      }
+      context.fillStyle = '#333333';
+      context.fillText(name, 6, top + height / 2);
+      if (!highest) return;
+      const limit = highest * 1.05;
+      context.fillStyle = '#888888';
+      context.textAlign = 'right';
+      context.fillText(`${+(highest * unit).toPrecision(2)}`, LEFT - 5, top + 4);
+      context.textAlign = 'left';
+      for (const person of scene.people) {
+        context.strokeStyle = person.colour;
+        context.lineWidth = 1;
+        context.beginPath();
+        let column = -1; let low = 0; let high = 0; let isDown = false;
+        const yOf = (value) => top + height - Math.min(value / limit, 1) * height;
+        const flush = () => {
+          if (column < 0) return;
+          if (isDown) context.lineTo(column, yOf(high)); else context.moveTo(column, yOf(high));
+          context.lineTo(column, yOf(low));
+          isDown = true;
+        };
+        person.frames.forEach((frame, row) => {
+          const value = person[key][row];
+          if (value === NOT_A_NUMBER) { flush(); column = -1; isDown = false; return; }
+          const x = Math.round(this.xOf(scene.seconds[frame]) * 2) / 2;
+          if (x !== column) { flush(); column = x; low = high = value; }
+          low = Math.min(low, value); high = Math.max(high, value);
+        });
+        flush();
+        context.stroke();
+      }
+    }
+
+    drawStates(context, person, index) {
+      const { scene } = this;
+      const share = 9 / scene.people.length;
+      const fill = (row, line, colour) => {
+        const frame = person.frames[row];
+        const x = Math.floor(this.xOf(scene.seconds[frame]));
+        const next = Math.floor(this.xOf(scene.seconds[Math.min(frame + 1, scene.frameCount - 1)]));
+        context.fillStyle = colour;
+        context.fillRect(x, 96 + 13 * line + share * index, Math.max(next - x, 1), share);
+      };
+      person.state.forEach((state, row) => {
+        fill(row, 0, MOTION_COLOURS[state >> 4 & 3]);
+        if (state & 4) fill(row, 1, person.colour);
+        if (state & 1) fill(row, 2, person.colour);
+      });
+    }
+
+    update(seconds) { $('cursor').style.transform = `translateX(${this.xOf(seconds)}px)`; }
+  }
+
+  // ---- the page ---------------------------------------------------------------------------------------------------
+
+  async function start() {
+    if (!window.DecompressionStream) return fail('This browser is too old for this page; any of 2023 or later opens it.');
+    const scene = readScene(await inflate($('data').textContent.trim()));
+    let frame = 0;
+    let seconds = 0;
+    let isPlaying = false;
+    let isStale = true;
+    let before = 0;
+    let slowFrames = 0;
+    const refresh = () => { isStale = true; };
+    let space;
+    try {
+      space = new SpaceView(scene, refresh);
+    } catch (error) {
+      return fail(`This page needs WebGL, which the browser does not offer (${error.message}).`);
+    }
+    const image = new ImageView(scene);
+    const goTo = (time) => {
+      seconds = Math.min(Math.max(time, 0), scene.seconds[scene.frameCount - 1]);
+      frame = Math.max(findLast(scene.seconds, seconds + 1e-6), 0);
+      isStale = true;
+    };
+    const curves = new CurvesView(scene, goTo);
+    $('title').textContent = document.title = scene.title;
+    for (const [name, colour] of scene.colourKey) {
+      const key = $('colours').appendChild(document.createElement('span'));
+      key.className = 'key';
+      key.style.background = colour;
+      key.textContent = name;
+      $('colours').append(' ');
+    }
+    $('time').max = scene.frameCount - 1;
+
+    const show = () => {
+      space.update(frame);
+      image.update(frame);
+      curves.update(seconds);
+      $('time').value = frame;
+      $('clock').textContent = `${seconds.toFixed(2)} s, frame ${frame} of ${scene.frameCount}`;
+    };
+    const setPlaying = (value) => {
+      isPlaying = value;
+      $('play').innerHTML = value ? '&#10074;&#10074;' : '&#9654;';
+      if (value && frame === scene.frameCount - 1) goTo(0);
+    };
+    const tick = (now) => {
+      const elapsed = now - before;
+      before = now;
+      if (isPlaying) {
+        const end = scene.seconds[scene.frameCount - 1];
+        const next = seconds + Math.min(elapsed, 500) / 1000 * Number($('speed').value);
+        goTo(next > end ? 0 : next); // starts again, as an animation does
+        slowFrames = elapsed > SLOW_FRAME_MS ? slowFrames + 1 : 0;
+        if (slowFrames > 10) { space.lowerResolution(); slowFrames = 0; }
+      }
+      if (isStale) {
+        isStale = false;
+        show();
+        space.follow();
+        space.draw(frame);
+        pictures++;
+      }
+      requestAnimationFrame(tick);
+    };
+    let pictures = 0;
+    const resize = () => { space.resize(); image.resize(); curves.resize(); isStale = true; };
+    window.addEventListener('resize', resize);
+    $('play').addEventListener('click', () => setPlaying(!isPlaying));
+    $('time').addEventListener('input', () => goTo(scene.seconds[Number($('time').value)]));
+    for (const id of ['follow', 'clouds', 'joint-names']) $(id).addEventListener('change', refresh);
+    for (const button of document.querySelectorAll('[data-view]')) {
+      button.addEventListener('click', () => { space.choose(button.dataset.view); refresh(); });
+    }
+    window.addEventListener('keydown', (event) => {
+      const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+      if (event.key === ' ') setPlaying(!isPlaying);
+      else if (step) goTo(scene.seconds[Math.min(Math.max(frame + step, 0), scene.frameCount - 1)]);
+      else return;
+      event.preventDefault();
+    });
+    resize();
+    space.update(0);
+    space.choose('free');
+    requestAnimationFrame(tick);
+
+    // For tests and for pictures of the page.
+    window.mocapPage = {
+      scene,
+      play: () => setPlaying(true),
+      pause: () => setPlaying(false),
+      view: (name) => { space.choose(name); refresh(); },
+      pictures: () => pictures,
+      pixelRatio: () => space.ratio,
+      // Draw the frame at this time at once; return what was drawn.
+      showTime: (time) => {
+        goTo(time);
+        show();
+        for (let i = 0; i < 40; i++) space.follow();
+        space.controls.update();
+        space.draw(frame);
+        return {
+          frame,
+          people: scene.people.flatMap((person) => {
+            const row = person.rowOfFrame[frame];
+            if (row < 0) return [];
+            const point = new THREE.Vector3();
+            return [{ id: person.id, joints: scene.joints.map((_, j) => space.jointOf(person, row, j, point).toArray()) }];
+          }),
+          jointsDrawn: space.joints.count,
+          bonesDrawn: space.bones.count,
+          cloudsDrawn: space.clouds.count,
+        };
+      },
+    };
+    document.body.dataset.ready = 'true';
+    if (location.hash === '#play') setPlaying(true);
+  }
+
+  start().catch((error) => fail(`The page cannot be shown: ${error.message}`));
+})();

@@ -1,0 +1,520 @@
+"""A scene as a recording of Rerun: entities, time lines and a layout that shows all of them at once.
+
+    world/camera                    the camera; photo: its image; input/N: 2D input; people/NAME: the 3D result
+    world/people/NAME/joints        joints and bones; inferred: those that were not seen; deviation: ellipsoids
+    world/people/NAME/trail         places of the pelvis in the last seconds
+    world/truth                     true joints, where they are known
+    curves/residual, cadence/NAME   px and Hz
+    states/NAME/motion              kind of motion
+    states/NAME/detection           seen, predicted or tentative, and undone swaps of left and right
+    marks                           dropped inputs and keyframes
+
+Rerun is an optional dependency and is imported where it is used.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.errors import MocapError
+from mocap_ros.people import MotionKind
+from mocap_ros.skeleton import CMU15, Skeleton
+from mocap_ros.viewing.plots import INFERRED_COLOUR, TRUTH_COLOUR
+from mocap_ros.viewing.scene import (
+    INPUT_COLOUR,
+    MARK_COLOURS,
+    PALE_COLOUR,
+    TRAIL_JOINT,
+    Scene,
+    SceneImage,
+    SceneKeypoints,
+    ScenePerson,
+    choose_joint_colours,
+    choose_person_colour,
+)
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Array32 = NDArray[np.float32]
+
+APPLICATION = 'mocap_ros'  # name under which Rerun keeps the layout
+TIMELINE = 'time'  # name of the time line; s from the beginning of the scene
+INSTALL_HINT = "needs Rerun: pip install 'mocap_ros[view]' (Python 3.11 or later)"
+JOINT_RADIUS_M = 0.03  # m; joints stand out from bones and hide nothing
+INFERRED_RADIUS_M = 0.038  # m; a little more, because they are drawn over the joints
+TRAIL_RADIUS_M = 0.01  # m; a dot a frame
+IMAGE_RADIUS_PX = 3.0  # px of the image
+INPUT_RADIUS_PX = 2.0  # px of the image
+TRAIL_S = 2.0  # s; length of the trails
+DEVIATION_ALPHA = 40  # of 255; joints are seen through the ellipsoids
+CAMERA_PLANE_M = 0.5  # m; distance of the image plane in the picture of the camera
+BACKGROUND = (255, 255, 255)  # white, as in the page, because the colours were chosen for it
+# Place of the first view in distances from the camera to the people: beside, above and a little behind the camera,
+# so that the camera and the people are seen
+EYE_PLACE = np.array([-0.45, -0.22, -0.12])  # 1
+TARGET_SHARE = 0.75  # of the way from the camera to the people: the target of the first view
+ALONE_COLOUR = '#4c9be8'  # blue; curves of somebody who is alone, readable on Rerun's dark ground
+GRID_COLOUR = '#c8c8c8'  # light grey
+TRUTH_CLASS = 0  # number of the truth in the annotation context; people have the numbers from 1
+FIRST_INPUT_CLASS = 1000  # number of the first keypoint layout in the annotation context; people have smaller ones
+MOTION_STATES = {
+    MotionKind.UNKNOWN: ('unknown', '#dddddd'),
+    MotionKind.PERIODIC: ('periodic', '#8fbf8f'),
+    MotionKind.NON_PERIODIC: ('not periodic', '#b9a3d0'),
+}
+# States of the detection of a person, the later ones before the earlier ones.
+DETECTION_STATES = {
+    'seen': '#c8d8e8',
+    'tentative': PALE_COLOUR,
+    'predicted': '#444444',
+    'swap undone': '#d62728',
+}
+
+
+def import_rerun() -> Any:
+    """Import Rerun.
+
+    Raises:
+        MocapError: Rerun is not installed; the error says what to install.
+    """
+    try:
+        import rerun
+        import rerun.blueprint  # loaded on demand
+    except ImportError:
+        raise MocapError(f'this view {INSTALL_HINT}; or write a page for any browser with -o page.html') from None
+    return rerun
+
+
+def make_entity_name(person_id: str) -> str:
+    """Return a name for entity paths: ids come from anywhere, and a path must not depend on their characters."""
+    return re.sub(r'[^A-Za-z0-9_-]', '_', person_id) or '_'
+
+
+def write_recording(
+    scene: Scene, path: Path, play_state: str = 'playing', images: Iterable[SceneImage] = ()
+) -> None:
+    """Write a scene as .rrd.
+
+    Args:
+        scene: what to write.
+        path: the file.
+        play_state: what a viewer that opens the file does at first, as for `build_blueprint`.
+        images: images of the camera, which are drawn behind the 2D input.
+
+    Raises:
+        MocapError: Rerun is not installed.
+    """
+    rr = import_rerun()
+    recording = rr.RecordingStream(APPLICATION, recording_id=scene.title, send_properties=False)
+    recording.save(path, default_blueprint=build_blueprint(scene, play_state))
+    recording.send_recording_name(scene.title)
+    send_scene(recording, scene)
+    for image in images:
+        recording.set_time(TIMELINE, duration=image.time_s)
+        recording.log('world/camera/photo', rr.EncodedImage(contents=image.data, media_type=image.media_type))
+    recording.flush()
+    recording.disconnect()
+
+
+def name_people(scene: Scene) -> list[str]:
+    """Return the name of each person in entity paths; equal names get numbers."""
+    names: list[str] = []
+    for person in scene.people:
+        name = make_entity_name(person.id)
+        while name in names:
+            name += '_2'
+        names.append(name)
+    return names
+
+
+def send_scene(recording: Any, scene: Scene) -> None:
+    """Send all of a scene to a recording of Rerun, column by column, which takes a fraction of single messages."""
+    rr = import_rerun()
+    names = name_people(scene)
+    send_static(recording, scene, names)
+    times = scene.times
+    for index, (name, person) in enumerate(zip(names, scene.people, strict=True)):
+        writer = _PersonWriter(recording, name, index + 1)
+        writer.send_looks(choose_person_colour(scene, index))
+        writer.send(person, times)
+        for lane, states in name_states(person, scene.swapped[index]).items():
+            writer.send_states(lane, find_changes(times, person.frames, states))
+    for layout, keypoints in enumerate(scene.keypoints):
+        _send_keypoints(rr, recording, times, keypoints, layout, set())
+    if scene.truth is not None:
+        _send_truth(rr, recording, scene, scene.truth)
+    if scene.marks:
+        column = rr.TimeColumn(TIMELINE, duration=[mark.time_s for mark in scene.marks])
+        texts = [f'{mark.kind.value}: {mark.text}' if mark.text else mark.kind.value for mark in scene.marks]
+        colours = [_to_rgba(MARK_COLOURS[mark.kind]) for mark in scene.marks]
+        recording.send_columns('marks', [column], rr.TextLog.columns(text=texts, color=colours))
+
+
+def send_static(recording: Any, scene: Scene, names: Sequence[str]) -> None:
+    """Send what does not change: joint names and bones, the camera, and the looks of curves and states."""
+    rr = import_rerun()
+    skeleton = scene.skeleton
+    classes = [
+        _describe_class(rr, TRUTH_CLASS, 'truth', skeleton, [TRUTH_COLOUR] * len(skeleton.joints), TRUTH_COLOUR)
+    ]
+    for index, person in enumerate(scene.people):
+        own = choose_person_colour(scene, index)
+        classes.append(
+            _describe_class(rr, index + 1, person.id, skeleton, choose_joint_colours(scene, index), own)
+        )
+    for index, keypoints in enumerate(scene.keypoints):
+        layout = keypoints.skeleton
+        black = [INPUT_COLOUR] * len(layout.joints)
+        label = layout.name or 'keypoints'
+        classes.append(_describe_class(rr, FIRST_INPUT_CLASS + index, label, layout, black, INPUT_COLOUR))
+    recording.log('world', rr.ViewCoordinates.RDF, rr.AnnotationContext(classes), static=True)
+    width, height = scene.image_size
+    recording.log(
+        'world/camera',
+        rr.Pinhole(
+            focal_length=scene.intrinsics.focal_lengths,
+            principal_point=scene.intrinsics.center,
+            width=width,
+            height=height,
+            image_plane_distance=CAMERA_PLANE_M,
+            camera_xyz=rr.ViewCoordinates.RDF,
+        ),
+        static=True,
+    )
+    corners = np.array([[0, 0], [width, 0], [width, height], [0, height], [0, 0]])
+    recording.log('world/camera/frame', rr.LineStrips2D([corners], colors=[_to_rgba('#999999')]), static=True)
+    for index, (name, person) in enumerate(zip(names, scene.people, strict=True)):
+        colour = [_to_rgba(choose_person_colour(scene, index) if len(scene.people) > 1 else ALONE_COLOUR)]
+        for curve in ('residual', 'cadence'):
+            recording.log(f'curves/{curve}/{name}', rr.SeriesLines(colors=colour, names=[person.id]), static=True)
+        for lane, states in (('motion', dict(MOTION_STATES.values())), ('detection', DETECTION_STATES)):
+            recording.log(
+                f'states/{name}/{lane}',
+                rr.StateConfiguration(values=list(states), colors=[_to_rgba(c) for c in states.values()]),
+                static=True,
+            )
+
+
+def build_blueprint(scene: Scene, play_state: str = 'playing') -> Any:
+    """Return the layout that shows 3D, 2D, curves and states without a click.
+
+    Args:
+        scene: what is shown.
+        play_state: what the viewer does at first: `playing`, `paused` or `following` the newest frame.
+    """
+    rr = import_rerun()
+    rrb = rr.blueprint
+    target = TARGET_SHARE * scene.centre
+    trail = rrb.VisibleTimeRanges(
+        timeline=TIMELINE,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    space = rrb.Spatial3DView(
+        origin='world',
+        name='3D',
+        background=list(BACKGROUND),
+        line_grid=rrb.LineGrid3D(
+            visible=True,
+            spacing=1.0,
+            plane=rr.components.Plane3D((0.0, -1.0, 0.0), -scene.floor_y),
+            color=_to_rgba(GRID_COLOUR),
+        ),
+        eye_controls=rrb.EyeControls3D(
+            position=EYE_PLACE * max(float(np.linalg.norm(scene.centre)), scene.extent),
+            look_target=target,
+            eye_up=[0.0, -1.0, 0.0],
+        ),
+        overrides={f'world/people/{name}/trail': trail for name in name_people(scene)},
+    )
+    image = rrb.Spatial2DView(origin='world/camera', name='2D input and result', background=list(BACKGROUND))
+    curves = [
+        rrb.TimeSeriesView(origin='curves/residual', name='residual, px'),
+        rrb.TimeSeriesView(origin='curves/cadence', name='cadence, Hz'),
+    ]
+    states = rrb.StateTimelineView(origin='states', name='motion, detection and swaps')
+    columns: list[Any] = [rrb.Horizontal(space, image, column_shares=[3, 2]), rrb.Horizontal(*curves)]
+    if scene.marks:
+        states = rrb.Horizontal(states, rrb.TextLogView(origin='marks', name='marks'), column_shares=[3, 1])
+    return rrb.Blueprint(
+        rrb.Vertical(*columns, states, row_shares=[5, 2, 2]),
+        rrb.TimePanel(
+            state='collapsed',
+            timeline=TIMELINE,
+            play_state=play_state,
+            loop_mode='off' if play_state == 'following' else 'all',
+        ),
+        rrb.SelectionPanel(state='collapsed'),
+        rrb.BlueprintPanel(state='collapsed'),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+class _PersonWriter:
+    """Sends one person; the looks of the person's entities do not change and are sent once.
+
+    Args:
+        recording: recording of Rerun.
+        name: name of the person in entity paths.
+        number: number of the person's class in the annotation context.
+    """
+
+    def __init__(self, recording: Any, name: str, number: int) -> None:
+        self._rr, self._recording, self._name, self._number = import_rerun(), recording, name, number
+        self.entity, self.image_entity = f'world/people/{name}', f'world/camera/people/{name}'
+
+    def send_looks(self, colour: str) -> None:
+        """Send radii and colours."""
+        rr = self._rr
+        looks = {
+            'joints': _make_joint_looks(rr, self._number),
+            'inferred': rr.Points3D.from_fields(radii=[INFERRED_RADIUS_M], colors=[_to_rgba(INFERRED_COLOUR)]),
+            'deviation': rr.Ellipsoids3D.from_fields(
+                colors=[_to_rgba(colour, DEVIATION_ALPHA)], fill_mode='solid'
+            ),
+            'trail': rr.Points3D.from_fields(radii=[TRAIL_RADIUS_M], colors=[_to_rgba(colour)]),
+        }
+        for part, archetype in looks.items():
+            self._recording.log(f'{self.entity}/{part}', archetype, static=True)
+        image = rr.Points2D.from_fields(radii=[IMAGE_RADIUS_PX], show_labels=False)
+        self._recording.log(self.image_entity, image, static=True)
+
+    def send(self, person: ScenePerson, times: Array) -> None:
+        """Send joints, deviations, trail, image points and curves.
+
+        Args:
+            person: the person in N frames.
+            times: (F,) s, times of the frames.
+        """
+        rr, joints = self._rr, person.joints
+        every = np.ones(len(person.frames), int)
+        columns = rr.Points3D.columns(positions=joints.reshape(-1, 3))
+        self._send_rows(f'{self.entity}/joints', person, times, joints.shape[1] * every, columns)
+        columns = rr.Points3D.columns(positions=joints[person.inferred])
+        self._send_rows(f'{self.entity}/inferred', person, times, person.inferred.sum(axis=1), columns)
+        known = np.isfinite(person.std)
+        if known.any():
+            half_sizes = np.repeat(person.std[known][:, None], 3, axis=1)
+            columns = rr.Ellipsoids3D.columns(centers=joints[known], half_sizes=half_sizes)
+            self._send_rows(f'{self.entity}/deviation', person, times, known.sum(axis=1), columns)
+        columns = rr.Points3D.columns(positions=joints[:, CMU15.index(TRAIL_JOINT)])
+        self._send_rows(f'{self.entity}/trail', person, times, every, columns)
+        counts, columns = _make_image_columns(rr, person.image, self._number)
+        self._send_rows(self.image_entity, person, times, counts, columns)
+        for curve, values in (('residual', person.residual), ('cadence', person.cadence)):
+            if np.isfinite(values).any():  # NaN interrupts a curve
+                column = rr.TimeColumn(TIMELINE, duration=times[person.frames])
+                scalars = rr.Scalars.columns(scalars=values.astype(np.float64))
+                self._recording.send_columns(f'curves/{curve}/{self._name}', [column], scalars)
+
+    def send_states(self, lane: str, changes: Sequence[tuple[float, str | None]]) -> None:
+        """Send changes of a state as times in s and names; None where the person is absent."""
+        if changes:
+            column = self._rr.TimeColumn(TIMELINE, duration=[time for time, _ in changes])
+            columns = self._rr.StateChange.columns(state=[state for _, state in changes])
+            self._recording.send_columns(f'states/{self._name}/{lane}', [column], columns)
+
+    def _send_rows(self, entity: str, person: ScenePerson, times: Array, counts: Indices, columns: Any) -> None:
+        """Send rows of different lengths, and an empty row after each run of frames."""
+        ends, lengths = end_runs(times, person.frames, counts)
+        column = self._rr.TimeColumn(TIMELINE, duration=ends)
+        self._recording.send_columns(entity, [column], columns.partition(lengths))
+
+
+class LiveDrawing:
+    """Draws people as they come, in the entities and the layout of `send_scene`.
+
+    Args:
+        recording: recording of Rerun, which a viewer receives.
+    """
+
+    def __init__(self, recording: Any) -> None:
+        self._rr, self._recording = import_rerun(), recording
+        self._people: dict[str, ScenePerson] = {}  # all people so far, by id, as they were first seen
+        self._writers: dict[str, _PersonWriter] = {}
+        self._states: dict[tuple[str, str], str] = {}  # last state by id and lane
+        self._inputs: set[str] = set()  # entities of the 2D input so far
+        self._layouts: dict[str, SceneKeypoints] = {}  # all keypoint layouts so far, as they were first seen
+
+    def draw(self, scene: Scene, time_s: float) -> None:
+        """Draw a scene of one frame.
+
+        Args:
+            scene: the people and the keypoints in one frame.
+            time_s: time of the frame in s, on the time line of the drawing.
+        """
+        is_known = self._layouts.keys() >= {k.skeleton.name for k in scene.keypoints}
+        if not (is_known and self._people.keys() >= {person.id for person in scene.people}):
+            self._send_static(scene)
+        times = np.array([time_s])
+        for person, swapped in zip(scene.people, scene.swapped, strict=True):
+            self._writers[person.id].send(person, times)
+            for lane, states in name_states(person, swapped).items():
+                self._change_state(person.id, lane, time_s, states[0])
+        for person_id in {known for known, _ in self._states} - {person.id for person in scene.people}:
+            self._remove(person_id, time_s)
+        for keypoints in scene.keypoints:
+            number = list(self._layouts).index(keypoints.skeleton.name)
+            _send_keypoints(self._rr, self._recording, times, keypoints, number, self._inputs)
+
+    def _send_static(self, scene: Scene) -> None:
+        """Send what does not change as long as nobody new is seen; a second person changes the colours."""
+        for person in scene.people:
+            self._people.setdefault(person.id, person)
+        for keypoints in scene.keypoints:
+            self._layouts.setdefault(keypoints.skeleton.name, keypoints)
+        everybody = replace(scene, people=tuple(self._people.values()), keypoints=tuple(self._layouts.values()))
+        names = name_people(everybody)
+        self._recording.send_blueprint(build_blueprint(everybody, 'following'))
+        send_static(self._recording, everybody, names)
+        for index, (person_id, name) in enumerate(zip(self._people, names, strict=True)):
+            self._writers[person_id] = _PersonWriter(self._recording, name, index + 1)
+            self._writers[person_id].send_looks(choose_person_colour(everybody, index))
+
+    def _change_state(self, person_id: str, lane: str, time_s: float, state: str) -> None:
+        """Send a state unless it is the last one."""
+        if self._states.get((person_id, lane)) != state:
+            self._states[person_id, lane] = state
+            self._writers[person_id].send_states(lane, [(time_s, state)])
+
+    def _remove(self, person_id: str, time_s: float) -> None:
+        """Draw a person no longer."""
+        writer = self._writers[person_id]
+        self._recording.set_time(TIMELINE, duration=time_s)
+        for entity in (writer.entity, writer.image_entity):
+            self._recording.log(entity, self._rr.Clear(recursive=True))
+        for lane in [lane for known, lane in self._states if known == person_id]:
+            writer.send_states(lane, [(time_s, None)])
+            del self._states[person_id, lane]
+
+
+def name_states(person: ScenePerson, swapped: NDArray[np.bool_]) -> dict[str, list[str]]:
+    """Return the states of a person in N frames by lane: the kind of motion, and how the person was detected.
+
+    Args:
+        person: the person.
+        swapped: (N,) True where a swap of left and right was undone.
+    """
+    motions = {kind.value: name for kind, (name, _) in MOTION_STATES.items()}
+    flags = [swapped, person.predicted, person.tentative]
+    return {
+        'motion': [motions.get(kind, motions[MotionKind.UNKNOWN]) for kind in person.motion.tolist()],
+        'detection': np.select(flags, ['swap undone', 'predicted', 'tentative'], 'seen').tolist(),
+    }
+
+
+def find_changes(times: Array, frames: Indices, states: Sequence[str]) -> list[tuple[float, str | None]]:
+    """Return times in s and states where these change, and None where a person becomes absent.
+
+    Args:
+        times: (F,) s.
+        frames: (N,) indices of the frames of the states, increasing.
+        states: (N,) states.
+    """
+    changes: list[tuple[float, str | None]] = []
+    last_frame, last_state = -1, ''
+    for frame, state in zip(frames.tolist(), states, strict=True):
+        if last_state and frame > last_frame + 1:
+            changes.append((float(times[last_frame + 1]), None))
+            last_state = ''
+        if state != last_state:
+            changes.append((float(times[frame]), state))
+        last_frame, last_state = frame, state
+    if last_state and last_frame + 1 < len(times):
+        changes.append((float(times[last_frame + 1]), None))
+    return changes
+
+
+def end_runs(times: Array, frames: Indices, lengths: Indices) -> tuple[Array, Indices]:
+    """Return times and lengths of rows, with a row of length 0 after each run of frames.
+
+    Rerun shows the last row of an entity until the next one, also long after a person has left.
+
+    Args:
+        times: (F,) s.
+        frames: (N,) indices of the frames of the rows, increasing.
+        lengths: (N,) lengths of the rows.
+    """
+    ends = np.flatnonzero(np.diff(frames, append=len(times) + 1) > 1)
+    ends = ends[frames[ends] + 1 < len(times)]
+    all_frames = np.insert(frames, ends + 1, frames[ends] + 1)
+    return times[all_frames], np.insert(lengths, ends + 1, 0)
+
+
+def _send_truth(rr: Any, recording: Any, scene: Scene, truth: Array32) -> None:
+    """Send the true joints of the frames in which all of them are known."""
+    known = np.flatnonzero(np.isfinite(truth).all(axis=(1, 2)))
+    ends, lengths = end_runs(scene.times, known, np.full(len(known), truth.shape[1]))
+    columns = rr.Points3D.columns(positions=truth[known].reshape(-1, 3)).partition(lengths)
+    recording.send_columns('world/truth', [rr.TimeColumn(TIMELINE, duration=ends)], columns)
+    recording.log('world/truth', _make_joint_looks(rr, TRUTH_CLASS), static=True)
+
+
+def _make_joint_looks(rr: Any, number: int) -> Any:
+    """Return what does not change of the joints of a skeleton, by the number of its class."""
+    joints = np.arange(len(CMU15.joints))
+    return rr.Points3D.from_fields(
+        radii=[JOINT_RADIUS_M], class_ids=[number], keypoint_ids=joints, show_labels=False
+    )
+
+
+def _make_image_columns(rr: Any, points: Array32, number: int) -> tuple[Indices, Any]:
+    """Return how many points of (N, J, 2) are known in each row, and the columns of all known points."""
+    known = np.isfinite(points).all(axis=2)
+    ids = np.broadcast_to(np.arange(known.shape[1]), known.shape)[known]
+    numbers = np.full(len(ids), number)
+    return known.sum(axis=1), rr.Points2D.columns(positions=points[known], keypoint_ids=ids, class_ids=numbers)
+
+
+def _send_keypoints(
+    rr: Any, recording: Any, times: Array, keypoints: SceneKeypoints, layout: int, known: set[str]
+) -> None:
+    """Send the 2D input; the first detections of all frames are an entity, so are the second ones, and so on.
+
+    Args:
+        rr: Rerun.
+        recording: recording of Rerun.
+        times: (F,) s.
+        keypoints: the detections of one layout.
+        layout: number of the layout.
+        known: entities whose looks were sent; those of others are sent and added.
+    """
+    slots = np.arange(len(keypoints.frames)) - np.searchsorted(keypoints.frames, keypoints.frames)
+    for slot in range(int(slots.max(initial=-1)) + 1):
+        rows = np.flatnonzero(slots == slot)
+        counts, columns = _make_image_columns(rr, keypoints.points[rows], FIRST_INPUT_CLASS + layout)
+        ends, lengths = end_runs(times, keypoints.frames[rows], counts)
+        entity = f'world/camera/input/{layout}_{slot}'
+        recording.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=ends)], columns.partition(lengths))
+        if entity not in known:
+            known.add(entity)
+            looks = rr.Points2D.from_fields(radii=[INPUT_RADIUS_PX], show_labels=False)
+            recording.log(entity, looks, static=True)
+
+
+def _describe_class(
+    rr: Any, number: int, label: str, skeleton: Skeleton, joint_colours: Sequence[str], colour: str
+) -> Any:
+    """Return the description of a skeleton for the annotation context."""
+    return rr.ClassDescription(
+        info=rr.AnnotationInfo(number, label, _to_rgba(colour)),
+        keypoint_annotations=[
+            rr.AnnotationInfo(joint, name, _to_rgba(joint_colour))
+            for joint, (name, joint_colour) in enumerate(zip(skeleton.joints, joint_colours, strict=True))
+        ],
+        keypoint_connections=list(skeleton.bones),
+    )
+
+
+def _to_rgba(colour: str, alpha: int = 255) -> tuple[int, int, int, int]:
+    """Return red, green, blue and alpha of a colour such as `#1f77b4`."""
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return red, green, blue, alpha

@@ -1,0 +1,310 @@
+"""The scene: all that the viewers draw of a recording, with the colours in which they draw it.
+
+The page (`viewing/page.py`) and the Rerun recording (`viewing/rerun_recording.py`) both read it, so that they show
+the same. Joints are in m in the camera's optical frame (x right, y down, z forward), image points in px.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.errors import SkeletonError
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.joint_map import map_to_model_joints
+from mocap_ros.skeleton import CMU15, Skeleton
+from mocap_ros.viewing.plots import MIDDLE_COLOUR, TRUTH_COLOUR, choose_side_colour
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+
+PALE_COLOUR = '#a8a8a8'  # grey; people who are predicted or tentative
+INPUT_COLOUR = '#000000'  # black; the detector's keypoints
+# Colours of several people, which people with defective colour vision can tell apart as well (Okabe and Ito 2008),
+# without the orange of inferred joints
+PERSON_COLOURS = ('#0072b2', '#009e73', '#cc79a7', '#a6761d', '#56b4e9', '#7a5195', '#66a61e', '#b2182b')
+RIGHT_SHADE = 0.62  # factor of a person's colour on the right side of the body, dark enough to be told apart
+TRAIL_JOINT = 'pelvis'  # the joint whose way is drawn, because it is nearest to the centre of the body
+FLOOR_PERCENTILE = 95  # %; of the heights of the lowest joint, so that a few outliers do not lower the floor
+EXTENT_PERCENTILES = (2, 98)  # %; of the joints' coordinates, for the first view of the scene
+# A part of the body counts as exchanged by the detector if its keypoints fit the result with left and right
+# exchanged at less than this share of the error that they have as they are,
+MAX_EXCHANGED_ERROR = 0.5  # 1
+# and if that error is more than this share of the extent of the person's image, about a third of the hips' width
+MIN_SWAP_ERROR = 0.03  # 1
+# The parts of the body whose sides detectors exchange, by the joints of the left side.
+BODY_PARTS = (('lshoulder', 'lelbow', 'lwrist'), ('lhip', 'lknee', 'lankle'))
+MIN_SCORE = 1e-6  # 1; least score of a keypoint that was seen at all
+CHUNK_ROWS = 4096  # detections that are compared at a time, which bounds the memory
+MIN_PART_JOINTS = 2  # pairs of joints of a part that must be seen on both sides; one alone may be an outlier
+
+
+class MarkKind(Enum):
+    """What a mark on the time line stands for; the value is its name in the legend."""
+
+    DROP = 'input dropped'
+    KEYFRAME = 'keyframe'
+
+
+MARK_COLOURS = {MarkKind.DROP: '#d62728', MarkKind.KEYFRAME: '#1f77b4'}
+
+
+@dataclass(frozen=True)
+class Mark:
+    """An event on the time line.
+
+    Attributes:
+        time_s: s from the beginning of the scene.
+        kind: what happened.
+        text: details, such as the reason of a drop.
+    """
+
+    time_s: float
+    kind: MarkKind
+    text: str
+
+
+class SceneImage(NamedTuple):
+    """An image of the camera.
+
+    Attributes:
+        time_s: s from the beginning of the scene.
+        data: the image as JPEG or PNG.
+        media_type: `image/jpeg` or `image/png`.
+    """
+
+    time_s: float
+    data: bytes
+    media_type: str
+
+
+@dataclass(frozen=True, eq=False)
+class ScenePerson:
+    """A reconstructed person in the N frames in which there is a skeleton.
+
+    Attributes:
+        id: id of the person.
+        frames: (N,) indices of the frames, increasing.
+        joints: (N, J, 3) m.
+        std: (N, J) m, standard deviation of each joint; NaN where unknown.
+        inferred: (N, J) True where the joint was not seen and was inferred.
+        image: (N, J, 2) px, the joints in the image; NaN where the camera is unknown.
+        residual: (N,) px, RMS reprojection error; NaN where unknown.
+        cadence: (N,) Hz; NaN where the motion is not periodic.
+        motion: (N,) kind of motion, as in `people.MotionKind`.
+        predicted: (N,) True where the person was not detected.
+        tentative: (N,) True where the person was seen too shortly to be sure that there is somebody.
+    """
+
+    id: str
+    frames: Indices
+    joints: Array32
+    std: Array32
+    inferred: Mask
+    image: Array32
+    residual: Array32
+    cadence: Array32
+    motion: NDArray[np.uint8]
+    predicted: Mask
+    tentative: Mask
+
+
+@dataclass(frozen=True, eq=False)
+class SceneKeypoints:
+    """All detections of one keypoint layout; several rows may be of one frame.
+
+    Attributes:
+        skeleton: the layout.
+        frames: (N,) index of the frame of each detection, not decreasing.
+        points: (N, Jk, 2) px; NaN where a keypoint was not seen.
+        score: (N, Jk) confidence scores.
+    """
+
+    skeleton: Skeleton
+    frames: Indices
+    points: Array32
+    score: Array32
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """All that is drawn of a recording.
+
+    Attributes:
+        title: name of the recording.
+        stamps_ns: (F,) ns, increasing times of the frames.
+        people: the reconstructed people.
+        keypoints: the 2D input, one entry a keypoint layout; empty where it is unknown.
+        image_size: (width, height) in px.
+        intrinsics: intrinsics of the camera.
+        marks: events, in the order of their times.
+        truth: (F, J, 3) m, true joints of one person, NaN where unknown; or None.
+        skeleton: skeleton of the joints.
+    """
+
+    title: str
+    stamps_ns: Sequence[int]
+    people: tuple[ScenePerson, ...]
+    keypoints: tuple[SceneKeypoints, ...]
+    image_size: tuple[int, int]
+    intrinsics: Intrinsics
+    marks: tuple[Mark, ...] = ()
+    truth: Array32 | None = None
+    skeleton: Skeleton = CMU15
+
+    @cached_property
+    def times(self) -> Array:
+        """(F,) s from the first frame."""
+        return (np.asarray(self.stamps_ns, np.int64) - self.stamps_ns[0]) / 1e9
+
+    @cached_property
+    def _coordinates(self) -> Array:
+        """(K, 3) m, all joints of all people, or one point before the camera where there is nobody."""
+        joints = [person.joints.reshape(-1, 3) for person in self.people if len(person.frames)]
+        return np.concatenate(joints).astype(np.float64) if joints else np.array([[0.0, 0.0, 4.0]])
+
+    @cached_property
+    def centre(self) -> Array:
+        """(3,) m, the middle of the space in which the people move."""
+        return np.asarray(np.percentile(self._coordinates, EXTENT_PERCENTILES, axis=0).mean(axis=0))
+
+    @cached_property
+    def extent(self) -> float:
+        """Largest side of the space in which the people move, m."""
+        return float(np.ptp(np.percentile(self._coordinates, EXTENT_PERCENTILES, axis=0), axis=0).max())
+
+    @cached_property
+    def floor_y(self) -> float:
+        """Y of the floor in m: that of the lowest joints, since the true floor is not known."""
+        lowest = [person.joints[..., 1].max(axis=1) for person in self.people if len(person.frames)]
+        return float(np.percentile(np.concatenate(lowest), FLOOR_PERCENTILE)) if lowest else 1.0
+
+    @cached_property
+    def swapped(self) -> tuple[Mask, ...]:
+        """(N,) for each person, True in the frames in which an exchange of left and right was undone."""
+        return tuple(find_undone_swaps(person, self.keypoints, self.skeleton) for person in self.people)
+
+    @property
+    def frustum_corners(self) -> Array:
+        """(4, 3) m, corners of the image in the plane 0.5 m before the camera, for a picture of the camera."""
+        return image_corners(self.image_size, self.intrinsics) * 0.5
+
+
+def image_corners(image_size: tuple[int, int], intrinsics: Intrinsics) -> Array:
+    """Return the corners (4, 3) of the image in the plane z = 1 of the optical frame, lens distortion ignored."""
+    width, height = image_size
+    corners = np.array([[0, 0], [width, 0], [width, height], [0, height]])
+    return np.column_stack([(corners - intrinsics.center_array) / intrinsics.focal_lengths, np.ones(4)])
+
+
+def choose_person_colour(scene: Scene, index: int) -> str:
+    """Return the colour of a person in curves and names; a person alone is dark grey."""
+    return MIDDLE_COLOUR if len(scene.people) == 1 else PERSON_COLOURS[index % len(PERSON_COLOURS)]
+
+
+def choose_joint_colours(scene: Scene, index: int) -> list[str]:
+    """Return the colour of each joint of a person: by side if the person is alone, else the person's own.
+
+    The right side of the body is darker where the colours are those of people.
+    """
+    if len(scene.people) == 1:
+        return [choose_side_colour(joint) for joint in scene.skeleton.joints]
+    own = choose_person_colour(scene, index)
+    dark = '#' + ''.join(f'{round(int(own[i : i + 2], 16) * RIGHT_SHADE):02x}' for i in (1, 3, 5))
+    return [dark if joint.startswith('r') else own for joint in scene.skeleton.joints]
+
+
+def list_colour_key(scene: Scene) -> list[tuple[str, str]]:
+    """Return names and colours that the viewers explain besides those of inferred joints."""
+    sides = [('left', choose_side_colour('l')), ('right', choose_side_colour('r'))]
+    key = sides if len(scene.people) == 1 else [('darker: right side', MIDDLE_COLOUR)]
+    if any(person.predicted.any() or person.tentative.any() for person in scene.people):
+        key = [*key, ('predicted or tentative', PALE_COLOUR)]
+    return key if scene.truth is None else [*key, ('truth', TRUTH_COLOUR)]
+
+
+def find_undone_swaps(
+    person: ScenePerson, keypoints: Sequence[SceneKeypoints], skeleton: Skeleton = CMU15
+) -> Mask:
+    """Find the frames in which the result has left and right of a part of the body otherwise than the detector.
+
+    e = mean |x_j - y_j| and e' = mean |x_m(j) - y_j| over the joints j of a part that are seen on both sides, with
+    x the detector's keypoints, y the result in the image and m(j) the same joint of the other side. A swap was
+    undone if e' < `MAX_EXCHANGED_ERROR` e and e > `MIN_SWAP_ERROR` times the extent of the person's image. Of
+    several detections in a frame, the one that fits the person best counts.
+
+    Args:
+        person: the person in N frames.
+        keypoints: the detector's keypoints.
+        skeleton: skeleton of the person's joints.
+
+    Returns:
+        (N,) True in these frames.
+    """
+    swapped = np.zeros(len(person.frames), bool)
+    if not len(person.frames):
+        return swapped
+    row_of_frame = np.full(int(person.frames[-1]) + 1, -1)
+    row_of_frame[person.frames] = np.arange(len(person.frames))
+    best = np.full(len(person.frames), np.inf)
+    for detections in keypoints:
+        rows = row_of_frame[np.minimum(detections.frames, len(row_of_frame) - 1)]
+        present = np.flatnonzero((rows >= 0) & (detections.frames < len(row_of_frame)))
+        for first in range(0, len(present), CHUNK_ROWS):
+            chunk = present[first : first + CHUNK_ROWS]
+            try:
+                costs, verdicts = _compare_sides(detections, chunk, person.image[rows[chunk]], skeleton)
+            except SkeletonError:  # a layout with too few joints of the body
+                break
+            for row, cost, verdict in zip(rows[chunk].tolist(), costs.tolist(), verdicts.tolist(), strict=True):
+                if cost < best[row]:
+                    best[row], swapped[row] = cost, verdict
+    return swapped & ~person.predicted
+
+
+def _compare_sides(
+    detections: SceneKeypoints, rows: Indices, image: Array32, skeleton: Skeleton
+) -> tuple[Array, Mask]:
+    """Compare some detections with a person's image, as they are and with left and right exchanged.
+
+    Args:
+        detections: all detections of a layout.
+        rows: (N,) the detections to compare.
+        image: (N, J, 2) px, the person in the images of these detections.
+        skeleton: skeleton of the person.
+
+    Returns:
+        (N,) sums of the parts' smaller errors in extents of the person's image, and (N,) if a swap was undone.
+    """
+    body, weight = map_to_model_joints(
+        detections.points[rows].astype(np.float64),
+        detections.score[rows].astype(np.float64),
+        detections.skeleton.joints,
+        MIN_SCORE,
+        skeleton,
+    )
+    mirror = np.array(skeleton.mirror)
+    both = (weight > 0) & (weight[:, mirror] > 0)
+    extent = np.maximum(np.ptp(image, axis=1).max(axis=1), 1.0)
+    error = np.linalg.norm(body - image, axis=-1)
+    exchanged = np.linalg.norm(body[:, mirror] - image, axis=-1)
+    cost, verdict = np.zeros(len(rows)), np.zeros(len(rows), bool)
+    for names in BODY_PARTS:
+        left = [skeleton.index(joint) for joint in names]
+        part = np.array([*left, *mirror[left]])
+        count = both[:, part].sum(axis=1)
+        as_is, other = (
+            np.where(both[:, part], e[:, part], 0).sum(axis=1) / np.maximum(count, 1) for e in (error, exchanged)
+        )
+        is_exchanged = (other < MAX_EXCHANGED_ERROR * as_is) & (as_is > MIN_SWAP_ERROR * extent)
+        verdict |= is_exchanged & (count >= 2 * MIN_PART_JOINTS)
+        cost += np.minimum(as_is, other) / extent
+    return cost, verdict

@@ -1,0 +1,52 @@
+"""Who was seen, from when to when, and in which motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mocap_ros.people import Motion, MotionKind, Person3D
+from mocap_ros.runtime.appearances import AppearanceLog
+from mocap_ros.units import NS_PER_S
+
+NAN = float('nan')
+WALK = Motion(MotionKind.PERIODIC, 'walk', 0.01, 0.9)
+OTHER = Motion(MotionKind.NON_PERIODIC, 'all', 0.1, NAN)
+STRANGE = Motion(MotionKind.UNKNOWN, '', NAN, NAN)
+
+
+def person(name: str, motion: Motion = WALK, residual: float = 2.0, **flags: bool) -> Person3D:
+    joints = np.zeros((15, 3))
+    return Person3D(
+        name, joints, np.zeros(15), np.zeros(15, bool), 1.0, np.eye(3), np.zeros(2), motion, residual, True,
+        flags.get('predicted', False), flags.get('tentative', False),
+    )  # fmt: skip
+
+
+def test_times_motions_cadence_and_residual_are_added_up() -> None:
+    log = AppearanceLog(absence_s=5)
+    for second, motion in enumerate([STRANGE, WALK, WALK, OTHER]):
+        log.add(second * NS_PER_S, [person('ann', motion, residual=1.0 + second)])
+    log.add(4 * NS_PER_S, [person('ann', OTHER, residual=NAN, predicted=True)])
+    (ann,) = log.finish()
+    assert (ann.person, ann.from_ns, ann.to_ns) == ('ann', 0, 4 * NS_PER_S)
+    assert ann.seconds == {'unknown': 0.0, 'periodic': 2.0, 'non_periodic': 2.0}
+    assert (ann.cadence, ann.residual) == (0.9, 2.5)
+
+
+def test_who_was_away_for_long_appears_anew() -> None:
+    log = AppearanceLog(absence_s=5)
+    for second in (0, 4, 10, 11):
+        log.add(second * NS_PER_S, [person('ann'), person('ghost', tentative=True)])
+    log.add(12 * NS_PER_S, [person('ben', STRANGE, NAN)])
+    spans = [(a.person, a.from_ns // NS_PER_S, a.to_ns // NS_PER_S) for a in log.finish()]
+    assert spans == [('ann', 0, 4), ('ann', 10, 11), ('ben', 12, 12)]
+    assert log.finish() == ()
+
+
+@pytest.mark.parametrize('back_s', [1, 100])
+def test_a_stamp_that_goes_back_begins_an_appearance(back_s: int) -> None:
+    log = AppearanceLog(absence_s=5)
+    for second in (200, 201, 201 - back_s):
+        log.add(second * NS_PER_S, [person('ann')])
+    assert sorted(a.to_ns - a.from_ns for a in log.finish()) == [0, NS_PER_S]

@@ -1,0 +1,253 @@
+"""The scenes of bags, results and keypoints of any format: what was recorded is what is drawn."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recorder import Recorder
+from mocap_ros.config import Config, NodeConfig, RecorderConfig, with_values
+from mocap_ros.demo.scene import make_recording
+from mocap_ros.errors import InputError
+from mocap_ros.formats.detections import Video
+from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
+from mocap_ros.messages.cdr import Header, create_header, create_message, decode, encode
+from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE
+from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
+from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.model_file import load_base_pose_models
+from mocap_ros.offline.whole_sequence import reconstruct_sequence
+from mocap_ros.runtime import save_results
+from mocap_ros.runtime.bag_images import read_images
+from mocap_ros.runtime.load_scene import SceneOptions, load_keyframe_marks, load_scene
+from mocap_ros.runtime.replay import ReplayOptions, replay
+from mocap_ros.runtime.sequence_messages import DEFAULT_FRAME_ID
+from mocap_ros.viewing.scene import Mark, MarkKind, SceneImage
+from tests.support.keypoint_files import flatten_keypoints, make_walker
+from tests.support.pipeline_inputs import FAST_CONFIG
+
+FRAMES = 20
+MODELS: dict[str, BasePoses] = load_base_pose_models('walk')
+OPTIONS = SceneOptions(with_values(Config(), {'solver.max_iterations': 2}), MODELS)
+
+
+@pytest.fixture(scope='module')
+def sequence() -> KeypointSequence:
+    """The first frames of the demo recording, with one frame in which nobody is seen."""
+    whole = make_recording().sequence()
+    keypoints = whole.keypoints[:FRAMES].copy()
+    keypoints[12] = [np.nan, np.nan, 0]
+    return replace(whole, keypoints=keypoints, timestamps=whole.timestamps[:FRAMES] + 5, truth=None)
+
+
+@pytest.fixture(scope='module')
+def bag(sequence: KeypointSequence, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A replay of these keypoints of two people, one message of which repeats a stamp and is dropped."""
+    folder = tmp_path_factory.mktemp('bag')
+    with Recorder(folder / 'in', RecorderConfig()) as recorder:
+        for frame, stamp in enumerate(sequence.stamps_ns):
+            anna, ben = sequence.person(frame, 'anna'), sequence.person(frame, 'ben')
+            people = [anna, replace(ben, points=ben.points + [-90.0, 10.0])]
+            raw = encode_keypoints(Header(stamp, DEFAULT_FRAME_ID), sequence.image_size, people)
+            recorder.write('/keypoints', KEYPOINTS, raw, stamp, stamp)
+            if frame == 7:
+                recorder.write('/keypoints', KEYPOINTS, raw, stamp + 1, stamp + 1)
+    with Bag(folder / 'in') as recorded:
+        replay(recorded, folder / 'out', ReplayOptions(FAST_CONFIG))
+    return folder / 'out'
+
+
+def test_a_bag_is_drawn_as_it_was_recorded(bag: Path, sequence: KeypointSequence) -> None:
+    scene, lines = load_scene(bag, OPTIONS)
+    assert not lines
+    assert scene.image_size == sequence.image_size
+    assert scene.stamps_ns == sequence.stamps_ns
+    assert {person.id for person in scene.people} == {'anna', 'ben'}
+    by_id = {person.id: person for person in scene.people}
+    row_count = 0
+    with Bag(bag) as recorded:
+        for frame, message in enumerate(recorded.messages(['/skeletons'])):
+            for skeleton in decode(message.raw, SKELETONS).people:
+                person = by_id[skeleton.id]
+                (row,) = np.flatnonzero(person.frames == frame)
+                row_count += 1
+                joints = np.array([[j.x, j.y, j.z] for j in skeleton.joints])
+                assert person.joints[row] == pytest.approx(joints, abs=1e-5)
+                assert person.std[row] == pytest.approx(skeleton.joint_std, nan_ok=True)
+                assert person.inferred[row].tolist() == list(skeleton.inferred)
+                assert person.image[row].mean(axis=0) == pytest.approx(skeleton.camera.translation, abs=8)
+                assert person.residual[row] == pytest.approx(skeleton.reprojection_residual, nan_ok=True)
+                states = person.motion[row], person.predicted[row], person.tentative[row]
+                assert states == (skeleton.motion.state, skeleton.predicted, skeleton.tentative)
+    assert row_count == sum(len(person.frames) for person in scene.people) > FRAMES
+    assert by_id['anna'].predicted[by_id['anna'].frames == 12].all()
+    (keypoints,) = scene.keypoints
+    rows = keypoints.frames == 3
+    assert rows.sum() == 2
+    assert keypoints.points[rows][0] == pytest.approx(sequence.keypoints[3, :, :2], abs=1e-3, nan_ok=True)
+    (drop,) = scene.marks
+    assert drop.kind is MarkKind.DROP
+    assert drop.time_s == pytest.approx(scene.times[7])
+    assert 'repeats' in drop.text
+
+
+def test_one_person_of_a_bag_is_shown_alone(bag: Path) -> None:
+    scene, _ = load_scene(bag, replace(OPTIONS, person='ben'))
+    assert [person.id for person in scene.people] == ['ben']
+    with pytest.raises(InputError, match="no person 'carl'"):
+        load_scene(bag, replace(OPTIONS, person='carl'))
+    with pytest.raises(InputError, match='there is no topic /nothing'):
+        load_scene(bag, replace(OPTIONS, topic='/nothing'))
+
+
+def test_a_bag_of_keypoints_shows_all_people(bag: Path) -> None:
+    scene, _ = load_scene(bag.with_name('in'), OPTIONS)
+    assert [person.id for person in scene.people] == ['anna', 'ben']
+    assert all((np.diff(person.frames) == 1).all() for person in scene.people)
+    anna, ben = scene.people
+    left_of = np.median(ben.image[..., 0] - anna.image[..., 0])
+    assert left_of == pytest.approx(-90, abs=15)
+    assert (scene.keypoints[0].frames == 12).sum() == 0
+    assert anna.predicted[anna.frames == 12].all()
+
+
+def test_a_sequence_file_and_its_results_look_the_same(sequence: KeypointSequence, tmp_path: Path) -> None:
+    save_sequence(tmp_path / 'in.npz', sequence)
+    whole, _ = load_scene(tmp_path / 'in.npz', OPTIONS)
+    (person,) = whole.people
+    intrinsics = sequence.intrinsics(OPTIONS.config.tracker.nominal_focal_length)
+    result = reconstruct_sequence(
+        sequence.keypoints, sequence.joint_names, sequence.timestamps, intrinsics, MODELS, OPTIONS.config
+    )
+    assert person.joints == pytest.approx(result.joints, abs=1e-4)
+    for suffix in ('.npz', '.mcap'):
+        path = tmp_path / f'result{suffix}'
+        save_results.save(path, save_results.ReconstructedSequence(sequence, result))
+        scene, _ = load_scene(path, OPTIONS)
+        (stored,) = scene.people
+        assert stored.joints == pytest.approx(person.joints, abs=1e-4)
+        assert stored.image == pytest.approx(person.image, abs=1)
+        assert stored.inferred.tolist() == person.inferred.tolist()
+        assert scene.image_size == pytest.approx(sequence.image_size, abs=1)
+        assert bool(scene.keypoints) == (suffix == '.mcap')
+
+
+def test_json_of_two_people_is_reconstructed(sequence: KeypointSequence, tmp_path: Path) -> None:
+    results: list[dict[str, Any]] = [
+        {'image_id': frame, 'keypoints': row, 'score': 0.9}
+        for frame, row in enumerate(flatten_keypoints(sequence))
+        if frame != 12
+    ]
+    for result in list(results):
+        moved = np.reshape(result['keypoints'], (-1, 3)) + np.array([-150, 0, 0])
+        results.append({**result, 'keypoints': (moved * (moved[:, 2:] > 0)).ravel().tolist()})
+    path = tmp_path / 'people.json'
+    path.write_text(json.dumps(results), encoding='utf-8')
+    with pytest.raises(InputError, match='give the frame rate'):
+        load_scene(path, OPTIONS)
+    scene, _ = load_scene(path, replace(OPTIONS, video=Video(30.0, (640, 480))))
+    assert [person.id for person in scene.people] == ['person_1', 'person_2']
+    distance = np.abs(scene.people[0].image[..., 0].mean() - scene.people[1].image[..., 0].mean())
+    assert distance == pytest.approx(150, abs=5)
+    assert len(scene.keypoints[0].frames) == 2 * (FRAMES - 1)
+
+
+def test_options_that_an_input_does_not_need_are_refused(bag: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match='--fps, --image-size and --layout apply to keypoints only'):
+        load_scene(bag, replace(OPTIONS, video=Video(fps=30.0)))
+    save_sequence(tmp_path / 'in.npz', make_walker())
+    with pytest.raises(InputError, match='do not apply to a sequence file'):
+        load_scene(tmp_path / 'in.npz', replace(OPTIONS, person='anna'))
+
+
+def test_what_shows_nobody_is_refused(sequence: KeypointSequence, tmp_path: Path) -> None:
+    with Recorder(tmp_path / 'empty', RecorderConfig()) as recorder:
+        for stamp in sequence.stamps_ns:
+            raw = encode_keypoints(Header(stamp, DEFAULT_FRAME_ID), sequence.image_size, [])
+            recorder.write('/keypoints', KEYPOINTS, raw, stamp, stamp)
+    with pytest.raises(InputError, match='empty: nobody is seen'):
+        load_scene(tmp_path / 'empty', OPTIONS)
+    with Bag(tmp_path / 'empty') as recorded:
+        replay(recorded, tmp_path / 'replayed', ReplayOptions(FAST_CONFIG))
+    with pytest.raises(InputError, match='replayed: nobody is in any message'):
+        load_scene(tmp_path / 'replayed', OPTIONS)
+
+
+def test_keyframes_become_marks(tmp_path: Path) -> None:
+    path = tmp_path / 'k.yaml'
+    path.write_text('keyframes:\n- {half: upper, time: 0.5, represents: 3}\n- {time: 2}\n', encoding='utf-8')
+    assert load_keyframe_marks(path) == [
+        Mark(0.5, MarkKind.KEYFRAME, 'upper body'),
+        Mark(2.0, MarkKind.KEYFRAME, 'whole body'),
+    ]
+    for text, reason in (('[]', 'no list of keyframes'), ('keyframes: [{time: -1}]', 'keyframe 1: time: -1')):
+        path.write_text(text, encoding='utf-8')
+        with pytest.raises(InputError, match=f'k.yaml: {reason}'):
+            load_keyframe_marks(path)
+
+
+def test_messages_that_cannot_be_drawn_are_counted(bag: Path, tmp_path: Path) -> None:
+    with Bag(bag) as recorded, Recorder(tmp_path / 'odd', RecorderConfig()) as recorder:
+        for number, message in enumerate(recorded.messages(['/keypoints', '/skeletons'])):
+            raw = message.raw
+            if message.type == KEYPOINTS and number < 10:
+                broken = decode(raw, KEYPOINTS)
+                if number < 5:
+                    broken.people[0].x = broken.people[0].x[:3]
+                else:
+                    broken.people[0].x = np.full(17, np.inf, np.float32)
+                raw = encode(broken, KEYPOINTS)
+            recorder.write(message.topic, message.type, raw, message.time_ns, message.time_ns)
+    scene, lines = load_scene(tmp_path / 'odd', OPTIONS)
+    (line,) = lines
+    assert 'messages left out; /keypoints: people: 3 keypoints, expected 17' in line
+    (keypoints,) = scene.keypoints
+    unseen = np.isnan(keypoints.points).all(axis=(1, 2))
+    assert unseen.sum() >= 2
+    assert (keypoints.score[unseen] == 0).all()
+
+
+def test_images_of_a_bag_are_those_beside_the_keypoints(tmp_path: Path) -> None:
+    pixels = np.zeros((4, 6, 3), np.uint8)
+    pixels[:, :3] = [250, 10, 10]
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, 'PNG')
+    second = 10**9
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        for stamp in (1, 2, 3):
+            header = create_header(Header(stamp * second, 'camera'))
+            raw_image = create_message(
+                IMAGE,
+                header=header,
+                height=4,
+                width=6,
+                encoding='rgb8',
+                is_bigendian=0,
+                step=18,
+                data=pixels.ravel(),
+            )
+            data = np.frombuffer(stream.getvalue() if stamp < 3 else b'no image', np.uint8)
+            packed = create_message(COMPRESSED_IMAGE, header=header, format='png', data=data)
+            recorder.write('/left/image', IMAGE, encode(raw_image, IMAGE), stamp, stamp)
+            recorder.write('/right/image', COMPRESSED_IMAGE, encode(packed, COMPRESSED_IMAGE), stamp, stamp)
+    stamps = [second, 3 * second]
+    packed_images = list(read_images(tmp_path / 'bag', stamps, NodeConfig(), '/right/keypoints'))
+    assert packed_images == [
+        SceneImage(0.0, stream.getvalue(), 'image/png'),
+        SceneImage(1.0, stream.getvalue(), 'image/png'),
+    ]
+    images = list(read_images(tmp_path / 'bag', stamps[:1], NodeConfig(), '/left/keypoints'))
+    assert [(image.time_s, image.media_type) for image in images] == [(0.0, 'image/jpeg')]
+    shown = np.asarray(Image.open(io.BytesIO(images[0].data)))
+    assert shown.shape == pixels.shape
+    assert shown[0, 0, 0] > 200
+    assert shown[0, 5].max() < 60

@@ -1,0 +1,98 @@
+"""A bag that is cut where nobody was there for long gives the same messages as the whole."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mocap_ros.bags.journal import JOURNAL, Entry, encode_entry
+from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recorder import Recorder
+from mocap_ros.config import Config, RecorderConfig, with_values
+from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
+from mocap_ros.runtime.parts import Part, find_parts
+from mocap_ros.runtime.replay import JOURNAL_TOPIC, ReplayOptions, replay
+from tests.support.camera_infos import camera_info
+from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, with_stamp
+
+ABSENCE_S = 2.0  # s, tracker.forget_all_after in these tests
+CONFIG = with_values(FAST_CONFIG, {'tracker.forget_all_after': ABSENCE_S})
+HZ, START_NS = 10, 1_700_000_000_000_000_000  # images per second; ns since the epoch
+LATCHED = ('/skeleton_definition',)  # topics of which each file of a bag repeats the last message
+
+
+def write_bag(folder: Path, visits: str, event: Entry | None = None) -> Path:
+    """Write a bag of which each second shows somebody (x) or nobody (.)."""
+    seen = encode_demo_frames(60)
+    with Recorder(folder, RecorderConfig(min_free_mb=0)) as recorder:
+        recorder.write('/camera_info', CAMERA_INFO, camera_info(), START_NS, START_NS)
+        if event is not None:
+            recorder.write('/node/journal', JOURNAL, encode_entry(event), START_NS, START_NS)
+        for frame in range(len(visits) * HZ):
+            stamp_ns = START_NS + frame * (1_000_000_000 // HZ)
+            if visits[frame // HZ] == 'x':
+                raw = with_stamp(seen[3 * frame % 60], stamp_ns)
+            else:
+                raw = encode_keypoints(Header(stamp_ns, 'camera'), (640, 480), [])
+            recorder.write('/keypoints', KEYPOINTS, raw, stamp_ns + 1, stamp_ns)
+    return folder
+
+
+def find(bag_path: Path, min_seconds: float = 1.0, config: Config = CONFIG) -> list[Part]:
+    with Bag(bag_path) as bag:
+        return find_parts(bag, config, min_seconds=min_seconds)
+
+
+def run(bag_path: Path, out: Path, part: Part | None = None) -> tuple[list[tuple[Any, ...]], tuple[Any, ...]]:
+    """Replay a bag or a part of it; return the messages by topic and time, and the appearances."""
+    with Bag(bag_path) as bag:
+        result = replay(bag, out, ReplayOptions(CONFIG, part=part))
+    return list(read_messages(out, is_first=part is None or part.number == 0)), result.appearances
+
+
+def read_messages(path: Path, *, is_first: bool) -> Iterator[tuple[Any, ...]]:
+    """Yield the messages; those that each file of a split bag repeats only of the first part."""
+    with Bag(path) as bag:
+        for number, message in enumerate(bag.messages(bag.topics)):
+            if is_first or not (message.topic in LATCHED or (message.topic == JOURNAL_TOPIC and number < 2)):
+                yield message
+
+
+def test_the_parts_of_a_bag_give_the_messages_of_the_whole(tmp_path: Path) -> None:
+    """People come back after short and long absences; after long ones their names begin again."""
+    bag = write_bag(tmp_path / 'bag', 'xx.xx...x....xx.....x')
+    parts = find(bag)
+    assert [p.inputs_before for p in parts] == [0, 1 + 71, 1 + 111, 1 + 171]  # the CameraInfo, and images
+    whole, appearances = run(bag, tmp_path / 'whole')
+    found = [run(bag, tmp_path / f'part{p.number}', p) for p in parts]
+    assert [message for messages, _ in found for message in messages] == whole
+    assert tuple(a for _, each in found for a in each) == appearances
+    assert [each[0].person for _, each in found] == ['person_1'] * 4
+    assert any(a.person == 'person_2' for a in appearances), 'a short absence does not end the names'
+
+
+@pytest.mark.parametrize(
+    ('visits', 'cuts'),
+    [
+        ('xx.....xx', 1),
+        ('xx..xx..xx', 0),  # nobody is there, but too shortly
+        ('......xx', 0),  # nobody was there before
+        ('xx.......', 1),
+        ('xxxxxx', 0),
+    ],
+)
+def test_cuts_fall_where_nobody_was_there_for_long(tmp_path: Path, visits: str, cuts: int) -> None:
+    bag = write_bag(tmp_path / 'bag', visits)
+    assert len(find(bag)) == 1 + cuts
+    assert len(find(bag, min_seconds=60)) == 1
+    assert len(find(bag, config=with_values(CONFIG, {'tracker.forget_all_after': 30.0}))) == 1
+
+
+def test_a_bag_whose_parameters_changed_is_not_cut(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / 'bag', 'xx.....xx', Entry('reset', 7))
+    assert len(find(bag)) == 1

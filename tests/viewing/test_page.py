@@ -1,0 +1,163 @@
+"""The page: its arrays read back, its size, that it needs nothing else, and what Chromium draws of it."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import hashlib
+import json
+import re
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mocap_ros.viewing.page import NOT_A_NUMBER, UNKNOWN_STD, build_page
+from mocap_ros.viewing.scene import Scene
+from tests.support.browser import count_colours, open_browser, write_and_open
+from tests.support.paths import ROOT
+from tests.support.scenes import make_scene
+
+TIMEOUT_S = 60.0  # s; a busy machine draws a picture a second
+FILES = ROOT / 'mocap_ros' / 'viewing' / 'page_files'
+
+
+def read_element(page: str, element_id: str) -> str:
+    found = re.search(rf'<script type="[^"]*" id="{element_id}">(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    return found[1]
+
+
+class ReadPage:
+    """The scene that a page holds, its arrays read as the script of the page reads them."""
+
+    def __init__(self, scene: Scene) -> None:
+        page = build_page(scene)
+        self.scene: dict[str, Any] = json.loads(read_element(page, 'scene'))
+        self._bytes = np.frombuffer(gzip.decompress(base64.b64decode(read_element(page, 'data'))), np.uint8)
+
+    def read(self, layout: dict[str, int]) -> np.ndarray:
+        """Return an array (rows, columns) of integers."""
+        offset, rows, columns, size = (layout[key] for key in ('offset', 'rows', 'columns', 'size'))
+        planes = self._bytes[offset : offset + rows * columns * size].reshape(size, columns, rows)
+        steps = sum(planes[plane].astype(np.int64) << 8 * plane for plane in range(size))
+        values = np.cumsum(steps, axis=1) % (1 << 8 * size)
+        signed = values - (1 << 8 * size) * (values >= 1 << (8 * size - 1)) if size > 1 else values
+        return np.asarray(signed).T
+
+
+@pytest.fixture
+def scene() -> Scene:
+    scene = make_scene()
+    scene.people[0].std[3:6] = np.nan
+    scene.people[0].cadence[:10] = np.nan
+    scene.keypoints[0].points[7] = np.nan
+    return scene
+
+
+def test_the_arrays_are_those_of_the_scene_to_a_millimetre(scene: Scene) -> None:
+    page = ReadPage(scene)
+    for person, described in zip(scene.people, page.scene['people'], strict=True):
+        arrays = {name: page.read(layout) for name, layout in described['arrays'].items()}
+        assert arrays['frames'][:, 0].tolist() == person.frames.tolist()
+        joints = arrays['joints'].reshape(-1, 15, 3) * page.scene['metrePerStep']
+        assert np.abs(joints - person.joints).max() < 0.00051
+        image = arrays['image'].reshape(-1, 15, 2) * page.scene['pixelPerStep']
+        assert np.abs(image - person.image).max() < 0.07
+        unknown = np.isnan(person.std)
+        assert ((arrays['std'] == UNKNOWN_STD) == unknown).all()
+        assert np.abs(arrays['std'] * page.scene['stdPerStep'] - person.std)[~unknown].max() < 0.0011
+        inferred = arrays['inferred'] >> np.arange(15) & 1
+        assert (inferred == person.inferred).all()
+        assert ((arrays['state'][:, 0] & 1) == person.predicted).all()
+        assert ((arrays['state'][:, 0] >> 4) == person.motion).all()
+        assert ((arrays['cadence'][:, 0] == NOT_A_NUMBER) == np.isnan(person.cadence)).all()
+    points = page.read(page.scene['keypoints'][0]['arrays']['points'])
+    assert (points[7] == NOT_A_NUMBER).all()
+    seconds = page.read(page.scene['times'])[:, 0] * page.scene['tickS']
+    assert np.abs(seconds - scene.times).max() < 6e-5
+
+
+def test_a_distant_person_and_a_wild_keypoint_fit_into_the_arrays(scene: Scene) -> None:
+    joints = scene.people[0].joints + np.array([0, 0, 90], np.float32)
+    scene.keypoints[0].points[2] = 1e7
+    page = ReadPage(replace(scene, people=(replace(scene.people[0], joints=joints),)))
+    described = page.scene['people'][0]['arrays']
+    read = page.read(described['joints']).reshape(-1, 15, 3) * page.scene['metrePerStep']
+    assert np.abs(read - joints).max() < 0.002
+    points = page.read(page.scene['keypoints'][0]['arrays']['points'])
+    assert (points[2] == 32767).all()
+
+
+def test_no_text_of_an_input_becomes_html(scene: Scene) -> None:
+    page = build_page(scene)
+    assert page.count('</script>') == 4
+    assert '<b>en' not in page
+    assert '<title>two &lt;/script&gt; people</title>' in page
+    assert json.loads(read_element(page, 'scene'))['people'][1]['id'] == '<b>en'
+
+
+def test_the_page_needs_no_other_file_and_no_network(scene: Scene) -> None:
+    page = build_page(scene)
+    assert "default-src 'none'" in page
+    assert not re.search(r'(src|href)=["\']', page)
+    assert '@license' in page
+    assert 'three.js authors' in (FILES / 'three.LICENSE').read_text(encoding='utf-8')
+
+
+def test_the_bundle_is_the_one_that_the_lock_file_makes() -> None:
+    """`make page` bundles it again and compares it with the same sum."""
+    recorded, path = (ROOT / 'config' / 'page' / 'three.sha256').read_text(encoding='utf-8').split()
+    assert hashlib.sha256((ROOT / path).read_bytes()).hexdigest() == recorded
+    lock = json.loads((ROOT / 'config' / 'page' / 'package-lock.json').read_text(encoding='utf-8'))
+    packages = {name: package for name, package in lock['packages'].items() if name}
+    assert all(package['integrity'].startswith('sha512-') for package in packages.values())
+    assert f'"{packages["node_modules/three"]["version"].split(".")[1]}"' in (FILES / 'three.js').read_text(
+        'utf-8'
+    )
+
+
+def test_the_page_of_a_minute_is_small() -> None:
+    """The arrays of a person take about 5 kB a second, and the rest of the page 0.56 MB."""
+    length = len(build_page(make_scene(1800)))
+    assert length < 1_200_000
+
+
+def test_chromium_draws_the_page(scene: Scene, tmp_path: Path) -> None:
+    with open_browser() as page:
+        write_and_open(page, tmp_path / 'page.html', build_page(scene))
+        page.wait_for_selector('body[data-ready]')
+        assert page.title() == scene.title
+        first, unsure, last = (page.evaluate(f'mocapPage.showTime({time})') for time in scene.times[[0, 4, -1]])
+        picture = page.screenshot(path=tmp_path / 'page.png')
+        image = page.locator('#image-view').screenshot()
+        curves = page.locator('#curves-view').screenshot()
+        page.evaluate('mocapPage.play()')
+        before = page.evaluate('mocapPage.pictures()')
+        deadline = time.monotonic() + TIMEOUT_S
+        # Playwright's own wait needs eval, which the page forbids
+        while page.evaluate('mocapPage.pictures()') < before + 3:
+            assert time.monotonic() < deadline
+            page.wait_for_timeout(50)
+    assert first['frame'] == 0
+    assert [person['id'] for person in first['people']] == ['anna']
+    assert (first['jointsDrawn'], first['bonesDrawn'], first['cloudsDrawn']) == (15, 14, 15)
+    assert (unsure['jointsDrawn'], unsure['cloudsDrawn']) == (15, 0)
+    assert last['frame'] == len(scene.stamps_ns) - 1
+    assert [person['id'] for person in last['people']] == ['anna', '<b>en']
+    assert np.abs(np.array(last['people'][1]['joints']) - scene.people[1].joints[-1]).max() < 0.001
+    assert count_colours(picture) > 100
+    assert count_colours(image) > 10
+    assert count_colours(curves) > 10
+
+
+def test_a_page_that_was_cut_off_says_so(scene: Scene, tmp_path: Path) -> None:
+    page_text = build_page(scene)
+    data = read_element(page_text, 'data')
+    with open_browser() as page:
+        write_and_open(page, tmp_path / 'page.html', page_text.replace(data, data[: len(data) // 2]))
+        page.wait_for_selector('#fault:not([hidden])')
+        assert 'cannot be shown' in page.inner_text('#fault')

@@ -1,0 +1,74 @@
+"""What the scene says besides what it was given: undone swaps, colours, and the space that it fills."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocap_ros.skeleton import CMU15
+from mocap_ros.viewing.scene import choose_joint_colours, find_undone_swaps, image_corners, list_colour_key
+from tests.support.scenes import INTRINSICS, make_keypoints, make_scene, make_scene_person
+
+MIRROR = list(CMU15.mirror)
+LEGS = [CMU15.index(side + joint) for side in 'lr' for joint in ('hip', 'knee', 'ankle')]
+
+
+@pytest.mark.parametrize('joints', [list(range(15)), LEGS], ids=['whole body', 'legs'])
+def test_an_undone_swap_is_found_in_its_frames_only(joints: list[int]) -> None:
+    person = make_scene_person('anna', range(10), (0.0, 0.0, 4.0))
+    keypoints = make_keypoints([person])
+    assert not find_undone_swaps(person, [keypoints]).any()
+    points = keypoints.points.copy()
+    points[4:6, joints] = keypoints.points[4:6, [MIRROR[joint] for joint in joints]]
+    found = find_undone_swaps(person, [replace(keypoints, points=points)])
+    assert np.flatnonzero(found).tolist() == [4, 5]
+
+
+def test_a_swap_of_somebody_else_is_not_taken_for_the_persons() -> None:
+    anna = make_scene_person('anna', range(10), (-0.7, 0.0, 4.0))
+    ben = make_scene_person('ben', range(10), (0.7, 0.0, 4.0))
+    own, other = make_keypoints([anna]), make_keypoints([ben])
+    other = replace(other, points=other.points[:, MIRROR])
+    assert not find_undone_swaps(anna, [other, own]).any()
+    assert find_undone_swaps(ben, [own, other]).all()
+
+
+def test_noise_is_no_swap() -> None:
+    person = make_scene_person('anna', range(200), (0.0, 0.0, 4.0))
+    keypoints = make_keypoints([person])
+    noise = np.random.default_rng(0).normal(0, 4, keypoints.points.shape)  # px; a person of 260 px
+    assert not find_undone_swaps(
+        person, [replace(keypoints, points=keypoints.points + noise.astype(np.float32))]
+    ).any()
+
+
+def test_a_person_whom_nobody_detected_has_no_swaps() -> None:
+    person = make_scene_person('anna', [5, 6], (0.0, 0.0, 4.0))
+    assert not find_undone_swaps(person, []).any()
+    elsewhere = replace(make_keypoints([person]), frames=np.array([7, 8]))
+    assert not find_undone_swaps(person, [elsewhere]).any()
+
+
+def test_people_are_told_apart_by_colour_and_the_sides_of_one_person_too() -> None:
+    two = make_scene()
+    colours = [choose_joint_colours(two, index) for index in (0, 1)]
+    assert not set(colours[0]) & set(colours[1])
+    one = replace(two, people=two.people[:1])
+    left, right = (choose_joint_colours(one, 0)[CMU15.index(joint)] for joint in ('lknee', 'rknee'))
+    assert {('left', left), ('right', right)} <= set(list_colour_key(one))
+
+
+def test_the_corners_of_the_picture_of_the_camera_are_those_of_the_image() -> None:
+    corners = image_corners((640, 480), INTRINSICS)
+    assert INTRINSICS.project(corners) == pytest.approx(np.array([[0, 0], [640, 0], [640, 480], [0, 480]]))
+
+
+def test_the_space_holds_the_people() -> None:
+    scene = make_scene()
+    assert scene.centre == pytest.approx([0, 0.1, 4.5], abs=0.5)
+    assert 1.5 < scene.extent < 3
+    assert scene.floor_y == pytest.approx(0.95, abs=0.15)
+    empty = replace(scene, people=())
+    assert np.isfinite([*empty.centre, empty.extent, empty.floor_y]).all()
