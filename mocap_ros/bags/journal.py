@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
@@ -149,6 +150,10 @@ class Journal:
         message = RecordedMessage(topic, msgtype, raw, *times_ns)
         return [*before, message, self._make_record(entry, times_ns[0])]
 
+    def skip_inputs(self, count: int) -> None:
+        """Count this many inputs that came before, as those of the earlier parts of a bag that was cut."""
+        self._input_count += count
+
     def mark_last_input_lost(self) -> None:
         """Count the last input as lost because its records were not written; the next input reports the loss."""
         self._input_count -= 1
@@ -175,12 +180,14 @@ class RecordedRun(NamedTuple):
         skipped_inputs: Numbers of the inputs that never reached the tracker.
         events: Resets and changes of parameters, by the number of the input before them.
         lost_count: Number of inputs that reached the tracker but are not in the bag.
+        input_topics: Topics of the inputs; empty where there is no journal.
     """
 
     parameters: dict[str, Value]
     skipped_inputs: set[int]
     events: dict[int, list[Entry]]
     lost_count: int
+    input_topics: AbstractSet[str] = frozenset()
 
 
 def read_run(bag: Bag) -> RecordedRun:
@@ -193,6 +200,7 @@ def read_run(bag: Bag) -> RecordedRun:
     run = RecordedRun({}, set(), {}, 0)
     inputs_before = -1  # inputs in earlier files, where the bag is a later file of a split one; -1 until known
     events: list[Entry] = []
+    input_topics: set[str] = set()
     for message in bag.messages(topics):
         try:
             entry = decode_entry(message.raw)
@@ -201,6 +209,7 @@ def read_run(bag: Bag) -> RecordedRun:
         if entry.kind == LOST:
             run = run._replace(lost_count=run.lost_count + int(entry.parameters.get(LOST, 0)))
         elif entry.kind == INPUT:
+            input_topics.add(entry.topic)
             if inputs_before < 0:
                 inputs_before = entry.number - 1
             if entry.verdict is Verdict.BACKLOG:
@@ -213,4 +222,4 @@ def read_run(bag: Bag) -> RecordedRun:
             run.parameters.update(entry.parameters)
         else:
             run.events.setdefault(number, []).append(entry)
-    return run
+    return run._replace(input_topics=input_topics)

@@ -26,6 +26,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import typestore
 from mocap_ros.messages.versions import Convert, VersionConverter, convert_or_keep, make_ros1_converter
+from mocap_ros.units import NS_PER_S
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -59,7 +60,8 @@ class Bag:
     their type are returned as they are; whoever decodes them reports them.
 
     Args:
-        path: Folder with a metadata.yaml, or a .mcap, .db3 or .bag file.
+        path: Folder with a metadata.yaml, or a .mcap, .db3 or .bag file. Bags in MCAP may be on another file
+            system, as an object with the methods of a path (`upath.UPath`).
 
     Attributes:
         path: Path of the bag.
@@ -69,7 +71,7 @@ class Bag:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path = Path(path) if isinstance(path, str) else path
         self._is_ros1 = self.path.suffix == ROS1_SUFFIX
         if self.path.exists() and not (self.path.is_dir() or self.path.is_file()):
             raise InputError(f'{self.path}: neither a file nor a folder')
@@ -131,12 +133,24 @@ class Bag:
             raise InputError(f'{self.path}: the bag has several CameraInfo topics, choose one: {", ".join(best)}')
         return best[0] if best else None
 
-    def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
+    @property
+    def duration_s(self) -> float:
+        """Time in s between the first and the last message."""
+        return float(self._reader.duration / NS_PER_S)
+
+    def messages(
+        self, topics: Collection[str], start_ns: int | None = None, stop_ns: int | None = None
+    ) -> Iterator[BagMessage]:
         """Yield the messages of the topics in the order of their log times.
+
+        Args:
+            topics: The topics.
+            start_ns: Log time before which messages are left out, in ns; None to begin with the first.
+            stop_ns: Log time from which on messages are left out, in ns; None to end with the last.
 
         Raises:
             InputError: The bag is damaged, holds a message type that cannot be converted, or holds fewer messages
-                than it states; the last error is raised after all messages.
+                than it states; the last error is raised after all messages, and only if the whole bag is read.
         """
         connections = [c for c in self._connections() if c.topic in topics]
         if not connections:
@@ -144,7 +158,7 @@ class Bag:
         converters = {c.id: self._make_converter(c) for c in connections}
         message_count = 0
         try:
-            for connection, time_ns, raw in self._reader.messages(connections):
+            for connection, time_ns, raw in self._reader.messages(connections, start_ns, stop_ns):
                 message_count += 1
                 data = converters[connection.id](raw)
                 yield BagMessage(connection.topic, connection.msgtype, time_ns, data)
@@ -153,7 +167,8 @@ class Bag:
         except Exception as error:  # the reader of a damaged file may raise anything
             raise self._make_read_error(error) from None
         expected = self.count(topics)
-        if message_count < expected:
+        is_whole = start_ns is None and stop_ns is None
+        if is_whole and message_count < expected:
             self._raise_fault(f'only {message_count} of {expected} messages on {", ".join(topics)} could be read')
 
     def _connections(self) -> list[Connection]:

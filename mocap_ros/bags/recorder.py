@@ -37,7 +37,7 @@ from mocap_ros.bags.rosbag2 import (
     make_topic,
 )
 from mocap_ros.config import RecorderConfig
-from mocap_ros.errors import RecordingError
+from mocap_ros.errors import DiskFull, RecordingError
 from mocap_ros.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -302,7 +302,7 @@ class Recorder:
         free_bytes = shutil.disk_usage(self.folder).free
         if free_bytes < self._config.min_free_mb * MB:
             self.close()
-            raise RecordingError(
+            raise DiskFull(
                 f'{self.folder}: the disk has {free_bytes // MB} MB left, '
                 f'less than recorder.min_free_mb ({self._config.min_free_mb})'
             )
@@ -318,7 +318,8 @@ class Recorder:
                 'the file was removed or moved while it was written' if was_removed else error.strerror or error
             )
             self._finish_after_failure()
-            raise RecordingError(f'{error.filename or self.folder}: {reason}') from None
+            kind = DiskFull if error.errno in (errno.ENOSPC, errno.EDQUOT) else RecordingError
+            raise kind(f'{error.filename or self.folder}: {reason}') from None
 
     def _finish_after_failure(self) -> None:
         """Finish the bag with the data that have reached the disk, unless the disk fails again."""

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from enum import Enum
 
 from mocap_ros.bags.reader import Bag
+from mocap_ros.config import NodeConfig
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
+from mocap_ros.messages.transforms import TRANSFORMS
 
 TRACKED_SUFFIX = '/bodies/tracked'  # end of the ROS4HRI topic that lists the ids of the tracked bodies
 BODY_SUFFIX = '/skeleton2d'  # end of the ROS4HRI topics that carry the 2D keypoints of one body each
@@ -25,32 +28,62 @@ class Source(Enum):
         CAMERA_INFO: The calibration of the camera.
         TRACKED_BODIES: The ids of the tracked bodies (ROS4HRI).
         BODY: The 2D keypoints of one body (ROS4HRI).
+        TRANSFORMS: Transforms between coordinate frames, each at its time.
+        STATIC_TRANSFORMS: Transforms that hold at all times.
     """
 
     KEYPOINTS = 'keypoints'
     CAMERA_INFO = 'camera_info'
     TRACKED_BODIES = '/humans/bodies/tracked'
     BODY = '/humans/bodies'
+    TRANSFORMS = '/tf'
+    STATIC_TRANSFORMS = '/tf_static'
 
 
 PEOPLE_SOURCES = (Source.KEYPOINTS, Source.TRACKED_BODIES, Source.BODY)  # the sources that describe people
+TRANSFORM_SOURCES = (Source.TRANSFORMS, Source.STATIC_TRANSFORMS)  # the sources that say where the camera is
 
 
-def list_input_types(keypoints_type: str) -> dict[Source, str]:
+def list_input_types(keypoints_type: str, *, reads_transforms: bool = False) -> dict[Source, str]:
     """Return the message type of every input, given the message type of the keypoints.
 
     Args:
         keypoints_type: Value of the parameter `node.input_type`.
+        reads_transforms: Whether transforms are among the inputs.
 
     Raises:
         ConfigError: Messages of this type are not supported as keypoints.
     """
+    others = {Source.CAMERA_INFO: CAMERA_INFO}
+    if reads_transforms:
+        others |= dict.fromkeys(TRANSFORM_SOURCES, TRANSFORMS)
     if keypoints_type == HRI_SKELETON:
-        return {Source.TRACKED_BODIES: HRI_IDS, Source.BODY: HRI_SKELETON, Source.CAMERA_INFO: CAMERA_INFO}
+        return {Source.TRACKED_BODIES: HRI_IDS, Source.BODY: HRI_SKELETON, **others}
     if keypoints_type not in KEYPOINT_TYPES:
         supported = ', '.join((*KEYPOINT_TYPES, HRI_SKELETON))
         raise ConfigError(f'node.input_type {keypoints_type!r} is not supported; choose one of {supported}')
-    return {Source.KEYPOINTS: keypoints_type, Source.CAMERA_INFO: CAMERA_INFO}
+    return {Source.KEYPOINTS: keypoints_type, **others}
+
+
+def reads_transforms(node: NodeConfig) -> bool:
+    """Return whether the outputs need the transforms on /tf and /tf_static."""
+    return bool(node.output_frame and not node.camera_pose)
+
+
+def find_transform_topics(bag: Bag, node: NodeConfig, recorded: AbstractSet[str]) -> dict[str, Source]:
+    """Return the sources of the topics of transforms in a bag that are inputs; their names end as in ROS.
+
+    Args:
+        bag: Bag to search.
+        node: Parameters, which say whether transforms are needed.
+        recorded: Topics that were inputs of the recorded run, which counted their messages.
+    """
+    return {
+        topic: source
+        for topic in bag.topics_of_type([TRANSFORMS])
+        for source in TRANSFORM_SOURCES
+        if topic.endswith(source.value) and (reads_transforms(node) or topic in recorded)
+    }
 
 
 def make_body_topic(tracked_topic: str, body_id: str) -> str:

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,16 +20,21 @@ from numpy.typing import NDArray
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.cli.options import parse_positive
+from mocap_ros.config import Config
 from mocap_ros.demo.scene import motion_name_at
 from mocap_ros.errors import MocapError
 from mocap_ros.evaluation import metrics
 from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.formats.text_files import guard_output
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.load_keypoints import load_sequence_file
+from mocap_ros.runtime.load_scene import SceneOptions, load_scene, select_true_joints
 from mocap_ros.skeleton import CMU15, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing import plots
+from mocap_ros.viewing.page import build_page
+from mocap_ros.viewing.scene import Scene
 
 Array = NDArray[np.float64]
 
@@ -42,7 +48,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         'Starts the node in a process of its own, plays the embedded synthetic recording to it over '
         'ROS 2 topics at the recorded pace, records the outputs in a bag, and draws the result beside the input '
-        'and the truth.'
+        'and the truth, as a picture and as a page that any browser opens.'
     )
     parser.add_argument(
         '-o',
@@ -50,7 +56,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path('demo_output'),
         metavar='FOLDER',
-        help='folder for the bag and the picture',
+        help='folder for the bag, the picture and the page',
     )
     parser.add_argument(
         '--rate',
@@ -97,7 +103,13 @@ def run(args: argparse.Namespace) -> int:
     joints, inferred = read_first_person(new_bags[-1], sequence)
     picture = args.output / 'demo.png'
     _draw_picture(sequence, joints, inferred, picture)
-    _print_report(sequence, joints, new_bags[-1], picture)
+    page = args.output / 'demo.html'
+    with guard_output(page):
+        page.write_text(build_page(load_demo_scene(new_bags[-1], sequence)), encoding='utf-8')
+    print(f'Bag:     {new_bags[-1]}')
+    print(f'Picture: {picture}')
+    print(f'Page:    {page} (opens in any browser)')
+    _print_report(sequence, joints, new_bags[-1])
     return 0
 
 
@@ -172,14 +184,25 @@ def _draw_picture(sequence: KeypointSequence, joints: Array, inferred: NDArray[n
     plots.save_figure(plots.draw_poses_figure(result, frames, title, labels), picture)
 
 
-def _print_report(sequence: KeypointSequence, joints: Array, bag: Path, picture: Path) -> None:
-    """Print the paths of the bag and the picture, and the error of the joints.
+def load_demo_scene(bag: Path, sequence: KeypointSequence) -> Scene:
+    """Return what the page shows of a bag that the node recorded, with the truth of the sequence played to it."""
+    scene, _ = load_scene(bag, SceneOptions(Config(), models={}))
+    truth = np.full((len(scene.stamps_ns), len(CMU15.joints), 3), np.nan, np.float32)
+    if sequence.truth is not None:
+        true_joints = select_true_joints(sequence.truth.joints, sequence.truth.joint_names)
+        frame_of = {stamp: frame for frame, stamp in enumerate(scene.stamps_ns)}
+        for frame, stamp in enumerate(sequence.stamps_ns):
+            if true_joints is not None and stamp in frame_of:
+                truth[frame_of[stamp]] = true_joints[frame]
+    return replace(scene, title='Live 3D reconstruction of the synthetic demo', truth=truth)
+
+
+def _print_report(sequence: KeypointSequence, joints: Array, bag: Path) -> None:
+    """Print the error of the joints.
 
     Raises:
         MocapError: the bag has no skeletons.
     """
-    print(f'Bag:     {bag}')
-    print(f'Picture: {picture}')
     if sequence.truth is None:
         return
     errors = metrics.compute_errors(joints, sequence.truth.joints, fps=30.0)

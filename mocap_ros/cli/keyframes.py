@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
-
-import yaml
 
 from mocap_ros.cli.keypoint_input import (
     add_input_options,
@@ -21,21 +18,12 @@ from mocap_ros.formats.text_files import check_output, guard_output
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
 from mocap_ros.offline.keyframes.reconstruct import find_keyframes, find_suspect_points
 from mocap_ros.offline.keyframes.shots import observe_shots
+from mocap_ros.runtime.save_keyframes import format_yaml, list_keyframe_entries
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.keyframe_plots import draw_distances_figure, draw_keyframes_figure
 
 MAX_PRINTED_SPANS = 6  # spans of a keyframe in its line of the table, so that the line fits a wide terminal
-# The comment above the keyframes in the YAML file.
-HEADER = """\
-# Keyframes of {name}. time: s from the beginning of the sequence; represents: number of frames that the
-# keyframe represents; spans: first and last time of every run of these frames, s.
-# To compute the 3D pose of a keyframe by Taylor's method, add to it the outer joints of the limbs that point
-# towards the camera (the other limbs point away), and optionally the scale in px per m, for example:
-#     forward: [lelbow, lwrist]
-#     scale: 250
-# Then run: mocap-ros reconstruct --method keyframes --choices THIS_FILE
-"""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -84,39 +72,6 @@ def run(args: argparse.Namespace) -> int:
     print_table(observed, keyframes)
     print(*(str(path) for path in (output, *pictures)), sep='\n')
     return 0
-
-
-def list_keyframe_entries(
-    observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet]
-) -> list[dict[str, Any]]:
-    """Return the entry of every keyframe in the YAML file, upper body first, sorted by time.
-
-    Returns:
-        Mappings with the keys `half` (upper or lower), `time` (s from the beginning), `represents` (number of
-        frames) and `spans` (pairs of times in s).
-    """
-    times = observed.times - observed.times[0]
-    return [
-        {
-            'half': half.body_half.name,
-            'time': round(float(times[half.frames[key]]), 6),
-            'represents': int((half.assignment == key).sum()),
-            'spans': [
-                [round(float(times[first]), 3), round(float(times[last]), 3)]
-                for first, last in half.find_runs(int(key))
-            ],
-        }
-        for half in keyframes
-        for key in half.chronological_order
-    ]
-
-
-def format_yaml(observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet], name: str) -> str:
-    """Return the text of the YAML file of keyframes, which `reconstruct --choices` reads."""
-    content = yaml.safe_dump(
-        {'keyframes': list_keyframe_entries(observed, keyframes)}, sort_keys=False, default_flow_style=None
-    )
-    return HEADER.format(name=' '.join(name.split())) + content
 
 
 def print_table(observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet]) -> None:

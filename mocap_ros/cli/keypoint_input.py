@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,14 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.cli.options import parse_positive
+from mocap_ros.cli.progress import show_progress
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX, KeypointSequence
+from mocap_ros.formats.video import VideoImage
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models, load_prior_lifter
-from mocap_ros.runtime.load_keypoints import load_input
+from mocap_ros.runtime.load_keypoints import load_input, load_people
 from mocap_ros.skeleton import LAYOUT_NAMES
 
 Array = NDArray[np.float64]
@@ -37,13 +39,20 @@ def add_model_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_input_options(parser: argparse.ArgumentParser) -> None:
-    """Add the input file and the options that describe its keypoints."""
+def add_input_options(parser: argparse.ArgumentParser, is_required: bool = True) -> None:
+    """Add the input file and the options that describe its keypoints.
+
+    Args:
+        parser: parser of the subcommand.
+        is_required: whether there must be an input.
+    """
     parser.add_argument(
         'input',
         type=Path,
         metavar='IN',
-        help='sequence file (.npz), bag, folder of OpenPose JSON, or COCO keypoints (.json)',
+        nargs=None if is_required else '?',
+        help='sequence file (.npz), bag, folder of OpenPose JSON, COCO keypoints (.json), or video'
+        + ('' if is_required else ' (default: none)'),
     )
     parser.add_argument(
         '--person',
@@ -53,6 +62,11 @@ def add_input_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--topic', metavar='NAME', help='topic of the keypoints in a bag (default: the only one in the bag)'
     )
+    add_video_options(parser)
+
+
+def add_video_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options for what JSON files do not state."""
     parser.add_argument(
         '--fps',
         type=parse_positive,
@@ -70,6 +84,13 @@ def add_input_options(parser: argparse.ArgumentParser) -> None:
         choices=LAYOUT_NAMES,
         help='keypoint layout of JSON (default: the layout with that number of keypoints)',
     )
+    parser.add_argument(
+        '--detector',
+        type=Path,
+        metavar='FILE',
+        help='model that finds the keypoints in a video, as for `mocap-ros detect --model` (default: the one that '
+        'comes with MediaPipe 0.10.14)',
+    )
 
 
 def load_input_sequence(args: argparse.Namespace, config: Config) -> KeypointSequence:
@@ -80,11 +101,25 @@ def load_input_sequence(args: argparse.Namespace, config: Config) -> KeypointSeq
     Raises:
         InputError: the input cannot be used; the message names the place.
     """
-    video = Video(args.fps, args.image_size, args.layout or '')
-    sequence, lines = load_input(args.input, video, config.node, args.person, args.topic)
+    video = Video(args.fps, args.image_size, args.layout or '', args.detector)
+    sequence, lines = load_input(args.input, video, config.node, args.person, args.topic, show_detection_progress)
     for line in lines:
         print(f'mocap-ros: {line}', file=sys.stderr)
     return sequence
+
+
+def load_input_people(args: argparse.Namespace, config: Config) -> list[KeypointSequence]:
+    """Load the sequences of all people in the input, as `load_input_sequence` loads that of one."""
+    video = Video(args.fps, args.image_size, args.layout or '', args.detector)
+    sequences, lines = load_people(args.input, video, config.node, args.topic, show_detection_progress)
+    for line in lines:
+        print(f'mocap-ros: {line}', file=sys.stderr)
+    return sequences
+
+
+def show_detection_progress(images: Iterable[VideoImage], count: int | None) -> Iterable[VideoImage]:
+    """Show how many of the images of a video the detector has seen."""
+    return show_progress(images, 'detect', count)
 
 
 def _parse_image_size(text: str) -> tuple[int, int]:

@@ -20,10 +20,13 @@ from mocap_ros.runtime.cpu_setup import configure_process
 COMMANDS = {
     'demo': 'run the live node on the embedded recording',
     'reconstruct': 'reconstruct a whole sequence in 3D',
+    'detect': 'find 2D keypoints in a video or the images of a camera',
     'replay': 'run the live pipeline over bags',
+    'batch': 'replay or reconstruct many recordings, on the cores of a machine or on a cluster',
     'play': 'publish recorded keypoints at the recorded pace',
     'recover': 'recover the messages of a bag that was cut off or damaged',
     'keyframes': 'summarise a long sequence by a few poses',
+    'view': 'show any recording or result in 3D over time, also as a page for any browser',
     'plot': 'draw a picture of the 2D input and the 3D result',
     'evaluate': 'print the errors of a reconstruction against the truth',
     'train': 'train base poses from motion capture',

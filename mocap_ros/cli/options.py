@@ -45,6 +45,13 @@ def parse_positive(text: str) -> float:
     return value
 
 
+def parse_count(text: str) -> int:
+    """Parse a positive whole number for argparse."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f'{text!r} is not a positive whole number')
+    return int(text)
+
+
 def load_config(args: argparse.Namespace) -> Config:
     """Load the configuration that the options of `add_config_options` describe.
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from mocap_ros.cli.keypoint_input import (
     add_input_options,
     add_model_option,
     extract_observations,
+    load_input_people,
     load_input_sequence,
     load_models,
     name_file_in_errors,
@@ -31,6 +33,7 @@ from mocap_ros.offline.keyframes.taylor import DepthChoice, parse_depth_choices
 from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence
 from mocap_ros.runtime import save_results
 
+MAX_ENDING = 64  # characters of a person's id in the name of a file
 MAX_CHOICES_BYTES = 16 << 20  # bytes; guards against parsing a huge file as keyframes
 
 
@@ -38,17 +41,28 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Describe the subcommand and add its options."""
     parser.description = (
         'Reconstructs one person over a whole sequence, so that every frame supports the others. The '
-        'input is a sequence file, a bag, OpenPose JSON or COCO keypoints. The ending of the output file selects '
-        'its format: .npz, .csv, .mcap (a bag of skeletons, cameras and markers), .bvh (for animation, in cm) or '
-        '.trc (for OpenSim, in mm). In .bvh and .trc, y points up and the frame rate is constant.'
+        'input is a sequence file, a bag, OpenPose JSON, COCO keypoints or a video. The ending of the output file '
+        'selects its format: .npz, .csv, .mcap (a bag of skeletons, cameras and markers), .bvh (for animation, in '
+        'cm), .angles.csv (joint angles), or for OpenSim .trc (markers, in mm), .mot (joint angles) and .osim (a '
+        'model with the bones of the person). In .bvh and the files for OpenSim, y points up and the frame rate '
+        'is constant.'
     )
     add_input_options(parser)
+    parser.add_argument(
+        '--all-people',
+        action='store_true',
+        help='reconstruct every person who is seen in ten frames or more, into files whose names end with the '
+        "person's id (default: one person)",
+    )
     parser.add_argument(
         '-o',
         '--output',
         type=Path,
+        action='append',
+        default=[],
         metavar='OUT',
-        help=f'file to write: {", ".join(save_results.SUFFIXES)} (default: IN_3d.npz in the current folder)',
+        help=f'file to write: {", ".join(save_results.SUFFIXES)}; may be repeated (default: IN_3d.npz in the '
+        'current folder)',
     )
     parser.add_argument(
         '--method',
@@ -71,36 +85,73 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Reconstruct the input, save the result, and print its residual."""
-    output = args.output or Path(f'{derive_output_stem(args.input)}_3d.npz')
-    if output.suffix not in save_results.SUFFIXES:
-        raise InputError(f'{output}: unknown file type; expected {", ".join(save_results.SUFFIXES)}')
-    check_output(output, args.input, *list_bag_files(args.input))
-    config = load_config(args)
-    models = load_models(args, config)
-    sequence = load_input_sequence(args, config)
+    outputs = args.output or [Path(f'{derive_output_stem(args.input)}_3d.npz')]
+    for output in outputs:
+        if not save_results.find_suffix(output):
+            raise InputError(f'{output}: unknown file type; expected {", ".join(save_results.SUFFIXES)}')
+        check_output(output, args.input, *list_bag_files(args.input))
+    if args.all_people and args.person is not None:
+        raise InputError(f'{args.input}: --person and --all-people exclude each other')
     if args.choices is not None and args.method != 'keyframes':
         raise InputError(f'{args.choices}: --choices needs --method keyframes')
+    config = load_config(args)
+    models = load_models(args, config)
+    if args.all_people:
+        sequences = load_input_people(args, config)
+        endings = choose_endings([sequence.person_id for sequence in sequences])
+    else:
+        sequences, endings = [load_input_sequence(args, config)], ['']
+    for sequence, ending in zip(sequences, endings, strict=True):
+        _reconstruct_and_save(args, sequence, models, config, [add_ending(path, ending) for path in outputs])
+    return 0
+
+
+def choose_endings(person_ids: Sequence[str]) -> list[str]:
+    """Return endings of file names, one for each person, which differ and hold no character that paths do not."""
+    endings: list[str] = []
+    for person_id in person_ids:
+        ending = '_' + re.sub(r'[^A-Za-z0-9_-]', '_', person_id)[:MAX_ENDING]
+        taken = sum(other == ending or other.startswith(f'{ending}.') for other in endings)
+        endings.append(f'{ending}.{taken + 1}' if taken else ending)
+    return endings
+
+
+def add_ending(path: Path, ending: str) -> Path:
+    """Return a path whose name has an ending before the suffix that selects the format."""
+    suffix = save_results.find_suffix(path)
+    return path.with_name(path.name.removesuffix(suffix) + ending + suffix)
+
+
+def _reconstruct_and_save(
+    args: argparse.Namespace,
+    sequence: KeypointSequence,
+    models: Mapping[str, BasePoses],
+    config: Config,
+    outputs: Sequence[Path],
+) -> None:
+    """Reconstruct one person, write the files, and print a line about each."""
     if args.method == 'keyframes':
         result, summary = _reconstruct_by_keyframes(args, sequence, models, config)
     else:
         with name_file_in_errors(args.input):
             result = reconstruct_file(sequence, models, config)
         summary = f'{result.solution.iterations} iterations'
-    with guard_output(output, args.input, *list_bag_files(args.input)):
-        save_results.save(output, save_results.ReconstructedSequence(sequence, result))
+    for output in outputs:
+        with guard_output(output, args.input, *list_bag_files(args.input)):
+            save_results.save(output, save_results.ReconstructedSequence(sequence, result))
     solution = result.solution
     warning = '' if solution.success else f'. {solution.message}'
     missing = int(np.isnan(result.joints).any(axis=(1, 2)).sum())
     if missing:
         line = f'{missing} frames before the first and after the last sight of the person have no skeleton'
         print(f'mocap-ros: {args.input}: {line}', file=sys.stderr)
-    print(
-        f'{output}: {len(sequence)} frames, base poses {result.category}, residual '
-        f'{np.nanmean(solution.residual):.2f} px, {summary}{warning}'
-    )
-    if output.suffix == '.bvh':
-        print(f'{output}: in cm, y up, as for a level camera. In Blender: {BLENDER_IMPORT}')
-    return 0
+    for output in outputs:
+        print(
+            f'{output}: {len(sequence)} frames, base poses {result.category}, residual '
+            f'{np.nanmean(solution.residual):.2f} px, {summary}{warning}'
+        )
+        if output.suffix == '.bvh':
+            print(f'{output}: in cm, y up, as for a level camera. In Blender: {BLENDER_IMPORT}')
 
 
 def _reconstruct_by_keyframes(

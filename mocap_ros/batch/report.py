@@ -1,0 +1,84 @@
+"""What comes out of a run besides the results: a table, a picture and a summary on the terminal."""
+
+from __future__ import annotations
+
+import io
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import pyarrow as pa
+from pyarrow import parquet
+
+from mocap_ros.batch.job import COLUMNS, Outcome, Settings, Status
+from mocap_ros.batch.storage import join_url, write_whole
+from mocap_ros.config import to_yaml
+from mocap_ros.people import MotionKind
+from mocap_ros.viewing.corpus_plot import draw_corpus_figure
+
+TABLE = 'table.parquet'  # file of the table in the folder of the run
+PICTURE = 'summary.png'  # file of the picture
+MOTIONS = tuple(kind.name.lower() for kind in MotionKind)  # kinds of motion, as columns of the table name them
+
+
+def save_report(outcomes: Sequence[Outcome], settings: Settings) -> list[str]:
+    """Write the table and the picture of a run, and return their URLs.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    table, picture = join_url(settings.out, TABLE), join_url(settings.out, PICTURE)
+    write_whole(table, encode_table(outcomes, to_yaml(settings.config) if settings.config else ''))
+    rows = _list_appearances(outcomes)
+    figure = draw_corpus_figure(
+        {kind.replace('_', ' '): sum(row[f'{kind}_s'] for row in rows) for kind in MOTIONS},
+        [row['cadence_hz'] for row in rows if row['cadence_hz'] is not None],
+        [row['residual_px'] for row in rows if row['residual_px'] is not None],
+        [outcome.seconds for outcome in outcomes if outcome.status is not Status.FAILED],
+    )
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format='png', facecolor='white')
+    write_whole(picture, buffer.getvalue())
+    return [table, picture]
+
+
+def _list_appearances(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Return the rows of the table that describe an appearance."""
+    return [row for outcome in outcomes for row in outcome.rows if row['from_ns'] is not None]
+
+
+def encode_table(outcomes: Sequence[Outcome], parameters: str) -> bytes:
+    """Return the table of a run as a Parquet file: a row for each appearance of a person.
+
+    Args:
+        outcomes: what became of the recordings.
+        parameters: the parameter file of the run, which the file holds as metadata.
+    """
+    schema = pa.schema([(name, pa.type_for_alias(kind)) for name, kind in COLUMNS.items()])
+    rows = [row for outcome in sorted(outcomes, key=lambda o: o.job.recording.name) for row in outcome.rows]
+    table = pa.Table.from_pylist(rows, schema=schema.with_metadata({'mocap_ros.yaml': parameters}))
+    buffer = io.BytesIO()
+    parquet.write_table(table, buffer, compression='zstd')
+    return buffer.getvalue()
+
+
+def summarise(outcomes: Sequence[Outcome], wall_seconds: float) -> list[str]:
+    """Return the lines of the summary: what became of the recordings, who was seen, and what it cost.
+
+    Args:
+        outcomes: what became of the recordings.
+        wall_seconds: s that the run took.
+    """
+    counts = Counter(outcome.status for outcome in outcomes)
+    rows = _list_appearances(outcomes)
+    shown = {kind: sum(row[f'{kind}_s'] for row in rows) for kind in MOTIONS}
+    work = sum(outcome.seconds for outcome in outcomes if outcome.status is Status.DONE)
+    people = (
+        f'{len(rows)} appearances of people: {shown["periodic"]:.0f} s walking or running, '
+        f'{shown["non_periodic"]:.0f} s in other motion, {shown["unknown"]:.0f} s not classified'
+    )
+    return [
+        ', '.join(f'{count} {status.value}' for status, count in sorted(counts.items())),
+        people,
+        f'{work:.0f} CPU seconds of work in {wall_seconds:.0f} s',
+    ]

@@ -1,0 +1,143 @@
+"""`mocap-ros batch`: replay, reconstruct or summarise many recordings, on this machine or on a cluster."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tqdm import tqdm
+
+from mocap_ros.cli.keypoint_input import add_video_options
+from mocap_ros.cli.options import add_config_options, load_config, parse_positive
+from mocap_ros.errors import InputError, MocapError
+from mocap_ros.formats.detections import Video
+from mocap_ros.runtime.save_results import SUFFIXES
+
+if TYPE_CHECKING:
+    from mocap_ros.batch.job import Outcome, Settings
+
+GB = 1_000_000_000  # bytes; the unit of --copy-limit
+MINUTE_S = 60.0  # s; the unit of --cut
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Describe the subcommand and add its options."""
+    parser.description = (
+        'Replays every bag, or reconstructs or summarises every recording, that a folder, a pattern or a list '
+        'names. Each is a task of Dask, which uses the cores of this machine or the workers of a running '
+        'scheduler. Inputs and outputs may be URLs, such as s3://bucket/folder. What was done before is not done '
+        'again, so a run that was stopped goes on. Needs: pip install "mocap_ros[cluster]".'
+    )
+    parser.add_argument(
+        'source', metavar='FOLDER|GLOB|LIST', help='folder to search, pattern, or text file (.txt) of these'
+    )
+    parser.add_argument(
+        '-o', '--output', required=True, metavar='OUT', help='folder for the results, the records and the table'
+    )
+    parser.add_argument(
+        '--work', choices=['replay', 'reconstruct', 'keyframes'], default='replay', help='what to do with each'
+    )
+    parser.add_argument(
+        '--scheduler', metavar='ADDRESS', help='running scheduler, such as tcp://host:8786 (default: this machine)'
+    )
+    parser.add_argument(
+        '--workers', type=_parse_count, metavar='N', help='processes on this machine (default: one on each core)'
+    )
+    parser.add_argument(
+        '--memory',
+        default='auto',
+        metavar='SIZE',
+        help='memory of a process on this machine, such as 2GB, above which it is ended (auto: an equal share)',
+    )
+    parser.add_argument(
+        '--cut',
+        type=parse_positive,
+        metavar='MIN',
+        help='cut bags that are longer into parts of at least this length in min, where nobody was there for '
+        'tracker.forget_all_after (default: never)',
+    )
+    parser.add_argument(
+        '--copy-limit',
+        type=parse_positive,
+        default=20.0,
+        metavar='GB',
+        help='largest remote recording that a worker may copy to its disk to read it; MCAP is read without a copy',
+    )
+    parser.add_argument(
+        '--suffix', choices=SUFFIXES, default='.npz', help='format of the results of --work reconstruct'
+    )
+    parser.add_argument(
+        '--topic', metavar='NAME', help='topic of the keypoints (default: the only one in the bag)'
+    )
+    parser.add_argument('--camera-info', metavar='NAME', help='topic of the CameraInfo (default: see replay)')
+    add_video_options(parser)
+    add_config_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do the work on all recordings, write the table and the picture, and print the summary."""
+    try:
+        from mocap_ros.batch.cluster import connect, run_jobs
+        from mocap_ros.batch.job import Job, Status, list_own_folders, remove_unfinished
+        from mocap_ros.batch.recordings import find_recordings
+        from mocap_ros.batch.report import save_report, summarise
+    except ModuleNotFoundError as error:
+        raise MocapError(f'{error.name} is not installed; pip install "mocap_ros[cluster]" installs it') from None
+    if args.scheduler is not None and (args.workers is not None or args.memory != 'auto'):
+        raise InputError(
+            '--workers and --memory are for this machine; the workers of a --scheduler have their own'
+        )
+    settings = _make_settings(args)
+    recordings = find_recordings(args.source, settings.work, list_own_folders(settings))
+    start = time.monotonic()
+    outcomes: list[Outcome] = []
+    with (
+        connect(args.scheduler, args.workers, args.memory) as client,
+        tqdm(desc='batch', total=len(recordings), disable=not sys.stderr.isatty(), leave=False) as bar,
+    ):
+        print(f'mocap-ros: {len(recordings)} recordings; dashboard: {client.dashboard_link}', file=sys.stderr)
+
+        def report(outcome: Outcome) -> None:
+            outcomes.append(outcome)
+            bar.update()
+
+        run_jobs(client, [Job(recording, settings) for recording in recordings], report)
+    remove_unfinished(settings)
+    for path in save_report(outcomes, settings):
+        print(path)
+    for line in summarise(outcomes, time.monotonic() - start):
+        print(line)
+    failed = [outcome for outcome in outcomes if outcome.status is Status.FAILED]
+    for outcome in failed:
+        print(f'mocap-ros: {outcome.reason}', file=sys.stderr)
+    return 1 if failed else 0
+
+
+def _make_settings(args: argparse.Namespace) -> Settings:
+    """Return the settings that the options describe."""
+    from mocap_ros.batch.job import Settings
+    from mocap_ros.batch.recordings import Work
+
+    settings = Settings(
+        Work(args.work),
+        args.output if '://' in args.output else str(Path(args.output).resolve()),
+        load_config(args) if args.config is not None or args.set else None,
+        args.topic,
+        args.camera_info,
+        Video(args.fps, args.image_size, args.layout or '', args.detector),
+        args.suffix,
+        (args.cut or 0.0) * MINUTE_S,
+        round(args.copy_limit * GB),
+    )
+    return settings.seal()
+
+
+def _parse_count(text: str) -> int:
+    """Parse a positive integer for argparse."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f'{text!r} is not a positive whole number')
+    return int(text)

@@ -1,0 +1,330 @@
+"""Batch runs: the same results as the plain commands, whatever is killed, damaged, cut or interrupted."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mocap_ros.bags.reader import Bag
+from mocap_ros.cli.main import main
+from mocap_ros.errors import MocapError
+from mocap_ros.formats.sequence_file import load_sequence, save_sequence
+from tests.support.bag_corpus import FAST_ARGUMENTS, read_outputs, write_corpus, write_demo_bag
+from tests.support.paths import ROOT
+from tests.support.pipeline_inputs import FAST_CONFIG
+
+distributed = pytest.importorskip('distributed')
+pytest.importorskip('upath')
+parquet = pytest.importorskip('pyarrow.parquet')
+
+from mocap_ros.batch import cluster, job, storage  # noqa: E402
+from mocap_ros.batch.cluster import run_jobs  # noqa: E402
+from mocap_ros.batch.job import Job, Outcome, Settings, Status  # noqa: E402
+from mocap_ros.batch.recordings import Work, find_recordings  # noqa: E402
+from mocap_ros.config import with_values  # noqa: E402
+
+FRAMES = {'a': 40, 'sub/b': 25, 'c': 10}
+
+
+@pytest.fixture(scope='module')
+def client() -> Iterator[Any]:
+    """A client of a cluster in this process, with two workers."""
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=':0'
+        ) as local,
+        distributed.Client(local) as connected,
+    ):
+        yield connected
+
+
+@pytest.fixture(scope='module')
+def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_corpus(tmp_path_factory.mktemp('corpus'), FRAMES)
+
+
+@pytest.fixture(scope='module')
+def plain(corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The messages that a plain replay of each bag gives."""
+    out = tmp_path_factory.mktemp('plain')
+    found = {}
+    for name in FRAMES:
+        folder = out / name.replace('/', '_')
+        assert main(['replay', str(corpus / name), '-o', str(folder), *FAST_ARGUMENTS]) == 0
+        found[name] = read_outputs(folder)
+    return found
+
+
+def run(client: Any, corpus: Path | str, out: Path | str, **values: Any) -> dict[str, Outcome]:
+    """Do the work on all recordings, and return what became of them by name."""
+    work = values.pop('work', Work.REPLAY)
+    settings = Settings(work, str(out), **{'config': FAST_CONFIG, **values}).seal()
+    outcomes: list[Outcome] = []
+    jobs = [Job(recording, settings) for recording in find_recordings(str(corpus), work)]
+    run_jobs(client, jobs, outcomes.append)
+    assert len(outcomes) == len(jobs)
+    return {o.job.recording.name: o for o in outcomes}
+
+
+def statuses(outcomes: dict[str, Outcome]) -> dict[str, str]:
+    return {name: outcome.status.value for name, outcome in outcomes.items()}
+
+
+@pytest.mark.slow
+def test_the_command_gives_the_bags_of_plain_replays_and_goes_on_where_it_stopped(
+    corpus: Path, plain: dict[str, Any], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """One of the bags is damaged: it is listed with a reason, and the others are done."""
+    write_demo_bag(tmp_path / 'in' / 'bad', 5)
+    (bad,) = (tmp_path / 'in' / 'bad').glob('*.mcap')
+    bad.write_bytes(bad.read_bytes()[:-20])
+    listed = tmp_path / 'in' / 'list.txt'
+    listed.write_text(f'{corpus}\n{bad.parent}\n')
+    command = ['batch', str(listed), '-o', str(tmp_path / 'out'), '--workers', '1', *FAST_ARGUMENTS]
+    assert main(command) == 1
+    out, err = capfd.readouterr()
+    assert '3 done, 1 failed' in out
+    (line,) = [line for line in err.splitlines() if 'recordings; dashboard' not in line]
+    assert line.startswith(f'mocap-ros: {bad.parent}: the recording was cut off')
+    results = {p.parent.name: p.parent for p in (tmp_path / 'out' / 'results').rglob('metadata.yaml')}
+    for name, messages in plain.items():
+        assert read_outputs(results[Path(name).name]) == messages
+    table = parquet.read_table(tmp_path / 'out' / 'table.parquet')
+    assert (tmp_path / 'out' / 'summary.png').read_bytes().startswith(b'\x89PNG')
+    assert 'tracker.model' in FAST_ARGUMENTS[1]
+    assert b'model: walk' in table.schema.metadata[b'mocap_ros.yaml']
+    assert not (tmp_path / 'out' / '.unfinished').exists()
+    rows = {row['bag'].rpartition('/')[2]: row for row in table.to_pylist()}
+    assert rows['bad']['error'] in line
+    assert (rows['a']['person'], rows['a']['bag_frames'], rows['a']['error']) == ('person_1', 40, None)
+    assert rows['a']['to_ns'] - rows['a']['from_ns'] == pytest.approx(37 / 30 * 1e9, abs=1e6)  # not tentative
+    assert rows['a']['residual_px'] > 0
+    assert rows['a']['bag_work_s'] > rows['c']['bag_work_s'] > 0
+    assert main(command) == 1
+    assert '3 done before, 1 failed' in capfd.readouterr().out
+    assert parquet.read_table(tmp_path / 'out' / 'table.parquet').to_pylist() == table.to_pylist()
+
+
+def test_only_what_changed_is_done_again(client: Any, tmp_path: Path) -> None:
+    """What decides is the content of the recording, the settings and whether the result is there; no time."""
+    corpus, out = write_corpus(tmp_path / 'in', {'a': 8, 'b': 8, 'c': 8, 'd': 8}), tmp_path / 'out'
+    assert set(statuses(run(client, corpus, out)).values()) == {'done'}
+    assert set(statuses(run(client, corpus, out)).values()) == {'done before'}
+    for path in corpus.rglob('*'):
+        os.utime(path, (0, 0))
+    (name,) = (corpus / 'b').glob('*.mcap')
+    write_demo_bag(tmp_path / 'other' / 'b', 9)
+    name.write_bytes(next((tmp_path / 'other' / 'b').glob('*.mcap')).read_bytes())
+    (out / 'results' / 'c' / 'metadata.yaml').unlink()
+    (out / 'records' / 'd.json').write_text('{"content": ')
+    expected = {'a': 'done before', 'b': 'done', 'c': 'done', 'd': 'done'}
+    assert statuses(run(client, corpus, out)) == expected
+    other = with_values(FAST_CONFIG, {'tracker.window': 1.5})
+    assert set(statuses(run(client, corpus, out, config=other)).values()) == {'done'}
+
+
+def test_a_bag_that_is_cut_gives_the_messages_of_the_whole(client: Any, tmp_path: Path) -> None:
+    config = with_values(FAST_CONFIG, {'tracker.forget_all_after': 1.0})
+    write_demo_bag(tmp_path / 'in' / 'long', 150, range(30, 100))
+    write_demo_bag(tmp_path / 'in' / 'short', 20)
+    whole = run(client, tmp_path / 'in', tmp_path / 'whole', config=config)
+    cut = run(client, tmp_path / 'in', tmp_path / 'cut', config=config, cut_seconds=1.0)
+    folder = tmp_path / 'cut' / 'results' / 'long'
+    assert len(list(folder.glob('*.mcap'))) == 2
+    assert not (tmp_path / 'cut' / 'parts' / 'long').exists()
+    expected = tmp_path / 'whole' / 'results' / 'long'
+    assert read_outputs(folder) == read_outputs(expected)
+    with Bag(folder) as joined, Bag(expected) as one:
+        counts = [{t: bag.count([t]) for t in bag.topics} for bag in (joined, one)]
+        journals = [[m.raw for m in bag.messages(['/mocap_replay/journal'])] for bag in (joined, one)]
+    assert counts[0] == {**counts[1], '/skeleton_definition': 2, '/mocap_replay/journal': 152}
+    assert [raw for raw in journals[0] if raw != journals[0][0]] == journals[1][1:]
+    columns = ('person', 'from_ns', 'to_ns', 'bag_frames', 'bag_swaps')
+    found = [[[row[c] for c in columns] for row in o['long'].rows] for o in (cut, whole)]
+    assert len(found[1]) > 1
+    assert found[0] == found[1]
+    again = run(client, tmp_path / 'in', tmp_path / 'cut', config=config, cut_seconds=1.0)
+    assert set(statuses(again).values()) == {'done before'}
+
+
+def test_remote_recordings_and_results(client: Any, corpus: Path, plain: dict[str, Any], tmp_path: Path) -> None:
+    """The cluster is in this process, so its workers see the file system in the memory of this process."""
+    import fsspec
+
+    fs, path = fsspec.url_to_fs('memory:///batch')
+    fs.put(str(corpus), f'{path}/in', recursive=True)
+    assert set(statuses(run(client, 'memory:///batch/in', 'memory:///batch/out')).values()) == {'done'}
+    assert set(statuses(run(client, 'memory:///batch/in', 'memory:///batch/out')).values()) == {'done before'}
+    fs.get(f'{path}/out/results', str(tmp_path / 'results'), recursive=True)
+    for name, messages in plain.items():
+        assert read_outputs(tmp_path / 'results' / name) == messages
+    fs.rm(path, recursive=True)
+
+
+@pytest.mark.parametrize('work', [Work.RECONSTRUCT, Work.KEYFRAMES])
+def test_sequences_are_reconstructed_and_summarised(client: Any, tmp_path: Path, work: Work) -> None:
+    demo = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
+    (tmp_path / 'in').mkdir()
+    short = replace(demo, keypoints=demo.keypoints[:60], timestamps=demo.timestamps[:60], truth=None)
+    save_sequence(tmp_path / 'in' / 'walk.npz', short)
+    (tmp_path / 'in' / 'broken.npz').write_bytes(b'PK\x03\x04')
+    config = with_values(FAST_CONFIG, {'solver.max_iterations': 2})
+    outcomes = run(client, tmp_path / 'in', tmp_path / 'out', work=work, config=config)
+    assert statuses(outcomes) == {'walk': 'done', 'broken': 'failed'}
+    assert outcomes['broken'].reason.startswith(f'{tmp_path}/in/broken.npz: ')
+    results = tmp_path / 'out' / 'results'
+    if work is Work.RECONSTRUCT:
+        assert np.load(results / 'walk.npz')['joints3d'].shape == (60, 15, 3)
+        assert outcomes['walk'].rows[0]['residual_px'] > 0
+    else:
+        assert 'keyframes:' in (results / 'walk.yaml').read_text()
+        assert {p.name for p in results.glob('*.png')} == {'walk.png', 'walk_distances.png'}
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_costs_its_bags_one_more_try(tmp_path: Path) -> None:
+    """A worker is killed while it replays; every bag is there in the end, and none of what it had left."""
+    write_corpus(tmp_path / 'in', dict.fromkeys('abc', 300))
+    pids: list[int] = []
+
+    def kill(connected: Any) -> None:
+        while not list((tmp_path / 'out').glob('.unfinished/*/*/*.mcap')):
+            time.sleep(0.02)
+        pids.extend(connected.run(os.getpid).values())
+        os.kill(pids[0], signal.SIGKILL)
+
+    with cluster.connect(None, workers=1) as connected:
+        killer = threading.Thread(target=kill, args=(connected,))
+        killer.start()
+        outcomes = run(connected, tmp_path / 'in', tmp_path / 'out')
+        killer.join()
+        assert list(connected.run(os.getpid).values()) != pids
+    assert set(statuses(outcomes).values()) == {'done'}
+    assert len({tuple(read_outputs(tmp_path / 'out' / 'results' / name)) for name in 'abc'}) == 1
+
+
+def die(work: Job) -> Outcome:
+    """Stand for a recording whose work ends the process of its worker."""
+    os.kill(os.getpid(), signal.SIGKILL)
+    return Outcome(work, Status.DONE)
+
+
+@pytest.mark.slow
+def test_a_recording_that_always_ends_its_worker_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_corpus(tmp_path / 'in', {'a': 5})
+    monkeypatch.setattr(cluster, 'process', die)
+    monkeypatch.setitem(cluster.LOCAL_SETTINGS, 'distributed.scheduler.allowed-failures', 0)
+    with cluster.connect(None, workers=1) as connected:
+        outcomes = run(connected, tmp_path / 'in', tmp_path / 'out')
+    assert outcomes['a'].status is Status.FAILED
+    assert outcomes['a'].reason == f'{tmp_path}/in/a: the worker was lost each time; its memory may be too small'
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_goes_away_ends_the_run_in_one_line(tmp_path: Path) -> None:
+    write_corpus(tmp_path / 'in', {'a': 2000})
+    script = (
+        'import sys, time\nfrom distributed import LocalCluster\n'
+        'if __name__ == "__main__":\n'
+        '    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as c:\n'
+        '        print(c.scheduler_address, flush=True)\n        time.sleep(600)\n'
+    )
+    (tmp_path / 'scheduler.py').write_text(script)
+    scheduler = subprocess.Popen(
+        [sys.executable, tmp_path / 'scheduler.py'], stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
+    assert scheduler.stdout is not None
+    address = scheduler.stdout.readline().strip()
+    command = [sys.executable, '-m', 'mocap_ros.cli.main', 'batch', 'in', '-o', 'out', '--scheduler', address]
+    batch = subprocess.Popen(
+        [*command, *FAST_ARGUMENTS], cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    while not list(tmp_path.glob('out/.unfinished/*/*/*.mcap')):
+        assert batch.poll() is None
+        time.sleep(0.05)
+    os.killpg(scheduler.pid, signal.SIGKILL)
+    out, err = batch.communicate(timeout=60)
+    line = err.splitlines()[-1]
+    assert (batch.returncode, out) == (1, '')
+    assert line == f'mocap-ros: {address}: the scheduler has gone; the same command goes on where it ended'
+
+
+def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, 'CONNECT_SECONDS', 0.5)
+    with (
+        pytest.raises(MocapError, match=r'^tcp://127.0.0.1:9: no scheduler answers'),
+        cluster.connect('tcp://127.0.0.1:9'),
+    ):
+        pass
+
+
+def test_a_worker_with_a_full_disk_gets_no_more_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its job is done by the other worker; where that one's disk is full as well, the run ends with the reason."""
+    corpus = write_corpus(tmp_path / 'in', {'a': 8, 'b': 8})
+    full: list[str] = []
+    real = storage.provide_locally
+
+    def provide(*arguments: Any) -> Path:
+        address = distributed.get_worker().address
+        if not full or address in full:
+            full.append(address)
+            raise OSError(28, 'No space left on device')
+        return real(*arguments)
+
+    monkeypatch.setattr(job, 'provide_locally', provide)
+    options = {'n_workers': 2, 'threads_per_worker': 1, 'processes': False, 'dashboard_address': ':0'}
+    with distributed.LocalCluster(**options) as local, distributed.Client(local) as connected:
+        outcomes = run(connected, corpus, tmp_path / 'out')
+        assert set(statuses(outcomes).values()) == {'done'}
+        assert full[0] not in {o.worker for o in outcomes.values()}
+        full.extend(o.worker for o in outcomes.values())
+        with pytest.raises(
+            MocapError, match=r'No space left on device; no worker has space left; what is done is kept'
+        ):
+            run(connected, corpus, tmp_path / 'out2')
+
+
+def test_a_worker_of_another_version_is_refused(client: Any, corpus: Path, tmp_path: Path) -> None:
+    settings = replace(Settings(Work.REPLAY, str(tmp_path / 'out'), FAST_CONFIG).seal(), version='0.0.7')
+    (recording, *_) = find_recordings(str(corpus), Work.REPLAY)
+    outcomes: list[Outcome] = []
+    run_jobs(client, [Job(recording, settings)], outcomes.append)
+    assert outcomes[0].status is Status.FAILED
+    assert 'of mocap_ros, not 0.0.7' in outcomes[0].reason
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'reason'),
+    [
+        (['nowhere', '-o', 'out'], 'nowhere: no such file, and no folder with files'),
+        (
+            ['.', '-o', 'out', '--scheduler', 'tcp://x:1', '--workers', '2'],
+            '--workers and --memory are for this machine',
+        ),
+        (['.', '-o', 'out', '--set', 'tracker.windo=2'], 'unknown parameter'),
+    ],
+)
+def test_wrong_usage_is_one_line(
+    arguments: list[str],
+    reason: str,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(['batch', *arguments]) == 1
+    (line,) = capfd.readouterr().err.splitlines()
+    assert reason in line

@@ -1,0 +1,106 @@
+"""The recordings of a corpus, in folders, patterns and lists, on the local and on another file system."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from mocap_ros.errors import InputError
+
+fsspec = pytest.importorskip('fsspec')
+pytest.importorskip('upath')
+
+from mocap_ros.batch.recordings import Work, compute_content_key, find_recordings  # noqa: E402
+
+FILES = {
+    'day1/bag_a/metadata.yaml': b'a',
+    'day1/bag_a/bag_a_0.mcap': b'aaaa',
+    'day1/bag_a/bag_a_1.mcap': b'aa',
+    'day2/b.mcap': b'bbbbbbbbbbbb',
+    'day2/c.db3': b'c',
+    'day2/old.bag': b'cc',
+    'day2/walk.npz': b'walk',
+    'day2/notes.md': b'not a recording',
+}
+BAGS = ['day2/b', 'day1/bag_a', 'day2/old', 'day2/c']  # largest first
+
+
+@pytest.fixture(params=['local', 'memory'])
+def root(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    """The URL of a folder with recordings."""
+    url = str(tmp_path / 'corpus') if request.param == 'local' else 'memory:///corpus'
+    fs, path = fsspec.url_to_fs(url)
+    for name, content in FILES.items():
+        fs.makedirs(f'{path}/{name}'.rpartition('/')[0], exist_ok=True)
+        fs.pipe_file(f'{path}/{name}', content)
+    yield url
+    fs.rm(path, recursive=True)
+
+
+def names(source: str, work: Work = Work.REPLAY, *leave_out: str) -> list[str]:
+    return [r.name for r in find_recordings(source, work, leave_out)]
+
+
+def test_the_bags_of_a_folder_are_found_largest_first(root: str) -> None:
+    assert names(root) == BAGS
+    found = {r.name: r for r in find_recordings(root, Work.REPLAY)}
+    assert len(found['day1/bag_a'].files) == 3
+    assert found['day1/bag_a'].size_bytes == 7
+    assert found['day2/c'].url == f'{root}/day2/c.db3'
+    assert names(root, Work.RECONSTRUCT) == ['day2/b', 'day1/bag_a', 'day2/walk', 'day2/old', 'day2/c']
+
+
+def test_patterns_lists_and_single_recordings(root: str, tmp_path: Path) -> None:
+    assert names(f'{root}/day2/*.db3') == ['c']
+    assert names(f'{root}/*/b*') == ['day2/b', 'day1/bag_a']
+    assert names(f'{root}/day1/bag_a') == ['bag_a']
+    assert names(f'{root}/day2/b.mcap') == ['b']
+    listed = tmp_path / 'list.txt'
+    listed.write_text(f'# comment\n{root}/day2/c.db3\n\n{root}/day1/bag_a\n')
+    assert names(str(listed)) == ['day1/bag_a', 'day2/c']
+
+
+def test_the_folder_of_the_results_is_not_searched(root: str) -> None:
+    assert names(root, Work.REPLAY, f'{root}/day2', f'{root}/day1/bag') == ['day1/bag_a']
+
+
+@pytest.mark.parametrize(
+    ('source', 'reason'),
+    [
+        ('nothing/here', 'no such file, and no folder with files'),
+        ('day2/notes.md', 'there is no bag'),
+        ('day2/*.xyz', 'no such file'),
+        ('list.txt', 'No such file or directory'),
+    ],
+)
+def test_what_holds_no_recording_is_refused_in_one_line(root: str, source: str, reason: str) -> None:
+    with pytest.raises(InputError, match=reason) as raised:
+        find_recordings(f'{root}/{source}', Work.REPLAY)
+    assert str(raised.value).startswith(f'{root}/{source}')
+
+
+def test_an_unknown_file_system_is_refused_in_one_line() -> None:
+    with pytest.raises(InputError, match=r'^nowhere://x: .*nowhere'):
+        find_recordings('nowhere://x', Work.REPLAY)
+
+
+def test_two_recordings_of_one_name_are_refused(root: str) -> None:
+    fs, path = fsspec.url_to_fs(root)
+    fs.pipe_file(f'{path}/day2/b.db3', b'b')
+    with pytest.raises(InputError, match='2 recordings would have results of the name day2/b'):
+        find_recordings(root, Work.REPLAY)
+
+
+def test_the_content_and_no_time_stamp_identifies_a_recording(root: str) -> None:
+    (bag,) = find_recordings(f'{root}/day1', Work.REPLAY)
+    key = compute_content_key(bag)
+    fs, path = fsspec.url_to_fs(f'{root}/day1/bag_a/bag_a_1.mcap')
+    fs.pipe_file(path, b'aa')
+    if '://' not in root:
+        os.utime(path, (0, 0))
+    assert compute_content_key(bag) == key
+    fs.pipe_file(path, b'ab')
+    assert compute_content_key(bag) != key
