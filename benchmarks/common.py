@@ -242,7 +242,7 @@ def train_base_poses(
 
 
 def provide_held_out_lifter(path: Path = HELD_OUT_LIFTER) -> Path:
-    """Return the file of a lifter that never saw `HELD_OUT_SUBJECTS`; train it if it is missing (12 minutes)."""
+    """Return the file of a lifter that never saw `HELD_OUT_SUBJECTS`; train it if it is missing (half an hour)."""
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
         command = [sys.executable, '-m', 'mocap_ros.cli.main', 'train-lifter']

@@ -13,7 +13,7 @@ at different times and machines are compared. Sections of `--only`:
     start    time from the start of the node's process to its first answer, with a warm and with an empty cache
              (with --quick only the former)
     past     the live result against a solution from scratch of the same past (ten minutes; trains a lifter without
-             the tested subjects if it is missing, 12 minutes)
+             the tested subjects if it is missing, half an hour)
 """
 
 from __future__ import annotations

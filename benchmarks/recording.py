@@ -80,6 +80,7 @@ class ConstantTracker:
     output_stamp_ns = 0
     swapped_frames = 0
     unusable_people = 0
+    vertical = None
     person: Person3D | None = None
 
     def __init__(self, *_: object) -> None:

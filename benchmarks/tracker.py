@@ -1,7 +1,7 @@
 """The accuracy of the tracker in several situations; `engine.py` measures its time.
 
 It is measured on the subjects `common.HELD_OUT_SUBJECTS`, on which neither the base poses nor the lifter
-were trained. This program trains that lifter if it is missing (12 minutes). In sections on the same subject, the
+were trained. This program trains that lifter if it is missing (half an hour). In sections on the same subject, the
 base poses are trained on the other trials of the tested subject.
 """
 

@@ -1,0 +1,293 @@
+"""Run the benchmarks, keep what they measured in one record, and write it into the pages.
+
+Commands:
+
+    run [NAME ...]    run the benchmarks whose entries are missing or stale, one after the other, and write the
+                      pages. Each finished benchmark is in the record at once: the same command goes on after an
+                      interruption. With --quick in their short form, which takes minutes and whose results go into
+                      build/figures/quick.json and into no page.
+    write             write the pages from the record
+    check             find tables and pictures that differ from the record; with --release, stale ones as well
+    release VERSION   keep the record as history/VERSION.json, and draw how the figures went
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from figure_record import (
+    RECORD,
+    Benchmark,
+    find_differences,
+    hash_file,
+    list_stale,
+    load_record,
+    save_record,
+    write_pages,
+)
+
+ROOT = Path(__file__).resolve().parent.parent
+BUILD = Path('build', 'figures')  # what the benchmarks print and write
+QUICK_RECORD = BUILD / 'quick.json'  # the record of short runs, which no page shows
+HISTORY = Path('benchmarks', 'history')
+PACKAGES = ('mocap_ros', 'numpy', 'scipy', 'numba', 'matplotlib')  # whose versions are recorded
+LOG_LINES = 20  # of a benchmark that failed, which are shown
+PICTURE_OF_HISTORY = Path('docs', 'img', 'figures', 'history.png')
+
+PROTOCOL = 'bench/protocol.py'
+CMU = (PROTOCOL, 'data/cmu/cmu15_30fps.npz', 'data/cmu/manifest.csv')
+MOTION = (PROTOCOL, 'data/motion/body26_30fps.npz', 'data/motion/manifest.csv')
+DETECTIONS = tuple(f'data/detections/balance_{d}_cam{c}.npz' for d in ('mediapipe', 'openpose') for c in (1, 2, 3))
+SOLVERS = tuple(f'mocap_ros/{f}' for f in ('config', 'geometry', 'models', 'solvers', 'training/base_poses.py'))
+TRACKER = (*SOLVERS, 'mocap_ros/compiled', 'mocap_ros/keypoints', 'mocap_ros/offline', 'mocap_ros/tracking')
+BAGS = ('mocap_ros/bags', 'mocap_ros/messages', 'mocap_ros/runtime')
+EXPERIMENTS = 'benchmarks/experiments'
+# Sections of `paper.py`, which are measured one by one, with their modules.
+PAPER_SECTIONS = {
+    **dict.fromkeys(('table1', 'base_poses', 'beta', 'bones', 'norms'), 'accuracy'),
+    **dict.fromkeys(('cameras', 'flips', 'differences'), 'cameras'),
+    **dict.fromkeys(('sines', 'classification', 'claims'), 'gait'),
+    **dict.fromkeys(('convergence', 'noisy_starts', 'initial_cameras', 'hidden', 'missing', 'noise'), 'stability'),
+    'weights': 'stability',
+    'targets': 'targets',
+}
+
+BENCHMARKS = (
+    Benchmark(
+        'table1',
+        'table1.py',
+        ('benchmarks/rivals', f'{EXPERIMENTS}/accuracy.py', f'{EXPERIMENTS}/variants/sines.py', *SOLVERS),
+        CMU,
+    ),
+    *(
+        Benchmark(
+            f'paper.{section}',
+            'paper.py',
+            (f'{EXPERIMENTS}/{module}.py', f'{EXPERIMENTS}/variants', *SOLVERS),
+            (*CMU, *DETECTIONS),
+            ('--only', section),
+        )
+        for section, module in PAPER_SECTIONS.items()
+    ),
+    Benchmark('classification', 'classification.py', SOLVERS, CMU),
+    Benchmark('solvers', 'solvers.py', (f'{EXPERIMENTS}/least_squares.py', *SOLVERS), CMU),
+    Benchmark('lifter', 'lifter.py', SOLVERS, (*MOTION, *DETECTIONS)),
+    Benchmark('tracker', 'tracker.py', TRACKER, MOTION),
+    Benchmark('keyframes', 'keyframes.py', TRACKER, (*MOTION, *DETECTIONS)),
+    Benchmark(
+        'detectors',
+        'detectors.py',
+        tuple(f'{EXPERIMENTS}/detector_{f}.py' for f in ('errors', 'ghosts', 'swaps', 'views')) + TRACKER,
+        (*MOTION, *DETECTIONS),
+    ),
+    Benchmark('vertical', 'vertical.py', (f'{EXPERIMENTS}/detector_views.py', *TRACKER), MOTION),
+    Benchmark(
+        'engine',
+        'engine.py',
+        tuple(f'{EXPERIMENTS}/{f}.py' for f in ('node', 'past_only', 'stages'))
+        + TRACKER
+        + BAGS
+        + ('mocap_ros/ros',),
+        MOTION,
+    ),
+    Benchmark('corpora', 'corpora.py', (*BAGS, 'mocap_ros/batch'), (PROTOCOL,)),
+    Benchmark('vertical', 'vertical.py', (f'{EXPERIMENTS}/detector_views.py', *TRACKER), MOTION),
+    Benchmark('recording', 'recording.py', (*BAGS, 'mocap_ros/ros/live.py'), (PROTOCOL,)),
+    Benchmark('live', 'live.py', (f'{EXPERIMENTS}/node.py', *BAGS, 'mocap_ros/ros'), (PROTOCOL,)),
+)
+# What the picture of the history shows: title, benchmark, and place among its results.
+HEADLINES: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    ('walk, fixed camera: MPJPE, mm', 'table1', ('this project, joint solver', 'fixed', 'walk', 'mpjpe_mm')),
+    ('run, fixed camera: MPJPE, mm', 'table1', ('this project, joint solver', 'fixed', 'run', 'mpjpe_mm')),
+    ('jump, fixed camera: MPJPE, mm', 'table1', ('this project, joint solver', 'fixed', 'jump', 'mpjpe_mm')),
+)
+
+
+def run_benchmarks(chosen: Sequence[Benchmark], root: Path, *, quick: bool, again: bool = False) -> int:
+    """Run benchmarks and record what they measured; return how many failed or measured nothing."""
+    path = root / (QUICK_RECORD if quick else RECORD)
+    failed = 0
+    for number, benchmark in enumerate(chosen, 1):
+        record, sums = load_record(path), hash_data(benchmark, root)
+        entry = record.get(benchmark.name)
+        if entry and not again and entry['sources'] == benchmark.hash_sources(root) and entry['data'] == sums:
+            print(f'{number}/{len(chosen)} {benchmark.name}: up to date', flush=True)
+            continue
+        print(f'{number}/{len(chosen)} {benchmark.name}: running', flush=True)
+        entry = run_benchmark(benchmark, root, quick=quick)
+        if entry is None:
+            failed += 1
+            continue
+        save_record({**load_record(path), benchmark.name: {**entry, 'data': sums}}, path)
+        print(f'    {entry["seconds"]:.0f} s, {len(entry["tables"])} tables', flush=True)
+    return failed
+
+
+def run_benchmark(benchmark: Benchmark, root: Path, *, quick: bool) -> dict[str, Any] | None:
+    """Run one benchmark; return its entry, or None, with a message, if it failed or measured nothing."""
+    folder = root / BUILD / ('quick' if quick else 'full')
+    folder.mkdir(parents=True, exist_ok=True)
+    output, log = folder / f'{benchmark.name}.json', folder / f'{benchmark.name}.log'
+    output.unlink(missing_ok=True)
+    command = [sys.executable, str(root / 'benchmarks' / benchmark.script), *benchmark.options]
+    command += ['--json', str(output), *['--quick'] * quick]
+    sources, begun = benchmark.hash_sources(root), time.monotonic()
+    with log.open('w', encoding='utf-8') as file:
+        status = subprocess.run(command, stdout=file, stderr=subprocess.STDOUT, cwd=root, check=False).returncode
+    if status or not output.is_file():
+        lines = log.read_text(encoding='utf-8', errors='replace').splitlines()[-LOG_LINES:]
+        print('\n'.join(f'    {line}' for line in lines))
+        print(f'    {f"failed with status {status}" if status else "measured nothing"}: {log}', flush=True)
+        return None
+    found = json.loads(output.read_text(encoding='utf-8'))
+    return {
+        'command': ' '.join([f'benchmarks/{benchmark.script}', *benchmark.options, *['--quick'] * quick]),
+        'finished': datetime.now(timezone.utc).isoformat(timespec='seconds'),
+        'seconds': round(time.monotonic() - begun, 1),
+        'sources': sources,
+        **describe_results(found, root),
+    }
+
+
+def describe_results(found: Mapping[str, Any], root: Path) -> dict[str, Any]:
+    """Return the part of an entry that follows from the JSON of a benchmark and from where it runs."""
+    about = ('machine', 'pictures', 'tables', 'results')
+    return {
+        'commit': describe_commit(root),
+        'machine': found.get('machine', platform.platform()),
+        'pictures': {p: hash_file(root / p) for p in found.get('pictures', [])},
+        'results': found.get('results', {k: v for k, v in found.items() if k not in about}),
+        'tables': found.get('tables', {}),
+        'versions': {'python': platform.python_version(), **list_versions()},
+    }
+
+
+def hash_data(benchmark: Benchmark, root: Path) -> dict[str, str | None]:
+    """Return the checksums of the evaluation data of a benchmark; None for a file that is missing."""
+    folder = Path(os.environ.get('MOCAP_ROS_SHARED') or root.parent / 'shared')
+    return {name: hash_file(folder / name) if (folder / name).is_file() else None for name in benchmark.data}
+
+
+def list_versions() -> dict[str, str]:
+    """Return the versions of the packages that results depend on."""
+    installed = importlib.metadata.packages_distributions()
+    return {name: importlib.metadata.version(installed[name][0]) for name in PACKAGES if name in installed}
+
+
+def describe_commit(root: Path) -> str:
+    """Return the commit, with `+` if files differ from it; empty outside a repository."""
+
+    def ask(*words: str) -> str:
+        return subprocess.run(['git', *words], cwd=root, capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        return ask('rev-parse', 'HEAD') + '+' * bool(ask('status', '--porcelain'))
+    except (OSError, subprocess.CalledProcessError):
+        return ''
+
+
+def check(benchmarks: Sequence[Benchmark], root: Path, *, release: bool) -> int:
+    """Print what differs from the record and what is stale; return 1 if something must be done about it."""
+    record = load_record(root / RECORD)
+    differences, stale = find_differences(record, root), list_stale(record, benchmarks, root)
+    for line in differences:
+        print(line)
+    if differences:
+        print('nobody edits these by hand: `make figures` measures and writes them')
+    if stale:
+        print(f'stale, since what they measure has changed: {", ".join(stale)}')
+    missing = [b.name for b in benchmarks if b.name not in record]
+    if release and missing:
+        print(f'never measured: {", ".join(missing)}')
+    return int(bool(differences or (release and (stale or missing))))
+
+
+def keep_release(benchmarks: Sequence[Benchmark], root: Path, version: str) -> int:
+    """Keep the record of a release and draw the history; return 1 if the record is not fit for a release."""
+    if check(benchmarks, root, release=True):
+        return 1
+    save_record(load_record(root / RECORD), root / HISTORY / f'{version}.json')
+    draw_history(load_history(root / HISTORY), root / PICTURE_OF_HISTORY)
+    return 0
+
+
+def load_history(folder: Path) -> dict[str, dict[str, Any]]:
+    """Load the records of the releases, in the order of their versions."""
+    files = sorted(folder.glob('*.json'), key=lambda f: [int(n) for n in f.stem.split('.')])
+    return {f.stem: load_record(f) for f in files}
+
+
+def find_headline(record: Mapping[str, Any], benchmark: str, place: Sequence[str]) -> float:
+    """Return a number of the results; NaN where the record has none there."""
+    value: Any = record.get(benchmark, {}).get('results', {})
+    for key in place:
+        value = value.get(key, {})
+    return float(value) if isinstance(value, int | float) else float('nan')
+
+
+def draw_history(history: Mapping[str, Mapping[str, Any]], path: Path) -> None:
+    """Draw the headlines of the releases."""
+    from experiments.report import make_panels
+
+    figure, axes = make_panels(len(HEADLINES))
+    for ax, (title, benchmark, place) in zip(axes, HEADLINES, strict=True):
+        ax.plot(list(history), [find_headline(r, benchmark, place) for r in history.values()], 'o-')
+        ax.set_title(title, loc='left')
+        ax.set_ylim(bottom=0)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, metadata={'Software': None})
+
+
+def main() -> int:
+    names = {b.name: b for b in BENCHMARKS}
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest='command', required=True)
+    run = commands.add_parser('run', help='run benchmarks')
+    run.add_argument('names', nargs='*', metavar='NAME', help=f'of {", ".join(names)}; all by default')
+    run.add_argument('--quick', action='store_true', help='run the short form of each benchmark')
+    run.add_argument('--again', action='store_true', help='run also what is up to date')
+    commands.add_parser('write', help='write the pages')
+    checking = commands.add_parser('check', help='compare the pages with the record')
+    checking.add_argument('--release', action='store_true', help='fail also if something is stale or missing')
+    release = commands.add_parser('release', help='keep the record of a release')
+    release.add_argument('version', help='such as 0.3.0')
+    args = parser.parse_args()
+    match args.command:
+        case 'run':
+            unknown = sorted(set(args.names) - set(names))
+            if unknown:
+                parser.error(f'there is no benchmark {", ".join(unknown)}')
+            chosen = [names[n] for n in args.names or names]
+            failed = run_benchmarks(chosen, ROOT, quick=args.quick, again=args.again)
+            if not args.quick:
+                write(ROOT)
+            return min(failed, 1)
+        case 'write':
+            write(ROOT)
+            return 0
+        case 'check':
+            return check(BENCHMARKS, ROOT, release=args.release)
+        case _:
+            return keep_release(BENCHMARKS, ROOT, args.version)
+
+
+def write(root: Path) -> None:
+    """Write the pages from the record, and print which of them changed."""
+    record = load_record(root / RECORD)
+    for page in write_pages(record, list_stale(record, BENCHMARKS, root), root):
+        print(f'written: {page.relative_to(root)}')
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Methods of others that the project is compared with, each written from its paper."""

@@ -1,0 +1,228 @@
+"""The record of the figures: what is measured again, what is stale, and tables that were edited by hand."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+from typing import Any
+
+import figures
+import pytest
+from figure_record import (
+    RECORD,
+    STALE_MARK,
+    Benchmark,
+    find_differences,
+    list_stale,
+    load_record,
+    save_record,
+    write_pages,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.support.paths import ROOT
+
+TABLE = '| a | b |\n| --- | --- |\n| 1 | 2 |'
+PAGE = 'Before.\n\n<!-- table: one -->\n<!-- end of table -->\n\nAfter.\n'
+# A benchmark that measures the number in `measured.txt` and counts its runs.
+SCRIPT = """
+import json, pathlib, sys
+root = pathlib.Path(__file__).parent.parent
+value = (root / 'measured.txt').read_text()
+if value == 'bad':
+    sys.exit('this benchmark fails')
+runs = root / 'runs.txt'
+runs.write_text(runs.read_text() + sys.argv[0][-6:-3] + ' ' if runs.is_file() else sys.argv[0][-6:-3] + ' ')
+(root / 'picture.png').write_text('--quick' if '--quick' in sys.argv else value)
+record = {'machine': 'm', 'pictures': ['picture.png'], 'tables': {'one': '| ' + value + ' |'}, 'number': value}
+pathlib.Path(sys.argv[sys.argv.index('--json') + 1]).write_text(json.dumps(record))
+"""
+ONE, TWO = (Benchmark(name, f'{name}.py', ('measured.txt',), ('data.txt',)) for name in ('one', 'two'))
+
+
+@pytest.fixture
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A repository with two benchmarks and a page."""
+    root = tmp_path / 'repository'
+    for folder in ('benchmarks', 'docs'):
+        (root / folder).mkdir(parents=True)
+    for name in ('one', 'two'):
+        (root / 'benchmarks' / f'{name}.py').write_text(SCRIPT)
+    (root / 'measured.txt').write_text('5')
+    (root / 'README.md').write_text('No table here.\n')
+    (root / 'docs' / 'page.md').write_text(PAGE)
+    data = tmp_path / 'shared'
+    data.mkdir()
+    (data / 'data.txt').write_text('data')
+    monkeypatch.setenv('MOCAP_ROS_SHARED', str(data))
+    return root
+
+
+def make_entry(sources: str = 's', **tables: str) -> dict[str, Any]:
+    return {'sources': sources, 'tables': tables, 'pictures': {}}
+
+
+def runs(root: Path) -> list[str]:
+    return (root / 'runs.txt').read_text().split()
+
+
+def write_measured(root: Path) -> dict[str, Any]:
+    record = load_record(root / RECORD)
+    write_pages(record, list_stale(record, [ONE, TWO], root), root)
+    return record
+
+
+def test_a_table_edited_by_hand_is_found(root: Path) -> None:
+    record, page = {'x': make_entry(one=TABLE)}, root / 'docs' / 'page.md'
+    assert find_differences(record, root) == ['docs/page.md: table one differs from the record']
+    assert write_pages(record, [], root) == [page]
+    assert find_differences(record, root) == []
+    assert write_pages(record, [], root) == []
+    page.write_text(page.read_text().replace('| 2 |', '| 3 |'))
+    assert find_differences(record, root) == ['docs/page.md: table one differs from the record']
+
+
+@settings(max_examples=50, deadline=None)
+@given(table=st.text(st.characters(exclude_categories=['C']), max_size=60).filter(lambda t: '<!--' not in t))
+def test_any_table_comes_back_from_its_page(tmp_path_factory: pytest.TempPathFactory, table: str) -> None:
+    root = tmp_path_factory.mktemp('root')
+    (root / 'README.md').write_text(PAGE, encoding='utf-8')
+    record = {'x': make_entry(one=table)}
+    write_pages(record, [], root)
+    assert find_differences(record, root) == []
+    assert (root / 'README.md').read_text(encoding='utf-8').startswith('Before.\n')
+    assert (root / 'README.md').read_text(encoding='utf-8').endswith('\n\nAfter.\n')
+    other = {'x': make_entry(one=f'{table}.')}
+    assert find_differences(other, root)
+
+
+@pytest.mark.parametrize(
+    ('text', 'complaint'),
+    [
+        ('<!-- table: two -->\n<!-- end of table -->', 'table two is not in the record'),
+        ('<!-- table: one -->\n', 'a marker of a table has no partner'),
+        ('<!-- end of table -->', 'a marker of a table has no partner'),
+        ('<!-- table: one -->\n<!-- table: one -->\n<!-- end of table -->', 'a marker of a table has no partner'),
+    ],
+)
+def test_markers_without_a_table_or_a_partner_are_found(root: Path, text: str, complaint: str) -> None:
+    (root / 'docs' / 'page.md').write_text(text)
+    assert f'docs/page.md: {complaint}' in find_differences({'x': make_entry(one=TABLE)}, root)
+
+
+def test_a_record_is_measured_written_and_found_unchanged(root: Path) -> None:
+    assert figures.run_benchmarks([ONE, TWO], root, quick=False) == 0
+    record = write_measured(root)
+    assert '| 5 |' in (root / 'docs' / 'page.md').read_text()
+    assert figures.check([ONE, TWO], root, release=True) == 0
+    assert record['one']['results'] == {'number': '5'}
+    assert record['one']['data'].keys() == {'data.txt'}
+    assert record['one']['versions']['numpy']
+    (root / 'picture.png').write_text('drawn by hand')
+    assert 'picture.png: this picture differs from the record' in find_differences(record, root)
+    (root / 'picture.png').unlink()
+    assert 'picture.png: this picture is missing' in find_differences(record, root)
+
+
+def test_only_what_is_missing_or_stale_is_measured(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    figures.run_benchmarks([ONE], root, quick=False)  # as if it had been interrupted before the second
+    figures.run_benchmarks([ONE, TWO], root, quick=False)
+    assert runs(root) == ['one', 'two']
+    (root / 'benchmarks' / 'two.py').write_text(SCRIPT + '# changed')
+    figures.run_benchmarks([ONE, TWO], root, quick=False)
+    assert runs(root) == ['one', 'two', 'two']
+    (root.parent / 'shared' / 'data.txt').write_text('other data')
+    figures.run_benchmarks([ONE], root, quick=False)
+    figures.run_benchmarks([ONE], root, quick=False, again=True)
+    assert runs(root)[3:] == ['one', 'one']
+    assert '1/2 one: up to date' in capsys.readouterr().out
+
+
+def test_stale_tables_are_marked_until_they_are_measured_again(root: Path) -> None:
+    page = root / 'docs' / 'page.md'
+    figures.run_benchmarks([ONE, TWO], root, quick=False)
+    write_measured(root)
+    (root / 'measured.txt').write_text('6')
+    assert figures.check([ONE, TWO], root, release=False) == 0
+    assert figures.check([ONE, TWO], root, release=True) == 1
+    write_measured(root)
+    assert STALE_MARK in page.read_text()
+    assert '| 5 |' in page.read_text()
+    assert figures.check([ONE, TWO], root, release=False) == 0
+    figures.run_benchmarks([ONE, TWO], root, quick=False)
+    write_measured(root)
+    assert STALE_MARK not in page.read_text()
+    assert '| 6 |' in page.read_text()
+    assert figures.check([ONE, TWO], root, release=True) == 0
+
+
+def test_a_benchmark_that_fails_leaves_the_others_and_the_record(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    figures.run_benchmarks([ONE], root, quick=False)
+    before = load_record(root / RECORD)
+    (root / 'benchmarks' / 'one.py').write_text('import sys; sys.exit("this benchmark fails")')
+    assert figures.run_benchmarks([ONE, TWO], root, quick=False) == 1
+    assert load_record(root / RECORD)['one'] == before['one']
+    assert 'two' in load_record(root / RECORD)
+    assert 'this benchmark fails' in capsys.readouterr().out
+
+
+def test_a_benchmark_that_measures_nothing_is_no_success(root: Path) -> None:
+    (root / 'benchmarks' / 'one.py').write_text('print("skipped: no evaluation data")')
+    assert figures.run_benchmarks([ONE], root, quick=True) == 1
+    assert not (root / figures.QUICK_RECORD).exists()
+
+
+def test_a_short_run_reaches_no_page_and_not_the_record(root: Path) -> None:
+    assert figures.run_benchmarks([ONE], root, quick=True) == 0
+    assert not (root / RECORD).exists()
+    assert load_record(root / figures.QUICK_RECORD)['one']['command'] == 'benchmarks/one.py --quick'
+
+
+def test_a_release_is_kept_only_when_nothing_is_stale_or_missing(root: Path) -> None:
+    figures.run_benchmarks([ONE], root, quick=False)
+    write_measured(root)
+    assert figures.keep_release([ONE, TWO], root, '0.3.0') == 1  # the second was never measured
+    assert not (root / figures.HISTORY).exists()
+    assert figures.keep_release([ONE], root, '0.3.0') == 0
+    assert figures.load_history(root / figures.HISTORY) == {'0.3.0': load_record(root / RECORD)}
+    assert (root / figures.PICTURE_OF_HISTORY).read_bytes().startswith(b'\x89PNG')
+
+
+def test_releases_are_in_the_order_of_their_versions(tmp_path: Path) -> None:
+    for version in ('0.10.0', '0.2.0', '0.9.1'):
+        save_record({}, tmp_path / f'{version}.json')
+    assert list(figures.load_history(tmp_path)) == ['0.2.0', '0.9.1', '0.10.0']
+
+
+def test_every_benchmark_is_registered_with_sources_that_exist() -> None:
+    for benchmark in figures.BENCHMARKS:
+        assert benchmark.list_sources(ROOT)
+    programs = {
+        f.name
+        for f in (ROOT / 'benchmarks').glob('*.py')
+        if any(isinstance(n, ast.FunctionDef) and n.name == 'main' for n in ast.parse(f.read_text()).body)
+    }
+    assert programs - {'figures.py'} == {b.script for b in figures.BENCHMARKS}
+
+
+def test_every_section_of_the_paper_is_measured_from_its_module() -> None:
+    tree = ast.parse((ROOT / 'benchmarks' / 'paper.py').read_text())
+    (sections,) = (n.value for n in tree.body if isinstance(n, ast.AnnAssign) and isinstance(n.value, ast.Dict))
+    modules = {
+        ast.literal_eval(key): value.value.id
+        for key, value in zip(sections.keys, sections.values, strict=True)
+        if isinstance(key, ast.Constant) and isinstance(value, ast.Attribute) and isinstance(value.value, ast.Name)
+    }
+    assert {**modules, 'targets': 'targets'} == figures.PAPER_SECTIONS
+
+
+def test_a_source_that_does_not_exist_is_named(root: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r'benchmark one: there is no gone\.txt'):
+        Benchmark('one', 'one.py', ('gone.txt',)).hash_sources(root)
+
+
+def test_the_record_of_this_repository_fits_its_pages() -> None:
+    assert find_differences(load_record(ROOT / RECORD), ROOT) == []
