@@ -1,5 +1,4 @@
 PYTHON ?= python3
-BENCHMARKS := $(wildcard benchmarks/*.py)
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
@@ -39,7 +38,7 @@ wrists where the hands bend' \
 The database was created with funding from NSF EIA-0196217. UI-PRMD (A. Vakanski et al., University of Idaho) is in \
 the public domain (Open Data Commons PDDL). Perfume motion data: MIT License, Copyright (c) 2012 Perfume Dev Team.'
 
-.PHONY: help setup demo test lint format bench models architecture colcon clean
+.PHONY: help setup demo test lint format bench figures models page architecture colcon clean
 
 help:  ## show this
 	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' Makefile | expand -t 16
@@ -53,19 +52,22 @@ demo: setup  ## run the node on the demo recording, into demo_output/
 test: setup  ## run the tests and print what they cover
 	@$(BIN)/python -m pytest --cov
 
-lint: setup  ## check style, types and the import contract
+lint: setup  ## check style, types, the import contract and the tables of the pages
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-logo --no-cache
+	@$(BIN)/python benchmarks/figures.py check
 
 format: setup  ## format the code
 	@$(BIN)/ruff check --fix-only --quiet
 	@$(BIN)/ruff format
 
-bench: setup  ## run every benchmark, shortened
-	@set -e; for benchmark in $(BENCHMARKS); do \
-	    echo "== $$benchmark"; $(BIN)/python "$$benchmark" --quick; done
+bench: setup  ## run every benchmark, shortened, into build/figures/
+	@$(BIN)/python benchmarks/figures.py run --quick
+
+figures: setup  ## run every benchmark that is not up to date (hours), and write its tables into the pages
+	@$(BIN)/python benchmarks/figures.py run
 
 models: setup  ## retrain the shipped models from MOTION=body26_30fps.npz (the lifter wants PyTorch)
 	@test -f '$(MOTION)' || { echo 'make models MOTION=path/to/body26_30fps.npz' >&2; exit 2; }
@@ -74,6 +76,10 @@ models: setup  ## retrain the shipped models from MOTION=body26_30fps.npz (the l
 	@$(BIN)/mocap-ros train $(OF_MOTION) -o mocap_ros/models/shipped/all.npz
 	@$(BIN)/mocap-ros train-lifter $(OF_MOTION) -o mocap_ros/models/shipped/lifter.npz
 	@$(BIN)/python -m mocap_ros.demo '$(MOTION)'
+
+page:  ## bundle three.js for the page of mocap-ros view (wants npm)
+	@cd config/page && npm ci --no-audit --no-fund --loglevel=error && npm run --silent build
+	@sha256sum --check config/page/three.sha256
 
 architecture: setup  ## draw docs/img/architecture.png from the imports
 	@$(BIN)/python docs/draw_architecture.py

@@ -8,6 +8,8 @@ ROOT = Path(__file__).parent
 PACKAGE = ET.parse(ROOT / 'package.xml').getroot()
 NAME = PACKAGE.findtext('name')
 MAINTAINER = PACKAGE.find('maintainer')
+# What `mocap-ros batch` needs, on this machine and on the workers: 60 MB to download, 48 of them pyarrow.
+CLUSTER = ['distributed>=2024.2', 'fsspec>=2024.2', 'universal-pathlib>=0.2.2,<0.4', 'pyarrow>=15']
 URLS = {url.get('type'): url.text for url in PACKAGE.findall('url')}
 
 setup(
@@ -41,7 +43,9 @@ setup(
     ],
     python_requires='>=3.10',
     packages=find_packages(include=[f'{NAME}*']),
-    package_data={NAME: ['models/shipped/*.npz', 'demo/*.npz', 'messages/msg/*.msg', 'py.typed']},
+    package_data={
+        NAME: ['models/shipped/*.npz', 'demo/*.npz', 'messages/msg/*.msg', 'py.typed', 'viewing/page_files/*']
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -51,6 +55,7 @@ setup(
     entry_points={
         'console_scripts': [
             'mocap-ros = mocap_ros.cli.main:main',
+            'detector_node = mocap_ros.ros.detector_main:main',
             'mocap_node = mocap_ros.ros.main:main',
         ],
     },
@@ -66,13 +71,19 @@ setup(
     ],
     extras_require={
         'c3d': ['ezc3d>=1.6,<2'],
-        'train': ['torch>=2.2,<3'],
+        'cluster': CLUSTER,
+        'mediapipe': ['av>=14.2,<19', 'mediapipe>=0.10.14,<2', 'Pillow>=9.1'],
+        'train': ['torch>=2.4,<3'],
         'test': [
+            *CLUSTER,
             'ezc3d>=1.6,<2',
             'pytest>=7.4,<10',
             'pytest-cov>=5,<8',
             'hypothesis>=6.90,<7',
             'mcap-ros2-support>=0.5.5,<0.7',
+            'av>=14.2,<19',
+            'onnx>=1.16,<2',
+            'onnxruntime>=1.18,<2',
         ],
         'dev': [
             'ruff==0.17.*',
@@ -82,6 +93,9 @@ setup(
             'types-PyYAML>=6.0,<7',
             'types-tqdm>=4.64,<5',
         ],
+        's3': ['s3fs>=2024.2'],
+        'view': ["rerun-sdk==0.41.*; python_version >= '3.11'"],  # a viewer reads files of its own minor version
+        'video': ['av>=14.2,<19', 'onnxruntime>=1.18,<2', 'Pillow>=9.1'],
     },
     zip_safe=False,
 )

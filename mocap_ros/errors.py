@@ -14,7 +14,7 @@ class SkeletonError(MocapError):
 
 
 class ModelError(MocapError):
-    """A base-pose model or a lifter that cannot be trained, found or read."""
+    """A base-pose model, a lifter or a detector's model that cannot be trained, found, read or run."""
 
 
 class InputError(MocapError):
@@ -27,6 +27,10 @@ class FrameDropped(MocapError):
 
 class RecordingError(MocapError):
     """A recording that cannot be opened, written or finished."""
+
+
+class DiskFull(RecordingError):
+    """A disk without space, or with less than `recorder.min_free_mb`."""
 
 
 def describe_read_error(error: Exception) -> str:

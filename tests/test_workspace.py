@@ -35,7 +35,7 @@ def import_all(name):
     try:
         module = importlib.import_module(name)
     except ModuleNotFoundError as error:
-        if error.name != "torch":  # optional, for training
+        if error.name not in ("torch", "dask", "distributed", "fsspec", "pyarrow", "upath"):  # optional
             raise
         return
     for found in pkgutil.iter_modules(getattr(module, "__path__", ())):

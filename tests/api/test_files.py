@@ -14,6 +14,7 @@ import pytest
 import mocap_ros
 from mocap_ros.cli.main import main
 from mocap_ros.runtime.save_results import SUFFIXES
+from tests.support import blob_people
 from tests.support.keypoint_files import flatten_keypoints
 
 FPS = 30.0  # Hz
@@ -164,3 +165,19 @@ def test_a_sequence_with_a_wrong_field_is_one_error_that_names_it(
         mocap_ros.write(tmp_path / 'walk.npz', wrong)
     with pytest.raises(mocap_ros.InputError, match=f'^{field}: .*expected'):
         mocap_ros.reconstruct(wrong)
+
+
+def test_a_video_is_read_with_a_detector(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    people = blob_people.walk(12)
+    video = blob_people.write_video(
+        tmp_path / 'walk.mkv', [blob_people.draw([p]) for p in people], [i / 30 for i in range(12)]
+    )
+    model = blob_people.save_movenet(tmp_path / 'movenet.onnx')
+    sequence = mocap_ros.read(video, detector=model)
+    assert len(sequence) == 12
+    assert sequence.joint_names == blob_people.COCO.joints
+    assert f'{video}: keypoints by MoveNet (movenet.onnx)' in caplog.messages
+    with pytest.raises(mocap_ros.ModelError, match=r'none\.onnx: no such file'):
+        mocap_ros.read(video, detector='none.onnx')
+    with pytest.raises(mocap_ros.InputError, match=r'walk\.mkv: topic, fps, image_size and layout do not apply'):
+        mocap_ros.read(video, detector=model, fps=30)

@@ -79,7 +79,7 @@ def test_evaluate_leaves_out_unknown_parts_of_the_truth(
         assert evaluate_without(unknown) == 0
         (record,) = json.loads(out.read_text())
         assert (record['joints'], record['frames']) == (joints, frames)
-        assert record['mpjpe_mm'] < 1.1 * 45.7  # mm, measured
+        assert record['mpjpe_mm'] < 1.1 * 53.3  # mm, measured
     assert evaluate_without(slice(None)) == 1
     assert 't.npz: joints3d: no joint is known in any frame' in capsys.readouterr().err
     foreign_truth = GroundTruth(truth.joints, tuple('abcdefghijklmno'))

@@ -57,7 +57,7 @@ from tests.support.quick_options import QUICK_OPTIONS
         ),
         (
             ['reconstruct', 'RECORDING', '--fps', '30'],
-            'demo.npz: --person, --topic, --fps, --image-size and --layout do not apply',
+            'demo.npz: --person, --topic, --fps, --image-size, --layout and --detector do not apply',
         ),
         (['evaluate', 'FOLDER'], 'folder: is a folder without a bag'),
         (['evaluate', 'RECORDING', '--truth', 'FOLDER'], 'folder: is a folder without a bag'),
@@ -113,10 +113,9 @@ def test_a_failure_is_one_line_on_stderr(
     ('name', 'reason'),
     [
         (
-            'walk.mp4',
-            'is a video; run a 2D keypoint detector on it, and give the keypoints as a sequence file (.npz)',
+            'walk.JPG',
+            'is an image; run a 2D keypoint detector on it, and give the keypoints as a sequence file (.npz)',
         ),
-        ('walk.JPG', 'is an image; run a 2D keypoint detector on it'),
         ('images', 'is a folder of images; run a 2D keypoint detector on it'),
         ('empty.npz', 'is an empty file; expected'),
         ('notes.txt', 'is a file of an unknown type; expected'),
@@ -135,7 +134,7 @@ def test_an_input_that_no_command_reads_is_named(
     (tmp_path / 'images').mkdir()
     (tmp_path / 'images' / '0001.jpg').write_bytes(b'jpg')
     (tmp_path / 'empty.npz').touch()
-    for file in ('walk.mp4', 'walk.JPG', 'notes.txt', 'walk.bvh'):
+    for file in ('walk.JPG', 'notes.txt', 'walk.bvh'):
         (tmp_path / file).write_bytes(b'content')
     output = ['-o', 'out'] if command == 'replay' else []
     assert main([command, name, *output]) == 1

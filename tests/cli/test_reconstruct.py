@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +11,12 @@ import numpy as np
 import pytest
 
 from mocap_ros.cli.main import main
+from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError
+from mocap_ros.formats.detections import Detections
+from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence
+from mocap_ros.runtime.save_results import save_detections
 from mocap_ros.skeleton import CMU15, keypoint_layout
 from mocap_ros.viewing import plots
 from tests.support.quick_options import QUICK_OPTIONS
@@ -166,3 +171,66 @@ def test_a_picture_without_input_shows_the_result_from_two_sides() -> None:
     whole = replace(data, keypoints=np.ones((3, 17, 3)), keypoint_skeleton=keypoint_layout('coco17'))
     figure = plots.draw_poses_figure(whole, [2], 'title', ['a'])
     assert [axes.get_ylabel() for axes in figure.axes] == ['2D input', '3D, from the camera', '3D, from the side']
+
+
+def test_several_files_of_one_reconstruction_agree(short_recording: Path, tmp_path: Path) -> None:
+    names = ('r.npz', 'r.angles.csv', 'r.mot', 'r.osim', 'r.trc', 'r.csv')
+    outputs = [word for name in names for word in ('-o', str(tmp_path / name))]
+    assert main(['reconstruct', str(short_recording), *outputs, *QUICK_OPTIONS]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {short_recording.name, *names}
+    with (tmp_path / 'r.angles.csv').open() as file:
+        header, *rows = csv.reader(file)
+    assert header == ['time_s', *(f'{n}_m' if n in POSITIONS else f'{n}_deg' for n in COORDINATES)]
+    lines = (tmp_path / 'r.mot').read_text().splitlines()
+    start = lines.index('endheader')
+    assert lines[start + 1].split('\t') == ['time', *COORDINATES]
+    assert lines[2:4] == ['nRows=20', f'nColumns={len(COORDINATES) + 1}']
+    of_mot = np.array([line.split('\t') for line in lines[start + 2 :]], float)
+    assert of_mot == pytest.approx(np.array(rows, float), abs=0.01)  # the recording has a constant rate
+    pelvis = np.load(tmp_path / 'r.npz')['joints3d'][:, CMU15.index('pelvis')] * [1, -1, -1]
+    position = [1 + COORDINATES.index(name) for name in POSITIONS]
+    assert of_mot[:, position] == pytest.approx(pelvis, abs=1e-5)
+    markers = ET.parse(tmp_path / 'r.osim').getroot().findall('.//Marker')
+    assert sorted(marker.get('name', '') for marker in markers) == sorted(CMU15.joints)
+
+
+def write_two_people(path: Path, ids: tuple[str, str]) -> None:
+    """Write a bag of a walker, a second person beside the walker, and one who is seen for three frames."""
+    sequence = make_recording().sequence()
+    people = []
+    for frame in range(12):
+        first, second = (sequence.person(frame, person_id) for person_id in ids)
+        second = replace(second, points=second.points + [150.0, 0.0])
+        third = replace(first, id='short', points=first.points - [150.0, 0.0])
+        people.append([first, second, third] if frame < 3 else [first, second])
+    save_detections(path, Detections(people, sequence.stamps_ns[:12], (640, 480)))
+
+
+def test_all_people_are_written_into_files_of_their_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_two_people(tmp_path / 'two.mcap', ('a/b', 'a?b'))
+    command = ['reconstruct', str(tmp_path / 'two.mcap'), '--all-people', *QUICK_OPTIONS]
+    assert main([*command, '-o', str(tmp_path / 'r.bvh'), '-o', str(tmp_path / 'r.angles.csv')]) == 0
+    written = {path.name for path in tmp_path.iterdir()} - {'two.mcap'}
+    assert written == {'r_a_b.bvh', 'r_a_b.2.bvh', 'r_a_b.angles.csv', 'r_a_b.2.angles.csv'}
+    line = '1 people are left out, who are seen in less than 10 frames'
+    assert capsys.readouterr().err == f'mocap-ros: {tmp_path / "two.mcap"}: {line}\n'
+    left, right = (np.genfromtxt(tmp_path / f'r_a_b{n}.angles.csv', delimiter=',', names=True) for n in ('', '.2'))
+    assert (right['pelvis_tx_m'] > left['pelvis_tx_m'] + 0.5).all()
+
+
+@pytest.mark.parametrize(
+    ('options', 'reason'),
+    [
+        (['--all-people'], 'a sequence file holds one person; --all-people does not apply'),
+        (['--all-people', '--person', 'x'], '--person and --all-people exclude each other'),
+        (['-o', 'r.npz', '-o', 'r.fbx'], 'r.fbx: unknown file type; expected .npz, .csv, '),
+    ],
+)
+def test_options_that_do_not_fit_are_named(
+    short_recording: Path, capsys: pytest.CaptureFixture[str], options: list[str], reason: str
+) -> None:
+    assert main(['reconstruct', str(short_recording), *options]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert reason in line

@@ -74,7 +74,10 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) 
         (['x.npz', 'plot'], "'x.npz' comes before the command; write: mocap-ros plot"),
         (['x.npz'], "no command 'x.npz'; there are demo, reconstruct"),
         (['reconstruct', 'x.json', '--fps', 'fast'], "argument --fps: 'fast' is not a number"),
-        (['replay', 'x', '-o', 'y', '--jobs', 'two'], "argument --jobs: 'two' is not a positive whole number"),
+        (
+            ['batch', 'x', '-o', 'y', '--workers', 'two'],
+            "argument --workers: 'two' is not a positive whole number",
+        ),
     ],
 )
 def test_wrong_usage_is_explained(capsys: pytest.CaptureFixture[str], arguments: list[str], reason: str) -> None:

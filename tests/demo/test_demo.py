@@ -41,6 +41,7 @@ def test_the_demo_writes_a_bag_and_a_picture(tmp_path: Path, capfd: pytest.Captu
     (metadata,) = tmp_path.glob('*/metadata.yaml')
     assert list(metadata.parent.glob('*.mcap'))
     assert (tmp_path / 'demo.png').read_bytes().startswith(b'\x89PNG')
+    assert (tmp_path / 'demo.html').read_text(encoding='utf-8').startswith('<!doctype html>')
 
 
 def test_the_first_person_of_every_message_is_read(tmp_path: Path) -> None:
