@@ -3,8 +3,8 @@
 How far a body leans along the line of sight hardly shows in its image, so lifted poses lean by several degrees
 to and fro, for as long as a detector's errors last. What all people of a camera share is the vertical. Each pose
 tells a direction upwards u (`models.upward_direction`), which is off by the lean of the lifted pose and by what
-the person does. The vertical v is the mean of these directions over all people and some time, robust and with weights
-that fade:
+the person does. The vertical v is the mean of these directions over all people and some time, robust and with
+weights that fade:
 
     v_t = normalise(sum_i k_i u_i),    k_i = exp(-|t - t_i| / T) dt_i / (1 + (angle(u_i, v) / A)^2)
     s_v = min(S sqrt(C / sum_i k_i), MAX_STD_DEG)
