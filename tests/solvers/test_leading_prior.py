@@ -34,11 +34,11 @@ UNKNOWN = Intrinsics(20_000.0, (320.0, 240.0), is_focal_known=False)  # the scen
 STEP_NS = 33_333_333  # ns, 30 frames/s
 
 
-def make_motion(name: str) -> tuple[Array, BasePoses, Array]:
+def make_motion(name: str, times: Array = TIMES) -> tuple[Array, BasePoses, Array]:
     """Return poses (F, 15, 3) m of a motion of the demo in the camera's axes, its base poses and keypoints."""
     model, motions = load_motions()
-    poses = model.poses(motions[name].sample(TIMES).theta)
-    base_poses = fit_base_poses([poses], name='own', alignment='heading')
+    base_poses = fit_base_poses([model.poses(motions[name].sample(TIMES).theta)], name='own', alignment='heading')
+    poses = model.poses(motions[name].sample(times).theta)
     truth = poses @ (BODY_TO_OPTICAL @ rotation_from_vector(np.array([0.0, 0.0, 0.8]))).T
     keypoints = np.concatenate([200 * truth[..., :2] + [320, 240], np.ones((*poses.shape[:2], 1))], axis=-1)
     return centre_poses(truth), base_poses, keypoints
@@ -101,11 +101,12 @@ def test_base_poses_of_another_motion_do_not_lead(shown: str, given: str, monkey
 
 def test_live_the_lead_is_taken_and_given_back() -> None:
     """Base poses of a run lead soon after the run has begun, and no longer when a walk has taken its place."""
-    _, base_poses, run = make_motion('run')
-    _, _, walk = make_motion('walk')
+    times = np.arange(2 * FRAMES) / 30
+    _, base_poses, run = make_motion('run', times)
+    _, _, walk = make_motion('walk', times)
     trackers = [Tracker(m, Config()) for m in (base_poses, replace(base_poses, name='all'))]
     leads: list[list[bool]] = [[], []]
-    for frame, keypoints in enumerate([*run, *run, *walk, *walk]):
+    for frame, keypoints in enumerate([*run, *walk]):
         for tracker, lead in zip(trackers, leads, strict=True):
             person = Person2D('', CMU15.joints, keypoints[:, :2], keypoints[:, 2])
             tracker.update(frame * STEP_NS, [person], UNKNOWN)
