@@ -41,7 +41,7 @@ the public domain (Open Data Commons PDDL). Perfume motion data: MIT License, Co
 .PHONY: help setup demo test lint format bench figures models page architecture colcon clean
 
 help:  ## show this
-	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' Makefile | expand -t 16
+	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' Makefile | expand -t 20
 
 setup: $(STAMPS)/package $(STAMPS)/messages $(STAMPS)/kernels  ## make .venv with everything in it
 	@echo 'Ready: $(BIN)/mocap-ros and $(BIN)/mocap_node'

@@ -1,9 +1,12 @@
 """Follow the person who was there first at DISTANCE_M: geometry_msgs/Twist on `cmd_vel`.
 
-Run mocap_node with -p node.output_frame:=base_link (x ahead, y to the left). Without the person the robot stands.
+Run mocap_node with -p node.output_frame:=base_link (x ahead, y to the left). Without the person the robot stands,
+and so it does where people are in the camera's frame or nothing has been heard for LOST_S. No safety device.
 """
 
+import contextlib
 import math
+import time
 
 DISTANCE_M = 1.5
 GAIN_PER_S = 0.8  # 1/s, of the distance and of the direction
@@ -13,7 +16,12 @@ LOST_S = 0.3  # s; a person who was not seen for longer is not followed
 
 
 def choose_person(skeletons, followed=''):
-    """Return the person with this id, or else the one who was first seen longest ago; None where nobody is."""
+    """Return the person with this id, or else the one who was first seen longest ago; None where nobody is.
+
+    People in the camera's frame, which the node publishes where it knows no transform, are not followed.
+    """
+    if skeletons.header.frame_id == skeletons.camera_frame_id:
+        return None
     people = [p for p in skeletons.people if not p.tentative and p.unseen_for <= LOST_S]
     same = [p for p in people if p.id == followed]
     return same[0] if same else max(people, key=lambda p: p.age, default=None)
@@ -39,21 +47,29 @@ def main():
     import rclpy
     from geometry_msgs.msg import Twist
     from mocap_ros_msgs.msg import Skeleton3DArray
+    from rclpy.executors import ExternalShutdownException
 
     rclpy.init()
     node = rclpy.create_node('follow_person')
     publisher = node.create_publisher(Twist, 'cmd_vel', 10)
-    followed = ['']
+    followed, heard = [''], [-math.inf]
 
     def take(skeletons):
+        heard[0] = time.monotonic()
         person = choose_person(skeletons, followed[0])
         followed[0] = person.id if person else ''
         command = Twist()
         command.linear.x, command.angular.z = choose_command(person)
         publisher.publish(command)
 
+    def watch():
+        if time.monotonic() - heard[0] > LOST_S:
+            publisher.publish(Twist())
+
     node.create_subscription(Skeleton3DArray, 'skeletons', take, 10)
-    rclpy.spin(node)
+    node.create_timer(LOST_S / 3, watch)
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
 
 
 if __name__ == '__main__':

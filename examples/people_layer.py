@@ -4,6 +4,7 @@ Run mocap_node with -p node.output_frame:=map (or odom). It reads `skeletons` an
 on `people_points`; name that topic in observation_sources of the obstacle layer (data_type: PointCloud2).
 """
 
+import contextlib
 import math
 import struct
 
@@ -14,8 +15,10 @@ HEIGHT_M = 0.5  # above the ground of the frame; inside min_obstacle_height and 
 
 
 def list_points(skeletons):
-    """Return the points (x, y, z) in m of all people, tentative ones left out."""
+    """Return the points (x, y, z) in m of all people but tentative ones; none in the camera's frame."""
     points = []
+    if skeletons.header.frame_id == skeletons.camera_frame_id:
+        return points
     for person in skeletons.people:
         if person.tentative:
             continue
@@ -33,6 +36,7 @@ def main():
     """Run the node."""
     import rclpy
     from mocap_ros_msgs.msg import Skeleton3DArray
+    from rclpy.executors import ExternalShutdownException
     from sensor_msgs.msg import PointCloud2, PointField
 
     rclpy.init()
@@ -51,7 +55,8 @@ def main():
         publisher.publish(cloud)
 
     node.create_subscription(Skeleton3DArray, 'skeletons', take, 10)
-    rclpy.spin(node)
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
 
 
 if __name__ == '__main__':

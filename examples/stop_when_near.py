@@ -4,6 +4,7 @@ Run mocap_node with -p node.output_frame:=base_link, so that distances are from 
 publishes std_msgs/Bool on `stop`; it also says stop where nothing has been heard for SILENCE_S. No safety device.
 """
 
+import contextlib
 import math
 import time
 
@@ -34,14 +35,16 @@ def nearest_distance(skeletons, horizon_s=HORIZON_S):
 
 
 def must_stop(skeletons):
-    """Return whether somebody is or will be too near."""
-    return nearest_distance(skeletons) < DISTANCE_M
+    """Return whether somebody is or will be too near, or nobody knows, as people are in the camera's frame."""
+    is_placed = skeletons.header.frame_id != skeletons.camera_frame_id
+    return not is_placed or nearest_distance(skeletons) < DISTANCE_M
 
 
 def main():
     """Run the node."""
     import rclpy
     from mocap_ros_msgs.msg import Skeleton3DArray
+    from rclpy.executors import ExternalShutdownException
     from std_msgs.msg import Bool
 
     rclpy.init()
@@ -59,7 +62,8 @@ def main():
 
     node.create_subscription(Skeleton3DArray, 'skeletons', take, 10)
     node.create_timer(SILENCE_S / 5, watch)
-    rclpy.spin(node)
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
 
 
 if __name__ == '__main__':

@@ -329,7 +329,7 @@ def _open_scratch(out: str) -> Iterator[Path]:
 
 def list_own_folders(settings: Settings) -> list[str]:
     """Return the URLs of the folders of a run that hold bags, which are no recordings of the corpus."""
-    return [join_url(settings.out, folder) for folder in (RESULTS, PARTS, UNFINISHED)]
+    return [join_url(settings.out, folder) for folder in (RESULTS, RECORDS, PARTS, UNFINISHED)]
 
 
 def remove_unfinished(settings: Settings) -> None:

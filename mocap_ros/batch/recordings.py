@@ -63,7 +63,8 @@ def find_recordings(source: str, work: Work, leave_out: Sequence[str] = ()) -> l
         leave_out: paths or URLs of folders that are not searched, as those of the results.
 
     Raises:
-        InputError: there is nothing, it cannot be read, or two recordings have the same name.
+        InputError: there is nothing, it cannot be read, or the results of two recordings
+            would have the same place.
     """
     sources = _read_list(source) if source.endswith(LIST_SUFFIX) else [source]
     sizes: dict[str, int] = {}
@@ -80,11 +81,23 @@ def find_recordings(source: str, work: Work, leave_out: Sequence[str] = ()) -> l
     name, count = Counter(names.values()).most_common(1)[0]
     if count > 1:
         raise InputError(f'{source}: {count} recordings would have results of the name {name}')
+    _refuse_nested_names(source, names.values())
     found = [
         Recording(url, names[url], tuple(sorted(files)), sum(sizes[file] for file in files))
         for url, files in groups.items()
     ]
     return sorted(found, key=lambda r: (-r.size_bytes, r.name))
+
+
+def _refuse_nested_names(source: str, names: Iterable[str]) -> None:
+    """Raise InputError if the results of one recording would be in the folder of another's."""
+    known = set(names)
+    for name in sorted(known):
+        parents = (name[:i] for i, letter in enumerate(name) if letter == '/')
+        if (parent := next((p for p in parents if p in known), None)) is not None:
+            raise InputError(
+                f'{source}: the result of {name} would be inside that of {parent}; rename one of the recordings'
+            )
 
 
 def compute_content_key(recording: Recording) -> str:

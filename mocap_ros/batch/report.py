@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
@@ -56,10 +57,16 @@ def encode_table(outcomes: Sequence[Outcome], parameters: str) -> bytes:
     """
     schema = pa.schema([(name, pa.type_for_alias(kind)) for name, kind in COLUMNS.items()])
     rows = [row for outcome in sorted(outcomes, key=lambda o: o.job.recording.name) for row in outcome.rows]
+    rows = [{key: _make_printable(value) for key, value in row.items()} for row in rows]
     table = pa.Table.from_pylist(rows, schema=schema.with_metadata({'mocap_ros.yaml': parameters}))
     buffer = io.BytesIO()
     parquet.write_table(table, buffer, compression='zstd')
     return buffer.getvalue()
+
+
+def _make_printable(value: Any) -> Any:
+    """Return a text with bytes of a file's name that are no UTF-8 written as escapes; anything else as it is."""
+    return os.fsencode(value).decode('utf-8', 'backslashreplace') if isinstance(value, str) else value
 
 
 def summarise(outcomes: Sequence[Outcome], wall_seconds: float) -> list[str]:

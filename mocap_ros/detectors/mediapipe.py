@@ -98,7 +98,7 @@ class BundledMediaPipe:
     """
 
     def __init__(self) -> None:
-        place = 'no model file is given, and '
+        place = 'no model file is given (--model, of other commands --detector; docs/video.md), and '
         mediapipe = _import_mediapipe(f'{place}the model that comes with MediaPipe 0.10.14 ')
         solutions = getattr(mediapipe, 'solutions', None)
         if solutions is None:

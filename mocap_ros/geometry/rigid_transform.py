@@ -26,6 +26,10 @@ Array = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]  # x, y, z, w, of unit length
 
 MAX_COSINE = 0.9999999  # 1; above it two rotations are so close that the arc is a straight line
+ROUNDING = (
+    1e-12  # 1; a quaternion whose length is nearer to 1 is left as it is, for a second division changes bits
+)
+MAX_DISTANCE_M = 1e9  # m; beyond it, positions in single precision say nothing
 QUATERNION_TOLERANCE = 0.1  # 1; a quaternion whose length is further from 1 is no rotation
 # Rotation from a camera's optical frame (x right, y down, z forward) to a body's frame (x forward, y left, z up).
 OPTICAL_TO_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -57,8 +61,12 @@ class RigidTransform:
             InputError: a number is not finite, or the quaternion is not of unit length.
         """
         length = math.sqrt(sum(q * q for q in numbers[3:7]))
-        if not all(map(math.isfinite, numbers)) or not abs(length - 1) < QUATERNION_TOLERANCE:
-            raise InputError('the translation is not finite, or the quaternion is not of unit length')
+        if not all(abs(n) <= MAX_DISTANCE_M for n in numbers) or not abs(length - 1) < QUATERNION_TOLERANCE:
+            raise InputError(
+                'the translation is not finite or absurdly far, or the quaternion is not of unit length'
+            )
+        if abs(length - 1) < ROUNDING:  # so that a transform that is written and read again is the same
+            length = 1.0
         x, y, z, w = (q / length for q in numbers[3:7])
         return RigidTransform(np.array(numbers[:3], np.float64), (x, y, z, w))
 

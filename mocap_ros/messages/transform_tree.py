@@ -25,6 +25,7 @@ from mocap_ros.units import NS_PER_S
 
 HISTORY_S = 10.0  # s; as tf2 keeps transforms, and longer than any tracker.lag
 MAX_FRAMES = 1000  # frames; many times those of a robot; guards the memory against names that never end
+MESSAGE_TRANSFORMS = 10_000  # transforms of an encoded message; 1 to 2 MB, far below the limit of a message
 MAX_DEPTH = 100  # frames from a frame up to its root; guards the search against loops
 
 
@@ -142,13 +143,19 @@ class TransformTree:
         )
         return from_common.inverse().compose(to_common)
 
-    def encode_all(self) -> tuple[bytes, bytes]:
-        """Return all transforms as two TFMessages, of /tf_static and of /tf, which make another tree the same."""
+    def encode_all(self) -> tuple[list[bytes], list[bytes]]:
+        """Return all transforms as TFMessages of /tf_static and of /tf, which make another tree the same."""
         messages: tuple[list[Any], list[Any]] = ([], [])
         for child, link in self._links.items():
             for stamp_ns, transform in link.samples:
                 messages[not link.is_static].append(_create_transform(link.parent, child, stamp_ns, transform))
-        static, dynamic = (encode(create_message(TRANSFORMS, transforms=m), TRANSFORMS) for m in messages)
+        static, dynamic = (
+            [
+                encode(create_message(TRANSFORMS, transforms=m[i : i + MESSAGE_TRANSFORMS]), TRANSFORMS)
+                for i in range(0, len(m), MESSAGE_TRANSFORMS)
+            ]
+            for m in messages
+        )
         return static, dynamic
 
     @property
@@ -218,6 +225,8 @@ def _read_transform(index: int, stamped: Any) -> tuple[str, str, int, RigidTrans
     translation, rotation = stamped.transform.translation, stamped.transform.rotation
     numbers = (translation.x, translation.y, translation.z, rotation.x, rotation.y, rotation.z, rotation.w)
     stamp = stamped.header.stamp
+    if stamp.nanosec >= NS_PER_S:
+        raise InputError(f'transforms[{index}]: header.stamp.nanosec {stamp.nanosec}')
     try:
         transform = RigidTransform.from_numbers(numbers)
     except InputError as error:

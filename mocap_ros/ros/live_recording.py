@@ -84,11 +84,12 @@ class LiveRecording:
         config = pipeline.config
         folder = choose_bag_folder(Path(config.recorder.folder), start_ns)
         attachments = provenance_attachments(config, pipeline.models)
-        self._recorder = BackgroundRecorder(folder, config.recorder, attachments, self._versions.definitions)
         self._declared_inputs = set()
         self._journal = Journal(self._names['journal'])
         self._unrecorded_count = 0
-        self._put(self._make_first_records(pipeline, start_ns))
+        first_records = self._make_first_records(pipeline, start_ns)
+        self._recorder = BackgroundRecorder(folder, config.recorder, attachments, self._versions.definitions)
+        self._put(first_records)
         return folder
 
     def finish(self) -> Path | None:
@@ -179,7 +180,8 @@ class LiveRecording:
             known.append((Source.CAMERA_INFO, CAMERA_INFO, pipeline.camera_info))
         if not pipeline.transforms.is_empty:
             static, dynamic = pipeline.transforms.encode_all()
-            known += [(Source.STATIC_TRANSFORMS, TRANSFORMS, static), (Source.TRANSFORMS, TRANSFORMS, dynamic)]
+            known += [(Source.STATIC_TRANSFORMS, TRANSFORMS, message) for message in static]
+            known += [(Source.TRANSFORMS, TRANSFORMS, message) for message in dynamic]
         for source, msgtype, content in known:
             topic, raw = self._names[source.value], self._versions.write(msgtype, content)
             records += self._declare_input(topic, msgtype)

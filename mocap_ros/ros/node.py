@@ -173,7 +173,8 @@ class MocapNode(LifecycleNode):
         )
         self._run.start()
         self._inputs.subscribe(self._run.enqueue)
-        published = ', '.join(names[topic] for topic in (*OUTPUTS, *switched, *LATCHED_OUTPUTS))
+        outputs = (*OUTPUTS, *switched, *LATCHED_OUTPUTS)
+        published = ', '.join(names[topic] for topic in outputs if self._outputs.has_publisher(topic))
         self.get_logger().info(
             f'the node is active: it listens on {" and ".join(self._inputs.topics)}, publishes {published}, '
             f'and uses the model {self._config.tracker.model}'

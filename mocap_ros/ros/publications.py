@@ -57,6 +57,10 @@ class OutputPublishers:
             self._node.destroy_lifecycle_publisher(publisher)
         self._publishers = {}
 
+    def has_publisher(self, topic: str) -> bool:
+        """Return whether an output, by its relative topic name, is published and not only recorded."""
+        return topic in self._publishers
+
     def publish(self, output: OutputMessage) -> None:
         """Publish an output, in the installed version of its type, if its topic has a publisher."""
         publisher = self._publishers.get(output.topic)

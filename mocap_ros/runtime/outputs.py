@@ -130,6 +130,7 @@ class OutputEncoder:
 
     def encode_clear(self, header: Header) -> OutputMessage:
         """Encode the message that deletes all markers, and forget all people."""
+        self._collision_objects.encode_clear(header)
         return OutputMessage('markers', MARKERS, header.stamp_ns, self._markers.encode_clear(header))
 
 

@@ -38,7 +38,7 @@ MAX_CONSECUTIVE_ERRORS = 3  # messages; after as many internal errors in a row t
 BACKLOG_REASON = (
     'the message was skipped because newer messages were waiting, as the node cannot keep up with its input; '
     'lower tracker.components, tracker.iterations or tracker.refine_seconds, send fewer frames or people, '
-    'or use a faster CPU core'
+    'or use a CPU core that is faster or less busy with other processes'
 )
 
 
@@ -316,7 +316,9 @@ class Pipeline:
         self._tracker.reset()
         self._assembler.reset()
         self.people = ()
-        return self._outputs.encode_clear(self.output_header)
+        cleared = self._outputs.encode_clear(self.output_header)
+        self.header = Header(0, '')
+        return cleared
 
     def reconfigure(self, config: Config) -> bool:
         """Use other parameters; return whether the tracker had to be restarted for them."""

@@ -104,13 +104,14 @@ def _describe_scene(scene: Scene, packer: _Packer) -> dict[str, Any]:
     if scene.truth is not None:
         metre_step = max(metre_step, _find_step([scene.truth]))
     pixel_step = max(MAX_IMAGE_SIZES * max(scene.image_size) / MAX_INT16, MIN_PIXEL_STEP)
+    tick_s = max(TICK_S, float(np.abs(scene.times).max(initial=0.0)) / np.iinfo(np.int32).max)
     truth = None
     if scene.truth is not None:
         truth = {'arrays': {'joints': packer.add(_round_to_int16(scene.truth, metre_step))}}
     return {
-        'title': scene.title,
-        'tickS': TICK_S,
-        'times': packer.add(np.round(scene.times / TICK_S).astype(np.int32)),
+        'title': scene.title.encode('utf-8', 'backslashreplace').decode(),
+        'tickS': tick_s,
+        'times': packer.add(np.round(scene.times / tick_s).astype(np.int32)),
         'metrePerStep': metre_step,
         'pixelPerStep': pixel_step,
         'stdPerStep': STD_STEP,

@@ -94,6 +94,15 @@ def test_two_recordings_of_one_name_are_refused(root: str) -> None:
         find_recordings(root, Work.REPLAY)
 
 
+def test_recordings_whose_results_would_lie_in_each_other_are_refused(root: str) -> None:
+    """The result of the outer one would be replaced together with that of the inner one."""
+    fs, path = fsspec.url_to_fs(root)
+    fs.makedirs(f'{path}/day2/b')
+    fs.pipe_file(f'{path}/day2/b/c.mcap', b'c')
+    with pytest.raises(InputError, match='the result of day2/b/c would be inside that of day2/b'):
+        find_recordings(root, Work.REPLAY)
+
+
 def test_the_content_and_no_time_stamp_identifies_a_recording(root: str) -> None:
     (bag,) = find_recordings(f'{root}/day1', Work.REPLAY)
     key = compute_content_key(bag)

@@ -110,3 +110,13 @@ def test_a_costmap_gets_discs_where_people_are_and_will_be(scene: list[Any]) -> 
     )
     skeletons.people[0].tentative = True
     assert example.list_points(skeletons) == []
+
+
+def test_people_in_the_frame_of_the_camera_move_no_robot(scene: list[Any]) -> None:
+    """The node publishes such people where it knows no transform; their x and y are not on the ground."""
+    skeletons = deepcopy(scene[-1])
+    skeletons.people[0].tentative = False
+    skeletons.header.frame_id = skeletons.camera_frame_id
+    assert load('stop_when_near').must_stop(skeletons)
+    assert load('follow_person').choose_person(skeletons) is None
+    assert load('people_layer').list_points(skeletons) == []

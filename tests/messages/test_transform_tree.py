@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rigid_transform import RigidTransform
+from mocap_ros.messages import transform_tree
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.transform_tree import HISTORY_S, MAX_FRAMES, TransformTree, is_of_people_only
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
@@ -92,12 +93,41 @@ def test_a_tree_that_is_encoded_makes_another_the_same() -> None:
     tree, again = make_tree(), TransformTree()
     assert again.is_empty
     static, dynamic = tree.encode_all()
-    again.add(static, is_static=True)
-    again.add(dynamic, is_static=False)
+    for messages, is_static in ((static, True), (dynamic, False)):
+        for message in messages:
+            again.add(message, is_static=is_static)
     for stamp_ns in (0, SECOND_NS // 3, SECOND_NS):
         one, other = (t.find('map', 'camera', stamp_ns, 0.0) for t in (tree, again))
         np.testing.assert_allclose(one.translation, other.translation, atol=1e-12)
         np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-12)
+
+
+def test_a_large_tree_is_encoded_in_several_messages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transform_tree, 'MESSAGE_TRANSFORMS', 7)
+    tree, again = TransformTree(), TransformTree()
+    for i in range(20):
+        tree.add(make_transforms(('map', 'base', i * SECOND_NS // 10, (i, 0, 0))), is_static=False)
+    static, dynamic = tree.encode_all()
+    assert (len(static), len(dynamic)) == (0, 3)
+    for message in dynamic:
+        again.add(message, is_static=False)
+    assert again.encode_all() == (static, dynamic)
+
+
+def test_a_unit_quaternion_is_not_changed_by_writing_and_reading(rng: np.random.Generator) -> None:
+    """Otherwise a replay would place people elsewhere in the last bits."""
+    for _ in range(200):
+        q = rng.normal(size=4)
+        once = RigidTransform.from_numbers((0.0, 0.0, 0.0, *(q / np.linalg.norm(q))))
+        again = RigidTransform.from_numbers((0.0, 0.0, 0.0, *once.quaternion))
+        assert again.quaternion == once.quaternion
+
+
+def test_stamps_that_no_clock_gives_are_refused() -> None:
+    message = decode(make_transforms(('map', 'base', SECOND_NS, (0, 0, 0))), TRANSFORMS)
+    message.transforms[0].header.stamp.nanosec = 4_294_967_295
+    with pytest.raises(InputError, match=r'transforms\[0\]: header.stamp.nanosec 4294967295'):
+        TransformTree().add(encode(message, TRANSFORMS), is_static=False)
 
 
 @pytest.mark.parametrize(
