@@ -11,6 +11,7 @@
   const BODY_RADIUS_M = 0.9; // m; of the sphere that holds a person, for the distance of the view
   const MAX_RATIO = 2; // canvas pixels per CSS pixel; more is not seen and takes time
   const MIN_RATIO = 0.5; // canvas pixels per CSS pixel; less is too coarse to read
+  const GAP_S = 0.2; // s; over a longer time without a frame of a person, curves are interrupted
   const SLOW_FRAME_MS = 30; // ms; a slower picture lowers the resolution, so that 30 pictures a second remain
   const MOTION_NAMES = ['unknown', 'periodic', 'not periodic'];
   const MOTION_COLOURS = ['#dddddd', '#8fbf8f', '#b9a3d0'];
@@ -520,9 +521,13 @@
           context.lineTo(column, yOf(low));
           isDown = true;
         };
+        let newest = -Infinity;
         person.frames.forEach((frame, row) => {
           const value = person[key][row];
-          if (value === NOT_A_NUMBER) { flush(); column = -1; isDown = false; return; }
+          const isAfterGap = scene.seconds[frame] - newest > GAP_S;
+          newest = scene.seconds[frame];
+          if (isAfterGap || value === NOT_A_NUMBER) { flush(); column = -1; isDown = false; }
+          if (value === NOT_A_NUMBER) return;
           const x = Math.round(this.xOf(scene.seconds[frame]) * 2) / 2;
           if (x !== column) { flush(); column = x; low = high = value; }
           low = Math.min(low, value); high = Math.max(high, value);
@@ -553,6 +558,16 @@
   }
 
   // ---- the page ---------------------------------------------------------------------------------------------------
+
+  // The first time at which somebody is seen and not tentative: a better first sight than a pale person.
+  function findFirstCertainTime(scene) {
+    let first = Infinity;
+    for (const person of scene.people) {
+      const row = person.state.findIndex((state) => !(state & 3));
+      if (row >= 0) first = Math.min(first, scene.seconds[person.frames[row]]);
+    }
+    return first === Infinity ? 0 : first;
+  }
 
   async function start() {
     if (!window.DecompressionStream) return fail('This browser is too old for this page; any of 2023 or later opens it.');
@@ -635,7 +650,8 @@
       event.preventDefault();
     });
     resize();
-    space.update(0);
+    goTo(findFirstCertainTime(scene));
+    space.update(frame);
     space.choose('free');
     requestAnimationFrame(tick);
 
