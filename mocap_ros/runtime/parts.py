@@ -18,8 +18,9 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import Source, find_people_topics, find_people_type, find_transform_topics
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import FrameDropped, InputError
-from mocap_ros.messages.camera_info import decode_camera_info
+from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
 from mocap_ros.messages.input_types import decode_frame
+from mocap_ros.runtime.frame_assembly import MISSING_STAMP
 from mocap_ros.units import NS_PER_S
 
 ANY_SIZE = (1, 1)  # px, size of images whose messages state none; it does not matter for the number of people
@@ -97,6 +98,7 @@ class _CutFinder:
         self._absence_ns = max(settings.forget_all_after, settings.forget_after) * NS_PER_S
         self._min_ns = min_seconds * NS_PER_S
         self._camera_info: bytes | None = None
+        self._camera: CameraInfo | None = None  # the same, decoded
         self._newest_ns: int | None = None  # stamp of the newest image
         self._newest_person_ns: int | None = None  # stamp of the newest image that may show somebody
         self._last_time_ns = -1  # log time of the input before
@@ -108,7 +110,7 @@ class _CutFinder:
         """Add a CameraInfo."""
         self.add_other(time_ns)
         with suppress(InputError):  # the pipeline refuses it, too, and goes on with the one before
-            decode_camera_info(raw, rectified=self._config.node.rectified_input)
+            self._camera = decode_camera_info(raw, rectified=self._config.node.rectified_input)
             self._camera_info = raw
 
     def add_other(self, time_ns: int) -> None:
@@ -123,6 +125,10 @@ class _CutFinder:
         self.add_other(time_ns)
         try:
             frame = decode_frame(raw, self._config.node.input_type, self._config.node, ANY_SIZE)
+            if frame.header.stamp_ns == 0:
+                raise FrameDropped(MISSING_STAMP)
+            if self._camera is not None:
+                check_image_size(frame, self._camera)
         except (InputError, FrameDropped):
             self._newest_person_ns = self._newest_ns  # the tracker never gets it; no cut near it
             return

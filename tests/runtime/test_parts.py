@@ -27,7 +27,7 @@ LATCHED = ('/skeleton_definition',)  # topics of which each file of a bag repeat
 
 
 def write_bag(folder: Path, visits: str, event: Entry | None = None) -> Path:
-    """Write a bag of which each second shows somebody (x) or nobody (.)."""
+    """Write a bag of which each second shows somebody (x) or nobody (.), or has images of another camera (?)."""
     seen = encode_demo_frames(60)
     with Recorder(folder, RecorderConfig(min_free_mb=0)) as recorder:
         recorder.write('/camera_info', CAMERA_INFO, camera_info(), START_NS, START_NS)
@@ -38,7 +38,8 @@ def write_bag(folder: Path, visits: str, event: Entry | None = None) -> Path:
             if visits[frame // HZ] == 'x':
                 raw = with_stamp(seen[3 * frame % 60], stamp_ns)
             else:
-                raw = encode_keypoints(Header(stamp_ns, 'camera'), (640, 480), [])
+                size = (640, 480) if visits[frame // HZ] == '.' else (1280, 960)
+                raw = encode_keypoints(Header(stamp_ns, 'camera'), size, [])
             recorder.write('/keypoints', KEYPOINTS, raw, stamp_ns + 1, stamp_ns)
     return folder
 
@@ -84,6 +85,7 @@ def test_the_parts_of_a_bag_give_the_messages_of_the_whole(tmp_path: Path) -> No
         ('......xx', 0),  # nobody was there before
         ('xx.......', 1),
         ('xxxxxx', 0),
+        ('xx?????xx', 0),  # the tracker gets none of these images and does not know that nobody is there
     ],
 )
 def test_cuts_fall_where_nobody_was_there_for_long(tmp_path: Path, visits: str, cuts: int) -> None:
