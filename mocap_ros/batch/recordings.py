@@ -131,7 +131,7 @@ def _find_checksum(fs: Any, path: str) -> str:
 
 def _read_list(source: str) -> list[str]:
     try:
-        with fsspec.open(source, 'rt', encoding='utf-8') as file:
+        with fsspec.open(source, 'rt', encoding='utf-8-sig') as file:
             lines = [line.strip() for line in file]
     except (OSError, ValueError, ImportError) as error:
         raise InputError(f'{source}: {_describe(error)}') from None
@@ -147,7 +147,7 @@ def _list_files(source: str) -> dict[str, int]:
         for match in matches:
             for file, info in fs.find(match, detail=True).items():
                 found[_write_url_of(fs, file)] = int(info['size'] if 'size' in info else fs.size(file))
-    except (OSError, ValueError, ImportError) as error:
+    except (OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
         raise InputError(f'{source}: {_describe(error)}') from None
     if not found:
         raise InputError(f'{source}: no such file, and no folder with files')

@@ -82,6 +82,12 @@ def test_what_holds_no_recording_is_refused_in_one_line(root: str, source: str, 
     assert str(raised.value).startswith(f'{root}/{source}')
 
 
+@pytest.mark.parametrize('url', ['data:,hello', 'reference://'])
+def test_a_file_system_without_files_is_refused_in_one_line(url: str) -> None:
+    with pytest.raises(InputError, match=f'^{url}: '):
+        find_recordings(url, Work.REPLAY)
+
+
 def test_an_unknown_file_system_is_refused_in_one_line() -> None:
     with pytest.raises(InputError, match=r'^nowhere://x: .*nowhere'):
         find_recordings('nowhere://x', Work.REPLAY)
