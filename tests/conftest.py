@@ -8,7 +8,6 @@ from mocap_ros.runtime.cpu_setup import configure_process
 configure_process()  # sums then have the same order as in the node
 
 import importlib
-import importlib.util
 import signal
 from types import ModuleType
 
@@ -20,6 +19,7 @@ from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses
 from tests.support.evaluation_data import shared
+from tests.support.modules import load_module
 from tests.support.paths import ROOT
 
 # A shell that starts the tests in the background lets them ignore interrupts, which some tests send to programs.
@@ -37,12 +37,7 @@ def _compiled_kernels() -> None:
 @pytest.fixture(scope='session')
 def protocol() -> ModuleType:
     """The measuring protocol with which every accuracy in the documents was measured."""
-    spec = importlib.util.spec_from_file_location('protocol', shared('bench/protocol.py'))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_module(shared('bench/protocol.py'))
 
 
 @pytest.fixture(scope='session')

@@ -12,7 +12,7 @@ from mocap_ros.api.arguments import Model, Parameters, check_sequence, load_mode
 from mocap_ros.api.poses import PoseSequence
 from mocap_ros.config import format_value
 from mocap_ros.errors import InputError
-from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.offline.keyframes import reconstruct as keyframes
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.runtime.save_results import ReconstructedSequence
@@ -107,8 +107,7 @@ def reconstruct(
             missing = 'joint_names' if joint_names is None else 'times' if times is None else 'image_size'
             raise InputError(f'{missing}: missing')
         sequence = make_sequence(keypoints, joint_names, times, image_size, camera_matrix, distortion)
-    intrinsics = sequence.intrinsics(config.tracker.nominal_focal_length)
-    observations = sequence.keypoints, sequence.joint_names, sequence.timestamps, intrinsics
+    observations = extract_observations(sequence, config.tracker.nominal_focal_length)
     try:
         if method == 'keyframes':
             result = keyframes.reconstruct(*observations, models, config).result

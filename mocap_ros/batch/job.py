@@ -40,10 +40,9 @@ from mocap_ros.batch.storage import (
 from mocap_ros.config import Config, to_yaml
 from mocap_ros.errors import MocapError
 from mocap_ros.formats.detections import Video
-from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.offline.keyframes.reconstruct import find_keyframes, find_suspect_points
-from mocap_ros.offline.keyframes.shots import observe_shots
+from mocap_ros.offline.keyframes.reconstruct import find_keyframes, observe_plausible_points
 from mocap_ros.people import MotionKind
 from mocap_ros.runtime.appearances import Appearance
 from mocap_ros.runtime.cpu_setup import configure_process
@@ -363,7 +362,7 @@ def _replay(path: Path, job: Job, scratch: Path) -> _Result:
         'bag_dropped': found.counters.dropped.total(),
         'bag_invalid': found.counters.invalid,
         'bag_swaps': found.swapped_frames,
-        'configuration': _shorten(hashlib.sha256(to_yaml(found.config).encode()).hexdigest()),
+        'configuration': _name_parameters(found.config),
     }
     remark = ' '.join((found.first_rejection or ' '.join(found.tracebacks)).split())
     rows = [{**bag_values, **_describe_appearance(a)} for a in found.appearances] or [dict(bag_values)]
@@ -389,10 +388,9 @@ def _load_sequence(path: Path, job: Job) -> tuple[KeypointSequence, dict[str, An
     stamps = sequence.stamps_ns
     appearance = Appearance(sequence.person_id or '', int(stamps[0]), int(stamps[-1]))
     appearance.seconds['unknown'] = (stamps[-1] - stamps[0]) / NS_PER_S
-    key = hashlib.sha256(to_yaml(config).encode()).hexdigest()
     columns = {
         'bag_frames': len(sequence),
-        'configuration': _shorten(key),
+        'configuration': _name_parameters(config),
         'remark': '; '.join(lines),
         **_describe_appearance(appearance),
     }
@@ -413,11 +411,8 @@ def _find_keyframes(path: Path, job: Job, scratch: Path) -> _Result:
     """Find the keyframes of a recording and draw them."""
     config, name = job.settings.config or Config(), PurePosixPath(job.recording.name).name
     sequence, columns = _load_sequence(path, job)
-    intrinsics = sequence.intrinsics(config.tracker.nominal_focal_length)
-    observed = observe_shots(
-        sequence.keypoints, sequence.joint_names, sequence.timestamps, intrinsics, config.tracker
-    )
-    observed = observed.exclude_points(find_suspect_points(observed))
+    observations = extract_observations(sequence, config.tracker.nominal_focal_length)
+    observed = observe_plausible_points(*observations, config.tracker)
     keyframes = find_keyframes(observed, config.keyframes)
     files = {suffix: scratch / f'result{suffix}' for suffix in ('.yaml', '.png', '_distances.png')}
     files['.yaml'].write_text(format_yaml(observed, keyframes, name), encoding='utf-8')
@@ -479,8 +474,9 @@ def _describe_bag(job: Job, error: str | None = None) -> dict[str, Any]:
     }
 
 
-def _shorten(key: str) -> str:
-    return key[:KEY_DIGITS]
+def _name_parameters(config: Config) -> str:
+    """Return the first digits of a checksum of all parameters."""
+    return hashlib.sha256(to_yaml(config).encode()).hexdigest()[:KEY_DIGITS]
 
 
 def _drop_nan(value: float) -> float | None:

@@ -26,12 +26,11 @@ from mocap_ros.errors import MocapError
 from mocap_ros.evaluation import metrics
 from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.formats.text_files import guard_output
-from mocap_ros.messages.cdr import decode
+from mocap_ros.messages.cdr import decode, read_stamp
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.load_keypoints import load_sequence_file
 from mocap_ros.runtime.load_scene import SceneOptions, load_scene, select_true_joints
 from mocap_ros.skeleton import CMU15, skeleton_from_joints
-from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Scene
@@ -158,7 +157,7 @@ def read_first_person(bag: Path, sequence: KeypointSequence) -> tuple[Array, NDA
     with Bag(bag) as reader:
         for message in reader.messages(reader.topics_of_type([SKELETONS])):
             array = decode(message.raw, SKELETONS)
-            frame = frame_of.get(array.header.stamp.sec * NS_PER_S + array.header.stamp.nanosec)
+            frame = frame_of.get(read_stamp(array.header.stamp))
             if frame is not None and array.people:
                 person = array.people[0]
                 joints[frame] = [(joint.x, joint.y, joint.z) for joint in person.joints]

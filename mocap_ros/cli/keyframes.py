@@ -7,17 +7,16 @@ from pathlib import Path
 
 from mocap_ros.cli.keypoint_input import (
     add_input_options,
-    extract_observations,
     load_input_sequence,
     name_file_in_errors,
 )
 from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
 from mocap_ros.cli.progress import StageDisplay
 from mocap_ros.errors import InputError
+from mocap_ros.formats.sequence_file import extract_observations
 from mocap_ros.formats.text_files import check_output, guard_output
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
-from mocap_ros.offline.keyframes.reconstruct import find_keyframes, find_suspect_points
-from mocap_ros.offline.keyframes.shots import observe_shots
+from mocap_ros.offline.keyframes.reconstruct import find_keyframes, observe_plausible_points
 from mocap_ros.runtime.save_keyframes import format_yaml, list_keyframe_entries
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.viewing import plots
@@ -57,8 +56,8 @@ def run(args: argparse.Namespace) -> int:
     sequence = load_input_sequence(args, config)
     with name_file_in_errors(args.input), StageDisplay() as set_stage:
         set_stage('keypoints')
-        observed = observe_shots(*extract_observations(sequence, config), config.tracker)
-        observed = observed.exclude_points(find_suspect_points(observed))
+        observations = extract_observations(sequence, config.tracker.nominal_focal_length)
+        observed = observe_plausible_points(*observations, config.tracker)
         keyframes = find_keyframes(observed, config.keyframes, set_stage)
         set_stage('pictures')
         poses = draw_keyframes_figure(observed, keyframes, args.input.name)

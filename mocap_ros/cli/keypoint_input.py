@@ -18,7 +18,6 @@ from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX, KeypointSequence
 from mocap_ros.formats.video import VideoImage
-from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models, load_prior_lifter
 from mocap_ros.runtime.load_keypoints import load_input, load_people
@@ -142,18 +141,6 @@ def load_models(args: argparse.Namespace, config: Config) -> dict[str, BasePoses
     for model in models.values():  # here, so that the error about a lifter does not name the input
         load_prior_lifter(config.solver.prior, model.skeleton)
     return models
-
-
-def extract_observations(
-    sequence: KeypointSequence, config: Config
-) -> tuple[Array, tuple[str, ...], Array, Intrinsics]:
-    """Return the arguments of a reconstruction: keypoints, joint names, times and camera intrinsics.
-
-    Returns:
-        Keypoints (F, J, 3) with x, y in px and a score, the J joint names, times (F,) in s, and the intrinsics.
-    """
-    intrinsics = sequence.intrinsics(config.tracker.nominal_focal_length)
-    return sequence.keypoints, sequence.joint_names, sequence.timestamps, intrinsics
 
 
 @contextmanager

@@ -14,7 +14,6 @@ from mocap_ros.bags.reader import list_bag_files
 from mocap_ros.cli.keypoint_input import (
     add_input_options,
     add_model_option,
-    extract_observations,
     load_input_people,
     load_input_sequence,
     load_models,
@@ -25,7 +24,7 @@ from mocap_ros.cli.progress import StageDisplay
 from mocap_ros.config import Config, load_yaml
 from mocap_ros.errors import InputError
 from mocap_ros.formats.export.bvh import BLENDER_IMPORT
-from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.formats.text_files import check_output, guard_output, read_text
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.keyframes import reconstruct
@@ -164,7 +163,11 @@ def _reconstruct_by_keyframes(
         choices = parse_depth_choices(load_yaml(text, str(args.choices)), str(args.choices))
     with name_file_in_errors(args.input), StageDisplay() as set_stage:
         found = reconstruct.reconstruct(
-            *extract_observations(sequence, config), models, config, choices, set_stage
+            *extract_observations(sequence, config.tracker.nominal_focal_length),
+            models,
+            config,
+            choices,
+            set_stage,
         )
     upper, lower = (len(half.frames) for half in found.keyframes)
     outliers = int(found.outliers.sum())
@@ -176,4 +179,6 @@ def reconstruct_file(
     sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config
 ) -> SequenceResult:
     """Reconstruct the content of a sequence file as a whole."""
-    return reconstruct_sequence(*extract_observations(sequence, config), models, config)
+    return reconstruct_sequence(
+        *extract_observations(sequence, config.tracker.nominal_focal_length), models, config
+    )

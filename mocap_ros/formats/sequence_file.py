@@ -132,6 +132,22 @@ class KeypointSequence:
         return create_intrinsics(self.image_size, self.camera_matrix, self.distortion, focal_in_widths)
 
 
+def extract_observations(
+    sequence: KeypointSequence, focal_in_widths: float
+) -> tuple[Array, tuple[str, ...], Array, Intrinsics]:
+    """Return the arguments of a reconstruction: keypoints, joint names, times and camera intrinsics.
+
+    Args:
+        sequence: the sequence.
+        focal_in_widths: focal length in image widths that is assumed where the camera is unknown.
+
+    Returns:
+        Keypoints (F, J, 3) with x, y in px and a score, the J joint names, times (F,) in s, and the intrinsics.
+    """
+    intrinsics = sequence.intrinsics(focal_in_widths)
+    return sequence.keypoints, sequence.joint_names, sequence.timestamps, intrinsics
+
+
 def describe_frames(times: Array) -> str:
     """Return the number and the duration of frames at times (F,) in s, such as `390 frames in 13.0 s`."""
     return f'{len(times)} frames' + (f' in {times[-1] - times[0]:.1f} s' if len(times) > 1 else '')

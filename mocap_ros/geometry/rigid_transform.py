@@ -18,12 +18,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.geometry.rotations import quaternion_from_rotation
 
 Array = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]  # x, y, z, w, of unit length
+
+NO_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)
+SAME_POSE = (0.0, 0.0, 0.0, *NO_ROTATION)  # translation in m and quaternion that leave everything where it is
 
 MAX_COSINE = 0.9999999  # 1; above it two rotations are so close that the arc is a straight line
 ROUNDING = (
@@ -51,7 +55,7 @@ class RigidTransform:
     @staticmethod
     def identity() -> RigidTransform:
         """Return the transform between two frames that are one."""
-        return RigidTransform(np.zeros(3), (0.0, 0.0, 0.0, 1.0))
+        return RigidTransform(np.zeros(3), NO_ROTATION)
 
     @staticmethod
     def from_numbers(numbers: Sequence[float]) -> RigidTransform:
@@ -148,10 +152,5 @@ def parse_camera_pose(text: str, name: str) -> RigidTransform:
         numbers = []
     if len(numbers) != POSE_NUMBERS or not all(map(math.isfinite, numbers)):
         raise ConfigError(f'{name} = {text!r}: expected six numbers: x y z in m and roll pitch yaw in rad')
-    sin_roll, sin_pitch, sin_yaw = map(math.sin, numbers[3:])
-    cos_roll, cos_pitch, cos_yaw = map(math.cos, numbers[3:])
-    roll = np.array([[1, 0, 0], [0, cos_roll, -sin_roll], [0, sin_roll, cos_roll]])
-    pitch = np.array([[cos_pitch, 0, sin_pitch], [0, 1, 0], [-sin_pitch, 0, cos_pitch]])
-    yaw = np.array([[cos_yaw, -sin_yaw, 0], [sin_yaw, cos_yaw, 0], [0, 0, 1]])
-    rotation = yaw @ pitch @ roll @ OPTICAL_TO_BODY
+    rotation = Rotation.from_euler('xyz', numbers[3:]).as_matrix() @ OPTICAL_TO_BODY
     return RigidTransform(np.array(numbers[:3]), quaternion_from_rotation(rotation))

@@ -187,10 +187,23 @@ def validate_header(header: Any, limits: NodeConfig) -> Header:
     Raises:
         InputError: the stamp is not a valid time, or the frame_id is too long.
     """
-    seconds, nanoseconds = header.stamp.sec, header.stamp.nanosec
-    if seconds < 0 or nanoseconds >= NS_PER_S:
-        raise InputError(f'header.stamp: {seconds} s {nanoseconds} ns is not a valid time')
-    return Header(seconds * NS_PER_S + nanoseconds, validate_text(header.frame_id, 'header.frame_id', limits))
+    return Header(validate_stamp(header.stamp), validate_text(header.frame_id, 'header.frame_id', limits))
+
+
+def validate_stamp(stamp: Any) -> int:
+    """Validate the stamp of a header, a builtin_interfaces/Time, and return it in ns.
+
+    Raises:
+        InputError: the stamp is not a valid time.
+    """
+    if stamp.sec < 0 or stamp.nanosec >= NS_PER_S:
+        raise InputError(f'header.stamp: {stamp.sec} s {stamp.nanosec} ns is not a valid time')
+    return read_stamp(stamp)
+
+
+def read_stamp(stamp: Any) -> int:
+    """Return a stamp, a builtin_interfaces/Time, in ns."""
+    return int(stamp.sec * NS_PER_S + stamp.nanosec)
 
 
 def validate_text(text: str, field: str, limits: NodeConfig) -> str:

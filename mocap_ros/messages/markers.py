@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.geometry.rigid_transform import SAME_POSE
 from mocap_ros.messages.cdr import CdrWriter, Header, encode_header, encode_text, pad
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
@@ -83,7 +84,6 @@ Colors = NDArray[np.float32]  # (..., 4) red, green, blue and alpha in [0, 1]
 _NUMBERS = struct.Struct('<iii')  # id, type, action
 # pose, scale, color, lifetime, frame_locked, number of points; then the points follow without a gap
 _LOOK = struct.Struct('<7d3d4fiI?3xI')
-_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # the pose that leaves points where they are
 _NO_TEXT = b'\1\0\0\0\0\0\0\0'  # an empty string, padded
 _NO_ELEMENTS = bytes(4)  # an empty sequence
 # The fields after texture.header: texture.format and .data, uv_coordinates, text, mesh_resource,
@@ -133,7 +133,7 @@ class _MarkerWriter(CdrWriter):
         type_, scale, color, lifetime_ns, points, colors = content
         self.add(4, self._header + pad(encode_text(namespace)) + _NUMBERS.pack(number, type_, action))
         lifetime = divmod(lifetime_ns, NS_PER_S)
-        self.add(8, _LOOK.pack(*_ORIGIN, *scale, *color.tolist(), *lifetime, False, len(points)))
+        self.add(8, _LOOK.pack(*SAME_POSE, *scale, *color.tolist(), *lifetime, False, len(points)))
         self.add(1, points.tobytes())
         self.add_sequence(colors)
         self.add(4, self._end)

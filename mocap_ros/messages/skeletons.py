@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.rigid_transform import RigidTransform
+from mocap_ros.geometry.rigid_transform import SAME_POSE, RigidTransform
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cameras import compute_camera_numbers
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, CdrWriter, Header, create_message, decode, encode
@@ -27,7 +27,6 @@ _ROOT_NUMBERS = 3 + 9 + 3 + 9  # numbers of root, root_covariance, root_velocity
 _TIMES = struct.Struct('<ff')  # age, unseen_for
 _VERTICAL_STD = struct.Struct('<f')
 _POSE = struct.Struct('<7d')  # Skeleton3DArray.camera_pose: position and quaternion
-_SAME_FRAME = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def encode_skeletons(
@@ -72,7 +71,7 @@ def encode_skeletons(
     placement = camera or CameraPlacement(header.frame_id)
     writer.add_text(placement.frame_id)
     pose = placement.pose
-    pose_numbers = _SAME_FRAME if pose is None else (*pose.translation.tolist(), *pose.quaternion)
+    pose_numbers = SAME_POSE if pose is None else (*pose.translation.tolist(), *pose.quaternion)
     writer.add(8, _POSE.pack(*pose_numbers))
     return writer.finish()
 
@@ -89,7 +88,7 @@ def decode_skeletons(raw: bytes) -> Any:
     array = decode(raw, SKELETONS)
     position, orientation = array.camera_pose.position, array.camera_pose.orientation
     numbers = (position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w)
-    if numbers == _SAME_FRAME or not any(numbers[3:]):  # version 0.1 recorded no pose, which is converted to zeros
+    if numbers == SAME_POSE or not any(numbers[3:]):  # version 0.1 recorded no pose, which is converted to zeros
         return array
     try:
         to_optical_frame = RigidTransform.from_numbers(numbers).inverse()

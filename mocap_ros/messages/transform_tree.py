@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left, insort
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rigid_transform import RigidTransform, interpolate
-from mocap_ros.messages.cdr import Header, create_header, create_message, decode, encode
+from mocap_ros.messages.cdr import Header, create_header, create_message, decode, encode, validate_stamp
 from mocap_ros.messages.foreign.shared import MAX_MESSAGE_BYTES
 from mocap_ros.messages.transforms import CHILD_LINKS, ROOT_LINK, TRANSFORMS
 from mocap_ros.units import NS_PER_S
@@ -148,7 +149,8 @@ class TransformTree:
         messages: tuple[list[Any], list[Any]] = ([], [])
         for child, link in self._links.items():
             for stamp_ns, transform in link.samples:
-                messages[not link.is_static].append(_create_transform(link.parent, child, stamp_ns, transform))
+                numbers = transform.translation.tolist(), transform.quaternion
+                messages[not link.is_static].append(create_transform(link.parent, child, stamp_ns, *numbers))
         static, dynamic = (
             [
                 encode(create_message(TRANSFORMS, transforms=m[i : i + MESSAGE_TRANSFORMS]), TRANSFORMS)
@@ -217,26 +219,25 @@ def _read_transform(index: int, stamped: Any) -> tuple[str, str, int, RigidTrans
         stamped: message object.
 
     Raises:
-        InputError: a name is empty, both names are equal, or the transform is not valid.
+        InputError: a name is empty, both names are equal, or the stamp or the transform is not valid.
     """
     child, parent = stamped.child_frame_id.lstrip('/'), stamped.header.frame_id.lstrip('/')
     if not child or not parent or child == parent:
         raise InputError(f'transforms[{index}]: child_frame_id {child!r} in header.frame_id {parent!r}')
     translation, rotation = stamped.transform.translation, stamped.transform.rotation
     numbers = (translation.x, translation.y, translation.z, rotation.x, rotation.y, rotation.z, rotation.w)
-    stamp = stamped.header.stamp
-    if stamp.nanosec >= NS_PER_S:
-        raise InputError(f'transforms[{index}]: header.stamp.nanosec {stamp.nanosec}')
     try:
-        transform = RigidTransform.from_numbers(numbers)
+        return child, parent, validate_stamp(stamped.header.stamp), RigidTransform.from_numbers(numbers)
     except InputError as error:
         raise InputError(f'transforms[{index}]: {error}') from None
-    return child, parent, stamp.sec * NS_PER_S + stamp.nanosec, transform
 
 
-def _create_transform(parent: str, child: str, stamp_ns: int, transform: RigidTransform) -> Any:
-    x, y, z = transform.translation.tolist()
-    qx, qy, qz, qw = transform.quaternion
+def create_transform(
+    parent: str, child: str, stamp_ns: int, translation: Sequence[float], quaternion: Sequence[float]
+) -> Any:
+    """Create a geometry_msgs/TransformStamped of a translation in m and a quaternion x, y, z, w."""
+    x, y, z = translation
+    qx, qy, qz, qw = quaternion
     return create_message(
         'geometry_msgs/msg/TransformStamped',
         header=create_header(Header(stamp_ns, parent)),

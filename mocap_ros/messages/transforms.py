@@ -18,6 +18,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mocap_ros.geometry.rigid_transform import NO_ROTATION
 from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.cdr import Array, CdrWriter, Header, encode_header
 from mocap_ros.people import Person3D
@@ -34,7 +35,6 @@ _SHOULDERS, _HIPS = (np.array([CMU15.index(side + joint) for side in 'lr']) for 
 # The other links of REP-155 in the order in which they are sent.
 CHILD_LINKS = ('torso', 'head', *(f'{joint[0]}_{joint[1:]}' for joint in _LIMB_JOINTS))
 _TRANSFORM = struct.Struct('<7d')  # translation, and the quaternion x, y, z, w
-_NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 
 
 def encode_transforms(header: Header, people: Sequence[Person3D], prefix: str = '') -> bytes:
@@ -59,7 +59,7 @@ def encode_transforms(header: Header, people: Sequence[Person3D], prefix: str = 
         _add_transform(writer, camera_header, body, roots[index].tolist(), quaternion_from_rotation(axes[index]))
         body_header = encode_header(Header(header.stamp_ns, body))
         for link, position in zip(CHILD_LINKS, children[index].tolist(), strict=True):
-            _add_transform(writer, body_header, f'{prefix}{link}_{suffix}', position, _NO_ROTATION)
+            _add_transform(writer, body_header, f'{prefix}{link}_{suffix}', position, NO_ROTATION)
     return writer.finish()
 
 

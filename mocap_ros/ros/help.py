@@ -56,7 +56,7 @@ def _describe_interface() -> str:
         'subscribed topics': INPUT_TYPES,
         'published topics': OUTPUTS | LATCHED_OUTPUTS | {'/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray'},
         'subscribed with -p node.output_frame:=FRAME': TRANSFORM_INPUTS,
-        **{f'published with -p node.{field}:=true': topics for field, topics in SWITCHED_OUTPUTS.items()},
+        **{f'published with -p node.{field}:=true': {o.topic: o.type} for field, o in SWITCHED_OUTPUTS.items()},
         'services': SERVICES,
     }
     lines = []

@@ -12,7 +12,7 @@ import threading
 import time
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -175,7 +175,8 @@ class LiveRun:
         """
         with self._pipeline_lock:
             folder = self._recording.start(self._pipeline, self._find_recording_start_ns())
-            self._publish(self._reset_pipeline())
+            for output in self._reset_pipeline():
+                self._publish(output)
             self._logger.info(f'the recording to {folder} has started')
             return folder
 
@@ -260,9 +261,9 @@ class LiveRun:
         outputs = tuple(map(self._versions.write_output, result.outputs))
         return ProcessingResult(result.verdict, result.reason, outputs, result.error_traceback)
 
-    def _reset_pipeline(self) -> OutputMessage:
-        """Discard all people; return the message that deletes all markers, in the installed version."""
-        return self._versions.write_output(self._pipeline.reset())
+    def _reset_pipeline(self) -> list[OutputMessage]:
+        """Discard all people; return the messages that delete them, in the installed versions of their types."""
+        return [self._versions.write_output(output) for output in self._pipeline.reset()]
 
     def _log_traceback(self, error_traceback: str) -> None:
         """Log the traceback of an internal error unless it has been logged before."""
@@ -294,10 +295,11 @@ class LiveRun:
                 'raise recorder.backlog',
             )
 
-    def _publish_and_record(self, output: OutputMessage) -> None:
-        """Publish and record an output that no input caused."""
-        self._publish(output)
-        self._recording.write_output(output, self._clock.now_ns())
+    def _publish_and_record(self, outputs: Iterable[OutputMessage]) -> None:
+        """Publish and record outputs that no input caused."""
+        for output in outputs:
+            self._publish(output)
+            self._recording.write_output(output, self._clock.now_ns())
 
     def _note_accepted(self, topic: str) -> None:
         """Log the first accepted message, and once that header.frame_id is empty."""

@@ -49,7 +49,7 @@ class OutputPublishers:
         self._create_publisher(DIAGNOSTICS_TOPIC, DIAGNOSTICS, OUTPUT_QOS, versions)
         for field in SWITCHED_OUTPUTS:
             if getattr(config, field):
-                self._create_switched_publishers(field, versions)
+                self._create_switched_publisher(field, versions)
 
     def destroy(self) -> None:
         """Destroy all publishers."""
@@ -71,11 +71,11 @@ class OutputPublishers:
         """Publish a DiagnosticArray, given as CDR of the installed version."""
         self._publishers[DIAGNOSTICS_TOPIC].publish(raw)
 
-    def _create_switched_publishers(self, field: str, versions: MessageVersions) -> None:
-        """Create the publishers that a parameter switches on; what has no installed type is recorded only."""
-        for topic, msgtype in SWITCHED_OUTPUTS[field].items():
-            if self._is_installed(field, topic, msgtype):
-                self._create_publisher(topic, msgtype, TF_QOS if msgtype == TRANSFORMS else OUTPUT_QOS, versions)
+    def _create_switched_publisher(self, field: str, versions: MessageVersions) -> None:
+        """Create the publisher that a parameter switches on; what has no installed type is recorded only."""
+        topic, msgtype, _ = SWITCHED_OUTPUTS[field]
+        if self._is_installed(field, topic, msgtype):
+            self._create_publisher(topic, msgtype, TF_QOS if msgtype == TRANSFORMS else OUTPUT_QOS, versions)
 
     def _is_installed(self, field: str, topic: str, msgtype: str) -> bool:
         """Return whether the type of an output that a parameter switches on is installed; else log a warning."""

@@ -11,6 +11,7 @@ import numpy as np
 from mocap_ros.bags.reader import Bag, is_bag
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.formats.result_file import StoredResult, is_result_file, load_result_file
+from mocap_ros.messages.cdr import read_stamp
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
 from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.units import NS_PER_S
@@ -53,7 +54,7 @@ def load_result(path: Path, person: str | None = None) -> tuple[StoredResult, st
             found = f'several topics of skeletons: {", ".join(topics)}' if topics else 'no skeletons'
             raise InputError(f'{path}: the bag has {found}')
         arrays = [decode_skeletons(message.raw) for message in bag.messages(topics)]
-    array_by_stamp = {array.header.stamp.sec * NS_PER_S + array.header.stamp.nanosec: array for array in arrays}
+    array_by_stamp = {read_stamp(array.header.stamp): array for array in arrays}
     counts = Counter(skeleton.id for array in array_by_stamp.values() for skeleton in array.people)
     if not counts:
         raise InputError(f'{path}: {topics[0]}: nobody is in any message')

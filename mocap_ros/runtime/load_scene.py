@@ -18,7 +18,7 @@ from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.formats.detections import Detections, Video, associate_people, select_person
 from mocap_ros.formats.npz_arrays import ArrayReader, read_arrays
 from mocap_ros.formats.result_file import load_result_file
-from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.formats.text_files import read_text
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.base_poses import BasePoses
@@ -146,14 +146,8 @@ def _reconstruct_sequences(
     people, keypoints = [], []
     for index, sequence in enumerate(progress(sequences, len(sequences))):
         frames = np.array([frame_of[stamp] for stamp in sequence.stamps_ns])
-        result = reconstruct_sequence(
-            sequence.keypoints,
-            sequence.joint_names,
-            sequence.timestamps,
-            sequence.intrinsics(config.tracker.nominal_focal_length),
-            options.models,
-            config,
-        )
+        observations = extract_observations(sequence, config.tracker.nominal_focal_length)
+        result = reconstruct_sequence(*observations, options.models, config)
         people.append(_make_person(sequence.person_id or f'person_{index + 1}', frames, result, intrinsics))
         is_seen = (sequence.keypoints[..., 2] > 0).any(axis=1)
         keypoints.append(

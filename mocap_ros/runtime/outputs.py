@@ -8,6 +8,7 @@ remembered after its last message.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.messages.camera_placement import CameraPlacement
@@ -39,38 +40,39 @@ OUTPUTS = {
     'markers': MARKERS,
     'points': POINTS,
 }
-# The further outputs: message types by topic, by the field of `NodeConfig` that switches them on.
+
+
+class SwitchedOutput(NamedTuple):
+    """An output that a parameter switches on.
+
+    Attributes:
+        topic: Relative topic name.
+        type: Message type.
+        encode: Encoder of the people in an image; None where the message depends on more than these.
+    """
+
+    topic: str
+    type: str
+    encode: Callable[[Header, Sequence[Person3D]], bytes] | None = None
+
+
+# The further outputs, by the field of `NodeConfig` that switches them on.
 SWITCHED_OUTPUTS = {
-    'publish_tf': {'/tf': TRANSFORMS},
-    'publish_people': {'people': PEOPLE},
-    'publish_detections': {'detections': DETECTIONS_3D},
-    'publish_obstacles': {'obstacles': OBSTACLES},
-    'publish_poses': {'poses': POSES},
-    'publish_capsules': {'capsules': CAPSULES},
-    'publish_collision_objects': {'collision_object': COLLISION_OBJECT},
+    'publish_tf': SwitchedOutput('/tf', TRANSFORMS),
+    'publish_people': SwitchedOutput('people', PEOPLE, encode_people),
+    'publish_detections': SwitchedOutput('detections', DETECTIONS_3D, encode_detections),
+    'publish_obstacles': SwitchedOutput('obstacles', OBSTACLES, encode_obstacles),
+    'publish_poses': SwitchedOutput('poses', POSES, encode_poses),
+    'publish_capsules': SwitchedOutput('capsules', CAPSULES, encode_capsules),
+    'publish_collision_objects': SwitchedOutput('collision_object', COLLISION_OBJECT),
 }
 # Message type of the output that is published once and kept for late subscribers, by relative topic name.
 LATCHED_OUTPUTS = {'skeleton_definition': SKELETON_DEFINITION}
 
 
-# The encoders of those of them that depend on the people of an image alone.
-ENCODERS: dict[str, Callable[[Header, Sequence[Person3D]], bytes]] = {
-    'publish_people': encode_people,
-    'publish_detections': encode_detections,
-    'publish_obstacles': encode_obstacles,
-    'publish_poses': encode_poses,
-    'publish_capsules': encode_capsules,
-}
-
-
 def list_switched_outputs(node: NodeConfig) -> dict[str, str]:
     """Return the message types of the further outputs that are switched on, by topic."""
-    return {
-        topic: msgtype
-        for field, topics in SWITCHED_OUTPUTS.items()
-        if getattr(node, field)
-        for topic, msgtype in topics.items()
-    }
+    return {out.topic: out.type for field, out in SWITCHED_OUTPUTS.items() if getattr(node, field)}
 
 
 class OutputEncoder:
@@ -111,27 +113,28 @@ class OutputEncoder:
         }
         outputs = [OutputMessage(topic, OUTPUTS[topic], header.stamp_ns, raw) for topic, raw in data.items()]
         certain = [p for p in placed if not p.tentative]
-        for field, topics in SWITCHED_OUTPUTS.items():
+        for field, output in SWITCHED_OUTPUTS.items():
             if getattr(node, field):
-                ((topic, msgtype),) = topics.items()
-                messages = self._encode_switched(field, header, certain, node)
-                outputs += [OutputMessage(topic, msgtype, header.stamp_ns, raw) for raw in messages]
+                messages = self._encode_switched(output, header, certain, node)
+                outputs += [OutputMessage(output.topic, output.type, header.stamp_ns, raw) for raw in messages]
         return tuple(outputs)
 
     def _encode_switched(
-        self, field: str, header: Header, people: Sequence[Person3D], node: NodeConfig
+        self, output: SwitchedOutput, header: Header, people: Sequence[Person3D], node: NodeConfig
     ) -> list[bytes]:
         """Encode the messages of a further output for people who are not tentative."""
-        if field == 'publish_tf':
+        if output.encode is not None:
+            return [output.encode(header, people)]
+        if output.type == TRANSFORMS:
             return [encode_transforms(header, people, node.frame_prefix)]
-        if field == 'publish_collision_objects':
-            return self._collision_objects.encode_update(header, people)
-        return [ENCODERS[field](header, people)]
+        return self._collision_objects.encode_update(header, people)
 
-    def encode_clear(self, header: Header) -> OutputMessage:
-        """Encode the message that deletes all markers, and forget all people."""
-        self._collision_objects.encode_clear(header)
-        return OutputMessage('markers', MARKERS, header.stamp_ns, self._markers.encode_clear(header))
+    def encode_clear(self, header: Header) -> tuple[OutputMessage, ...]:
+        """Encode the messages that delete all markers and collision objects, and forget all people."""
+        topic, msgtype, _ = SWITCHED_OUTPUTS['publish_collision_objects']
+        markers = OutputMessage('markers', MARKERS, header.stamp_ns, self._markers.encode_clear(header))
+        objects = self._collision_objects.encode_clear(header)
+        return markers, *(OutputMessage(topic, msgtype, header.stamp_ns, raw) for raw in objects)
 
 
 def build_skeleton_definition() -> OutputMessage:

@@ -311,8 +311,8 @@ class Pipeline:
         self.counters.dropped['backlog'] += 1
         return ProcessingResult(Verdict.BACKLOG, BACKLOG_REASON)
 
-    def reset(self) -> OutputMessage:
-        """Discard all people and return the message that deletes all markers."""
+    def reset(self) -> tuple[OutputMessage, ...]:
+        """Discard all people and return the messages that delete them from viewers and planning scenes."""
         self._tracker.reset()
         self._assembler.reset()
         self.people = ()

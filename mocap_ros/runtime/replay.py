@@ -210,7 +210,8 @@ class _Replay:
         for entry in self._recorded_run.events.get(number, ()):
             if entry.kind == RESET:
                 self._recorder.write(*self._journal.make_reset_record(now_ns))
-                self._write(self._pipeline.reset(), now_ns)
+                for output in self._pipeline.reset():
+                    self._write(output, now_ns)
             elif self._repeats_parameters:
                 config = _apply_recorded_parameters(self._pipeline.config, entry.parameters, self._bag)
                 self._pipeline.reconfigure(config)

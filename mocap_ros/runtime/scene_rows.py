@@ -17,6 +17,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
 from mocap_ros.messages.camera_info import CameraInfo
+from mocap_ros.messages.cdr import read_stamp
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.runtime.frame_assembly import is_stamp_missing
 from mocap_ros.skeleton import CMU15, keypoint_layout, skeleton_from_joints
@@ -132,8 +133,7 @@ class SceneRows:
         Raises:
             InputError: a skeleton has another number of joints than `CMU15`.
         """
-        stamp = message.header.stamp
-        self.newest_ns = stamp.sec * NS_PER_S + stamp.nanosec
+        self.newest_ns = read_stamp(message.header.stamp)
         self._stamps.add(self.newest_ns)
         for skeleton in message.people:
             if self._person in (None, skeleton.id):
@@ -154,7 +154,7 @@ class SceneRows:
             InputError: the arrays of a person are not of the layout's length.
             SkeletonError: a layout is unknown.
         """
-        stamp_ns = message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec
+        stamp_ns = read_stamp(message.header.stamp)
         if message.image_width and message.image_height:
             self._image_size = message.image_width, message.image_height
         self._stamps.add(stamp_ns)

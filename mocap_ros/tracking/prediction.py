@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import MotionKind, Person3D
 from mocap_ros.tracking.person_in_frame import make_person
+from mocap_ros.tracking.solution import interpolate_linearly
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
@@ -82,9 +83,6 @@ def _continue_gait(track: Track, age_s: float, model: BasePoses) -> Array:
     cycles_s = math.ceil(age_s * motion.cadence) / motion.cadence
     if times[0] > -cycles_s:
         return still
-    now, then = (
-        np.array([np.interp(time, times, weights) for weights in solution.theta.T])
-        for time in (age_s - cycles_s, -cycles_s)
-    )
-    change = (model.poses(now) - model.poses(then)) @ solution.rotation[-1].T
+    now, then = model.poses(interpolate_linearly(np.array([age_s - cycles_s, -cycles_s]), times, solution.theta))
+    change = (now - then) @ solution.rotation[-1].T
     return np.asarray((change - change.mean(axis=0)) / solution.stature_ratio)

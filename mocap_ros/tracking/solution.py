@@ -87,9 +87,9 @@ class TrackSolution:
         rotation = camera.body_rotations(reconstruction.cameras)
         if len(frames) > 1:
             rotation = Slerp(solved_times, Rotation.from_matrix(rotation))(times).as_matrix()
-        theta = _interpolate(times, solved_times, reconstruction.theta)
+        theta = interpolate_linearly(times, solved_times, reconstruction.theta)
         roots = camera.root_positions(reconstruction.cameras, reconstruction.translation)
-        roots = _interpolate(times, solved_times, roots)
+        roots = interpolate_linearly(times, solved_times, roots)
         lengths = model.skeleton.bone_lengths(model.poses(theta))
         if earlier is not None:
             first = int(frames[0])
@@ -167,18 +167,12 @@ class TrackSolution:
             return None
         if frames == 0:
             return self
-        return TrackSolution(
-            self.model_name,
-            self.theta[frames:],
-            self.rotation[frames:],
-            self.roots[frames:],
-            self.bone_lengths[frames:],
-            self.noise,
-            self.stature_ratio,
-            self.joint_std,
-            self.residual,
-            self.frame_residual,
-            self.base_poses_lead,
+        return replace(
+            self,
+            theta=self.theta[frames:],
+            rotation=self.rotation[frames:],
+            roots=self.roots[frames:],
+            bone_lengths=self.bone_lengths[frames:],
         )
 
     def change_camera(self, old: Intrinsics, new: Intrinsics) -> TrackSolution:
@@ -306,6 +300,6 @@ def average_rows(values: Array) -> Array:
     return out / len(values)
 
 
-def _interpolate(times: Array, sample_times: Array, samples: Array) -> Array:
-    """Interpolate samples (n, D) linearly at some times (N,), to (N, D)."""
+def interpolate_linearly(times: Array, sample_times: Array, samples: Array) -> Array:
+    """Interpolate samples (n, D) at times (n,) linearly at other times (N,), to (N, D)."""
     return np.stack([np.interp(times, sample_times, s) for s in samples.T], axis=-1)

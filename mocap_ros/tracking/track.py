@@ -104,20 +104,15 @@ class Track:
         if seen.is_relabelled:
             schedule = schedule.check_at(stamp_ns)
         is_tentative = self.is_tentative and not _is_seen_for_long(seen)
-        return Track(self.id, seen, solution, schedule, is_tentative, self.motion_filter, self.first_ns)
+        return replace(self, seen=seen, solution=solution, schedule=schedule, is_tentative=is_tentative)
 
     def append_lifted(self, lifted: LiftedPoses) -> Track:
         """Return the track with lifted poses of the frames that had none; see `ObservedWindow.append_lifted`."""
-        seen = self.seen.append_lifted(lifted)
-        return Track(
-            self.id, seen, self.solution, self.schedule, self.is_tentative, self.motion_filter, self.first_ns
-        )
+        return replace(self, seen=self.seen.append_lifted(lifted))
 
     def refine(self, solution: TrackSolution) -> Track:
         """Return the track with a newer solution of all its frames."""
-        return Track(
-            self.id, self.seen, solution, self.schedule, self.is_tentative, self.motion_filter, self.first_ns
-        )
+        return replace(self, solution=solution)
 
     def filter_motion(self, stamp_ns: int, joints: Array) -> Track:
         """Return the track whose output goes on with the joints (J, 3) m of a frame, stamp in ns."""
@@ -128,9 +123,7 @@ class Track:
             motion_filter = self.motion_filter.advance(stamp_ns, joints, image_noise)
         else:  # with a lag, this frame was put out before
             return self
-        return Track(
-            self.id, self.seen, self.solution, self.schedule, self.is_tentative, motion_filter, self.first_ns
-        )
+        return replace(self, motion_filter=motion_filter)
 
     def begin_solution(self, solution: TrackSolution) -> Track:
         """Return the track with its first solution, which is checked soon."""

@@ -19,6 +19,7 @@ from mocap_ros.errors import SkeletonError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.joint_map import map_to_model_joints
 from mocap_ros.skeleton import CMU15, Skeleton
+from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.plots import MIDDLE_COLOUR, TRUTH_COLOUR, choose_side_colour
 
 Array = NDArray[np.float64]
@@ -41,7 +42,7 @@ MAX_EXCHANGED_ERROR = 0.5  # 1
 # and if that error is more than this share of the extent of the person's image, about a third of the hips' width
 MIN_SWAP_ERROR = 0.03  # 1
 # The parts of the body whose sides detectors exchange, by the joints of the left side.
-BODY_PARTS = (('lshoulder', 'lelbow', 'lwrist'), ('lhip', 'lknee', 'lankle'))
+SIDED_PARTS = (('lshoulder', 'lelbow', 'lwrist'), ('lhip', 'lknee', 'lankle'))
 MIN_SCORE = 1e-6  # 1; least score of a keypoint that was seen at all
 CHUNK_ROWS = 4096  # detections that are compared at a time, which bounds the memory
 MIN_PART_JOINTS = 2  # pairs of joints of a part that must be seen on both sides; one alone may be an outlier
@@ -163,7 +164,7 @@ class Scene:
     @cached_property
     def times(self) -> Array:
         """(F,) s from the first frame."""
-        return (np.asarray(self.stamps_ns, np.int64) - self.stamps_ns[0]) / 1e9
+        return (np.asarray(self.stamps_ns, np.int64) - self.stamps_ns[0]) / NS_PER_S
 
     @cached_property
     def _coordinates(self) -> Array:
@@ -297,7 +298,7 @@ def _compare_sides(
     error = np.linalg.norm(body - image, axis=-1)
     exchanged = np.linalg.norm(body[:, mirror] - image, axis=-1)
     cost, verdict = np.zeros(len(rows)), np.zeros(len(rows), bool)
-    for names in BODY_PARTS:
+    for names in SIDED_PARTS:
         left = [skeleton.index(joint) for joint in names]
         part = np.array([*left, *mirror[left]])
         count = both[:, part].sum(axis=1)

@@ -73,6 +73,11 @@ from tests.support.quick_options import QUICK_OPTIONS
         (['plot', 'RECORDING', '-o', 'picture'], 'picture: unknown picture format; can write'),
         (['train', 'TRIALS', '--manifest', 'LATIN', '-o', 'x.npz'], 'latin.csv: not UTF-8 at byte 14'),
         (['train', 'TRIALS', '-o', 'x.npz'], 'trial 1_1: a body 0 m tall'),
+        (['view', 'nowhere.npz', '-o', 'x.html'], 'nowhere.npz: No such file'),
+        (['view', 'RECORDING', '-o', 'x.pdf'], 'x.pdf: unknown file type; expected .html'),
+        (['view', 'RECORDING', '-o', 'nowhere/x.html'], 'x.html: cannot be written: there is no folder nowhere'),
+        (['view', 'RECORDING', '-o', 'x.html', '--person', '7'], 'do not apply to a'),
+        (['view', 'IMAGE', '-o', 'x.html'], 'walk.jpg: is an image'),
     ],
 )
 def test_a_failure_is_one_line_on_stderr(
@@ -89,6 +94,7 @@ def test_a_failure_is_one_line_on_stderr(
     (tmp_path / 'bag' / 'metadata.yaml').touch()
     (tmp_path / 'folder').mkdir()
     (tmp_path / 'bomb.yaml').write_text('a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]')
+    (tmp_path / 'walk.jpg').write_bytes(b'image')
     (tmp_path / 'latin.csv').write_bytes(b'trial,subject\n\xff')
     trials: dict[str, Any] = {'_joints': np.array(CMU15.joints), '1_1': np.zeros((9, 15, 3))}
     np.savez(tmp_path / 'trials.npz', **trials)
@@ -100,12 +106,14 @@ def test_a_failure_is_one_line_on_stderr(
         'BOMB': 'bomb.yaml',
         'LATIN': 'latin.csv',
         'TRIALS': 'trials.npz',
+        'IMAGE': 'walk.jpg',
     }
     assert main([path_of.get(a, a) for a in arguments]) == 1
     error = capsys.readouterr().err
     assert error.count('\n') == 1
     assert message in error
     assert 'pickle' not in error
+    assert not list(tmp_path.glob('x.*'))
 
 
 @pytest.mark.parametrize('command', ['reconstruct', 'plot', 'keyframes', 'evaluate', 'replay', 'recover'])

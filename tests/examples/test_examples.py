@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from copy import deepcopy
 from pathlib import Path
 from types import ModuleType
@@ -20,6 +19,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.camera_infos import camera_info
+from tests.support.modules import load_module
 from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames
 
@@ -30,12 +30,7 @@ MAX_LINES = 80  # of an example
 
 
 def load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, ROOT / 'examples' / f'{name}.py')
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_module(ROOT / 'examples' / f'{name}.py')
 
 
 @pytest.fixture(scope='module')

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mocap_ros.geometry.rigid_transform import SAME_POSE
 from mocap_ros.messages.cdr import Array, CdrWriter, Header
 from mocap_ros.messages.robots.capsules import compute_capsules
 from mocap_ros.people import Person3D
@@ -29,7 +30,6 @@ EMPTY_SEQUENCES = (
 MIN_LENGTH_M = 1e-6  # m; between places that are nearer to each other there is no axis
 MIN_QUATERNION = 1e-6  # 1; length of the quaternion before it is made 1, of an axis that points down
 _POSE = struct.Struct('<7d')
-_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # the pose that leaves the shapes where they are
 
 
 class CollisionObjectEncoder:
@@ -60,7 +60,7 @@ def _encode(header: Header, person_id: str, operation: int, person: Person3D | N
     dimensions, poses = (np.zeros((0, 2)), np.zeros((0, 7))) if person is None else _compute_cylinders(person)
     writer = CdrWriter()
     writer.add_header(header)
-    writer.add(8, _POSE.pack(*_ORIGIN))
+    writer.add(8, _POSE.pack(*SAME_POSE))
     for text in (ID_PREFIX + person_id, TYPE_KEY, ''):
         writer.add_text(text)
     writer.add_count(len(dimensions))

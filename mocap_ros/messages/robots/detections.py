@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mocap_ros.geometry.rigid_transform import NO_ROTATION
 from mocap_ros.messages.cdr import Array, Header, create_header, create_message, encode
 from mocap_ros.messages.foreign.definitions import DETECTIONS_3D
 from mocap_ros.messages.robots.shared import (
-    NO_ROTATION,
     compute_extent,
     compute_heading_std,
     compute_orientations,

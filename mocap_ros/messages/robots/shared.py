@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mocap_ros.geometry.rigid_transform import NO_ROTATION
 from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.cdr import Array, create_message
 from mocap_ros.messages.transforms import compute_links
@@ -15,7 +16,6 @@ from mocap_ros.people import HIPS, Person3D
 
 RELIABILITY_FADE_S = 1.0  # s; the reliability of a person who has not been seen for so long is a third
 FLESH_M = 0.1  # m; how far a body reaches beyond its joints: half a trunk's depth, a hand beyond its wrist
-NO_ROTATION = (0.0, 0.0, 0.0, 1.0)  # quaternion x, y, z, w that turns nothing
 
 
 class Extent(NamedTuple):

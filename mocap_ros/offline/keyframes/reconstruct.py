@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.config import Config, KeyframesConfig
+from mocap_ros.config import Config, KeyframesConfig, TrackerConfig
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
@@ -76,6 +76,14 @@ class KeyframeResult:
     keyframes: tuple[KeyframeSet, KeyframeSet]
     motion: Array
     outliers: Mask
+
+
+def observe_plausible_points(
+    keypoints: Array, joint_names: tuple[str, ...], times: Array, intrinsics: Intrinsics, config: TrackerConfig
+) -> ObservedWindow:
+    """Observe a long sequence without its suspect points; the arguments are those of `shots.observe_shots`."""
+    observed = observe_shots(keypoints, joint_names, times, intrinsics, config)
+    return observed.exclude_points(find_suspect_points(observed))
 
 
 def find_keyframes(

@@ -179,13 +179,24 @@ def test_an_independent_decoder_reads_the_same(msgtype: str) -> None:
     assert flatten(read(raw)) == flatten(decode(raw, msgtype))
 
 
+def test_a_reset_takes_people_out_of_viewers_and_planning_scenes() -> None:
+    node = with_values(Config(), {'node.publish_collision_objects': True}).node
+    encoder = OutputEncoder()
+    encoder.encode(HEADER, [make_walker('anna'), make_walker('bob')], node)
+    markers, *objects = encoder.encode_clear(HEADER)
+    assert (markers.topic, [o.topic for o in objects]) == ('markers', ['collision_object'] * 2)
+    removed = [decode(o.data, o.type) for o in objects]
+    assert [(o.id, o.operation) for o in removed] == [('person_anna', REMOVE), ('person_bob', REMOVE)]
+    assert len(encoder.encode_clear(HEADER)) == 1, 'nobody is left'
+
+
 def test_every_switch_adds_its_topics_and_tentative_people_are_in_none_of_them() -> None:
     tentative = replace(make_walker('nobody'), tentative=True)
-    for field, topics in SWITCHED_OUTPUTS.items():
+    for field, switched in SWITCHED_OUTPUTS.items():
         node = with_values(Config(), {f'node.{field}': True}).node
         outputs = OutputEncoder().encode(HEADER, [make_walker(), tentative], node)
         added = {o.topic: o.type for o in outputs if o.topic not in OUTPUTS}
-        assert added == topics
+        assert added == {switched.topic: switched.type}
         for output in outputs:
             if output.topic in added:
                 assert b'anna' in output.data or output.type in (OBSTACLES, POSES)
