@@ -1,9 +1,9 @@
 """Keypoint layouts, the skeleton of the reconstruction, and the canonical spelling of joint names.
 
 A keypoint layout is an ordered list of joint names with a tree of bones. `KEYPOINT_LAYOUTS` holds the layouts of
-well-known detectors and `CMU15`, the skeleton of the reconstruction. Canonical joint names are lower case with the
-side as first letter, for example `lshoulder`; `canonical_joint_names` converts other spellings. The maps from one
-layout to another are in `keypoints.joint_map`.
+well-known detectors, `CMU15`, the skeleton of the solvers, and `BODY26`, which adds face, feet and hands.
+Canonical joint names are lower case with the side as first letter, for example `lshoulder`;
+`canonical_joint_names` converts other spellings. The maps from one layout to another are in `keypoints.joint_map`.
 """
 
 from __future__ import annotations
@@ -151,6 +151,14 @@ KEYPOINT_LAYOUTS = {
             'relbow<rshoulder rwrist<relbow pelvis lhip<pelvis lknee<lhip lankle<lknee '
             'rhip<pelvis rknee<rhip rankle<rknee',
         ),
+        # the joints of `cmu15`, then what detectors see of feet, hands and face
+        _parse_layout(
+            'body26',
+            'head<neck neck<pelvis lshoulder<neck lelbow<lshoulder lwrist<lelbow rshoulder<neck '
+            'relbow<rshoulder rwrist<relbow pelvis lhip<pelvis lknee<lhip lankle<lknee '
+            'rhip<pelvis rknee<rhip rankle<rknee ltoe<lankle rtoe<rankle lheel<lankle rheel<rankle '
+            'lhand<lwrist rhand<rwrist nose<head leye<nose reye<nose lear<leye rear<reye',
+        ),
         # COCO person keypoints; most detectors of today
         _parse_layout(
             'coco17',
@@ -214,7 +222,9 @@ KEYPOINT_LAYOUTS = {
 }
 
 LAYOUT_NAMES = tuple(KEYPOINT_LAYOUTS)  # names of the known layouts, for messages, files and --layout
-CMU15 = KEYPOINT_LAYOUTS['cmu15']  # skeleton of the base poses, the lifter and all reconstructions
+CMU15 = KEYPOINT_LAYOUTS['cmu15']  # skeleton of the base poses and the solvers
+BODY26 = KEYPOINT_LAYOUTS['body26']  # skeleton of the lifter: that of the solvers, then face, feet and hands
+CORE_COUNT = len(CMU15.joints)  # joints; the first of `BODY26` are those of `CMU15`
 
 # Words that name a side, and the letter of the side in canonical joint names.
 _SIDES = {'l': 'l', 'left': 'l', 'r': 'r', 'right': 'r'}

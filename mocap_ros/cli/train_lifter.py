@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     )
     settings = TrainingSettings(steps=args.steps, seed=args.seed)
     lifter = train_lifter(
-        [t.poses for t in trials], shares, settings, provenance, lambda steps: show_progress(steps, 'train')
+        [t.all_joints for t in trials], shares, settings, provenance, lambda steps: show_progress(steps, 'train')
     )
     with guard_output(args.output):
         model_file.save_lifter(lifter, args.output)

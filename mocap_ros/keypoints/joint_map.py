@@ -18,13 +18,16 @@ from numpy.typing import NDArray
 
 from mocap_ros.compiled.kernel import FLOATS_2D, FLOATS_3D, INPUT_2D, INPUT_3D, kernel
 from mocap_ros.errors import SkeletonError
-from mocap_ros.skeleton import CMU15, Skeleton, canonical_joint_names
+from mocap_ros.skeleton import BODY26, CMU15, Skeleton, canonical_joint_names
 
 Array = NDArray[np.float64]
 
 MIN_TARGET_JOINTS = 4  # joints; the 2x4 camera matrix M has 8 unknowns, and each image point gives 2 equations
 MAX_NAMES_IN_ERROR = 5  # joint names; keeps the error message on one line for layouts with many keypoints
 MAX_CACHED_MAPS = 64  # maps; bounds the memory when messages name ever new joints, far above detectors in use
+
+
+_EXTREMITIES = frozenset(BODY26.joints) - frozenset(CMU15.joints)  # joints that tell no camera
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,9 @@ def _extrapolate_from_shoulders(end: dict[str, float], fraction: float) -> dict[
     return towards | {j: (1 - fraction) * w for j, w in _SHOULDERS.items()}
 
 
+_TOES = ('bigtoe', 'foot_index')  # keypoints that are a toe, without the side
+_HANDS = ({'index': 0.5, 'pinky': 0.5}, {'index': 1.0})  # weights of the knuckles that stand for a hand
+
 # How to derive joints, the most precise way first. The model's head joint is the tip of the CMU head bone, about a
 # hand's breadth above the ears. The fractions of the way from the shoulders to a keypoint of the head were read
 # off CMU motion capture and anthropometric tables and are good to about 3 cm. The score factors were chosen by
@@ -63,6 +69,11 @@ _DERIVATIONS: dict[str, tuple[_Derivation, ...]] = {
         _Derivation(_extrapolate_from_shoulders({'leye': 0.5, 'reye': 0.5}, 1.2), 0.2),
         _Derivation(_extrapolate_from_shoulders({'nose': 1.0}, 1.3), 0.1),
     ),
+    **{f'{side}toe': tuple(_Derivation({side + toe: 1.0}, 1.0) for toe in _TOES) for side in 'lr'},
+    **{
+        f'{side}hand': tuple(_Derivation({side + k: w for k, w in hand.items()}, 1.0) for hand in _HANDS)
+        for side in 'lr'
+    },
 }
 
 
@@ -181,7 +192,10 @@ def build_joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointM
         ]
         for joint in target.joints
     ]
-    if sum(bool(a) for a in alternatives) < MIN_TARGET_JOINTS:
+    if (
+        sum(bool(a) for a, j in zip(alternatives, target.joints, strict=True) if j not in _EXTREMITIES)
+        < MIN_TARGET_JOINTS
+    ):
         shown = ', '.join(source[:MAX_NAMES_IN_ERROR]) + (', ...' if len(source) > MAX_NAMES_IN_ERROR else '')
         raise SkeletonError(
             f'{shown or "no names"}: fewer than four joints of the body; '
@@ -200,5 +214,6 @@ def build_joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointM
 
 def _list_usable_names(target: Skeleton) -> list[str]:
     """Return the joint names of `target`, then the other keypoints from which its joints can be derived."""
-    derived = [j for joint in target.joints for d in _DERIVATIONS.get(joint, ()) for j in d.weights]
-    return list(dict.fromkeys([*target.joints, *derived]))
+    core = [joint for joint in target.joints if joint not in _EXTREMITIES]
+    derived = [j for joint in core for d in _DERIVATIONS.get(joint, ()) for j in d.weights]
+    return list(dict.fromkeys([*core, *derived]))

@@ -3,8 +3,9 @@
     (p, l) = network(features),   (p', l') = network(features of the mirror image)
     pose = u V^T centre((p + M p') / 2 + x),   std = u exp((l + M l') / 2)
 
-M mirrors a pose: it negates x and exchanges left and right joints. The newest image points x, the unit u and the
-rotation V to the virtual camera come from `lifter_input.py`, as do the features.
+M mirrors a pose: it negates x and exchanges left and right joints. `centre` puts the mean of the core, the joints
+of `skeleton.CMU15`, into the origin; the other joints are those of face, feet and hands. The newest image points
+x, the unit u and the rotation V to the virtual camera come from `lifter_input.py`, as do the features.
 
 This is the network of Martinez et al. ("A simple yet effective baseline for 3D human pose estimation", ICCV 2017;
 `network.py`), extended by a history and by its own standard deviations. Its features hold the image points of a
@@ -14,7 +15,7 @@ points, and the logarithms of the standard deviations. Image points are given re
 frame and in units of the window's mean distance from it; poses are returned in the same unit, so they do not
 depend on the person's position and size in the image.
 
-Shapes: N histories, T slots, J joints of `skeleton.CMU15`, F frames.
+Shapes: N histories, T slots, J joints of `skeleton.BODY26`, J_c of its core `skeleton.CMU15`, F frames.
 """
 
 from __future__ import annotations
@@ -28,9 +29,14 @@ from numba import float32, types, void
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.kernel import FLOAT, FLOATS_3D, INPUT_1D, INPUT_3D, kernel
-from mocap_ros.models.lifter_input import JOINT_COUNT, MIRROR_PERMUTATION, encode_histories, sample_histories
+from mocap_ros.models.lifter_input import (
+    JOINT_COUNT,
+    MIRROR_PERMUTATION,
+    encode_histories,
+    sample_histories,
+)
 from mocap_ros.models.network import HalfPrecisionNetwork
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import CMU15, CORE_COUNT
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -51,7 +57,7 @@ class LiftedPoses:
     """3D poses of N frames along the axes of the camera's optical frame (x right, y down, z forward).
 
     Attributes:
-        joints: (N, J, 3) joint positions relative to the mean of each pose's joints, in the unit of the image
+        joints: (N, J, 3) joint positions relative to the mean of each pose's core, in the unit of the image
             points; NaN for frames with too few seen joints.
         std: (N, J, 3) standard deviations of the coordinates in the same unit; x and y share one value.
     """
@@ -62,6 +68,12 @@ class LiftedPoses:
     def select_frames(self, frames: NDArray[np.intp] | slice) -> LiftedPoses:
         """Return the poses of the given frames."""
         return LiftedPoses(self.joints[frames], self.std[frames])
+
+    def select_core(self) -> LiftedPoses:
+        """Return the poses without face, feet and hands, (N, J_c, 3)."""
+        return LiftedPoses(
+            np.ascontiguousarray(self.joints[:, :CORE_COUNT]), np.ascontiguousarray(self.std[:, :CORE_COUNT])
+        )
 
 
 def concatenate_lifted(parts: Sequence[LiftedPoses]) -> LiftedPoses:
@@ -89,7 +101,14 @@ class Lifter:
     def __post_init__(self) -> None:
         object.__setattr__(self, 'network', HalfPrecisionNetwork.from_layers(self.layers))
 
-    def lift(self, points: Array, weight: Array, focal: float = math.inf) -> LiftedPoses:
+    def lift(
+        self,
+        points: Array,
+        weight: Array,
+        focal: float = math.inf,
+        vertical: Array | None = None,
+        vertical_std: Array | None = None,
+    ) -> LiftedPoses:
         """Estimate the pose of the newest frame of each history.
 
         A history's pose does not depend on the other histories.
@@ -99,8 +118,10 @@ class Lifter:
                 where the weight is 0. If `focal` is finite they are relative to the optical axis.
             weight: (N, T, J) confidence scores in [0, 1], 0 for joints that were not seen.
             focal: focal length of the camera in the unit of the points; infinite if unknown.
+            vertical: (N, 3) unit vectors upwards in the axes of the camera; NaN or None where unknown.
+            vertical_std: (N,) rad, their standard deviations.
         """
-        encoded = encode_histories(points, weight, focal)
+        encoded = encode_histories(points, weight, focal, vertical, vertical_std)
         joints, std = np.empty((2, len(encoded.size), JOINT_COUNT, 3))
         _decode(self.network.evaluate(encoded.features), *encoded, joints, std)
         return LiftedPoses(joints, std)
@@ -149,7 +170,7 @@ def _decode(
     log_stds = 3 * JOINT_COUNT  # outputs before the logarithms of the standard deviations
     for n in range(len(outputs)):
         seen, total = 0, 0.0
-        for j in range(JOINT_COUNT):
+        for j in range(CORE_COUNT):
             if features[n, 0, 3 * j + 2] > 0:
                 seen += 1
         for i in range(outputs.shape[2]):
@@ -162,7 +183,8 @@ def _decode(
             y = _mean(outputs[n, 0, 3 * j + 1], outputs[n, 1, 3 * m + 1]) + newest[n, j, 1]
             z = _mean(outputs[n, 0, 3 * j + 2], outputs[n, 1, 3 * m + 2])
             joints[n, j, 0], joints[n, j, 1], joints[n, j, 2] = x, y, z
-            mean_x, mean_y, mean_z = mean_x + x / JOINT_COUNT, mean_y + y / JOINT_COUNT, mean_z + z / JOINT_COUNT
+            if j < CORE_COUNT:
+                mean_x, mean_y, mean_z = mean_x + x / CORE_COUNT, mean_y + y / CORE_COUNT, mean_z + z / CORE_COUNT
             across = _mean(outputs[n, 0, log_stds + 2 * j], outputs[n, 1, log_stds + 2 * m])
             along = _mean(outputs[n, 0, log_stds + 2 * j + 1], outputs[n, 1, log_stds + 2 * m + 1])
             std[n, j, 0] = std[n, j, 1] = math.exp(min(max(across, low), high)) * unit
@@ -185,7 +207,7 @@ def scale_to_metres(lifted: LiftedPoses, times: Array, height: float) -> LiftedP
         times: (N,) s.
         height: m, height of the person.
     """
-    bone_sum = CMU15.bone_lengths(lifted.joints).sum(axis=1)
+    bone_sum = CMU15.bone_lengths(lifted.joints[:, :CORE_COUNT]).sum(axis=1)
     is_lifted = np.isfinite(bone_sum)
     kernel = np.exp(-0.5 * ((times[:, None] - times[is_lifted]) / SIZE_SMOOTHING_S) ** 2) + EPSILON
     size = np.exp(kernel @ np.log(np.maximum(bone_sum[is_lifted], EPSILON)) / kernel.sum(axis=1))

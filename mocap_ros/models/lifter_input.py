@@ -1,11 +1,15 @@
-"""What the lifter's network sees: the last 0.8 s of a person's image points, sampled at fixed times.
+"""What the lifter's network sees: the last 0.8 s of a person's image points, and the vertical where it is known.
 
     x_tj = (1 - a) x_before + a x_after        points at the slots' times (`sample_histories`)
-    c_t = sum_j w_tj x_tj / sum_j w_tj         centroid of a slot
+    c_t = sum_j w_tj x_tj / sum_j w_tj         centroid of a slot, over the joints of the core
     u = sum_tj w_tj |x_tj - c_t| / sum_tj w_tj      unit of the features: mean distance from the centroids
-    features: (x_tj - c_t) / u and w_tj of each slot and joint, and the angular size u / f
+    k = S^2 / (S^2 + s_v^2)                    certainty of the vertical v, of standard deviation s_v
+    features: (x_tj - c_t) / u and w_tj of each slot and joint, k v, and the angular size u / f
 
-Shapes: N histories, T slots, J joints of `skeleton.CMU15`, F frames.
+The core are the joints of `skeleton.CMU15`, the first of `skeleton.BODY26`: every detector gives them, so that the
+centroid and the unit do not depend on which of the others it gives.
+
+Shapes: N histories, T slots, J joints of `skeleton.BODY26`, F frames.
 """
 
 from __future__ import annotations
@@ -32,7 +36,7 @@ from mocap_ros.compiled.kernel import (
     kernel,
 )
 from mocap_ros.geometry.virtual_camera import rotate_ray, rotation_to_optical_axis
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import BODY26, CORE_COUNT
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -48,9 +52,13 @@ MAX_COORDINATE = 1e12  # units of the input; larger coordinates count as not see
 ANGULAR_SIZE_UNIT_RAD = 0.1  # rad; brings the angular size of a person at usual distances to the order of 1
 MIN_TOTAL_WEIGHT = 1e-9  # 1; guards divisions by sums of confidence scores
 
-JOINT_COUNT = len(CMU15.joints)  # joints
-MIRROR_PERMUTATION = np.array(CMU15.mirror)  # joint indices with left and right exchanged
-FEATURE_COUNT = 3 * JOINT_COUNT * len(HISTORY_SLOTS_S) + 1  # x, y and score of each joint and slot; angular size
+# rad; S: about how far the lifter's own guess of the vertical is off; a better one counts by more than half
+VERTICAL_STD_RAD = math.radians(8.0)
+
+JOINT_COUNT = len(BODY26.joints)  # joints
+MIRROR_PERMUTATION = np.array(BODY26.mirror)  # joint indices with left and right exchanged
+POINT_FEATURES = 3 * JOINT_COUNT * len(HISTORY_SLOTS_S)  # x, y and score of each joint and slot
+FEATURE_COUNT = POINT_FEATURES + 4  # these, the vertical and the angular size
 
 _FLOATS32_3D = types.Array(float32, 3, 'C')  # types of kernels' arguments
 
@@ -136,18 +144,23 @@ class NetworkInput(NamedTuple):
     rotation: Array
 
 
-def encode_histories(points: Array, weight: Array, focal: float) -> NetworkInput:
+def encode_histories(
+    points: Array, weight: Array, focal: float, vertical: Array | None = None, vertical_std: Array | None = None
+) -> NetworkInput:
     """Convert histories to the input of the network, seen by virtual cameras that face the newest points.
 
     Args:
-        points: (N, T, J, 2) image points in any unit; ignored where the weight is 0. If `focal` is finite they are
-            relative to the optical axis.
-        weight: (N, T, J) confidence scores, 0 for joints that were not seen.
+        points: (N, T, J, 2) image points in any unit, or (N, T, J_c, 2) without face, feet and hands; ignored
+            where the weight is 0. If `focal` is finite they are relative to the optical axis.
+        weight: (N, T, J) or (N, T, J_c) confidence scores, 0 for joints that were not seen.
         focal: focal length of the camera in the unit of the points; infinite if unknown, which leaves out the
             virtual cameras.
+        vertical: (N, 3) unit vectors upwards in the axes of the camera that took the points; NaN or None where
+            unknown.
+        vertical_std: (N,) rad, their standard deviations.
     """
     count = len(weight)
-    points, weight = np.ascontiguousarray(points, float), np.ascontiguousarray(weight, float)
+    points, weight = _add_missing_joints(points, weight)
     if math.isfinite(focal):
         points, rotation = _face_newest_points(points, weight, focal)
     else:
@@ -155,17 +168,35 @@ def encode_histories(points: Array, weight: Array, focal: float) -> NetworkInput
         rotation[:] = np.eye(3)
     features = np.empty((count, 2, FEATURE_COUNT), np.float32)
     newest, size = np.empty((count, JOINT_COUNT, 2)), np.empty(count)
-    _encode(points, weight, np.full(count, focal), features, newest, size)
+    upward = np.zeros((count, 3))
+    if vertical is not None and vertical_std is not None:
+        upward = weigh_vertical((rotation @ vertical[..., None])[..., 0], vertical_std)
+    _encode(points, weight, np.full(count, focal), upward, features, newest, size)
     return NetworkInput(features, newest, size, rotation)
 
 
-def encode_features(points: Array32, weight: Array32, focal: Array) -> tuple[Array32, Array, Array]:
+def _add_missing_joints(points: Array, weight: Array) -> tuple[Array, Array]:
+    """Return points (N, T, J, 2) and weights (N, T, J) of histories that may have the core's joints alone."""
+    if (missing := JOINT_COUNT - weight.shape[-1]) > 0:
+        points = np.pad(points, [(0, 0), (0, 0), (0, missing), (0, 0)])
+        weight = np.pad(weight, [(0, 0), (0, 0), (0, missing)])
+    return np.ascontiguousarray(points, float), np.ascontiguousarray(weight, float)
+
+
+def weigh_vertical(vertical: Array, std: Array) -> Array:
+    """Return k v (N, 3) of verticals (N, 3) with standard deviations (N,) in rad; 0 where v is unknown."""
+    certainty = VERTICAL_STD_RAD**2 / (VERTICAL_STD_RAD**2 + std**2)
+    return np.nan_to_num(vertical * certainty[:, None])
+
+
+def encode_features(points: Array32, weight: Array32, focal: Array, upward: Array) -> tuple[Array32, Array, Array]:
     """Convert histories that virtual cameras see already to features, as for training.
 
     Args:
         points: (N, T, J, 2) image points in any unit; ignored where the weight is 0.
         weight: (N, T, J) confidence scores, 0 for joints that were not seen.
         focal: (N,) focal lengths in the unit of the points; infinite if unknown.
+        upward: (N, 3) what `weigh_vertical` returns, in the axes of the virtual cameras.
 
     Returns:
         (N, FEATURE_COUNT) features; `newest` and `size` as in `NetworkInput`.
@@ -176,6 +207,7 @@ def encode_features(points: Array32, weight: Array32, focal: Array) -> tuple[Arr
         np.ascontiguousarray(points, float),
         np.ascontiguousarray(weight, float),
         np.ascontiguousarray(focal, float),
+        np.ascontiguousarray(upward, float),
         features,
         newest,
         size,
@@ -196,7 +228,7 @@ def _face_newest_points(points: Array, weight: Array, focal: float) -> tuple[Arr
     directions = np.empty((count, 2))
     for n in range(count):
         total, x, y = 0.0, 0.0, 0.0
-        for j in range(joints):
+        for j in range(CORE_COUNT):
             w = weight[n, 0, j]
             if _is_seen(points[n, 0, j, 0], points[n, 0, j, 1], w):
                 total, x, y = total + w, x + w * points[n, 0, j, 0], y + w * points[n, 0, j, 1]
@@ -226,20 +258,24 @@ def _centre(points: Array, weight: Array, centred: Array, score: Array) -> float
             score[slot, j] = 0.0
             if _is_seen(points[slot, j, 0], points[slot, j, 1], w):
                 score[slot, j] = w
+            if j < CORE_COUNT and score[slot, j] > 0:
                 slot_total, x, y = slot_total + w, x + w * points[slot, j, 0], y + w * points[slot, j, 1]
         x, y = x / max(slot_total, MIN_TOTAL_WEIGHT), y / max(slot_total, MIN_TOTAL_WEIGHT)
         for j in range(weight.shape[1]):
             dx, dy, w = 0.0, 0.0, score[slot, j]
             if w > 0:
                 dx, dy = points[slot, j, 0] - x, points[slot, j, 1] - y
-                total, total_distance = total + w, total_distance + w * math.sqrt(dx * dx + dy * dy)
+                if j < CORE_COUNT:
+                    total, total_distance = total + w, total_distance + w * math.sqrt(dx * dx + dy * dy)
             centred[slot, j, 0], centred[slot, j, 1] = dx, dy
     unit = total_distance / max(total, MIN_TOTAL_WEIGHT)
     return unit if unit > 0 else 1.0
 
 
-@kernel(void(INPUT_4D, INPUT_3D, INPUT_1D, _FLOATS32_3D, FLOATS_3D, FLOATS_1D))
-def _encode(points: Array, weight: Array, focal: Array, features: Array32, newest: Array, size: Array) -> None:
+@kernel(void(INPUT_4D, INPUT_3D, INPUT_1D, INPUT_2D, _FLOATS32_3D, FLOATS_3D, FLOATS_1D))
+def _encode(
+    points: Array, weight: Array, focal: Array, upward: Array, features: Array32, newest: Array, size: Array
+) -> None:
     """Write the features of histories (N, 1, FEATURE_COUNT), or (N, 2, FEATURE_COUNT) with the mirror images."""
     count, slots, joints = weight.shape
     centred, score = np.empty((slots, joints, 2)), np.empty((slots, joints))
@@ -248,6 +284,8 @@ def _encode(points: Array, weight: Array, focal: Array, features: Array32, newes
         size[n] = unit
         for image in range(features.shape[1]):
             row = features[n, image]
+            row[POINT_FEATURES] = -upward[n, 0] if image else upward[n, 0]
+            row[POINT_FEATURES + 1], row[POINT_FEATURES + 2] = upward[n, 1], upward[n, 2]
             row[-1] = min(unit / focal[n] / ANGULAR_SIZE_UNIT_RAD, MAX_FEATURE)
             for slot in range(slots):
                 for j in range(joints):

@@ -60,7 +60,7 @@ def find_upward(joints: Array) -> Array:
     """Return the directions upwards (N, 3) that poses (N, J, 3) tell, as unit vectors in the axes of the poses.
 
     Args:
-        joints: joints of `CMU15` in any unit; NaN where they are not known, which gives NaN.
+        joints: joints of `CMU15`, or of `BODY26`, in any unit; NaN where they are not known, which gives NaN.
     """
     return _find_upward(np.ascontiguousarray(joints), MASSES)
 

@@ -28,6 +28,12 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera, solver_focal
 from mocap_ros.keypoints.association import measure_extent
+from mocap_ros.keypoints.extremities import (
+    Extremities,
+    convert_body_to_rays,
+    exchange_body_sides,
+    join_body,
+)
 from mocap_ros.keypoints.left_right import BodySides, exchange_sides, find_swapped_parts
 from mocap_ros.keypoints.rays import convert_to_rays
 from mocap_ros.models.lifter import LiftedPoses, concatenate_lifted
@@ -74,6 +80,8 @@ class ObservedWindow:
         focal: px, focal length that the solvers assume; infinite for weak perspective (`solver_focal`).
         lifted: poses of the frames as the lifter estimated them, in the units of rays: the joints along the axes
             of the real camera, the standard deviations along those of the virtual cameras; None without a lifter.
+        extremities: face, feet and hands, for the lifter, as rays in the real camera, left and right put right;
+            None if none were seen.
     """
 
     times: Array
@@ -82,10 +90,16 @@ class ObservedWindow:
     virtual_camera: VirtualCamera
     focal: float
     lifted: LiftedPoses | None = None
+    extremities: Extremities | None = None
 
     @staticmethod
     def facing_person(
-        times: Array, rays: Array, weight: Array, intrinsics: Intrinsics, focal: float
+        times: Array,
+        rays: Array,
+        weight: Array,
+        intrinsics: Intrinsics,
+        focal: float,
+        extremities: Extremities | None = None,
     ) -> ObservedWindow:
         """Return a window whose virtual cameras, one for each frame, follow the person.
 
@@ -95,9 +109,10 @@ class ObservedWindow:
             weight: (F, J) confidence scores.
             intrinsics: intrinsics of the real camera.
             focal: px, focal length that the solvers assume.
+            extremities: face, feet and hands, as in the attributes.
         """
         camera = VirtualCamera.look_at_person(rays, weight, times, VIEW_SMOOTHING_S, intrinsics)
-        return ObservedWindow(times, rays, weight, camera, focal)
+        return ObservedWindow(times, rays, weight, camera, focal, None, extremities)
 
     @cached_property
     def points(self) -> Array:
@@ -112,9 +127,9 @@ class ObservedWindow:
         """
         camera = self.virtual_camera.select_frames(frames)
         lifted = None if self.lifted is None else self.lifted.select_frames(frames)
-        return ObservedWindow(
-            self.times[frames], self.rays[frames], self.weight[frames], camera, self.focal, lifted
-        )
+        extremities = None if self.extremities is None else self.extremities.select_frames(frames)
+        seen = self.rays[frames], self.weight[frames]
+        return ObservedWindow(self.times[frames], *seen, camera, self.focal, lifted, extremities)
 
     def exclude_points(self, excluded: NDArray[np.bool_]) -> ObservedWindow:
         """Return the window with the points of a mask (F, J) set to not seen."""
@@ -129,9 +144,20 @@ class ObservedWindow:
         first = 0 if self.lifted is None else len(self.lifted.joints)
         oldest = int(self.times.searchsorted(self.times[first] - HISTORY_REACH_S))
         recent = slice(oldest, None)
-        camera, weight, times = self.virtual_camera.select_frames(recent), self.weight[recent], self.times[recent]
-        facing_rays = camera.view_rays(self.rays[recent], weight, RAY_FOCAL)
-        return sample_histories(facing_rays, weight, times, np.arange(first - oldest, len(times)))
+        times = self.times[recent]
+        points, weight = self.view_body(recent, RAY_FOCAL)
+        return sample_histories(points, weight, times, np.arange(first - oldest, len(times)))
+
+    def view_body(self, frames: slice, focal: float) -> tuple[Array, Array]:
+        """Return points (F, J, 2) of `skeleton.BODY26` in the virtual cameras, and their scores, for the lifter.
+
+        Args:
+            frames: the F frames.
+            focal: focal length of the virtual cameras; the points are in its unit.
+        """
+        extremities = None if self.extremities is None else self.extremities.select_frames(frames)
+        rays, weight = join_body(self.rays[frames], self.weight[frames], extremities)
+        return self.virtual_camera.select_frames(frames).view_rays(rays, weight, focal), weight
 
     def append_lifted(self, lifted: LiftedPoses) -> ObservedWindow:
         """Return the window with the lifted poses of the frames of `sample_unlifted_histories`.
@@ -144,7 +170,8 @@ class ObservedWindow:
         in_real_camera = LiftedPoses(camera.to_real_camera(lifted.joints), lifted.std)
         before = [] if self.lifted is None else [self.lifted]
         all_lifted = concatenate_lifted([*before, in_real_camera])
-        return ObservedWindow(self.times, self.rays, self.weight, self.virtual_camera, self.focal, all_lifted)
+        seen = self.rays, self.weight, self.virtual_camera, self.focal
+        return ObservedWindow(self.times, *seen, all_lifted, self.extremities)
 
     def convert_to_initial_values(self, theta: Array, rotation: Array, roots: Array) -> InitialValues:
         """Return a state of the person in the real camera as initial values for a solver.
@@ -174,7 +201,7 @@ class ObservedWindow:
         Raises:
             InputError: No frame has four seen joints.
         """
-        lifted = self.lifted
+        lifted = None if self.lifted is None else self.lifted.select_core()
         if lifted is not None:
             focal = self.virtual_camera.intrinsics.focal
             lifted = LiftedPoses(focal * self.virtual_camera.to_virtual_camera(lifted.joints), focal * lifted.std)
@@ -225,19 +252,24 @@ def observe_sequence(
         raise InputError(
             f'times: they span {span_s:.0f} s, at most {MAX_SPAN_S:.0f} s expected; is a stamp not set?'
         )
-    rays, weight = convert_to_rays(
-        keypoints[..., :2], keypoints[..., 2], joint_names, intrinsics, config.min_score, skeleton
-    )
+    given = keypoints[..., :2], keypoints[..., 2], joint_names, intrinsics, config.min_score
+    extremities = None
+    if skeleton == CMU15:
+        rays, weight, extremities = convert_body_to_rays(*given)
+    else:
+        rays, weight = convert_to_rays(*given, skeleton)
     require_camera_frame(weight)
     rays, weight = _exclude_frames_in_one_place(rays, weight)
     if config.undo_swaps:
         sides = BodySides.of(skeleton)
         shots = find_shots(rays, weight, times) if find_shots is not None else [slice(None)]
-        swapped = [find_swapped_parts(times[s], rays[s], weight[s], sides) for s in shots]
-        rays, weight = exchange_sides(rays, weight, np.concatenate(swapped), sides)
-    return ObservedWindow.facing_person(
-        times, rays, weight, intrinsics, solver_focal(intrinsics, config.perspective)
-    )
+        swapped = np.concatenate([find_swapped_parts(times[s], rays[s], weight[s], sides) for s in shots])
+        if extremities is None:
+            rays, weight = exchange_sides(rays, weight, swapped, sides)
+        else:
+            rays, weight, extremities = exchange_body_sides(rays, weight, extremities, swapped)
+    focal = solver_focal(intrinsics, config.perspective)
+    return ObservedWindow.facing_person(times, rays, weight, intrinsics, focal, extremities)
 
 
 def _exclude_frames_in_one_place(rays: Array, weight: Array) -> tuple[Array, Array]:

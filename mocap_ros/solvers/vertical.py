@@ -35,6 +35,7 @@ from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, FLOATS_3D, IN
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import ConfigError
 from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -244,7 +245,7 @@ def _turn(joints: Array, std: Array, upward: Array, vertical: Array, vertical_st
         u, v = upward[t], vertical[t]
         angle = math.atan2(u[1] * v[2] - u[2] * v[1], u[1] * v[1] + u[2] * v[2])
         spread = radius = 0.0
-        for j in range(count):
+        for j in range(CORE_COUNT):
             spread += std[t, j, 2] ** 2
             radius += joints[t, j, 1] ** 2 + joints[t, j, 2] ** 2
         lean = LEAN_PER_DEPTH**2 * spread / max(radius, 1e-300)

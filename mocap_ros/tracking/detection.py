@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.association import Extent, measure_extent
+from mocap_ros.keypoints.extremities import Extremities, convert_body_to_rays
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.rays import convert_to_rays
 
 Array = NDArray[np.float64]
 
@@ -24,12 +24,14 @@ class Detection:
         rays: (J, 2) x / z and y / z of the model's joints in the camera; 0 for a joint that was not seen.
         weight: (J,) confidence scores in [0, 1]; 0 for a joint that was not seen.
         extent: centre and size in the image, in the units of rays.
+        extremities: face, feet and hands.
     """
 
     given_id: str
     rays: Array
     weight: Array
     extent: Extent
+    extremities: Extremities
 
     @staticmethod
     def from_person(
@@ -49,15 +51,23 @@ class Detection:
         Raises:
             SkeletonError: The person's joints do not cover enough of the model's.
         """
-        rays, weight = convert_to_rays(person.points, person.score, person.joints, intrinsics, min_score)
+        keypoints = person.points, person.score, person.joints
+        rays, weight, extremities = convert_body_to_rays(*keypoints, intrinsics, min_score)
         if np.count_nonzero(weight) < min_joints:
             return None
         extent = measure_extent(rays, weight)
-        return None if extent.is_one_place else Detection(person.id, rays, weight, extent)
+        if extent.is_one_place:
+            return None
+        return Detection(person.id, rays, weight, extent, extremities)
 
     def join(self, part: Detection) -> Detection:
         """Return the detection with the joints of another detection of the same person that this one lacks."""
-        is_own = self.weight > 0
-        rays = np.where(is_own[:, None], self.rays, part.rays)
-        weight = np.where(is_own, self.weight, part.weight)
-        return Detection(self.given_id or part.given_id, rays, weight, measure_extent(rays, weight))
+        rays, weight = _fill_gaps(self.rays, self.weight, part.rays, part.weight)
+        extremities = Extremities(*_fill_gaps(*self.extremities, *part.extremities))
+        return Detection(self.given_id or part.given_id, rays, weight, measure_extent(rays, weight), extremities)
+
+
+def _fill_gaps(rays: Array, weight: Array, other_rays: Array, other_weight: Array) -> tuple[Array, Array]:
+    """Return rays (J, 2) and weights (J,), where they were not seen from others."""
+    is_own = weight > 0
+    return np.where(is_own[:, None], rays, other_rays), np.where(is_own, weight, other_weight)

@@ -40,7 +40,7 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
     else:
         joints, root = locate_joints(track, frame, model), solution.roots[frame] * size
     inferred = observed.weight[frame] == 0
-    lifted_std = None if lifted is None else lifted.std[frame] * root[2]
+    lifted_std = None if lifted is None else lifted.std[frame, : len(joints)] * root[2]
     motion, category = classification.motion, classification.periodic_model_name or solution.model_name
     std = estimate_joint_std(solution.joint_std * size, inferred, lifted_std, solution.noise * size)
     velocity = estimate_velocity(track, frame, model)

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.keypoints.association import Extent, measure_extent
-from mocap_ros.keypoints.left_right import SwapFilter, exchange_sides
+from mocap_ros.keypoints.extremities import Extremities, exchange_body_sides
+from mocap_ros.keypoints.left_right import SwapFilter
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.tracking.detection import Detection
@@ -34,6 +35,7 @@ class SeenFrames:
         stamps_ns: (F,) ns, stamps of the frames, increasing.
         rays: (F, J, 2) x / z and y / z of the joints in the real camera, with the detector's labels.
         weight: (F, J) confidence scores with the detector's labels; 0 for a joint that was not seen.
+        extremities: face, feet and hands with the detector's labels.
         extents: (F,) centre and size of the person in the image, in the units of rays.
         swap_filter: filter that finds the parts of the body whose left and right are swapped.
         observed: the same frames with swaps undone, their lifted poses, and one virtual camera that faces the
@@ -46,6 +48,7 @@ class SeenFrames:
     stamps_ns: tuple[int, ...]
     rays: Array
     weight: Array
+    extremities: Extremities
     extents: tuple[Extent, ...]
     swap_filter: SwapFilter
     observed: ObservedWindow
@@ -64,11 +67,12 @@ class SeenFrames:
             intrinsics: intrinsics of the real camera.
             focal: px, focal length that the solvers assume; infinite for weak perspective.
         """
-        rays, weight, stamps_ns = detection.rays[None], detection.weight[None], (stamp_ns,)
+        seen = detection.rays[None], detection.weight[None], Extremities(*(a[None] for a in detection.extremities))
+        stamps_ns = (stamp_ns,)
         swap_filter = swap_filter.update(0.0, detection.rays, detection.weight, detection.extent.size)
-        observed = _correct_sides(stamps_ns, rays, weight, swap_filter, intrinsics, focal, None)
+        observed = _correct_sides(stamps_ns, *seen, swap_filter, intrinsics, focal, None)
         extents = (detection.extent,)
-        return SeenFrames(detection.given_id, stamp_ns, stamps_ns, rays, weight, extents, swap_filter, observed)
+        return SeenFrames(detection.given_id, stamp_ns, stamps_ns, *seen, extents, swap_filter, observed)
 
     @property
     def age_s(self) -> float:
@@ -111,13 +115,14 @@ class SeenFrames:
         stamps_ns = (*self.stamps_ns[dropped:], stamp_ns)
         rays = np.concatenate([self.rays[dropped:], detection.rays[None]])
         weight = np.concatenate([self.weight[dropped:], detection.weight[None]])
+        all_seen = rays, weight, self.extremities.append_frame(detection.extremities, dropped)
         lifted, old = None, self.observed
         if old.lifted is not None and unchanged:
             lifted = old.lifted.select_frames(slice(dropped, dropped + unchanged))
-        observed = _correct_sides(stamps_ns, rays, weight, swap_filter, self.intrinsics, old.focal, lifted)
+        observed = _correct_sides(stamps_ns, *all_seen, swap_filter, self.intrinsics, old.focal, lifted)
         extents = (*self.extents[dropped:], detection.extent)
         name, first_ns = detection.given_id or self.given_id, self.first_stamp_ns
-        return SeenFrames(name, first_ns, stamps_ns, rays, weight, extents, swap_filter, observed, is_relabelled)
+        return SeenFrames(name, first_ns, stamps_ns, *all_seen, extents, swap_filter, observed, is_relabelled)
 
     def append_lifted(self, lifted: LiftedPoses) -> SeenFrames:
         """Return the window with lifted poses of the frames that had none; see `ObservedWindow.append_lifted`."""
@@ -127,6 +132,7 @@ class SeenFrames:
             self.stamps_ns,
             self.rays,
             self.weight,
+            self.extremities,
             self.extents,
             self.swap_filter,
             self.observed.append_lifted(lifted),
@@ -140,11 +146,17 @@ class SeenFrames:
             intrinsics: intrinsics from now on.
             focal: px, focal length that the solvers assume from now on.
         """
-        directions = np.concatenate([self.rays, np.ones_like(self.rays[..., :1])], axis=-1)
-        rays = intrinsics.pixels_to_rays(self.intrinsics.project(directions))
-        observed = _correct_sides(self.stamps_ns, rays, self.weight, self.swap_filter, intrinsics, focal, None)
+        rays, others = (
+            intrinsics.pixels_to_rays(
+                self.intrinsics.project(np.concatenate([r, np.ones_like(r[..., :1])], axis=-1))
+            )
+            for r in (self.rays, self.extremities.rays)
+        )
+        extremities = Extremities(others, self.extremities.weight)
+        seen = rays, self.weight, extremities
+        observed = _correct_sides(self.stamps_ns, *seen, self.swap_filter, intrinsics, focal, None)
         extents = tuple(measure_extent(*frame) for frame in zip(rays, self.weight, strict=True))
-        return replace(self, rays=rays, extents=extents, observed=observed)
+        return replace(self, rays=rays, extremities=extremities, extents=extents, observed=observed)
 
     def select_frames(self, step_s: float, span_s: float) -> NDArray[np.intp]:
         """Return the indices of the frames with the highest scores, one for each step of time, increasing.
@@ -169,13 +181,14 @@ def _correct_sides(
     stamps_ns: tuple[int, ...],
     rays: Array,
     weight: Array,
+    extremities: Extremities,
     swap_filter: SwapFilter,
     intrinsics: Intrinsics,
     focal: float,
     lifted: LiftedPoses | None,
 ) -> ObservedWindow:
     """Return frames with swaps of left and right undone, seen by a virtual camera that faces the person."""
-    corrected = exchange_sides(rays, weight, swap_filter.is_swapped, swap_filter.sides)
-    camera = VirtualCamera.look_at_mean_position(*corrected, intrinsics)
+    rays, weight, extremities = exchange_body_sides(rays, weight, extremities, swap_filter.is_swapped)
+    camera = VirtualCamera.look_at_mean_position(rays, weight, intrinsics)
     times = (np.array(stamps_ns) - stamps_ns[0]) / NS_PER_S
-    return ObservedWindow(times, *corrected, camera, focal, lifted)
+    return ObservedWindow(times, rays, weight, camera, focal, lifted, extremities)

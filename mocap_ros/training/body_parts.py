@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import BODY26
+
+FACE = ('nose', 'leye', 'reye', 'lear', 'rear')
+FEET = ('ltoe', 'rtoe', 'lheel', 'rheel')
+HANDS = ('lhand', 'rhand')
 
 # Joints that move with a limb; the joint at which the limb begins is not among them.
 LIMBS = {
-    'larm': ('lelbow', 'lwrist'),
-    'rarm': ('relbow', 'rwrist'),
-    'lleg': ('lknee', 'lankle'),
-    'rleg': ('rknee', 'rankle'),
-    'lforearm': ('lwrist',),
-    'rforearm': ('rwrist',),
-    'lshank': ('lankle',),
-    'rshank': ('rankle',),
-    'head': ('head',),
+    'larm': ('lelbow', 'lwrist', 'lhand'),
+    'rarm': ('relbow', 'rwrist', 'rhand'),
+    'lleg': ('lknee', 'lankle', 'ltoe', 'lheel'),
+    'rleg': ('rknee', 'rankle', 'rtoe', 'rheel'),
+    'lforearm': ('lwrist', 'lhand'),
+    'rforearm': ('rwrist', 'rhand'),
+    'lshank': ('lankle', 'ltoe', 'lheel'),
+    'rshank': ('rankle', 'rtoe', 'rheel'),
+    'lfoot': ('ltoe', 'lheel'),
+    'rfoot': ('rtoe', 'rheel'),
+    'lhand': ('lhand',),
+    'rhand': ('rhand',),
+    'head': ('head', *FACE),
 }
 
 
 def joint_indices(*names: str) -> list[int]:
-    """Return the indices of joints in `skeleton.CMU15`."""
-    return [CMU15.index(n) for n in names]
+    """Return the indices of joints in `skeleton.BODY26`."""
+    return [BODY26.index(n) for n in names]
 
 
 def limb_indices(name: str) -> list[int]:

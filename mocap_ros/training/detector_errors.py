@@ -8,7 +8,7 @@ between joints, and a_tj is large where a joint is lost for a while. s is the co
 a joint that is seen well. What is fixed to the body is in `synthesis.py`.
 
 Image points are in metres at the person's distance. Shapes: N examples, T slots of the history (newest first),
-J joints of `skeleton.CMU15`.
+J joints of `skeleton.BODY26`.
 
 The errors are of the kinds that OpenPose, MediaPipe and MoveNet make on recordings with known 3D joints. Each
 magnitude is drawn for every example from a range that is wide enough for other detectors, too. Shares are shares
@@ -20,14 +20,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.keypoints.joint_map import build_joint_map, map_joints
 from mocap_ros.models.lifter_input import (
     HISTORY_SLOTS_S,
     JOINT_COUNT,
     MAX_INTERPOLATION_GAP_S,
     MIRROR_PERMUTATION,
 )
-from mocap_ros.skeleton import CMU15
-from mocap_ros.training.body_parts import joint_indices, limb_indices
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
+from mocap_ros.training.body_parts import FACE, FEET, HANDS, joint_indices, limb_indices
 from mocap_ros.training.random_arrays import Array, RandomArrays
 
 # Confidence scores.
@@ -56,6 +57,12 @@ JOINT_FACTORS = {
     'elbow': (1.1, 0.6, 1.0),
     'knee': (0.95, 0.5, 0.5),
     'ankle': (1.0, 0.7, 0.4),
+    'hand': (1.5, 1.0, 1.0),
+    'toe': (1.1, 0.7, 0.4),
+    'heel': (1.1, 0.7, 0.4),
+    'nose': (0.5, 0.1, 0.05),
+    'eye': (0.5, 0.1, 0.05),
+    'ear': (0.6, 0.1, 0.1),
 }
 TRUNK_FACTORS = (0.9, 0.25, 0.1)
 
@@ -80,13 +87,24 @@ WHOLE_LIMB_SHARE = 0.5  # share of the swaps of arms or legs with shoulders or h
 COMPLETE_SHARE = 0.6  # share of the examples in which no single points are missing
 MAX_MISSING_POINT_SHARE = 0.25  # share of the points in the others, uniform from 0
 HIDDEN_LIMBS_SHARE = 0.12  # share of the examples with limbs hidden by the body or an object
-MISSING_MIDLINE_JOINT_SHARE = 0.15  # share, for each of head, neck and pelvis, which many detectors lack
-MISSING_MIDLINE_SHARE = 0.1  # share in which head, neck and pelvis are all missing
-DERIVED_MIDLINE_SHARE = 0.5  # share in which neck and pelvis are the midpoints that `joint_map.py` derives
-DERIVED_HEAD_SCORE_RANGE = (0.1, 0.5)  # 1, factor on the score of a head that is derived as well
+HIDDEN_FACE_SHARE = 0.35  # share in which points of the face behind the head are not given
+FACE_DEPTH_M = 0.03  # m, by which a point is behind the middle of the face's points if it is hidden
+MISSING_MIDLINE_JOINT_SHARE = 0.1  # share, for each of head, neck and pelvis, in which it is missing throughout
 BORDER_SHARE = 0.1  # share of the examples in which the image's border cuts the person off
 BORDER_RANGE_M = (0.0, 0.8)  # m from the centroid to the border
 MIN_SEEN_JOINTS = 5  # joints; examples with fewer in the newest frame teach little
+
+# Joints that detectors give, and the share of the examples: all of motion capture, its core, OpenPose's BODY_25
+# and others with feet, MediaPipe's, COCO's, and limbs alone. `joint_map.py` derives from them what they lack.
+_LIMBS = tuple(name for name in CMU15.joints if name not in ('head', 'neck', 'pelvis'))
+GIVEN_JOINTS = (
+    (BODY26.joints, 0.14),
+    (CMU15.joints, 0.12),
+    ((*_LIMBS, *FACE, 'neck', 'pelvis', *FEET), 0.22),
+    ((*_LIMBS, *FACE, *FEET, *HANDS), 0.20),
+    ((*_LIMBS, *FACE), 0.28),
+    (_LIMBS, 0.04),
+)
 
 # Frame rates and gaps.
 GAP_PATTERN_COUNT = 512  # patterns; enough variety, and drawn once because they are slow to make
@@ -101,14 +119,17 @@ LOW_RATE_PHASE_S = 0.01  # s; frames are at most so far from multiples of the in
 MIN_INTERPOLATION_WEIGHT = 1 - 1e-4  # 1; a slot is seen if all frames that it is interpolated from are seen
 
 # Limbs that may be hidden together.
-_HIDDEN_LIMBS = ('larm', 'rarm', 'lleg', 'rleg', 'legs', 'arms')
+_HIDDEN_LIMBS = ('larm', 'rarm', 'lleg', 'rleg', 'legs', 'arms', 'lfoot', 'rfoot')
+
+_MIDLINE = joint_indices('head', 'neck', 'pelvis')
+_FACE = joint_indices(*FACE)
 
 _SLOT_INTERVALS_S = np.diff(HISTORY_SLOTS_S).astype(np.float32)  # s from each slot to the next older one
 _HAS_TWIN = np.arange(JOINT_COUNT) != MIRROR_PERMUTATION
 _ERROR_FACTOR, _LOST_FACTOR, _DIM_FACTOR = np.array(
     [
         next((f for joint, f in JOINT_FACTORS.items() if name.endswith(joint)), TRUNK_FACTORS)
-        for name in CMU15.joints
+        for name in BODY26.joints
     ],
     np.float32,
 ).T
@@ -142,7 +163,12 @@ class DetectorErrors:
         self.gap_patterns = make_gap_patterns(random.rng, GAP_PATTERN_COUNT)
 
     def detect(
-        self, image: Array, depth: Array, is_recorded: NDArray[np.bool_], is_precise: NDArray[np.bool_]
+        self,
+        image: Array,
+        depth: Array,
+        is_recorded: NDArray[np.bool_],
+        is_known: NDArray[np.bool_],
+        is_precise: NDArray[np.bool_],
     ) -> tuple[Array, Array]:
         """Return what detectors would detect: the true image points with random errors and gaps.
 
@@ -150,6 +176,7 @@ class DetectorErrors:
             image: (N, T, J, 2) m at the person's distance, true image points.
             depth: (N, J) m, depth of the newest joints, by which the far side of the body is known.
             is_recorded: (N, T) True for slots of the history at which the motion has a frame.
+            is_known: (N, J) True for joints that the motion has.
             is_precise: (N,) True for examples without noise.
 
         Returns:
@@ -158,8 +185,8 @@ class DetectorErrors:
         """
         image, score = self._add_noise(image, depth, is_precise)
         image, score = self._swap_sides(image, score)
-        score = np.where(self._hide(image, is_recorded), 0, score)
-        image, score = self._derive_midline(image, score)
+        hidden = self._hide(image, is_recorded) | self._hide_behind_head(depth)[:, None] | ~is_known[:, None]
+        image, score = self._derive_midline(image, np.where(hidden, np.float32(0), score))
         return self._interpolate_gaps(image, score)
 
     def _add_noise(self, image: Array, depth: Array, is_precise: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -261,23 +288,44 @@ class DetectorErrors:
         return image, np.where(swapped, score[:, :, MIRROR_PERMUTATION], score)
 
     def _derive_midline(self, image: Array, score: Array) -> tuple[Array, Array]:
-        """Return points (N, T, J, 2) and scores (N, T, J), in some examples with a derived neck and pelvis."""
-        is_derived = self.random.chance(len(image), DERIVED_MIDLINE_SHARE, axes=1)
-        for joint, left, right in (('neck', 'lshoulder', 'rshoulder'), ('pelvis', 'lhip', 'rhip')):
-            j, a, b = joint_indices(joint, left, right)
-            midpoint = (image[:, :, a] + image[:, :, b]) / 2
-            image[:, :, j] = np.where(is_derived[..., None], midpoint, image[:, :, j])
-            lesser = np.minimum(score[:, :, a], score[:, :, b])
-            score[:, :, j] = np.where(is_derived, lesser, score[:, :, j])
-        (head,) = joint_indices('head')
-        factor = self.random.uniform(*DERIVED_HEAD_SCORE_RANGE, len(image), 1)
-        score[:, :, head] *= np.where(is_derived, factor, np.float32(1))
-        return image, score
+        """Return points (N, T, J, 2) and scores (N, T, J) of the joints that a detector of `GIVEN_JOINTS` gives.
+
+        Head, neck and pelvis are derived from the others as `joint_map.py` does where the detector lacks them.
+        """
+        shares = np.cumsum([share for _, share in GIVEN_JOINTS])
+        kind = np.searchsorted(shares / shares[-1], self.random.rng.random(len(image)), side='right')
+        given = np.zeros((len(GIVEN_JOINTS), JOINT_COUNT), bool)
+        for i, (names, _) in enumerate(GIVEN_JOINTS):
+            sources = joint_indices(*names)
+            given[i, sources] = True
+            chosen = np.flatnonzero(kind == i)
+            joint_map = build_joint_map(names, BODY26)
+            points, derived = map_joints(
+                np.ascontiguousarray(image[chosen][:, :, sources], float).reshape(-1, len(sources), 2),
+                np.ascontiguousarray(score[chosen][:, :, sources], float).reshape(-1, len(sources)),
+                np.ascontiguousarray(joint_map.weights[:, _MIDLINE]),
+                np.ascontiguousarray(joint_map.score_factor[:, _MIDLINE]),
+            )
+            shape = len(chosen), score.shape[1], len(_MIDLINE)
+            own = chosen[:, None], slice(None), _MIDLINE
+            image[own] = np.moveaxis(np.nan_to_num(points).reshape(*shape, 2), 2, 1)
+            score[own] = np.moveaxis(derived.reshape(shape), 2, 1)
+        is_given = given[kind]
+        is_given[:, _MIDLINE] = True
+        return image, np.where(is_given[:, None], score, np.float32(0))
+
+    def _hide_behind_head(self, depth: Array) -> NDArray[np.bool_]:
+        """Return (N, J) which points of the face are hidden by the head, in some examples."""
+        face = depth[:, _FACE]
+        out = np.zeros(depth.shape, bool)
+        is_behind = face > face.mean(axis=1, keepdims=True) + FACE_DEPTH_M
+        out[:, _FACE] = is_behind & self.random.chance(len(depth), HIDDEN_FACE_SHARE, axes=1)
+        return out
 
     def _hide(self, image: Array, is_recorded: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return (N, T, J) whether a joint is not seen.
 
-        Single points are missing, limbs are hidden, detectors lack midline joints, or the image's border cuts the
+        Single points are missing, limbs are hidden, midline joints are lacking, or the image's border cuts the
         person off.
         """
         random, rng = self.random, self.random.rng
@@ -292,13 +340,13 @@ class DetectorErrors:
         limb = limbs[rng.integers(0, len(limbs), count)]
         since = np.arange(slots)[None] < rng.integers(1, 2 * slots, (count, 1))
         hidden |= (limb & random.chance(count, HIDDEN_LIMBS_SHARE, axes=1))[:, None] & since[..., None]
-        midline = joint_indices('head', 'neck', 'pelvis')
         lacking = np.zeros((count, JOINT_COUNT), bool)
-        lacking[:, midline] = rng.random((count, len(midline))) < MISSING_MIDLINE_JOINT_SHARE
-        lacking[:, midline] |= random.chance(count, MISSING_MIDLINE_SHARE, axes=1)
+        lacking[:, _MIDLINE] = rng.random((count, len(_MIDLINE))) < MISSING_MIDLINE_JOINT_SHARE
         hidden |= lacking[:, None]
         hidden |= self._is_beyond_border(image)
-        hidden[:, 0] &= ((~hidden[:, 0]).sum(axis=1) >= MIN_SEEN_JOINTS)[:, None] | ~is_recorded[:, :1]
+        hidden[:, 0] &= ((~hidden[:, 0, :CORE_COUNT]).sum(axis=1) >= MIN_SEEN_JOINTS)[:, None] | ~is_recorded[
+            :, :1
+        ]
         return np.asarray(hidden)
 
     def _is_beyond_border(self, image: Array) -> NDArray[np.bool_]:
@@ -307,7 +355,7 @@ class DetectorErrors:
         direction = self.random.rng.integers(0, 3, count)
         normal = np.array([[0, 1], [1, 0], [-1, 0]], np.float32)[direction]
         border = self.random.uniform(*BORDER_RANGE_M, count, 1, 1)
-        centroid = image[:, :1].mean(axis=2, keepdims=True)
+        centroid = image[:, :1, :CORE_COUNT].mean(axis=2, keepdims=True)
         beyond = np.einsum('ntjd,nd->ntj', image - centroid, normal) > border
         return np.asarray(beyond & self.random.chance(count, BORDER_SHARE, axes=2))
 

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.models.lifter import LOG_STD_RANGE, OUTPUT_COUNT, Lifter
 from mocap_ros.models.lifter_input import FEATURE_COUNT, JOINT_COUNT
+from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.training.motion_library import MotionLibrary
 from mocap_ros.training.synthesis import ExampleBatch, ExampleSynthesiser
 
@@ -21,6 +22,9 @@ Array = NDArray[np.float64]
 WARM_UP_SHARE = 0.1  # 1, share of the steps in which the learning rate rises (one-cycle schedule)
 MAX_GRADIENT_NORM = 1.0  # 1; a batch with gross outliers cannot throw the weights off
 LIKELIHOOD_UNIT_M = 0.1  # m; converts the likelihood, a pure number, to the unit of the mean distance
+EXTREMITY_WEIGHT = (
+    0.4  # 1; of face, feet and hands in the objective, below the core's 1, which the solvers build on
+)
 MIN_SQUARED_DISTANCE = 1e-8  # squared unit of the features; keeps the gradient of the distance finite at zero
 ERROR_AVERAGE_RATE = 0.01  # 1 per step; the error in the provenance is averaged over about the last 100 steps
 
@@ -94,11 +98,13 @@ class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]
 
 
 def compute_loss(out: Tensor, batch: ExampleBatch, uncertainty: float) -> tuple[Tensor, Tensor]:
-    """Compute the loss L = mean_j |P_j - P*_j| + uncertainty * 0.1 m * mean_j NLL_j.
+    """Compute the loss L = mean_j a_j |P_j - P*_j| + uncertainty * 0.1 m * mean_j a_j NLL_j.
 
         NLL_j = 2 log sigma_xy + sqrt(3) e_xy / sigma_xy + log sigma_z + sqrt(2) e_z / sigma_z
 
-    P_j and P*_j are the estimated and the true position of joint j, and NLL_j its negative log likelihood.
+    a_j is 1 for the core, `EXTREMITY_WEIGHT` for other joints and 0 where the true joint is not known; means are
+    over the core's joints. P_j and P*_j are the estimated and the true position, NLL_j the negative log
+    likelihood.
     e_xy is the error of joint j in the image and e_z its error in depth. The likelihood is that of Laplace's
     distribution in depth and of its rotationally symmetric counterpart in the image. The errors enter the
     likelihood without gradient, so it trains the standard deviations only.
@@ -109,12 +115,12 @@ def compute_loss(out: Tensor, batch: ExampleBatch, uncertainty: float) -> tuple[
         uncertainty: weight of the likelihood.
 
     Returns:
-        The loss L in m, and the (J,) mean distance of each joint in m.
+        The loss L in m, and the (J,) mean distance of each joint in m, of any value where it is not known.
     """
     newest, target = torch.from_numpy(batch.newest), torch.from_numpy(batch.target)
     pose = out[:, : 3 * JOINT_COUNT].reshape(-1, JOINT_COUNT, 3)
     pose = torch.cat([pose[..., :2] + newest, pose[..., 2:]], dim=-1)
-    error = pose - pose.mean(dim=1, keepdim=True) - target
+    error = pose - pose[:, :CORE_COUNT].mean(dim=1, keepdim=True) - target
     distance = torch.sqrt((error**2).sum(dim=-1) + MIN_SQUARED_DISTANCE) * torch.from_numpy(batch.size)[:, None]
     log_std = out[:, 3 * JOINT_COUNT :].reshape(-1, JOINT_COUNT, 2).clamp(*LOG_STD_RANGE)
     image_error, depth_error = error.detach()[..., :2].norm(dim=-1), error.detach()[..., 2].abs()
@@ -124,8 +130,11 @@ def compute_loss(out: Tensor, batch: ExampleBatch, uncertainty: float) -> tuple[
         + log_std[..., 1]
         + 2**0.5 * depth_error * torch.exp(-log_std[..., 1])
     )
-    loss = distance.mean() + uncertainty * LIKELIHOOD_UNIT_M * negative_log_likelihood.mean()
-    return loss, distance.mean(dim=0).detach()
+    weight = torch.full((JOINT_COUNT,), EXTREMITY_WEIGHT)
+    weight[:CORE_COUNT] = 1.0
+    weight = weight * torch.from_numpy(batch.is_known)
+    cost = distance + uncertainty * LIKELIHOOD_UNIT_M * negative_log_likelihood
+    return (weight * cost).sum() / (CORE_COUNT * len(out)), distance.detach().mean(dim=0)
 
 
 def train_lifter(
@@ -138,7 +147,8 @@ def train_lifter(
     """Train a lifter; the same trials, settings and library versions give the same lifter.
 
     Args:
-        trials: arrays (F, 15, 3) in m, z up, 30 frames per second, joints as `skeleton.CMU15`.
+        trials: arrays (F, J, 3) of `skeleton.BODY26` or (F, J_c, 3) of `skeleton.CMU15` in m, z up, 30 frames per
+            second.
         shares: (N,) share of each trial in the examples, as from `balance.balance_trials`.
         settings: settings of the training.
         provenance: entries of the lifter's provenance; the settings and the last mean error on examples are added.
@@ -167,7 +177,7 @@ def train_lifter(
         optimiser.step()
         schedule.step()
         _update_average(averaged, network, min(settings.average, 1 - 1 / step))
-        mean_error += (float(distance.mean()) - mean_error) * max(ERROR_AVERAGE_RATE, 1 / step)
+        mean_error += (float(distance[:CORE_COUNT].mean()) - mean_error) * max(ERROR_AVERAGE_RATE, 1 / step)
     results = {'settings': vars(settings), 'error_mm': round(mean_error * 1e3, 1), 'torch': torch.__version__}
     return averaged.fold_batch_norms({**provenance, **results})
 

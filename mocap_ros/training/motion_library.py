@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import BODY26
 
 Array = NDArray[np.float32]
 Array64 = NDArray[np.float64]
@@ -27,12 +27,15 @@ class MotionLibrary:
     """All training motion: N frames of trials at several speeds, one trial after the other.
 
     Attributes:
-        bone_vectors: (N, J, 3) m, vector from each joint's parent to the joint; zero for the root.
+        bone_vectors: (N, J, 3) m, vector from each joint's parent to the joint; zero for the root, and for face,
+            feet and hands of trials without them.
+        has_extremities: (N,) whether the trial of each frame has face, feet and hands.
         first_frame: (N,) index of the first frame of the trial that each frame belongs to.
         cumulative_probability: (N,) cumulative probability of each frame to be the newest frame of an example.
     """
 
     bone_vectors: Array
+    has_extremities: NDArray[np.bool_]
     first_frame: NDArray[np.intp]
     cumulative_probability: Array64
 
@@ -41,13 +44,13 @@ class MotionLibrary:
         """Build the library.
 
         Args:
-            trials: arrays (F, J, 3) in m, z up, at `FPS`.
+            trials: arrays (F, J, 3) or, without face, feet and hands, (F, J_c, 3) in m, z up, at `FPS`.
             shares: (N,) probability of each trial, as from `balance.balance_trials`.
         """
-        parents = np.array([max(p, 0) for p in CMU15.parents])
-        root = CMU15.parents.index(-1)
+        parents = np.array([max(p, 0) for p in BODY26.parents])
+        root = BODY26.parents.index(-1)
         parents[root] = root
-        vectors, first_frame, probability, count = [], [], [], 0
+        vectors, is_complete, first_frame, probability, count = [], [], [], [], 0
         for trial, trial_share in zip(trials, shares, strict=True):
             for speed, share in SPEED_SHARES.items():
                 position = np.arange(0, len(trial) - 1 + TIME_TOLERANCE_FRAMES, abs(speed))
@@ -55,9 +58,15 @@ class MotionLibrary:
                 high = np.minimum(low + 1, len(trial) - 1)
                 poses = trial[low] + (position - low)[:, None, None] * (trial[high] - trial[low])
                 poses = poses[::-1] if speed < 0 else poses
-                vectors.append((poses - poses[:, parents]).astype(np.float32))
+                joints = poses.shape[1]
+                own = np.zeros((len(poses), len(parents), 3), np.float32)
+                own[:, :joints] = poses - poses[:, parents[:joints]]
+                vectors.append(own)
+                is_complete.append(np.full(len(poses), joints == len(parents)))
                 first_frame.append(np.full(len(poses), count))
                 probability.append(np.full(len(poses), share * trial_share / len(poses)))
                 count += len(poses)
         total = np.cumsum(np.concatenate(probability))
-        return MotionLibrary(np.concatenate(vectors), np.concatenate(first_frame), total / total[-1])
+        return MotionLibrary(
+            np.concatenate(vectors), np.concatenate(is_complete), np.concatenate(first_frame), total / total[-1]
+        )

@@ -4,7 +4,8 @@
 
 p, a, b and d are angles in the body frame (x forward, y left, z up): p leans forward, a and b are 0 where the limb
 hangs down and positive where its end is in front, d spreads the knees. They change slowly over the history. A
-posture replaces the directions of the legs, and on all fours of the arms; trunk and head lean as a whole.
+posture replaces the directions of the legs, and on all fours of the arms and hands; trunk and head lean as a
+whole, and the feet turn about the axis y.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_ros.models.lifter_input import HISTORY_SLOTS_S
-from mocap_ros.training.body_parts import joint_indices
+from mocap_ros.training.body_parts import FACE, FEET, HANDS, joint_indices
 from mocap_ros.training.random_arrays import Array, RandomArrays
 
 Range = tuple[float, float]
@@ -29,6 +30,7 @@ class _Posture:
         trunk: degrees, range of the trunk's lean p.
         thigh: degrees, range of the angle a.
         shank: degrees, range of the angle b.
+        foot: degrees, range of the angle by which the foot is turned toes downwards from how it stood.
         on_hands: whether the arms support the body.
     """
 
@@ -36,24 +38,31 @@ class _Posture:
     trunk: Range
     thigh: Range
     shank: Range
+    foot: Range
     on_hands: bool = False
 
 
 POSTURES = (
-    _Posture(0.02, trunk=(35, 110), thigh=(-20, 30), shank=(-35, 5)),  # bent over, knees nearly straight
-    _Posture(0.02, trunk=(0, 70), thigh=(50, 125), shank=(-55, 5)),  # crouching
-    _Posture(0.02, trunk=(-10, 35), thigh=(-20, 30), shank=(-105, -70)),  # kneeling upright
-    _Posture(0.015, trunk=(-10, 50), thigh=(55, 100), shank=(-110, -75)),  # sitting on the heels
-    _Posture(0.015, trunk=(55, 105), thigh=(-25, 35), shank=(-110, -70), on_hands=True),  # on all fours
+    _Posture(
+        0.02, trunk=(35, 110), thigh=(-20, 30), shank=(-35, 5), foot=(-15, 20)
+    ),  # bent over, knees nearly straight
+    _Posture(0.02, trunk=(0, 70), thigh=(50, 125), shank=(-55, 5), foot=(-15, 50)),  # crouching
+    _Posture(0.02, trunk=(-10, 35), thigh=(-20, 30), shank=(-105, -70), foot=(60, 190)),  # kneeling upright
+    _Posture(0.015, trunk=(-10, 50), thigh=(55, 100), shank=(-110, -75), foot=(80, 190)),  # sitting on the heels
+    _Posture(
+        0.015, trunk=(55, 105), thigh=(-25, 35), shank=(-110, -70), foot=(60, 190), on_hands=True
+    ),  # on all fours
 )
 SIDE_STD_RAD = 0.2  # rad, standard deviation of each component by which the two sides differ
 SPREAD_RANGE_RAD = (-0.1, 0.5)  # rad, by which knees are apart
 HANGING_ARMS_SHARE = 0.5  # share of the others whose arms keep their directions instead of leaning with the trunk
+FLAT_HAND_RAD = 1.4  # rad, from the forearm of somebody on all fours to the hand, which lies flat on the floor
 MOVING_SHARE = 0.5  # share of the examples that move into or out of the posture
 RATE_STD_RAD_S = 0.5  # rad/s, standard deviation of the rate of each angle in these
 
-_TRUNK = joint_indices('head', 'neck', 'lshoulder', 'rshoulder', 'lhip', 'rhip')
-_ARMS = joint_indices('lelbow', 'lwrist', 'relbow', 'rwrist')
+_TRUNK = joint_indices('head', 'neck', 'lshoulder', 'rshoulder', 'lhip', 'rhip', *FACE)
+_ARMS = joint_indices('lelbow', 'lwrist', 'relbow', 'rwrist', *HANDS)
+_FEET = joint_indices(*FEET)
 
 
 def take_postures(vectors: Array, random: RandomArrays) -> Array:
@@ -79,13 +88,16 @@ def _take_posture(vectors: Array, posture: _Posture, random: RandomArrays) -> Ar
     thigh, shank = (_draw_angles(count, angles, random) for angles in (posture.thigh, posture.shank))
     spread = random.uniform(*SPREAD_RANGE_RAD, count, 1)
     support = _draw_angles(count, (-25, 25), random)
+    out[:, :, _FEET] = _lean_forward(vectors[:, :, _FEET], _draw_angles(count, posture.foot, random))
     for side, outwards in (('l', 1), ('r', -1)):
         limbs: list[tuple[str, Array, Array]] = [
             ('knee', thigh, spread),
             ('ankle', shank, -np.float32(0.5) * spread),
         ]
         if posture.on_hands:
-            limbs += [('elbow', support, np.zeros_like(spread)), ('wrist', support, np.zeros_like(spread))]
+            straight = np.zeros_like(spread)
+            flat = support + np.float32(FLAT_HAND_RAD)
+            limbs += [('elbow', support, straight), ('wrist', support, straight), ('hand', flat, straight)]
         for joint, angle, apart in limbs:
             (index,) = joint_indices(side + joint)
             length = np.linalg.norm(vectors[:, :, index], axis=-1, keepdims=True)

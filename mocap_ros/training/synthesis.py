@@ -3,7 +3,8 @@
 An example is drawn from motion capture. Its body is varied, joints are moved to where detectors place them, and a
 random camera projects it; `detector_errors` then adds the errors of a detector. Poses are in m with z up. Images
 are in m at the person's distance, so that all magnitudes below are in metres. Shapes: N examples, T slots of the
-history (newest first), J joints of `skeleton.CMU15`.
+history (newest first), J joints of `skeleton.BODY26`,
+J_c of its core `skeleton.CMU15`.
 
 The magnitudes are estimates. The mixture as a whole was chosen on CMU subjects 02, 16 and 49, with lifters that
 had seen neither these nor the test subjects (docs/lifter.md, "Training"). Shares are shares of the examples.
@@ -16,9 +17,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.models.lifter_input import HISTORY_SLOTS_S, JOINT_COUNT, MIRROR_PERMUTATION, encode_features
-from mocap_ros.skeleton import CMU15
-from mocap_ros.training.body_parts import LIMBS, joint_indices, limb_indices
+from mocap_ros.models.lifter_input import (
+    HISTORY_SLOTS_S,
+    JOINT_COUNT,
+    MIRROR_PERMUTATION,
+    encode_features,
+    weigh_vertical,
+)
+from mocap_ros.skeleton import BODY26, CORE_COUNT
+from mocap_ros.training.body_parts import FACE, LIMBS, joint_indices, limb_indices
 from mocap_ros.training.detector_errors import DetectorErrors
 from mocap_ros.training.motion_library import FPS, MotionLibrary
 from mocap_ros.training.postures import take_postures
@@ -30,6 +37,7 @@ Array64 = NDArray[np.float64]
 MIRRORED_SHARE = 0.5  # share; people are left- and right-handed alike
 BONE_LENGTH_STD = 0.07  # 1, standard deviation of the factor on each bone length; adults differ in proportion
 MAX_BONE_LENGTH_DEVIATIONS = 2.5  # standard deviations; bounds the factor to 0.83 and 1.18
+MIN_BONE_LENGTH_M = 1e-6  # m; guards divisions by the length of bones that a trial lacks
 BORROWED_LIMB_SHARES = {
     'arms': 0.25,
     'larm': 0.12,
@@ -57,6 +65,12 @@ OFFSET_STD_M = {
     'wrist': (0.018, 0.018, 0.018),
     'knee': (0.018, 0.018, 0.02),
     'ankle': (0.018, 0.018, 0.022),
+    'toe': (0.025, 0.018, 0.018),
+    'heel': (0.02, 0.018, 0.018),
+    'hand': (0.022, 0.022, 0.022),
+    'nose': (0.015, 0.01, 0.015),
+    'eye': (0.015, 0.01, 0.015),
+    'ear': (0.015, 0.01, 0.015),
 }
 
 # Cameras.
@@ -68,6 +82,10 @@ COMMON_ELEVATION_SHARE = 0.6  # share of the examples with such a camera
 COMMON_ELEVATION_DEG = (12, 14)  # degrees, mean and standard deviation of the elevation in these
 ELEVATION_RANGE_DEG = (-20, 45)  # degrees in the others; from a camera on the floor to one under the ceiling
 ROLL_STD_DEG = 7  # degrees, standard deviation; hand-held cameras and cameras that are not levelled
+
+# What the lifter is told of the vertical.
+KNOWN_VERTICAL_SHARE = 0.5  # share of the examples in which it is told
+VERTICAL_STD_RANGE_RAD = (0.008, 0.25)  # rad, by how much it is off, log-uniform; 0.5 to 14 degrees
 
 # Projection.
 ORTHOGRAPHIC_SHARE = 0.35  # share; distant people, and the weak-perspective images of the solvers
@@ -83,6 +101,10 @@ UNKNOWN_FOCAL_SHARE = 0.4  # share of the perspective images whose focal length 
 
 _FRAMES_AGO = np.round(HISTORY_SLOTS_S * FPS).astype(int)  # frames from each slot to the newest frame
 
+# (J,) index of the joint whose factor on the bone length each joint shares: both sides, and all of a face.
+_SAME_FACTOR = np.minimum(np.arange(JOINT_COUNT), MIRROR_PERMUTATION)
+_SAME_FACTOR[joint_indices(*FACE)] = BODY26.index(FACE[0])
+
 
 @dataclass(frozen=True, eq=False)
 class ExampleBatch:
@@ -91,14 +113,16 @@ class ExampleBatch:
     Attributes:
         features: (N, FEATURE_COUNT) features of the network, as from `lifter.encode_features`.
         newest: (N, J, 2) newest image points, as from `lifter.encode_features`.
-        target: (N, J, 3) true pose relative to the mean of its joints, in the unit of the features.
+        target: (N, J, 3) true pose relative to the mean of its core, in the unit of the features.
         size: (N,) m, the unit of the features.
+        is_known: (N, J) whether the true joint is known.
     """
 
     features: Array
     newest: Array
     target: Array
     size: Array
+    is_known: NDArray[np.bool_]
 
 
 class ExampleSynthesiser:
@@ -119,7 +143,7 @@ class ExampleSynthesiser:
 
     def make_batch(self, count: int) -> ExampleBatch:
         """Make the next `count` examples."""
-        vectors, is_recorded = self._draw_motion(count)
+        vectors, is_recorded, is_known = self._draw_motion(count)
         vectors = self._vary_bodies(vectors)
         points = self.joints_from_bones @ vectors  # (N, T, J, 3)
         is_precise = self.random.chance(count, PRECISE_SHARE)
@@ -128,19 +152,20 @@ class ExampleSynthesiser:
         truth = _rotate_points(points[:, :1], rotation[:, :1])[:, 0]
         in_camera = _rotate_points(points + offsets, rotation)
         image, focal = self._project(in_camera)
-        image, weight = self.errors.detect(image, in_camera[:, 0, :, 2], is_recorded, is_precise)
-        features, newest, size = encode_features(image, weight, focal)
-        target = (truth - truth.mean(axis=1, keepdims=True)) / size[:, None, None]
+        image, weight = self.errors.detect(image, in_camera[:, 0, :, 2], is_recorded, is_known, is_precise)
+        upward = self._draw_verticals(rotation[:, 0])
+        features, newest, size = encode_features(image, weight, focal, upward)
+        target = (truth - truth[:, :CORE_COUNT].mean(axis=1, keepdims=True)) / size[:, None, None]
         return ExampleBatch(
-            features, newest.astype(np.float32), target.astype(np.float32), size.astype(np.float32)
+            features, newest.astype(np.float32), target.astype(np.float32), size.astype(np.float32), is_known
         )
 
-    def _draw_motion(self, count: int) -> tuple[Array, NDArray[np.bool_]]:
+    def _draw_motion(self, count: int) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
         """Draw histories of motion.
 
         Returns:
-            (N, T, J, 3) m, bone vectors of bodies that face +x in the newest frame, and (N, T) whether the trial
-            had begun at the slot; before, the first pose of the trial is repeated.
+            (N, T, J, 3) m, bone vectors of bodies that face +x in the newest frame; (N, T) whether the trial had
+            begun at the slot, before which its first pose is repeated; and (N, J) whether the trial has the joint.
         """
         newest = np.searchsorted(self.library.cumulative_probability, self.random.rng.random(count))
         index = newest[:, None] - _FRAMES_AGO
@@ -150,12 +175,13 @@ class ExampleSynthesiser:
         mirrored = vectors[:, :, MIRROR_PERMUTATION] * np.array([1, -1, 1], np.float32)
         vectors = np.where(is_mirrored, mirrored, vectors)
         poses = self.joints_from_bones @ vectors[:, 0]
-        left, right = (list(side) for side in zip(*CMU15.left_right_pairs, strict=True))
+        left, right = (list(side) for side in zip(*BODY26.left_right_pairs, strict=True))
         trunk = [left.index(j) for j in joint_indices('lhip', 'lshoulder')]
         across = (poses[:, left] - poses[:, right])[:, trunk].sum(axis=1)
         x, y = across[:, 0], across[:, 1]
         yaw = np.pi / 2 - np.arctan2(y, x)
-        return _rotate_points(vectors, _axis_rotations(2, yaw)[:, None]), index >= first
+        is_known = self.library.has_extremities[newest][:, None] | (np.arange(JOINT_COUNT) < CORE_COUNT)
+        return _rotate_points(vectors, _axis_rotations(2, yaw)[:, None]), index >= first, is_known
 
     def _vary_bodies(self, vectors: Array) -> Array:
         """Vary bone vectors (N, T, J, 3): bone lengths, borrowed limbs, postures, rotated limbs, tilted bodies."""
@@ -164,14 +190,13 @@ class ExampleSynthesiser:
         limit = MAX_BONE_LENGTH_DEVIATIONS
         deviation = np.clip(random.normal(count, 1, JOINT_COUNT, 1), -limit, limit)
         factor = 1 + np.float32(BONE_LENGTH_STD) * deviation
-        one_of_pair = np.minimum(np.arange(JOINT_COUNT), MIRROR_PERMUTATION)
-        vectors = vectors * factor[:, :, one_of_pair]
+        vectors = vectors * factor[:, :, _SAME_FACTOR]
         donor = np.roll(vectors, 1, axis=0)
         for limb, share in BORROWED_LIMB_SHARES.items():
             joints = limb_indices(limb)
             lengths = np.linalg.norm(vectors[:, :1, joints], axis=-1, keepdims=True)
             donor_lengths = np.linalg.norm(donor[:, :1, joints], axis=-1, keepdims=True)
-            borrowed = donor[:, :, joints] * lengths / donor_lengths
+            borrowed = donor[:, :, joints] * lengths / np.maximum(donor_lengths, MIN_BONE_LENGTH_M)
             is_borrowed = random.chance(count, share, axes=3)
             vectors[:, :, joints] = np.where(is_borrowed, borrowed, vectors[:, :, joints])
         vectors = take_postures(vectors, random)
@@ -194,11 +219,11 @@ class ExampleSynthesiser:
         out = np.zeros((count, 1, JOINT_COUNT, 3), np.float32)
         for name, std in OFFSET_STD_M.items():
             offset = np.array(std, np.float32) * self.random.normal(count, 3)
-            if name in CMU15.joints:
-                out[:, 0, CMU15.index(name)] = offset
+            if name in BODY26.joints:
+                out[:, 0, BODY26.index(name)] = offset
             else:
-                out[:, 0, CMU15.index('l' + name)] = offset
-                out[:, 0, CMU15.index('r' + name)] = offset * np.array([1, -1, 1], np.float32)
+                out[:, 0, BODY26.index('l' + name)] = offset
+                out[:, 0, BODY26.index('r' + name)] = offset * np.array([1, -1, 1], np.float32)
         size = np.exp(self.random.uniform(*np.log(OFFSET_SIZE_RANGE), count, 1, 1))
         return np.asarray((out[:, 0] * size)[:, None] @ np.swapaxes(_find_trunks(points), -1, -2))
 
@@ -221,6 +246,14 @@ class ExampleSynthesiser:
         rotation = _axis_rotations(2, roll) @ _axis_rotations(0, elevation) @ to_optical
         return np.asarray(rotation @ _axis_rotations(2, heading))
 
+    def _draw_verticals(self, rotation: Array) -> Array64:
+        """Return what the lifter is told of the vertical (N, 3); rotations (N, 3, 3) from body to camera."""
+        count = len(rotation)
+        std = np.exp(self.random.uniform(*np.log(VERTICAL_STD_RANGE_RAD), count, 1))
+        wrong = _normalise(rotation[:, :, 2] + std.astype(np.float32) * self.random.normal(count, 3))
+        is_told = self.random.chance(count, KNOWN_VERTICAL_SHARE)
+        return weigh_vertical(wrong.astype(float), np.where(is_told, std[:, 0], np.inf))
+
     def _project(self, points: Array) -> tuple[Array, Array64]:
         """Project points (N, T, J, 3) in m, in the camera's axes, by random perspective or orthographic cameras.
 
@@ -230,7 +263,7 @@ class ExampleSynthesiser:
         """
         random = self.random
         count = len(points)
-        relative = points - points[:, :1].mean(axis=2, keepdims=True)
+        relative = points - points[:, :1, :CORE_COUNT].mean(axis=2, keepdims=True)
         is_orthographic = random.chance(count, ORTHOGRAPHIC_SHARE, axes=1)
         newest_distance = random.uniform(*DISTANCE_RANGE_M, count, 1)
         speed = random.choose(count, APPROACH_SHARE, APPROACH_SPEED_STD, 0, axes=1) * random.normal(count, 1)
@@ -250,7 +283,7 @@ class ExampleSynthesiser:
 def _sum_along_bones() -> Array:
     """Return the (J, J) matrix that converts bone vectors to joint positions relative to the root."""
     out = np.eye(JOINT_COUNT, dtype=np.float32)
-    for parent, child in CMU15.outward_bones():
+    for parent, child in BODY26.outward_bones():
         out[child] += out[parent]
     return out
 

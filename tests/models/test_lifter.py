@@ -16,9 +16,9 @@ from mocap_ros.errors import ModelError
 from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
 from mocap_ros.models import lifter, model_file
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.lifter import LiftedPoses, Lifter
-from mocap_ros.models.lifter_input import JOINT_COUNT, sample_histories
-from mocap_ros.skeleton import CMU15
+from mocap_ros.models.lifter import OUTPUT_COUNT, LiftedPoses, Lifter
+from mocap_ros.models.lifter_input import FEATURE_COUNT, JOINT_COUNT, sample_histories
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 from mocap_ros.solvers.joint.lifted_start import fit_initial_values
 from mocap_ros.training.motion_library import MotionLibrary
 from mocap_ros.training.synthesis import ExampleSynthesiser
@@ -43,19 +43,20 @@ def walk(rng: np.random.Generator) -> tuple[lifter.Array, lifter.Array, lifter.A
     optical = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0.0]])
     rotation = optical @ rotation_from_vector(np.array([0, 0, 0.9]))
     poses = walk_model.poses(theta) @ rotation.T
-    return poses, PX_PER_M * poses[..., :2] + [400, 300], np.ones((40, JOINT_COUNT)), t
+    return poses, PX_PER_M * poses[..., :2] + [400, 300], np.ones(poses.shape[:2]), t
 
 
 def error_mm(lifted: lifter.Array, truth: lifter.Array) -> float:
-    return float(np.linalg.norm(lifted / PX_PER_M - centre_poses(truth), axis=-1).mean() * 1e3)
+    return float(np.linalg.norm(lifted[:, :CORE_COUNT] / PX_PER_M - centre_poses(truth), axis=-1).mean() * 1e3)
 
 
 def test_lifted_poses_are_accurate(shipped: Lifter, walk: tuple[lifter.Array, ...]) -> None:
     poses, points, weight, times = walk
     lifted = shipped.lift_sequence(points, weight, times)
     assert error_mm(lifted.joints, poses) < 1.1 * 23.9  # mm, measured
-    assert lifted.joints.mean(axis=1) == pytest.approx(0, abs=1e-9)
-    is_outlier = np.abs(lifted.joints / PX_PER_M - centre_poses(poses)) > 3 * lifted.std / PX_PER_M
+    core = lifted.select_core()
+    assert core.joints.mean(axis=1) == pytest.approx(0, abs=1e-9)
+    is_outlier = np.abs(core.joints / PX_PER_M - centre_poses(poses)) > 3 * core.std / PX_PER_M
     assert not is_outlier.any(), 'no error exceeds three standard deviations'
 
 
@@ -85,11 +86,11 @@ def test_the_pose_does_not_depend_on_the_viewing_direction(
 
 def test_a_mirror_image_is_lifted_to_the_mirror_image(shipped: Lifter, walk: tuple[lifter.Array, ...]) -> None:
     _, points, weight, times = walk
-    mirror = list(CMU15.mirror)
+    mirror, body_mirror = list(CMU15.mirror), list(BODY26.mirror)
     weight[:, CMU15.index('lwrist')] = 0
     here = shipped.lift_sequence(points, weight, times)
     there = shipped.lift_sequence(points[:, mirror] * [-1, 1], weight[:, mirror], times)
-    assert there.joints[:, mirror] * [-1, 1, 1] == pytest.approx(here.joints, abs=1e-4)
+    assert there.joints[:, body_mirror] * [-1, 1, 1] == pytest.approx(here.joints, abs=1e-4)
 
 
 def test_one_frame_is_enough(shipped: Lifter, walk: tuple[lifter.Array, ...]) -> None:
@@ -108,6 +109,24 @@ def test_people_in_a_batch_are_independent(shipped: Lifter, walk: tuple[lifter.A
         assert (alone.std[0] == together.std[n]).all()
 
 
+def add_extremities(points: lifter.Array, weight: lifter.Array) -> tuple[lifter.Array, lifter.Array]:
+    """Return histories of 26 joints of those of the core; all extremities are where the wrists are."""
+    wrists = [CMU15.index('lwrist'), CMU15.index('rwrist')]
+    return tuple(  # type: ignore[return-value]
+        np.concatenate([a, *[a[:, :, [wrists[i % 2]]] for i in range(JOINT_COUNT - CORE_COUNT)]], axis=2)
+        for a in (points, weight)
+    )
+
+
+def test_joints_that_a_detector_lacks_count_as_not_seen(shipped: Lifter, walk: tuple[lifter.Array, ...]) -> None:
+    _, points, weight, times = walk
+    points, weight = sample_histories(points, weight, times, np.array([3, 39]))
+    without = shipped.lift(points, weight)
+    points, weight = add_extremities(points, weight)
+    weight[:, :, CORE_COUNT:] = 0
+    assert (shipped.lift(points, weight).joints == without.joints).all()
+
+
 @pytest.mark.parametrize('focal', [np.inf, 900.0])
 def test_lifted_poses_agree_with_the_formula(
     shipped: Lifter, walk: tuple[lifter.Array, ...], rng: np.random.Generator, focal: float
@@ -116,10 +135,13 @@ def test_lifted_poses_agree_with_the_formula(
     weight *= rng.random(weight.shape) * (rng.random(weight.shape) > 0.2)
     points[weight == 0] = np.nan
     points, weight = sample_histories(points, weight, times, np.array([3, 20, 39]))
-    weight[1, 0, lifter.MIN_SEEN_JOINTS - 1 :] = 0
-    lifted = shipped.lift(points, weight, focal)
+    points, weight = add_extremities(points, weight)
+    weight[1, 0, lifter.MIN_SEEN_JOINTS - 1 : CORE_COUNT] = 0
+    vertical, vertical_std = np.array([[0.0, -1, 0], [0, -0.8, -0.6], [np.nan] * 3]), np.array([0.1, 0.0, 0.1])
+    lifted = shipped.lift(points, weight, focal, vertical, vertical_std)
     for n in range(3):
-        joints, std = plain_lifter.lift(shipped.layers, points[n], weight[n], focal)
+        known = (vertical[n], vertical_std[n]) if np.isfinite(vertical[n]).all() else None
+        joints, std = plain_lifter.lift(shipped.layers, points[n], weight[n], focal, known)
         tolerance = 1e-5 * PX_PER_M  # px; the network computes in single precision
         assert lifted.joints[n] == pytest.approx(joints, abs=tolerance, nan_ok=True)
         assert lifted.std[n] == pytest.approx(std, abs=tolerance, nan_ok=True)
@@ -128,7 +150,7 @@ def test_lifted_poses_agree_with_the_formula(
 
 def test_a_network_that_overflows_lifts_nothing(walk: tuple[lifter.Array, ...]) -> None:
     _, points, weight, times = walk
-    sizes = [(541, 64), (64, 64), (64, 64), (64, 75)]
+    sizes = [(FEATURE_COUNT, 64), (64, 64), (64, 64), (64, OUTPUT_COUNT)]
     large = Lifter(tuple((np.full(s, 1e3, 'f4'), np.full(s[1], 1e3, 'f4')) for s in sizes), {})
     lifted = large.lift_sequence(points, weight, times)
     assert np.isnan(lifted.joints).all()
@@ -149,7 +171,7 @@ def test_hidden_joints_are_inferred(shipped: Lifter, walk: tuple[lifter.Array, .
     points[:, hidden] = np.nan
     lifted = shipped.lift_sequence(points, weight, times)
     assert error_mm(lifted.joints, poses) < 1.1 * 37.5  # mm, measured
-    assert lifted.std[:, hidden].mean() > lifted.std.mean()
+    assert lifted.std[:, hidden].mean() > lifted.select_core().std.mean()
 
 
 def test_frames_with_too_few_joints_are_nan(shipped: Lifter, walk: tuple[lifter.Array, ...]) -> None:
@@ -164,7 +186,7 @@ def test_frames_with_too_few_joints_are_nan(shipped: Lifter, walk: tuple[lifter.
 def test_scale_to_metres_uses_the_bone_lengths(walk: tuple[lifter.Array, ...]) -> None:
     poses, _, _, times = walk
     nearer = np.exp(times)[:, None, None]
-    joints = 500 * nearer * centre_poses(poses)
+    joints = np.pad(500 * nearer * centre_poses(poses), [(0, 0), (0, JOINT_COUNT - CORE_COUNT), (0, 0)])
     joints[3] = np.nan
     found = lifter.scale_to_metres(LiftedPoses(joints, np.ones_like(joints)), times, 1.7)
     good = np.arange(16, 24)
@@ -204,7 +226,9 @@ def test_save_and_load(tmp_path: Path, shipped: Lifter) -> None:
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 1 << 30), st.integers(0, 255))
 def test_corrupted_lifters_are_read_or_refused(place: int, byte: int) -> None:
-    small = Lifter(tuple((np.zeros(s, 'f4'), np.zeros(s[1], 'f4')) for s in ((541, 2), (2, 75))), {})
+    small = Lifter(
+        tuple((np.zeros(s, 'f4'), np.zeros(s[1], 'f4')) for s in ((FEATURE_COUNT, 2), (2, OUTPUT_COUNT))), {}
+    )
     buffer = io.BytesIO()
     model_file.save_lifter(small, buffer)
     data = bytearray(buffer.getvalue())
@@ -226,8 +250,9 @@ def test_examples_are_repeatable_and_of_human_size(walk_model: BasePoses, rng: n
     assert (a.features == b.features).all()
     assert np.isfinite(a.features).all()
     assert np.isfinite(a.target).all()
-    body = np.linalg.norm(a.target, axis=-1).mean(axis=1) * a.size
+    body = np.linalg.norm(a.target[:, :CORE_COUNT], axis=-1).mean(axis=1) * a.size
     assert 0.2 < body.min() <= body.max() < 1.0, 'm, mean distance of the joints from their centre'
+    assert not a.is_known[:, CORE_COUNT:].any(), 'the trials have no extremities'
 
 
 def test_numpy_and_pytorch_agree(walk_model: BasePoses, rng: np.random.Generator) -> None:

@@ -65,12 +65,14 @@ def test_histories_interpolate_short_gaps_only(rng: np.random.Generator) -> None
 def test_features_agree_with_the_formula(rng: np.random.Generator, focal: float) -> None:
     points, weight = sample_histories(*make_sequence(rng, 30.0), np.array([3, 20, 59]))
     weight[1, 0] = 0  # nobody was seen in the newest frame
-    encoded = encode_histories(points, weight, focal)
+    vertical, std = np.array([[0.0, -1, 0], [0.6, -0.8, 0], [np.nan] * 3]), np.array([0.02, 0.3, 0.02])
+    encoded = encode_histories(points, weight, focal, vertical, std)
     for n in range(len(points)):
         seen, rotation = points[n], np.eye(3)
         if np.isfinite(focal):
             seen, rotation = plain_lifter.face_newest_points(points[n], weight[n], focal)
-        features, newest, size = plain_lifter.encode_features(seen, weight[n], focal)
+        upward = np.nan_to_num(plain_lifter.weigh_vertical(rotation @ vertical[n], std[n]))
+        features, newest, size = plain_lifter.encode_features(seen, weight[n], focal, upward)
         assert encoded.features[n, 0] == pytest.approx(features, abs=1e-6)
         assert encoded.features[n, 1] == pytest.approx(plain_lifter.mirror_features(features), abs=1e-6)
         assert encoded.newest[n] == pytest.approx(newest, abs=1e-12)
@@ -81,9 +83,12 @@ def test_features_agree_with_the_formula(rng: np.random.Generator, focal: float)
 def test_features_of_examples_are_those_of_histories(rng: np.random.Generator) -> None:
     points, weight = sample_histories(*make_sequence(rng, 30.0, outlier=9.0), np.array([3, 20, 59]))
     focal = np.array([np.inf, 0.7, 40.0])
-    features, newest, size = encode_features(points.astype(np.float32), weight.astype(np.float32), focal)
+    upward = rng.normal(size=(3, 3))
+    single = points.astype(np.float32), weight.astype(np.float32)
+    features, newest, size = encode_features(*single, focal, upward)
     for n in range(len(points)):
-        expected, expected_newest, expected_size = plain_lifter.encode_features(points[n], weight[n], focal[n])
+        given = points[n], weight[n], focal[n], upward[n]
+        expected, expected_newest, expected_size = plain_lifter.encode_features(*given)
         assert features[n] == pytest.approx(expected, abs=1e-5)
         assert newest[n] == pytest.approx(expected_newest, abs=1e-5)
         assert size[n] == pytest.approx(expected_size, rel=1e-5)

@@ -15,6 +15,7 @@ from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
+from mocap_ros.keypoints.extremities import Extremities
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.lifter_input import sample_histories
 from mocap_ros.models.model_file import load_shipped_lifter
@@ -190,7 +191,8 @@ def test_excluded_points_are_not_seen_and_the_others_stay() -> None:
 @SINGLE_CAMERA
 def test_lifted_poses_reach_the_solver_in_px_of_the_virtual_camera(single_camera: bool) -> None:
     observed, lifter = observe(single_camera), load_shipped_lifter()
-    expected = lifter.lift_sequence(observed.points, observed.weight, observed.times, CAMERA.focal)
+    whole = observed.view_body(slice(None), CAMERA.focal)
+    expected = lifter.lift_sequence(*whole, observed.times, CAMERA.focal).select_core()
     found = lift(observed, lifter).build_solver_window().lifted
     assert found is not None
     assert found.joints == pytest.approx(expected.joints, abs=1e-3)  # px; the network computes in single precision
@@ -217,7 +219,7 @@ def test_lifted_poses_of_new_frames_are_appended_while_the_camera_turns() -> Non
 def test_histories_are_those_that_the_whole_window_gives(single_camera: bool, rng: np.random.Generator) -> None:
     """Only the newest part of the window is looked at, which must hold all that the histories need."""
     observed = observe(single_camera)
-    lifted = LiftedPoses(np.zeros((1, 15, 3)), np.ones((1, 15, 3)))
+    lifted = LiftedPoses(np.zeros((1, 26, 3)), np.ones((1, 26, 3)))
     for _ in range(50):
         steps_s = rng.choice([0.02, 1 / 30, 0.1, 0.148, 0.2, 0.8], FRAMES, p=[0.3, 0.3, 0.1, 0.1, 0.1, 0.1])
         weight = np.where(rng.random((FRAMES, 15)) < 0.8, 0.9, 0.0)
@@ -226,10 +228,11 @@ def test_histories_are_those_that_the_whole_window_gives(single_camera: bool, rn
             observed,
             times=np.cumsum(steps_s),
             weight=weight,
+            extremities=Extremities(rng.normal(size=(FRAMES, 11, 2)), np.full((FRAMES, 11), 0.7)),
             lifted=lifted.select_frames(np.zeros(known, int)),
         )
-        facing_rays = window.virtual_camera.view_rays(window.rays, weight, RAY_FOCAL)
-        expected = sample_histories(facing_rays, weight, window.times, np.arange(known, FRAMES))
+        body = window.view_body(slice(None), RAY_FOCAL)
+        expected = sample_histories(*body, window.times, np.arange(known, FRAMES))
         for found, wanted in zip(window.sample_unlifted_histories(), expected, strict=True):
             np.testing.assert_array_equal(found, wanted)
 

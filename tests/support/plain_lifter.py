@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from mocap_ros.geometry.virtual_camera import rotate_rays, rotation_to_optical_axis
 from mocap_ros.models import lifter, lifter_input
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import BODY26, CORE_COUNT
 
 Array = NDArray[np.float64]
 
-MIRROR = list(CMU15.mirror)
+MIRROR = list(BODY26.mirror)
+CORE = slice(CORE_COUNT)
+UNKNOWN = np.zeros(3)  # what the network is told of a vertical that is not known
 
 
 def sample_history(points: Array, weight: Array, times: Array, newest: int) -> tuple[Array, Array]:
@@ -39,35 +41,42 @@ def sample_history(points: Array, weight: Array, times: Array, newest: int) -> t
     return sampled_points, sampled_weight
 
 
-def encode_features(points: Array, weight: Array, focal: float) -> tuple[Array, Array, float]:
+def weigh_vertical(vertical: Array, std: float) -> Array:
+    """Return what the network is told of a vertical (3,) with a standard deviation in rad."""
+    return vertical * lifter_input.VERTICAL_STD_RAD**2 / (lifter_input.VERTICAL_STD_RAD**2 + std**2)
+
+
+def encode_features(
+    points: Array, weight: Array, focal: float, upward: Array = UNKNOWN
+) -> tuple[Array, Array, float]:
     """Return the features of one history (T, J, 2) in virtual cameras, its newest points (J, 2) and its unit."""
     seen = (weight > 0) & (np.abs(points) < lifter_input.MAX_COORDINATE).all(axis=-1)
     weight = np.where(seen, np.minimum(weight, 1), 0)
     clean = np.where(seen[..., None], points, 0)
-    total = np.maximum(weight.sum(axis=1), lifter_input.MIN_TOTAL_WEIGHT)
-    centroid = (weight[..., None] * clean).sum(axis=1) / total[:, None]
+    core = weight[:, CORE]
+    total = np.maximum(core.sum(axis=1), lifter_input.MIN_TOTAL_WEIGHT)
+    centroid = (core[..., None] * clean[:, CORE]).sum(axis=1) / total[:, None]
     centred = np.where(seen[..., None], clean - centroid[:, None], 0)
-    unit = float(
-        (weight * np.linalg.norm(centred, axis=-1)).sum() / max(weight.sum(), lifter_input.MIN_TOTAL_WEIGHT)
-    )
+    distances = np.linalg.norm(centred[:, CORE], axis=-1)
+    unit = float((core * distances).sum() / max(core.sum(), lifter_input.MIN_TOTAL_WEIGHT))
     unit = unit if unit > 0 else 1.0
     relative = np.clip(centred / unit, -lifter_input.MAX_FEATURE, lifter_input.MAX_FEATURE)
     angular_size = min(unit / focal / lifter_input.ANGULAR_SIZE_UNIT_RAD, lifter_input.MAX_FEATURE)
-    return np.append(np.dstack([relative, weight]), angular_size), relative[0], unit
+    return np.concatenate([np.dstack([relative, weight]).ravel(), upward, [angular_size]]), relative[0], unit
 
 
 def mirror_features(features: Array) -> Array:
     """Return the features of the mirror image: x negated, left and right joints exchanged."""
-    block = features[:-1].reshape(-1, len(MIRROR), 3)[:, MIRROR] * [-1, 1, 1]
-    return np.append(block, features[-1])
+    block = features[:-4].reshape(-1, len(MIRROR), 3)[:, MIRROR] * [-1, 1, 1]
+    return np.concatenate([block.ravel(), features[-4:] * [-1, 1, 1, 1]])
 
 
 def face_newest_points(points: Array, weight: Array, focal: float) -> tuple[Array, Array]:
     """Return one history (T, J, 2) in the image of a camera that faces its newest points, and its rotation."""
     seen = (weight > 0) & (np.abs(points) < lifter_input.MAX_COORDINATE).all(axis=-1)
     clean = np.where(seen[..., None], points, 0) / focal
-    newest = np.where(seen[0], weight[0], 0)
-    rotation = rotation_to_optical_axis((newest @ clean[0] / max(newest.sum(), 1e-9))[None])[0]
+    newest = np.where(seen[0], weight[0], 0)[CORE]
+    rotation = rotation_to_optical_axis((newest @ clean[0, CORE] / max(newest.sum(), 1e-9))[None])[0]
     return np.where(seen[..., None], focal * rotate_rays(clean, rotation), np.nan), rotation
 
 
@@ -80,13 +89,20 @@ def evaluate(layers: Sequence[tuple[Any, Any]], features: NDArray[Any]) -> Array
     return np.asarray(h @ last + last_bias)
 
 
-def lift(layers: Sequence[tuple[Any, Any]], points: Array, weight: Array, focal: float) -> tuple[Array, Array]:
+def lift(
+    layers: Sequence[tuple[Any, Any]],
+    points: Array,
+    weight: Array,
+    focal: float,
+    vertical: tuple[Array, float] | None = None,
+) -> tuple[Array, Array]:
     """Return the lifted pose (J, 3) of one history and its standard deviations (J, 3)."""
     rotation = np.eye(3)
     if np.isfinite(focal):
         points, rotation = face_newest_points(points, weight, focal)
-    features, newest, unit = encode_features(points, weight, focal)
-    if (features[2 : 3 * len(MIRROR) : 3] > 0).sum() < lifter.MIN_SEEN_JOINTS:
+    upward = UNKNOWN if vertical is None else weigh_vertical(rotation @ vertical[0], vertical[1])
+    features, newest, unit = encode_features(points, weight, focal, upward)
+    if (features[2 : 3 * CORE_COUNT : 3] > 0).sum() < lifter.MIN_SEEN_JOINTS:
         return np.full((len(MIRROR), 3), np.nan), np.full((len(MIRROR), 3), np.nan)
     outputs = evaluate(layers, np.stack([features, mirror_features(features)]))
     pose, mirrored = outputs[:, : 3 * len(MIRROR)].reshape(2, -1, 3)
@@ -94,4 +110,4 @@ def lift(layers: Sequence[tuple[Any, Any]], points: Array, weight: Array, focal:
     pose = (pose + mirrored[MIRROR] * [-1, 1, 1]) / 2
     pose[:, :2] += newest
     std = np.exp(np.clip((log_std + mirrored_log_std[MIRROR]) / 2, *lifter.LOG_STD_RANGE))
-    return (pose - pose.mean(axis=0)) @ rotation * unit, std[:, [0, 0, 1]] * unit
+    return (pose - pose[CORE].mean(axis=0)) @ rotation * unit, std[:, [0, 0, 1]] * unit

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.models.lifter_input import HISTORY_SLOTS_S, JOINT_COUNT, MIRROR_PERMUTATION
+from mocap_ros.skeleton import BODY26, CMU15
 from mocap_ros.training import detector_errors
 from mocap_ros.training.body_parts import joint_indices
 from mocap_ros.training.detector_errors import MAX_PART_SWAP_SLOTS, SWAP_SHARE, DetectorErrors
@@ -16,6 +18,8 @@ SLOTS = len(HISTORY_SLOTS_S)
 ALWAYS = np.ones((EXAMPLES, SLOTS), bool)
 NEVER_PRECISE = np.zeros(EXAMPLES, bool)
 NO_DEPTH = np.zeros((EXAMPLES, JOINT_COUNT), np.float32)
+ALL_JOINTS = np.ones((EXAMPLES, JOINT_COUNT), bool)
+LIMBS = tuple(name for name in CMU15.joints if name not in ('head', 'neck', 'pelvis'))
 
 
 @pytest.fixture
@@ -53,11 +57,11 @@ def test_legs_or_arms_alone_are_swapped_for_a_short_time(errors: DetectorErrors)
 
 
 def test_detections_are_near_the_truth_where_they_are_seen(errors: DetectorErrors) -> None:
-    found, score = errors.detect(make_image(), NO_DEPTH, ALWAYS, NEVER_PRECISE)
+    found, score = errors.detect(make_image(), NO_DEPTH, ALWAYS, ALL_JOINTS, NEVER_PRECISE)
     seen = score > 0
     assert found.shape == (EXAMPLES, SLOTS, JOINT_COUNT, 2)
     assert ((score >= 0) & (score <= 1)).all()
-    assert 0.6 < seen.mean() < 0.95
+    assert 0.6 < seen[..., joint_indices(*LIMBS)].mean() < 0.95
     assert 0.01 < np.median(np.abs(found[seen])) < 0.03, 'm'
 
 
@@ -103,7 +107,7 @@ def test_errors_wander_with_their_time_constant(errors: DetectorErrors, monkeypa
 def test_a_derived_midline_joint_lies_between_its_joints(
     errors: DetectorErrors, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(detector_errors, 'DERIVED_MIDLINE_SHARE', 1.0)
+    monkeypatch.setattr(detector_errors, 'GIVEN_JOINTS', ((LIMBS, 1.0),))
     rng = np.random.default_rng(5)
     image = rng.standard_normal((EXAMPLES, SLOTS, JOINT_COUNT, 2)).astype(np.float32)
     score = rng.uniform(0.1, 1, (EXAMPLES, SLOTS, JOINT_COUNT)).astype(np.float32)
@@ -113,3 +117,27 @@ def test_a_derived_midline_joint_lies_between_its_joints(
     assert found[:, :, neck] == pytest.approx((image[:, :, left] + image[:, :, right]) / 2, abs=1e-6)
     np.testing.assert_array_equal(found_score[:, :, neck], np.minimum(score[:, :, left], score[:, :, right]))
     assert not found_score[:, :, pelvis].any(), 'a hip is not seen'
+    assert not found_score[:, :, BODY26.index('nose')].any(), 'the detector gives no face'
+
+
+def test_a_head_is_derived_from_the_ears_as_for_detectors(
+    errors: DetectorErrors, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = (*LIMBS, 'nose', 'leye', 'reye', 'lear', 'rear')
+    monkeypatch.setattr(detector_errors, 'GIVEN_JOINTS', ((given, 1.0),))
+    image = np.random.default_rng(6).standard_normal((EXAMPLES, SLOTS, JOINT_COUNT, 2)).astype(np.float32)
+    found, score = errors._derive_midline(image.copy(), np.ones(image.shape[:3], np.float32))
+    sources = image[:, :, joint_indices(*given)].astype(float)
+    expected, expected_score = build_joint_map(given, BODY26).apply(sources, np.ones(sources.shape[:3]))
+    head = BODY26.index('head')
+    assert found[:, :, head] == pytest.approx(expected[:, :, head], abs=1e-5)
+    assert score == pytest.approx(expected_score, abs=1e-6)
+
+
+def test_points_of_the_face_behind_the_head_may_be_hidden(errors: DetectorErrors) -> None:
+    depth = np.zeros((EXAMPLES, JOINT_COUNT), np.float32)
+    lear, rear, wrist = joint_indices('lear', 'rear', 'lwrist')
+    depth[:, lear], depth[:, wrist] = 0.15, 0.5
+    hidden = errors._hide_behind_head(depth)
+    assert 0.25 < hidden[:, lear].mean() < 0.45
+    assert not hidden[:, [rear, wrist]].any()

@@ -7,7 +7,7 @@ import pytest
 
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter_input import HISTORY_SLOTS_S
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import BODY26, CORE_COUNT
 from mocap_ros.training.body_parts import joint_indices
 from mocap_ros.training.postures import POSTURES, SIDE_STD_RAD, take_postures
 from mocap_ros.training.random_arrays import Array, RandomArrays
@@ -20,9 +20,13 @@ ON_HANDS = 4
 @pytest.fixture(scope='module')
 def standing(walk_model: BasePoses) -> Array:
     """Bone vectors of the same standing person in all examples."""
-    root = CMU15.parents.index(-1)
-    parents = [root if p < 0 else p for p in CMU15.parents]
-    vectors = (walk_model.mean - walk_model.mean[parents]).astype(np.float32)
+    root = BODY26.parents.index(-1)
+    parents = [root if p < 0 else p for p in BODY26.parents]
+    body = np.pad(walk_model.mean, [(0, len(parents) - CORE_COUNT), (0, 0)])
+    for side in 'lr':
+        body[BODY26.index(side + 'toe')] = body[BODY26.index(side + 'ankle')] + [0.15, 0, -0.05]
+        body[BODY26.index(side + 'hand')] = body[BODY26.index(side + 'wrist')] + [0, 0, -0.08]
+    vectors = (body - body[parents]).astype(np.float32)
     return np.broadcast_to(vectors, (EXAMPLES, len(HISTORY_SLOTS_S), *vectors.shape)).copy()
 
 
@@ -55,6 +59,8 @@ def test_people_kneel_with_shanks_on_the_floor_behind_them(standing: Array, take
     low = shares[KNEELING:].sum()  # these and those who sit on their heels or are on all fours
     assert kneeling.mean() == pytest.approx(low, abs=0.25 * low)
     assert (find_shanks(taken[kneeling])[..., 0] < 0).mean() > 0.95, 'behind the knee'
+    toes = taken[kneeling][:, 0, joint_indices('ltoe', 'rtoe')]
+    assert (toes[..., 2] < 0.1).all(), 'm, not above the ankle'
 
 
 def test_arms_support_the_body_on_all_fours(standing: Array, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import BODY26, CORE_COUNT
 from mocap_ros.training import synthesis
 from mocap_ros.training.motion_library import MotionLibrary
 from mocap_ros.training.synthesis import ExampleSynthesiser
@@ -31,7 +31,7 @@ def test_trials_are_drawn_by_their_shares(library: MotionLibrary) -> None:
 
 def test_offsets_are_fixed_to_the_trunk_and_alike_on_both_sides(library: MotionLibrary) -> None:
     synthesiser = ExampleSynthesiser(library, seed=0)
-    vectors, _ = synthesiser._draw_motion(EXAMPLES)
+    vectors, _, _ = synthesiser._draw_motion(EXAMPLES)
     points = synthesiser.joints_from_bones @ vectors
     offsets = synthesiser._draw_offsets(points)
     trunks = synthesis._find_trunks(points)
@@ -40,9 +40,23 @@ def test_offsets_are_fixed_to_the_trunk_and_alike_on_both_sides(library: MotionL
     )
     local = offsets @ trunks
     assert local == pytest.approx(np.broadcast_to(local[:, :1], local.shape), abs=1e-5)
-    left, right = (list(side) for side in zip(*CMU15.left_right_pairs, strict=True))
+    left, right = (list(side) for side in zip(*BODY26.left_right_pairs, strict=True))
     assert local[:, 0, left] == pytest.approx(local[:, 0, right] * [1, -1, 1], abs=1e-5)
-    assert 0.01 < local[:, 0, CMU15.index('lknee')].std() < 0.04, 'm'
+    assert 0.01 < local[:, 0, BODY26.index('lknee')].std() < 0.04, 'm'
+
+
+def test_trials_without_extremities_teach_nothing_about_them(walk_model: BasePoses) -> None:
+    core = walk_model.poses(walk_model.std[:1] * np.sin(np.linspace(0, 9, 90))[:, None])
+    body = np.concatenate([core, np.repeat(core[:, [11]], len(BODY26.joints) - CORE_COUNT, axis=1)], axis=1)
+    motions = MotionLibrary.from_trials([core, body + 0.1], np.array([0.5, 0.5]))
+    batch = ExampleSynthesiser(motions, seed=2).make_batch(EXAMPLES)
+    of_body = batch.is_known[:, CORE_COUNT:]
+    assert batch.is_known[:, :CORE_COUNT].all()
+    assert (of_body.all(axis=1) | ~of_body.any(axis=1)).all()
+    assert 0.3 < of_body.mean() < 0.7
+    scores = batch.features[:, :-4].reshape(EXAMPLES, -1, len(BODY26.joints), 3)[..., 2]
+    assert not scores[:, :, CORE_COUNT:][~of_body.all(axis=1)].any()
+    assert scores[:, :, CORE_COUNT:][of_body.all(axis=1)].any()
 
 
 def test_the_target_is_the_true_pose(library: MotionLibrary, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,7 @@ from mocap_ros.formats.mocap.c3d import load_c3d
 from mocap_ros.formats.mocap.joint_maps import MarkerMap, infer_unit, map_to_model
 from mocap_ros.formats.text_files import read_text
 from mocap_ros.npz_file import open_npz
-from mocap_ros.skeleton import CMU15, canonical_joint_names
+from mocap_ros.skeleton import BODY26, CMU15, canonical_joint_names
 
 Array = NDArray[np.float64]
 
@@ -45,6 +45,7 @@ class Trial:
         category: category of motion, such as walk, run or jump; empty if unknown.
         clean: False where the manifest counts glitches in the recording.
         poses: (F, J, 3) m, z up, joints in the order of `skeleton.CMU15`.
+        extremities: (F, 11, 3) m, the other joints of `skeleton.BODY26`; None where the file lacks one.
     """
 
     name: str
@@ -52,6 +53,17 @@ class Trial:
     category: str
     clean: bool
     poses: Array
+    extremities: Array | None = None
+
+    def take_every(self, step: int) -> Trial:
+        """Return the trial with one frame in `step`."""
+        extremities = None if self.extremities is None else self.extremities[::step]
+        return replace(self, poses=self.poses[::step], extremities=extremities)
+
+    @property
+    def all_joints(self) -> Array:
+        """Joints of `skeleton.BODY26`, (F, 26, 3) m; without extremities those of `skeleton.CMU15`, (F, 15, 3)."""
+        return self.poses if self.extremities is None else np.concatenate([self.poses, self.extremities], axis=1)
 
 
 @dataclass(frozen=True)
@@ -115,7 +127,7 @@ def load_trials(
             trials.append(_create_trial(file.stem, poses, manifest, file.parent.resolve().name))
         else:
             trials += _read_archive(file, manifest)
-    return [replace(trial, poses=trial.poses[:: options.every]) for trial in trials]
+    return [trial.take_every(options.every) for trial in trials]
 
 
 def _create_trial(name: str, poses: Array, manifest: Manifest, category: str) -> Trial:
@@ -141,13 +153,17 @@ def _read_archive(path: Path, manifest: Manifest) -> Iterator[Trial]:
             if len(set(names)) != len(names) or not set(CMU15.joints) <= set(names):
                 raise InputError(f'key _joints must name the joints of {CMU15.name}')
             order = [names.index(j) for j in CMU15.joints]
+            others = BODY26.joints[len(order) :]
+            other_order = [names.index(j) for j in others] if set(others) <= set(names) else []
             for key in keys:
                 array = np.asarray(archive[key], float)
                 if array.ndim != 3 or array.shape[1:] != (len(names), 3) or not len(array):
                     raise InputError(f'key {key} has shape {array.shape}')
                 if not np.isfinite(array).all():
                     raise InputError(f'key {key} holds numbers that are not finite')
-                yield _create_trial(key, rotate_z_up(array[:, order], 1) * M_PER_MM, manifest, '')
+                array = rotate_z_up(array, 1) * M_PER_MM
+                trial = _create_trial(key, array[:, order], manifest, '')
+                yield replace(trial, extremities=array[:, other_order]) if other_order else trial
     except InputError as error:
         raise InputError(f'{path}: {error}') from None
     except OSError as error:

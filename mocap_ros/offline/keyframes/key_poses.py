@@ -87,8 +87,10 @@ def propose_lifted_poses(observed: ObservedWindow, prior: str) -> Array:
     lifter = model_file.load_prior_lifter(prior, CMU15) or model_file.load_shipped_lifter()
     for padded, section in split_into_sections(observed.times, MAX_SECTION_S, LIFTER_MARGIN_S):
         lifted = lifter.lift_sequence(
-            observed.points[padded], observed.weight[padded], observed.times[padded], observed.focal
-        )
+            *observed.view_body(padded, observed.virtual_camera.intrinsics.focal),
+            observed.times[padded],
+            observed.focal,
+        ).select_core()
         out[section] = lifted.joints[section.start - padded.start : section.stop - padded.start]
     return out
 

@@ -1,0 +1,82 @@
+"""Face, feet and hands: split from the core, joined to it, and exchanged with the part that they belong to."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mocap_ros.errors import SkeletonError
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.extremities import (
+    EXTREMITY_COUNT,
+    convert_body_to_rays,
+    exchange_body_sides,
+    join_body,
+    split_body,
+)
+from mocap_ros.keypoints.left_right import PARTS
+from mocap_ros.skeleton import BODY26, CORE_COUNT, keypoint_layout
+
+CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
+
+
+def make_body(rng: np.random.Generator, frames: int) -> tuple[np.ndarray, np.ndarray]:
+    return rng.normal(size=(frames, len(BODY26.joints), 2)), rng.uniform(0.1, 1, (frames, len(BODY26.joints)))
+
+
+def test_a_body_is_split_and_joined(rng: np.random.Generator) -> None:
+    points, weight = make_body(rng, 4)
+    core, core_weight, extremities = split_body(points, weight)
+    assert core.shape == (4, CORE_COUNT, 2)
+    assert extremities.weight.shape == (4, EXTREMITY_COUNT)
+    for joined, whole in zip(join_body(core, core_weight, extremities), (points, weight), strict=True):
+        assert (joined == whole).all()
+    assert not join_body(core, core_weight, None)[1][:, CORE_COUNT:].any()
+
+
+@pytest.mark.parametrize(
+    ('part', 'exchanged'),
+    [
+        ('legs', {'lhip', 'lknee', 'lankle', 'ltoe', 'lheel'}),
+        ('arms', {'lelbow', 'lwrist', 'lhand'}),
+        ('shoulders', {'lshoulder', 'leye', 'lear'}),
+    ],
+)
+def test_feet_go_with_legs_hands_with_arms_and_the_face_with_the_shoulders(
+    part: str, exchanged: set[str], rng: np.random.Generator
+) -> None:
+    points, weight = make_body(rng, 3)
+    is_swapped = np.zeros((3, len(PARTS)), bool)
+    is_swapped[1, PARTS.index(part)] = True
+    new_points, new_weight = join_body(*exchange_body_sides(*split_body(points, weight), is_swapped))
+    assert (new_points[[0, 2]] == points[[0, 2]]).all()
+    for i, (joint, twin) in enumerate(zip(BODY26.joints, BODY26.mirror, strict=True)):
+        source = twin if 'l' + joint[1:] in exchanged and joint[0] in 'lr' else i
+        assert (new_points[1, i] == points[1, source]).all(), joint
+        assert new_weight[1, i] == weight[1, source]
+
+
+@pytest.mark.parametrize(
+    ('layout', 'toe', 'hand'), [('body25', 'lbigtoe', None), ('mediapipe33', 'lfoot_index', ('lindex', 'lpinky'))]
+)
+def test_detectors_name_feet_and_hands_differently(
+    layout: str, toe: str, hand: tuple[str, str] | None, rng: np.random.Generator
+) -> None:
+    names = keypoint_layout(layout).joints
+    points = rng.uniform(0, 400, (len(names), 2))
+    _, _, found = convert_body_to_rays(points, np.ones(len(names)), names, CAMERA, 0.1)
+    rays = dict(zip(BODY26.joints[CORE_COUNT:], found.rays, strict=True))
+    seen = dict(zip(BODY26.joints[CORE_COUNT:], found.weight > 0, strict=True))
+    assert rays['ltoe'] == pytest.approx((points[names.index(toe)] - [320, 240]) / 500)
+    assert seen['nose']
+    assert seen['rear']
+    assert seen['lhand'] == (hand is not None)
+    if hand is not None:
+        middle = (points[names.index(hand[0])] + points[names.index(hand[1])]) / 2
+        assert rays['lhand'] == pytest.approx((middle - [320, 240]) / 500)
+
+
+def test_a_face_alone_is_no_body() -> None:
+    names = ('nose', 'leye', 'reye', 'lear', 'rear')
+    with pytest.raises(SkeletonError, match='fewer than four joints of the body'):
+        convert_body_to_rays(np.zeros((5, 2)), np.ones(5), names, CAMERA, 0.1)
