@@ -26,7 +26,7 @@ from mocap_ros.geometry.rotations import quaternion_from_rotation
 Array = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]  # x, y, z, w, of unit length
 
-NO_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)
+NO_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)  # unit quaternion of no rotation
 SAME_POSE = (0.0, 0.0, 0.0, *NO_ROTATION)  # translation in m and quaternion that leave everything where it is
 
 MAX_COSINE = 0.9999999  # 1; above it two rotations are so close that the arc is a straight line
