@@ -38,10 +38,10 @@ wrists where the hands bend' \
 The database was created with funding from NSF EIA-0196217. UI-PRMD (A. Vakanski et al., University of Idaho) is in \
 the public domain (Open Data Commons PDDL). Perfume motion data: MIT License, Copyright (c) 2012 Perfume Dev Team.'
 
-.PHONY: help setup demo test lint format bench figures models page architecture colcon clean
+.PHONY: help setup demo test lint format bench figures release-check models page architecture colcon clean
 
 help:  ## show this
-	@sed -n 's/^\([a-z]*\):.*##/make \1\t/p' Makefile | expand -t 20
+	@sed -n 's/^\([a-z-]*\):.*##/make \1\t/p' Makefile | expand -t 20
 
 setup: $(STAMPS)/package $(STAMPS)/messages $(STAMPS)/kernels  ## make .venv with everything in it
 	@echo 'Ready: $(BIN)/mocap-ros and $(BIN)/mocap_node'
@@ -69,12 +69,16 @@ bench: setup  ## run every benchmark, shortened, into build/figures/
 figures: setup  ## run every benchmark that is not up to date (hours), and write its tables into the pages
 	@$(BIN)/python benchmarks/figures.py run
 
+release-check: setup  ## fail if a table of the pages was measured before the last change of what it measures
+	@$(BIN)/python benchmarks/figures.py check --release
+
 models: setup  ## retrain the shipped models from MOTION=body26_30fps.npz (the lifter wants PyTorch)
 	@test -f '$(MOTION)' || { echo 'make models MOTION=path/to/body26_30fps.npz' >&2; exit 2; }
 	@for category in walk run jump; do \
 	    $(BIN)/mocap-ros train $(OF_MOTION) --category $$category -o mocap_ros/models/shipped/$$category.npz; done
 	@$(BIN)/mocap-ros train $(OF_MOTION) -o mocap_ros/models/shipped/all.npz
 	@$(BIN)/mocap-ros train-lifter $(OF_MOTION) -o mocap_ros/models/shipped/lifter.npz
+	@$(BIN)/python benchmarks/motion_predictor.py
 	@$(BIN)/python -m mocap_ros.demo '$(MOTION)'
 
 page:  ## bundle three.js for the page of mocap-ros view (wants npm)

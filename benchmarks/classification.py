@@ -20,10 +20,11 @@ from typing import Any
 
 import common
 import numpy as np
+from report import Report, run
 
 from mocap_ros.config import ClassifierConfig, TrackerConfig
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.solvers.classification import PeriodicFit, PeriodicSwitch, fit_periodic, is_periodic
+from mocap_ros.solvers.classification import PeriodicFit, fit_periodic, is_periodic
 from mocap_ros.solvers.window import Window
 
 LABELS = Path(__file__).with_name('periodic_labels.csv')
@@ -117,37 +118,19 @@ def classify_left_out_subjects(found: list[Section], thresholds: list[Classifier
     return said
 
 
-def format_confusion(found: list[Section], answers: np.ndarray) -> str:
-    """Format the table of answers by category and label."""
+def show_confusion(report: Report, found: list[Section], answers: np.ndarray, said: str, page: str) -> None:
+    """Show the answers by category and label."""
     rows = []
     for category, label in itertools.product(('walk', 'run', 'jump'), ('periodic', 'other')):
         chosen = np.array([s.category == category and s.label == label for s in found])
         if chosen.any():
             counts = (int(chosen.sum()), int(answers[chosen].sum()), int((~answers[chosen]).sum()))
             rows.append((category, label, *counts))
-    return common.format_table(('trials', 'truth', 'seconds', 'called periodic', 'called other'), rows)
+    report.text(said)
+    report.table(('trials', 'truth', 'seconds', 'called periodic', 'called other'), rows, page=page)
 
 
-def classify_splice() -> str:
-    """Classify a run, a jump and a run over time, with hysteresis, and format the table of answers."""
-    motion, _ = common.load_capture()
-    parts = [motion['35_17'], motion['16_02'][30:90], motion['35_18']]
-    joined = np.concatenate(parts)
-    ends = np.cumsum([len(p) for p in parts]) / common.FPS
-    (view,) = common.make_views(joined, (90,), frames=len(joined), noise=NOISE)
-    switch = PeriodicSwitch(ClassifierConfig())
-    rows = []
-    for end in np.arange(1.0, ends[-1] + 0.01, 0.25):
-        window = cut_window(view.window, end - 0.5, 1.0)
-        fit = fit_periodic(window, train_models_without('35'), SOLVER)
-        answer = 'periodic' if switch.update(fit) else 'other'
-        truth = 'run' if end - 0.5 < ends[0] or end - 0.5 > ends[1] else 'jump'
-        rows.append((f'{end - 0.5:.2f}', truth, f'{fit.residual:.4f}', fit.category, answer))
-    return common.format_table(('middle, s', 'truth', 'residual / body height', 'best category', 'answer'), rows)
-
-
-def main() -> None:
-    args = common.parse_arguments(__doc__ or '', _keep_description_format)
+def measure(args: argparse.Namespace, report: Report) -> None:
     chosen = {t: ls for t, ls in load_labels().items() if not args.quick or t in QUICK_TRIALS}
     found = [s for s in fit_sections(chosen) if s.label != 'transition']
     true = np.array([s.label == 'periodic' for s in found])
@@ -156,31 +139,27 @@ def main() -> None:
         for v in itertools.product(*GRID.values())
     ]
     shipped = np.array([is_periodic(s.fit, ClassifierConfig()) for s in found])
-    record = {'seconds': len(found), 'balanced_accuracy_defaults': compute_balanced_accuracy(shipped, true)}
-    print(common.describe_machine())
-    print(
-        f'\nShipped thresholds: balanced accuracy {record["balanced_accuracy_defaults"]:.1%} '
-        f'of {len(found)} seconds\n'
-    )
-    print(format_confusion(found, shipped))
+    balanced = compute_balanced_accuracy(shipped, true)
+    report.add(seconds=len(found), balanced_accuracy_defaults=balanced)
+    said = f'Shipped thresholds: balanced accuracy {balanced:.1%} of {len(found)} seconds'
+    show_confusion(report, found, shipped, said, 'classification.shipped')
     if not args.quick:
-        said = classify_left_out_subjects(found, thresholds)
-        record['balanced_accuracy_subject_left_out'] = compute_balanced_accuracy(said, true)
-        accuracy_left_out = record['balanced_accuracy_subject_left_out']
-        print(f'\nThresholds chosen on the other subjects: balanced accuracy {accuracy_left_out:.1%}\n')
-        print(format_confusion(found, said))
+        answers = classify_left_out_subjects(found, thresholds)
+        balanced = compute_balanced_accuracy(answers, true)
+        report.add(balanced_accuracy_subject_left_out=balanced)
+        said = f'Thresholds chosen on the other subjects: balanced accuracy {balanced:.1%}'
+        show_confusion(report, found, answers, said, 'classification.left_out')
         accuracy = np.array([compute_balanced_accuracy(a, true) for a in classify_with_all(found, thresholds)])
         values = np.array([[getattr(t, n) for n in GRID] for t in thresholds])
         plateau = np.median(values[accuracy >= accuracy.max() - 0.003], axis=0)
         middle = dict(zip(GRID, plateau.round(4).tolist(), strict=True))
-        print('\nMedian of the best thresholds over all subjects:', middle)
-        wrong = Counter(
-            f'{s.trial} ({s.label})' for s, a in zip(found, said, strict=True) if a != (s.label == 'periodic')
-        )
-        print('Wrongly classified seconds by trial:', dict(wrong.most_common(12)))
-    print('\nSplice of 35/17 (run), 16/02 (jump), 35/18 (run), sections of 1 s, with hysteresis:\n')
-    print(classify_splice())
-    common.write_json(args.json, record)
+        wrong = Counter(f'{s.trial} ({s.label})' for s in itertools.compress(found, answers != true))
+        report.text(f'Median of the best thresholds over all subjects: {middle}')
+        report.text(f'Wrongly classified seconds by trial: {dict(wrong.most_common(12))}')
+
+
+def main() -> None:
+    run(__doc__, 'Classification', measure, _keep_description_format)
 
 
 def _keep_description_format(parser: argparse.ArgumentParser) -> None:

@@ -19,7 +19,7 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -174,6 +174,12 @@ class View:
         return self.sequence['joints3d'].astype(float)
 
     @property
+    def true_poses(self) -> Array:
+        """True joints (F, 15, 3) m in the camera's optical frame, in the order of `CMU15`."""
+        names = [str(name) for name in self.sequence['joints3d_names']]
+        return self.truth[:, [names.index(joint) for joint in CMU15.joints]]
+
+    @property
     def frames(self) -> int:
         return len(self.sequence['timestamps'])
 
@@ -319,14 +325,21 @@ def compute_all_errors(
     return [compute_errors(v, r.joints, model.skeleton.joints) for v, r in zip(tests, found, strict=True)]
 
 
-def mean_error(records: Sequence[dict[str, float]], key: str = 'mpjpe_mm') -> float:
+def mean_error(records: Sequence[Mapping[str, Any]], key: str = 'mpjpe_mm') -> float:
     """Return the mean of an error over the records."""
     return float(np.mean([r[key] for r in records]))
 
 
-def worst_error(records: Sequence[dict[str, float]]) -> float:
+def worst_error(records: Sequence[Mapping[str, Any]]) -> float:
     """Return the largest MPJPE of the records in mm."""
     return float(np.max([r['mpjpe_mm'] for r in records]))
+
+
+def align_scale(found: Array, truth: Array) -> tuple[Array, Array]:
+    """Return poses (F, J, 3) about their centres, the found ones with one scale for all frames that have them."""
+    found, truth = centre_poses(found), centre_poses(truth)
+    known = np.isfinite(found).all(axis=(1, 2))
+    return found * ((found * truth)[known].sum() / (found * found)[known].sum()), truth
 
 
 def compute_frame_errors(view: View, result: Reconstruction, *, per_frame_similarity: bool = False) -> Array:

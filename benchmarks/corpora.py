@@ -10,8 +10,6 @@ Dask's, many in a process. Nothing else is simulated.
 
 from __future__ import annotations
 
-import common
-
 # isort: split
 import argparse
 import asyncio
@@ -27,28 +25,21 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
 
 import dask
 import numpy as np
+import recording
 from distributed import Client, SpecCluster, as_completed
 from distributed.scheduler import Scheduler
+from report import Report, add_sections, run
 
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.recorder import Recorder
 from mocap_ros.batch.cluster import LOCAL_SETTINGS, connect, run_jobs
 from mocap_ros.batch.job import Job, Outcome, Settings, Status
 from mocap_ros.batch.recordings import Work, find_recordings
-from mocap_ros.config import RecorderConfig
-from mocap_ros.demo.scene import make_recording
-from mocap_ros.messages.cdr import Header, create_header, decode, encode
-from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.runtime.sequence_messages import encode_sequence
 
-HZ, STEP_NS = 30, 33_333_333  # images per second; ns between two
-START_NS = 1_700_000_000_000_000_000  # ns, log time of the first message, in the year 2023
 CORPUS_BAGS = 200  # recordings of a minute, for which the target of the overhead is
 KILL_SECONDS = 10  # s between two kills
 WORKERS, TASKS = 256, 20_000  # of the simulation
@@ -73,18 +64,9 @@ SECTIONS = ('overhead', 'kills', 'simulation')
 
 def write_bags(root: Path, count: int, seconds: float) -> list[Path]:
     """Write bags of one person, each of which begins elsewhere in the demo recording."""
-    frames = [frame.raw for frame in encode_sequence(make_recording().sequence())]
-    paths = []
-    for number in range(count):
-        paths.append(root / f'bag{number:03d}')
-        with Recorder(paths[-1], RecorderConfig()) as recorder:
-            shown = islice(cycle(frames), 17 * number, 17 * number + round(seconds * HZ))
-            for n, raw in enumerate(shown):
-                message = decode(raw, KEYPOINTS)
-                message.header = create_header(Header(START_NS + n * STEP_NS, 'camera'))
-                recorder.write(
-                    '/keypoints', KEYPOINTS, encode(message, KEYPOINTS), START_NS + n * STEP_NS, START_NS
-                )
+    frames, paths = recording.load_frames(), [root / f'bag{number:03d}' for number in range(count)]
+    for number, path in enumerate(paths):
+        recording.write_keypoints(path, frames, round(seconds * recording.HZ), 17 * number)
     return paths
 
 
@@ -185,7 +167,7 @@ def measure_kills(root: Path, bags: int, seconds: float) -> dict[str, float]:
     outcomes: list[Outcome] = []
     kills, finished = [0], threading.Event()
     settings = Settings(Work.REPLAY, str(root / 'killed')).seal()
-    jobs = [Job(recording, settings) for recording in find_recordings(str(root / 'killed_in'), Work.REPLAY)]
+    jobs = [Job(found, settings) for found in find_recordings(str(root / 'killed_in'), Work.REPLAY)]
     with connect(None, workers=2) as client:
 
         def kill() -> None:
@@ -270,34 +252,35 @@ def serve(address: str, count: int) -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('--only', nargs='+', choices=SECTIONS, default=SECTIONS, help='sections to run')
+    add_sections(SECTIONS)(parser)
     parser.add_argument('--bags', type=int, default=24, help='recordings of a minute that are replayed')
     parser.add_argument(
         '--task-seconds', type=float, nargs='+', help='times of work to simulate with (default: those measured)'
     )
 
 
-def main() -> None:
-    if sys.argv[1:2] == ['--serve']:
-        serve(sys.argv[2], int(sys.argv[3]))
-        return
-    args = common.parse_arguments(__doc__ or '', add_options, one_core=False)
-    print(f'# Corpora\n\n{common.describe_machine()}\n')
+def measure(args: argparse.Namespace, report: Report) -> None:
     bags, seconds = (4, 4.0) if args.quick else (args.bags, 60.0)
+    sections = report.choose(args, SECTIONS)
     results: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as name:
         root = Path(name)
-        if 'overhead' in args.only:
+        if 'overhead' in sections:
             results |= measure_overhead(root, bags, seconds)
-        if 'kills' in args.only:
+        if 'kills' in sections:
             results |= measure_kills(root, bags, seconds)
-    if 'simulation' in args.only:
+    if 'simulation' in sections:
         times = args.task_seconds or [results.get('batch_cpu_s_each_bag', 5.0)]
         workers, tasks = (32, 320) if args.quick else (WORKERS, TASKS)
         results |= simulate(workers, tasks, [min(t, 1.0) for t in times] if args.quick else times)
-    rows = [(key, f'{value:.4g}', TARGETS.get(key)) for key, value in results.items()]
-    print(common.format_table(['quantity', 'measured', 'target'], rows))
-    common.write_json(args.json, {'machine': common.describe_machine(), **results})
+    report.quantities(results, TARGETS, page='corpora.cost', digits=4)
+
+
+def main() -> None:
+    if sys.argv[1:2] == ['--serve']:
+        serve(sys.argv[2], int(sys.argv[3]))
+    else:
+        run(__doc__, 'Corpora', measure, add_options, one_core=False)
 
 
 if __name__ == '__main__':

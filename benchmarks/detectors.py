@@ -12,6 +12,7 @@ lifter were not trained on the tested people; the program trains them if they ar
     own         base poses of the very person's other trials: given to the defaults, given alone, not given
     recordings  the recorded detections of `data/detections`, 12 joints of the limbs
     ghosts      people published who are not there
+    extremities where heads and feet point, and how far off toes, hands and faces are
     pictures    best, median and worst sequence of all detectors, into docs/img/detectors
 
 `--persons training` tests other people, for tuning. `--against FILE` compares with the `--json` of an earlier run,
@@ -35,7 +36,12 @@ from typing import Any
 import numpy as np
 import yaml
 from common import View
-from experiments.detector_errors import POSES, compute_errors, reconstruct, summarise
+from experiments.detector_errors import POSES, compute_errors, summarise
+from experiments.detector_extremities import (
+    compute_extremity_errors,
+    reconstruct_body,
+    summarise_extremities,
+)
 from experiments.detector_ghosts import measure_ghosts
 from experiments.detector_pictures import draw_cases
 from experiments.detector_swaps import KINDS, MIN_SWAP_FRAMES, count_swaps, find_exchanged
@@ -49,16 +55,18 @@ from experiments.detector_views import (
     make_view,
 )
 from experiments.own_base_poses import ALONE, NOT_GIVEN, OWN, measure_own_base_poses, summarise_own
+from reconstruction import WAYS, Models, reconstruct
+from report import Records, Report, cross, group, run, select
 
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import Config, with_values
 from mocap_ros.formats.sequence_file import load_sequence
-from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
+from mocap_ros.models.base_poses import ALL_MOTIONS
 from mocap_ros.models.model_file import AUTO, LEARNED, load_base_pose_models, load_prior_lifter
 from mocap_ros.skeleton import CMU15
 
-WAYS = ('whole', 'live')
-SECTIONS = (*WAYS, 'swaps', 'oracles', 'own', 'recordings', 'ghosts', 'pictures')
+SECTIONS = (*WAYS, 'swaps', 'oracles', 'own', 'recordings', 'ghosts', 'extremities', 'pictures')
+CALM_MOTIONS = ('walk', 'gesture', 'expression')  # categories for which targets of directions are set
 QUICK_SECTIONS = (*WAYS, 'swaps', 'recordings')
 QUICK_FRAMES = 150  # frames, 5 s
 MAX_FRAMES = 600  # frames, 20 s
@@ -69,10 +77,10 @@ PICTURES = common.ROOT / 'docs' / 'img' / 'detectors'
 CAMERAS = (1, 2, 3)  # cameras of the recorded detections
 RECORDED_DETECTORS = ('openpose', 'mediapipe')
 COMPARED = {'mpjpe_mm': 1.0, 'pa_mpjpe_mm': 1.0, 'accel_mm_s2': 1e3}  # errors, with their divisors, of `--against`
-ERROR_NAMES = ('MPJPE', 'PA', 'accel.', 'ratio', 'failed')
-
-Models = Mapping[str, BasePoses]
-Records = list[dict[str, Any]]
+ERROR_NAMES = ('MPJPE', 'PA', 'accel.', 'ratio', 'delay', 'failed')
+# What the tables of the pages call detectors and ways.
+PAGE_NAMES = {d: f'{n}-like' for d, n in zip(DETECTORS[1:], ('OpenPose', 'MediaPipe', 'MoveNet'), strict=True)}
+PAGE_NAMES |= {'detector': 'points', 'category': 'motion', 'whole': 'whole sequence'}
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,69 +133,84 @@ def measure_errors(options: Sequence[ViewOptions], ways: Sequence[str], run: Mea
     return records
 
 
-def select(records: Records, **values: object) -> Records:
-    """Return the records with these values."""
-    return [r for r in records if all(r[k] == v for k, v in values.items())]
+def spread_of_seeds(records: Records) -> str:
+    """Return the standard deviation of the mean errors of the seeds, behind a ±; empty for a single seed."""
+    means = [summarise(mine)['mpjpe'] for mine in group(records, 'seed').values()]
+    return f' ± {statistics.stdev(means):.1f}' if len(means) > 1 else ''
 
 
-def list_values(records: Records, key: str) -> list[str]:
-    """Return the values of a key, in the order of the records."""
-    return list(dict.fromkeys(r[key] for r in records))
-
-
-def print_errors(records: Records, key: str) -> None:
-    """Print the mean errors, one row for each value of a key and each detector, columns whole and live."""
-    ways = list_values(records, 'way')
+def show_errors(report: Report, records: Records, key: str) -> None:
+    """Show the mean errors, one row for each value of a key and each detector, columns whole and live."""
+    ways = list(group(records, 'way'))
     keys = list(dict.fromkeys((key, 'detector')))
     rows = []
-    for values in dict.fromkeys(tuple(r[k] for k in keys) for r in records):
-        mine = select(records, **dict(zip(keys, values, strict=True)))
-        row: list[object] = [*values, len(select(mine, way=ways[0]))]
-        for way in ways:
-            of_way = select(mine, way=way)
+    for values, mine in group(records, *keys).items():
+        row: list[object] = [*values, len(select(mine, way=ways[0][0]))]
+        for of_way in group(mine, 'way').values():
             s = summarise(of_way)
-            seeds = [summarise(select(of_way, seed=n))['mpjpe'] for n in {r['seed'] for r in of_way}]
-            spread = f' ± {statistics.stdev(seeds):.1f}' if key == 'detector' and len(seeds) > 1 else ''
-            row += [f'{s["mpjpe"]:.1f}{spread}', *(f'{s[k]:.1f}' for k in ('pa', 'acceleration'))]
-            row += [f'{s["ratio"]:.2f}', int(s['failed'])]
+            row += [f'{s["mpjpe"]:.1f}{spread_of_seeds(of_way) if key == "detector" else ""}']
+            row += [*(f'{s[k]:.1f}' for k in ('pa', 'acceleration')), f'{s["ratio"]:.2f}', f'{s["delay"]:.2f}']
+            row.append(int(s['failed']))
         rows.append(row)
-    print(f'\n## By {key}: mm; accelerations m/s^2; ratio of output to true RMS acceleration\n')
-    if len({r['seed'] for r in records}) > 1 and key == 'detector':
-        print('Behind ± is the standard deviation of the means of the seeds, which also differ in the headings.\n')
-    print(common.format_table([*keys, 'views', *(f'{w}: {n}' for w in ways for n in ERROR_NAMES)], rows))
+    title = f'By {key}: mm; accelerations m/s^2; ratio of output to true RMS acceleration; delay of limbs, frames'
+    notes = ['Behind ± is the standard deviation of the means of the seeds, which also differ in the headings.']
+    has_spread = key == 'detector' and len(group(records, 'seed')) > 1
+    report.table(
+        [*keys, 'views', *(f'{w}: {n}' for (w,) in ways for n in ERROR_NAMES)], rows, title, *notes[:has_spread]
+    )
 
 
-def print_poses(records: Records) -> None:
-    """Print the mean errors of all frames in which the person truly is in a kind of pose."""
-    ways, detectors = list_values(records, 'way'), list_values(records, 'detector')
+def format_summary(records: Records) -> str:
+    s = summarise(records)
+    return (
+        f'{s["mpjpe"]:.1f}{spread_of_seeds(records)} / {s["pa"]:.1f} / {s["acceleration"]:.1f} / {s["ratio"]:.1f}'
+    )
+
+
+def keep_errors(report: Report, records: Records) -> None:
+    """Keep the tables of the page: all views, and whole sequences by motion and by pose."""
+    report.keep('detectors.points', *cross(records, 'detector', 'way', format_summary, PAGE_NAMES))
+    whole = select(records, way=WAYS[0])
+    if whole:
+        motions = cross(whole, 'category', 'detector', lambda r: f'{summarise(r)["mpjpe"]:.0f}', PAGE_NAMES)
+        report.keep('detectors.motions', *motions)
+        poses = [{'pose': p, **r, 'sums': r['poses'][p]} for p in POSES for r in whole if p in r['poses']]
+        report.keep('detectors.poses', *cross(poses, 'pose', 'detector', format_pose_errors, PAGE_NAMES))
+
+
+def format_pose_errors(records: Records) -> str:
+    count, mpjpe, pa = np.sum([r['sums'] for r in records], axis=0)
+    return f'{mpjpe / count:.0f} / {pa / count:.0f}'
+
+
+def show_poses(report: Report, records: Records) -> None:
+    """Show the mean errors of all frames in which the person truly is in a kind of pose."""
+    ways, detectors = group(records, 'way'), group(records, 'detector')
+    columns = {(w, d): select(records, way=w, detector=d) for (w,) in ways for (d,) in detectors}
     rows = []
     for pose in POSES:
-        row: list[object] = [pose]
-        for way in ways:
-            for detector in detectors:
-                mine = [r['poses'].get(pose, [0, 0, 0]) for r in select(records, way=way, detector=detector)]
-                count, mpjpe, pa = (sum(m[i] for m in mine) for i in range(3))
-                row.append(f'{mpjpe / count:.0f} / {pa / count:.0f}' if count else '-')
-        rows.append([pose, count, *row[1:]])
-    print('\n## By true pose, all frames: MPJPE / PA, mm\n')
-    print(common.format_table(['pose', 'frames', *(f'{w}, {d}' for w in ways for d in detectors)], rows))
+        sums = [np.sum([r['poses'].get(pose, [0, 0, 0]) for r in mine], axis=0) for mine in columns.values()]
+        cells = [f'{mpjpe / count:.0f} / {pa / count:.0f}' if count else '-' for count, mpjpe, pa in sums]
+        rows.append([pose, int(sums[-1][0]), *cells])
+    report.table(
+        ['pose', 'frames', *(f'{w}, {d}' for w, d in columns)], rows, 'By true pose, all frames: MPJPE / PA, mm'
+    )
 
 
-def print_comparison(records: Records, before: Records) -> None:
-    """Print the mean changes since an earlier run over the views of both, with their standard errors."""
+def show_comparison(report: Report, records: Records, before: Records) -> None:
+    """Show the mean changes since an earlier run over the views of both, with their standard errors."""
     keys = ('trial', 'detector', 'seed', 'heading', 'camera', 'frames', 'oracle', 'way')
-    earlier = {tuple(r[k] for k in keys): r for r in before}
-    pairs = [(r, earlier[name]) for r in records if (name := tuple(r[k] for k in keys)) in earlier]
+    earlier = group(before, *keys)
     rows = []
-    for detector, way in dict.fromkeys((r['detector'], r['way']) for r, _ in pairs):
-        mine = [(r, b) for r, b in pairs if (r['detector'], r['way']) == (detector, way)]
-        row: list[object] = [detector, way, len(mine)]
+    for (detector, way), mine in group(records, 'detector', 'way').items():
+        pairs = [(r, earlier[name][-1]) for r in mine if (name := tuple(r[k] for k in keys)) in earlier]
+        row: list[object] = [detector, way, len(pairs)]
         for key, divisor in COMPARED.items():
-            change = np.array([r[key] - b[key] for r, b in mine]) / divisor
+            change = np.array([r[key] - b[key] for r, b in pairs]) / divisor
             row.append(f'{change.mean():+.2f} ± {change.std() / np.sqrt(len(change)):.2f}')
-        rows.append(row)
-    print('\n## Change since the earlier run, with its standard error\n')
-    print(common.format_table(['detector', 'way', 'views', 'MPJPE, mm', 'PA, mm', 'accel., m/s^2'], rows))
+        rows += [row] if pairs else []
+    header = ['detector', 'way', 'views', 'MPJPE, mm', 'PA, mm', 'accel., m/s^2']
+    report.table(header, rows, 'Change since the earlier run, with its standard error')
 
 
 def measure_swaps(options: Sequence[ViewOptions], run: Measurement) -> Records:
@@ -201,38 +224,57 @@ def measure_swaps(options: Sequence[ViewOptions], run: Measurement) -> Records:
     return records
 
 
-def print_swaps(records: Records) -> None:
-    rows = []
-    for detector, way in dict.fromkeys((r['detector'], r['way']) for r in records):
-        mine = select(records, detector=detector, way=way)
-        frames = sum(r['frames'] for r in mine)
-        longest, trial = max((r['longest wrong'], r['trial']) for r in mine)
-        shares = [f'{100 * sum(r[k] for r in mine) / frames:.2f} %' for k in ('wrong', 'wrong without swap')]
-        row: list[object] = [detector, way, frames, *shares, f'{longest} ({trial})']
-        for kind in KINDS:
-            n = {k: sum(r[kind][k] for r in mine) for k in mine[0][kind]}
-            single = f'{n["single undone"]} of {n["single"]}'
-            share = f'{100 * n["undone"] / n["frames"]:.0f} %' if n['frames'] else '-'
-            row.append(f'{share} of {n["frames"]} frames, {n["swaps"]} swaps; {single}')
-        rows.append(row)
-    print(f'\n## Swaps: undone of those of {MIN_SWAP_FRAMES} frames and more; of single frames\n')
-    print('A frame is wrong if a joint of the limbs is exchanged that the detector did not swap.\n')
-    header = ['detector', 'way', 'frames', 'wrong', 'where none is', 'longest wrong, frames', *KINDS]
-    print(common.format_table(header, rows))
+def describe_swaps(records: Records) -> list[str]:
+    """Return the shares of wrong frames, and what is undone of each kind of swap."""
+    frames = sum(r['frames'] for r in records)
+    longest, trial = max((r['longest wrong'], r['trial']) for r in records)
+    cells = [f'{100 * sum(r[k] for r in records) / frames:.2f} %' for k in ('wrong', 'wrong without swap')]
+    cells.append(f'{longest} ({trial})')
+    for kind in KINDS:
+        n = {k: sum(r[kind][k] for r in records) for k in records[0][kind]}
+        share = f'{100 * n["undone"] / n["frames"]:.0f} %' if n['frames'] else '-'
+        single = f'{n["single undone"]} of {n["single"]}'
+        cells.append(f'{share} of {n["frames"]} frames, {n["swaps"]} swaps; {single}')
+    return cells
 
 
-def print_oracles(records: Records) -> None:
-    """Print the errors under each oracle beside those with all of the detector's errors."""
-    rows = []
-    for oracle, detector in dict.fromkeys((r['oracle'], r['detector']) for r in records):
+def show_swaps(report: Report, records: Records) -> None:
+    groups = group(records, 'detector', 'way')
+    rows = [[*names, sum(r['frames'] for r in mine), *describe_swaps(mine)] for names, mine in groups.items()]
+    report.table(
+        ['detector', 'way', 'frames', 'wrong', 'where none is', 'longest wrong, frames', *KINDS],
+        rows,
+        f'Swaps: undone of those of {MIN_SWAP_FRAMES} frames and more; of single frames',
+        'A frame is wrong if a joint of the limbs is exchanged that the detector did not swap.',
+    )
+    kept = [
+        [PAGE_NAMES[d], PAGE_NAMES.get(w, w), cells[0], *(c.partition(',')[0] for c in cells[3:])]
+        for (d, w), mine in groups.items()
+        for cells in [describe_swaps(mine)]
+    ]
+    report.keep('detectors.swaps', ['points', 'result', 'wrong', *KINDS], kept)
+
+
+def show_oracles(report: Report, records: Records) -> None:
+    """Show the errors under each oracle beside those with all of the detector's errors."""
+    rows: list[list[object]] = []
+    for (oracle, detector), mine in group(records, 'oracle', 'detector').items():
         row: list[object] = [detector, oracle or 'all errors of the detector']
-        for way in list_values(records, 'way'):
-            s = summarise(select(records, oracle=oracle, detector=detector, way=way))
+        for of_way in group(mine, 'way').values():
+            s = summarise(of_way)
             row.append(f'{s["mpjpe"]:.1f} / {s["pa"]:.1f} / {s["acceleration"]:.1f}')
         rows.append(row)
     rows.sort(key=lambda row: str(row[0]))
-    print('\n## Oracles: MPJPE, mm / PA, mm / acceleration error, m/s^2\n')
-    print(common.format_table(['detector', 'points', *list_values(records, 'way')], rows))
+    header = ['detector', 'points', *(w for (w,) in group(records, 'way'))]
+    report.table(header, rows, 'Oracles: MPJPE, mm / PA, mm / acceleration error, m/s^2')
+    page = cross(
+        select(records, way=WAYS[0]) or records,
+        'detector',
+        'oracle',
+        lambda r: '{mpjpe:.1f} / {pa:.1f}'.format(**summarise(r)),
+        {**PAGE_NAMES, '': 'all errors', 'true 2D points': "true points, with the detector's scores and gaps"},
+    )
+    report.keep('detectors.oracles', *page)
 
 
 def measure_recordings(run: Measurement) -> Records:
@@ -256,21 +298,23 @@ def measure_recordings(run: Measurement) -> Records:
     return records
 
 
-def print_recordings(records: Records) -> None:
+def show_recordings(report: Report, records: Records) -> None:
     rows = []
-    for detector, way in dict.fromkeys((r['detector'], r['way']) for r in records):
-        mine = select(records, detector=detector, way=way)
+    for names, mine in group(records, 'detector', 'way').items():
         cells = [[r[k] for k in ('mpjpe_mm', 'pa_mpjpe_mm')] for r in mine]
         cells.append(np.mean(cells, axis=0).tolist())
         acceleration = f'{common.mean_error(mine, "accel_mm_s2") / 1e3:.1f}'
-        rows.append([detector, way, *('{:.1f} / {:.1f}'.format(*c) for c in cells), acceleration])
-        rows[-1].append(sum(int(r['failed_frames']) for r in mine))
-    print('\n## Recorded detections, 12 joints of the limbs: MPJPE / PA, mm; acceleration error, m/s^2\n')
-    header = ['detector', 'result', *(f'camera {c}' for c in CAMERAS), 'mean', 'accel.', 'failed']
-    print(common.format_table(header, rows))
+        failed = sum(int(r['failed_frames']) for r in mine)
+        rows.append([*names, *('{:.1f} / {:.1f}'.format(*c) for c in cells), acceleration, failed])
+    report.table(
+        ['detector', 'result', *(f'camera {c}' for c in CAMERAS), 'mean', 'accel.', 'failed'],
+        rows,
+        'Recorded detections, 12 joints of the limbs: MPJPE / PA, mm; acceleration error, m/s^2',
+        page='detectors.recordings',
+    )
 
 
-def print_ghosts(found: Mapping[str, Mapping[str, Mapping[str, int]]]) -> None:
+def show_ghosts(report: Report, found: Mapping[str, Mapping[str, Mapping[str, int]]]) -> None:
     first = next(iter(found.values()))['with ids']
     rows = [
         [detector, label, *n.values()]
@@ -278,10 +322,26 @@ def print_ghosts(found: Mapping[str, Mapping[str, Mapping[str, int]]]) -> None:
         for label, n in counts.items()
         if label != 'crossing'
     ]
-    print('\n## Ghosts: person-frames published of people who are not there\n')
-    print(common.format_table(['detector', 'people', *first], rows))
+    title = 'Ghosts: person-frames published of people who are not there'
+    report.table(['detector', 'people', *first], rows, title, page='detectors.ghosts')
     for detector, counts in found.items():
-        print('\n{}: {kept} of {pairs} crossing pairs keep their ids.'.format(detector, **counts['crossing']))
+        report.text('{}: {kept} of {pairs} crossing pairs keep their ids.'.format(detector, **counts['crossing']))
+
+
+def show_extremities(report: Report, records: Records) -> None:
+    """Show the errors of face, feet and hands, of walking and gestures and of all motions."""
+    calm = [r for r in records if r['category'] in CALM_MOTIONS]
+    rows = [
+        [motions, PAGE_NAMES.get(detector, detector), PAGE_NAMES.get(way, way), *summarise_extremities(mine)]
+        for motions, some in (('walking, gestures', calm), ('all', records))
+        for (detector, way), mine in group(some, 'detector', 'way').items()
+    ]
+    report.table(
+        ['motions', 'points', 'result', 'head', 'feet', 'toes / hands / face', 'alone', 'tremble'],
+        rows,
+        'Face, feet and hands: degrees; mm; mm relative to ankles, wrists and head; degrees a frame',
+        page='detectors.extremities',
+    )
 
 
 def load_models(shipped: bool, config: Config) -> tuple[Models, Config]:
@@ -348,86 +408,105 @@ def choose_measurement(args: argparse.Namespace) -> Measurement:
     )
 
 
-def run_errors(run: Measurement) -> Records:
+def run_errors(run: Measurement, report: Report) -> Records:
     trials = choose_trials(run.persons, run.trials_per_motion)
     errors = measure_errors(list_views(trials, run.detectors, run.frames, run.seeds), run.ways, run)
     for key in ('detector', 'category', 'camera'):
-        print_errors(errors, key)
-    print_poses(errors)
+        show_errors(report, errors, key)
+    show_poses(report, errors)
+    keep_errors(report, errors)
     if run.against:
-        print_comparison(errors, json.loads(run.against.read_text(encoding='utf-8'))['errors'])
+        show_comparison(report, errors, json.loads(run.against.read_text(encoding='utf-8'))['errors'])
     return errors
 
 
-def run_swaps(run: Measurement) -> Records:
+def run_swaps(run: Measurement, report: Report) -> Records:
     trials = choose_trials(run.persons, run.trials_per_motion, MIN_LONG_FRAMES)
     swaps = measure_swaps(list_views(trials, run.disturbed, max(run.frames, MIN_LONG_FRAMES), run.seeds), run)
-    print_swaps(swaps)
+    show_swaps(report, swaps)
     return swaps
 
 
-def run_oracles(run: Measurement) -> Records:
-    trials = choose_trials(run.persons, 1)
-    options = [
-        v for o in ('', *ORACLES) for v in list_views(trials, run.disturbed, QUICK_FRAMES, run.seeds[:1], o)
-    ]
+def list_short_views(run: Measurement, detectors: Sequence[str], oracle: str = '') -> list[ViewOptions]:
+    """Return one short view of a trial of each motion."""
+    return list_views(choose_trials(run.persons, 1), detectors, QUICK_FRAMES, run.seeds[:1], oracle)
+
+
+def run_oracles(run: Measurement, report: Report) -> Records:
+    options = [v for o in ('', *ORACLES) for v in list_short_views(run, run.disturbed, o)]
     errors = measure_errors(options, run.ways, run)
-    print_oracles(errors)
+    show_oracles(report, errors)
     return errors
 
 
-def run_own(run: Measurement) -> Records:
-    options = list_views(choose_trials(run.persons, 1), run.detectors, QUICK_FRAMES, run.seeds[:1])
+def run_own(run: Measurement, report: Report) -> Records:
+    options = list_short_views(run, run.detectors)
     errors = measure_own_base_poses(options, run.ways, run.models, run.config)
-    print('\n## Base poses of the very person: MPJPE, mm; the ratio is the geometric mean over the views\n')
+    title = 'Base poses of the very person: MPJPE, mm; the ratio is the geometric mean over the views'
     header = ['detector', 'way', 'views', OWN, ALONE, NOT_GIVEN, 'own / pca']
-    print(common.format_table(header, summarise_own(errors)))
+    report.table(header, summarise_own(errors), title, page='detectors.own')
     return errors
 
 
-def run_recordings(run: Measurement) -> Records:
+def run_recordings(run: Measurement, report: Report) -> Records:
     errors = measure_recordings(run)
-    print_recordings(errors)
+    show_recordings(report, errors)
     return errors
 
 
-def run_ghosts(run: Measurement) -> dict[str, Any]:
+def run_ghosts(run: Measurement, report: Report) -> dict[str, Any]:
     trials, found = choose_trials(run.persons, run.trials_per_motion, MIN_LONG_FRAMES), {}
     for detector in run.detectors:
         options = list_views(trials, [detector], max(run.frames, MIN_LONG_FRAMES), run.seeds[:1])
         views = [make_view(v) for v in options]
         found[detector] = measure_ghosts(views, run.models, run.config)
-    print_ghosts(found)
+    show_ghosts(report, found)
     return found
 
 
-def run_pictures(run: Measurement) -> None:
-    options = list_views(choose_trials(run.persons, 1), run.disturbed, QUICK_FRAMES, run.seeds[:1])
+def run_extremities(run: Measurement, report: Report) -> Records:
+    records = []
+    options = list_views(choose_trials(run.persons, 1), run.detectors, QUICK_FRAMES, run.seeds[:1])
+    for chosen in common.show_progress(options, 'extremities'):
+        seen = make_view(chosen)
+        for way in run.ways:
+            errors = compute_extremity_errors(seen, reconstruct_body(way, seen, run.models, run.config))
+            records.append({**asdict(chosen), 'category': chosen.category, 'way': way, **errors})
+    show_extremities(report, records)
+    return records
+
+
+def run_pictures(run: Measurement, report: Report) -> None:
+    options = list_short_views(run, run.disturbed)
     draw_cases(measure_errors(options, run.ways[:1], run), options, run.models, run.config, PICTURES)
-    print(f'\nPictures: {PICTURES}')
+    report.pictures += [f.relative_to(common.ROOT).as_posix() for f in sorted(PICTURES.glob('*.png'))]
+    report.text(f'Pictures: {PICTURES}')
 
 
-def main() -> None:
-    args = common.parse_arguments(__doc__, add_options, one_core=False)
+def measure(args: argparse.Namespace, report: Report) -> None:
     compile_kernels()
-    run = choose_measurement(args)
-    about = describe_models(run.models, run.config)
-    print(f'# Detectors: {args.persons} persons\n\n{about}', flush=True)
-    record: dict[str, Any] = {'models': about}
+    chosen = choose_measurement(args)
+    about = describe_models(chosen.models, chosen.config)
+    report.text(f'{args.persons} persons', about)
+    report.add(models=about)
     wanted = args.only or (QUICK_SECTIONS if args.quick else SECTIONS)
     parts = {'errors' if s in WAYS else s: None for s in wanted}
     for name in parts:
-        record[name] = RUNS[name](run)
-        common.write_json(args.json, record)
+        report.add(**{name: RUNS[name](chosen, report)})
 
 
-RUNS: Mapping[str, Callable[[Measurement], Any]] = {
+def main() -> None:
+    run(__doc__, 'Detectors', measure, add_options, one_core=False)
+
+
+RUNS: Mapping[str, Callable[[Measurement, Report], Any]] = {
     'errors': run_errors,
     'swaps': run_swaps,
     'oracles': run_oracles,
     'own': run_own,
     'recordings': run_recordings,
     'ghosts': run_ghosts,
+    'extremities': run_extremities,
     'pictures': run_pictures,
 }
 

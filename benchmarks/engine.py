@@ -3,11 +3,10 @@
 All times are for one core and one BLAS thread. Before each section the reference kernel is measured, by which runs
 at different times and machines are compared. Sections of `--only`:
 
-    stages   mean CPU time of one frame in the node by stage, beside the record in `engine_before.json`; a picture
+    stages   mean CPU time of one frame in the node by stage, beside those of version 0.1; a picture
     growth   CPU time of the tracker against people, window, base poses and frame rate; memory by person
     tracker  CPU time of the tracker by person and frame, and its longest single piece of work
     solver   one solution of 120 frames, and the comparison with scipy.optimize.least_squares
-    replay   speed of a replay
     node     latency and memory of the node over real DDS
     crowd    the largest number of people that the node tracks at 30 Hz (six minutes; not with --quick)
     start    time from the start of the node's process to its first answer, with a warm and with an empty cache
@@ -23,7 +22,6 @@ import common
 # isort: split
 import argparse
 import json
-import os
 import tempfile
 import time
 import tracemalloc
@@ -34,12 +32,14 @@ from typing import Any
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
-import recording
 import solvers
 from experiments import past_only
 from experiments.node import HZ, MAX_PEOPLE, Peer, choose_domain, measure_usage, run_node
 from experiments.stages import OTHER, STAGES, measure_stages
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from reconstruction import provide_held_out
+from report import Record, Report, add_sections, group, run
 
 from mocap_ros.config import Config, with_values
 from mocap_ros.keypoints.person import Person2D
@@ -51,8 +51,7 @@ from mocap_ros.units import NS_PER_S
 mpl.use('Agg')
 Array = NDArray[np.float64]
 
-BEFORE = Path(__file__).resolve().parent / 'engine_before.json'  # this benchmark's record of 0.1.0
-PICTURE = common.ROOT / 'docs' / 'img' / 'engine' / 'stages.png'
+BEFORE = Path(__file__).resolve().parent / 'history' / '0.1.0.json'  # what the releases are compared with
 STAGE_PEOPLE = (1, 10, 30)  # crowds whose stages are measured
 GROWTH_PEOPLE = (1, 2, 5, 10, 20, 30, 50)
 GROWTH_TRIAL = '09_12'  # a walk of 16 s
@@ -67,7 +66,6 @@ TARGETS: Mapping[str, tuple[float, float, bool]] = {
     'latency_ms_p99_1': (12, 6, False),
     'latency_ms_p99_10': (33, 20, False),
     'longest_piece_ms': (3, 2, False),
-    'replay_x_realtime': (18, 30, True),
     'solve_ms_120_frames': (30, 15, False),
     'times_faster_than_scipy': (15, 30, True),
     'live_over_past_only': (1.05, 1.0, False),
@@ -94,59 +92,57 @@ def measure_all_stages(quick: bool) -> list[dict[str, Any]]:
 
 
 def load_before() -> dict[str, Any]:
-    return dict(json.loads(BEFORE.read_text(encoding='utf-8'))) if BEFORE.is_file() else {}
+    """Return this benchmark's results of version 0.1, with the machine."""
+    entry = json.loads(BEFORE.read_text(encoding='utf-8'))['engine']
+    return {**entry['results'], 'machine': entry['machine']}
 
 
-def show_stages(rows: Sequence[Mapping[str, Any]], before: Mapping[str, Any]) -> None:
-    """Print the stages as rows, and the crowds before and now as columns."""
+def show_stages(report: Report, rows: Sequence[Record], before: Record) -> None:
+    """Show the stages as rows, and the crowds before and now as columns."""
     old = {r['people']: r for r in before.get('stages', ())}
     columns = {}
     for row in rows:
         if row['people'] in old:
             columns[f'{row["people"]}, before'] = old[row['people']]
         columns[f'{row["people"]}, now'] = row
-    show(
-        'Mean CPU time of one frame in the node, ms by person',
-        [
-            {'stage': stage, **{name: f'{found[stage]:.3f}' for name, found in columns.items()}}
-            for stage in (*STAGES, OTHER, 'sum', 'sum, unwrapped')
-        ],
-    )
-    if before:
-        print(f'\nBefore: {before["machine"]}')
+    stages = [
+        {'stage': stage, **{name: f'{found[stage]:.3f}' for name, found in columns.items()}}
+        for stage in (*STAGES, OTHER, 'sum', 'sum, unwrapped')
+    ]
+    report.rows('Mean CPU time of one frame in the node, ms by person', stages, page='engine.stages')
+    report.text(f'Before: {before["machine"]}')
 
 
-def draw_stages(rows: Sequence[Mapping[str, Any]], before: Mapping[str, Any]) -> None:
+def draw_stages(rows: Sequence[Record], before: Record) -> Figure:
     """Draw the stages of each crowd as stacked bars, before and now side by side."""
     figure, axes = plt.subplots(figsize=(7, 4), layout='constrained')
     colours = plt.colormaps['tab20'](np.linspace(0, 1, 20))
     old = {r['people']: r for r in before.get('stages', ())}
     ticks: list[float] = []
     labels: list[str] = []
-    for group, row in enumerate(rows):
+    for place, row in enumerate(rows):
         for offset, when, found in ((-0.2, 'before', old.get(row['people'])), (0.2, 'now', row)):
             if found is None:
                 continue
             bottom = 0.0
             for stage, colour in zip((*STAGES, OTHER), colours, strict=False):
                 name = stage if not ticks else None
-                axes.bar(group + offset, found[stage], 0.36, bottom, color=colour, label=name)
+                axes.bar(place + offset, found[stage], 0.36, bottom, color=colour, label=name)
                 bottom += found[stage]
-            axes.text(group + offset, bottom, f'{bottom:.2f}', ha='center', va='bottom', fontsize=8)
-            ticks.append(group + offset)
+            axes.text(place + offset, bottom, f'{bottom:.2f}', ha='center', va='bottom', fontsize=8)
+            ticks.append(place + offset)
             labels.append(f'{row["people"]}\n{when}')
     axes.set_xticks(ticks, labels)
     axes.set(xlabel='people', ylabel='CPU time by person and frame, ms')
     figure.legend(*axes.get_legend_handles_labels(), loc='outside right upper', frameon=False, reverse=True)
-    PICTURE.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(PICTURE, dpi=110)
+    return figure
 
 
-def report_stages(quick: bool) -> dict[str, Any]:
+def report_stages(report: Report, quick: bool) -> dict[str, Any]:
     rows, before = measure_all_stages(quick), load_before()
-    show_stages(rows, before)
+    show_stages(report, rows, before)
     if not quick:
-        draw_stages(rows, before)
+        report.picture(draw_stages(rows, before), 'docs/img/engine/stages.png')
     return {'stages': rows}
 
 
@@ -210,37 +206,25 @@ def _measure_stream(
     }
 
 
-def measure_growth(quick: bool) -> dict[str, list[dict[str, Any]]]:
-    """Measure the tracker against people, window, base poses and frame rate, one at a time."""
+def report_growth(report: Report, quick: bool) -> dict[str, Any]:
+    """Measure the tracker against people, window, base poses and frame rate, one at a time, and its memory."""
     seconds = 2.0 if quick else 8.0
+    windows, components = ((1.0,), (20,)) if quick else ((0.5, 1.0, 2.0, 4.0, 8.0), (5, 10, 20, 30, 39))
+    crowds, rates = (GROWTH_PEOPLE[:3:2], (60.0,)) if quick else (GROWTH_PEOPLE, (15.0, 30.0, 60.0))
+    one = {'people': 1, 'seconds': seconds}
     cases: dict[str, list[tuple[dict[str, Any], dict[str, Any]]]] = {
-        'people': [({'people': n}, {'people': n}) for n in (GROWTH_PEOPLE[:3:2] if quick else GROWTH_PEOPLE)],
-        'window': [
-            ({'window s': w}, {'people': 1, 'window': w, 'seconds': seconds + w})
-            for w in ((1.0,) if quick else (0.5, 1.0, 2.0, 4.0, 8.0))
-        ],
-        'base poses': [
-            ({'K': k}, {'people': 1, 'components': k}) for k in ((20,) if quick else (5, 10, 20, 30, 39))
-        ],
-        'rate': [
-            ({'rate Hz': rate}, {'people': 1, 'rate': rate}) for rate in ((60.0,) if quick else (15.0, 30.0, 60.0))
-        ],
+        'people': [({'people': n}, one | {'people': n}) for n in crowds],
+        'window': [({'window s': w}, one | {'window': w, 'seconds': seconds + w}) for w in windows],
+        'base poses': [({'K': k}, one | {'components': k}) for k in components],
+        'rate': [({'rate Hz': r}, one | {'rate': r}) for r in rates],
     }
-    return {
-        name: [
-            {**label, **measure_tracker(**{'seconds': seconds, **options})}
-            for label, options in common.show_progress(rows, name)
-        ]
-        for name, rows in cases.items()
-    }
-
-
-def report_growth(quick: bool) -> dict[str, Any]:
-    growth = measure_growth(quick)
-    for name, rows in growth.items():
-        show(f'CPU time of the tracker by person and frame, against {name}', rows)
+    growth = {}
+    for name, rows in cases.items():
+        shown = common.show_progress(rows, name)
+        growth[name] = [{**label, **measure_tracker(**options)} for label, options in shown]
+        report.rows(f'CPU time of the tracker by person and frame, against {name}', growth[name])
     memory = measure_memory_by_person(quick)
-    print(f'\nMemory that the tracker keeps: {memory["memory_kb_person"]:.0f} kB by person')
+    report.text(f'Memory that the tracker keeps: {memory["memory_kb_person"]:.0f} kB by person')
     return {'growth': growth, **memory}
 
 
@@ -263,10 +247,11 @@ def _measure_kept_bytes(people: int) -> int:
     return kept
 
 
-def measure_targets_of_tracker(quick: bool) -> dict[str, Any]:
+def measure_targets_of_tracker(report: Report, quick: bool) -> dict[str, Any]:
     seconds, repeats = (3.0, 1) if quick else (8.0, 3)
     found = {people: measure_tracker(people, seconds=seconds, repeats=repeats) for people in (1, 10)}
-    show('CPU time of the tracker by person and frame, defaults', [{'people': n, **r} for n, r in found.items()])
+    rows = [{'people': n, **r} for n, r in found.items()]
+    report.rows('CPU time of the tracker by person and frame, defaults', rows, page='engine.tracker')
     return {
         'tracker': {str(n): r for n, r in found.items()},
         **{f'tracker_ms_person_frame_{n}': r['median ms'] for n, r in found.items()},
@@ -274,40 +259,27 @@ def measure_targets_of_tracker(quick: bool) -> dict[str, Any]:
     }
 
 
-def measure_targets_of_solver(quick: bool) -> dict[str, Any]:
+def measure_targets_of_solver(report: Report, quick: bool) -> dict[str, Any]:
     config = common.make_config(components=solvers.TARGET_COMPONENTS)
     one = solvers.measure_solver([solvers.WALK.window], solvers.WALK.model, config, 5 if quick else 25)
     setting = next(iter(solvers.SCIPY_OPTIONS))
     cases = solvers.CASES[:1] if quick else solvers.CASES
     records = [solvers.compare_with_scipy(c, [setting], 3 if quick else 9) for c in cases]
-    solvers.print_scipy(records)
-    ratios = [r['scipy'][setting]['times faster'] for r in records]
-    print(f'\n120 frames, K = {solvers.TARGET_COMPONENTS}, one start: {one["ms"]:.1f} ms')
+    solvers.show_scipy(report, records)
+    report.text(f'120 frames, K = {solvers.TARGET_COMPONENTS}, one start: {one["ms"]:.1f} ms')
+    by_scipy = [r['scipy'][setting] for r in records]
+    ratios = [r['times faster'] for r in by_scipy]
+    to_its_optimum = min(r.get('times faster to its optimum', float('nan')) for r in by_scipy)
     return {
         'solve_ms_120_frames': one['ms'],
         'times_faster_than_scipy': min(ratios),
         'times_faster_than_scipy_most': max(ratios),
-        'times_faster_than_scipy_to_its_optimum': min(
-            r['scipy'][setting].get('times faster to its optimum', float('nan')) for r in records
-        ),
+        'times_faster_than_scipy_to_its_optimum': to_its_optimum,
         'scipy': records,
     }
 
 
-def measure_targets_of_replay(quick: bool) -> dict[str, Any]:
-    """Measure the speed of a replay by the clock and by the CPU time of its process, the fastest of several."""
-    seconds = len(recording.load_frames()) / recording.HZ
-    taken, cpu = [], []
-    with tempfile.TemporaryDirectory() as name:
-        for _ in range(1 if quick else 5):
-            before = os.times()
-            taken.append(recording.measure_replay(Path(name))[0])
-            after = os.times()
-            cpu.append(after.children_user + after.children_system - before.children_user - before.children_system)
-    return {'replay_x_realtime': seconds / min(taken), 'replay_x_cpu_time': seconds / min(cpu)}
-
-
-def measure_targets_of_node(quick: bool) -> dict[str, Any]:
+def measure_targets_of_node(_report: Report, quick: bool) -> dict[str, Any]:
     """Measure the latency of crowds who appear at once, CPU and memory; for one person without the first 2 s."""
     out: dict[str, Any] = {}
     seconds, streams = (3.0, 1) if quick else (20.0, 3)
@@ -336,8 +308,10 @@ def measure_targets_of_node(quick: bool) -> dict[str, Any]:
     return out
 
 
-def measure_people_at_30hz() -> dict[str, Any]:
+def measure_people_at_30hz(_report: Report, quick: bool) -> dict[str, Any]:
     """Find the largest crowd whose frames are all answered for `CROWD_S`, by bisection."""
+    if quick:
+        return {}
     sustained, failed = 0, MAX_PEOPLE + 1
     peer = Peer(choose_domain())
     try:
@@ -372,7 +346,7 @@ def measure_start(peer: Peer, cache: Path | None) -> float:
         return min(peer.arrived.values()) - start_s
 
 
-def measure_starts(quick: bool) -> dict[str, Any]:
+def measure_starts(_report: Report, quick: bool) -> dict[str, Any]:
     peer = Peer(choose_domain())
     try:
         if quick:
@@ -385,52 +359,35 @@ def measure_starts(quick: bool) -> dict[str, Any]:
     return {'node_start_cold_s': cold, 'node_start_warm_s': float(np.median(warm))}
 
 
-def report_past(quick: bool) -> dict[str, Any]:
-    config = with_values(Config(), {'solver.prior': str(common.HELD_OUT_LIFTER)})
-    models = {'all': common.train_base_poses(without_subjects=common.HELD_OUT_SUBJECTS)}
-    found = past_only.compare_all(models, config, quick)
+def report_past(report: Report, quick: bool) -> dict[str, Any]:
+    found = past_only.compare_all(*provide_held_out(), quick)
     out: dict[str, Any] = {'live_over_past_only': past_only.compute_ratio(found)}
     for attribute in ('detector', 'category', 'camera'):
-        names = dict.fromkeys(getattr(c, attribute) for c in found)
-        groups = {n: [c for c in found if getattr(c, attribute) == n] for n in names}
         rows = [
             {
                 attribute: name,
-                'views': len(group),
-                'live, mm': float(np.mean([c.live for c in group])),
-                'from scratch, mm': float(np.mean([c.scratch for c in group])),
-                'live / from scratch': past_only.compute_ratio(group),
+                'views': len(mine),
+                'live, mm': common.mean_error(mine, 'live'),
+                'from scratch, mm': common.mean_error(mine, 'scratch'),
+                'live / from scratch': past_only.compute_ratio(mine),
             }
-            for name, group in groups.items()
+            for (name,), mine in group(found, attribute).items()
         ]
-        show(f'Live result and solution from scratch of the same past, by {attribute}', rows)
+        report.rows(f'Live result and solution from scratch of the same past, by {attribute}', rows)
         out[f'live_over_past_only_by_{attribute}'] = {r[attribute]: r['live / from scratch'] for r in rows}
-    return out | {'past': [vars(c) for c in found]}
+    return out | {'past': found}
 
 
-def show(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    print(f'\n## {title}\n')
-    header = list(dict.fromkeys(k for r in rows for k in r))
-    print(common.format_table(header, ([r.get(k) for k in header] for r in rows)), flush=True)
-
-
-SECTIONS: Mapping[str, Callable[[bool], dict[str, Any]]] = {
+SECTIONS: Mapping[str, Callable[[Report, bool], dict[str, Any]]] = {
     'stages': report_stages,
     'growth': report_growth,
     'tracker': measure_targets_of_tracker,
     'solver': measure_targets_of_solver,
-    'replay': measure_targets_of_replay,
     'node': measure_targets_of_node,
-    'crowd': lambda quick: {} if quick else measure_people_at_30hz(),
+    'crowd': measure_people_at_30hz,
     'start': measure_starts,
     'past': report_past,
 }
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        '--only', nargs='+', choices=SECTIONS, default=list(SECTIONS), help='run only these sections'
-    )
 
 
 def format_verdict(key: str, value: float) -> str:
@@ -440,30 +397,25 @@ def format_verdict(key: str, value: float) -> str:
     return 'reached' if ((value >= reach) if is_more_better else (value <= reach)) else 'not reached'
 
 
-def main() -> None:
-    args = common.parse_arguments(__doc__ or '', add_options)
+def measure(args: argparse.Namespace, report: Report) -> None:
     common.choose_capture('motion')
-    machine = common.describe_machine()
-    print(f'# The engine\n\n{machine}')
-    record: dict[str, Any] = {'machine': machine, 'reference_s': {}}
-    for section in args.only:
-        if section == 'past' and not common.HELD_OUT_LIFTER.is_file():
-            if args.quick:
-                print(f'\nskipped: past, which needs {common.HELD_OUT_LIFTER}; run without --quick to train it')
-                continue
-            common.provide_held_out_lifter()
-        reference = common.measure_reference_kernel_s()
-        record['reference_s'][section] = reference
-        print(f'\nReference kernel before section {section}: {reference:.3f} s', flush=True)
-        record |= SECTIONS[section](args.quick)
+    reference_s, found = {}, report.results
+    for section in report.choose(args, SECTIONS, needing_lifter=['past']):
+        reference_s[section] = common.measure_reference_kernel_s()
+        report.text(f'Reference kernel before section {section}: {reference_s[section]:.3f} s')
+        report.add(**SECTIONS[section](report, args.quick), reference_s=reference_s)
+    before = load_before()
     rows = [
-        [key, f'{record[key]:.3g}', reach, beyond, format_verdict(key, record[key])]
+        [key, before.get(key), f'{found[key]:.3g}', reach, beyond, format_verdict(key, found[key])]
         for key, (reach, beyond, _) in TARGETS.items()
-        if key in record
+        if key in found
     ]
-    print('\n## Targets\n')
-    print(common.format_table(['quantity', 'measured', 'reach', 'beyond', 'verdict'], rows))
-    common.write_json(args.json, record)
+    header = ['quantity', 'version 0.1', 'now', 'reach', 'beyond', 'verdict']
+    report.table(header, rows, 'Targets', page='engine.targets')
+
+
+def main() -> None:
+    run(__doc__, 'The engine', measure, add_sections(SECTIONS))
 
 
 if __name__ == '__main__':

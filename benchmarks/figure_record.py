@@ -8,9 +8,12 @@ between two markers,
     ...
     <!-- end of table -->
 
-and nobody edits what is between them: `write_pages` writes it, and `find_differences` finds it edited. An entry is
-stale when the files that its benchmark measures, `Benchmark.sources`, have changed since. Nothing but the
-standard library is needed here, so that the check is quick.
+and nobody edits what is between them: `write_pages` writes it, and `find_differences` finds it edited.
+
+An entry is stale when the files that its benchmark measures, `Benchmark.sources`, have changed since. The tables
+that its last run did not measure, and those that somebody entered by hand, are `kept` with the command, the commit
+and the time of their own measurement; they are stale as well, unless they say `once`: measured to choose a
+setting, and not to be repeated. Nothing but the standard library is needed here, so that the check is quick.
 """
 
 from __future__ import annotations
@@ -24,8 +27,9 @@ from pathlib import Path
 from typing import Any
 
 RECORD = Path('benchmarks', 'figures.json')  # from the root of the repository, as all paths in it
-STALE_MARK = '*Measured before the last change of what it measures.*'
+STALE_MARK = re.compile(r'\*Measured on \S+ at \S+, before the last change of what it measures\.\*\n\n')
 MARKER = re.compile(r'(?<=<!-- table: )(?P<name>\S+) -->\n(?P<text>.*?)(?=<!-- end of table -->)', re.DOTALL)
+NUMBER = re.compile(r'[\s*<±+-]*\d')  # how a cell with a figure begins
 CHUNK_BYTES = 1 << 20  # bytes that are read at once for a checksum
 
 Entry = Mapping[str, Any]
@@ -102,9 +106,34 @@ def list_pages(root: Path) -> list[Path]:
 
 
 def list_stale(record: Mapping[str, Entry], benchmarks: Iterable[Benchmark], root: Path) -> list[str]:
-    """List the entries whose benchmarks measure files that have changed since, or that no benchmark makes."""
-    hashes = {b.name: b.hash_sources(root) for b in benchmarks if b.name in record}
-    return [name for name, entry in record.items() if entry['sources'] != hashes.get(name)]
+    """List the tables whose benchmarks measure files that have changed since, or that no benchmark makes.
+
+    A benchmark without tables is listed by its own name.
+    """
+    hashes = {b.name: b.hash_sources(root) for b in benchmarks}
+    changed = {n: e['tables'] for n, e in record.items() if 'sources' in e and e['sources'] != hashes.get(n)}
+    stale = [t for name, tables in changed.items() for t in tables or [name]]
+    kept = {name: table for e in record.values() for name, table in e.get('kept', {}).items()}
+    return [*stale, *(name for name, table in kept.items() if _is_stale(table, hashes))]
+
+
+def _is_stale(kept: Entry, hashes: Mapping[str, str]) -> bool:
+    """Return whether a table that is kept was measured before the last change of one of its benchmarks."""
+    sources = kept.get('sources', {})
+    return not kept.get('once') and (not sources or any(hashes.get(n) != h for n, h in sources.items()))
+
+
+def put_entry(record: Mapping[str, Entry], name: str, measured: Entry) -> dict[str, Entry]:
+    """Return the record with a new entry, in which the tables that were not measured again are `kept`."""
+    before = record.get(name, {})
+    about = {k: before.get(k, '') for k in ('command', 'commit', 'finished')}
+    kept = before.get('kept', {}) | {t: {**about, 'text': text} for t, text in before.get('tables', {}).items()}
+    entries = {**record, name: {**measured, 'kept': kept}}
+    return {n: {**e, 'kept': _drop(e.get('kept', {}), measured['tables'])} for n, e in entries.items()}
+
+
+def _drop(kept: Entry, names: Iterable[str]) -> dict[str, Any]:
+    return {name: table for name, table in kept.items() if name not in set(names)}
 
 
 def write_pages(record: Mapping[str, Entry], stale: Sequence[str], root: Path) -> list[Path]:
@@ -127,10 +156,27 @@ def write_pages(record: Mapping[str, Entry], stale: Sequence[str], root: Path) -
 
 def _list_tables(record: Mapping[str, Entry], stale: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Yield the name and the text between the markers of every table."""
-    for benchmark, entry in record.items():
-        for name, table in entry['tables'].items():
-            mark = f'{STALE_MARK}\n\n' if benchmark in stale else ''
-            yield name, f'\n{table}\n\n{mark}'
+    for entry in record.values():
+        measured = {name: {**entry, 'text': text} for name, text in entry.get('tables', {}).items()}
+        for name, table in {**entry.get('kept', {}), **measured}.items():
+            when = (
+                f'*Measured on {table.get("finished", "")[:10] or "-"} at {table.get("commit", "")[:7] or "-"}, '
+            )
+            mark = f'{when}before the last change of what it measures.*\n\n' if name in stale else ''
+            yield name, f'\n{table["text"]}\n\n{mark}'
+
+
+def read_table(name: str, root: Path) -> str:
+    """Return the table that a page now shows between the markers of a name.
+
+    Raises:
+        ValueError: no page shows it.
+    """
+    for page in list_pages(root):
+        for found in MARKER.finditer(page.read_text(encoding='utf-8')):
+            if found['name'] == name:
+                return STALE_MARK.sub('', found['text']).strip('\n')
+    raise ValueError(f'no page shows a table between the markers of {name}')
 
 
 def find_differences(record: Mapping[str, Entry], root: Path) -> list[str]:
@@ -144,16 +190,29 @@ def find_differences(record: Mapping[str, Entry], root: Path) -> list[str]:
         if len(shown) != text.count('<!-- table: ') or len(shown) != text.count('<!-- end of table -->'):
             found.append(f'{place}: a marker of a table has no partner')
         for table in shown:
-            name, text_now = table['name'], table['text'].replace(f'{STALE_MARK}\n\n', '')
+            name, text_now = table['name'], STALE_MARK.sub('', table['text'])
             if name not in texts:
                 found.append(f'{place}: table {name} is not in the record')
             elif text_now != texts[name]:
                 found.append(f'{place}: table {name} differs from the record')
     for entry in record.values():
-        for picture, checksum in entry['pictures'].items():
+        for picture, checksum in entry.get('pictures', {}).items():
             path = root / picture
             if not path.is_file():
                 found.append(f'{picture}: this picture is missing')
             elif hash_file(path) != checksum:
                 found.append(f'{picture}: this picture differs from the record')
+    return found
+
+
+def list_unmarked(root: Path) -> list[str]:
+    """List the tables of pages that stand between no markers though most of their cells begin with a number."""
+    found = []
+    for page in list_pages(root):
+        text = MARKER.sub(lambda m: '\n' * m[0].count('\n'), page.read_text(encoding='utf-8'))
+        for table in re.finditer(r'^\|(?P<header>.*)\|\n\|[ |:-]+\|\n(?P<rows>(\|.*\|\n)+)', text, re.MULTILINE):
+            cells = [c for row in table['rows'].splitlines() for c in row.split('|')[2:-1] if c.strip()]
+            if 2 * sum(bool(NUMBER.match(c)) for c in cells) > len(cells):
+                line = text.count('\n', 0, table.start()) + 1
+                found.append(f'{page.relative_to(root).as_posix()}:{line}: these figures are not between markers')
     return found

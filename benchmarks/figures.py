@@ -6,7 +6,9 @@ Commands:
                       pages. Each finished benchmark is in the record at once: the same command goes on after an
                       interruption. With --quick in their short form, which takes minutes and whose results go into
                       build/figures/quick.json and into no page.
-    write             write the pages from the record
+    enter NAME FILE   enter what a benchmark wrote with --json FILE, and write the pages
+    keep NAME ...     enter tables by hand as the pages show them, with the command that measured them
+    write             write the pages from the record, and draw how the figures went
     check             find tables and pictures that differ from the record; with --release, stale ones as well
     release VERSION   keep the record as history/VERSION.json, and draw how the figures went
 """
@@ -18,11 +20,13 @@ import importlib.metadata
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +36,10 @@ from figure_record import (
     find_differences,
     hash_file,
     list_stale,
+    list_unmarked,
     load_record,
+    put_entry,
+    read_table,
     save_record,
     write_pages,
 )
@@ -43,6 +50,9 @@ QUICK_RECORD = BUILD / 'quick.json'  # the record of short runs, which no page s
 HISTORY = Path('benchmarks', 'history')
 PACKAGES = ('mocap_ros', 'numpy', 'scipy', 'numba', 'matplotlib')  # whose versions are recorded
 LOG_LINES = 20  # of a benchmark that failed, which are shown
+MAX_RESULT_CHARACTERS = (
+    20_000  # of one result in the record; longer ones, such as records of every view, are not kept
+)
 PICTURE_OF_HISTORY = Path('docs', 'img', 'figures', 'history.png')
 
 PROTOCOL = 'bench/protocol.py'
@@ -84,11 +94,12 @@ BENCHMARKS = (
     Benchmark('solvers', 'solvers.py', (f'{EXPERIMENTS}/least_squares.py', *SOLVERS), CMU),
     Benchmark('lifter', 'lifter.py', SOLVERS, (*MOTION, *DETECTIONS)),
     Benchmark('tracker', 'tracker.py', TRACKER, MOTION),
-    Benchmark('keyframes', 'keyframes.py', TRACKER, (*MOTION, *DETECTIONS)),
+    Benchmark('keyframes', 'keyframes.py', TRACKER, (*CMU, *DETECTIONS)),
     Benchmark(
         'detectors',
         'detectors.py',
-        tuple(f'{EXPERIMENTS}/detector_{f}.py' for f in ('errors', 'ghosts', 'swaps', 'views')) + TRACKER,
+        tuple(f'{EXPERIMENTS}/detector_{f}.py' for f in ('errors', 'extremities', 'ghosts', 'swaps', 'views'))
+        + TRACKER,
         (*MOTION, *DETECTIONS),
     ),
     Benchmark('vertical', 'vertical.py', (f'{EXPERIMENTS}/detector_views.py', *TRACKER), MOTION),
@@ -102,15 +113,19 @@ BENCHMARKS = (
         MOTION,
     ),
     Benchmark('corpora', 'corpora.py', (*BAGS, 'mocap_ros/batch'), (PROTOCOL,)),
-    Benchmark('vertical', 'vertical.py', (f'{EXPERIMENTS}/detector_views.py', *TRACKER), MOTION),
+    Benchmark('robots', 'robots.py', (f'{EXPERIMENTS}/robot_scenes.py', 'mocap_ros/messages', *TRACKER), MOTION),
     Benchmark('recording', 'recording.py', (*BAGS, 'mocap_ros/ros/live.py'), (PROTOCOL,)),
-    Benchmark('live', 'live.py', (f'{EXPERIMENTS}/node.py', *BAGS, 'mocap_ros/ros'), (PROTOCOL,)),
 )
-# What the picture of the history shows: title, benchmark, and place among its results.
-HEADLINES: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    ('walk, fixed camera: MPJPE, mm', 'table1', ('this project, joint solver', 'fixed', 'walk', 'mpjpe_mm')),
-    ('run, fixed camera: MPJPE, mm', 'table1', ('this project, joint solver', 'fixed', 'run', 'mpjpe_mm')),
-    ('jump, fixed camera: MPJPE, mm', 'table1', ('this project, joint solver', 'fixed', 'jump', 'mpjpe_mm')),
+# What the picture of the history shows: title, table, beginnings of the row in any release, and column in any.
+TABLE_1_ROWS = {
+    m: tuple(f'{m} | category | joint solver{n}' for n in (', defaults', ' as it'))
+    for m in ('walk', 'run', 'jump')
+}
+HEADLINES: tuple[tuple[str, str, tuple[str, ...], str], ...] = (
+    *((f'{m}, clean points: MPJPE, mm', 'paper.table1', r, 'joint: MPJPE, mm') for m, r in TABLE_1_ROWS.items()),
+    ('recorded OpenPose: MPJPE, mm', 'lifter.detections', ('openpose, both',), 'mean'),
+    ('recorded MediaPipe: MPJPE, mm', 'lifter.detections', ('mediapipe, both',), 'mean'),
+    ('tracker, one person: ms', 'engine.targets', ('tracker, one', 'tracker_ms_person_frame_1 '), 'now'),
 )
 
 
@@ -120,8 +135,8 @@ def run_benchmarks(chosen: Sequence[Benchmark], root: Path, *, quick: bool, agai
     failed = 0
     for number, benchmark in enumerate(chosen, 1):
         record, sums = load_record(path), hash_data(benchmark, root)
-        entry = record.get(benchmark.name)
-        if entry and not again and entry['sources'] == benchmark.hash_sources(root) and entry['data'] == sums:
+        before = record.get(benchmark.name, {})
+        if not again and before.get('sources') == benchmark.hash_sources(root) and before.get('data') == sums:
             print(f'{number}/{len(chosen)} {benchmark.name}: up to date', flush=True)
             continue
         print(f'{number}/{len(chosen)} {benchmark.name}: running', flush=True)
@@ -129,7 +144,7 @@ def run_benchmarks(chosen: Sequence[Benchmark], root: Path, *, quick: bool, agai
         if entry is None:
             failed += 1
             continue
-        save_record({**load_record(path), benchmark.name: {**entry, 'data': sums}}, path)
+        save_record(put_entry(load_record(path), benchmark.name, {**entry, 'data': sums}), path)
         print(f'    {entry["seconds"]:.0f} s, {len(entry["tables"])} tables', flush=True)
     return failed
 
@@ -162,15 +177,69 @@ def run_benchmark(benchmark: Benchmark, root: Path, *, quick: bool) -> dict[str,
 
 def describe_results(found: Mapping[str, Any], root: Path) -> dict[str, Any]:
     """Return the part of an entry that follows from the JSON of a benchmark and from where it runs."""
-    about = ('machine', 'pictures', 'tables', 'results')
+    about = ('begun', 'command', 'machine', 'pictures', 'quick', 'tables', 'results')
+    text = json.dumps(found.get('results', {k: v for k, v in found.items() if k not in about}))
+    results = json.loads(re.sub(r'(/[\w.+-]+)+/(?=(build|mocap_ros)/)', '', text))  # no path of the machine
     return {
         'commit': describe_commit(root),
         'machine': found.get('machine', platform.platform()),
         'pictures': {p: hash_file(root / p) for p in found.get('pictures', [])},
-        'results': found.get('results', {k: v for k, v in found.items() if k not in about}),
+        'results': {k: v for k, v in results.items() if len(json.dumps(v)) <= MAX_RESULT_CHARACTERS},
         'tables': found.get('tables', {}),
         'versions': {'python': platform.python_version(), **list_versions()},
     }
+
+
+def enter(benchmark: Benchmark, file: Path, root: Path) -> None:
+    """Enter the results of a run; they are stale at once if what they measure changed after the run began.
+
+    Raises:
+        ValueError: the file is not of a whole run.
+    """
+    found = json.loads(file.read_text(encoding='utf-8'))
+    if found.get('quick') is not False:
+        raise ValueError(f'{file}: these are not the results of a full run')
+    changed = [f for f in benchmark.list_sources(root) if f.stat().st_mtime > found['begun']]
+    for path in changed:
+        print(f'changed since the run began: {path.relative_to(root)}')
+    entry = {
+        'command': found['command'],
+        'data': hash_data(benchmark, root),
+        'finished': datetime.fromtimestamp(file.stat().st_mtime, timezone.utc).isoformat(timespec='seconds'),
+        'seconds': round(file.stat().st_mtime - found['begun'], 1),
+        'sources': '' if changed else benchmark.hash_sources(root),
+        **describe_results(found, root),
+    }
+    save_record(put_entry(load_record(root / RECORD), benchmark.name, entry), root / RECORD)
+
+
+def keep(
+    names: Sequence[str], command: str, benchmarks: Sequence[Benchmark], root: Path, *, once: bool = False
+) -> None:
+    """Enter tables by hand as the pages show them, into the entry that their names begin with.
+
+    Args:
+        names: of the tables.
+        command: that measured them.
+        benchmarks: that the tables depend on; they are stale when one of these changes.
+        root: of the repository.
+        once: whether they were measured to choose a setting, and are never stale.
+    """
+    record = load_record(root / RECORD)
+    about: dict[str, Any] = {'by': 'hand', 'command': command, 'commit': describe_commit(root)}
+    about['finished'] = datetime.now(timezone.utc).isoformat(timespec='seconds')
+    about |= {'once': True} if once else {'sources': {b.name: b.hash_sources(root) for b in benchmarks}}
+    for name in names:
+        entry = record.setdefault(_find_entry(name), {})
+        entry.get('tables', {}).pop(name, None)
+        entry.setdefault('kept', {})[name] = {**about, 'text': read_table(name, root)}
+    save_record(record, root / RECORD)
+
+
+def _find_entry(table: str) -> str:
+    """Return the benchmark with the longest name that a table's name begins with, or else its first word."""
+    found = [b.name for b in BENCHMARKS if f'{table}.'.startswith(f'{b.name}.')]
+    return max(found, key=len, default=table.partition('.')[0])
 
 
 def hash_data(benchmark: Benchmark, root: Path) -> dict[str, str | None]:
@@ -179,6 +248,7 @@ def hash_data(benchmark: Benchmark, root: Path) -> dict[str, str | None]:
     return {name: hash_file(folder / name) if (folder / name).is_file() else None for name in benchmark.data}
 
 
+@cache
 def list_versions() -> dict[str, str]:
     """Return the versions of the packages that results depend on."""
     installed = importlib.metadata.packages_distributions()
@@ -207,10 +277,13 @@ def check(benchmarks: Sequence[Benchmark], root: Path, *, release: bool) -> int:
         print('nobody edits these by hand: `make figures` measures and writes them')
     if stale:
         print(f'stale, since what they measure has changed: {", ".join(stale)}')
-    missing = [b.name for b in benchmarks if b.name not in record]
+    unmarked = list_unmarked(root) if release else []
+    for line in unmarked:
+        print(line)
+    missing = [b.name for b in benchmarks if 'sources' not in record.get(b.name, {})]
     if release and missing:
         print(f'never measured: {", ".join(missing)}')
-    return int(bool(differences or (release and (stale or missing))))
+    return int(bool(differences or (release and (stale or missing or unmarked))))
 
 
 def keep_release(benchmarks: Sequence[Benchmark], root: Path, version: str) -> int:
@@ -228,23 +301,32 @@ def load_history(folder: Path) -> dict[str, dict[str, Any]]:
     return {f.stem: load_record(f) for f in files}
 
 
-def find_headline(record: Mapping[str, Any], benchmark: str, place: Sequence[str]) -> float:
-    """Return a number of the results; NaN where the record has none there."""
-    value: Any = record.get(benchmark, {}).get('results', {})
-    for key in place:
-        value = value.get(key, {})
-    return float(value) if isinstance(value, int | float) else float('nan')
+def find_headline(record: Mapping[str, Any], table: str, rows: Sequence[str], column: str) -> float:
+    """Return the first number of a cell of a table; NaN where the record has none there."""
+    for entry in record.values():
+        text = entry.get('tables', {}).get(table) or entry.get('kept', {}).get(table, {}).get('text', '')
+        header: list[str] = []
+        for line in text.splitlines():
+            cells = [c.strip() for c in line.strip('| ').split(' | ')]
+            header = cells if column in cells else header
+            if header and line.strip('| ').casefold().startswith(tuple(rows)):
+                number = re.search(r'\d+(\.\d+)?', cells[header.index(column)])
+                return float(number[0]) if number else float('nan')
+    return float('nan')
 
 
 def draw_history(history: Mapping[str, Mapping[str, Any]], path: Path) -> None:
     """Draw the headlines of the releases."""
     from experiments.report import make_panels
 
-    figure, axes = make_panels(len(HEADLINES))
-    for ax, (title, benchmark, place) in zip(axes, HEADLINES, strict=True):
-        ax.plot(list(history), [find_headline(r, benchmark, place) for r in history.values()], 'o-')
+    figure, axes = make_panels(3, rows=2, height=4.0)
+    for ax, (title, table, rows, column) in zip(axes.flat, HEADLINES, strict=True):
+        values = [find_headline(r, table, rows, column) for r in history.values()]
+        ax.plot(list(history), values, 'o-', color='#0072b2')
+        for x, y in zip(history, values, strict=True):
+            ax.annotate(f'{y:g}', (x, y), (0, -11), textcoords='offset points', ha='center', fontsize=8)
         ax.set_title(title, loc='left')
-        ax.set_ylim(bottom=0)
+        ax.set(ylim=(0, 1.2 * max([v for v in values if v > 0], default=1.0)), xlim=(-0.4, len(history) - 0.6))
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, metadata={'Software': None})
 
@@ -258,6 +340,17 @@ def main() -> int:
     run.add_argument('--quick', action='store_true', help='run the short form of each benchmark')
     run.add_argument('--again', action='store_true', help='run also what is up to date')
     commands.add_parser('write', help='write the pages')
+    entering = commands.add_parser('enter', help='enter the results of a run')
+    entering.add_argument('name', choices=names, metavar='NAME', help='of the benchmark')
+    entering.add_argument('file', type=Path, metavar='FILE', help='that the benchmark wrote with --json')
+    keeping = commands.add_parser('keep', help='enter tables by hand as the pages show them')
+    keeping.add_argument('names', nargs='+', metavar='NAME', help='between the markers of the page')
+    keeping.add_argument('--command', dest='measured_by', required=True, help='command that measured them')
+    origin = keeping.add_mutually_exclusive_group(required=True)
+    origin.add_argument(
+        '--of', nargs='+', choices=names, default=[], metavar='BENCHMARK', help='that it belongs to'
+    )
+    origin.add_argument('--once', action='store_true', help='measured to choose a setting, and never stale')
     checking = commands.add_parser('check', help='compare the pages with the record')
     checking.add_argument('--release', action='store_true', help='fail also if something is stale or missing')
     release = commands.add_parser('release', help='keep the record of a release')
@@ -273,13 +366,24 @@ def main() -> int:
             if not args.quick:
                 write(ROOT)
             return min(failed, 1)
+        case 'enter' | 'keep':
+            try:
+                if args.command == 'enter':
+                    enter(names[args.name], args.file, ROOT)
+                else:
+                    keep(args.names, args.measured_by, [names[n] for n in args.of], ROOT, once=args.once)
+            except (OSError, ValueError) as error:
+                parser.error(str(error))
+            write(ROOT)
         case 'write':
             write(ROOT)
-            return 0
+            now = load_record(ROOT / RECORD)
+            draw_history({**load_history(ROOT / HISTORY), 'now': now}, ROOT / PICTURE_OF_HISTORY)
         case 'check':
             return check(BENCHMARKS, ROOT, release=args.release)
         case _:
             return keep_release(BENCHMARKS, ROOT, args.version)
+    return 0
 
 
 def write(root: Path) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import common
 
 # isort: split
+import argparse
 import multiprocessing
 import time
 from collections.abc import Callable, Sequence
@@ -19,19 +20,20 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypeVar
+from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from common import View
 from numpy.typing import NDArray
-from tracker import track
+from reconstruction import reconstruct_whole, track
+from report import Report, run
 
 from mocap_ros.config import Config, with_values
 from mocap_ros.evaluation.metrics import LIMB_JOINTS
 from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence
-from mocap_ros.geometry.rotations import centre_poses, fit_rotation
+from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.keyframes import reconstruct as keyframe_method
@@ -48,7 +50,6 @@ from mocap_ros.viewing.plots import TRUTH_COLOUR, draw_bones, project_from_side,
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-T = TypeVar('T')
 
 mpl.use('Agg')
 PICTURES = common.ROOT / 'docs' / 'img' / 'keyframes'
@@ -93,13 +94,6 @@ class DegradedView:
     wrong: Mask
     corrupted: Mask
     untouched: Mask
-
-
-def measure_cpu_seconds(action: Callable[[], T]) -> tuple[T, float]:
-    """Return the result of an action and its CPU time in s, which other processes do not disturb."""
-    start_s = time.process_time()
-    result = action()
-    return result, time.process_time() - start_s
 
 
 def make_mixed_view(trials: Sequence[str], seconds: float, heading: float = 30.0) -> View:
@@ -151,23 +145,9 @@ def make_config(**values: Any) -> Config:
 
 
 def reconstruct_by_keyframes(view: View, config: Config) -> keyframe_method.KeyframeResult:
-    keypoints = view.sequence['keypoints'].astype(float)
-    times = view.sequence['timestamps']
-    return keyframe_method.reconstruct(
-        keypoints, CMU15.joints, times, view.intrinsics, train_test_base_poses(), config
-    )
-
-
-def reconstruct_whole(view: View, config: Config) -> Array:
-    keypoints = view.sequence['keypoints'].astype(float)
-    times = view.sequence['timestamps']
-    return reconstruct_sequence(
-        keypoints, CMU15.joints, times, view.intrinsics, train_test_base_poses(), config
-    ).joints
-
-
-def reconstruct_live(view: View, config: Config) -> Array:
-    return track(view, train_test_base_poses(), config).joints
+    keypoints, times = view.sequence['keypoints'].astype(float), view.sequence['timestamps']
+    models = train_test_base_poses()
+    return keyframe_method.reconstruct(keypoints, CMU15.joints, times, view.intrinsics, models, config)
 
 
 def observe_view(view: View, config: Config) -> ObservedWindow:
@@ -178,10 +158,8 @@ def observe_view(view: View, config: Config) -> ObservedWindow:
 
 def compute_frame_errors(view: View, joints: Array) -> Array:
     """Return the MPJPE of each frame, (F,) mm; NaN in frames without a reconstruction."""
-    found, truth = centre_poses(joints), centre_poses(view.truth)
-    answered = np.isfinite(found).all(axis=(1, 2))
-    factor = (found * truth)[answered].sum() / (found * found)[answered].sum()
-    return np.linalg.norm(factor * found - truth, axis=-1).mean(axis=1) * 1e3
+    found, truth = common.align_scale(joints, view.truth)
+    return common.compute_pose_errors(found, truth, similarity=False)
 
 
 def compare_methods(quick: bool) -> tuple[list[dict[str, Any]], dict[str, float]]:
@@ -192,8 +170,8 @@ def compare_methods(quick: bool) -> tuple[list[dict[str, Any]], dict[str, float]
     kinds = {'mixed': MIXED_TRIALS, 'unseen by the lifter': UNSEEN_TRIALS}
     methods: dict[str, Callable[[View], Array]] = {
         'keyframes': lambda v: reconstruct_by_keyframes(v, config).result.joints,
-        'whole sequence': lambda v: reconstruct_whole(v, config),
-        'tracker': lambda v: reconstruct_live(v, config),
+        'whole sequence': lambda v: reconstruct_whole(v, train_test_base_poses(), config),
+        'tracker': lambda v: track(v, train_test_base_poses(), config).joints,
     }
     for kind, trials in list(kinds.items())[: 1 if quick else 2]:
         clean = make_mixed_view(trials, 20.0 if quick else SEQUENCE_S)
@@ -201,7 +179,7 @@ def compare_methods(quick: bool) -> tuple[list[dict[str, Any]], dict[str, float]
         seconds = clean.frames / common.FPS
         for name, reconstruct in common.show_progress(methods.items(), kind):
             best = reconstruct(clean)
-            found, took = measure_cpu_seconds(partial(reconstruct, bad.view))
+            found, took = common.measure_time(partial(reconstruct, bad.view))
             one, two = compute_frame_errors(clean, best), compute_frame_errors(clean, found)
             there = bad.corrupted
             rows.append(
@@ -307,9 +285,8 @@ def measure_burst(draw: bool) -> dict[str, float]:
 
 
 def _compute_arm_errors(view: View, joints: Array, arm: Sequence[int]) -> Array:
-    found, truth = centre_poses(joints), centre_poses(view.truth)
-    factor = (found * truth).sum() / (found * found).sum()
-    return np.linalg.norm(factor * found - truth, axis=-1)[:, list(arm)].mean(axis=1) * 1e3
+    found, truth = common.align_scale(joints, view.truth)
+    return np.linalg.norm(found - truth, axis=-1)[:, list(arm)].mean(axis=1) * 1e3
 
 
 def _draw_burst(view: View, frame: int, without: Array, smooth: Array) -> None:
@@ -447,8 +424,8 @@ def measure_paper_length() -> dict[str, float]:
             found.append((poses, denoise_distances(c, build_averaging_matrix(c, rules.beta))))
         return found
 
-    made, out['matrices_1800_s'] = measure_cpu_seconds(matrices)
-    (_, out['selection_1800_s']) = measure_cpu_seconds(
+    made, out['matrices_1800_s'] = common.measure_time(matrices)
+    (_, out['selection_1800_s']) = common.measure_time(
         lambda: [select_keyframes(d < rules.beta, p.times, rules.alpha, rules.gap) for p, d in made]
     )
     return out
@@ -491,8 +468,7 @@ def find_keyframes_in_process(path: str, connection: Any) -> None:
             'MB before': before,
             'MB at most': read_peak_mb(),
             'one whole matrix, MB': len(times) ** 2 * 4 / 1e6,
-            'keyframes, upper': len(found[0].frames),
-            'keyframes, lower': len(found[1].frames),
+            **{f'keyframes, {half.body_half.name}': len(half.frames) for half in found},
             'covered': min(h.coverage for h in found),
         }
     )
@@ -545,48 +521,40 @@ def _save_figure(figure: Any, name: str) -> None:
     plt.close(figure)
 
 
-def print_table(title: str, rows: Sequence[dict[str, Any]]) -> None:
-    print(f'\n## {title}\n')
-    kept = [{k: v for k, v in r.items() if k != 'curve'} for r in rows]
-    print(common.format_table(list(kept[0]), [list(r.values()) for r in kept]), flush=True)
+def measure(args: argparse.Namespace, report: Report) -> None:
+    quick = args.quick
+    lifter = 'held out' if common.HELD_OUT_LIFTER.is_file() else 'as shipped'
+    report.text(f'Lifter: {lifter}')
+    rows, figures = compare_methods(quick)
+    title = 'Keyframe method, whole-sequence solver and tracker: MPJPE, mm'
+    report.rows(title, rows, page='keyframes.methods')
+    shown = [{'figure': k, 'value': f'{v:.4g}'} for k, v in figures.items()]
+    report.rows('Targets', shown, page='keyframes.targets')
+    by_alpha = count_keyframes(quick)
+    counts = [{k: v for k, v in r.items() if k != 'curve'} for r in by_alpha]
+    report.rows('Keyframes per second against alpha', counts)
+    wrong_arm = measure_burst(draw=not quick)
+    report.rows('An arm in a wrong place for 0.27 s (figure 14)', [wrong_arm])
+    elsewhere = evaluate_second_camera(quick, draw=not quick)
+    title = 'Real detections, seen from a second camera (figures 11 to 13)'
+    report.rows(title, elsewhere, page='keyframes.second_camera')
+    lengths = measure_paper_length()
+    report.rows("The paper's 1,800 frames", [lengths])
+    results = {'side_by_side': rows, 'alpha': counts, 'burst': wrong_arm, 'second_camera': elsewhere}
+    report.add(lifter=lifter, **figures, **results, **lengths)
+    if not quick:
+        draw_counts(by_alpha, SEQUENCE_S)
+        draw_pictures()
+        report.pictures += [f.relative_to(common.ROOT).as_posix() for f in sorted(PICTURES.glob('*.png'))]
+        apart = compare_sections()
+        long = [measure_long_sequence(seconds) for seconds in (HOUR_S / 6, HOUR_S)]
+        report.rows('Keyframes at once and section by section', [apart])
+        report.rows('Ten minutes and an hour', long, page='keyframes.long')
+        report.add(sections=apart, long=long)
 
 
 def main() -> None:
-    args = common.parse_arguments(__doc__)
-    common.choose_capture('motion')
-    machine = common.describe_machine()
-    lifter = 'held out' if common.HELD_OUT_LIFTER.is_file() else 'as shipped'
-    print(f'# Keyframes\n\n{machine}\n\nLifter: {lifter}', flush=True)
-    rows, figures = compare_methods(args.quick)
-    print_table('Keyframe method, whole-sequence solver and tracker: MPJPE, mm', rows)
-    print_table('Targets', [{'figure': k, 'value': f'{v:.4g}'} for k, v in figures.items()])
-    by_alpha = count_keyframes(args.quick)
-    print_table('Keyframes per second against alpha', by_alpha)
-    wrong_arm = measure_burst(draw=not args.quick)
-    print_table('An arm in a wrong place for 0.27 s (figure 14)', [wrong_arm])
-    elsewhere = evaluate_second_camera(args.quick, draw=not args.quick)
-    print_table('Real detections, seen from a second camera (figures 11 to 13)', elsewhere)
-    lengths = measure_paper_length()
-    print_table("The paper's 1,800 frames", [lengths])
-    record: dict[str, Any] = {
-        'machine': machine,
-        'lifter': lifter,
-        **figures,
-        'side_by_side': rows,
-        'alpha': [{k: v for k, v in r.items() if k != 'curve'} for r in by_alpha],
-        'burst': wrong_arm,
-        'second_camera': elsewhere,
-        **lengths,
-    }
-    if not args.quick:
-        draw_counts(by_alpha, SEQUENCE_S)
-        draw_pictures()
-        apart = compare_sections()
-        long = [measure_long_sequence(seconds) for seconds in (HOUR_S / 6, HOUR_S)]
-        print_table('Keyframes at once and section by section', [apart])
-        print_table('Ten minutes and an hour', long)
-        record |= {'sections': apart, 'long': long}
-    common.write_json(args.json, record)
+    run(__doc__, 'Keyframes', measure)
 
 
 if __name__ == '__main__':

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from common import View
+from report import Records, Report, group, run
 
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import Config, SolverConfig
@@ -57,6 +58,7 @@ DETECTOR_TARGETS_MM = {'openpose': (75, 58), 'mediapipe': (85, 68)}
 COST_TARGETS_MS = {1: 0.2, 10: 0.1, 30: 0.1}
 COST_FOCAL_PX = 1000.0  # px; with a known focal length, each history is turned to face its newest frame
 MAX_SOLVED_FRAMES = 120  # frames of a sequence that the solver is given, to limit the time
+METHODS = ('network', 'factorisation', 'both')  # with the solver
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +95,7 @@ class Detections:
 
 
 def lift_windows(model: Lifter, windows: Sequence[Window]) -> list[LiftedPoses]:
-    return [model.lift_sequence(w.points, w.weight, w.times, w.focal) for w in windows]
+    return [model.lift_sequence(w.points, w.weight, w.times, w.focal).select_core() for w in windows]
 
 
 def scale_lifted(out: LiftedPoses, window: Window) -> np.ndarray:
@@ -129,27 +131,21 @@ def evaluate_detections(model: Lifter, cameras: Sequence[int], solved: bool) -> 
     return records
 
 
-def print_detections(records: Sequence[dict[str, Any]], cameras: Sequence[int]) -> None:
-    print('\n## Real detections: MPJPE / PA-MPJPE, mm, twelve joints of the limbs\n')
+def show_detections(report: Report, records: Records, cameras: Sequence[int]) -> None:
     rows = []
-    for key in dict.fromkeys((r['detector'], r['method'], r['labels']) for r in records):
-        mine = [r for r in records if (r['detector'], r['method'], r['labels']) == key]
+    for (detector, method, labels), mine in group(records, 'detector', 'method', 'labels').items():
         each = [f'{r["mpjpe_mm"]:.0f} / {r["pa_mpjpe_mm"]:.0f}' for r in mine]
-        means = [common.mean_error(mine, k) for k in ('mpjpe_mm', 'pa_mpjpe_mm')]
+        mean = ' / '.join(f'{common.mean_error(mine, k):.0f}' for k in ('mpjpe_mm', 'pa_mpjpe_mm'))
+        shown = 'swaps undone' if labels.endswith('True') else 'as detected'
+        target = '{} / {}'.format(*DETECTOR_TARGETS_MM[detector])
         failed = sum(int(r['failed_frames']) for r in mine)
-        reach = DETECTOR_TARGETS_MM[str(key[0])]
-        rows.append(
-            [
-                f'{key[0]}, {key[1]}',
-                'swaps undone' if str(key[2]).endswith('True') else 'as detected',
-                *each,
-                '{:.0f} / {:.0f}'.format(*means),
-                '{} / {}'.format(*reach),
-                failed,
-            ]
-        )
-    header = ['points and method', 'labels', *(f'cam {c}' for c in cameras), 'mean', 'target', 'failed']
-    print(common.format_table(header, rows))
+        rows.append([f'{detector}, {method}', shown, *each, mean, target, failed])
+    report.table(
+        ['points and method', 'labels', *(f'cam {c}' for c in cameras), 'mean', 'target', 'failed'],
+        rows,
+        'Real detections: MPJPE / PA-MPJPE, mm, twelve joints of the limbs',
+        page='lifter.detections',
+    )
 
 
 def make_row_views(row: str, stride: int, frames: int, headings: Sequence[float], **options: float) -> list[View]:
@@ -176,25 +172,17 @@ def evaluate_capture(model: Lifter, quick: bool) -> list[dict[str, Any]]:
     return records
 
 
-def print_capture(records: Sequence[dict[str, Any]]) -> None:
-    print('\n## Motion capture, subject left out, network alone: MPJPE / PA-MPJPE, mm, 15 joints\n')
-    rows = []
-    for row, (_, reach) in TEST_ROWS.items():
-        clean, noisy = (next(r for r in records if r['row'] == row and r['noisy'] == n) for n in (False, True))
-        rows.append(
-            [
-                row,
-                *(f'{r["mpjpe_mm"]:.1f} / {r["pa_mpjpe_mm"]:.1f}' for r in (clean, noisy)),
-                f'{reach:g}',
-                float(noisy['mpjpe_mm'] / clean['mpjpe_mm']),
-                MAX_NOISY_RATIO,
-                int(clean['failed'] + noisy['failed']),
-            ]
-        )
-    print(
-        common.format_table(
-            ['row', 'clean', 'noise 0.02, missing 0.1', 'target', 'ratio', 'target', 'failed'], rows
-        )
+def show_capture(report: Report, records: Records) -> None:
+    rows: list[list[object]] = []
+    for (row,), (clean, noisy) in group(records, 'row').items():
+        errors = [f'{r["mpjpe_mm"]:.1f} / {r["pa_mpjpe_mm"]:.1f}' for r in (clean, noisy)]
+        ratio, failed = float(noisy['mpjpe_mm'] / clean['mpjpe_mm']), int(clean['failed'] + noisy['failed'])
+        rows.append([row, *errors, f'{TEST_ROWS[row][1]:g}', ratio, MAX_NOISY_RATIO, failed])
+    report.table(
+        ['row', 'clean', 'noise 0.02, missing 0.1', 'target', 'ratio', 'target', 'failed'],
+        rows,
+        'Motion capture, subject left out, network alone: MPJPE / PA-MPJPE, mm, 15 joints',
+        page='lifter.capture',
     )
 
 
@@ -240,20 +228,32 @@ def evaluate_with_solver(model: Lifter, quick: bool) -> list[dict[str, Any]]:
     return records
 
 
-def print_with_solver(records: Sequence[dict[str, Any]]) -> None:
-    print(
-        f'\n## Motion capture, at most {MAX_SOLVED_FRAMES} frames: network, solver without it, and both: '
-        'MPJPE, mm\n'
+def show_with_solver(report: Report, records: Records) -> None:
+    report.table(
+        ['row', 'image', 'views', *METHODS, 'both, s per sequence'],
+        [
+            [r['row'], 'noisy' if r['noisy'] else 'clean', r['views'], *(r[m] for m in METHODS), r['seconds']]
+            for r in records
+        ],
+        f'Motion capture, at most {MAX_SOLVED_FRAMES} frames: network, solver without it, and both: MPJPE, mm',
     )
-    methods = ('network', 'factorisation', 'both')
-    print(
-        common.format_table(
-            ['row', 'image', 'views', *methods, 'both, s per sequence'],
+    report.keep(
+        'lifter.solver',
+        [
+            'motion',
+            *(f'{m}, {image}' for image in ('clean', 'noisy') for m in METHODS),
+            'target, clean',
+            'noisy / clean',
+        ],
+        [
             [
-                [r['row'], 'noisy' if r['noisy'] else 'clean', r['views'], *(r[m] for m in methods), r['seconds']]
-                for r in records
-            ],
-        )
+                row,
+                *(f'{r[m]:.1f}' for r in (clean, noisy) for m in METHODS),
+                f'{TEST_ROWS[row][1]:g}',
+                noisy['both'] / clean['both'],
+            ]
+            for (row,), (clean, noisy) in group(records, 'row').items()
+        ],
     )
 
 
@@ -286,10 +286,10 @@ def measure_cost(model: Lifter, quick: bool) -> dict[int, float]:
     return out
 
 
-def print_cost(found: dict[int, float]) -> None:
-    print(f'\n## CPU ms per person and frame ({len(HISTORY_SLOTS_S)} slots)\n')
+def show_cost(report: Report, found: dict[int, float]) -> None:
     rows = [[people, f'{ms:.3f}', COST_TARGETS_MS[people]] for people, ms in found.items()]
-    print(common.format_table(['people', 'ms', 'target'], rows))
+    title = f'CPU ms per person and frame ({len(HISTORY_SLOTS_S)} slots)'
+    report.table(['people', 'ms', 'target'], rows, title, page='lifter.cost')
 
 
 def draw_pictures(model: Lifter, folder: Path) -> None:
@@ -346,30 +346,29 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def main() -> None:
-    args = common.parse_arguments(__doc__, add_options)
+def measure(args: argparse.Namespace, report: Report) -> None:
     common.choose_capture('motion')
     compile_kernels()
     cameras = CAMERAS[1:2] if args.quick else CAMERAS
-    machine = common.describe_machine()
-    print(f'# Lifter\n\n{machine}')
     shipped = model_file.load_shipped_lifter()
-    record: dict[str, Any] = {'machine': machine}
-    record['cost_ms'] = found = measure_cost(shipped, args.quick)
-    print_cost(found)
-    record['detections'] = detections = evaluate_detections(shipped, cameras, solved=True)
-    print_detections(detections, cameras)
+    report.add(cost_ms=(found := measure_cost(shipped, args.quick)))
+    show_cost(report, found)
+    report.add(detections=(detections := evaluate_detections(shipped, cameras, solved=True)))
+    show_detections(report, detections, cameras)
     if args.quick and not args.lifter.is_file():
-        print(f'\nskipped: motion capture, which needs {args.lifter}; run without --quick to train it')
+        report.text(f'skipped: motion capture, which needs {args.lifter}; run without --quick to train it')
     else:
         unseen = model_file.load_lifter(common.provide_held_out_lifter(args.lifter))
-        record['capture'] = captured = evaluate_capture(unseen, args.quick)
-        print_capture(captured)
-        record['solver'] = solved = evaluate_with_solver(unseen, args.quick)
-        print_with_solver(solved)
+        report.add(capture=(captured := evaluate_capture(unseen, args.quick)))
+        show_capture(report, captured)
+        report.add(solver=(solved := evaluate_with_solver(unseen, args.quick)))
+        show_with_solver(report, solved)
     if args.pictures:
         draw_pictures(shipped, args.pictures)
-    common.write_json(args.json, record)
+
+
+def main() -> None:
+    run(__doc__, 'Lifter', measure, add_options)
 
 
 if __name__ == '__main__':

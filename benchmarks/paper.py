@@ -1,4 +1,4 @@
-"""The experiments of TPAMI 2016, section 4, and the targets of the project; the full run writes docs/paper.md."""
+"""The experiments of TPAMI 2016, section 4, and the targets of the project: the sections of docs/paper.md."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import common
 import argparse
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 from experiments import accuracy, cameras, gait, stability
-from experiments.report import Section, write_report
+from experiments.report import Section
 from experiments.targets import measure_targets
+from report import Report, run
 
 # The experiments in the order of the report, by their names on the command line.
 EXPERIMENTS: dict[str, Callable[[bool], Section]] = {
@@ -36,28 +36,6 @@ EXPERIMENTS: dict[str, Callable[[bool], Section]] = {
     'classification': gait.measure_classification,
     'claims': gait.measure_claims,
 }
-# The introduction of the report.
-HEAD = """
-# The paper's experiments
-
-This page repeats the experiments of section 4 of Wandt, Ackermann, Rosenhahn: 3D Reconstruction of Human Motion
-from Monocular Image Sequences, TPAMI 2016, with this project's solvers beside the printed values of the paper. The
-code is in `benchmarks/experiments/`; `.venv/bin/python benchmarks/paper.py` writes this page and measures every
-number except those attributed to the paper (`--only NAME ...` runs single sections). The terms are in the
-[glossary](glossary.md).
-
-- Data: CMU motion capture at 30 fps, 15 joints. HumanEva and KTH Football, which the paper also uses, are not
-  available. Test views: orthographic at 300 px/m, elevation 10 degrees, the first 120 frames; the heading is the
-  direction that the camera looks from, 0 the front.
-- "Algorithm 1" is the paper's method (`mocap_ros.solvers.alternation`): no prior, no smoothness, K base poses from
-  the poses alone (here with their heading aligned, since the paper's walking directions are unknown). "Joint",
-  "project" and "defaults" are this project's solvers with all terms on. "Np" is the non-periodic model. No model
-  was trained on the trial it is tested on, unless stated otherwise.
-- MPJPE: mean distance of a joint, mm, each pose centred, one scale per sequence, no rotation. e: eq. 25 of the
-  paper, cm, after one similarity transform per sequence; it falls with the root of the number of frames f. 2D
-  errors are in mm at the body.
-- Weights of the terms are this project's: squared errors in m², time in seconds. They are not the paper's.
-"""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -68,30 +46,25 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='NAME',
         help='experiments to run, of ' + ', '.join(EXPERIMENTS),
     )
-    parser.add_argument(
-        '--output',
-        type=Path,
-        default=common.ROOT / 'docs',
-        metavar='FOLDER',
-        help='folder for paper.md and img/paper',
-    )
+
+
+def measure(args: argparse.Namespace, report: Report) -> None:
+    seconds: dict[str, float] = {}
+    results = {}
+    for name in common.show_progress(args.only or list(EXPERIMENTS), 'paper'):
+        start_s = time.perf_counter()
+        section = EXPERIMENTS[name](args.quick)
+        seconds[name], results[name] = time.perf_counter() - start_s, section.data
+        report.text(section.plain(), f'({name}: {seconds[name]:.1f} s)')
+        report.tables[f'paper.{name}'] = section.markdown()
+        if not args.quick:
+            for path, figure in section.figures.items():
+                report.picture(figure, path)
+        report.add(seconds=seconds, results=results)
 
 
 def main() -> None:
-    args = common.parse_arguments(__doc__ or '', add_options)
-    machine = common.describe_machine()
-    print(machine, flush=True)
-    sections: dict[str, Section] = {}
-    seconds: dict[str, float] = {}
-    for name in common.show_progress(args.only or list(EXPERIMENTS), 'paper'):
-        start_s = time.perf_counter()
-        sections[name] = EXPERIMENTS[name](args.quick)
-        seconds[name] = time.perf_counter() - start_s
-        print(f'\n{sections[name].plain()}\n\n({name}: {seconds[name]:.1f} s)', flush=True)
-    if not args.quick:
-        write_report(args.output / 'paper.md', f'{HEAD}\nMeasured on: {machine}.', sections, list(EXPERIMENTS))
-    record = {name: s.data for name, s in sections.items()}
-    common.write_json(args.json, {'machine': machine, 'quick': args.quick, 'seconds': seconds, 'results': record})
+    run(__doc__, 'The experiments of the paper', measure, add_options)
 
 
 if __name__ == '__main__':

@@ -9,6 +9,7 @@ from __future__ import annotations
 import common
 
 # isort: split
+import argparse
 import os
 import resource
 import signal
@@ -23,6 +24,7 @@ from typing import Any
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
+from report import Report, run
 
 from mocap_ros.bags.background import BackgroundRecorder
 from mocap_ros.bags.journal import Journal, Verdict
@@ -38,7 +40,7 @@ from mocap_ros.messages.cdr import Header as MessageHeader
 from mocap_ros.messages.cdr import create_header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.markers import MARKERS
-from mocap_ros.people import Person3D
+from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.runtime import replay as replaying
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS
@@ -89,6 +91,9 @@ class ConstantTracker:
     def update(self, stamp_ns: int, *_: object) -> tuple[Person3D, ...]:
         self.output_stamp_ns = stamp_ns
         return () if self.person is None else (self.person,)
+
+    def predict(self, times_s: Sequence[float]) -> list[list[PredictedPerson]]:
+        return [[] for _ in times_s]
 
     def run_deferred_work(self) -> None: ...
 
@@ -214,15 +219,13 @@ def measure_recorder_cpu(root: Path, frames: Sequence[EncodedFrame], seconds: fl
     return 100 * used / taken
 
 
-def write_keypoints(folder: Path, frames: Sequence[EncodedFrame], count: int) -> None:
-    """Write a bag of `count` frames at 30 Hz: the recording in a loop, with increasing stamps."""
+def write_keypoints(folder: Path, frames: Sequence[EncodedFrame], count: int, first: int = 0) -> None:
+    """Write a bag of `count` frames at 30 Hz: the recording in a loop from a frame on, with increasing stamps."""
     with Recorder(folder, RecorderConfig()) as recorder:
-        for n, frame in enumerate(islice(cycle(frames), count)):
-            raw = frame.raw
-            if n >= len(frames):
-                message = decode(raw, KEYPOINTS)
-                message.header = create_header(MessageHeader(n * FRAME_PERIOD_NS, 'camera'))
-                raw = encode(message, KEYPOINTS)
+        for n, frame in enumerate(islice(cycle(frames), first, first + count)):
+            message = decode(frame.raw, KEYPOINTS)
+            message.header = create_header(MessageHeader(n * FRAME_PERIOD_NS, 'camera'))
+            raw = encode(message, KEYPOINTS)
             recorder.write('/keypoints', KEYPOINTS, raw, START_NS + n * FRAME_PERIOD_NS, START_NS)
 
 
@@ -308,22 +311,20 @@ def measure_recorders(root: Path, count: int, seconds: float) -> dict[str, float
     }
 
 
-def main() -> None:
-    args = common.parse_arguments(__doc__ or '')
-    print(f'# Recording and replay\n\n{common.describe_machine()}\n')
+def measure(args: argparse.Namespace, report: Report) -> None:
+    quick = args.quick
     with tempfile.TemporaryDirectory() as name:
         root = Path(name)
         results = {
-            **measure_kills(root, 8 if args.quick else 50),
-            **measure_recorders(root, 40_000 if args.quick else 200_000, 4 if args.quick else 12),
-            **measure_replays(root, 2 if args.quick else 60),
+            **measure_kills(root, 8 if quick else 50),
+            **measure_recorders(root, 40_000 if quick else 200_000, 4 if quick else 12),
+            **measure_replays(root, 2 if quick else 60),
         }
-    rows = [
-        (key, f'{value:.3g}' if value < 1000 else f'{value:.0f}', TARGETS.get(key))
-        for key, value in results.items()
-    ]
-    print(common.format_table(['quantity', 'measured', 'target'], rows))
-    common.write_json(args.json, {'machine': common.describe_machine(), **results})
+    report.quantities(results, TARGETS, page='recording.targets')
+
+
+def main() -> None:
+    run(__doc__, 'Recording and replay', measure)
 
 
 if __name__ == '__main__':

@@ -1,4 +1,4 @@
-"""Comparison of the joint solver with Algorithm 1 and with scipy.optimize.least_squares, and its time and memory.
+"""Comparison of the joint solver with Algorithm 1 and with scipy.optimize.least_squares.
 
 The solvers in one row of a table start from the same state and minimise the same objective.
 """
@@ -8,15 +8,15 @@ from __future__ import annotations
 import common
 
 # isort: split
-import gc
-import tracemalloc
-from collections.abc import Callable, Sequence
+import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from experiments.least_squares import Progress, SparseProblem
+from report import Records, Report, run
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.models.base_poses import BasePoses
@@ -194,71 +194,7 @@ def measure_solver(
     return {'ms': seconds * 1e3, 'iterations': float(np.mean([r.iterations for r in found]))}
 
 
-def make_long_window(frames: int) -> Window:
-    return common.make_views('09_12', [45], frames=frames)[0].window
-
-
-def measure_sizes(quick: bool) -> dict[str, list[dict[str, Any]]]:
-    """Measure the time against the number of frames, of base poses and of people."""
-    model = common.train_base_poses('walk', without_subjects=('09',))
-    config = SolverConfig()
-    repeats = 2 if quick else 5
-    out: dict[str, list[dict[str, Any]]] = {'frames': [], 'components': [], 'people': []}
-    for frames in (30, 120, 480) if quick else (15, 30, 60, 120, 240, 480):
-        out['frames'].append(
-            {'frames': frames, **measure_solver([make_long_window(frames)], model, config, repeats)}
-        )
-    for k in (6, 15, 30) if quick else (4, 6, 10, 15, 20, 30, 40):
-        out['components'].append(
-            {'K': k, **measure_solver([make_long_window(120)], model, replace(config, components=k), repeats)}
-        )
-    for people in (1, 4, 16) if quick else (1, 2, 4, 8, 16, 32):
-        headings = np.arange(people) * 360 / people
-        windows = [v.window for v in common.make_views('09_12', headings, frames=30)]
-        out['people'].append({'people': people, **measure_solver(windows, model, config, repeats)})
-    return out
-
-
-def measure_peak_mib(action: Callable[[], object]) -> float:
-    gc.collect()
-    tracemalloc.start()
-    action()
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    return peak / 2**20
-
-
-def measure_memory(quick: bool) -> list[tuple[str, float]]:
-    config = SolverConfig()
-    model = common.train_base_poses('walk', without_subjects=('09',))
-    people = [v.window for v in common.make_views('09_12', range(0, 360, 23)[:16], frames=30)]
-    rows = [
-        ('joint, 120 frames', measure_peak_mib(lambda: joint.solve([make_long_window(120)], model, config))),
-        ('joint, 480 frames', measure_peak_mib(lambda: joint.solve([make_long_window(480)], model, config))),
-        ('joint, 16 people of 30 frames', measure_peak_mib(lambda: joint.solve(people, model, config))),
-    ]
-    few = replace(common.make_paper_config(components=30), max_iterations=2)
-    rows.append(
-        (
-            'alternation, 120 frames',
-            measure_peak_mib(lambda: alternation.reconstruct(make_long_window(120), model, few)),
-        )
-    )
-    _, problem, state = fix_initial_values(WALK, common.make_config(adapt_noise=False))
-    limits = {**SCIPY_TOLERANCES, 'max_nfev': 3 if quick else 10}
-    analytic = SCIPY_OPTIONS['analytic sparse Jacobian']
-    rows.append(
-        ('SciPy, 120 frames', measure_peak_mib(lambda: SparseProblem(problem, state).solve(**analytic, **limits)))
-    )
-    return rows
-
-
-def print_scipy(records: Sequence[dict[str, Any]]) -> None:
-    print('\n## Joint solver and scipy.optimize.least_squares (trf, lsmr): same objective, same initial state\n')
-    print(
-        f'K = {TARGET_COMPONENTS}, all terms on, image noise fixed at 10 mm, since adapting it changes the '
-        'objective.\n'
-    )
+def show_scipy(report: Report, records: Records) -> None:
     rows = [
         [
             f'{r["case"]}, {r["frames"]} frames',
@@ -279,121 +215,72 @@ def print_scipy(records: Sequence[dict[str, Any]]) -> None:
         'case', 'SciPy with', 'joint / its optimum', 'joint: iterations to own optimum', 'to its optimum',
         'its iterations in all', 'joint, ms', 'its ms', 'times faster', 'times faster to its optimum',
     ]  # fmt: skip
-    print(common.format_table(header, rows))
-    print(
-        f'\nA solver has reached an optimum when its objective is within {CLOSE_TO_OPTIMUM:g} of it; each time is '
+    title = 'Joint solver and scipy.optimize.least_squares (trf, lsmr): same objective, same initial state'
+    fixed = 'all terms on, image noise fixed at 10 mm, since adapting it changes the objective.'
+    report.table(header, rows, title, f'K = {TARGET_COMPONENTS}, {fixed}', page='solvers.scipy')
+    report.text(
+        f'A solver has reached an optimum when its objective is within {CLOSE_TO_OPTIMUM:g} of it; each time is '
         "that to the own optimum, but in the last column both are times to SciPy's. SciPy also solves for "
         'translations and mean bone lengths, which keeps its Jacobian sparse. The objectives are checked to be '
         'equal at equal states.'
     )
 
 
-def print_alternation(records: Sequence[dict[str, Any]]) -> None:
-    print('\n## Joint solver and Algorithm 1 to convergence, without the terms that the paper does not have\n')
+def show_alternation(report: Report, records: Records) -> None:
     rows = []
     for r in records:
         a, j = r['alternation'], r['joint']
         rows.append(
             [
-                r['case'],
-                r['components'],
-                'yes' if r['prior'] else 'no',
-                f'{j["objective"] / a["objective"]:.4f}',
-                j['iterations'],
-                a['iterations'],
-                f'{j["seconds"] * 1e3:.0f}',
-                f'{a["seconds"] * 1e3:.0f}',
-                f'{a["seconds"] / j["seconds"]:.0f}',
+                *(r['case'], r['components'], 'yes' if r['prior'] else 'no'),
+                *(f'{j["objective"] / a["objective"]:.4f}', j['iterations'], a['iterations']),
+                *(f'{s:.0f}' for s in (j['seconds'] * 1e3, a['seconds'] * 1e3, a['seconds'] / j['seconds'])),
             ]
         )
     header = ['case', 'K', 'prior', 'joint / alternation objective', 'joint iterations', 'alternations']
-    print(common.format_table([*header, 'joint, ms', 'alternation, ms', 'times faster'], rows))
-
-
-def print_targets(one_start_ms: float, records: Sequence[dict[str, Any]]) -> None:
-    iterations = max(r['iterations'] for r in records)
-    print('\n## Targets\n')
-    rows = [
-        [
-            f'120 frames, K = {TARGET_COMPONENTS}, all terms on, one initial camera',
-            f'{one_start_ms:.0f} ms',
-            '30 ms',
-            one_start_ms <= 30,
-        ],
-        [
-            f'iterations to within {CLOSE_TO_OPTIMUM:g} of the optimum',
-            f'at most {iterations}',
-            '15',
-            iterations <= 15,
-        ],
-        *_make_speedup_rows(records),
-    ]
-    print(
-        common.format_table(
-            ['case', 'measured', 'target', 'verdict'], [[*r[:3], _format_verdict(r[3])] for r in rows]
-        )
+    title = 'Joint solver and Algorithm 1 to convergence, without the terms that the paper does not have'
+    report.table(
+        [*header, 'joint, ms', 'alternation, ms', 'times faster'], rows, title, page='solvers.alternation'
     )
 
 
-def _make_speedup_rows(records: Sequence[dict[str, Any]]) -> list[list[Any]]:
-    rows = []
+def show_targets(report: Report, one_start_ms: float, records: Records) -> None:
+    iterations = max(r['iterations'] for r in records)
+    case = f'120 frames, K = {TARGET_COMPONENTS}, all terms on, one initial camera'
+    rows: list[list[object]] = [[case, f'{one_start_ms:.0f} ms', '30 ms', one_start_ms <= 30]]
+    optimum = f'iterations to within {CLOSE_TO_OPTIMUM:g} of the optimum'
+    rows.append([optimum, f'at most {iterations}', '15', iterations <= 15])
     for name in records[0]['scipy']:
         ratios = [r['scipy'][name]['times faster'] for r in records]
         measured = f'{min(ratios):.0f} to {max(ratios):.0f} times faster'
         rows.append([f'SciPy, {name}', measured, '50', min(ratios) >= 50])
-    return rows
+    shown = [[*row, 'reached' if reached else 'not reached'] for *row, reached in rows]
+    report.table(['case', 'measured', 'target', 'verdict'], shown, 'Targets', page='solvers.targets')
 
 
-def _format_verdict(reached: bool) -> str:
-    return 'reached' if reached else 'not reached'
-
-
-def main() -> None:
-    args = common.parse_arguments(__doc__)
+def measure(args: argparse.Namespace, report: Report) -> None:
     repeats = 3 if args.quick else 9
-    machine = common.describe_machine()
-    print(f'# Solvers\n\n{machine}')
-
     one = {}
     for k in (SolverConfig().components, TARGET_COMPONENTS):
         one[k] = measure_solver([WALK.window], WALK.model, common.make_config(components=k), repeats * 3)['ms']
-        print(f'\n120 frames, K = {k}, all terms on, one initial camera: {one[k]:.0f} ms')
+        report.text(f'120 frames, K = {k}, all terms on, one initial camera: {one[k]:.0f} ms')
     reference = common.measure_reference_kernel_s()
-    print(f'\nReference kernel in the same run: {reference * 1e3:.0f} ms')
+    report.text(f'Reference kernel in the same run: {reference * 1e3:.0f} ms')
     names = list(SCIPY_OPTIONS)[:1] if args.quick else list(SCIPY_OPTIONS)
     scipy_cases = CASES[:3:2] if args.quick else CASES
     by_scipy = [compare_with_scipy(c, names, repeats) for c in common.show_progress(scipy_cases, 'SciPy')]
-    print_scipy(by_scipy)
+    show_scipy(report, by_scipy)
     variants = [(6, False)] if args.quick else [(6, False), (30, True)]
-    some = CASES[:1] if args.quick else CASES
-    todo = [(c, k, prior) for c in some for k, prior in variants]
+    todo = [(c, k, prior) for c in (CASES[:1] if args.quick else CASES) for k, prior in variants]
     by_alternation = [compare_with_alternation(*t, repeats) for t in common.show_progress(todo, 'alternation')]
-    print_alternation(by_alternation)
-    by_size = measure_sizes(args.quick)
-    for name, records in by_size.items():
-        print(f'\n## Time against {name}\n')
-        print(
-            common.format_table(
-                list(records[0]),
-                [[f'{v:.1f}' if isinstance(v, float) else v for v in r.values()] for r in records],
-            )
-        )
-    by_memory = measure_memory(args.quick)
-    print('\n## Peak memory\n')
-    print(common.format_table(['solver', 'MiB'], [[n, f'{m:.1f}'] for n, m in by_memory]))
-    print_targets(one[TARGET_COMPONENTS], by_scipy)
-    common.write_json(
-        args.json,
-        {
-            'machine': machine,
-            'reference_s': reference,
-            'one_start_120_frames_ms': {f'K = {k}': ms for k, ms in one.items()},
-            'scipy': by_scipy,
-            'alternation': by_alternation,
-            'sizes': by_size,
-            'memory_mib': dict(by_memory),
-        },
-    )
+    show_alternation(report, by_alternation)
+    show_targets(report, one[TARGET_COMPONENTS], by_scipy)
+    times_ms = {f'K = {k}': ms for k, ms in one.items()}
+    report.add(reference_s=reference, one_start_120_frames_ms=times_ms, scipy=by_scipy, alternation=by_alternation)
+
+
+def main() -> None:
+    run(__doc__, 'Solvers', measure)
 
 
 if __name__ == '__main__':

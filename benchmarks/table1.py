@@ -26,6 +26,7 @@ from experiments.accuracy import BETAS, PAPER_ERRORS_CM, TABLE_1_TRIALS, solve_w
 from experiments.cameras import CAMERAS
 from experiments.report import make_panels
 from numpy.typing import NDArray
+from report import Report, run
 from rivals import bregler, gotardo, ramakrishna, zhou
 from rivals.factorisation import reflect_in_depth
 from scipy.cluster.vq import kmeans2
@@ -129,6 +130,9 @@ class Result:
     residual_mm: float
     ms_per_frame: float
     poses: Sequence[Array]
+
+
+Results = dict[str, dict[str, dict[str, Result]]]  # by method, camera and motion
 
 
 def list_methods(quick: bool) -> list[Method]:
@@ -324,7 +328,7 @@ def choose_examples(categories: str, trial: str, size: int) -> Array:
     return np.asarray(centres.reshape(size, -1, 3))
 
 
-def measure(method: Method, case: Case) -> Result:
+def measure_method(method: Method, case: Case) -> Result:
     """Choose the setting of a method on the views of `CHOICE_HEADINGS`, and measure it on all views."""
     chosen = next(iter(method.settings))
     if len(method.settings) > 1:
@@ -369,31 +373,32 @@ def format_cell(result: Result | None) -> str | None:
 
 def measure_errors(
     methods: Sequence[Method], cameras: Sequence[str], categories: Sequence[str], headings: Sequence[float]
-) -> dict[str, dict[str, dict[str, Result]]]:
+) -> Results:
     """Return the results by method, camera and motion."""
-    found: dict[str, dict[str, dict[str, Result]]] = {m.name: {c: {} for c in cameras} for m in methods}
+    found: Results = {m.name: {c: {} for c in cameras} for m in methods}
     cases = [make_case(category, camera, headings) for camera, category in product(cameras, categories)]
     for case in common.show_progress(cases, 'table 1'):
         for method in methods:
             if case.category in method.categories:
-                found[method.name][case.camera][case.category] = measure(method, case)
+                found[method.name][case.camera][case.category] = measure_method(method, case)
     return found
 
 
-def measure_orbits(methods: Sequence[Method], speeds: Sequence[float]) -> tuple[str, dict[str, dict[str, float]]]:
-    """Measure a walk seen by a camera that orbits faster and faster; return the table and the MPJPE in mm."""
+def show_orbits(report: Report, methods: Sequence[Method], speeds: Sequence[float]) -> None:
+    """Measure a walk seen by a camera that orbits faster and faster: MPJPE in mm."""
     trial = TABLE_1_TRIALS['walk']
     errors: dict[str, dict[str, float]] = {m.name: {} for m in methods}
     for speed in speeds:
         case = Case('walk', trial, f'{speed:g}', common.make_views(trial, CHOICE_HEADINGS, orbit=speed))
         for method in methods:
-            errors[method.name][case.camera] = measure(method, case).mpjpe_mm
+            errors[method.name][case.camera] = measure_method(method, case).mpjpe_mm
     rows = [[name, *(f'{e:.0f}' for e in by_speed.values())] for name, by_speed in errors.items()]
-    return common.format_table(['MPJPE, mm, at degrees/s', *(f'{s:g}' for s in speeds)], rows), errors
+    report.table(['MPJPE, mm, at degrees/s', *(f'{s:g}' for s in speeds)], rows, page='rivals.orbits')
+    report.add(orbits=errors)
 
 
-def tabulate_errors(methods: Sequence[Method], found: dict[str, dict[str, dict[str, Result]]]) -> str:
-    """Write the table of all methods, cameras and motions."""
+def show_errors(report: Report, methods: Sequence[Method], found: Results) -> None:
+    """Show the table of all methods, cameras and motions."""
     cameras = list(next(iter(found.values())))
     categories = list(found[methods[0].name][cameras[0]])
     header = ['method', *(f'{camera.split()[0]}: {c}' for camera in cameras for c in categories)]
@@ -411,11 +416,11 @@ def tabulate_errors(methods: Sequence[Method], found: dict[str, dict[str, dict[s
                 *(f'{printed[c]:.2f}' if printed.get(c) else None for c in categories),
             ]
         )
-    return common.format_table(header, rows)
+    report.table(header, rows, page='rivals.errors')
 
 
-def tabulate_settings(methods: Sequence[Method], found: dict[str, dict[str, dict[str, Result]]]) -> str:
-    """Write the table of the grids and of the settings that were best."""
+def show_settings(report: Report, methods: Sequence[Method], found: Results) -> None:
+    """Show the table of the grids and of the settings that were best."""
     rows = []
     for method in methods:
         if len(method.settings) > 1:
@@ -423,18 +428,18 @@ def tabulate_settings(methods: Sequence[Method], found: dict[str, dict[str, dict
             names = sorted(set(best), key=lambda s: (-best.count(s), s))
             shown = '; '.join(f'{n} ({best.count(n)})' for n in names[:3])
             rows.append([method.name, len(method.settings), shown + ('; ...' if len(names) > 3 else '')])
-    return common.format_table(['method', 'settings', 'best in so many of the cases'], rows)
+    report.table(['method', 'settings', 'best in so many of the cases'], rows, page='rivals.settings')
 
 
-def measure_side_view(methods: Sequence[Method], *, draw: Path | None) -> str:
-    """Measure a walk that passes by a fixed camera, draw it, and write the table."""
+def show_side_view(report: Report, methods: Sequence[Method], *, draw: Path | None) -> None:
+    """Measure a walk that passes by a fixed camera, and draw it."""
     case = make_case('walk', 'fixed', SIDE_HEADINGS)
-    found = {m.name: measure(m, case) for m in methods}
+    found = {m.name: measure_method(m, case) for m in methods}
     if draw is not None:
         draw.parent.mkdir(parents=True, exist_ok=True)
         draw_side_view(case, found, draw)
     rows = [[n, f'{r.residual_mm:.1f}', f'{r.mpjpe_mm:.0f}', f'{r.e_cm:.2f}'] for n, r in found.items()]
-    return common.format_table(['method', 'image error, mm', 'MPJPE, mm', 'e, cm'], rows)
+    report.table(['method', 'image error, mm', 'MPJPE, mm', 'e, cm'], rows, page='rivals.side_view')
 
 
 def draw_side_view(case: Case, found: Mapping[str, Result], path: Path) -> None:
@@ -466,40 +471,33 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def main() -> None:
-    args = common.parse_arguments(__doc__ or '', add_options, one_core=False)
+def measure(args: argparse.Namespace, report: Report) -> None:
     methods = list_methods(args.quick)
     headings = common.HEADINGS_DEG[1:2] if args.quick else common.HEADINGS_DEG
     categories = list(TABLE_1_TRIALS)[: 1 if args.quick else 3]
-    machine = common.describe_machine()
     found = measure_errors(methods, list(CAMERAS)[:3], categories, headings)
+    report.add(
+        **{
+            name: {camera: {c: to_record(r) for c, r in by.items()} for camera, by in by_camera.items()}
+            for name, by_camera in found.items()
+        }
+    )
+    show_errors(report, methods, found)
+    show_settings(report, methods, found)
+    show_side_view(report, methods, draw=None if args.quick else args.picture)
+    if not args.quick and args.picture == common.ROOT / PICTURE:
+        report.pictures.append(PICTURE)
     speeds = ORBITS_DEG_S[:3:2] if args.quick else ORBITS_DEG_S
-    by_orbit, orbits = measure_orbits([methods[0], *list_factorisations(args.quick)], speeds)
-    tables = {
-        'rivals.errors': tabulate_errors(methods, found),
-        'rivals.settings': tabulate_settings(methods, found),
-        'rivals.side_view': measure_side_view(methods, draw=None if args.quick else args.picture),
-        'rivals.orbits': by_orbit,
-    }
-    print(machine, *tables.values(), sep='\n\n')
-    results: dict[str, Any] = {
-        name: {camera: {c: _to_record(r) for c, r in by.items()} for camera, by in by_camera.items()}
-        for name, by_camera in found.items()
-    }
-    results['orbits'] = orbits
-    pictures = [] if args.quick or args.picture != common.ROOT / PICTURE else [PICTURE]
-    record = {'machine': machine, 'pictures': pictures, 'tables': tables, 'results': results}
-    common.write_json(args.json, record)
+    show_orbits(report, [methods[0], *list_factorisations(args.quick)], speeds)
 
 
-def _to_record(result: Result) -> dict[str, float | str]:
-    return {
-        'setting': result.setting,
-        'e_paper_cm': result.e_cm,
-        'mpjpe_mm': result.mpjpe_mm,
-        'residual_mm': result.residual_mm,
-        'ms_per_frame': result.ms_per_frame,
-    }
+def to_record(result: Result) -> dict[str, object]:
+    record = {'setting': result.setting, 'e_paper_cm': result.e_cm}
+    return record | {key: getattr(result, key) for key in ('mpjpe_mm', 'residual_mm', 'ms_per_frame')}
+
+
+def main() -> None:
+    run(__doc__, 'Other methods on the same views', measure, add_options, one_core=False)
 
 
 if __name__ == '__main__':

@@ -12,21 +12,23 @@ import common
 # isort: split
 import argparse
 import resource
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from reconstruction import list_people, reconstruct_whole, track
+from report import Record, Report, add_sections, group, run
 
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import FrameDropped
 from mocap_ros.keypoints.left_right import PARTS, BodySides, exchange_sides
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.people import MotionKind
 from mocap_ros.skeleton import CMU15, estimate_stature
 from mocap_ros.tracking.tracker import Tracker
@@ -58,46 +60,6 @@ RELIABILITY_TRIALS = ('35_20', '35_23', 'UW_22', '13_19x', 'UT_01', 'UWW_01', '1
 HIDDEN_LIMBS = ((), ('lelbow', 'lwrist'), ('rknee', 'rankle'))
 NOISES = (0.0, 0.01, 0.02)  # option `noise` of the protocol
 mpl.use('Agg')
-PICTURES = common.ROOT / 'docs' / 'img' / 'tracker'
-
-
-@dataclass(frozen=True, eq=False)
-class TrackedSequence:
-    """The output of the tracker for a sequence of one person; NaN in frames without output."""
-
-    joints: Array
-    std: Array
-    inferred: NDArray[np.bool_]
-    kinds: list[MotionKind]
-    tracker: Tracker
-
-
-def make_people(views: Sequence[common.View], frame: int) -> list[Person2D]:
-    return [
-        Person2D(f'p{i}', CMU15.joints, k[:, :2].astype(float), k[:, 2].astype(float))
-        for i, k in enumerate(v.sequence['keypoints'][frame] for v in views)
-    ]
-
-
-def track(view: common.View, models: Mapping[str, BasePoses], config: Config) -> TrackedSequence:
-    tracker, camera = Tracker(models, config), view.intrinsics
-    stamps = [round(t * NS_PER_S) + 1 for t in view.sequence['timestamps']]
-    joints = np.full(view.truth.shape, np.nan)
-    std, inferred = np.full(joints.shape[:2], np.nan), np.zeros(joints.shape[:2], bool)
-    kinds = []
-    for frame, stamp in enumerate(stamps):
-        people = tracker.update(stamp, make_people([view], frame), camera)
-        kinds.append(people[0].motion.kind if people else MotionKind.UNKNOWN)
-        if people:
-            at = stamps.index(tracker.output_stamp_ns)
-            joints[at], std[at], inferred[at] = people[0].joints, people[0].std, people[0].inferred
-    return TrackedSequence(joints, std, inferred, kinds, tracker)
-
-
-def reconstruct_whole(view: common.View, models: Mapping[str, BasePoses], config: Config) -> Array:
-    keypoints = view.sequence['keypoints'].astype(float)
-    times = view.sequence['timestamps']
-    return reconstruct_sequence(keypoints, CMU15.joints, times, view.intrinsics, models, config).joints
 
 
 def train_models(categories: Iterable[str] = (*CATEGORIES, '')) -> dict[str, BasePoses]:
@@ -116,24 +78,16 @@ def list_priors() -> dict[str, str]:
 def measure_lags(quick: bool) -> list[dict[str, Any]]:
     """Measure the MPJPE of the tracker and of the whole-sequence solver, with the category unknown and known."""
     rows = []
-    headings = (45,) if quick else common.HEADINGS_DEG
+    trials, headings = (UNSEEN_TRIALS[::2], (45,)) if quick else (UNSEEN_TRIALS, common.HEADINGS_DEG)
     auto = train_models()
     for prior, value in list_priors().items():
-        for trial, category in common.show_progress(
-            UNSEEN_TRIALS[::2] if quick else UNSEEN_TRIALS, f'lag, {prior}'
-        ):
-            views, known, config = (
-                common.make_views(trial, headings),
-                train_models((category,)),
-                make_tracker_config(value),
-            )
+        for trial, category in common.show_progress(trials, f'lag, {prior}'):
+            views, known = common.make_views(trial, headings), train_models((category,))
+            config = make_tracker_config(value)
             late = [slice(min(v.frames // 2, 30), None) for v in views]
             offline = [reconstruct_whole(v, auto, config) for v in views]
-            record: dict[str, Any] = {
-                'trial': f'{trial} {category}',
-                'prior': prior,
-                'whole': mean_error(views, offline),
-            }
+            record: dict[str, Any] = {'trial': f'{trial} {category}', 'prior': prior}
+            record['whole'] = mean_error(views, offline)
             for lag in (0.0, 0.1, 0.5) if prior == 'learned' and not quick else (0.0,):
                 found = [track(v, auto, make_tracker_config(value, tracker__lag=lag)).joints for v in views]
                 record[f'lag {lag:g} s'] = mean_error(views, found)
@@ -141,13 +95,21 @@ def measure_lags(quick: bool) -> list[dict[str, Any]]:
                     record['whole, after 1 s'] = mean_error(views, offline, late)
                     record['lag 0 s, after 1 s'] = mean_error(views, found, late)
             if not quick:
-                record['whole, category known'] = mean_error(
-                    views, [reconstruct_whole(v, known, config) for v in views]
-                )
+                whole = [reconstruct_whole(v, known, config) for v in views]
+                record['whole, category known'] = mean_error(views, whole)
                 live = [track(v, known, config).joints for v in views]
                 record['lag 0 s, category known'] = mean_error(views, live)
             rows.append(record)
     return rows
+
+
+def report_lags(report: Report, quick: bool) -> None:
+    rows = measure_lags(quick)
+    report.rows('MPJPE of the tracker and of the whole-sequence solver, mm', rows, page='tracker.lags')
+    ratios = {p: {c or 'all': compute_ratio(rows, p, c) for c in ('', *CATEGORIES)} for p in list_priors()}
+    named = [{'prior': p, **r} for p, r in ratios.items()]
+    report.rows('Error at lag 0 / error of the whole-sequence solver', named, page='tracker.ratios')
+    report.add(lag=rows, ratios=ratios, windowed_over_whole=ratios['learned']['all'])
 
 
 def compute_ratio(rows: Sequence[Mapping[str, Any]], prior: str, category: str = '') -> float:
@@ -174,13 +136,12 @@ def compute_error(view: common.View, joints: Array, frames: slice = slice(None),
     return float(common.compute_errors(part, joints[frames], CMU15.joints)[key])
 
 
-def measure_perspective(quick: bool) -> list[dict[str, Any]]:
+def report_perspective(report: Report, quick: bool) -> None:
     """Measure the MPJPE of whole sequences near the camera with weak and with true perspective, same subject."""
     rows = []
     headings = (45, 180) if quick else common.HEADINGS_DEG
-    cases: list[dict[str, Any]] = [{}, {'distance': 2.0}, {'distance': 3.0}, {'distance': 5.0}]
-    cases.append({'distance': 3.0, 'offset': (0.8, 0.0)})
-    cases = cases[:3:2] if quick else cases
+    cases: list[dict[str, Any]] = [{}, *({'distance': d} for d in (2.0, 3.0, 5.0))]
+    cases = cases[:3:2] if quick else [*cases, {'distance': 3.0, 'offset': (0.8, 0.0)}]
     for trial, category in SAME_SUBJECT_TRIALS[:1] if quick else SAME_SUBJECT_TRIALS:
         model = common.train_base_poses(category, only_subjects=(trial[:2],), without_trials=(trial,))
         for options in common.show_progress(cases, 'perspective'):
@@ -189,37 +150,39 @@ def measure_perspective(quick: bool) -> list[dict[str, Any]]:
             for prior, value in list_priors().items():
                 for label, on in (('weak', False), ('perspective', True)):
                     config = make_tracker_config(value, tracker__perspective=on)
-                    record[f'{prior}, {label}'] = mean_error(
-                        views, [reconstruct_whole(v, {'m': model}, config) for v in views]
-                    )
+                    found = [reconstruct_whole(v, {'m': model}, config) for v in views]
+                    record[f'{prior}, {label}'] = mean_error(views, found)
             rows.append(record)
-    return rows
+    report.rows('Perspective: whole sequence, same subject, MPJPE, mm', rows, page='tracker.perspective')
+    report.add(perspective=rows)
 
 
-def measure_metric(quick: bool) -> list[dict[str, Any]]:
+def report_metric(report: Report, quick: bool) -> None:
     """Measure metric errors at 3 m with the true body height given, of whole sequences and of the tracker."""
     rows = []
     for trial, category in SAME_SUBJECT_TRIALS[:1] if quick else SAME_SUBJECT_TRIALS:
         truth = estimate_stature(common.load_capture()[0][trial] / 1e3, CMU15)
         views = common.make_views(trial, (45,) if quick else common.HEADINGS_DEG, distance=3.0)
+        given = (
+            {'unknown': train_models()}
+            if quick
+            else {'unknown': train_models(), 'known': train_models((category,))}
+        )
         for prior, value in list_priors().items():
             config = make_tracker_config(value, tracker__body_height=truth)
-            for label, models in (('unknown', train_models()), ('known', train_models((category,))))[
-                : 1 if quick else 2
-            ]:
-                for way, answers in (
-                    ('whole', [reconstruct_whole(v, models, config) for v in views]),
-                    ('lag 0', [track(v, models, config).joints for v in views]),
-                ):
-                    row: dict[str, Any] = {'case': f'{trial}, {way}', 'prior': prior, 'category': label}
-                    for key in ('metric_mpjpe_mm', 'root_mm'):
-                        row[key] = mean_error(views, answers, key=key)
-                    rows.append(row)
-    return rows
+            for label, models in given.items():
+                ways = {'whole': [reconstruct_whole(v, models, config) for v in views]}
+                ways['lag 0'] = [track(v, models, config).joints for v in views]
+                for way, answers in ways.items():
+                    row = {'case': f'{trial}, {way}', 'prior': prior, 'category': label}
+                    errors = {k: mean_error(views, answers, key=k) for k in ('metric_mpjpe_mm', 'root_mm')}
+                    rows.append({**row, **errors})
+    report.rows('Metric errors at 3 m, body height given, subject left out', rows, page='tracker.metric')
+    report.add(metric=rows)
 
 
-def measure_swaps(quick: bool) -> list[dict[str, Any]]:
-    """Swap left and right in 10 % of the frames, in bursts; return the shares undone by the part that is swapped.
+def report_swaps(report: Report, quick: bool) -> None:
+    """Swap left and right in 10 % of the frames, in bursts, and measure the shares that are undone.
 
     A frame is undone if just the swapped parts are exchanged, and false if another part is.
     """
@@ -238,18 +201,16 @@ def measure_swaps(quick: bool) -> list[dict[str, Any]]:
                 swapped = exchange_sides(given[..., :2].astype(float), given[..., 2].astype(float), true, sides)
                 keypoints = np.concatenate([swapped[0], swapped[1][..., None]], axis=-1)
                 disturbed = common.View({**view.sequence, 'keypoints': keypoints})
-                tracker = Tracker(models, config)
-                for frame in range(view.frames):
-                    tracker.update(
-                        round(frame / 30 * NS_PER_S) + 1, make_people([disturbed], frame), view.intrinsics
-                    )
-                    found = tracker.snapshot().tracks[0].seen.swap_filter.is_swapped[-1]
+                for frame, window in enumerate(track(disturbed, models, config).newest):
+                    assert window is not None
+                    found = window.swap_filter.is_swapped[-1]
                     undone += bool(true[frame].any()) and bool((found == true[frame]).all())
                     false += bool((found & ~true[frame]).any())
                 swapped_frames += int(true.any(axis=1).sum())
                 frames += view.frames
         rows.append({'swapped': name, 'undone': undone / max(swapped_frames, 1), 'false': false / max(frames, 1)})
-    return rows
+    report.rows('Left and right swapped by the detector', rows, page='tracker.swaps')
+    report.add(swaps=rows)
 
 
 def draw_bursts(frames: int, share: float, longest: int, rng: np.random.Generator) -> NDArray[np.bool_]:
@@ -273,75 +234,66 @@ def measure_reliability(quick: bool, prior: str, headings: Sequence[float]) -> d
     trials = RELIABILITY_TRIALS[::4] if quick else RELIABILITY_TRIALS
     noises = NOISES[::2] if quick else NOISES
     models, config = train_models(), make_tracker_config(prior)
-    pairs: dict[str, list[Array]] = {'seen': [], 'hidden': []}
-    by_trial: dict[str, list[Array]] = {}
-    by_noise: dict[str, list[Array]] = {}
+    records: list[dict[str, Any]] = []
     for number, trial in enumerate(common.show_progress(trials, 'reliability')):
         for noise in noises:
             for view in common.make_views(trial, [h + 37 * number for h in headings], frames=100, noise=noise):
                 for limb in HIDDEN_LIMBS:
-                    run = track(view.hide_joints(limb), models, config)
-                    pose, truth = (p - p.mean(axis=1, keepdims=True) for p in (run.joints, view.truth))
-                    pose = pose * (pose * truth).sum() / (pose * pose).sum()
+                    found = track(view.hide_joints(limb), models, config)
+                    pose, truth = common.align_scale(found.joints, view.truth)
                     wrong = np.linalg.norm(pose - truth, axis=-1)
-                    for label, chosen in (('seen', ~run.inferred), ('hidden', run.inferred)):
+                    for label, chosen in (('seen', ~found.inferred), ('hidden', found.inferred)):
                         late = chosen & (np.arange(view.frames) >= 15)[:, None]
-                        pair = np.stack([run.std[late], wrong[late]])
-                        pairs[label].append(pair)
-                        by_trial.setdefault(f'{trial}, {label}', []).append(pair)
-                        by_noise.setdefault(f'noise {noise:g}, {label}', []).append(pair)
+                        pair = np.stack([found.std[late], wrong[late]])
+                        records.append(
+                            {'joints': label, 'trial': trial, 'noise': f'noise {noise:g}', 'pair': pair}
+                        )
     out: dict[str, Any] = {}
-    for label, parts in pairs.items():
-        std, wrong = np.concatenate(parts, axis=1)
+    for (label,), mine in group(records, 'joints').items():
+        std, wrong = np.concatenate([r['pair'] for r in mine], axis=1)
         groups = np.array_split(np.argsort(std), 8)
         out[label] = {
-            'within': compute_share_within(parts),
+            'within': compute_share_within(mine),
             'std mm': [float(std[g].mean() * 1e3) for g in groups],
             'two thirds within mm': [float(np.quantile(wrong[g], 2 / 3) * 1e3) for g in groups],
-            'trials': {
-                k.partition(',')[0]: compute_share_within(p) for k, p in by_trial.items() if k.endswith(label)
-            },
-            'noises': {
-                k.partition(',')[0]: compute_share_within(p) for k, p in by_noise.items() if k.endswith(label)
-            },
+            'trials': {k: compute_share_within(r) for (k,), r in group(mine, 'trial').items()},
+            'noises': {k: compute_share_within(r) for (k,), r in group(mine, 'noise').items()},
         }
     return out
 
 
-def compute_share_within(pairs: Sequence[Array]) -> float:
-    std, wrong = np.concatenate(pairs, axis=1)
+def compute_share_within(records: Sequence[Record]) -> float:
+    std, wrong = np.concatenate([r['pair'] for r in records], axis=1)
     return float((wrong <= std).mean())
 
 
-def draw_reliability(found: Mapping[str, Any]) -> None:
+def draw_reliability(found: Mapping[str, Any]) -> Figure:
     figure, axes = plt.subplots(figsize=(4.5, 4), layout='constrained')
     for label, marker in (('seen', 'o'), ('hidden', 's')):
-        axes.plot(
-            found[label]['std mm'], found[label]['two thirds within mm'], marker=marker, label=f'{label} joints'
-        )
+        x, y = found[label]['std mm'], found[label]['two thirds within mm']
+        axes.plot(x, y, marker=marker, label=f'{label} joints')
     most = max(max(found[k]['two thirds within mm']) for k in found) * 1.05
     axes.plot([0, most], [0, most], color='0.6', linewidth=1, label='as predicted')
     axes.set(xlabel='predicted standard deviation, mm', ylabel='two thirds of the true errors are below, mm')
     axes.legend(frameon=False)
-    PICTURES.mkdir(parents=True, exist_ok=True)
-    figure.savefig(PICTURES / 'reliability.png', dpi=110)
+    return figure
 
 
-def measure_endurance(quick: bool) -> dict[str, float]:
+def report_endurance(report: Report, quick: bool) -> None:
     """Track people who come and go, with gaps, swaps, senseless points, and stamps that repeat and jump.
 
-    Returns:
-        The counts of people by outcome, and the memory early and at the end.
+    Counted are people by outcome, and the memory early and at the end.
     """
     minutes = 0.1 if quick else 30.0
     rng = np.random.default_rng(0)
     views = common.make_views('16_32', (0, 60, 120, 200), frames=120)
+    tracks = [list_people(v, f'p{i}') for i, v in enumerate(views)]
     tracker = Tracker(train_models(), Config())
     camera = views[0].intrinsics
     exceptions, given, answered, dropped, peaks, start_ns = 0, 0, 0, 0, [], 0
     frames = int(minutes * 60 * 30)
     for frame in common.show_progress(range(frames), 'endurance'):
-        people = [p for i, p in enumerate(make_people(views, frame % 120)) if (frame // (40 + 17 * i)) % 3]
+        people = [t[frame % 120] for i, t in enumerate(tracks) if (frame // (40 + 17 * i)) % 3]
         if rng.random() < 0.1:
             people = [replace(p, points=p.points[list(CMU15.mirror)]) for p in people]
         if rng.random() < 0.05:
@@ -360,7 +312,7 @@ def measure_endurance(quick: bool) -> dict[str, float]:
                 exceptions += 1
         if frame % max(frames // 8, 1) == 0:
             peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-    return {
+    lasting = {
         'frames': frames,
         'people given': given,
         'answered': answered,
@@ -371,115 +323,64 @@ def measure_endurance(quick: bool) -> dict[str, float]:
         'MB after 1/8': peaks[1],
         'MB at the end': peaks[-1],
     }
+    report.rows('Endurance', [lasting], page='tracker.endurance')
+    report.add(endurance=lasting)
 
 
-def measure_switching() -> dict[str, Any]:
+def report_switching(report: Report, _quick: bool) -> None:
     """Track a walk, a jump and a walk in sequence, and measure when the live classification changes."""
     motion, _ = common.load_capture()
     parts = [motion['35_29'][:120], motion['UJ_01'][:150], motion['35_29'][:120]]
     parts = [p - p.mean(axis=(0, 1)) for p in parts]
     (view,) = common.make_views(np.concatenate(parts), (60,), frames=390)
-    run = track(view, train_models(), make_tracker_config(list_priors()['learned']))
-    periodic = np.array([k is MotionKind.PERIODIC for k in run.kinds])
+    found = track(view, train_models(), make_tracker_config(list_priors()['learned']))
+    periodic = np.array([k is MotionKind.PERIODIC for k in found.kinds])
     seams = np.cumsum([len(p) for p in parts])[:-1]
-    return {
+    live = {
         'changes': int(np.abs(np.diff(periodic.astype(int))).sum()),
         'not periodic after s': float(np.argmin(periodic[seams[0] :]) / 30),
         'periodic again after s': float(np.argmax(periodic[seams[1] :]) / 30),
     }
+    report.rows('Live classification of a walk, a jump and a walk', [live], page='tracker.switching')
+    report.add(switching=live)
 
 
-def show(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    print(f'\n## {title}\n')
-    header = list(dict.fromkeys(k for r in rows for k in r))
-    cells = ([r.get(k) for k in header] for r in rows)
-    print(common.format_table(header, cells), flush=True)
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('--only', nargs='+', choices=SECTIONS, default=SECTIONS, help='run only these sections')
-
-
-SECTIONS = ('lags', 'perspective', 'metric', 'swaps', 'reliability', 'endurance', 'switching')
-NEED_NO_LIFTER = ('endurance',)
-
-
-def main() -> None:
-    args = common.parse_arguments(__doc__, add_options)
-    common.choose_capture('motion')
-    machine = common.describe_machine()
-    print(f'# Tracker\n\n{machine}')
-    record: dict[str, Any] = {'machine': machine}
-    wanted = tuple(args.only)
-    if not common.HELD_OUT_LIFTER.is_file() and not set(wanted) <= set(NEED_NO_LIFTER):
-        if args.quick:
-            missing = [s for s in wanted if s not in NEED_NO_LIFTER]
-            print(
-                f'\nskipped: {", ".join(missing)}, which need {common.HELD_OUT_LIFTER}; '
-                'run without --quick to train it'
-            )
-            wanted = tuple(s for s in wanted if s in NEED_NO_LIFTER)
-        else:
-            common.provide_held_out_lifter()
-    for section in wanted:
-        record |= run_section(section, args.quick)
-    common.write_json(args.json, record)
-
-
-def run_section(section: str, quick: bool) -> dict[str, Any]:
-    """Run a section, print its tables, and return its part of the results."""
-    match section:
-        case 'lags':
-            rows = measure_lags(quick)
-            show('MPJPE of the tracker and of the whole-sequence solver, mm', rows)
-            ratios = {p: {c or 'all': compute_ratio(rows, p, c) for c in ('', *CATEGORIES)} for p in list_priors()}
-            show(
-                'Error at lag 0 / error of the whole-sequence solver',
-                [{'prior': p, **r} for p, r in ratios.items()],
-            )
-            return {'lag': rows, 'ratios': ratios, 'windowed_over_whole': ratios['learned']['all']}
-        case 'perspective':
-            rows = measure_perspective(quick)
-            show('Perspective: whole sequence, same subject, MPJPE, mm', rows)
-            return {'perspective': rows}
-        case 'metric':
-            rows = measure_metric(quick)
-            show('Metric errors at 3 m, body height given, subject left out', rows)
-            return {'metric': rows}
-        case 'swaps':
-            swaps = measure_swaps(quick)
-            show('Left and right swapped by the detector', swaps)
-            return {'swaps': swaps}
-        case 'reliability':
-            found = {
-                'learned': measure_reliability(quick, list_priors()['learned'], (20,) if quick else (20, 200))
-            }
-            if not quick:
-                found['pca'] = measure_reliability(quick, 'pca', (20,))
-            show_reliability(found)
-            if not quick:
-                draw_reliability(found['learned'])
-            return {'reliability': found}
-        case 'endurance':
-            lasting = measure_endurance(quick)
-            show('Endurance', [lasting])
-            return {'endurance': lasting}
-        case _:
-            live = measure_switching()
-            show('Live classification of a walk, a jump and a walk', [live])
-            return {'switching': live}
-
-
-def show_reliability(found: Mapping[str, Any]) -> None:
+def report_reliability(report: Report, quick: bool) -> None:
+    found = {'learned': measure_reliability(quick, list_priors()['learned'], (20,) if quick else (20, 200))}
+    if not quick:
+        found['pca'] = measure_reliability(quick, 'pca', (20,))
+        report.picture(draw_reliability(found['learned']), 'docs/img/tracker/reliability.png')
     each = [(p, label, found[p][label]) for p in found for label in ('seen', 'hidden')]
     rows = [{'prior': p, 'joints': j, 'within': f['within'], **f['noises'], **f['trials']} for p, j, f in each]
-    show('Share of the errors within the predicted standard deviation', rows)
+    report.rows('Share of the errors within the predicted standard deviation', rows, page='tracker.reliability')
     bins = [
         [p, j, *(f'{a:.0f} / {b:.0f}' for a, b in zip(f['std mm'], f['two thirds within mm'], strict=True))]
         for p, j, f in each
     ]
-    print('\nIn eight groups by size: predicted standard deviation / two thirds of the errors are below, mm\n')
-    print(common.format_table(['prior', 'joints', *(f'{i + 1}' for i in range(8))], bins), flush=True)
+    report.text('In eight groups by size: predicted standard deviation / two thirds of the errors are below, mm')
+    report.table(['prior', 'joints', *(f'{i + 1}' for i in range(8))], bins)
+    report.add(reliability=found)
+
+
+SECTIONS: Mapping[str, Callable[[Report, bool], None]] = {
+    'lags': report_lags,
+    'perspective': report_perspective,
+    'metric': report_metric,
+    'swaps': report_swaps,
+    'reliability': report_reliability,
+    'endurance': report_endurance,
+    'switching': report_switching,
+}
+
+
+def measure(args: argparse.Namespace, report: Report) -> None:
+    common.choose_capture('motion')
+    for section in report.choose(args, SECTIONS, needing_lifter=set(SECTIONS) - {'endurance'}):
+        SECTIONS[section](report, args.quick)
+
+
+def main() -> None:
+    run(__doc__, 'Tracker', measure, add_sections(SECTIONS))
 
 
 if __name__ == '__main__':

@@ -16,30 +16,28 @@ import common
 # isort: split
 import argparse
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from common import View
-from experiments.detector_views import CLEAN, DETECTORS, HEADING_STEP_DEG, choose_trials, load_motion
+from experiments.detector_views import CLEAN, DETECTORS, HEADING_STEP_DEG, choose_trials, load_middle, load_motion
 from numpy.typing import NDArray
+from reconstruction import WAYS, Models, provide_held_out, reconstruct_whole, track_people
+from report import Records, Report, group, run
 
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import Config, with_values
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import centre_poses
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
+from mocap_ros.models.base_poses import ALL_MOTIONS
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking.tracker import Tracker
-from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
-WAYS = ('whole', 'live')
 CHOICES = ('none', 'auto', 'given')
 ELEVATIONS_DEG = (0.0, 10.0, 20.0, 32.0)  # degrees by which the camera looks down
 PEOPLE = 3  # people before a camera
@@ -55,77 +53,53 @@ class Scene:
 
     Attributes:
         views: view of each person, all of the same camera.
-        truths: (F, 15, 3) m, true joints of each.
         upward: (3,) true direction upwards in the camera's optical frame.
     """
 
     views: tuple[View, ...]
-    truths: tuple[Array, ...]
     upward: Array
-
-
-@dataclass(frozen=True)
-class Record:
-    """Result of one person: errors, and the sums of a straight line through the leans."""
-
-    detector: str
-    elevation: float
-    way: str
-    choice: str
-    trial: str
-    mpjpe_mm: float
-    lean_error_deg: float
-    line: tuple[float, ...]
 
 
 def make_scene(trials: Sequence[str], number: int, elevation: float, detector: str, frames: int) -> Scene:
     """Return some trials before one camera; `number` is that of the first, by which the headings follow."""
-    motion, joints, _ = load_motion()
-    protocol, views, truths = common.load_protocol(), [], []
+    joints, protocol, views = load_motion()[1], common.load_protocol(), []
     for place, trial in enumerate(trials):
-        poses, heading = motion[trial].astype(float), (number + place) * HEADING_STEP_DEG % 360
-        first = max(len(poses) - frames, 0) // 2
+        heading = (number + place) * HEADING_STEP_DEG % 360
         options: dict[str, Any] = {'frames': frames, 'seed': number + place}
         if detector != CLEAN:
             options['detector'] = detector
-        sequence = protocol.make_view(poses[first : first + frames], joints, heading, elevation, **options)
+        sequence = protocol.make_view(load_middle(trial, frames), joints, heading, elevation, **options)
         views.append(View(sequence, heading))
-        names = [str(n) for n in sequence['joints3d_names']]
-        truths.append(views[-1].truth[:, [names.index(n) for n in CMU15.joints]])
     upward = protocol.view(np.array([[0.0, 1.0, 0.0]]), 0.0, elevation)[0]
-    return Scene(tuple(views), tuple(truths), upward)
+    return Scene(tuple(views), upward)
 
 
-def reconstruct(scene: Scene, way: str, models: Mapping[str, BasePoses], config: Config) -> list[Array]:
+def reconstruct(scene: Scene, way: str, models: Models, config: Config) -> list[Array]:
     """Return the poses (F, 15, 3) m of each person."""
     if way == 'live':
         return track(scene, models, config)
-    out = []
-    for view in scene.views:
-        keypoints, times = view.sequence['keypoints'].astype(float), view.sequence['timestamps']
-        out.append(
-            reconstruct_sequence(keypoints, view.joint_names, times, view.intrinsics, models, config).joints
-        )
-    return out
+    return [reconstruct_whole(view, models, config) for view in scene.views]
 
 
-def track(scene: Scene, models: Mapping[str, BasePoses], config: Config) -> list[Array]:
+def track(scene: Scene, models: Models, config: Config) -> list[Array]:
     """Return the poses (F, 15, 3) m of each person as the tracker has them in its newest frame."""
-    tracker, views = Tracker(models, config), scene.views
+    views = scene.views
     width, height = (int(v) for v in views[0].sequence['image_size'])
     camera = Intrinsics.from_image_size(width * len(views), height, common.ORTHOGRAPHIC_FOCAL_LENGTH)
-    found = [np.full(t.shape, np.nan) for t in scene.truths]
-    for frame in range(max(v.frames for v in views)):
-        people = [
+    found = [np.full(v.true_poses.shape, np.nan) for v in views]
+    seen = [
+        [
             Person2D(str(i), v.joint_names, k[:, :2] + [i * width, 0], k[:, 2])
             for i, v in enumerate(views)
-            if frame < v.frames
-            for k in [v.sequence['keypoints'][frame].astype(float)]
+            for k in v.sequence['keypoints'][frame : frame + 1].astype(float)
         ]
-        for person in tracker.update(round(frame * NS_PER_S / common.FPS) + 1, people, camera):
+        for frame in range(max(v.frames for v in views))
+    ]
+    times = np.arange(len(seen)) / common.FPS
+    for frame, (_, people) in enumerate(track_people(seen, times, camera, models, config)):
+        for person in people:
             if frame < len(found[int(person.id)]):
-                found[int(person.id)][frame] = person.joints
-        tracker.run_deferred_work()
+                found[int(person.id)][frame] = person.joints[: len(CMU15.joints)]
     return found
 
 
@@ -137,15 +111,15 @@ def measure_leans(joints: Array, upward: Array) -> Array:
     return np.asarray(np.degrees(np.arctan2(trunk @ along / np.linalg.norm(along), trunk @ upward)))
 
 
-def measure(
-    scene: Scene, trials: Sequence[str], way: str, choice: str, models: Mapping[str, BasePoses], config: Config
+def score(
+    scene: Scene, trials: Sequence[str], way: str, choice: str, models: Models, config: Config
 ) -> Iterator[dict[str, Any]]:
     """Yield the results of each person of a scene."""
     text = ' '.join(map(repr, scene.upward.tolist())) if choice == 'given' else choice
     found = reconstruct(scene, way, models, with_values(config, {'tracker.vertical': text}))
-    for view, truth, joints, trial in zip(scene.views, scene.truths, found, trials, strict=True):
+    for view, joints, trial in zip(scene.views, found, trials, strict=True):
         known = np.isfinite(joints).all(axis=(1, 2))
-        true, own = (measure_leans(centre_poses(p[known]), scene.upward) for p in (truth, joints))
+        true, own = (measure_leans(centre_poses(p[known]), scene.upward) for p in (view.true_poses, joints))
         some, upright = np.abs(true) < MAX_LEAN_DEG, np.abs(true) < UPRIGHT_DEG
         x, y = true[some], own[some]
         yield {
@@ -162,19 +136,17 @@ def fit_slope(lines: Sequence[tuple[float, ...]]) -> float:
     return float((n * xy - x * y) / (n * xx - x * x))
 
 
-def print_results(records: Sequence[Record]) -> None:
+def show_results(report: Report, records: Records) -> None:
     rows = []
-    for detector, way in dict.fromkeys((r.detector, r.way) for r in records):
-        for choice in CHOICES:
-            mine = [r for r in records if (r.detector, r.way, r.choice) == (detector, way, choice)]
-            elevations = dict.fromkeys(r.elevation for r in mine)
-            by_elevation = [np.mean([r.mpjpe_mm for r in mine if r.elevation == e]) for e in elevations]
+    for (detector, way), each in group(records, 'detector', 'way').items():
+        for (choice,), mine in group(each, 'choice').items():
+            by_elevation = [common.mean_error(r) for r in group(mine, 'elevation').values()]
             rows.append(
                 [
-                    *(detector, way, choice, f'{np.mean([r.mpjpe_mm for r in mine]):.1f}'),
+                    *(detector, way, choice, f'{common.mean_error(mine):.1f}'),
                     ' / '.join(f'{e:.1f}' for e in by_elevation),
-                    f'{fit_slope([r.line for r in mine]):.2f}',
-                    f'{np.nanmean([r.lean_error_deg for r in mine]):.1f}',
+                    f'{fit_slope([r["line"] for r in mine]):.2f}',
+                    f'{np.nanmean([r["lean_error_deg"] for r in mine]):.1f}',
                 ]
             )
     header = [
@@ -186,7 +158,7 @@ def print_results(records: Sequence[Record]) -> None:
         'slope of the lean',
         'its error, degrees',
     ]
-    print(common.format_table(header, rows))
+    report.table(header, rows, page='vertical.errors')
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -198,14 +170,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--frames', type=int, default=300, metavar='N', help='of a trial, at 30 Hz')
 
 
-def main() -> None:
-    args = common.parse_arguments(__doc__ or '', add_options, one_core=False)
+def measure(args: argparse.Namespace, report: Report) -> None:
     common.choose_capture('motion')
     compile_kernels()
-    config, models = Config(), load_base_pose_models(ALL_MOTIONS)
     if args.persons == 'held-out':
-        models = {ALL_MOTIONS: common.train_base_poses(without_subjects=common.HELD_OUT_SUBJECTS)}
-        config = with_values(config, {'solver.prior': str(common.provide_held_out_lifter())})
+        models, config = provide_held_out()
+    else:
+        models, config = load_base_pose_models(ALL_MOTIONS), Config()
     trials = choose_trials(args.persons, args.trials, MIN_FRAMES)
     elevations, frames = args.elevations, args.frames
     if args.quick:
@@ -213,14 +184,18 @@ def main() -> None:
     groups = [trials[i : i + PEOPLE] for i in range(0, len(trials), PEOPLE)]
     work = [(d, e, n, g) for d in args.detectors for e in elevations for n, g in enumerate(groups)]
     records = []
-    for detector, elevation, number, group in common.show_progress(work, 'scenes'):
-        scene = make_scene(group, number * PEOPLE, elevation, detector, frames)
+    for detector, elevation, number, chosen in common.show_progress(work, 'scenes'):
+        scene = make_scene(chosen, number * PEOPLE, elevation, detector, frames)
         for way in args.ways:
             for choice in CHOICES:
-                found = measure(scene, group, way, choice, models, config)
-                records += [Record(detector, elevation, way, choice, **result) for result in found]
-    print_results(records)
-    common.write_json(args.json, [asdict(r) for r in records])
+                about = {'detector': detector, 'elevation': elevation, 'way': way, 'choice': choice}
+                records += [{**about, **r} for r in score(scene, chosen, way, choice, models, config)]
+    show_results(report, records)
+    report.add(records=records)
+
+
+def main() -> None:
+    run(__doc__, 'The vertical of the camera', measure, add_options, one_core=False)
 
 
 if __name__ == '__main__':

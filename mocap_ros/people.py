@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import CMU15, CORE_COUNT, Skeleton
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ class Person3D:
 
     Attributes:
         id: name of the person, the same in all frames.
-        joints: (J, 3) m, joint positions in the camera's optical frame, in the order of `skeleton.CMU15`.
+        joints: (J, 3) m, joint positions in the camera's optical frame, in the order of `skeleton`.
         std: (J,) m, standard deviation of each joint position; NaN if unknown.
         inferred: (J,) True for joints that were not seen and were inferred by the model.
         scale: px/m, scale of the weak-perspective camera.
@@ -85,6 +85,10 @@ class Person3D:
         root_velocity_covariance: (3, 3) m^2/s^2, covariance of `root_velocity`; NaN if unknown.
         age: s, time since the person was first seen; NaN if unknown.
         unseen_for: s, time since the person was last seen; 0 if in this frame.
+        skeleton: names and order of the joints; the first are always those of `skeleton.CMU15`, the core.
+        orientation: (J, 4) quaternions x, y, z, w of the body segment that turns about each joint, to the frame of
+            `joints` (`solvers.body_segments` has the axes); NaN if unknown.
+        turn_inferred: (J,) True where nothing in the image tells how that segment is turned about its own axis.
     """
 
     id: str
@@ -105,6 +109,9 @@ class Person3D:
     root_velocity_covariance: Array = field(default_factory=lambda: _unknown(3, 3))
     age: float = float('nan')
     unseen_for: float = 0.0
+    skeleton: Skeleton = CMU15
+    orientation: Array = field(default_factory=lambda: _unknown(len(CMU15.joints), 4))
+    turn_inferred: NDArray[np.bool_] = field(default_factory=lambda: np.ones(len(CMU15.joints), bool))
 
     def __repr__(self) -> str:
         if self.predicted:
@@ -112,7 +119,12 @@ class Person3D:
         else:
             how = f'{(~self.inferred).sum()} of {len(self.inferred)} joints seen, residual {self.residual:.1f} px'
         how = f'tentative, {how}' if self.tentative else how
-        return f'Person3D {self.id!r}: {self.joints.mean(axis=0)[2]:.1f} m away, {how}, {self.motion}'
+        return f'Person3D {self.id!r}: {self.core.mean(axis=0)[2]:.1f} m away, {how}, {self.motion}'
+
+    @property
+    def core(self) -> Array:
+        """(15, 3) m, the joints of `skeleton.CMU15`, without face, feet and hands."""
+        return self.joints[:CORE_COUNT]
 
     @property
     def root(self) -> Array:
@@ -127,4 +139,26 @@ class Person3D:
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names (J,) of the joints."""
-        return CMU15.joints
+        return self.skeleton.joints
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedPerson:
+    """A person at a time ahead of an image.
+
+    Attributes:
+        id: name of the person, as in `Person3D`.
+        joints: (J, 3) m, joint positions in the same frame and order as those of `Person3D`.
+        std: (J,) m, standard deviation of each joint position about the root; NaN if unknown.
+        root_covariance: (3, 3) m^2, covariance of `root`; NaN if unknown.
+    """
+
+    id: str
+    joints: Array
+    std: Array
+    root_covariance: Array
+
+    @property
+    def root(self) -> Array:
+        """(3,) m, the place between the hips."""
+        return np.asarray((self.joints[HIPS[0]] + self.joints[HIPS[1]]) / 2)

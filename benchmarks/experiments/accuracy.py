@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import common
 import numpy as np
@@ -31,6 +30,9 @@ CAPTURE_RATE_HZ = 120.0  # Hz, rate at which the trials were captured
 # Weights of the bone regulariser among which the row `best` chooses.
 BETAS = (0.0, 0.1, 0.3, 1.0, 3.0)
 
+Cell = tuple[list[dict[str, float]], str]  # errors by view, and the setting
+Curves = dict[str, dict[str, list[tuple[float, float]]]]  # mm, 3D and 2D errors by solver and trial
+
 
 def choose_headings(quick: bool) -> tuple[int, ...]:
     return common.HEADINGS_DEG[1:2] if quick else common.HEADINGS_DEG
@@ -46,6 +48,11 @@ def train_like_paper(category: str, trial: str, *, own: bool = False) -> BasePos
     return common.train_base_poses(category, without_trials=(trial,), only_subjects=only, plain=True)
 
 
+def train_both(category: str, trial: str) -> tuple[BasePoses, BasePoses]:
+    """Train base poses as the paper does and as this project does, both without the trial."""
+    return train_like_paper(category, trial), common.train_base_poses(category, without_trials=(trial,))
+
+
 def solve_with_paper_sines(
     tests: Sequence[View], model: BasePoses, components: int = 4, bone_weight: float = 1.0
 ) -> Sequence[Reconstruction]:
@@ -54,16 +61,14 @@ def solve_with_paper_sines(
     return solve_with_sines([v.window for v in tests], model, config)
 
 
-def find_best_regulariser(
-    tests: Sequence[View], model: BasePoses, settings: dict[float, SolverConfig]
-) -> tuple[float, list[dict[str, float]]]:
-    """Return the regulariser with the smallest mean error, as in the row `best`, and the errors with it."""
+def find_best_regulariser(tests: Sequence[View], model: BasePoses, settings: dict[float, SolverConfig]) -> Cell:
+    """Return the errors with the regulariser whose mean error is smallest, as in the row `best`, and its name."""
     found = {}
     for beta, config in settings.items():
         solve = common.solve_by_alternation if config.method == 'alternation' else common.solve_jointly
         found[beta] = common.compute_all_errors(tests, solve(tests, model, config), model)
     best = min(found, key=lambda beta: common.mean_error(found[beta], 'e_paper_cm'))
-    return best, found[best]
+    return found[best], f'beta {best:g}'
 
 
 def measure_table_1(quick: bool) -> Section:
@@ -71,107 +76,64 @@ def measure_table_1(quick: bool) -> Section:
     section = Section('Table 1: walk, run, jump')
     betas = BETAS[3:4] if quick else BETAS
     defaults = SolverConfig()
-    cells: dict[str, dict[str, dict[str, tuple[list[dict[str, float]], str]]]] = {}
-    table_trials = dict(list(TABLE_1_TRIALS.items())[: 2 if quick else 3])
-    for category, trial in table_trials.items():
+    own_beta = {defaults.bone_weight: defaults}
+    by_beta = {b: make_paper_config(bone_weight=b, tolerance=2e-4) for b in betas}
+    many = {b: make_paper_config(bone_weight=b, components=15, tolerance=2e-4) for b in betas}
+    cells: dict[str, dict[str, dict[str, Cell]]] = {}
+    for category, trial in list(TABLE_1_TRIALS.items())[: 2 if quick else 3]:
         tests = common.make_views(trial, choose_headings(quick))
         everything = common.train_base_poses(without_trials=(trial,))
         for training, own in (('category', False),) if quick else (('own', True), ('category', False)):
             only = (trial[:2],) if own else ()
             paper = train_like_paper(category, trial, own=own)
             ours = common.train_base_poses(category, without_trials=(trial,), only_subjects=only)
-            rows: dict[str, dict[str, tuple[list[dict[str, float]], str]]] = {}
+            rows: dict[str, dict[str, Cell]] = {}
             if category != 'jump':
-                rows['periodic'] = {
-                    'paper': (
-                        common.compute_all_errors(tests, solve_with_paper_sines(tests, paper), paper),
-                        'K = 4',
-                    ),
-                    'joint': (
-                        common.compute_all_errors(tests, common.solve_periodically(tests, ours), ours),
-                        f'H = {defaults.harmonics}',
-                    ),
-                }
+                sines = common.compute_all_errors(tests, solve_with_paper_sines(tests, paper), paper)
+                periodic = common.compute_all_errors(tests, common.solve_periodically(tests, ours), ours)
+                rows['periodic'] = {'paper': (sines, 'K = 4'), 'joint': (periodic, f'H = {defaults.harmonics}')}
             rows['np (beta = 0)'] = {
-                'paper': _make_row(find_best_regulariser(tests, paper, {0.0: make_paper_config(bone_weight=0.0)})),
-                'joint': _make_row(find_best_regulariser(tests, ours, {0.0: _with_beta(0.0)})),
+                'paper': find_best_regulariser(tests, paper, {0.0: make_paper_config(bone_weight=0.0)}),
+                'joint': find_best_regulariser(tests, ours, {0.0: common.make_config(bone_weight=0.0)}),
             }
+            grid = {b: common.make_config(bone_weight=b) for b in (*betas, defaults.bone_weight)}
             rows['best'] = {
-                'paper': _make_row(
-                    find_best_regulariser(
-                        tests, paper, {b: make_paper_config(bone_weight=b, tolerance=2e-4) for b in betas}
-                    )
-                ),
-                'joint': _make_row(
-                    find_best_regulariser(tests, ours, {b: _with_beta(b) for b in (*betas, defaults.bone_weight)})
-                ),
+                'paper': find_best_regulariser(tests, paper, by_beta),
+                'joint': find_best_regulariser(tests, ours, grid),
             }
-            rows['joint solver, defaults'] = {
-                'joint': _make_row(find_best_regulariser(tests, ours, {defaults.bone_weight: defaults}))
-            }
+            rows['joint solver, defaults'] = {'joint': find_best_regulariser(tests, ours, own_beta)}
             if not own:
-                many = {b: make_paper_config(bone_weight=b, components=15, tolerance=2e-4) for b in betas}
                 rows['np all'] = {
-                    'paper': _make_row(find_best_regulariser(tests, everything, many)),
-                    'joint': _make_row(find_best_regulariser(tests, everything, {defaults.bone_weight: defaults})),
+                    'paper': find_best_regulariser(tests, everything, many),
+                    'joint': find_best_regulariser(tests, everything, own_beta),
                 }
             cells[f'{category} {training}'] = rows
-    _print_table_1(section, cells, len(choose_headings(quick)))
+    _show_table_1(section, cells)
+    keys = ('e_paper_cm', 'mpjpe_mm', 'pa_mpjpe_mm')
     section.data['cells'] = {
-        key: {row: {who: _compute_means(records) for who, (records, _) in c.items()} for row, c in rows.items()}
+        key: {
+            row: {who: {k: common.mean_error(records, k) for k in keys} for who, (records, _) in c.items()}
+            for row, c in rows.items()
+        }
         for key, rows in cells.items()
     }
     return section
 
 
-def _with_beta(beta: float) -> SolverConfig:
-    return common.make_config(bone_weight=beta)
-
-
-def _make_row(best: tuple[float, list[dict[str, float]]]) -> tuple[list[dict[str, float]], str]:
-    return best[1], f'beta {best[0]:g}'
-
-
-def _compute_means(records: Sequence[dict[str, float]]) -> dict[str, float]:
-    return {k: common.mean_error(records, k) for k in ('e_paper_cm', 'mpjpe_mm', 'pa_mpjpe_mm')}
-
-
-def _print_table_1(section: Section, cells: dict[str, Any], headings: int) -> None:
-    frames = {key.split()[0]: int(rows['best']['joint'][0][0]['frames']) for key, rows in cells.items()}
-    counted = ', '.join(f'{c} {TABLE_1_TRIALS[c].replace("_", "/")} f = {n}' for c, n in frames.items())
+def _show_table_1(section: Section, cells: dict[str, dict[str, dict[str, Cell]]]) -> None:
     doubling = np.sqrt(CAPTURE_RATE_HZ / common.FPS)
-    section.text(
-        f"""e (eq. 25) in cm after one similarity transform per sequence, mean over {headings} headings; {counted},
-        at 30 fps. For the same error per frame, e falls with the root of f, and the paper states neither f nor
-        the frame rate of its sequences. If they are these recordings at the captured {CAPTURE_RATE_HZ:g} Hz,
-        the paper's values would be {doubling:g} times as large at 30 fps: the column "paper at 30 fps".
-        HumanEva and KTH Football are not available."""
-    )
-    section.text(
-        f"""Algorithm 1 is the paper's: alternation, squared norms, K = 6 (periodic: K = 4, one sine per base pose;
-        np all: K = 15), no prior, no smoothness, one initial camera per frame, the best regulariser beta of a
-        grid. The joint solver has all its terms (K = {SolverConfig().components}; its periodic model has one
-        shared fundamental and H harmonics). No model was trained on the tested trial. "own": trained on the
-        other trials of this subject and category (as the paper does at least in its section 4.9); "category":
-        on those of all subjects; "np all": on all motions of all subjects."""
-    )
     rows: list[Sequence[object]] = []
     for key, by_row in cells.items():
         category, training = key.split()
         for name, by_solver in by_row.items():
             printed = PAPER_ERRORS_CM.get(name, {}).get(category)
-            shown = [_format_e(by_solver.get(who)) for who in ('paper', 'joint')]
-            in_mm = [_format_mpjpe(by_solver.get(who)) for who in ('paper', 'joint')]
-            scaled = f'{printed * doubling:.2f}' if printed else None
+            both = [by_solver.get(who) for who in ('paper', 'joint')]
             rows.append(
                 [
-                    category,
-                    'all motions' if name == 'np all' else training,
-                    name,
-                    f'{printed:.3f}' if printed else None,
-                    scaled,
-                    *shown,
-                    *in_mm,
+                    *(category, 'all motions' if name == 'np all' else training, name),
+                    *([f'{printed:.3f}', f'{printed * doubling:.2f}'] if printed else [None, None]),
+                    *(c and f'{common.mean_error(c[0], "e_paper_cm"):.3f} ({c[1]})' for c in both),
+                    *(c and f'{common.mean_error(c[0]):.1f}' for c in both),
                 ]
             )
     section.table(
@@ -183,49 +145,29 @@ def _print_table_1(section: Section, cells: dict[str, Any], headings: int) -> No
     )  # fmt: skip
 
 
-def _format_e(entry: tuple[list[dict[str, float]], str] | None) -> str | None:
-    return None if entry is None else f'{common.mean_error(entry[0], "e_paper_cm"):.3f} ({entry[1]})'
-
-
-def _format_mpjpe(entry: tuple[list[dict[str, float]], str] | None) -> str | None:
-    return None if entry is None else f'{common.mean_error(entry[0]):.1f}'
-
-
 def measure_number_of_base_poses(quick: bool) -> Section:
     """Measure the error against the number of base poses (figures 8 and 9)."""
     section = Section('Number of base poses (figures 8 and 9)')
     counts = (2, 6) if quick else (2, 4, 6, 8, 10, 15, 20, 30, 40)
     trials = {**TABLE_1_TRIALS, 'periodic': '35_02'}
-    curves: dict[str, dict[str, list[tuple[float, float]]]] = {'Algorithm 1': {}, 'project': {}}
+    curves: Curves = {'Algorithm 1': {}, 'project': {}}
     for category, trial in trials.items():
         tests = common.make_views(trial, choose_few_headings(quick))
         motion = 'walk' if category == 'periodic' else category
-        paper, ours = train_like_paper(motion, trial), common.train_base_poses(motion, without_trials=(trial,))
+        paper, ours = train_both(motion, trial)
         for k in counts:
+            project = common.make_config(components=k)
             if category == 'periodic':
-                solved = [solve_with_paper_sines(tests, paper, k)]
-                solved.append(common.solve_periodically(tests, ours, common.make_config(components=k)))
+                solved = [solve_with_paper_sines(tests, paper, k), common.solve_periodically(tests, ours, project)]
             else:
+                slow = make_paper_config(components=k, tolerance=1e-3)
                 solved = [
-                    common.solve_by_alternation(tests, paper, make_paper_config(components=k, tolerance=1e-3))
+                    common.solve_by_alternation(tests, paper, slow),
+                    common.solve_jointly(tests, ours, project),
                 ]
-                solved.append(common.solve_jointly(tests, ours, common.make_config(components=k)))
             for found, curve in zip(solved, curves.values(), strict=True):
                 curve.setdefault(category, []).append(_compute_errors(tests, found, ours))
-    section.text(
-        f"""3D and 2D error against K; category model without the trial, headings
-        {', '.join(map(str, choose_few_headings(quick)))}. Algorithm 1: K base poses, beta = 1, no prior; its
-        periodic model: the paper's sines. Project: its solvers with all terms. Walk 35/02, run 35/17, jump
-        13/11 (the best match for the paper's "jump1" of subject 13), periodic 35/02."""
-    )
-    columns = [f'{c}: 3D / 2D, mm' for c in trials]
-    for solver, by_category in curves.items():
-        lines = [
-            [k, *(f'{by_category[c][i][0]:.1f} / {by_category[c][i][1]:.1f}' for c in trials)]
-            for i, k in enumerate(counts)
-        ]
-        section.table([f'K, {solver}', *columns], lines)
-        section.data[solver] = {'K': list(counts), **by_category}
+    _show_sweep(section, 'K', counts, curves, 1)
     least = {s: {c: counts[int(np.argmin([e for e, _ in v]))] for c, v in by.items()} for s, by in curves.items()}
     section.text(
         'K with the smallest 3D error: '
@@ -248,6 +190,18 @@ def measure_number_of_base_poses(quick: bool) -> Section:
     return section
 
 
+def _show_sweep(section: Section, name: str, values: Sequence[float], curves: Curves, digits: int) -> None:
+    """Show the 3D and 2D errors of each solver against a parameter, with so many digits of the 2D error."""
+    for solver, by_trial in curves.items():
+        pairs = zip(*by_trial.values(), strict=True)
+        rows = [
+            [f'{value:g}', *(f'{e:.1f} / {flat:.{digits}f}' for e, flat in each)]
+            for value, each in zip(values, pairs, strict=True)
+        ]
+        section.table([f'{name}, {solver}', *(f'{t}: 3D / 2D, mm' for t in by_trial)], rows)
+        section.data[solver] = {name: list(values), **by_trial}
+
+
 def _compute_errors(
     tests: Sequence[View], found: Sequence[Reconstruction], model: BasePoses
 ) -> tuple[float, float]:
@@ -261,29 +215,17 @@ def measure_bone_regulariser(quick: bool) -> Section:
     section = Section('Bone-length regulariser (figures 7 and 10)')
     betas = (0.0, 1.0) if quick else (0.0, 0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 40.0, 100.0, 1e3, 1e4)
     trials = {'walk': '07_01', 'run': '09_01', 'jump': '13_32', 'walk 35/01': '35_01'}
-    curves: dict[str, dict[str, list[tuple[float, float]]]] = {'Algorithm 1': {}, 'joint': {}}
+    curves: Curves = {'Algorithm 1': {}, 'joint': {}}
     for name, trial in trials.items():
         category = name.split()[0]
         tests = common.make_views(trial, choose_few_headings(quick))
-        paper, ours = train_like_paper(category, trial), common.train_base_poses(category, without_trials=(trial,))
+        paper, ours = train_both(category, trial)
         for beta in betas:
             slow = common.solve_by_alternation(tests, paper, make_paper_config(bone_weight=beta, tolerance=1e-3))
             fast = common.solve_jointly(tests, ours, common.make_config(bone_weight=beta))
             curves['Algorithm 1'].setdefault(name, []).append(_compute_errors(tests, slow, paper))
             curves['joint'].setdefault(name, []).append(_compute_errors(tests, fast, ours))
-    section.text(
-        """Walk 07/01, run 09/01 (the paper names 07/run1, but subject 7 does not run in the database), jump 13/32,
-        and walk 35/01 for figure 7; category models without the trial. Beta multiplies the sum of squared
-        deviations of squared norms. The paper's norms are not squared, so its values of beta differ. The beta
-        of the joint solver also scales with the variance of the image noise."""
-    )
-    for solver, by_name in curves.items():
-        lines = [
-            [f'{beta:g}', *(f'{by_name[n][i][0]:.1f} / {by_name[n][i][1]:.2f}' for n in trials)]
-            for i, beta in enumerate(betas)
-        ]
-        section.table([f'beta, {solver}', *(f'{n}: 3D / 2D, mm' for n in trials)], lines)
-        section.data[solver] = {'beta': list(betas), **by_name}
+    _show_sweep(section, 'beta', betas, curves, 2)
     gains = [
         f'{solver}: ' + ', '.join(f'{n} {1 - min(e for e, _ in v) / v[0][0]:.0%}' for n, v in by_name.items())
         for solver, by_name in curves.items()
@@ -364,11 +306,6 @@ def measure_bone_lengths(quick: bool) -> Section:
         ax.set_ylabel('length less its mean, mm')
     for ax in axes[-1]:
         ax.set_xlabel('time, s')
-    section.text(
-        f"""Walk 35/01 (unconstrained: 07/01), heading {heading} degrees, category model without the trial. The
-        paper: up to 40 mm of variation without constraint; e = 0.791 cm for the periodic model; at best 0.213
-        cm with 8 mm of variation; 14.553 cm with a very high beta; no difference with the relative variance."""
-    )
     section.table(
         ['reconstruction', 'largest variation, mm', 'mean standard deviation, mm', 'MPJPE, mm', 'e, cm'], rows
     )
@@ -395,11 +332,6 @@ def measure_printed_norms(quick: bool) -> Section:
                 errors[beta] = common.mean_error(common.compute_all_errors(tests, found, model))
             best = min(errors, key=lambda beta: errors[beta])
             rows.append([f'{category} {trial.replace("_", "/")}', form, f'{best:g}', f'{errors[best]:.1f}'])
-    section.text(
-        f"""MPJPE of Algorithm 1 in mm, category model without the trial, headings
-        {', '.join(map(str, choose_few_headings(quick)))}, the best beta of {', '.join(f'{b:g}' for b in betas)}.
-        Everywhere else on this page the norms are squared."""
-    )
     section.table(['motion', 'norms', 'best beta', 'MPJPE, mm'], rows)
     section.data['rows'] = rows
     return section

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 
 import common
 import numpy as np
-from common import View, make_paper_config
+from common import make_paper_config
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import lil_array
 
 from experiments.accuracy import choose_few_headings, train_like_paper
 from experiments.report import JUMP, RUN, WALK, Section, label_axes, make_panels
-from mocap_ros.geometry.rotations import fit_rotation, rotation_from_vector
+from mocap_ros.geometry.rotations import centre_poses, fit_rotation, rotation_from_vector
 from mocap_ros.geometry.weak_perspective import fit_cameras_closed_form, subtract_weighted_centroid
 from mocap_ros.solvers.window import Reconstruction
 
@@ -70,14 +70,6 @@ def measure_flip_regulariser(quick: bool) -> Section:
                 total += sum(count_flips(r) for r in found)
             errors[column].append(float(np.mean(scores)))
             counts[column].append(total)
-    section.text(
-        f"""{', '.join(t.replace('_', '/') for t, _ in FLIP_CASES)}, headings {', '.join(map(str, headings))},
-        category models without the trial, one initial camera per frame, which allows cameras to flip. A flip is
-        a rotation of the camera by more than {MIN_FLIP_ANGLE_DEG:g} degrees from one frame to the next; the
-        table counts the flips over all {len(FLIP_CASES) * len(headings)} views. Gamma (m² s) multiplies squared
-        changes per second; the paper's gamma does not, and is best between 1 and 5, with three flips in its
-        sequence at 0."""
-    )
     rows = [
         [f'{g:g}', *(cell for c in columns for cell in (f'{errors[c][i]:.1f}', counts[c][i]))]
         for i, g in enumerate(gammas)
@@ -113,7 +105,7 @@ def compare_differences(quick: bool) -> Section:
         )
         start = fit_cameras_closed_form(poses, view.window.points, view.window.weight, view.window.times, 0.0)
         scale = start.scale / common.load_protocol().PX_PER_M
-        truth = _fit_true_rotations(view, poses)
+        truth = fit_rotation(poses, centre_poses(view.true_poses))
         cells = []
         for scheme in (_fit_forward, _fit_central, _fit_central_dense):
             begun = time.perf_counter()
@@ -121,15 +113,6 @@ def compare_differences(quick: bool) -> Section:
             cells.append((time.perf_counter() - begun, _mean_angle_degrees(rotations, truth)))
         times = [f'{seconds * 1e3:.0f}' for seconds, _ in cells]
         rows.append([trial, *times, f'{cells[2][0] / cells[0][0]:.1f}', *(f'{e:.2f}' for _, e in cells[:2])])
-    section.text(
-        """Cameras of all frames for the mean pose, 2 % image noise, SciPy's least squares with numerical
-        Jacobians. Forward differences solve one frame after the other with 4 unknowns each, and the previous
-        frame is fixed. Central differences couple both neighbours, so all frames form one problem: dense, as
-        for a general optimiser, or with the sparsity given, which removes the disadvantage. The paper: forward
-        differences are five times as fast and hardly affect the precision. (The project's joint solver uses
-        forward differences of all frames at once in one banded system.) Error: mean angle to the camera fitted
-        to the true poses."""
-    )
     header = ['forward, ms', 'central, sparse, ms', 'central, dense, ms', 'dense / forward']
     section.table(['trial', *header, 'forward: error, degrees', 'central: error, degrees'], rows)
     section.data['rows'] = rows
@@ -187,12 +170,6 @@ def _fit_central_dense(body: Array, image: Array, rotation: Array, scale: Array,
     return _fit_central(body, image, rotation, scale, gamma, sparse=False)
 
 
-def _fit_true_rotations(view: View, poses: Array) -> Array:
-    order = [list(view.sequence['joints3d_names']).index(j) for j in common.load_capture()[1]]
-    truth = view.truth[:, order]
-    return fit_rotation(poses, truth - truth.mean(axis=1, keepdims=True))
-
-
 def _mean_angle_degrees(rotations: Array, truth: Array) -> float:
     cosine = (np.einsum('fij,fij->f', rotations, truth) - 1) / 2
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
@@ -218,11 +195,6 @@ def measure_moving_cameras(quick: bool) -> Section:
             )
         rows.append([name, *(f'{m:.1f}' for m in means), *(f'{np.mean(v):.1f}' for v in (means, worst, periodic))])
         section.data[name] = {'mean': means, 'worst': worst, 'periodic': periodic}
-    section.text(
-        f"""MPJPE, mm, {len(angles)} initial headings, category model without the subject; joint solver, and in the
-        last column the mean of the periodic model over every fourth heading. A moving camera sees more sides of
-        the person."""
-    )
     section.table(
         ['camera', *(t for t, _ in trials), 'mean', 'worst heading, mean over the trials', 'periodic model'], rows
     )

@@ -8,21 +8,17 @@ pairs of people who cross in the image, whose ids must stay theirs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from reconstruction import Models, list_people, track_people
 
 from experiments.detector_views import DetectedView
 from mocap_ros.config import Config
-from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.people import Person3D
-from mocap_ros.tracking.tracker import Tracker
-from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
@@ -48,36 +44,13 @@ def disturb(person: Person2D, frame: int, rng: np.random.Generator) -> list[Pers
     return [replace(person, id=fresh)] if has_fresh_id and person.id else [person]
 
 
-def list_people(seen: DetectedView, person_id: str) -> list[Person2D]:
-    """Return the person in all frames."""
-    names = seen.view.joint_names
-    return [Person2D(person_id, names, k[:, :2], k[:, 2]) for k in seen.keypoints]
-
-
-def track_people(
-    frames: Sequence[Sequence[Person2D]],
-    times: Array,
-    intrinsics: Intrinsics,
-    models: Mapping[str, BasePoses],
-    config: Config,
-) -> list[tuple[Person3D, ...]]:
-    """Return the people who are published in each frame."""
-    tracker, out = Tracker(models, config), []
-    for people, time_s in zip(frames, times, strict=True):
-        out.append(tracker.update(round(time_s * NS_PER_S) + 1, people, intrinsics))
-        tracker.run_deferred_work()
-    return out
-
-
-def count_ghosts(
-    seen: DetectedView, person_id: str, seed: int, models: Mapping[str, BasePoses], config: Config
-) -> dict[str, int]:
+def count_ghosts(seen: DetectedView, person_id: str, seed: int, models: Models, config: Config) -> dict[str, int]:
     """Count the disturbed frames, the ghosts by how they are published, and the frames without the true person."""
     rng = np.random.default_rng(seed)
     # the first frame is undisturbed, so that it is known who the true person is
-    people = list_people(seen, person_id)
+    people = list_people(seen.view, person_id)
     frames = [people[:1], *(disturb(p, i, rng) for i, p in enumerate(people[1:], 1))]
-    published = track_people(frames, seen.times, seen.view.intrinsics, models, config)
+    published = [out for _, out in track_people(frames, seen.times, seen.view.intrinsics, models, config)]
     first = next((p.id for people_now in published for p in people_now), '')
     ghosts = [p for people_now in published for p in people_now if p.id != first]
     tentative = [p for p in ghosts if getattr(p, 'tentative', False)]
@@ -94,26 +67,24 @@ def count_ghosts(
     }
 
 
-def cross(views: Sequence[DetectedView], models: Mapping[str, BasePoses], config: Config) -> bool:
+def cross(views: Sequence[DetectedView], models: Models, config: Config) -> bool:
     """Return whether two people without ids, who change places in the image, keep their ids."""
     count = min(len(v.times) for v in views)
     width = float(views[0].view.sequence['image_size'][0])
     shift = np.linspace(-CROSSING_OFFSET, CROSSING_OFFSET, count) * width
     tracks = []
     for view, sign in zip(views, (1, -1), strict=True):
-        people = list_people(view, '')[:count]
+        people = list_people(view.view, '')[:count]
         tracks.append([replace(p, points=p.points + [sign * s, 0]) for p, s in zip(people, shift, strict=True)])
     frames = [list(pair) for pair in zip(*tracks, strict=True)]
-    published = track_people(frames, views[0].times[:count], views[0].view.intrinsics, models, config)
+    tracked = track_people(frames, views[0].times[:count], views[0].view.intrinsics, models, config)
     # the person who starts on the left has the larger x in the end
-    order = [[p.id for p in sorted(now, key=lambda p: p.joints[:, 0].mean())] for now in published]
+    order = [[p.id for p in sorted(now, key=lambda p: p.joints[:, 0].mean())] for _, now in tracked]
     first = next(o for o in order if len(o) == 2)
     return order[-1] == first[::-1]
 
 
-def measure_ghosts(
-    views: Sequence[DetectedView], models: Mapping[str, BasePoses], config: Config
-) -> dict[str, Any]:
+def measure_ghosts(views: Sequence[DetectedView], models: Models, config: Config) -> dict[str, Any]:
     """Count the ghosts of people with and without ids, and the crossing people who keep their ids."""
     out: dict[str, Any] = {}
     for label, person_id in (('with ids', 'p'), ('without ids', '')):

@@ -6,15 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import common
 import matplotlib as mpl
 import numpy as np
+from reconstruction import Models, reconstruct
 
-from experiments.detector_errors import reconstruct
 from experiments.detector_views import ViewOptions, make_view
 from mocap_ros.config import Config
-from mocap_ros.geometry.rotations import centre_poses
 from mocap_ros.keypoints.joint_map import build_joint_map
-from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
 from mocap_ros.viewing.plots import PlotData, draw_poses_figure, save_figure
 
@@ -25,7 +24,7 @@ FRAMES = 6  # frames of a picture
 def draw_cases(
     records: Sequence[Mapping[str, Any]],
     options: Sequence[ViewOptions],
-    models: Mapping[str, BasePoses],
+    models: Models,
     config: Config,
     folder: Path,
 ) -> None:
@@ -35,12 +34,7 @@ def draw_cases(
     for name, index in (('best', order[0]), ('median', order[len(order) // 2]), ('worst', order[-1])):
         record, chosen = records[index], options[index]
         seen = make_view(chosen)
-        joints, truth = (
-            centre_poses(reconstruct(record['way'], seen.view, models, config)),
-            centre_poses(seen.truth),
-        )
-        known = np.isfinite(joints).all(axis=(1, 2))
-        joints *= (joints * truth)[known].sum() / (joints * joints)[known].sum()
+        joints, truth = common.align_scale(reconstruct(record['way'], seen.view, models, config), seen.truth)
         k = seen.keypoints
         points, score = build_joint_map(seen.view.joint_names).apply(k[..., :2], k[..., 2])
         shown = np.concatenate([points, score[..., None]], axis=-1)

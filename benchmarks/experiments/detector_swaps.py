@@ -5,16 +5,14 @@ What is undone is read from the solver's input, so it holds for any way of decid
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from reconstruction import Models, track
 
-from experiments.detector_errors import track
 from experiments.detector_views import DetectedView
 from mocap_ros.config import Config, with_values
-from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import observe_sequence
 
@@ -28,9 +26,7 @@ LIMBS = np.array([n.endswith((*LEGS, *ARMS, 'shoulder')) for n in CMU15.joints])
 KINDS = ('whole body', 'legs', 'arms')
 
 
-def find_exchanged(
-    way: str, seen: DetectedView, models: Mapping[str, BasePoses], config: Config
-) -> tuple[Bools, Bools]:
+def find_exchanged(way: str, seen: DetectedView, models: Models, config: Config) -> tuple[Bools, Bools]:
     """Return the joints (F, 15) that the solver gets from the other side, and those that it gets at all.
 
     Live, the decision about a frame is the one that was in force when it was the newest.

@@ -52,6 +52,13 @@ def load_motion() -> tuple[Mapping[str, Array], list[str], dict[str, dict[str, s
     return archive, [str(j) for j in archive['_joints']], rows
 
 
+def load_middle(trial: str, frames: int) -> Array:
+    """Load the poses (F, 26, 3) mm in the middle of a trial: many trials begin and end standing."""
+    poses = load_motion()[0][trial].astype(float)
+    first = max(len(poses) - frames, 0) // 2
+    return poses[first : first + frames]
+
+
 def choose_trials(persons: str, count: int, min_frames: int = 0) -> list[str]:
     """Return the longest trials of each kind of motion, so that no person and no motion dominates.
 
@@ -79,7 +86,7 @@ class ViewOptions:
         detector: name of the detector.
         camera: key of `CAMERAS`.
         heading: degrees, direction from which the camera looks at the person.
-        frames: largest number of frames; they come from the middle, for many trials begin and end standing.
+        frames: largest number of frames, from the middle.
         seed: seed of the detector's errors.
         oracle: key of `ORACLES`, or empty for all of the detector's errors.
     """
@@ -142,9 +149,7 @@ class DetectedView:
 
     @property
     def truth(self) -> Array:
-        """True joints (F, 15, 3) m in the camera's optical frame, in the order of `CMU15`."""
-        names = [str(n) for n in self.view.sequence['joints3d_names']]
-        return self.view.truth[:, [names.index(n) for n in CMU15.joints]]
+        return self.view.true_poses
 
 
 @contextmanager
@@ -180,10 +185,7 @@ def _change_errors(detector: str, changes: Mapping[str, Any]) -> Iterator[None]:
 
 def make_view(options: ViewOptions) -> DetectedView:
     """Return a trial as a detector sees it."""
-    motion, joints, _ = load_motion()
-    poses = motion[options.trial].astype(float)
-    first = max(len(poses) - options.frames, 0) // 2
-    poses = poses[first : first + options.frames]
+    joints, poses = load_motion()[1], load_middle(options.trial, options.frames)
     chosen: dict[str, Any] = {'frames': options.frames, 'seed': options.seed, **CAMERAS[options.camera]}
     order = np.tile(np.arange(len(joints)), (len(poses), 1))
     make = functools.partial(common.load_protocol().make_view, poses, joints, options.heading, **chosen)

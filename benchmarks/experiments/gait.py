@@ -11,7 +11,7 @@ from common import View, make_paper_config
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from experiments.accuracy import choose_few_headings, solve_with_paper_sines, train_like_paper
+from experiments.accuracy import choose_few_headings, solve_with_paper_sines, train_both
 from experiments.report import JUMP, NEUTRAL, RUN, WALK, Section, label_axes, make_panels
 from experiments.variants.sines import solve_with_sines
 from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation
@@ -56,13 +56,6 @@ def measure_sines(quick: bool) -> Section:
             if trial == SINE_TRIALS[0] and sines:
                 drawn = times, theta[:, :4], fit
         rows.append([trial.replace('_', '/'), *cells])
-    section.text(
-        """Mean absolute error of a coordinate / mean distance of a joint, mm. The weights of the poses are
-        harmonic functions fitted to the true weights by least squares; the base poses are trained on all walks
-        of the subject, including the trial. The paper: 2.05 mm with four base poses on the data of N. Troje,
-        which are not available and in which a walker is an average over many steps; these are single CMU trials
-        as captured."""
-    )
     section.table(['trial', *forms], rows)
     section.data['rows'] = rows
     if drawn is not None:
@@ -154,14 +147,6 @@ def measure_classification(quick: bool) -> Section:
         residuals[name] = np.mean(per_view, axis=0) / (size * 1e3)
     middle = np.array([s + SECTION_FRAMES / 2 for s in starts])
     jumping = np.array([parts[1][1] <= m < parts[1][2] for m in middle])
-    section.text(
-        f"""The paper's outdoor clip is not available; this is a splice of {', '.join(p[0] for p in parts)} (the
-        jump from 20 frames before to 20 frames after its highest point), rotated to one heading. Sections of
-        {SECTION_FRAMES} frames ({SECTION_FRAMES / common.FPS:.2f} s at 30 fps) are fitted with the periodic
-        model and base poses of the runs of subject 35 without 35/17 and 35/18 (the paper trains on 35/17-26).
-        2D error: root mean square as a share of the root mean square radius of the body, mean over headings
-        {', '.join(map(str, headings))}."""
-    )
     rows = []
     for name, values in residuals.items():
         area = _compute_roc_area(values[~jumping], values[jumping])
@@ -249,10 +234,7 @@ def _measure_periodic_bones(section: Section, quick: bool) -> None:
         cells = []
         for trial, category in trials:
             tests = common.make_views(trial, choose_few_headings(quick))
-            paper, ours = (
-                train_like_paper(category, trial),
-                common.train_base_poses(category, without_trials=(trial,)),
-            )
+            paper, ours = train_both(category, trial)
             by_model = (
                 (paper, solve_with_paper_sines(tests, paper, bone_weight=beta)),
                 (ours, common.solve_periodically(tests, ours, common.make_config(bone_weight=beta))),

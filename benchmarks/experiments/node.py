@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -115,14 +114,6 @@ class Peer:
     def wait_for_node(self) -> None:
         self.wait(lambda: self.keypoints.get_subscription_count() and self.skeletons.get_publisher_count())
 
-    def call(self, kind: Any, name: str, **request: object) -> Any:
-        client: Any = self.node.create_client(kind, name)
-        self.wait(client.service_is_ready)
-        future = client.call_async(kind.Request(**request))
-        self.wait(future.done)
-        self.node.destroy_client(client)
-        return future.result()
-
     def encode_stream(self, people: int) -> Iterator[tuple[int, bytes]]:
         """Yield the stamps in ns and the messages of new people, without end, at `HZ`."""
         crowd = make_crowd(people)
@@ -158,16 +149,14 @@ class Peer:
 
 
 @contextmanager
-def run_node(folder: Path, *parameters: str, **environment: str) -> Iterator[subprocess.Popen[bytes]]:
+def run_node(folder: Path, **environment: str) -> Iterator[subprocess.Popen[bytes]]:
     """Run the node on its core, with recording.
 
     Args:
         folder: folder of the recordings.
-        parameters: ROS parameters, as `name:=value`.
         environment: variables of the node's environment beside those of this process.
     """
-    options = [*list_node_parameters(folder), *(word for p in parameters for word in ('-p', p))]
-    command = [sys.executable, '-m', 'mocap_ros.ros.main', '--ros-args', *options]
+    command = [sys.executable, '-m', 'mocap_ros.ros.main', '--ros-args', *list_node_parameters(folder)]
     process = subprocess.Popen(
         command, env={**os.environ, **environment}, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
     )

@@ -8,8 +8,9 @@ from typing import Any
 
 import common
 import numpy as np
+from reconstruction import Models, reconstruct
 
-from experiments.detector_errors import compute_errors, reconstruct
+from experiments.detector_errors import compute_errors
 from experiments.detector_views import ViewOptions, make_view
 from mocap_ros.config import Config, with_values
 from mocap_ros.models.base_poses import BasePoses
@@ -34,7 +35,7 @@ def train_own_base_poses(trial: str) -> BasePoses | None:
 
 
 def measure_own_base_poses(
-    options: Sequence[ViewOptions], ways: Sequence[str], models: Mapping[str, BasePoses], config: Config
+    options: Sequence[ViewOptions], ways: Sequence[str], models: Models, config: Config
 ) -> list[dict[str, Any]]:
     """Return one record for each view of a person with other trials, way, and base poses.
 
@@ -50,7 +51,7 @@ def measure_own_base_poses(
         if model is None:
             continue
         seen = make_view(chosen)
-        own: Mapping[str, BasePoses] = {'own': model}
+        own: Models = {'own': model}
         alone = with_values(config, {'solver.prior': 'pca'})
         for way in ways:
             for given, poses, parameters in ((OWN, own, config), (ALONE, own, alone), (NOT_GIVEN, models, config)):

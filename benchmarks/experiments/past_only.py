@@ -9,20 +9,16 @@ time. The ratio of the two errors is what the tracker loses by solving little at
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import common
 import numpy as np
 from numpy.typing import NDArray
+from reconstruction import Models, reconstruct_whole, track
 
+from experiments.detector_views import CAMERAS, HEADING_STEP_DEG
 from mocap_ros.config import Config
-from mocap_ros.keypoints.person import Person2D
-from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking.tracker import Tracker
-from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
@@ -30,29 +26,15 @@ Array = NDArray[np.float64]
 TRIALS: Mapping[str, tuple[str, ...]] = {
     'walk': ('UW_24', 'UW_50', '05_01'),
     'jump': ('UJ_01', 'UJ_02'),
-    'dance': ('05_02', '05_18'),
+    'dance': ('05_02', '05_13'),
     'martial arts': ('135_04', '135_09'),
     'gesture': ('UB_03', 'UT_01', 'UWW_01'),
 }
 # Models of detectors' errors of the protocol; None for clean points.
 DETECTORS = (None, 'openpose', 'mediapipe', 'movenet')
-# Options of the protocol for the two cameras; the perspective one is 3 m from the nearest point of the person.
-CAMERAS: Mapping[str, dict[str, float]] = {'orthographic': {}, 'perspective': {'distance': 3.0}}
 MAX_FRAMES = 300  # frames of a trial, to limit the time
 FIRST_S = 2.0  # s; before, the window is not full
 STEP_FRAMES = 11  # frames from one solution from scratch to the next; no multiple of any interval of the tracker
-HEADING_STEP_DEG = 77.0  # degrees between the headings of successive trials, so that they come from all sides
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Errors of one view, MPJPE in mm over the sampled frames."""
-
-    category: str
-    detector: str
-    camera: str
-    live: float
-    scratch: float
 
 
 def choose_frames(view: common.View) -> list[int]:
@@ -61,30 +43,11 @@ def choose_frames(view: common.View) -> list[int]:
     return list(range(first, view.frames, STEP_FRAMES))
 
 
-def track(view: common.View, models: Mapping[str, BasePoses], config: Config) -> Array:
-    """Return the live poses (F, J, 3) m; NaN in frames without a result."""
-    tracker, names = Tracker(models, config), view.joint_names
-    out = np.full((view.frames, len(CMU15.joints), 3), np.nan)
-    for frame, (k, time_s) in enumerate(
-        zip(view.sequence['keypoints'].astype(float), view.sequence['timestamps'], strict=True)
-    ):
-        people = tracker.update(
-            round(time_s * NS_PER_S) + 1, [Person2D('p', names, k[:, :2], k[:, 2])], view.intrinsics
-        )
-        tracker.run_deferred_work()
-        if people:
-            out[frame] = people[0].joints
-    return out
-
-
-def solve_past(view: common.View, frame: int, models: Mapping[str, BasePoses], config: Config) -> Array:
+def solve_past(view: common.View, frame: int, models: Models, config: Config) -> Array:
     """Return the pose (J, 3) m of a frame, solved from scratch from the frames of its window."""
     times = view.sequence['timestamps']
     first = int(np.searchsorted(times, times[frame] - config.tracker.window - 1e-6))
-    part = slice(first, frame + 1)
-    keypoints = view.sequence['keypoints'][part].astype(float)
-    found = reconstruct_sequence(keypoints, view.joint_names, times[part], view.intrinsics, models, config)
-    return found.joints[-1]
+    return reconstruct_whole(view, models, config, slice(first, frame + 1))[-1]
 
 
 def compute_error(view: common.View, joints: Array, frames: Sequence[int]) -> float:
@@ -96,16 +59,20 @@ def compute_error(view: common.View, joints: Array, frames: Sequence[int]) -> fl
     return float(found['mpjpe_mm'])
 
 
-def compare_view(view: common.View, models: Mapping[str, BasePoses], config: Config) -> tuple[float, float]:
+def compare_view(view: common.View, models: Models, config: Config) -> tuple[float, float]:
     """Return the errors of the live result and of the solutions from scratch, mm."""
     frames = choose_frames(view)
-    live = track(view, models, config)[frames]
+    live = track(view, models, config).joints[frames]
     scratch = np.stack([solve_past(view, f, models, config) for f in frames])
     return compute_error(view, live, frames), compute_error(view, scratch, frames)
 
 
-def compare_all(models: Mapping[str, BasePoses], config: Config, quick: bool) -> list[Comparison]:
-    """Compare every trial under every detector and camera; `quick`: a trial and a camera, with two detectors."""
+def compare_all(models: Models, config: Config, quick: bool) -> list[dict[str, Any]]:
+    """Compare every trial under every detector and camera; `quick`: a trial and a camera, with two detectors.
+
+    Returns:
+        A record for each view: MPJPE over the sampled frames, mm, of the `live` result and from `scratch`.
+    """
     trials = [(category, t) for category, names in TRIALS.items() for t in names]
     todo = [
         (number, category, trial, detector, camera)
@@ -117,11 +84,12 @@ def compare_all(models: Mapping[str, BasePoses], config: Config, quick: bool) ->
     for number, category, trial, detector, camera in common.show_progress(todo, 'live and from scratch'):
         options: dict[str, Any] = {'frames': 110 if quick else MAX_FRAMES, 'detector': detector, **CAMERAS[camera]}
         (view,) = common.make_views(trial, [number * HEADING_STEP_DEG % 360], **options)
-        out.append(Comparison(category, detector or 'clean', camera, *compare_view(view, models, config)))
+        about = {'category': category, 'detector': detector or 'clean', 'camera': camera}
+        live, scratch = compare_view(view, models, config)
+        out.append({**about, 'live': live, 'scratch': scratch})
     return out
 
 
-def compute_ratio(comparisons: Sequence[Comparison], **chosen: str) -> float:
-    """Return the mean live error over the mean error from scratch, of the views with these attributes."""
-    rows = [c for c in comparisons if all(getattr(c, name) == value for name, value in chosen.items())]
-    return float(sum(c.live for c in rows) / sum(c.scratch for c in rows))
+def compute_ratio(comparisons: Sequence[Mapping[str, Any]]) -> float:
+    """Return the mean live error over the mean error from scratch."""
+    return float(sum(c['live'] for c in comparisons) / sum(c['scratch'] for c in comparisons))

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 from common import format_table
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-
-IMAGES = Path('img/paper')
 
 # Colours of the figures, which colour-blind readers can distinguish.
 WALK = '#0072b2'
@@ -56,20 +52,16 @@ class Section:
         self.blocks.append(format_table(header, rows))
 
     def figure(self, name: str, figure: Figure, alternative: str) -> None:
-        self.figures[name] = figure
-        self.blocks.append(f'![{alternative}]({(IMAGES / name).as_posix()}.png)')
+        self.figures[f'docs/img/paper/{name}.png'] = figure
+        self.blocks.append(f'![{alternative}](img/paper/{name}.png)')
 
     def markdown(self) -> str:
-        return '\n\n'.join([f'## {self.title}', *self.blocks])
+        """Return what the page shows below the section's heading and introduction."""
+        return '\n\n'.join(self.blocks)
 
     def plain(self) -> str:
         """Return the section without figures, for a terminal."""
         return '\n\n'.join([f'## {self.title}', *(b for b in self.blocks if not b.startswith('!['))])
-
-    def save_figures(self, folder: Path) -> None:
-        (folder / IMAGES).mkdir(parents=True, exist_ok=True)
-        for name, figure in self.figures.items():
-            figure.savefig(folder / IMAGES / f'{name}.png', metadata={'Software': None})
 
 
 def make_panels(
@@ -86,22 +78,3 @@ def label_axes(axes: Any, x: str, y: str, title: str = '') -> None:
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.set_title(title, loc='left')
-
-
-def write_report(path: Path, head: str, sections: dict[str, Section], order: Sequence[str]) -> None:
-    """Write the report with these sections replaced, and keep the other sections of the file."""
-    text_of = read_sections(path)
-    text_of |= {name: section.markdown() for name, section in sections.items()}
-    parts = [head.strip()] + [f'<!-- {name} -->\n\n{text_of[name]}' for name in order if name in text_of]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text('\n\n'.join(parts) + '\n', encoding='utf-8')
-    for section in sections.values():
-        section.save_figures(path.parent)
-
-
-def read_sections(path: Path) -> dict[str, str]:
-    """Read the sections of an existing report, by name."""
-    if not path.is_file():
-        return {}
-    parts = re.split(r'^<!-- (\S+) -->$', path.read_text(encoding='utf-8'), flags=re.MULTILINE)
-    return {name: text.strip() for name, text in zip(parts[1::2], parts[2::2], strict=True)}

@@ -12,7 +12,7 @@ from common import View, make_paper_config
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from experiments.accuracy import choose_few_headings, solve_with_paper_sines, train_like_paper
+from experiments.accuracy import choose_few_headings, solve_with_paper_sines, train_both, train_like_paper
 from experiments.report import JUMP, NEUTRAL, PERIODIC, RUN, TRUTH, WALK, Section, label_axes, make_panels
 from experiments.variants.heading_ring import solve_from_ring
 from mocap_ros.config import SolverConfig
@@ -57,20 +57,12 @@ def measure_convergence(quick: bool) -> Section:
     chosen = list_sequences(quick)
     for index, (trial, category) in enumerate(common.show_progress(chosen, 'convergence')):
         (view,) = common.make_views(trial, [HEADING])
-        paper, ours = train_like_paper(category, trial), common.train_base_poses(category, without_trials=(trial,))
+        paper, ours = train_both(category, trial)
         curves['Algorithm 1'].append(measure_half_steps(view, paper, make_paper_config(), steps))
         if index % 2 == 0:
             curves['joint'].append(measure_joint_iterations(view, ours, steps))
         if index % 4 == 0 and category != 'jump':
             curves['periodic'].append(measure_periodic_iterations(view, ours, steps))
-    section.text(
-        f"""{len(chosen)} sequences: all walks, runs and jumps of subjects {', '.join(SUBJECTS)} in the data (the
-        paper: 57), heading {HEADING} degrees, category model without the trial. 2D error: root mean square, mm
-        at the body. Algorithm 1 (K = 6) by half steps, cameras first, as in the paper; the table has every
-        second one. The joint solver (on every other sequence) and the periodic solver (on
-        {len(curves['periodic'])} of the walks and runs) by iteration limit: their first iterations estimate the
-        noise, and the periodic solver starts from the non-periodic solution."""
-    )
     rows = []
     for name, values in curves.items():
         stacked = np.array(values)
@@ -160,7 +152,7 @@ def measure_noisy_starts(quick: bool) -> Section:
     errors: dict[str, dict[float, list[float]]] = {'Algorithm 1': {}, 'joint': {}}
     for trial, category in common.show_progress(chosen, 'noisy starts'):
         (view,) = common.make_views(trial, [HEADING])
-        paper, ours = train_like_paper(category, trial), common.train_base_poses(category, without_trials=(trial,))
+        paper, ours = train_both(category, trial)
         for level in levels:
             slow, fast = make_paper_config(tolerance=1e-3, max_iterations=40), SolverConfig()
             for name, model, config in (('Algorithm 1', paper, slow), ('joint', ours, fast)):
@@ -169,13 +161,6 @@ def measure_noisy_starts(quick: bool) -> Section:
                 result = solve_window(window, model, config)
                 error = common.compute_errors(view, result.joints, model.skeleton.joints)['mpjpe_mm']
                 errors[name].setdefault(level, []).append(error)
-    section.text(
-        f"""The {len(chosen)} sequences of figure 12. The initial poses are the mean pose with Gaussian noise on
-        every joint of every frame, as far as the base poses can represent it (K = 6 for Algorithm 1, K =
-        {SolverConfig().components} for the joint solver), and the initial cameras fit these poses. The standard
-        deviation of the noise is a share of the stature. MPJPE, mm, mean and standard deviation over the
-        sequences. The paper: plausible up to 10 %, degenerate above."""
-    )
     rows = [
         [name, *(f'{np.mean(v):.1f} ± {np.std(v):.1f}' for v in by_level.values())]
         for name, by_level in errors.items()
@@ -227,11 +212,6 @@ def measure_initial_cameras(quick: bool) -> Section:
             found = [solve_from_ring([view.window], model, SolverConfig(), count) for count in counts]
             errors = [common.mean_error(common.compute_all_errors(tests, f, model)) for f in found]
             rows.append([trial.replace('_', '/'), motions or 'all motions', *(f'{e:.1f}' for e in errors)])
-    section.text(
-        """MPJPE of the joint solver in mm, seen from behind, model without the subject. The second camera is the
-        Necker reversal of the first, and the others turn the first about the vertical in steps of 45 degrees; the
-        likeliest result counts."""
-    )
     section.table(['trial', 'base poses', *(f'{c} cameras' if c > 1 else '1 camera' for c in counts)], rows)
     section.data['rows'] = rows
     return section
@@ -245,7 +225,7 @@ COLOURS = dict(zip(SOLVERS, (WALK, RUN, JUMP, PERIODIC), strict=True))
 
 def solve_with_all(tests: Sequence[View], trial: str, category: str) -> dict[str, Sequence[Reconstruction]]:
     """Solve the views with the paper's two models and the project's, with the category model without the trial."""
-    paper, ours = train_like_paper(category, trial), common.train_base_poses(category, without_trials=(trial,))
+    paper, ours = train_both(category, trial)
     found = (
         common.solve_by_alternation(tests, paper, make_paper_config(tolerance=1e-3)),
         common.solve_jointly(tests, ours),
@@ -288,12 +268,6 @@ def measure_missing_points(quick: bool) -> Section:
     """Measure the error against the share of randomly missing points (figure 16)."""
     section = Section('Randomly missing points (figure 16)')
     levels = (0.0, 0.2) if quick else (0.0, 0.01, 0.02, 0.03, 0.05, 0.1, 0.15, 0.2)
-    section.text(
-        f"""Walk 35/01, headings {', '.join(map(str, choose_few_headings(quick)))}, category model without the
-        trial. MPJPE of a frame in mm, mean and maximum over the frames, averaged over the headings. In the
-        paper the non-periodic reconstruction has a large maximum above 3 % missing points, and the periodic one
-        is stable up to 20 %."""
-    )
     measure_disturbance(section, quick, 'missing', levels, 'missing points', 'fig16_missing')
     return section
 
@@ -302,11 +276,6 @@ def measure_noise(quick: bool) -> Section:
     """Measure the error against image noise (figure 17)."""
     section = Section('Noise (figure 17)')
     levels = (0.0, 0.2) if quick else (0.0, 0.01, 0.02, 0.05, 0.1, 0.15, 0.2)
-    section.text(
-        """Trial, headings and model as for figure 16. Gaussian noise; its standard deviation is a share of the
-        largest range of motion of any 2D point, as in the paper, where the periodic error stays nearly constant
-        and the non-periodic one rises."""
-    )
     measure_disturbance(section, quick, 'noise', levels, 'noise', 'fig17_noise')
     return section
 
@@ -320,27 +289,17 @@ def measure_hidden_limbs(quick: bool) -> Section:
         'legs behind a box, 0.8 to 1.8 s': (whole.hide_joints(LEGS, slice(24, 54)), LEGS, slice(24, 54)),
         'far arm hidden throughout': (whole.hide_joints(ARM), ARM, slice(None)),
     }
-    section.text(
-        """Walk 07/02 from the side (heading 90), category model without the trial. Figure 14: knees and ankles are
-        hidden for a second; figure 15: shoulder, elbow and wrist of the far arm are hidden throughout (20 % of
-        the points). MPJPE in mm of the hidden joints while they are hidden, and of all joints. The picture
-        shows the joint solver: blue left, red right, grey truth."""
-    )
     rows = []
     shown: dict[str, Reconstruction] = {}
     for name, (view, joints, frames) in cases.items():
         for solver, found in solve_with_all([view], trial, 'walk').items():
             skeleton = common.train_base_poses('walk', without_trials=(trial,)).skeleton
             columns = [skeleton.index(j) for j in joints]
-            order = [list(view.sequence['joints3d_names']).index(j) for j in skeleton.joints]
-            truth = centre_poses(view.truth[:, order])
-            result = found[0]
-            estimate = centre_poses(result.joints)
-            estimate = estimate * ((estimate * truth).sum() / (estimate**2).sum())
+            estimate, truth = common.align_scale(found[0].joints, view.true_poses)
             error = np.linalg.norm(estimate - truth, axis=-1) * 1e3
             rows.append([name, solver, f'{error[frames][:, columns].mean():.1f}', f'{error.mean():.1f}'])
             if solver == 'np, joint':
-                shown[name] = result
+                shown[name] = found[0]
     section.table(['hidden limbs', 'solver', 'hidden joints: MPJPE, mm', 'all joints: MPJPE, mm'], rows)
     section.data['rows'] = rows
     if not quick:
@@ -357,7 +316,7 @@ def _draw_hidden_limbs(cases: dict[str, Any], shown: dict[str, Reconstruction]) 
     layout.set(rect=(0.03, 0, 0.97, 0.95), wspace=0, hspace=0, w_pad=0, h_pad=0)
     for case, (name, (view, _, _)) in enumerate(cases.items()):
         order = [list(view.sequence['joints3d_names']).index(j) for j in skeleton.joints]
-        truth, found = centre_poses(view.truth[:, order]), centre_poses(shown[name].joints)
+        truth, found = centre_poses(view.true_poses), centre_poses(shown[name].joints)
         image = view.sequence['keypoints'][:, order, :2] - view.sequence['image_size'] / 2
         for column, frame in enumerate(instants, start=case * len(instants)):
             draw_bones(axes[0, column], image[frame] / common.load_protocol().PX_PER_M, skeleton, linewidth=1.4)
@@ -405,11 +364,6 @@ def measure_weights_under_noise(_quick: bool) -> Section:
         errors = common.compute_errors(true, result.joints, model.skeleton.joints)
         printed = {'non-periodic, Algorithm 1': '1.09', 'periodic, project': '1.02'}.get(name)
         rows.append([name, printed, f'{errors["e_paper_cm"]:.2f}', f'{errors["mpjpe_mm"]:.1f}'])
-    section.text(
-        f"""Walk 07/01, the first {frames} frames at 30 fps (the paper: 200 at 120 Hz), {level:.0%} noise, heading
-        {HEADING}, walk model without the trial. e in cm; the paper has four times as many frames, so its values
-        would be twice as large at 30 fps."""
-    )
     section.table(['reconstruction', 'paper: e, cm', 'e, cm', 'MPJPE, mm'], rows)
     section.data['rows'] = rows
     figure, axes = make_panels(3, sharey=True)

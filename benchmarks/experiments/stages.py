@@ -33,7 +33,7 @@ STAGES: Mapping[str, tuple[str, ...]] = {
     ),
     'swaps': (
         'mocap_ros.tracking.seen_frames:SwapFilter.update',
-        'mocap_ros.tracking.seen_frames:exchange_sides',
+        'mocap_ros.tracking.seen_frames:exchange_body_sides',
     ),
     'lift': ('mocap_ros.tracking.tracker:Tracker._lift_new_frames',),
     'window': ('mocap_ros.tracking.tracker:Track.add_frame', 'mocap_ros.tracking.tracker:build_refinement_window'),
@@ -43,7 +43,7 @@ STAGES: Mapping[str, tuple[str, ...]] = {
         'mocap_ros.tracking.tracker:Tracker._choose_output',
         'mocap_ros.tracking.tracker:Tracker._filter_motion',
         'mocap_ros.tracking.tracker:Tracker._predict_people',
-        'mocap_ros.tracking.tracker:make_person',
+        'mocap_ros.tracking.tracker:make_whole_person',
     ),
     'questions': (
         'mocap_ros.tracking.tracker:Tracker._initialise_tracks',

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import common
 import numpy as np
 from common import View
 
+from experiments.accuracy import choose_headings
 from experiments.report import Section
 from mocap_ros.config import Config, SolverConfig, with_values
 from mocap_ros.formats.sequence_file import load_sequence
+from mocap_ros.keypoints.extremities import join_body
 from mocap_ros.models import lifter, model_file
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses
@@ -35,46 +36,40 @@ LIFTER_FILE = common.ROOT / 'build' / 'lifter_heldout_gait.npz'
 TRAINING_COMMAND = ['mocap-ros', 'train-lifter', 'cmu15_30fps.npz', '-o', LIFTER_FILE.name] + [
     word for s in LEFT_OUT_SUBJECTS for word in ('--without-subject', s)
 ]
-# Trials that the periodic model is tested on.
-PERIODIC_TRIALS = (('35_02', 'walk'), ('07_01', 'walk'), ('16_15', 'walk'), ('35_17', 'run'), ('09_01', 'run'))
+DISTURBANCES = {'clean': {}, '20 % missing': {'missing': 0.2}, '20 % noise': {'noise': 0.2}}
+PERIODIC_GOALS = {'mean': ('MPJPE', 1.5), 'maximum': ('maximum over frames', 1.5), 'pa': ('PA-MPJPE', 2.0)}
+
+Means = dict[str, float]  # mm, by trial
 
 
-def format_verdict(reached: bool) -> str:
-    return 'reached' if reached else 'not reached'
+@dataclass
+class Targets:
+    """The section with its table of targets, and the headings of the views."""
+
+    section: Section
+    headings: Sequence[int]
+    rows: list[Sequence[object]] = field(default_factory=list)
+
+    def add(self, case: str, measured: str, goal: str, reached: bool) -> None:
+        self.rows.append([case, measured, goal, 'reached' if reached else 'not reached'])
 
 
 def measure_targets(quick: bool) -> Section:
     """Measure the targets of the project."""
     section = Section('Targets')
-    section.text(
-        f"""Views and scores by the protocol: {len(choose_headings(quick))} headings, elevation 10 degrees,
-        orthographic, 30 fps, the first 120 frames (35/02 has 102, 35/17 42, 09/01 37), poses centred, one scale
-        per sequence, no rotation; mean over headings. No frame failed and all 15 joints are scored, unless stated
-        otherwise. The solver is the joint solver with the base poses alone as its prior, as in the paper
-        (`solver.prior=pca`)."""
-    )
-    rows: list[Sequence[object]] = []
-    rows += measure_same_subject(
-        section, choose_headings(quick), SAME_SUBJECT_TRIALS[:1] if quick else SAME_SUBJECT_TRIALS
-    )
-    fixed, fixed_rows = measure_unseen_subject(section, choose_headings(quick))
-    rows += fixed_rows
-    rows += measure_unknown_category(
-        section, choose_headings(quick), UNKNOWN_CATEGORY_TRIALS[:1] if quick else UNKNOWN_CATEGORY_TRIALS
-    )
-    rows += measure_moving_cameras(section, choose_headings(quick), fixed)
-    rows += measure_periodic(section, choose_headings(quick), PERIODIC_TRIALS[::4] if quick else PERIODIC_TRIALS)
-    section.table(['case', 'measured', 'target', 'verdict'], rows)
-    measure_learned_prior(section, choose_headings(quick))
+    targets = Targets(section, choose_headings(quick))
+    measure_same_subject(targets, SAME_SUBJECT_TRIALS[:1] if quick else SAME_SUBJECT_TRIALS)
+    fixed = measure_unseen_subject(targets)
+    measure_unknown_category(targets, UNKNOWN_CATEGORY_TRIALS[:1] if quick else UNKNOWN_CATEGORY_TRIALS)
+    measure_moving_cameras(targets, fixed)
+    measure_periodic(targets, UNSEEN_TRIALS[::4] if quick else UNSEEN_TRIALS)
+    section.table(['case', 'measured', 'target', 'verdict'], targets.rows)
+    measure_learned_prior(section, targets.headings)
     measure_detections(section, (1,) if quick else (1, 2, 3))
     return section
 
 
-def choose_headings(quick: bool) -> tuple[int, ...]:
-    return common.HEADINGS_DEG[1:2] if quick else common.HEADINGS_DEG
-
-
-def solve_and_score(tests: Sequence[View], model: Any) -> list[dict[str, float]]:
+def solve_and_score(tests: Sequence[View], model: BasePoses) -> list[dict[str, float]]:
     """Solve the views jointly, and check that every frame and joint was scored."""
     records = common.compute_all_errors(tests, common.solve_jointly(tests, model), model)
     if any(r['failed_frames'] or r['joints'] != 15 for r in records):
@@ -82,169 +77,104 @@ def solve_and_score(tests: Sequence[View], model: Any) -> list[dict[str, float]]
     return records
 
 
-def measure_same_subject(
-    section: Section, angles: Sequence[int], trials: Sequence[tuple[str, str, float]]
-) -> list[Sequence[object]]:
-    rows: list[Sequence[object]] = []
+def measure_same_subject(targets: Targets, trials: Sequence[tuple[str, str, float]]) -> None:
     for trial, category, goal in trials:
         subject = trial[:2]
-        tests = common.make_views(trial, angles)
-        own = solve_and_score(
-            tests, common.train_base_poses(category, only_subjects=(subject,), without_trials=(trial,))
+        tests = common.make_views(trial, targets.headings)
+        model = common.train_base_poses(category, only_subjects=(subject,), without_trials=(trial,))
+        own = solve_and_score(tests, model)
+        wide = common.mean_error(
+            solve_and_score(tests, common.train_base_poses(category, without_trials=(trial,)))
         )
-        wide = solve_and_score(tests, common.train_base_poses(category, without_trials=(trial,)))
         value = common.mean_error(own)
-        rows.append(
-            [
-                f'{trial}, {category}; trained on the other {category} trials of subject {subject}',
-                f'{value:.2f} mm (trained on all subjects without this trial: {common.mean_error(wide):.1f})',
-                f'{goal:g} mm',
-                format_verdict(value <= goal),
-            ]
-        )
-        section.data[f'same {trial}'] = {'own': value, 'category': common.mean_error(wide)}
+        case = f'{trial}, {category}; trained on the other {category} trials of subject {subject}'
+        measured = f'{value:.2f} mm (trained on all subjects without this trial: {wide:.1f})'
+        targets.add(case, measured, f'{goal:g} mm', value <= goal)
+        targets.section.data[f'same {trial}'] = {'own': value, 'category': wide}
         if trial == '35_02':
             e = common.mean_error(own, 'e_paper_cm')
-            f = own[0]['frames']
-            rows.append(
-                [
-                    f"the paper's e, {trial}, f = {f:.0f} at 30 fps",
-                    f'{e:.3f} cm',
-                    '0.20 cm',
-                    format_verdict(e <= 0.2),
-                ]
-            )
-            section.data['e 35_02'] = e
-    return rows
+            case = f"the paper's e, {trial}, f = {own[0]['frames']:.0f} at 30 fps"
+            targets.add(case, f'{e:.3f} cm', '0.20 cm', e <= 0.2)
+            targets.section.data['e 35_02'] = e
 
 
-def measure_unseen_subject(
-    section: Section, angles: Sequence[int]
-) -> tuple[dict[str, float], list[Sequence[object]]]:
-    records = {
-        t: solve_and_score(common.make_views(t, angles), _train_without_subject(t, c)) for t, c in UNSEEN_TRIALS
+def _solve_unseen(targets: Targets, **options: float) -> dict[str, list[dict[str, float]]]:
+    """Return the records of each trial, with base poses of its category without its subject."""
+    return {
+        t: solve_and_score(common.make_views(t, targets.headings, **options), _train_without_subject(t, c))
+        for t, c in UNSEEN_TRIALS
     }
+
+
+def measure_unseen_subject(targets: Targets) -> Means:
+    records = _solve_unseen(targets)
     means = {t: common.mean_error(r) for t, r in records.items()}
     overall = float(np.mean(list(means.values())))
     worst = max(common.worst_error(r) for r in records.values())
-    section.data['unseen'] = {t: [r['mpjpe_mm'] for r in rs] for t, rs in records.items()}
-    return means, [
-        [
-            f'subject left out, category known: {_format_each(means)}',
-            f'mean {overall:.1f} mm',
-            '20 mm',
-            format_verdict(overall <= 20),
-        ],
-        [
-            'subject left out, category known: worst heading',
-            f'{worst:.1f} mm',
-            '40 mm',
-            format_verdict(worst <= 40),
-        ],
-    ]
+    targets.section.data['unseen'] = {t: [r['mpjpe_mm'] for r in rs] for t, rs in records.items()}
+    case = 'subject left out, category known'
+    targets.add(f'{case}: {_format_each(means)}', f'mean {overall:.1f} mm', '20 mm', overall <= 20)
+    targets.add(f'{case}: worst heading', f'{worst:.1f} mm', '40 mm', worst <= 40)
+    return means
 
 
-def _train_without_subject(trial: str, category: str) -> Any:
+def _train_without_subject(trial: str, category: str) -> BasePoses:
     return common.train_base_poses(category, without_subjects=(trial[:2],))
 
 
-def _format_each(means: dict[str, float]) -> str:
+def _format_each(means: Means) -> str:
     return ', '.join(f'{t} {m:.1f}' for t, m in means.items())
 
 
-def measure_unknown_category(
-    section: Section, angles: Sequence[int], trials: Sequence[tuple[str, float]]
-) -> list[Sequence[object]]:
-    rows: list[Sequence[object]] = []
+def measure_unknown_category(targets: Targets, trials: Sequence[tuple[str, float]]) -> None:
     for trial, goal in trials:
-        tests = common.make_views(trial, angles)
-        models = {
-            c or 'all': common.train_base_poses(c, without_subjects=(trial[:2],))
-            for c in ('walk', 'run', 'jump', '')
-        }
+        tests = common.make_views(trial, targets.headings)
+        models = {c or 'all': _train_without_subject(trial, c) for c in ('walk', 'run', 'jump', '')}
         chosen = [choose_category(v.window, models, SolverConfig()) for v in tests]
-        joints = models['all'].skeleton.joints
-        records = [
-            common.compute_errors(v, c.reconstruction.joints, joints) for v, c in zip(tests, chosen, strict=True)
-        ]
-        value = common.mean_error(records)
+        value = common.mean_error(
+            common.compute_all_errors(tests, [c.reconstruction for c in chosen], models['all'])
+        )
         counts = {name: sum(c.category == name for c in chosen) for name in models}
         named = ', '.join(f'{name} in {count} views' for name, count in counts.items() if count)
-        rows.append(
-            [
-                f'{trial}, subject left out, category unknown (chosen by evidence: {named})',
-                f'{value:.2f} mm',
-                f'{goal:g} mm',
-                format_verdict(value <= goal),
-            ]
-        )
-        section.data[f'unknown {trial}'] = {'mpjpe_mm': value, 'chosen': counts}
-    return rows
+        case = f'{trial}, subject left out, category unknown (chosen by evidence: {named})'
+        targets.add(case, f'{value:.2f} mm', f'{goal:g} mm', value <= goal)
+        targets.section.data[f'unknown {trial}'] = {'mpjpe_mm': value, 'chosen': counts}
 
 
-def measure_moving_cameras(
-    section: Section, angles: Sequence[int], fixed: dict[str, float]
-) -> list[Sequence[object]]:
-    means = {
-        t: common.mean_error(
-            solve_and_score(common.make_views(t, angles, **MOVING_CAMERA), _train_without_subject(t, c))
-        )
-        for t, c in UNSEEN_TRIALS
-    }
-    section.data['moving'] = means
+def measure_moving_cameras(targets: Targets, fixed: Means) -> None:
+    means = {t: common.mean_error(r) for t, r in _solve_unseen(targets, **MOVING_CAMERA).items()}
+    targets.section.data['moving'] = means
     overall, before = np.mean(list(means.values())), np.mean(list(fixed.values()))
-    return [
-        [
-            f'the same trials, camera orbiting at 30 degrees/s and shaken by 5 degrees: {_format_each(means)}',
-            f'mean {overall:.2f} mm',
-            f'at most that of fixed cameras ({before:.2f})',
-            format_verdict(bool(overall <= before)),
-        ]
-    ]
+    case = f'the same trials, camera orbiting at 30 degrees/s and shaken by 5 degrees: {_format_each(means)}'
+    goal = f'at most that of fixed cameras ({before:.2f})'
+    targets.add(case, f'mean {overall:.2f} mm', goal, bool(overall <= before))
 
 
-def measure_periodic(
-    section: Section, angles: Sequence[int], trials: Sequence[tuple[str, str]]
-) -> list[Sequence[object]]:
-    disturbances = {'clean': {}, '20 % missing': {'missing': 0.2}, '20 % noise': {'noise': 0.2}}
+def measure_periodic(targets: Targets, trials: Sequence[tuple[str, str]]) -> None:
     values: dict[str, dict[str, float]] = {}
-    for name, options in disturbances.items():
+    for name, options in DISTURBANCES.items():
         errors, similar = [], []
         for trial, category in trials:
-            tests = common.make_views(trial, angles, **options)
+            tests = common.make_views(trial, targets.headings, **options)
             found = common.solve_periodically(tests, _train_without_subject(trial, category))
-            errors += [common.compute_frame_errors(v, r) for v, r in zip(tests, found, strict=True)]
-            similar += [
-                common.compute_frame_errors(v, r, per_frame_similarity=True)
-                for v, r in zip(tests, found, strict=True)
-            ]
+            for v, r in zip(tests, found, strict=True):
+                errors.append(common.compute_frame_errors(v, r))
+                similar.append(common.compute_frame_errors(v, r, per_frame_similarity=True))
         values[name] = {
             'mean': float(np.mean([e.mean() for e in errors])),
             'maximum': float(np.mean([e.max() for e in errors])),
             'pa': float(np.mean([s.mean() for s in similar])),
         }
-    section.data['periodic'] = values
-    clean = values['clean']
-    rows: list[Sequence[object]] = []
-    for name in list(disturbances)[1:]:
-        for key, text, goal in (
-            ('mean', 'MPJPE', 1.5),
-            ('maximum', 'maximum over frames', 1.5),
-            ('pa', 'PA-MPJPE', 2.0),
-        ):
-            ratio = values[name][key] / clean[key]
-            rows.append(
-                [
-                    f'periodic model, {len(trials)} trials, {name}: {text}',
-                    f'{values[name][key]:.1f} mm, {ratio:.2f} times the clean {clean[key]:.1f}',
-                    f'{goal:g} times',
-                    format_verdict(ratio <= goal),
-                ]
-            )
-    return rows
+    targets.section.data['periodic'] = values
+    for name, found_mm in list(values.items())[1:]:
+        for key, (text, goal) in PERIODIC_GOALS.items():
+            value, clean = found_mm[key], values['clean'][key]
+            measured = f'{value:.1f} mm, {value / clean:.2f} times the clean {clean:.1f}'
+            case = f'periodic model, {len(trials)} trials, {name}: {text}'
+            targets.add(case, measured, f'{goal:g} times', value / clean <= goal)
 
 
-def measure_learned_prior(section: Section, angles: Sequence[int]) -> None:
+def measure_learned_prior(section: Section, headings: Sequence[int]) -> None:
     """Measure the views with the default prior; the lifter and the base poses have not seen these subjects."""
     if not LIFTER_FILE.is_file():
         section.text(
@@ -266,18 +196,20 @@ def measure_learned_prior(section: Section, angles: Sequence[int]) -> None:
     }
     for title, (label, options) in conditions.items():
         found = {
-            t: _solve_with_lifter(common.make_views(t, angles, **options), prior, model) for t, _ in UNSEEN_TRIALS
+            t: _solve_with_lifter(common.make_views(t, headings, **options), prior, model)
+            for t, _ in UNSEEN_TRIALS
         }
-        means = {t: common.mean_error(r) for t, r in found.items()}
+        means = [common.mean_error(r) for r in found.values()]
         worst = max(common.worst_error(r) for r in found.values())
         section.data[f'learned, {title}'] = {t: [r['mpjpe_mm'] for r in rs] for t, rs in found.items()}
-        rows.append([label, *means.values(), float(np.mean(list(means.values()))), worst])
+        rows.append([label, *means, float(np.mean(means)), worst])
     section.table(['condition: MPJPE, mm', *(t for t, _ in UNSEEN_TRIALS), 'mean', 'worst heading'], rows)
 
 
 def _solve_with_lifter(tests: Sequence[View], prior: lifter.Lifter, model: BasePoses) -> list[dict[str, float]]:
     windows = [v.window for v in tests]
-    poses = [prior.lift_sequence(w.points, w.weight, w.times) for w in windows]
+    seen = [join_body(w.points, w.weight, None) for w in windows]
+    poses = [prior.lift_sequence(*s, w.times).select_core() for s, w in zip(seen, windows, strict=True)]
     windows = [replace(w, lifted=p) for w, p in zip(windows, poses, strict=True)]
     return common.compute_all_errors(tests, solve_hypotheses(windows, model, SolverConfig()), model)
 
@@ -298,9 +230,7 @@ def measure_detections(section: Section, cameras: Sequence[int]) -> None:
             section.data[path.stem] = {'ours': ours, 'base poses alone': alone, 'mediapipe_world': peer}
             rows.append(
                 [
-                    f'{detector}, camera {camera}',
-                    _format_pair(ours),
-                    _format_pair(alone),
+                    *(f'{detector}, camera {camera}', _format_pair(ours), _format_pair(alone)),
                     f'{ours["frames"]:.0f} ({ours["failed_frames"]:.0f} failed)',
                     _format_pair(peer) if peer else '-',
                 ]

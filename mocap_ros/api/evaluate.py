@@ -13,7 +13,7 @@ from mocap_ros.api.poses import PoseSequence
 from mocap_ros.errors import InputError
 from mocap_ros.evaluation import evaluate as evaluation
 from mocap_ros.formats.sequence_file import MAX_COORDINATE_M, GroundTruth
-from mocap_ros.skeleton import CMU15, canonical_joint_names
+from mocap_ros.skeleton import BODY26, CMU15, canonical_joint_names, skeleton_from_joints
 
 
 def evaluate(
@@ -51,12 +51,14 @@ def evaluate(
             raise InputError('times: the PoseSequence has its own')
         result = joints
         predicted, residual, frame_times = result.joints, result.residual, result.times
+        skeleton = skeleton_from_joints(result.joint_names)
         truth = result.sequence.truth if truth is None else truth
         names, scores = result.sequence.joint_names, result.sequence.keypoints[..., 2]
     else:
         if limbs_only:
             raise InputError('limbs_only: needs a result of reconstruct, which knows the seen joints')
-        predicted = read_numbers('joints', joints, (None, len(CMU15.joints), 3))
+        skeleton = BODY26 if np.shape(joints)[1:2] == (len(BODY26.joints),) else CMU15
+        predicted = read_numbers('joints', joints, (None, len(skeleton.joints), 3))
         residual, names, scores = np.full(len(predicted), math.nan), (), None
         frame_times = np.zeros(1) if times is None else read_times(times, len(predicted))
     if truth is None:
@@ -77,7 +79,7 @@ def evaluate(
     try:
         return evaluation.evaluate(
             predicted,
-            CMU15,
+            skeleton,
             residual,
             true_joints,
             true_names,

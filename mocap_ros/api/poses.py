@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 class PoseSequence:
     """One person's 3D poses over time, which `mocap_ros.reconstruct` returns.
 
-    F frames, J = 15 joints of the layout `cmu15`, K base poses. Coordinates are in metres in the camera's optical
-    frame: x to the right, y down, z forward.
+    F frames, J = 26 joints of the layout `body26` (15 of `cmu15` with `tracker.skeleton: cmu15`), K base poses.
+    Coordinates are in metres in the camera's optical frame: x to the right, y down, z forward.
     """
 
     def __init__(self, reconstruction: ReconstructedSequence) -> None:
@@ -62,6 +62,22 @@ class PoseSequence:
     def seen(self) -> NDArray[np.bool_]:
         """(F, J) True where the joint was seen in the image, False where the model inferred it."""
         return self._reconstruction.result.seen
+
+    @property
+    def orientation(self) -> Array:
+        """(F, J, 4) quaternions x, y, z, w of the body segment that turns about each joint, to the optical frame.
+
+        Of somebody who stands upright with hanging arms, the axes of all segments are x forward, y left and z up.
+        Successive quaternions do not change their sign. NaN where the joints are, or with the method of keyframes.
+        """
+        found = self._reconstruction.result.orientation
+        return np.full((*self.seen.shape, 4), np.nan) if found is None else found
+
+    @property
+    def turn_inferred(self) -> NDArray[np.bool_]:
+        """(F, J) True where nothing in the image tells how that segment is turned about its own axis z."""
+        found = self._reconstruction.result.turn_inferred
+        return np.ones(self.seen.shape, bool) if found is None else found
 
     @property
     def residual(self) -> Array:

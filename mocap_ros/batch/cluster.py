@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import uuid
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -48,6 +49,7 @@ def connect(scheduler: str | None, workers: int | None = None, memory: str = 'au
         MocapError: the scheduler does not answer.
     """
     logging.getLogger('distributed').setLevel(SILENT)  # what matters of it is told by the outcomes
+    warnings.filterwarnings('ignore', message='Creating scratch directories')  # a slow disk, once at the start
     with dask.config.set(CLIENT_SETTINGS):
         if scheduler is not None:
             try:

@@ -16,7 +16,6 @@ from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-import fsspec
 import numpy as np
 import yaml
 from distributed import get_worker
@@ -25,10 +24,10 @@ from mocap_ros.api.files import write
 from mocap_ros.api.reconstruct import reconstruct
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.rosbag2 import METADATA, encode_yaml, join_descriptions
+from mocap_ros.batch.file_systems import find_file_system, is_local
 from mocap_ros.batch.recordings import Recording, Work, compute_content_key
 from mocap_ros.batch.storage import (
     is_disk_full,
-    is_local,
     join_url,
     list_sizes,
     provide_locally,
@@ -315,7 +314,7 @@ def _write_record(
 def _open_scratch(out: str) -> Iterator[Path]:
     """Provide a temporary folder: beside the results if they are local, else in the folder of the worker."""
     if is_local(out):
-        parent = Path(fsspec.url_to_fs(out)[1]) / UNFINISHED
+        parent = Path(find_file_system(out)[1]) / UNFINISHED
         parent.mkdir(parents=True, exist_ok=True)
     else:
         try:
@@ -334,7 +333,7 @@ def list_own_folders(settings: Settings) -> list[str]:
 def remove_unfinished(settings: Settings) -> None:
     """Remove what lost workers have left in the folder of a run that has ended."""
     if is_local(settings.out):
-        shutil.rmtree(Path(fsspec.url_to_fs(settings.out)[1]) / UNFINISHED, ignore_errors=True)
+        shutil.rmtree(Path(find_file_system(settings.out)[1]) / UNFINISHED, ignore_errors=True)
 
 
 def _find_parts(path: Path, settings: Settings) -> list[Part]:
@@ -435,7 +434,7 @@ def _join(job: Job, outcomes: Sequence[Outcome]) -> Outcome:
         folder.mkdir()
         descriptions = []
         for url in parts:
-            fs, path = fsspec.url_to_fs(url)
+            fs, path = find_file_system(url)
             fs.invalidate_cache()
             description = yaml.safe_load(fs.cat_file(f'{path}/{METADATA}'))
             descriptions.append(description['rosbag2_bagfile_information'])

@@ -10,12 +10,12 @@ from enum import Enum
 from pathlib import PurePosixPath
 from typing import Any
 
-import fsspec
 from fsspec.core import has_magic
 from fsspec.implementations.local import LocalFileSystem
 
 from mocap_ros.bags.reader import ROS1_SUFFIX, ROS2_SUFFIXES
 from mocap_ros.bags.rosbag2 import METADATA
+from mocap_ros.batch.file_systems import choose_one_name, find_file_system, is_local, list_sizes
 from mocap_ros.errors import InputError
 from mocap_ros.formats.openpose_json import FILE_SUFFIX as OPENPOSE_SUFFIX
 from mocap_ros.runtime.input_kind import VIDEO_SUFFIXES
@@ -56,6 +56,8 @@ class Recording:
 def find_recordings(source: str, work: Work, leave_out: Sequence[str] = ()) -> list[Recording]:
     """Find the recordings in a folder, or those that a pattern or a list names, largest first.
 
+    Links are followed, and a recording that is reached in several ways is taken once.
+
     Args:
         source: a recording; a folder, which is searched with all folders in it; a pattern with `*`; or a text file
             (`.txt`) with one of these in each line. Each of them a path or a URL of fsspec.
@@ -72,6 +74,8 @@ def find_recordings(source: str, work: Work, leave_out: Sequence[str] = ()) -> l
         sizes.update(_list_files(each))
     left_out = tuple(_write_url(folder).rstrip('/') + '/' for folder in leave_out)
     sizes = {url: size for url, size in sizes.items() if not url.startswith(left_out)}
+    once = choose_one_name(url for url in sizes if is_local(url))
+    sizes = {url: size for url, size in sizes.items() if url in once or not is_local(url)}
     groups = _group_files(sizes, work)
     if not groups:
         kind = 'bag' if work is Work.REPLAY else 'bag or file of keypoints'
@@ -110,7 +114,7 @@ def compute_content_key(recording: Recording) -> str:
     """
     digest = hashlib.sha256()
     for url in recording.files:
-        fs, path = fsspec.url_to_fs(url)
+        fs, path = find_file_system(url)
         digest.update(url[len(recording.url) :].encode() + b'\0')
         checksum = '' if isinstance(fs, LocalFileSystem) else _find_checksum(fs, path)
         if checksum:
@@ -131,7 +135,8 @@ def _find_checksum(fs: Any, path: str) -> str:
 
 def _read_list(source: str) -> list[str]:
     try:
-        with fsspec.open(source, 'rt', encoding='utf-8-sig') as file:
+        fs, path = find_file_system(source)
+        with fs.open(path, 'rt', encoding='utf-8-sig') as file:
             lines = [line.strip() for line in file]
     except (OSError, ValueError, ImportError) as error:
         raise InputError(f'{source}: {_describe(error)}') from None
@@ -141,12 +146,11 @@ def _read_list(source: str) -> list[str]:
 def _list_files(source: str) -> dict[str, int]:
     """Return the size in bytes of every file in a folder or under a pattern, by URL; or of the file itself."""
     try:
-        fs, path = fsspec.url_to_fs(source)
+        fs, path = find_file_system(source)
         matches = fs.glob(path) if has_magic(path) and not fs.exists(path) else [path]
-        found = {}
+        found: dict[str, int] = {}
         for match in matches:
-            for file, info in fs.find(match, detail=True).items():
-                found[_write_url_of(fs, file)] = int(info['size'] if 'size' in info else fs.size(file))
+            found.update((_write_url_of(fs, file), size) for file, size in list_sizes(fs, match))
     except (OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
         raise InputError(f'{source}: {_describe(error)}') from None
     if not found:
@@ -169,7 +173,7 @@ def _write_url_of(fs: Any, path: str) -> str:
 def _write_url(url: str) -> str:
     """Return a URL as `_list_files` writes it."""
     try:
-        return _write_url_of(*fsspec.url_to_fs(url))
+        return _write_url_of(*find_file_system(url))
     except (ValueError, ImportError) as error:
         raise InputError(f'{url}: {_describe(error)}') from None
 

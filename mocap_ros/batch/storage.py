@@ -10,12 +10,12 @@ import uuid
 from pathlib import Path
 from typing import Any, cast
 
-import fsspec
 from fsspec.implementations.local import LocalFileSystem
 from upath import UPath
 
 from mocap_ros.bags.reader import ROS2_SUFFIXES
 from mocap_ros.bags.rosbag2 import METADATA
+from mocap_ros.batch.file_systems import find_file_system, is_local
 from mocap_ros.batch.recordings import Recording
 from mocap_ros.errors import DiskFull, InputError, RecordingError
 
@@ -23,11 +23,6 @@ FREE_BYTES = 200_000_000  # bytes that a temporary copy leaves free, as much as 
 # Ends of the names of files that a result may consist of; nothing else is ever removed.
 RESULT_SUFFIXES = (*ROS2_SUFFIXES, '.yaml', '.png', '.npz', '.csv', '.bvh', '.trc', '.json')
 FULL = (errno.ENOSPC, errno.EDQUOT)  # error numbers of a disk, or a quota, that is used up
-
-
-def is_local(url: str) -> bool:
-    """Return whether a path or URL is on the local file system."""
-    return isinstance(fsspec.url_to_fs(url)[0], LocalFileSystem)
 
 
 def join_url(url: str, *parts: str) -> str:
@@ -66,7 +61,7 @@ def provide_locally(recording: Recording, scratch: Path, copy_limit_bytes: int) 
     for url in recording.files:
         target = copy.parent / url[len(recording.url) - len(copy.name) :]
         target.parent.mkdir(parents=True, exist_ok=True)
-        fs, path = fsspec.url_to_fs(url)
+        fs, path = find_file_system(url)
         fs.get_file(path, str(target))
     return copy
 
@@ -82,7 +77,7 @@ def publish(finished: Path, url: str) -> None:
         RecordingError: something is at that place that is no result.
         OSError: the file system fails.
     """
-    fs, path = fsspec.url_to_fs(url)
+    fs, path = find_file_system(url)
     remove_result(url)
     if isinstance(fs, LocalFileSystem):
         Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -101,7 +96,7 @@ def remove_result(url: str) -> None:
     Raises:
         RecordingError: there is a file that no run writes; nothing is removed.
     """
-    fs, path = fsspec.url_to_fs(url)
+    fs, path = find_file_system(url)
     fs.invalidate_cache()
     if not fs.exists(path):
         return
@@ -117,7 +112,7 @@ def write_whole(url: str, data: bytes) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    fs, path = fsspec.url_to_fs(url)
+    fs, path = find_file_system(url)
     fs.makedirs(path.rpartition('/')[0], exist_ok=True)
     if not isinstance(fs, LocalFileSystem):
         fs.pipe_file(path, data)
@@ -129,7 +124,7 @@ def write_whole(url: str, data: bytes) -> None:
 
 def list_sizes(url: str) -> dict[str, int]:
     """Return the size in bytes of every file at or below a URL, by its path below it; empty if there is none."""
-    fs, path = fsspec.url_to_fs(url)
+    fs, path = find_file_system(url)
     fs.invalidate_cache()
     if not fs.exists(path):
         return {}
@@ -141,7 +136,7 @@ def list_sizes(url: str) -> dict[str, int]:
 
 def read_json_file(url: str) -> dict[str, Any]:
     """Return the content of a JSON file; empty if there is none, or if it is damaged."""
-    fs, path = fsspec.url_to_fs(url)
+    fs, path = find_file_system(url)
     try:
         content = json.loads(fs.cat_file(path))
     except (OSError, ValueError):

@@ -30,7 +30,7 @@ from mocap_ros.messages.cdr import decode, read_stamp
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.load_keypoints import load_sequence_file
 from mocap_ros.runtime.load_scene import SceneOptions, load_scene, select_true_joints
-from mocap_ros.skeleton import CMU15, skeleton_from_joints
+from mocap_ros.skeleton import BODY26, skeleton_from_joints
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Scene
@@ -148,11 +148,11 @@ def read_first_person(bag: Path, sequence: KeypointSequence) -> tuple[Array, NDA
         sequence: sequence that was played to the node; its stamps assign the messages to its F frames.
 
     Returns:
-        The joints (F, 15, 3) in m in the camera's optical frame, NaN in frames without a person, and whether each
-        joint (F, 15) was inferred by the model because it was not seen.
+        The joints (F, 26, 3) in m in the camera's optical frame, NaN in frames without a person, and whether each
+        joint (F, 26) was inferred by the model because it was not seen.
     """
     frame_of = {stamp: frame for frame, stamp in enumerate(sequence.stamps_ns)}
-    joints = np.full((len(sequence), len(CMU15.joints), 3), np.nan)
+    joints = np.full((len(sequence), len(BODY26.joints), 3), np.nan)
     inferred = np.ones(joints.shape[:2], bool)
     with Bag(bag) as reader:
         for message in reader.messages(reader.topics_of_type([SKELETONS])):
@@ -167,15 +167,17 @@ def read_first_person(bag: Path, sequence: KeypointSequence) -> tuple[Array, NDA
 
 def _draw_picture(sequence: KeypointSequence, joints: Array, inferred: NDArray[np.bool_], picture: Path) -> None:
     """Draw the input, the result and the truth at `PICTURE_TIMES_S`."""
-    truth = sequence.truth
+    truth, true_joints = sequence.truth, None
+    if truth is not None:
+        true_joints = select_true_joints(truth.joints, truth.joint_names, BODY26)
     result = plots.PlotData(
         times=sequence.timestamps,
         keypoints=sequence.keypoints,
         keypoint_skeleton=skeleton_from_joints(sequence.joint_names),
         joints=joints,
         seen=~inferred,
-        skeleton=CMU15,
-        truth=None if truth is None else truth.joints,
+        skeleton=BODY26,
+        truth=true_joints if true_joints is None else true_joints.astype(np.float64),
     )
     frames = np.searchsorted(sequence.timestamps, PICTURE_TIMES_S).tolist()
     labels = [f'{motion_name_at(t)}, {t:.1f} s' for t in PICTURE_TIMES_S]
@@ -186,9 +188,9 @@ def _draw_picture(sequence: KeypointSequence, joints: Array, inferred: NDArray[n
 def load_demo_scene(bag: Path, sequence: KeypointSequence) -> Scene:
     """Return what the page shows of a bag that the node recorded, with the truth of the sequence played to it."""
     scene, _ = load_scene(bag, SceneOptions(Config(), models={}))
-    truth = np.full((len(scene.stamps_ns), len(CMU15.joints), 3), np.nan, np.float32)
+    truth = np.full((len(scene.stamps_ns), len(scene.skeleton.joints), 3), np.nan, np.float32)
     if sequence.truth is not None:
-        true_joints = select_true_joints(sequence.truth.joints, sequence.truth.joint_names)
+        true_joints = select_true_joints(sequence.truth.joints, sequence.truth.joint_names, scene.skeleton)
         frame_of = {stamp: frame for frame, stamp in enumerate(scene.stamps_ns)}
         for frame, stamp in enumerate(sequence.stamps_ns):
             if true_joints is not None and stamp in frame_of:
@@ -204,7 +206,8 @@ def _print_report(sequence: KeypointSequence, joints: Array, bag: Path) -> None:
     """
     if sequence.truth is None:
         return
-    errors = metrics.compute_errors(joints, sequence.truth.joints, fps=30.0)
+    common = [BODY26.index(name) for name in sequence.truth.joint_names]
+    errors = metrics.compute_errors(joints[:, common], sequence.truth.joints, fps=30.0)
     if 'mpjpe_mm' not in errors:
         raise MocapError(f'{bag}: contains no skeletons')
     empty_frames = int((~(sequence.keypoints[..., 2] > 0).any(axis=1)).sum())

@@ -24,6 +24,7 @@ from mocap_ros.cli.progress import show_progress
 from mocap_ros.cli.reconstruct import reconstruct_file
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
+from mocap_ros.evaluation.coverage import SHARES, compute_coverage
 from mocap_ros.evaluation.evaluate import (
     MAX_PERSON_SIZE_M,
     Evaluation,
@@ -134,13 +135,15 @@ def run(args: argparse.Namespace) -> int:
             truth = given_truth
         with name_file_in_errors(path):
             evaluation = compare_with_truth(result, truth, args.joints == 'limbs')
+            coverage = check_covariances(result, truth)
         if warning := describe_few_matches(result, truth):
             print(f'mocap-ros: {path}: {warning}', file=sys.stderr)
-        records.append({'file': path.name, **evaluation.as_dict(), **timing})
+        records.append({'file': path.name, **evaluation.as_dict(), **coverage, **timing})
     if args.json is not None:
         with guard_output(args.json, *args.input):
             args.json.write_text(_format_json(records), encoding='utf-8')
     print_table(records)
+    print_coverage(records)
     for path, sequence in truths.items():
         if sequence.truth is not None and measure_person_size(sequence.truth.joints) > MAX_PERSON_SIZE_M:
             print(f'mocap-ros: {path}: joints3d: the values look like mm, but m are expected', file=sys.stderr)
@@ -220,6 +223,25 @@ def compare_with_truth(result: StoredResult, reference: KeypointSequence, limbs_
     )
 
 
+def check_covariances(result: StoredResult, reference: KeypointSequence) -> dict[str, float]:
+    """Return the shares of true errors within the covariances of a result, by `evaluation.coverage`.
+
+    They are empty for a result without covariances; the arguments are those of `compare_with_truth`.
+    """
+    if result.std is None or result.root_covariance is None:
+        return {}
+    truth = _get_truth(reference)
+    frames, reference_frames = _match_times(result.stamps_ns, reference.stamps_ns)
+    return compute_coverage(
+        result.joints[frames],
+        result.std[frames],
+        result.root_covariance[frames],
+        result.skeleton,
+        truth.joints[reference_frames],
+        truth.joint_names,
+    )
+
+
 def describe_few_matches(result: StoredResult, reference: KeypointSequence) -> str:
     """Return a warning if fewer than half of the frames of both have a time of the other, or an empty string."""
     matched = len(_match_times(result.stamps_ns, reference.stamps_ns)[0])
@@ -270,6 +292,20 @@ def print_table(records: list[dict[str, Any]]) -> None:
     for name, *numbers in cells:
         print(f'{name:<{first}}', *(f'{cell:>{width + 1}}' for cell, width in zip(numbers, others, strict=True)))
     print(LEGEND)
+
+
+def print_coverage(records: Sequence[Mapping[str, Any]]) -> None:
+    """Print, for each result with covariances, how many of its true errors are within them."""
+    wanted = ' and '.join(f'{100 * p:.0f}' for p in SHARES)
+    for record in records:
+        for kind, what in (('joints', 'joints'), ('roots', 'places between the hips')):
+            found = [record[key] for p in SHARES if (key := f'{kind}{100 * p:.0f}') in record]
+            if found:
+                shares = ' and '.join(f'{100 * share:.0f}' for share in found)
+                print(
+                    f'{record["file"]}: covariances: {shares} of 100 true {what} are in the ellipsoids that '
+                    f'should hold {wanted}'
+                )
 
 
 def _format_json(records: list[dict[str, Any]]) -> str:

@@ -24,6 +24,7 @@ from mocap_ros.formats.text_files import check_output, guard_output
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 from mocap_ros.runtime.load_keypoints import load_input
 from mocap_ros.runtime.load_results import holds_result, load_result
+from mocap_ros.runtime.load_scene import select_true_joints
 from mocap_ros.skeleton import skeleton_from_joints
 from mocap_ros.viewing import plots
 
@@ -83,9 +84,8 @@ def _reconstruct(args: argparse.Namespace) -> plots.PlotData:
         result = reconstruct_file(sequence, models, config)
     truth = None
     if sequence.truth is not None:
-        names = list(sequence.truth.joint_names)
-        if set(result.skeleton.joints) <= set(names):
-            truth = sequence.truth.joints[:, [names.index(n) for n in result.skeleton.joints]]
+        found = select_true_joints(sequence.truth.joints, sequence.truth.joint_names, result.skeleton)
+        truth = None if found is None else found.astype(np.float64)
     return plots.PlotData(
         times=sequence.timestamps,
         joints=result.joints,

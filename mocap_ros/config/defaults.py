@@ -229,6 +229,12 @@ class TrackerConfig:
         low=0.0,
         high=5.0,
     )
+    skeleton: str = define_parameter(
+        'body26',
+        'joints that are put out: body26, with face, feet and hands, or cmu15, without them',
+        choices=('body26', 'cmu15'),
+        read_only=True,
+    )
     steady_output: bool = define_parameter(
         True, 'filter the joints that are put out with a lag below 0.15 s, so that they tremble less'
     )
@@ -270,6 +276,13 @@ class TrackerConfig:
         low=0.0,
     )
     body_height: float = define_parameter(1.70, 'm, body height that is assumed of everybody', low=0.3, high=2.6)
+    body_height_std: float = define_parameter(
+        0.10,
+        'm, standard deviation of body heights about tracker.body_height: 0.1 of adults, about 0.02 where the '
+        'height of those who come is known; part of the covariance of where somebody is',
+        low=0.0,
+        high=1.0,
+    )
     perspective: bool = define_parameter(True, 'use the true perspective projection where CameraInfo is known')
     nominal_focal_length: float = define_parameter(
         1.0, 'image widths, focal length that is assumed where no CameraInfo is known', low=0.1, high=20.0
@@ -341,6 +354,22 @@ class NodeConfig:
     publish_collision_objects: bool = define_parameter(
         False, 'publish moveit_msgs/CollisionObject of each person on the topic collision_object', read_only=True
     )
+    publish_bodies: bool = define_parameter(
+        False,
+        'publish people as bodies of ROS4HRI (REP-155): their ids on /humans/bodies/tracked, and for each id '
+        'joint states and a kinematic model; not with an input_type of hri_msgs',
+        read_only=True,
+    )
+    publish_predictions: bool = define_parameter(
+        False,
+        'publish where people will be, mocap_ros_msgs/Predictions, on the topic predictions; not with tracker.lag',
+        read_only=True,
+    )
+    prediction_times: str = define_parameter(
+        '0.2 0.4 0.6 1.0',
+        's, up to 1, times after the image for which people are predicted, separated by blanks',
+        read_only=True,
+    )
     frame_prefix: str = define_parameter(
         '',
         'prefix of the names of the frames on /tf, which distinguishes the people of several cameras',
@@ -356,6 +385,12 @@ class NodeConfig:
         '',
         'x y z in m and roll pitch yaw in rad of a camera that stands still in node.output_frame; with angles of '
         '0 it looks along x with z up, and a positive pitch lowers its view; empty: from /tf',
+        read_only=True,
+    )
+    floor_height: str = define_parameter(
+        '',
+        'm, height of the floor in node.output_frame, whose z axis must be up, such as 0: the feet of people who '
+        'stand on it tell how tall they are and how far away; empty: not known',
         read_only=True,
     )
     transform_tolerance: float = define_parameter(

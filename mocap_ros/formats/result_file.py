@@ -30,6 +30,8 @@ class StoredResult:
         residual: (F,) px, RMS reprojection error over the seen joints; NaN where there is none.
         skeleton: skeleton of the joints.
         recorded_ns: (F,) times in ns, where they are known more exactly than in s, or empty.
+        std: (F, J) m, standard deviation of each joint in the body, or None where they are not stored.
+        root_covariance: (F, 3, 3) m^2, covariance of the place between the hips, likewise.
     """
 
     times: Array
@@ -38,6 +40,8 @@ class StoredResult:
     residual: Array
     skeleton: Skeleton
     recorded_ns: tuple[int, ...] = ()
+    std: Array | None = None
+    root_covariance: Array | None = None
 
     @property
     def stamps_ns(self) -> list[int]:

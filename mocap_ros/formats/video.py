@@ -24,6 +24,8 @@ CAMERA_DEVICE = '/dev/video{}'  # of a camera that is named by its number
 FALLBACK_STEP_S = 1 / 30  # s from image to image, where a video gives neither times nor a rate
 READ_AHEAD = 4  # images that are decoded while the detector works; more would only take memory
 QUARTER_TURN_DEG = 90  # degrees; videos are stored turned by multiples of it
+MICROSECONDS = 1e6  # in a second; the unit of the times of a container
+MAX_MISSING_S = 1.0  # s; the sound of a video may be longer than its images by less
 POLL_S = 0.1  # s; bounds how long the decoder outlives a reader who has gone
 
 
@@ -59,6 +61,8 @@ class VideoReader:
     Attributes:
         image_count: number of images, about; None where it is not known.
         left_out: number of images that were left out so far.
+        ending: after the last image, a line that says where the video ended if the file states that it is longer;
+            else empty.
 
     Raises:
         InputError: the path cannot be opened, holds no video, or one that PyAV cannot decode; the error names it.
@@ -73,6 +77,7 @@ class VideoReader:
         self._path = path
         self._errors = (av.FFmpegError, ValueError)
         self.left_out = 0
+        self.ending = ''
         self._is_camera = is_camera
         try:  # `file:` and the list of protocols keep a name or a playlist from opening anything but files
             self._container: Any = (
@@ -104,7 +109,7 @@ class VideoReader:
         stream = self._stream
         if stream.frames:
             return int(stream.frames)
-        duration_s = float(self._container.duration or 0) / 1e6  # the container counts in microseconds
+        duration_s = float(self._container.duration or 0) / MICROSECONDS
         return round(duration_s * float(stream.average_rate)) or None if stream.average_rate else None
 
     def __iter__(self) -> Iterator[VideoImage]:
@@ -131,6 +136,11 @@ class VideoReader:
         if last_s is None:
             reason = f': all {self.left_out} are damaged' if self.left_out else ''
             raise InputError(f'{self._path}: no image can be decoded{reason}')
+        start_s, stated_s = (
+            float(t or 0) / MICROSECONDS for t in (self._container.start_time, self._container.duration)
+        )
+        if last_s - start_s + MAX_MISSING_S < stated_s:
+            self.ending = f'cut off after {last_s - start_s:.1f} s of the {stated_s:.1f} s that the file states'
 
     def _decode(self) -> Iterator[Any]:
         """Yield the frames, and count the damaged ones."""

@@ -154,6 +154,13 @@ def quaternion_from_rotation(rotation: Array) -> tuple[float, float, float, floa
     return x * factor, y * factor, z * factor, w * factor
 
 
+def multiply_quaternions(first: Array, second: Array) -> Array:
+    """Return the products (..., 4) of quaternions x, y, z, w (..., 4): the rotation `second`, then `first`."""
+    v, w, a, b = first[..., :3], first[..., 3:], second[..., :3], second[..., 3:]
+    vector = w * a + b * v + np.cross(v, a)
+    return np.concatenate([vector, w * b - (v * a).sum(axis=-1, keepdims=True)], axis=-1)
+
+
 def cross_matrix(v: Array) -> Array:
     """Return the cross-product matrices (..., 3, 3) of vectors (..., 3): `cross_matrix(v) @ x == cross(v, x)`."""
     out = np.zeros((*v.shape, 3))

@@ -1,4 +1,12 @@
-"""Where the camera is in the frame of the outputs, and the people in that frame."""
+"""Where the camera is in the frame of the outputs, and the people in that frame.
+
+What is seen at p moves with the velocity v in the optical frame. With T the transform of the camera now and T'
+that of a time h before, it moves in the frame of the outputs with the velocity
+
+    R v + (T p - T' p) / h
+
+where the second term is the motion of the camera. Covariances of velocities do not know how well this is known.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +14,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mocap_ros.geometry.rigid_transform import RigidTransform
-from mocap_ros.people import CameraVertical, Person3D
+from mocap_ros.geometry.rotations import multiply_quaternions
+from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
+
+Array = NDArray[np.float64]
 
 
 class CameraPlacement(NamedTuple):
@@ -16,13 +30,17 @@ class CameraPlacement(NamedTuple):
     Attributes:
         frame_id: name of the camera's optical frame; may be empty.
         pose: transform from the optical frame to the frame of the outputs; None where they are one.
+        before: the same a little earlier, of a camera that may move; None where it does not or is not known.
+        step_s: h, s by which that was earlier.
     """
 
     frame_id: str
     pose: RigidTransform | None = None
+    before: RigidTransform | None = None
+    step_s: float = 0.0
 
     def place(self, people: Sequence[Person3D]) -> Sequence[Person3D]:
-        """Return the people with joints, velocities and covariances in the frame of the outputs.
+        """Return the people with joints, orientations, velocities and covariances in the frame of the outputs.
 
         What belongs to the camera (scale, rotation, translation) stays in the optical frame.
         """
@@ -33,9 +51,33 @@ class CameraPlacement(NamedTuple):
             replace(
                 p,
                 joints=pose.apply(p.joints),
-                velocity=pose.rotate(p.velocity),
+                velocity=pose.rotate(p.velocity) + self._find_own_motion(p.joints),
+                orientation=multiply_quaternions(np.array(pose.quaternion), p.orientation),
                 root_covariance=pose.rotate_covariance(p.root_covariance),
                 root_velocity_covariance=pose.rotate_covariance(p.root_velocity_covariance),
+            )
+            for p in people
+        ]
+
+    def _find_own_motion(self, joints: Array) -> Array | float:
+        """Return the velocity (J, 3) m/s in the output frame of places (J, 3) m that move with the camera."""
+        if self.pose is None or self.before is None:
+            return 0.0
+        return np.asarray((self.pose.apply(joints) - self.before.apply(joints)) / self.step_s)
+
+    def place_predicted(self, people: Sequence[PredictedPerson], ahead_s: float) -> Sequence[PredictedPerson]:
+        """Return people who are predicted for a time in s after the image in the frame of the outputs.
+
+        The prediction follows the motion that the camera saw, so that of the camera is added.
+        """
+        pose = self.pose
+        if pose is None:
+            return people
+        return [
+            replace(
+                p,
+                joints=pose.apply(p.joints) + ahead_s * self._find_own_motion(p.joints),
+                root_covariance=pose.rotate_covariance(p.root_covariance),
             )
             for p in people
         ]

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from mocap_ros.geometry.rigid_transform import SAME_POSE
 from mocap_ros.messages.cdr import CdrWriter, Header, encode_header, encode_text, pad
 from mocap_ros.people import Person3D
-from mocap_ros.skeleton import CMU15
 from mocap_ros.units import NS_PER_S
 
 MARKERS = 'visualization_msgs/msg/MarkerArray'
@@ -76,7 +75,6 @@ class _MarkerShape(NamedTuple):
 
 JOINTS = _MarkerShape('joints', SPHERE_LIST, (JOINT_DIAMETER_M, JOINT_DIAMETER_M, JOINT_DIAMETER_M))
 BONES = _MarkerShape('bones', LINE_LIST, (BONE_WIDTH_M, 0.0, 0.0))  # viewers warn about lines that have a height
-BONE_ENDS = np.array(CMU15.bones).ravel()  # indices of the joints at both ends of each bone
 
 Colors = NDArray[np.float32]  # (..., 4) red, green, blue and alpha in [0, 1]
 
@@ -186,10 +184,11 @@ class MarkerEncoder:
 def _add_person(writer: _MarkerWriter, person: Person3D, number: int, lifetime_ns: int) -> None:
     """Append the two markers of a person."""
     seen_color, inferred_color = _choose_colors(number, person.predicted, person.tentative)
-    is_bone_inferred = person.inferred[BONE_ENDS].reshape(-1, 2).any(axis=1).repeat(2)
+    bone_ends = np.array(person.skeleton.bone_ends).T.ravel()
+    is_bone_inferred = person.inferred[bone_ends].reshape(-1, 2).any(axis=1).repeat(2)
     for shape, points, is_inferred in (
         (JOINTS, person.joints, person.inferred),
-        (BONES, person.joints[BONE_ENDS], is_bone_inferred),
+        (BONES, person.joints[bone_ends], is_bone_inferred),
     ):
         colors = np.where(is_inferred[:, None], inferred_color, seen_color)
         content = _Content(shape.type, shape.scale, seen_color, lifetime_ns, points, colors)

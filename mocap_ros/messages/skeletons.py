@@ -15,7 +15,7 @@ from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cameras import compute_camera_numbers
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, CdrWriter, Header, create_message, decode, encode
 from mocap_ros.people import CameraVertical, Person3D
-from mocap_ros.skeleton import CMU15, Skeleton
+from mocap_ros.skeleton import Skeleton
 
 SKELETONS = MOCAP_ROS_MSGS + 'Skeleton3DArray'
 SKELETON_DEFINITION = MOCAP_ROS_MSGS + 'SkeletonDefinition'
@@ -49,7 +49,7 @@ def encode_skeletons(
     for person, image_camera in zip(people, compute_camera_numbers(people), strict=True):
         motion = person.motion
         writer.add_text(person.id)
-        writer.add_text(CMU15.name)
+        writer.add_text(person.skeleton.name)
         writer.add_sequence(np.asarray(person.joints, np.float64))
         writer.add_sequence(person.std.astype(np.float32))
         writer.add_sequence(np.asarray(person.inferred, np.bool_))
@@ -65,6 +65,8 @@ def encode_skeletons(
         root[12:15], root[15:] = person.root_velocity, person.root_velocity_covariance.ravel()
         writer.add(8, root.tobytes())
         writer.add(4, _TIMES.pack(person.age, person.unseen_for))
+        writer.add_sequence(np.asarray(person.orientation, np.float64))
+        writer.add_sequence(np.asarray(person.turn_inferred, np.bool_))
     direction, std = (np.zeros(3), math.nan) if vertical is None else vertical
     writer.add(8, np.asarray(direction, np.float64).tobytes())
     writer.add(4, _VERTICAL_STD.pack(std))
@@ -77,7 +79,9 @@ def encode_skeletons(
 
 
 def decode_skeletons(raw: bytes) -> Any:
-    """Decode a Skeleton3DArray, with the joints in the camera's optical frame whatever frame they were put out in.
+    """Decode a Skeleton3DArray, with joints and root covariances in the camera's optical frame whatever its own.
+
+    Other fields, such as velocities and orientations, stay as they are.
 
     Args:
         raw: CDR bytes.
@@ -98,6 +102,8 @@ def decode_skeletons(raw: bytes) -> Any:
         joints = to_optical_frame.apply(np.array([(p.x, p.y, p.z) for p in skeleton.joints]).reshape(-1, 3))
         for point, (x, y, z) in zip(skeleton.joints, joints.tolist(), strict=True):
             point.x, point.y, point.z = x, y, z
+        covariance = to_optical_frame.rotate_covariance(skeleton.root_covariance.reshape(3, 3))
+        skeleton.root_covariance = covariance.ravel()
     return array
 
 

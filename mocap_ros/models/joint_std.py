@@ -6,7 +6,7 @@
 
 The lifter knows which poses an image leaves uncertain, and the image noise, which the solver estimates, how well
 this detector sees this person. The factors were chosen so that two thirds of the true errors are within the
-standard deviation and 95 % within two (docs/tracker.md, "Standard deviations"): those with a lifter on 31 trials
+standard deviation and 95 % within two (docs/tracker.md, "Standard deviations"): those with a lifter on trials
 of training persons, with clean points and under three models of detectors, all limbs seen or an arm or a leg
 hidden; the factors h_j, which are larger for inferred joints than for seen ones, on CMU trials of subject 35
 (walk), UJ, UB and 05, with the subject left out of training.
@@ -23,9 +23,9 @@ from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, INPUT_1D, INPUT_2D, INPU
 
 Array = NDArray[np.float64]
 
-LIFTER_FACTOR_SEEN = 0.6  # 1, f: factor on the lifter's standard deviations of seen joints, tuned as described
-NOISE_FACTOR_SEEN = 1.6  # 1, n: factor on the image noise for seen joints, tuned likewise
-LIFTER_FACTOR_INFERRED = 0.75  # 1, g: as f for inferred joints, of which the image says little
+LIFTER_FACTOR_SEEN = 0.7  # 1, f: factor on the lifter's standard deviations of seen joints, tuned as described
+NOISE_FACTOR_SEEN = 1.1  # 1, n: factor on the image noise for seen joints, tuned likewise
+LIFTER_FACTOR_INFERRED = 0.8  # 1, g: as f for inferred joints, of which the image says little
 POSTERIOR_FACTOR_SEEN = 3.5  # 1, factor on the solver's posterior of seen joints; tuned as described above
 POSTERIOR_FACTOR_INFERRED = 5.6  # 1, the same for inferred joints
 POSTERIOR_FLOOR_M = 0.011  # m; the posterior does not know the poses that the base poses cannot represent

@@ -21,6 +21,7 @@ from mocap_ros.input_file import open_input_file
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import OUTPUT_COUNT, Lifter
 from mocap_ros.models.lifter_input import FEATURE_COUNT, HISTORY_SLOTS_S
+from mocap_ros.models.motion_predictor import PREDICTOR_NAME
 from mocap_ros.npz_file import open_npz, write_npz
 from mocap_ros.skeleton import CMU15, Skeleton, keypoint_layout
 
@@ -32,12 +33,13 @@ LEARNED = 'learned'  # value of `solver.prior` that selects the shipped lifter
 PCA = 'pca'  # value of `solver.prior` that selects the base poses alone, as in the paper
 PRIORS = (LEARNED, PCA)  # values of `solver.prior` that are not the path of a lifter
 
-LIFTER_NAME = 'lifter'  # name of the shipped lifter's file, which is no base-pose model
+LIFTER_NAME = 'lifter'  # name of the shipped lifter's file
+NO_BASE_POSES = (LIFTER_NAME, PREDICTOR_NAME)  # names of shipped files that are no base-pose models
 BASE_POSES_FORMAT = 'mocap_ros base poses 1'  # identifier in every base-pose file; changes with the format
-LIFTER_FORMAT = 'mocap_ros lifter 1'  # identifier in every lifter file; changes with the format
+LIFTER_FORMAT = 'mocap_ros lifter 2'  # identifier in every lifter file; changes with the format
 
 MAX_BASE_POSES_BYTES = 16 << 20  # bytes, also unpacked; guards against zip bombs, shipped models have 15 kB
-MAX_LIFTER_BYTES = 64 << 20  # bytes, also unpacked; guards against zip bombs, the shipped lifter has 3 MB
+MAX_LIFTER_BYTES = 64 << 20  # bytes, also unpacked; guards against zip bombs, the shipped lifter has 6 MB
 MAX_NAME_LENGTH = 100  # characters; bounds a name that appears in messages and on screens
 STATURE_RANGE_M = 0.3, 3.0  # m; from children to giants, but refuses models in mm or cm
 MAX_MEAN_COORDINATE_M = 3.0  # m from the body's origin; refuses models in mm or cm
@@ -69,7 +71,7 @@ def list_shipped_base_poses() -> tuple[str, ...]:
     """Return the names of the base-pose models that are shipped with the package."""
     folder = files('mocap_ros') / 'models' / 'shipped'
     names = (p.name.removesuffix('.npz') for p in folder.iterdir() if p.name.endswith('.npz'))
-    return tuple(sorted(n for n in names if n != LIFTER_NAME))
+    return tuple(sorted(n for n in names if n not in NO_BASE_POSES))
 
 
 def load_base_poses(name_or_path: str | Path) -> BasePoses:

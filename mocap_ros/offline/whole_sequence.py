@@ -11,6 +11,8 @@ that the first solution does not explain are hidden from the lifter before the s
 
 with e_tj the reprojection error in m at the body, and its median over all joints that were seen. In frames with
 more than `MAX_UNEXPLAINED_JOINTS` such points all are believed.
+
+The solvers find the core of the body; face, feet, hands and the orientations follow it (`solvers.extremities`).
 """
 
 from __future__ import annotations
@@ -30,12 +32,20 @@ from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.lifter import Lifter
 from mocap_ros.models.model_file import load_prior_lifter
 from mocap_ros.models.upward_direction import find_upward
-from mocap_ros.skeleton import Skeleton, estimate_stature
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton, estimate_stature
 from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.classification import choose_category
+from mocap_ros.solvers.extremities import SEGMENT_OF, attach, smooth_extremities
+from mocap_ros.solvers.extremity_evidence import collect_evidence
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_well, let_base_poses_lead
 from mocap_ros.solvers.observed_window import RAY_FOCAL, ObservedWindow, observe_sequence
-from mocap_ros.solvers.vertical import AUTO, find_vertical, read_given_vertical, turn_towards_vertical
+from mocap_ros.solvers.vertical import (
+    AUTO,
+    Vertical,
+    find_vertical,
+    read_given_vertical,
+    turn_towards_vertical,
+)
 from mocap_ros.solvers.window import Reconstruction, Window
 
 Array = NDArray[np.float64]
@@ -63,6 +73,9 @@ class SequenceResult:
         virtual_camera: the virtual cameras of `solution`, one a frame, with the real camera's intrinsics.
         vertical: (F, 3) unit vectors upwards in the real camera's optical frame; NaN where it is not known.
         vertical_std: (F,) rad, standard deviations of these directions; NaN where they are not known.
+        orientation: (F, J, 4) quaternions x, y, z, w, as in `people.Person3D`; NaN where the joints are; None if
+            they were not computed.
+        turn_inferred: (F, J) True where nothing tells how a segment is turned about its own axis; None likewise.
     """
 
     joints: Array
@@ -73,6 +86,13 @@ class SequenceResult:
     virtual_camera: VirtualCamera
     vertical: Array
     vertical_std: Array
+    orientation: Array | None = None
+    turn_inferred: NDArray[np.bool_] | None = None
+
+    @property
+    def core(self) -> Array:
+        """(F, 15, 3) m, the joints of `skeleton.CMU15`, without face, feet and hands."""
+        return self.joints[:, :CORE_COUNT]
 
     def cameras_in_real_image(self) -> tuple[WeakPerspectiveCameras, Array]:
         """Return the weak-perspective cameras that show the body where the real camera shows it.
@@ -81,7 +101,7 @@ class SequenceResult:
             Scale (F,) in px/m and rotation (F, 3, 3) from the body frame to the real camera's optical frame; and
             (F, 2) px, image of the body's origin in the real camera. All are NaN where the joints are.
         """
-        intrinsics, roots = self.virtual_camera.intrinsics, self.joints.mean(axis=1)
+        intrinsics, roots = self.virtual_camera.intrinsics, self.core.mean(axis=1)
         rotation = self.virtual_camera.body_rotations(self.solution.cameras)
         rotation = np.where(np.isfinite(roots[:, :1, None]), rotation, np.nan)
         cameras = WeakPerspectiveCameras(intrinsics.focal / roots[:, 2], rotation)
@@ -117,9 +137,9 @@ def reconstruct_sequence(
     models = {model.name: model} if isinstance(model, BasePoses) else model
     skeleton = next(iter(models.values())).skeleton
     observed = observe_sequence(keypoints, joint_names, times, intrinsics, config.tracker, skeleton)
-    result = reconstruct_window(observed, models, config)
+    result, lifted = _reconstruct(observed, models, config)
     in_sight = find_frames_in_sight(result.seen)
-    return replace(result, joints=np.where(in_sight[:, None, None], result.joints, np.nan))
+    return _blank_frames(_complete(result, lifted, config.tracker), ~in_sight)
 
 
 def reconstruct_window(
@@ -133,13 +153,20 @@ def reconstruct_window(
         config: parameters of the solver; `body_height` and `vertical` of `tracker` apply.
 
     Returns:
-        The motion in all frames, also before the first and after the last in which a joint was seen.
+        The motion of the core in all frames, also before the first and after the last in which a joint was seen.
 
     Raises:
         InputError: No frame has four seen joints.
         ModelError: The lifter that `solver.prior` names cannot be loaded.
         ConfigError: The vertical that `tracker.vertical` gives is no unit vector.
     """
+    return _reconstruct(observed, models, config)[0]
+
+
+def _reconstruct(
+    observed: ObservedWindow, models: Mapping[str, BasePoses], config: Config
+) -> tuple[SequenceResult, ObservedWindow]:
+    """Return the result of `reconstruct_window`, and the window with the lifted poses, if there is a lifter."""
     body_height = config.tracker.body_height
     models = {name: model.rescale(body_height / model.stature) for name, model in models.items()}
     skeleton = next(iter(models.values())).skeleton
@@ -158,7 +185,39 @@ def reconstruct_window(
     joints *= body_height / estimate_stature(solution.joints, skeleton)
     if vertical is None:
         vertical = _choose_vertical(observed.times, find_upward(joints), config.tracker)
-    return SequenceResult(joints, observed.weight > 0, skeleton, category, solution, camera, *vertical)
+    result = SequenceResult(joints, observed.weight > 0, skeleton, category, solution, camera, *vertical)
+    return result, observed
+
+
+def _complete(result: SequenceResult, observed: ObservedWindow, config: TrackerConfig) -> SequenceResult:
+    """Return a result with the orientations and, if `tracker.skeleton` says so, with face, feet and hands.
+
+    Args:
+        result: the core in F frames.
+        observed: the same frames, lifted if there is a lifter.
+        config: parameters; `skeleton` and `body_height` apply.
+    """
+    core = result.joints
+    image_noise = result.solution.noise if isinstance(result.solution, joint.JointReconstruction) else 0.0
+    evidence = collect_evidence(core, observed, image_noise)
+    found = smooth_extremities(observed.times, evidence, config.body_height)
+    if config.skeleton == CMU15.name:
+        return replace(result, orientation=found.quaternions, turn_inferred=~found.is_turn_told)
+    return replace(
+        result,
+        joints=attach(core, found.offsets),
+        seen=evidence.weight > 0,
+        skeleton=BODY26,
+        orientation=found.quaternions[:, SEGMENT_OF],
+        turn_inferred=~found.is_turn_told[:, SEGMENT_OF],
+    )
+
+
+def _blank_frames(result: SequenceResult, is_blank: NDArray[np.bool_]) -> SequenceResult:
+    """Return a result whose joints and orientations are NaN in the frames of a mask (F,)."""
+    blank = is_blank[:, None, None]
+    orientation = None if result.orientation is None else np.where(blank, np.nan, result.orientation)
+    return replace(result, joints=np.where(blank, np.nan, result.joints), orientation=orientation)
 
 
 def find_frames_in_sight(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -170,7 +229,7 @@ def find_frames_in_sight(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     Returns:
         (F,) True for these frames, gaps between them included.
     """
-    seen_frames = np.flatnonzero(seen.any(axis=1))
+    seen_frames = np.flatnonzero(seen[:, :CORE_COUNT].any(axis=1))
     frames = np.arange(len(seen))
     return np.asarray((frames >= seen_frames.min(initial=len(seen))) & (frames <= seen_frames.max(initial=-1)))
 
@@ -220,6 +279,11 @@ def _choose_vertical(times: Array, upward: Array, config: TrackerConfig) -> _Ver
     given, frames = read_given_vertical(config), len(times)
     if given is None:
         return _Verticals(np.full((frames, 3), np.nan), np.full(frames, np.nan))
+    return _repeat_vertical(given, frames)
+
+
+def _repeat_vertical(given: Vertical, frames: int) -> _Verticals:
+    """Return a vertical that is given for each of some frames."""
     return _Verticals(np.tile(given.direction, (frames, 1)), np.full(frames, given.std))
 
 
@@ -228,14 +292,21 @@ def _lift(
 ) -> tuple[ObservedWindow, _Verticals]:
     """Return a window with lifted poses that are turned towards the vertical, and the vertical.
 
+    The lifter is told a vertical that is given.
+
     Args:
         observed: the person's joints in F frames, not lifted yet.
         lifter: the lifter.
         config: parameters; `vertical` applies.
         known: the vertical, if it was found before.
     """
-    lifted = lifter.lift(*observed.sample_unlifted_histories(), RAY_FOCAL)
-    camera, upward = observed.virtual_camera, find_upward(lifted.joints)
+    camera, given = observed.virtual_camera, read_given_vertical(config)
+    told: tuple[Array | None, Array | None] = (None, None)
+    if given is not None:
+        known = _repeat_vertical(given, len(observed.times))
+        told = camera.to_virtual_camera(known.direction[:, None])[:, 0], known.std
+    lifted = lifter.lift(*observed.sample_unlifted_histories(), RAY_FOCAL, *told)
+    upward = find_upward(lifted.joints)
     in_real_camera = camera.to_real_camera(upward[:, None])[:, 0]
     vertical = known or _choose_vertical(observed.times, in_real_camera, config)
     direction = camera.to_virtual_camera(vertical.direction[:, None])[:, 0]

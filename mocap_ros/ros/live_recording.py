@@ -169,7 +169,8 @@ class LiveRecording:
         self._put([self._journal.make_parameters_record(values(config), now_ns)])
 
     def _make_first_records(self, pipeline: Pipeline, start_ns: int) -> list[RecordedMessage | Topic]:
-        definition = self._versions.write_output(build_skeleton_definition())
+        definition = build_skeleton_definition(pipeline.config.tracker.skeleton)
+        definition = self._versions.write_output(definition)
         records: list[RecordedMessage | Topic] = [
             *(self._make_topic(self._names[t], msgtype, latched=True) for t, msgtype in LATCHED_OUTPUTS.items()),
             self._journal.make_parameters_record(values(pipeline.config), start_ns),
@@ -205,7 +206,8 @@ class LiveRecording:
         return make_topic(name, msgtype, latched=latched, qos=qos, definition=definition)
 
     def _make_output_record(self, output: OutputMessage, published_ns: int) -> RecordedMessage:
-        return RecordedMessage(self._names[output.topic], output.type, output.data, published_ns, published_ns)
+        name = self._names.get(output.topic, output.topic)  # those of single bodies are not known beforehand
+        return RecordedMessage(name, output.type, output.data, published_ns, published_ns)
 
     def _put(self, records: Iterable[RecordedMessage | Topic], *, even_if_full: bool = True) -> bool:
         """Hand records to the recorder; if the recording has failed, log it and end the recording.

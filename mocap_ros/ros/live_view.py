@@ -21,7 +21,7 @@ from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
 from mocap_ros.messages.input_types import KEYPOINT_TYPES, decode_frame
 from mocap_ros.messages.keypoints import KeypointsFrame
-from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
+from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.runtime.scene_rows import SceneRows
 from mocap_ros.units import NS_PER_S
@@ -123,11 +123,11 @@ class LiveView:
     def _take_skeletons(self, raw: bytes, sent_ns: int) -> None:
         """Draw the people of an image."""
         rows = SceneRows()
-        rows.add_skeletons(decode_skeletons(self._versions.read(SKELETONS, raw)))
+        rows.add_skeletons(self._versions.read(SKELETONS, raw))
         stamp_ns = rows.newest_ns
         frame = self._images.get(stamp_ns)
         if frame is not None:
-            rows.add_keypoints(frame)
+            rows.add_keypoints_frame(frame)
         if self._first_ns is None:
             self._first_ns = stamp_ns
         self._drawing.draw(rows.build_frame(), (stamp_ns - self._first_ns) / NS_PER_S)

@@ -97,7 +97,8 @@ class MocapNode(LifecycleNode):
         """Subscribe to the inputs and process them."""
         result = super().on_activate(state)
         try:
-            self._outputs.publish(self._versions.write_output(build_skeleton_definition()))
+            definition = build_skeleton_definition(self._config.tracker.skeleton)
+            self._outputs.publish(self._versions.write_output(definition))
             self._start_run()
         except Exception as error:
             self._log_failure('activated', 'activate', error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks
@@ -10,7 +11,9 @@ from rclpy.qos import QoSProfile
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import ConfigError
-from mocap_ros.messages.cdr import OutputMessage
+from mocap_ros.messages.cdr import OutputMessage, decode
+from mocap_ros.messages.foreign.definitions import HRI_IDS
+from mocap_ros.messages.robots.bodies import BODIES, DESCRIPTION, TRACKED
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.diagnostics import DIAGNOSTICS
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
@@ -32,6 +35,8 @@ class OutputPublishers:
         self._node = node
         self._qos_warnings = qos_warnings
         self._publishers: dict[str, Any] = {}  # by relative topic name
+        self._bodies: dict[str, Any] = {}  # publishers of single bodies by topic; there is no list beforehand
+        self._versions: MessageVersions | None = None
 
     def create(self, versions: MessageVersions, config: NodeConfig) -> None:
         """Create the publishers.
@@ -43,6 +48,7 @@ class OutputPublishers:
         Raises:
             ConfigError: A message type is not installed, or the installed version cannot hold the outputs.
         """
+        self._versions = versions
         for topics, qos in ((OUTPUTS, OUTPUT_QOS), (LATCHED_OUTPUTS, LATCHED_QOS)):
             for topic, msgtype in topics.items():
                 self._create_publisher(topic, msgtype, qos, versions)
@@ -53,9 +59,9 @@ class OutputPublishers:
 
     def destroy(self) -> None:
         """Destroy all publishers."""
-        for publisher in self._publishers.values():
+        for publisher in (*self._publishers.values(), *self._bodies.values()):
             self._node.destroy_lifecycle_publisher(publisher)
-        self._publishers = {}
+        self._publishers, self._bodies = {}, {}
 
     def has_publisher(self, topic: str) -> bool:
         """Return whether an output, by its relative topic name, is published and not only recorded."""
@@ -64,8 +70,12 @@ class OutputPublishers:
     def publish(self, output: OutputMessage) -> None:
         """Publish an output, in the installed version of its type, if its topic has a publisher."""
         publisher = self._publishers.get(output.topic)
+        if publisher is None and TRACKED in self._publishers and output.topic.startswith(BODIES):
+            publisher = self._bodies.get(output.topic) or self._create_body_publisher(output)
         if publisher is not None:
             publisher.publish(output.data)
+        if output.type == HRI_IDS:
+            self._destroy_body_publishers(decode(output.data, HRI_IDS).ids)
 
     def publish_diagnostics(self, raw: bytes) -> None:
         """Publish a DiagnosticArray, given as CDR of the installed version."""
@@ -89,6 +99,20 @@ class OutputPublishers:
             )
             return False
         return True
+
+    def _create_body_publisher(self, output: OutputMessage) -> Any:
+        """Create the publisher of a topic of a single body; it is active at once, for the node is."""
+        assert self._versions is not None  # noqa: S101
+        qos = LATCHED_QOS if output.type == DESCRIPTION else OUTPUT_QOS
+        self._create_publisher(output.topic, output.type, qos, self._versions)
+        publisher = self._bodies[output.topic] = self._publishers.pop(output.topic)
+        publisher.on_activate(None)
+        return publisher
+
+    def _destroy_body_publishers(self, ids: Sequence[str]) -> None:
+        """Destroy the publishers of bodies that are not tracked any more."""
+        for topic in [t for t in self._bodies if t.split('/')[-2] not in ids]:
+            self._node.destroy_lifecycle_publisher(self._bodies.pop(topic))
 
     def _create_publisher(self, topic: str, msgtype: str, qos: QoSProfile, versions: MessageVersions) -> None:
         if left_out := versions.add_output(msgtype):

@@ -16,9 +16,9 @@ from mocap_ros.config import NodeConfig
 from mocap_ros.errors import FrameDropped, InputError, SkeletonError
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.messages.camera_info import CameraInfo
-from mocap_ros.messages.cdr import ENCAPSULATION, decode
+from mocap_ros.messages.cdr import ENCAPSULATION
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
+from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.frame_assembly import FrameAssembler
 from mocap_ros.runtime.load_keypoints import find_camera
 from mocap_ros.runtime.scene_rows import SceneRows
@@ -32,12 +32,11 @@ class _BagReader:
     """Collects skeletons, keypoints and drops of a bag."""
 
     def __init__(self, bag: Bag, limits: NodeConfig, person: str | None, topic: str | None) -> None:
-        self.rows = SceneRows(person)
-        self.unread_count, self.first_reason = 0, ''
         self._bag = bag
         skeletons = bag.topics_of_type([SKELETONS])
         if len(skeletons) != 1:
             raise InputError(f'the bag has several topics of skeletons: {", ".join(skeletons)}')
+        self.rows = SceneRows(person, bag.count(skeletons))
         self._journals = [t for t in bag.topics_of_type([JOURNAL]) if t.endswith('/journal')]
         self._sources: dict[str, Source] = {}
         self._node = limits
@@ -63,22 +62,21 @@ class _BagReader:
             elif message.topic in self._journals:
                 self._read_journal(message)
             else:
-                self.rows.add_skeletons(decode_skeletons(message.raw))
+                self.rows.add_skeletons(message.raw)
 
     def _read_keypoints(self, message: BagMessage) -> None:
+        if message.type == KEYPOINTS:
+            self.rows.add_keypoints(message.raw)
+            return
         try:
-            if message.type == KEYPOINTS:
-                self.rows.add_own_keypoints(decode(message.raw, KEYPOINTS))
-                return
             frames = self._assembler.assemble(
                 self._sources[message.topic], message.raw, message.topic, self._node, self._size, inf
             )
         except (InputError, SkeletonError, FrameDropped) as error:
-            self.unread_count += 1
-            self.first_reason = self.first_reason or f'{message.topic}: {error}'
+            self.rows.faults.append(f'{message.topic}: {error}')
             return
         for frame in frames:
-            self.rows.add_keypoints(frame)
+            self.rows.add_keypoints_frame(frame)
 
     def _read_journal(self, message: BagMessage) -> None:
         """Note why an input was dropped; the journal's entries of accepted inputs have level 0, the first byte."""
@@ -120,5 +118,9 @@ def load_bag_scene(
         scene = reader.rows.build(path.name, reader.camera)
     except InputError as error:
         raise InputError(f'{path}: {error}') from None
-    unread = f'{path}: {reader.unread_count} messages left out; {reader.first_reason}'
-    return scene, [unread] if reader.unread_count else []
+    lines = []
+    if reader.rows.faults:
+        lines.append(f'{path}: {len(reader.rows.faults)} messages left out; {reader.rows.faults[0]}')
+    if reader.rows.stride > 1:
+        lines.append(f'{path}: long; one frame in {reader.rows.stride} is shown')
+    return scene, lines

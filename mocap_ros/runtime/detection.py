@@ -80,12 +80,14 @@ def detect_in_video(
         finally:
             images.close()
             detector.close()
-        left_out = reader.left_out
+        left_out, ending = reader.left_out, reader.ending
     if not any(people):
         raise InputError(f'{path}: {NOBODY_SEEN} ({len(people)} images, {detector.name})')
     remarks = [f'keypoints by {detector.name}']
     if left_out:
         remarks.append(f'{left_out} images left out that are damaged or not later than the one before')
+    if ending:
+        remarks.append(ending)
     detections, changes = name_people(Detections(people, stamps_ns, size))
     return replace(detections, remarks=(*remarks, *changes))
 

@@ -87,6 +87,7 @@ def _collect(array_by_stamp: dict[int, Any], person: str) -> StoredResult:
     skeleton = keypoint_layout(name)
     shape = (len(stamps), len(skeleton.joints))
     joints, seen, residual = np.full((*shape, 3), np.nan), np.zeros(shape, bool), np.full(len(stamps), np.nan)
+    std, covariance = np.full(shape, np.nan), np.full((len(stamps), 3, 3), np.nan)
     for frame, found in enumerate(skeletons):
         if found is None:
             continue
@@ -95,4 +96,9 @@ def _collect(array_by_stamp: dict[int, Any], person: str) -> StoredResult:
         joints[frame] = [(point.x, point.y, point.z) for point in found.joints]
         seen[frame] = ~np.asarray(found.inferred, bool)
         residual[frame] = found.reprojection_residual
-    return StoredResult(np.array(stamps) / NS_PER_S, joints, seen, residual, skeleton, tuple(stamps))
+        if len(found.joint_std) == shape[1]:
+            std[frame] = found.joint_std
+        if np.any(found.root_covariance):  # version 0.1 recorded none, which is converted to zeros
+            covariance[frame] = found.root_covariance.reshape(3, 3)
+    times = np.array(stamps) / NS_PER_S
+    return StoredResult(times, joints, seen, residual, skeleton, tuple(stamps), std, covariance)

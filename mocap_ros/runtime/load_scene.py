@@ -21,6 +21,7 @@ from mocap_ros.formats.result_file import load_result_file
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.formats.text_files import read_text
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.level import average_vertical
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence
 from mocap_ros.people import MotionKind
@@ -29,8 +30,8 @@ from mocap_ros.runtime.detection import ShowProgress
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 from mocap_ros.runtime.load_keypoints import load_detections, load_input
 from mocap_ros.runtime.load_results import holds_result
-from mocap_ros.runtime.scene_rows import project_joints, recover_intrinsics
-from mocap_ros.skeleton import CMU15, skeleton_from_joints
+from mocap_ros.runtime.scene_rows import recover_intrinsics
+from mocap_ros.skeleton import CMU15, Skeleton, skeleton_from_joints
 from mocap_ros.viewing.scene import Mark, MarkKind, Scene, SceneKeypoints, ScenePerson
 
 Array = NDArray[np.float64]
@@ -47,6 +48,7 @@ RESULT_CAMERA_KEYS = (
     'scale',
     'translation',
 )  # of a result file: (F,) px/m and (F, 2) px, as `reconstruct` writes them
+VERTICAL_KEY = 'vertical'  # of a result file: (F, 3), as `SequenceResult` has it
 
 
 @dataclass(frozen=True)
@@ -143,11 +145,14 @@ def _reconstruct_sequences(
     stamps = sorted({stamp for sequence in sequences for stamp in sequence.stamps_ns})
     frame_of = {stamp: frame for frame, stamp in enumerate(stamps)}
     intrinsics = sequences[0].intrinsics(config.tracker.nominal_focal_length)
-    people, keypoints = [], []
+    people, keypoints, verticals = [], [], []
+    skeleton = CMU15
     for index, sequence in enumerate(progress(sequences, len(sequences))):
         frames = np.array([frame_of[stamp] for stamp in sequence.stamps_ns])
         observations = extract_observations(sequence, config.tracker.nominal_focal_length)
         result = reconstruct_sequence(*observations, options.models, config)
+        skeleton = result.skeleton
+        verticals.append(result.vertical)
         people.append(_make_person(sequence.person_id or f'person_{index + 1}', frames, result, intrinsics))
         is_seen = (sequence.keypoints[..., 2] > 0).any(axis=1)
         keypoints.append(
@@ -155,7 +160,6 @@ def _reconstruct_sequences(
                 skeleton=skeleton_from_joints(sequence.joint_names),
                 frames=frames[is_seen],
                 points=_hide_unseen(sequence.keypoints[is_seen]),
-                score=sequence.keypoints[is_seen, :, 2].astype(np.float32),
             )
         )
     truth = sequences[0].truth if len(sequences) == 1 else None
@@ -166,15 +170,23 @@ def _reconstruct_sequences(
         keypoints=tuple(_merge_keypoints(keypoints)),
         image_size=sequences[0].image_size,
         intrinsics=intrinsics,
-        truth=None if truth is None else select_true_joints(truth.joints, truth.joint_names),
+        truth=None if truth is None else select_true_joints(truth.joints, truth.joint_names, skeleton),
+        skeleton=skeleton,
+        vertical=average_vertical(np.concatenate(verticals)),
     )
 
 
-def select_true_joints(joints: Array, names: Sequence[str]) -> Array32 | None:
-    """Return the joints (F, 15, 3) of `CMU15` among true joints (F, J3, 3), or None if one is missing."""
+def select_true_joints(joints: Array, names: Sequence[str], skeleton: Skeleton = CMU15) -> Array32 | None:
+    """Return the joints (F, J, 3) of a skeleton among true joints (F, J3, 3), NaN for those that are not there.
+
+    None if a joint of `CMU15` is missing.
+    """
     if not set(CMU15.joints) <= set(names):
         return None
-    return joints[:, [names.index(name) for name in CMU15.joints]].astype(np.float32)
+    unknown = np.full((len(joints), 3), np.nan)
+    return np.stack(
+        [joints[:, names.index(name)] if name in names else unknown for name in skeleton.joints], axis=1
+    ).astype(np.float32)
 
 
 def _hide_unseen(keypoints: Array) -> Array32:
@@ -190,9 +202,7 @@ def _merge_keypoints(keypoints: Sequence[SceneKeypoints]) -> list[SceneKeypoints
         frames = np.concatenate([k.frames for k in alike])
         order = np.argsort(frames, kind='stable')
         points = np.concatenate([k.points for k in alike])[order]
-        merged.append(
-            SceneKeypoints(skeleton, frames[order], points, np.concatenate([k.score for k in alike])[order])
-        )
+        merged.append(SceneKeypoints(skeleton, frames[order], points))
     return merged
 
 
@@ -223,7 +233,7 @@ def _make_plain_person(
         joints=joints.astype(np.float32),
         std=np.full(joints.shape[:2], np.nan, np.float32),
         inferred=~seen,
-        image=project_joints(joints, intrinsics),
+        intrinsics=intrinsics,
         residual=residual.astype(np.float32),
         cadence=np.full(count, np.nan, np.float32),
         motion=np.full(count, MotionKind.UNKNOWN, np.uint8),
@@ -259,16 +269,29 @@ def _load_result_scene(path: Path, options: SceneOptions) -> Scene:
     has_skeleton = np.isfinite(result.joints).all(axis=(1, 2))
     if not has_skeleton.any():
         raise InputError(f'{path}: no frame has a skeleton')
-    arrays = ArrayReader(read_arrays(path, RESULT_CAMERA_KEYS, 'a result of reconstruct'))
+    arrays = ArrayReader(read_arrays(path, (*RESULT_CAMERA_KEYS, VERTICAL_KEY), 'a result of reconstruct'))
     try:
         scale = arrays.read_numbers('scale', (len(result.times),))[has_skeleton]
         translation = arrays.read_numbers('translation', (len(result.times), 2))[has_skeleton]
+        vertical = np.full(3, np.nan)
+        if VERTICAL_KEY in arrays:  # version 0.1 wrote none
+            vertical = average_vertical(arrays.read_numbers(VERTICAL_KEY, (len(result.times), 3)))
     except InputError as error:
         raise InputError(f'{path}: {error}') from None
     joints = result.joints[has_skeleton]
-    intrinsics, image_size = recover_intrinsics(joints.mean(axis=1), scale, translation)
+    core = [result.skeleton.index(joint) for joint in CMU15.joints]
+    intrinsics, image_size = recover_intrinsics(joints[:, core].mean(axis=1), scale, translation)
     frames = np.flatnonzero(has_skeleton)
     person = _make_plain_person(
         'person_1', frames, joints, result.seen[has_skeleton], result.residual[has_skeleton], intrinsics
     )
-    return Scene(path.name, result.stamps_ns, (person,), (), image_size, intrinsics)
+    return Scene(
+        title=path.name,
+        stamps_ns=result.stamps_ns,
+        people=(person,),
+        keypoints=(),
+        image_size=image_size,
+        intrinsics=intrinsics,
+        skeleton=result.skeleton,
+        vertical=vertical,
+    )

@@ -8,21 +8,24 @@ remembered after its last message.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cameras import CAMERAS, encode_cameras
 from mocap_ros.messages.cdr import Header, OutputMessage
-from mocap_ros.messages.foreign.definitions import COLLISION_OBJECT, DETECTIONS_3D, OBSTACLES, PEOPLE
+from mocap_ros.messages.foreign.definitions import COLLISION_OBJECT, DETECTIONS_3D, HRI_IDS, OBSTACLES, PEOPLE
 from mocap_ros.messages.markers import MARKERS, MarkerEncoder
 from mocap_ros.messages.point_cloud import POINTS, encode_points
+from mocap_ros.messages.robots.bodies import TRACKED, BodiesEncoder, make_body_id
 from mocap_ros.messages.robots.capsules import CAPSULES, encode_capsules
 from mocap_ros.messages.robots.collision_objects import CollisionObjectEncoder
 from mocap_ros.messages.robots.detections import encode_detections
 from mocap_ros.messages.robots.obstacles import encode_obstacles
 from mocap_ros.messages.robots.people import encode_people
 from mocap_ros.messages.robots.poses import POSES, encode_poses
+from mocap_ros.messages.robots.predictions import PREDICTIONS, PredictedFrame, encode_predictions
 from mocap_ros.messages.skeletons import (
     SKELETON_DEFINITION,
     SKELETONS,
@@ -31,7 +34,7 @@ from mocap_ros.messages.skeletons import (
 )
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
 from mocap_ros.people import CameraVertical, Person3D
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import keypoint_layout
 
 # Message type of every output that each accepted image causes, by relative topic name.
 OUTPUTS = {
@@ -65,6 +68,8 @@ SWITCHED_OUTPUTS = {
     'publish_poses': SwitchedOutput('poses', POSES, encode_poses),
     'publish_capsules': SwitchedOutput('capsules', CAPSULES, encode_capsules),
     'publish_collision_objects': SwitchedOutput('collision_object', COLLISION_OBJECT),
+    'publish_predictions': SwitchedOutput('predictions', PREDICTIONS),
+    'publish_bodies': SwitchedOutput(TRACKED, HRI_IDS),  # and the topics of each body
 }
 # Message type of the output that is published once and kept for late subscribers, by relative topic name.
 LATCHED_OUTPUTS = {'skeleton_definition': SKELETON_DEFINITION}
@@ -84,6 +89,7 @@ class OutputEncoder:
     def __init__(self) -> None:
         self._markers = MarkerEncoder()
         self._collision_objects = CollisionObjectEncoder()
+        self._bodies = BodiesEncoder()
 
     def encode(
         self,
@@ -92,6 +98,7 @@ class OutputEncoder:
         node: NodeConfig | None = None,
         camera: CameraPlacement | None = None,
         vertical: CameraVertical | None = None,
+        predicted: Sequence[PredictedFrame] = (),
     ) -> tuple[OutputMessage, ...]:
         """Encode the people in an image; the result has one message for each of `OUTPUTS`, then those switched on.
 
@@ -101,6 +108,7 @@ class OutputEncoder:
             node: Parameters of the outputs; None for the defaults.
             camera: The camera in the frame of the header; None where the header names the optical frame.
             vertical: What is known of the camera's vertical, in its optical frame; None if nothing is.
+            predicted: The people at times after the image, in the camera's optical frame.
         """
         node = node or NodeConfig()
         camera = camera or CameraPlacement(header.frame_id)
@@ -114,9 +122,16 @@ class OutputEncoder:
         outputs = [OutputMessage(topic, OUTPUTS[topic], header.stamp_ns, raw) for topic, raw in data.items()]
         certain = [p for p in placed if not p.tentative]
         for field, output in SWITCHED_OUTPUTS.items():
-            if getattr(node, field):
+            if not getattr(node, field):
+                continue
+            if output.type == HRI_IDS:
+                outputs += self._bodies.encode_update(header, certain)
+                continue
+            if output.type == PREDICTIONS:
+                messages = [encode_predictions(header, predicted, camera)]
+            else:
                 messages = self._encode_switched(output, header, certain, node)
-                outputs += [OutputMessage(output.topic, output.type, header.stamp_ns, raw) for raw in messages]
+            outputs += [OutputMessage(output.topic, output.type, header.stamp_ns, raw) for raw in messages]
         return tuple(outputs)
 
     def _encode_switched(
@@ -126,17 +141,21 @@ class OutputEncoder:
         if output.encode is not None:
             return [output.encode(header, people)]
         if output.type == TRANSFORMS:
+            if node.publish_bodies:  # whose names are those of the links of the bodies
+                people = [replace(p, id=make_body_id(p.id)) for p in people]
             return [encode_transforms(header, people, node.frame_prefix)]
         return self._collision_objects.encode_update(header, people)
 
     def encode_clear(self, header: Header) -> tuple[OutputMessage, ...]:
-        """Encode the messages that delete all markers and collision objects, and forget all people."""
+        """Encode the messages that delete all markers, collision objects and bodies, and forget all people."""
         topic, msgtype, _ = SWITCHED_OUTPUTS['publish_collision_objects']
         markers = OutputMessage('markers', MARKERS, header.stamp_ns, self._markers.encode_clear(header))
         objects = self._collision_objects.encode_clear(header)
-        return markers, *(OutputMessage(topic, msgtype, header.stamp_ns, raw) for raw in objects)
+        cleared = [OutputMessage(topic, msgtype, header.stamp_ns, raw) for raw in objects]
+        return markers, *cleared, *self._bodies.encode_clear(header)
 
 
-def build_skeleton_definition() -> OutputMessage:
-    """Return the latched message that names the joints of the skeletons."""
-    return OutputMessage('skeleton_definition', SKELETON_DEFINITION, 0, encode_skeleton_definition(CMU15))
+def build_skeleton_definition(name: str) -> OutputMessage:
+    """Return the latched message that names the joints of the skeletons, which `tracker.skeleton` chooses."""
+    data = encode_skeleton_definition(keypoint_layout(name))
+    return OutputMessage('skeleton_definition', SKELETON_DEFINITION, 0, data)

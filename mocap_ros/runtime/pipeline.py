@@ -6,6 +6,7 @@ state of its tracker.
 
 from __future__ import annotations
 
+import math
 import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -18,6 +19,7 @@ from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.topics import PEOPLE_SOURCES, TRANSFORM_SOURCES, Source
 from mocap_ros.config import Config
 from mocap_ros.errors import ConfigError, FrameDropped, InputError, SkeletonError
+from mocap_ros.geometry.floor import Floor
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rigid_transform import RigidTransform, parse_camera_pose
 from mocap_ros.keypoints.image_size import resolve_image_size
@@ -25,15 +27,19 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, OutputMessage
+from mocap_ros.messages.foreign.definitions import HRI_SKELETON
 from mocap_ros.messages.keypoints import KeypointsFrame
+from mocap_ros.messages.robots.predictions import PredictedFrame, read_prediction_times
 from mocap_ros.messages.transform_tree import TransformTree
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.people import CameraVertical, Person3D
+from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.units import NS_PER_S
 
+CAMERA_MOTION_S = 0.1  # s; over which the motion of the camera is found: as long as velocities are smoothed over
 MAX_CONSECUTIVE_ERRORS = 3  # messages; after as many internal errors in a row the tracker's state is discarded
 BACKLOG_REASON = (
     'the message was skipped because newer messages were waiting, as the node cannot keep up with its input; '
@@ -81,6 +87,26 @@ def _read_fixed_pose(config: Config) -> RigidTransform | None:
     if not node.output_frame:
         raise ConfigError('node.camera_pose: needs node.output_frame, the frame in which the pose is given')
     return parse_camera_pose(node.camera_pose, 'node.camera_pose')
+
+
+def _read_floor_height(config: Config) -> float | None:
+    """Return the height of the floor in `node.output_frame` in m, if the parameters give it.
+
+    Raises:
+        ConfigError: `node.floor_height` is not a finite number, or there is no frame that it is given in.
+    """
+    node = config.node
+    if not node.floor_height:
+        return None
+    if not node.output_frame:
+        raise ConfigError('node.floor_height: needs node.output_frame, the frame in which the height is given')
+    try:
+        height = float(node.floor_height)
+    except ValueError:
+        height = math.nan
+    if not math.isfinite(height):
+        raise ConfigError(f'node.floor_height = {node.floor_height!r}: expected a number of metres, such as 0')
+    return height
 
 
 def _merge_results(results: Sequence[ProcessingResult]) -> ProcessingResult:
@@ -131,8 +157,13 @@ class FrameTracker(Protocol):
     def vertical(self) -> CameraVertical | None:
         """What is known of the camera's vertical; None if nothing is."""
 
-    def update(self, stamp_ns: int, people: tuple[Person2D, ...], intrinsics: Intrinsics) -> tuple[Person3D, ...]:
+    def update(
+        self, stamp_ns: int, people: tuple[Person2D, ...], intrinsics: Intrinsics, floor: Floor | None = None
+    ) -> tuple[Person3D, ...]:
         """Track the people of an image; see `tracker.Tracker.update`."""
+
+    def predict(self, times_s: Sequence[float]) -> list[list[PredictedPerson]]:
+        """Predict the people of the newest image; see `tracker.Tracker.predict`."""
 
     def run_deferred_work(self) -> None:
         """Check the hypotheses of the tracks; see the method of `tracker.Tracker`."""
@@ -160,7 +191,9 @@ class Pipeline:
         people: People in the outputs of the last accepted image, in the camera's optical frame.
 
     Raises:
-        ConfigError: `node.camera_pose` is not a pose, or is given without `node.output_frame`.
+        ConfigError: `node.camera_pose` is not a pose, `node.floor_height` no number, or either is given without
+            `node.output_frame`; bodies of ROS4HRI are both input and output; or
+            `node.prediction_times` are no times up to a second, or people are to be predicted with `tracker.lag`.
         ModelError: The base poses cannot be loaded.
     """
 
@@ -174,7 +207,11 @@ class Pipeline:
         self.counters = Counters()
         self.camera_info: bytes | None = None
         self.transforms = TransformTree()
+        if config.node.publish_bodies and config.node.input_type == HRI_SKELETON:
+            raise ConfigError(f'node.publish_bodies: not with node.input_type {HRI_SKELETON}, of the same topics')
         self._fixed_pose = _read_fixed_pose(config)
+        self._floor_height = _read_floor_height(config)
+        self._prediction_times = read_prediction_times(config)
         self._camera: CameraInfo | None = None
         self.models = models or load_base_pose_models(config.tracker.model)
         self._make_tracker = make_tracker
@@ -253,7 +290,9 @@ class Pipeline:
             header, camera, remark = self._place_camera(
                 Header(self._tracker.output_stamp_ns, frame.header.frame_id)
             )
-            outputs = self._outputs.encode(header, people, node, camera, self._tracker.vertical)
+            times = self._prediction_times
+            predicted = [*map(PredictedFrame, times, self._tracker.predict(times))] if times else ()
+            outputs = self._outputs.encode(header, people, node, camera, self._tracker.vertical, predicted)
         except Exception as error:
             if isinstance(error, FrameDropped) and frame.header.stamp_ns == self.header.stamp_ns == 0:
                 error = FrameDropped(MISSING_STAMP)
@@ -273,15 +312,36 @@ class Pipeline:
         node, own = self.config.node, CameraPlacement(header.frame_id)
         if not node.output_frame:
             return header, own, ''
-        pose = self._fixed_pose
+        placed = Header(header.stamp_ns, node.output_frame)
+        if self._fixed_pose is not None:
+            return placed, CameraPlacement(header.frame_id, self._fixed_pose), ''
+        frames = node.output_frame, header.frame_id
+        try:
+            pose = self.transforms.find(*frames, header.stamp_ns, node.transform_tolerance)
+        except InputError as error:
+            return header, own, f'{error}, so people are put out in the frame of the camera'
+        try:
+            before = self.transforms.find(*frames, header.stamp_ns - round(CAMERA_MOTION_S * NS_PER_S), 0.0)
+        except InputError:  # the transforms begin later
+            return placed, CameraPlacement(header.frame_id, pose), ''
+        return placed, CameraPlacement(header.frame_id, pose, before, CAMERA_MOTION_S), ''
+
+    def _find_floor(self, header: Header) -> Floor | None:
+        """Return the floor at the time of an image, header of it; None if it is not known.
+
+        With `tracker.lag`, people of an earlier image are put out, so a camera that may move tells no floor.
+        """
+        height, pose, node = self._floor_height, self._fixed_pose, self.config.node
+        if height is None or (pose is None and self.config.tracker.lag > 0):
+            return None
         if pose is None:
             try:
                 pose = self.transforms.find(
                     node.output_frame, header.frame_id, header.stamp_ns, node.transform_tolerance
                 )
-            except InputError as error:
-                return header, own, f'{error}, so people are put out in the frame of the camera'
-        return Header(header.stamp_ns, node.output_frame), CameraPlacement(header.frame_id, pose), ''
+            except InputError:  # of which the outputs tell
+                return None
+        return Floor.find(pose, height)
 
     def _count(self, source: Source, result: ProcessingResult) -> None:
         """Count an input by its result; reset the tracker after `MAX_CONSECUTIVE_ERRORS` internal errors."""
@@ -345,7 +405,9 @@ class Pipeline:
 
     def _track(self, frame: KeypointsFrame, intrinsics: Intrinsics) -> tuple[Person3D, ...]:
         try:
-            return self._tracker.update(frame.header.stamp_ns, frame.people, intrinsics)
+            return self._tracker.update(
+                frame.header.stamp_ns, frame.people, intrinsics, self._find_floor(frame.header)
+            )
         except SkeletonError as error:
             raise InputError(f'people: {error}') from None
         except np.linalg.LinAlgError as error:

@@ -202,7 +202,7 @@ class _Replay:
         for topic, msgtype in LATCHED_OUTPUTS.items():
             self._recorder.declare_topic('/' + topic, msgtype, latched=True)
         self._recorder.write(*self._journal.make_parameters_record(values(self._pipeline.config), now_ns))
-        self._write(build_skeleton_definition(), now_ns)
+        self._write(build_skeleton_definition(self._pipeline.config.tracker.skeleton), now_ns)
         self._journal.skip_inputs(self._part.inputs_before)
 
     def _repeat_events(self, number: int, now_ns: int) -> None:

@@ -6,7 +6,7 @@ import csv
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -24,6 +24,8 @@ from mocap_ros.formats.export.opensim_model import place_markers, save_mot, save
 from mocap_ros.formats.export.trc import save_trc
 from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.geometry.differences import central_velocity
+from mocap_ros.geometry.level import average_vertical, rotation_to_level
+from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.npz_file import write_npz
@@ -31,11 +33,14 @@ from mocap_ros.offline.whole_sequence import SequenceResult
 from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
 from mocap_ros.runtime.sequence_messages import DEFAULT_FRAME_ID
+from mocap_ros.skeleton import CORE_COUNT
 
 Array = NDArray[np.float64]
 
 DEFAULT_PERSON_ID = 'person_1'  # id in the messages of a bag, if the sequence does not name its person
 MAX_RESAMPLED_FRAMES = 1_000_000  # frames; guards the memory against two frames that are years apart
+HALF_TURN = np.array([1.0, 0.0, 0.0, 0.0])  # quaternion x, y, z, w of `CAMERA_TO_Y_UP`, half a turn about x
+SMALLEST_NORM = 1e-9  # 1; guards the normalisation of mixed quaternions
 CAMERA_TO_Y_UP = np.array([1.0, -1.0, -1.0])  # factors of x, y, z: optical frame (y down, z forward) to y up
 
 
@@ -85,6 +90,8 @@ def _save_npz(path: Path, reconstruction: ReconstructedSequence) -> None:
         'vertical': result.vertical,
         'vertical_std': result.vertical_std,
     }
+    if result.orientation is not None and result.turn_inferred is not None:
+        arrays |= {'orientation': result.orientation.astype('f4'), 'turn_inferred': result.turn_inferred}
     write_npz(path, arrays)
 
 
@@ -141,7 +148,7 @@ def _record(recorder: Recorder, reconstruction: ReconstructedSequence) -> None:
     stamps = sequence.stamps_ns
     for topic, msgtype in LATCHED_OUTPUTS.items():
         recorder.declare_topic('/' + topic, msgtype, latched=True)
-    definition = build_skeleton_definition()
+    definition = build_skeleton_definition(reconstruction.result.skeleton.name)
     recorder.write('/' + definition.topic, definition.type, definition.data, stamps[0], stamps[0])
     person_id = sequence.person_id or DEFAULT_PERSON_ID
     result = reconstruction.result
@@ -170,12 +177,12 @@ def _iterate_people(reconstruction: ReconstructedSequence) -> Iterator[Person3D 
     velocity = central_velocity(times, result.joints)
     first = last_seen = math.nan
     for frame, seen in enumerate(result.seen):
-        if seen.any():
+        if seen[:CORE_COUNT].any():
             first, last_seen = times[frame] if math.isnan(first) else first, times[frame]
         if np.isnan(result.joints[frame]).any():
             yield None
             continue
-        yield Person3D(
+        person = Person3D(
             id=reconstruction.sequence.person_id or DEFAULT_PERSON_ID,
             joints=result.joints[frame],
             std=np.full(len(seen), nan),
@@ -186,16 +193,31 @@ def _iterate_people(reconstruction: ReconstructedSequence) -> Iterator[Person3D 
             motion=Motion(MotionKind.UNKNOWN, result.category, nan, nan),
             residual=float(result.solution.residual[frame]),
             scale_known=result.virtual_camera.intrinsics.is_focal_known,
-            predicted=not seen.any(),
+            predicted=not seen[:CORE_COUNT].any(),
             velocity=velocity[frame],
+            velocity_std=np.full(len(seen), nan),
             age=float(times[frame] - first),
             unseen_for=float(times[frame] - last_seen),
+            skeleton=result.skeleton,
         )
+        if result.orientation is not None and result.turn_inferred is not None:
+            turns = result.orientation[frame], result.turn_inferred[frame]
+            person = replace(person, orientation=turns[0], turn_inferred=turns[1])
+        yield person
+
+
+def stand_upright(result: SequenceResult) -> Array:
+    """Return the joints (F, J, 3) in m in the axes of animation and biomechanics: y up, x right, z to the camera.
+
+    The origin stays in the camera, and the camera's heading is kept. Up is the mean of the verticals that the
+    result has; where it has none, the camera is taken as level.
+    """
+    return np.asarray(result.joints @ rotation_to_level(average_vertical(result.vertical)).T * CAMERA_TO_Y_UP)
 
 
 def _save_bvh(path: Path, reconstruction: ReconstructedSequence) -> None:
     fps, joints, _ = _resample_at_constant_rate(reconstruction)
-    save_bvh(path, build_armature(joints, fps))
+    save_bvh(path, build_armature(joints, fps, _resample_orientation(reconstruction, len(joints))))
 
 
 def _save_trc(path: Path, reconstruction: ReconstructedSequence) -> None:
@@ -217,7 +239,7 @@ def _save_osim(path: Path, reconstruction: ReconstructedSequence) -> None:
 
 
 def _save_angles(path: Path, reconstruction: ReconstructedSequence) -> None:
-    times, joints = reconstruction.sequence.timestamps, reconstruction.result.joints * CAMERA_TO_Y_UP
+    times, joints = reconstruction.sequence.timestamps, stand_upright(reconstruction.result)
     known = np.isfinite(joints).all(axis=(1, 2))
     values = np.full((len(times), len(COORDINATES)), np.nan)
     fps = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 1.0
@@ -241,18 +263,32 @@ def _resample_at_constant_rate(reconstruction: ReconstructedSequence) -> tuple[f
     times = reconstruction.sequence.timestamps - reconstruction.sequence.timestamps[0]
     has_skeleton = np.asarray(np.isfinite(result.joints).all(axis=(1, 2)))
     if len(times) < 2:
-        return 1.0, result.joints * CAMERA_TO_Y_UP, has_skeleton
+        return 1.0, stand_upright(result), has_skeleton
     frame_count = round(float(times[-1] / np.median(np.diff(times)))) + 1
     if frame_count > MAX_RESAMPLED_FRAMES:
         raise InputError(f'timestamps: {times[-1]:.0f} s would be {frame_count} frames at a constant rate')
     grid = np.linspace(0.0, times[-1], frame_count)
-    known_times, known_joints = times[has_skeleton], result.joints[has_skeleton]
+    known_times, known_joints = times[has_skeleton], stand_upright(result)[has_skeleton]
     columns = known_joints.reshape(len(known_times), -1)
     resampled = np.stack([np.interp(grid, known_times, column) for column in columns.T], axis=1)
     half_step = times[-1] / (frame_count - 1) / 2
     in_sight = (grid > known_times[0] - half_step) & (grid < known_times[-1] + half_step)
-    joints = resampled.reshape(frame_count, -1, 3) * CAMERA_TO_Y_UP
-    return (frame_count - 1) / float(times[-1]), joints, in_sight
+    return (frame_count - 1) / float(times[-1]), resampled.reshape(frame_count, -1, 3), in_sight
+
+
+def _resample_orientation(reconstruction: ReconstructedSequence, frame_count: int) -> Array | None:
+    """Return the orientations (F, J, 4) at the times of `_resample_at_constant_rate`, y up; None if unknown."""
+    result, times = reconstruction.result, reconstruction.sequence.timestamps
+    if result.orientation is None:
+        return None
+    is_known = np.isfinite(result.orientation).all(axis=(1, 2))
+    grid = np.linspace(times[0], times[-1], frame_count)
+    columns = result.orientation[is_known].reshape(int(is_known.sum()), -1)
+    mixed = np.stack([np.interp(grid, times[is_known], column) for column in columns.T], axis=1)
+    mixed = mixed.reshape(frame_count, -1, 4)
+    mixed /= np.maximum(np.linalg.norm(mixed, axis=-1, keepdims=True), SMALLEST_NORM)
+    level = np.array(quaternion_from_rotation(rotation_to_level(average_vertical(result.vertical))))
+    return multiply_quaternions(multiply_quaternions(HALF_TURN, level), mixed)
 
 
 # The function that writes each format, by file suffix.

@@ -1,42 +1,47 @@
 """The skeletons and keypoints of messages, collected as numbers, and the scene that they make.
 
-Numbers instead of message objects keep an hour of people in some tens of MB. A bag is collected as a whole, a live
-view frame by frame.
+A bag is collected as a whole, a live view frame by frame. Messages are decoded many at a time
+(`messages/columns.py`). What is kept is bounded: when it exceeds `MAX_KEPT_BYTES`, every second frame is left out.
 """
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
+from mocap_ros.geometry.level import average_vertical
+from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, resolve_image_size
 from mocap_ros.messages.camera_info import CameraInfo
-from mocap_ros.messages.cdr import read_stamp
+from mocap_ros.messages.keypoint_columns import KeypointMessages, read_keypoints
 from mocap_ros.messages.keypoints import KeypointsFrame
+from mocap_ros.messages.skeleton_columns import SkeletonColumns, SkeletonMessages, read_skeletons
 from mocap_ros.runtime.frame_assembly import is_stamp_missing
-from mocap_ros.skeleton import CMU15, keypoint_layout, skeleton_from_joints
+from mocap_ros.skeleton import CMU15, Skeleton, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.scene import Mark, MarkKind, Scene, SceneKeypoints, ScenePerson
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
+Indices = NDArray[np.intp]
+Stamps = NDArray[np.int64]
+Kept = NDArray[np.bool_]
+T = TypeVar('T', SkeletonMessages, KeypointMessages)
 
-UNKNOWN_STD = np.full(len(CMU15.joints), np.nan, np.float32)  # m, of a message without standard deviations
+BATCH_MESSAGES = 512  # messages that are decoded at a time; more are not faster, and take memory
+BATCH_BYTES = 4 << 20  # bytes of messages that are decoded at a time
+MAX_KEPT_BYTES = 119_000_000  # bytes; half an hour of five people at 30 Hz, with 15 joints each
+FIRST_ROWS = 64  # rows for which there is room at first, of an unknown number
+ROOMY_PEOPLE = 16  # people for each of whom there is room in all frames; of more, most are seen shortly
+DETECTIONS_PER_FRAME = 6  # detections in a frame for which there is room at first
 MAX_POINT_PX = 1e6  # px; image points farther away are garbage and not drawn
 FALLBACK_SIZE = (640, 480)  # px, of a live view before anybody is seen
-MIN_DEPTH_M = 0.1  # m; nearer joints have no image point that could be drawn
-
-
-def project_joints(joints: NDArray[np.floating[Any]], intrinsics: Intrinsics) -> Array32:
-    """Return the image points (..., 2) of joints (..., 3), NaN behind or at the camera."""
-    points = np.where(joints[..., 2:] > MIN_DEPTH_M, joints, np.nan).astype(np.float64)
-    return intrinsics.project(points).astype(np.float32)
+MAX_STRIDE = 1 << 20  # frames; nothing is longer
+CAMERA_ROWS = 10_000  # skeletons whose cameras tell the intrinsics; more would tell the same
 
 
 def recover_intrinsics(roots: Array, scale: Array, translation: Array) -> tuple[Intrinsics, tuple[int, int]]:
@@ -52,6 +57,10 @@ def recover_intrinsics(roots: Array, scale: Array, translation: Array) -> tuple[
     Returns:
         The intrinsics, and the image size in px if the principal point is in its middle.
     """
+    is_known = np.isfinite(roots).all(axis=1) & np.isfinite(scale) & np.isfinite(translation).all(axis=1)
+    if not is_known.any():
+        raise InputError('scale, translation: not finite in any frame')
+    roots, scale, translation = roots[is_known], scale[is_known], translation[is_known]
     focal = float(np.median(scale * roots[:, 2]))
     centre = np.median(translation - focal * roots[:, :2] / roots[:, 2:], axis=0)
     if not (np.isfinite(focal) and np.isfinite(centre).all() and focal >= 1):
@@ -60,47 +69,61 @@ def recover_intrinsics(roots: Array, scale: Array, translation: Array) -> tuple[
     return Intrinsics(focal, (float(centre[0]), float(centre[1])), is_focal_known=False), size
 
 
-class _PersonRows:
-    """The skeletons of one person, as numbers in the order of the messages."""
+class _Numbers:
+    """Columns of rows that are added in pieces: stamps in ns, places among all messages, and any others.
 
-    def __init__(self) -> None:
-        self.stamps = array('q')
-        self.joints, self.std, self.cameras, self.numbers = (array('f') for _ in range(4))
-        self.inferred, self.states = bytearray(), bytearray()
+    Args:
+        room: rows for which there is room at first. Unused room takes no memory; more is made by copying.
+    """
 
-    def add(self, stamp_ns: int, skeleton: Any) -> None:
-        """Add a Skeleton3D message."""
-        if len(skeleton.joints) != len(CMU15.joints) or len(skeleton.inferred) != len(CMU15.joints):
-            raise InputError(f'skeleton of {len(skeleton.joints)} joints, expected {len(CMU15.joints)}')
-        self.stamps.append(stamp_ns)
-        self.joints.extend([value for joint in skeleton.joints for value in (joint.x, joint.y, joint.z)])
-        std = np.asarray(skeleton.joint_std, np.float32)
-        self.std.frombytes((std if len(std) == len(CMU15.joints) else UNKNOWN_STD).tobytes())
-        self.inferred += bytes(skeleton.inferred)
-        self.cameras.extend((skeleton.camera.scale, *skeleton.camera.translation))
-        self.numbers.extend((skeleton.reprojection_residual, skeleton.motion.cadence))
-        self.states += bytes((skeleton.motion.state, skeleton.predicted, skeleton.tentative))
+    def __init__(self, room: int) -> None:
+        self._room = room
+        self._columns: list[NDArray[Any]] = []  # with room for more than `_count` rows
+        self._count = 0
 
-    def recover_intrinsics(self) -> tuple[Intrinsics, ImageSize]:
-        """Return what the cameras of the skeletons imply; see the function of that name."""
-        cameras = np.array(self.cameras, np.float64).reshape(-1, 3)
-        roots = np.array(self.joints, np.float64).reshape(len(cameras), -1, 3).mean(axis=1)
-        return recover_intrinsics(roots, cameras[:, 0], cameras[:, 1:])
+    def add(self, *columns: NDArray[Any]) -> int:
+        """Add rows; return how many bytes they take."""
+        if not self._columns:
+            self._columns = [np.empty((self._room, *column.shape[1:]), column.dtype) for column in columns]
+        end = self._count + len(columns[0])
+        for number, column in enumerate(columns):
+            room = self._columns[number]
+            if len(room) < end:
+                self._columns[number] = np.empty((end + end // 2, *room.shape[1:]), room.dtype)
+                self._columns[number][: self._count] = room[: self._count]
+            self._columns[number][self._count : end] = column
+        self._count = end
+        return sum(column.nbytes for column in columns)
+
+    def thin(self, choose: Callable[[Stamps], Kept]) -> int:
+        """Keep the rows whose stamps are chosen; return how many bytes they take."""
+        kept = choose(self._columns[0][: self._count])
+        size = int(kept.sum())
+        for number, column in enumerate(self._columns):
+            self._columns[number] = np.empty((size + size // 2, *column.shape[1:]), column.dtype)
+            np.compress(kept, column[: self._count], axis=0, out=self._columns[number][:size])
+        self._count = size
+        return sum(column[:size].nbytes for column in self._columns)
+
+    def finish(self) -> list[NDArray[Any]]:
+        """Return the columns but that of the places, by stamp and then by place; they are given up here."""
+        stamps, places = (column[: self._count] for column in self._columns[:2])
+        order = np.lexsort((places, stamps))
+        finished, columns = [stamps[order]], self._columns[2:]
+        self._columns.clear()
+        is_ordered = bool((np.diff(order) > 0).all())
+        while columns:
+            column = columns.pop(0)[: self._count]
+            finished.append(column if is_ordered else column[order])
+            del column
+        return finished
 
 
-class _KeypointRows:
-    """All detections of one keypoint layout, as numbers in the order of the messages."""
+class _Buffer(NamedTuple):
+    """Messages that wait for being decoded, and reasons of drops with the number of messages before them."""
 
-    def __init__(self) -> None:
-        self.stamps = array('q')
-        self.numbers = array('f')
-
-    def add(self, stamp_ns: int, x: NDArray[Any], y: NDArray[Any], score: NDArray[Any]) -> None:
-        """Add a detection: (J,) px, px and confidence scores."""
-        self.stamps.append(stamp_ns)
-        keypoints = np.empty((len(score), 3), np.float32)
-        keypoints[:, 0], keypoints[:, 1], keypoints[:, 2] = x, y, score
-        self.numbers.frombytes(keypoints.tobytes())
+    raws: list[bytes]
+    drops: list[tuple[int, str]]
 
 
 class SceneRows:
@@ -108,73 +131,80 @@ class SceneRows:
 
     Args:
         person: id of the only person to show; None for all.
+        frames: number of frames that are expected; 0 if it is not known.
+        max_bytes: of what is kept, above which every second frame is left out.
 
     Attributes:
-        newest_ns: stamp of the last skeletons in ns.
+        faults: descriptions of the messages that could not be read.
+        stride: the frames of which one is kept, in the mean; 1 if none are left out.
     """
 
-    def __init__(self, person: str | None = None) -> None:
-        self.newest_ns = 0
+    def __init__(self, person: str | None = None, frames: int = 0, max_bytes: int = MAX_KEPT_BYTES) -> None:
+        self.faults: list[str] = []
+        self.stride = 1
         self._person = person
-        self._people: dict[str, _PersonRows] = {}
-        self._keypoints: dict[tuple[str, ...], _KeypointRows] = {}
-        self._stamps: set[int] = set()
+        self._frames = frames
+        self._max_bytes = max_bytes
+        self._skeletons, self._keypoints = _Buffer([], []), _Buffer([], [])
+        self._people: dict[str, _Numbers] = {}
+        self._detections: dict[tuple[str, ...], _Numbers] = {}
+        self._stamps: list[Stamps] = []
+        self._vertical: list[Array] = []
+        self._cameras: list[Array] = []
         self._drops: list[tuple[int, str]] = []
         self._image_size = UNKNOWN_SIZE
+        self._skeleton: Skeleton | None = None
+        self._newest_ns = 0
+        self._order = 0  # number of messages so far
+        self._bytes = 0
+        self._cell_ns = 0  # ns; time between two frames, as soon as frames are left out
+
+    @property
+    def newest_ns(self) -> int:
+        """Stamp of the last skeletons in ns; 0 before the first."""
+        self._decode_skeletons()
+        return self._newest_ns
 
     @property
     def has_people(self) -> bool:
-        """Whether there is a skeleton."""
+        """Whether there is a skeleton in any message."""
+        self._decode_skeletons()
         return bool(self._people)
 
-    def add_skeletons(self, message: Any) -> None:
-        """Add a Skeleton3DArray.
+    def add_skeletons(self, raw: bytes) -> None:
+        """Add a Skeleton3DArray."""
+        self._skeletons.raws.append(raw)
+        if len(self._skeletons.raws) >= BATCH_MESSAGES or len(raw) * len(self._skeletons.raws) > BATCH_BYTES:
+            self._decode_skeletons()
 
-        Raises:
-            InputError: a skeleton has another number of joints than `CMU15`.
-        """
-        self.newest_ns = read_stamp(message.header.stamp)
-        self._stamps.add(self.newest_ns)
-        for skeleton in message.people:
-            if self._person in (None, skeleton.id):
-                self._people.setdefault(skeleton.id, _PersonRows()).add(self.newest_ns, skeleton)
+    def add_keypoints(self, raw: bytes) -> None:
+        """Add a Keypoints2DArray, without the checks of the tracker."""
+        self._keypoints.raws.append(raw)
+        if len(self._keypoints.raws) >= BATCH_MESSAGES or len(raw) * len(self._keypoints.raws) > BATCH_BYTES:
+            self._decode_keypoints()
 
-    def add_keypoints(self, frame: KeypointsFrame) -> None:
-        """Add the people whom a detector saw in an image."""
+    def add_keypoints_frame(self, frame: KeypointsFrame) -> None:
+        """Add the people whom a detector saw in an image, from a message of any type."""
         self._image_size = (frame.image_width, frame.image_height) if frame.image_width else self._image_size
-        self._stamps.add(frame.header.stamp_ns)
+        stamps = np.array([frame.header.stamp_ns], np.int64)
+        self._stamps.append(stamps)
         for person in frame.people:
-            rows = self._keypoints.setdefault(person.joints, _KeypointRows())
-            rows.add(frame.header.stamp_ns, person.points[:, 0], person.points[:, 1], person.score)
-
-    def add_own_keypoints(self, message: Any) -> None:
-        """Add a Keypoints2DArray without the checks of the tracker, which take most of the time of a long bag.
-
-        Raises:
-            InputError: the arrays of a person are not of the layout's length.
-            SkeletonError: a layout is unknown.
-        """
-        stamp_ns = read_stamp(message.header.stamp)
-        if message.image_width and message.image_height:
-            self._image_size = message.image_width, message.image_height
-        self._stamps.add(stamp_ns)
-        for person in message.people:
-            joints = tuple(person.joint_names) or keypoint_layout(person.skeleton).joints
-            if not len(person.x) == len(person.y) == len(person.score) == len(joints):
-                raise InputError(f'people: {len(person.x)} keypoints, expected {len(joints)}')
-            self._keypoints.setdefault(joints, _KeypointRows()).add(stamp_ns, person.x, person.y, person.score)
+            numbers = np.column_stack([person.points, person.score])[None]
+            self._add_detections(person.joints, stamps, np.array([self._order]), numbers)
+        self._order += 1
 
     def add_drop(self, reason: str) -> None:
         """Add an input that was dropped after the last skeletons."""
-        self._drops.append((self.newest_ns, reason))
+        self._skeletons.drops.append((len(self._skeletons.raws), reason))
 
     def build_frame(self) -> Scene:
         """Return the scene of one frame, which may show nobody, as a live view draws it."""
-        if self._people:
+        if self.has_people:
             return self.build('live')
+        self._decode_keypoints()
         size = self._image_size if all(self._image_size) else FALLBACK_SIZE
-        stamps = np.array(sorted(self._stamps), np.int64)
-        keypoints = tuple(_finish_keypoints(names, rows, stamps) for names, rows in self._keypoints.items())
+        stamps = self._list_stamps()
+        keypoints = tuple(_finish_keypoints(names, rows, stamps) for names, rows in self._detections.items())
         return Scene('live', stamps.tolist(), (), keypoints, size, Intrinsics.from_image_size(*size, 1.0))
 
     def build(self, title: str, camera: CameraInfo | None = None) -> Scene:
@@ -187,17 +217,20 @@ class SceneRows:
         Raises:
             InputError: the skeletons' cameras are not valid.
         """
-        stamps = np.array(sorted(self._stamps), np.int64)
+        self._decode_skeletons()
+        self._decode_keypoints()
+        stamps = self._list_stamps()
         if len(stamps) > 1 and is_stamp_missing(int(stamps[0]), int(stamps[-1])):
             stamps = stamps[1:]
-        intrinsics, implied_size = next(iter(self._people.values())).recover_intrinsics()
+        roots, scale, translation = np.split(np.concatenate(self._cameras), [3, 4], axis=1)
+        intrinsics, implied_size = recover_intrinsics(roots, scale[:, 0], translation)
         size = resolve_image_size(
             stated=self._image_size, camera=camera.size if camera else None, configured=implied_size
         )
         intrinsics = camera.intrinsics if camera else intrinsics
         people = [_finish_person(i, self._people.pop(i), stamps, intrinsics) for i in list(self._people)]
         keypoints = [
-            _finish_keypoints(names, self._keypoints.pop(names), stamps) for names in list(self._keypoints)
+            _finish_keypoints(names, self._detections.pop(names), stamps) for names in list(self._detections)
         ]
         return Scene(
             title=title,
@@ -207,50 +240,174 @@ class SceneRows:
             image_size=size,
             intrinsics=intrinsics,
             marks=tuple(_make_drops(self._drops, stamps)),
+            skeleton=self._skeleton or CMU15,
+            vertical=average_vertical(np.array(self._vertical)),
         )
 
+    def _list_stamps(self) -> Stamps:
+        return np.unique(np.concatenate([*self._stamps, np.empty(0, np.int64)]))
 
-def _make_drops(drops: Sequence[tuple[int, str]], stamps: NDArray[np.int64]) -> list[Mark]:
+    def _decode_skeletons(self) -> None:
+        """Decode the skeletons that wait, and place the drops beside them."""
+        raws, drops = self._skeletons
+        stamps = np.full(len(raws) + 1, -1, np.int64)
+        stamps[0] = self._newest_ns
+
+        def add(messages: SkeletonMessages, places: Stamps) -> None:
+            stamps[places - self._order + 1] = messages.stamps_ns
+            self._add_skeleton_messages(messages, places)
+
+        self._decode('skeletons', raws, self._order, read_skeletons, add)
+        newest = np.maximum.accumulate(np.where(stamps >= 0, np.arange(len(stamps)), 0))
+        self._drops += [(int(stamps[newest[count]]), reason) for count, reason in drops]
+        self._newest_ns = int(stamps[newest[-1]])
+        self._order += len(raws)
+        raws.clear()
+        drops.clear()
+
+    def _decode_keypoints(self) -> None:
+        """Decode the keypoints that wait."""
+        raws = self._keypoints.raws
+        self._decode('keypoints', raws, self._order, read_keypoints, self._add_keypoint_messages)
+        self._order += len(raws)
+        raws.clear()
+
+    def _decode(
+        self,
+        name: str,
+        raws: Sequence[bytes],
+        first: int,
+        read: Callable[[Sequence[bytes]], Iterable[T]],
+        add: Callable[[T, Stamps], None],
+    ) -> None:
+        """Decode messages together; those that are damaged are found by halving, and left out.
+
+        Args:
+            name: what they hold, for the description of a fault.
+            raws: the messages.
+            first: place of the first one among all messages.
+            read: function that decodes messages, and yields them in groups with their `rows`.
+            add: function that takes a group and the places (N,) of its messages.
+        """
+        try:
+            groups = list(read(raws))
+        except InputError as error:
+            if len(raws) == 1:
+                self.faults.append(f'{name}: {error}')
+                return
+            half = len(raws) // 2
+            self._decode(name, raws[:half], first, read, add)
+            self._decode(name, raws[half:], first + half, read, add)
+            return
+        for group in groups:
+            add(group, first + group.rows)
+
+    def _add_skeleton_messages(self, messages: SkeletonMessages, places: Stamps) -> None:
+        kept = self._choose(messages.stamps_ns)
+        self._stamps.append(messages.stamps_ns[kept])
+        direction = average_vertical(messages.vertical)
+        if np.isfinite(direction).all():
+            self._vertical.append(direction)
+        for person in messages.people:
+            if self._person in (None, person.id):
+                self._add_person(person, messages.stamps_ns[person.rows], places[person.rows])
+
+    def _add_person(self, person: SkeletonColumns, stamps: Stamps, places: Stamps) -> None:
+        self._skeleton = self._skeleton or person.skeleton
+        if person.skeleton != self._skeleton:
+            self.faults += [f'{person.id}: joints of {person.skeleton.name}, others of {self._skeleton.name}']
+            return
+        core = [person.skeleton.index(joint) for joint in CMU15.joints]
+        if sum(map(len, self._cameras)) < CAMERA_ROWS:
+            joints = person.joints[:, core]
+            count = np.isfinite(joints).sum(axis=1)
+            roots = np.nan_to_num(joints, posinf=0, neginf=0).sum(axis=1) / np.where(count, count, np.nan)
+            self._cameras.append(np.column_stack([roots, person.cameras]))
+        columns = (
+            person.joints.astype(np.float32),
+            person.std,
+            person.inferred,
+            person.residual,
+            person.cadence,
+            person.motion,
+            person.predicted,
+            person.tentative,
+        )
+        if person.id not in self._people:
+            is_usual = len(self._people) < ROOMY_PEOPLE
+            self._people[person.id] = _Numbers(max(self._frames if is_usual else 0, FIRST_ROWS))
+        self._keep(self._people[person.id], stamps, places, *columns)
+
+    def _add_keypoint_messages(self, messages: KeypointMessages, places: Stamps) -> None:
+        stated = messages.image_size[messages.image_size.all(axis=1)]
+        if len(stated):
+            self._image_size = int(stated[-1, 0]), int(stated[-1, 1])
+        self._stamps.append(messages.stamps_ns[self._choose(messages.stamps_ns)])
+        for people in messages.people:
+            stamps = messages.stamps_ns[people.rows]
+            self._add_detections(people.joints, stamps, places[people.rows], people.numbers)
+
+    def _add_detections(
+        self, joints: tuple[str, ...], stamps: Stamps, places: Stamps, numbers: NDArray[np.floating[Any]]
+    ) -> None:
+        """Add detections (N, J, 3), whose points are NaN from here on where a keypoint was not seen."""
+        is_seen = (numbers[..., 2:] > 0) & (np.abs(numbers[..., :2]) < MAX_POINT_PX).all(axis=2, keepdims=True)
+        points = np.where(is_seen, numbers[..., :2], np.float32(np.nan)).astype(np.float32)
+        if joints not in self._detections:
+            self._detections[joints] = _Numbers(max(DETECTIONS_PER_FRAME * self._frames, FIRST_ROWS))
+        self._keep(self._detections[joints], stamps, places, points)
+
+    def _keep(self, numbers: _Numbers, stamps: Stamps, places: Stamps, *columns: NDArray[Any]) -> None:
+        """Keep rows; where they are too many, leave every second frame out of all that is kept."""
+        kept = self._choose(stamps)
+        self._bytes += numbers.add(stamps[kept], places[kept], *(column[kept] for column in columns))
+        while self._bytes > self._max_bytes and self.stride < MAX_STRIDE:
+            if self.stride == 1:
+                self._cell_ns = max(int(np.median(np.diff(self._list_stamps()))), 1)
+            self.stride *= 2
+            everything = [*self._people.values(), *self._detections.values()]
+            self._bytes = sum(each.thin(self._choose) for each in everything)
+            self._stamps = [own[self._choose(own)] for own in self._stamps]
+
+    def _choose(self, stamps: Stamps) -> Kept:
+        """Return (N,) True for the frames that are kept; of all topics the same, by their stamps alone."""
+        if self.stride == 1:
+            return np.ones(len(stamps), bool)
+        return np.asarray(stamps // self._cell_ns % self.stride == 0)
+
+
+def _make_drops(drops: Sequence[tuple[int, str]], stamps: Stamps) -> list[Mark]:
     """Return the marks of dropped inputs, by the stamps in ns of the skeletons before them and reasons."""
     frames = np.searchsorted(stamps, [stamp for stamp, _ in drops]).clip(max=len(stamps) - 1)
     times = (stamps[frames] - stamps[0]) / NS_PER_S
     return [Mark(float(time), MarkKind.DROP, reason) for time, (_, reason) in zip(times, drops, strict=True)]
 
 
-def _finish_person(
-    person_id: str, rows: _PersonRows, stamps: NDArray[np.int64], intrinsics: Intrinsics
-) -> ScenePerson:
+def _finish_person(person_id: str, rows: _Numbers, stamps: Stamps, intrinsics: Intrinsics) -> ScenePerson:
     """Return the person of the collected rows; of several rows with one stamp the last is kept."""
-    own = np.array(rows.stamps, np.int64)
-    order = np.argsort(own, kind='stable')
-    is_last = np.append(np.diff(own[order]) > 0, True)
-    kept = order[is_last & (own[order] >= stamps[0])]
-    shape = (len(own), len(CMU15.joints))
-    joints = np.frombuffer(rows.joints, np.float32).reshape(*shape, 3)[kept]
-    numbers = np.frombuffer(rows.numbers, np.float32).reshape(-1, 2)[kept]
-    states = np.frombuffer(rows.states, np.uint8).reshape(-1, 3)[kept]
+    own, joints, std, inferred, residual, cadence, motion, predicted, tentative = rows.finish()
+    kept = (np.diff(own, append=np.iinfo(np.int64).max) > 0) & (own >= stamps[0])
+    if not kept.all():
+        joints, std, inferred, residual, cadence, motion, predicted, tentative = (
+            column[kept] for column in (joints, std, inferred, residual, cadence, motion, predicted, tentative)
+        )
     return ScenePerson(
         id=person_id,
         frames=np.searchsorted(stamps, own[kept]),
         joints=joints,
-        std=np.frombuffer(rows.std, np.float32).reshape(shape)[kept],
-        inferred=np.frombuffer(rows.inferred, np.uint8).reshape(shape)[kept] > 0,
-        image=project_joints(joints, intrinsics),
-        residual=numbers[:, 0],
-        cadence=numbers[:, 1],
-        motion=states[:, 0],
-        predicted=states[:, 1] > 0,
-        tentative=states[:, 2] > 0,
+        std=std,
+        inferred=inferred,
+        intrinsics=intrinsics,
+        residual=residual,
+        cadence=cadence,
+        motion=motion,
+        predicted=predicted,
+        tentative=tentative,
     )
 
 
-def _finish_keypoints(names: tuple[str, ...], rows: _KeypointRows, stamps: NDArray[np.int64]) -> SceneKeypoints:
+def _finish_keypoints(names: tuple[str, ...], rows: _Numbers, stamps: Stamps) -> SceneKeypoints:
     """Return the detections of the collected rows in the order of their stamps."""
-    own = np.array(rows.stamps, np.int64)
-    order = np.argsort(own, kind='stable')
-    order = order[own[order] >= stamps[0]]
-    numbers = np.frombuffer(rows.numbers, np.float32).reshape(len(own), len(names), 3)[order]
-    is_seen = (numbers[..., 2:] > 0) & (np.abs(numbers[..., :2]) < MAX_POINT_PX)
-    points = np.where(is_seen, numbers[..., :2], np.float32(np.nan))
-    score = np.where(np.isfinite(points).all(axis=2), numbers[..., 2], np.float32(0))
-    return SceneKeypoints(skeleton_from_joints(names), np.searchsorted(stamps, own[order]), points, score)
+    own, points = rows.finish()
+    kept = own >= stamps[0]
+    return SceneKeypoints(skeleton_from_joints(names), np.searchsorted(stamps, own[kept]), points[kept])

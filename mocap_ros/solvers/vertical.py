@@ -20,6 +20,9 @@ Each lifted pose y is then turned about the horizontal axis of its virtual camer
 with phi the angle about that axis from u to v, s_y = KAPPA sigma_z / r the standard deviation of the lean of a
 lifted pose of radius r and depths of standard deviation sigma_z, and s_u that of the angle from u to the vertical
 in true poses. Turns about the line of sight and about the vertical are left to the image.
+
+A vertical that is given is told to the lifter besides. One that was found is not, for it rests on the lifter's own
+poses: told, it makes whole sequences of left-out persons 1 mm worse, where the turns make them 0.3 mm better.
 """
 
 from __future__ import annotations
@@ -75,10 +78,15 @@ class Vertical:
     @property
     def std(self) -> float:
         """Standard deviation of the direction in rad."""
-        if math.isinf(self.seconds):
+        if self.is_given:
             return math.radians(GIVEN_STD_DEG)
         std_deg = DIRECTION_STD_DEG * math.sqrt(CORRELATION_S / max(self.seconds, 1e-9))
         return math.radians(min(std_deg, MAX_STD_DEG))
+
+    @property
+    def is_given(self) -> bool:
+        """Whether the direction was given, so that it owes nothing to lifted poses."""
+        return math.isinf(self.seconds)
 
     @staticmethod
     def begin(stamp_ns: int, upward: Array) -> Vertical:
@@ -93,7 +101,7 @@ class Vertical:
             stamp_ns: ns, stamp of the frame, later than those before.
             upward: (P, 3) directions upwards that the poses of P >= 0 people tell, in the camera's optical frame.
         """
-        if math.isinf(self.seconds):
+        if self.is_given:
             return self
         age_s = (stamp_ns - self.stamp_ns) / NS_PER_S
         kept = self.seconds * math.exp(-age_s / MEMORY_S)
@@ -102,7 +110,7 @@ class Vertical:
 
     def forget(self) -> Vertical | None:
         """Return what is left when the camera may have changed: a vertical that was given."""
-        return self if math.isinf(self.seconds) else None
+        return self if self.is_given else None
 
 
 def read_given_vertical(config: TrackerConfig) -> Vertical | None:

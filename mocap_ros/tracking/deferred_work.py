@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TypeAlias
 
-from mocap_ros.tracking.hypotheses import HypothesisChecker
+from mocap_ros.tracking.hypotheses import HypothesisChecker, classify_as_other
 from mocap_ros.tracking.slices import Slices
 from mocap_ros.tracking.state import BegunWork, TrackerState, WorkKind
 from mocap_ros.tracking.take_over import is_outdated, take_over
@@ -79,6 +79,7 @@ class DeferredWork:
             return
         work = state.begun_work
         state = self._restart_where_noise_rose(replace(state, is_work_pending=False, begun_work=None))
+        state = self._end_periodic_motion(state)
         if work is not None and _has_ended(work, state.find_track(work.track.id)):
             state, work = _make_due_again(state, work), None
         budget: float = self._frame_budget
@@ -107,6 +108,16 @@ class DeferredWork:
             if schedule is not track.schedule:
                 restarted.append(replace(track, schedule=schedule))
         return state.put_tracks(restarted)
+
+    def _end_periodic_motion(self, state: TrackerState) -> TrackerState:
+        """Return the state in which the motion of people who no longer repeat their last cycle is not periodic."""
+        ended = []
+        for track in state.newest_tracks:
+            schedule = track.schedule
+            if not self._checker.still_repeats(track, schedule.classification):
+                other, stamp_ns = classify_as_other(track), track.seen.stamps_ns[-1]
+                ended.append(replace(track, schedule=schedule.finish_classification(stamp_ns, other)))
+        return state.put_tracks(ended)
 
     def _begin_latest(self, state: TrackerState) -> tuple[TrackerState, BegunWork | None]:
         """Return the state in which the latest piece has begun, and this piece; None if none is due."""
@@ -140,7 +151,14 @@ class DeferredWork:
         yield WINDOW_COST
         classification = yield from self._checker.classify_motion(track)
         stamp_ns = track.seen.stamps_ns[-1]
-        return lambda now: replace(now, schedule=now.schedule.finish_classification(stamp_ns, classification))
+
+        def finish(now: Track) -> Track:
+            found = classification
+            if found is not None and not self._checker.still_repeats(now, found):
+                found = classify_as_other(now)
+            return replace(now, schedule=now.schedule.finish_classification(stamp_ns, found))
+
+        return finish
 
     def _check(self, track: Track) -> Slices[Finding]:
         """Check a track against the model whose turn it is, or compare the leading priors.

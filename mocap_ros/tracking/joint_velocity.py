@@ -3,15 +3,15 @@
 With a motion filter they are of its state. Without one, as with a lag, the solution before and after a frame is
 smooth, and the velocity is the central difference of the frames beside it (`geometry.differences`).
 
-The covariance of the root's position has two parts: that of its joints, and the body height, which is not known
-and moves the whole body along the line of sight u at the distance d:
+The covariance of the root's position has two parts: that of its joints, and that of the person's size, which has
+the relative standard deviation s (`tracking/body_size.py`) and moves the body along the line of sight u at the
+distance d:
 
-    C = std^2 / 3 I + (s d)^2 u u^T,    s^2 = s_height^2 (+ s_focal^2 without a CameraInfo)
+    C = std^2 / 3 I + (s d)^2 u u^T
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -24,13 +24,6 @@ from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
-
-# 1; factors on the filter's standard deviations of velocities in x, y, z. The filter takes the tremble for white
-# noise, but it lasts for several frames, most of all along the line of sight, so the filter is too sure of itself.
-# With these factors, 57 of 100 errors on the demo are within the standard deviation: 81 of a walk, 32 of a run.
-STD_FACTORS = np.array([1.5, 1.5, 3.0])
-HEIGHT_SHARE = 0.059  # 1; standard deviation of the body heights of adults over their mean: 0.10 m of 1.70 m
-FOCAL_SHARE = 0.2  # 1; usual focal lengths are 0.8 to 1.2 image widths, and the nominal one is 1 image width
 
 
 class JointVelocity(NamedTuple):
@@ -57,7 +50,7 @@ def estimate_velocity(track: Track, frame: int, model: BasePoses) -> JointVeloci
     """
     motion_filter, stamps_ns = track.motion_filter, track.seen.stamps_ns
     if motion_filter is not None and motion_filter.stamps_ns[-1] == stamps_ns[frame]:
-        variance = motion_filter.velocity_variance * STD_FACTORS**2
+        variance = motion_filter.velocity_variance
         root_variance = variance[HIPS, :].mean(axis=0)  # the errors of both hips are mostly the same
         return JointVelocity(motion_filter.velocity, np.sqrt(variance.sum(axis=1)), np.diag(root_variance))
     solution, joints = track.solved, np.full((len(model.mean), 3), np.nan)
@@ -69,13 +62,13 @@ def estimate_velocity(track: Track, frame: int, model: BasePoses) -> JointVeloci
     return JointVelocity(joints, np.full(len(joints), np.nan), np.full((3, 3), np.nan))
 
 
-def estimate_root_covariance(root: Array, std: float, *, is_focal_known: bool) -> Array:
+def estimate_root_covariance(root: Array, std: Array, share: float) -> Array:
     """Return the covariance (3, 3) m^2 of the place of a person (formula of the module).
 
     Args:
         root: (3,) m, the place in the camera's optical frame.
-        std: m, standard deviation of the joints there; NaN if unknown.
-        is_focal_known: whether the focal length is that of a CameraInfo.
+        std: (J,) m, standard deviations of the person's joints; NaN if unknown.
+        share: s, standard deviation of the size as a share of it.
     """
-    share = HEIGHT_SHARE if is_focal_known else math.hypot(HEIGHT_SHARE, FOCAL_SHARE)
-    return np.asarray(std**2 / 3 * np.eye(3) + share**2 * np.outer(root, root))
+    own = float(std[HIPS[0]] + std[HIPS[1]]) / 2
+    return np.asarray(own**2 / 3 * np.eye(3) + share**2 * np.outer(root, root))

@@ -1,24 +1,36 @@
 """A filter that takes the tremble out of a person's joints at the newest frame, where no later frame helps.
 
-Each coordinate of each point (the body's centre, and the joints about it) has a Kalman filter of its own: a
-position x and a velocity v that fades with rate b and is driven by white acceleration of spectral density q; r is
-the variance of the white noise of the reconstruction. From one frame to the next, h seconds later,
+The errors of a detector, and with them those of the reconstruction, last for some frames. So a mean over more
+frames would hardly lower them: the newest position z is the best there is, and a filter buys steadiness with
+delay. The output x follows z as a mass on a damped spring does, which is what a linear-quadratic regulator gives
+where errors of the position and of the acceleration have a price:
 
-    x <- x + (1 - e^(-b h)) v / b,    v <- e^(-b h) v
-    P <- F P F^T + q [h^3/3  h^2/2; h^2/2  h],    F = [1  h; 0  e^(-b h)]
+    d^2x/dt^2 = omega^2 (z - x) + 2 zeta omega (dz/dt - dx/dt)
 
-and the position z of the new frame corrects them by the gains (P_xx, P_xv) / (P_xx + r).
+From one frame to the next, h seconds later, the mass goes on with its velocity v, which fades with rate b, and the
+new position pulls it by gains that give the filter the poles e^((-zeta +- i sqrt(1 - zeta^2)) omega h):
 
-How much a person trembles depends on the detector, the camera and the joint, and how much a joint accelerates on
-the motion, so r and q (of the centre r alone) are estimated from the last half second. The second and third
-differences of the positions, scaled to sums of squared coefficients of 6 and 20 (at uneven times they are divided
-differences), have the mean squares
+    x' = x + (1 - e^(-b h)) v / b,        v' = e^(-b h) v,                    rho = e^(-zeta omega h)
+    x <- x' + (1 - rho^2) (z - x'),       v <- v' + beta / h (z - x'),
+    beta = 1 + rho^2 - 2 rho cos(sqrt(1 - zeta^2) omega h)
 
-    m_2 = 6 r + 2/3 q h^3,    m_3 = 20 r + q h^3
+Fast limbs need a stiff spring, for they soon turn round; where little trembles, a stiff one costs nothing. Where
+the costs of delay and of tremble balance, the stiffness is a product of powers of both:
 
-of which r and q follow. The jerk of fast limbs looks like noise, too. So the standard deviation of a joint's noise
-is at most half the image noise at the body, n, which the solver has estimated: r <= (n / 2)^2. With exact points r
-is near 0, and the filter lets everything pass.
+    omega = Omega (s^2 + s_0^2)^(p/2) (w / w_0)^(-q)
+
+s is the speed of the point, the root mean square of |v| over the last frames; w is the standard deviation of the
+tremble over the last frames, by the second differences of z, whose mean square is 6 w^2 (at uneven times they are
+divided differences). Curved motion has second differences, too. So w of a joint is at most half the image noise at
+the body, which the solver has estimated, and the filter lets exact points pass nearly unchanged.
+
+The joints about the body's centre are filtered apart from the centre, which moves more evenly and trembles mostly
+in depth. The coordinates of a joint share one w, and those of the centre have one each. The variance of a
+coordinate of v is
+
+    (f_w w omega)^2 + (f_s s)^2 + f_0^2
+
+for tremble and for motion that is not seen or followed, which is much in depth.
 """
 
 from __future__ import annotations
@@ -35,31 +47,42 @@ from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
-VELOCITY_FADE_PER_S = 2.0  # 1/s; b of joints: limbs swing to and fro, so a velocity lasts for half a second
-CENTRE_VELOCITY_FADE_PER_S = 0.2  # 1/s; b of the centre: who walks goes on for some seconds
-NOISE_MEMORY_S = 0.5  # s; time constant of the mean squares: long enough for an estimate, short for a new motion
-# Share of the estimated density of the acceleration that is believed. The tremble is correlated over a few frames,
-# which looks like acceleration. Chosen on persons of the training data, as the next.
-ACCELERATION_SHARE = 0.3
-MAX_RISE = 4.0  # mean squares; a single squared difference counts at most so much, for it may be an outlier
-MIN_DENSITY = 1.0  # m^2/s^3; half of a walker's limbs', so that the filter never falls far behind a moving joint
-MAX_DENSITY = 50.0  # m^2/s^3; of a kick
-CENTRE_DENSITY = 0.3  # m^2/s^3; of the centre of a body that walks, not estimated, for its depth trembles too much
-# Of the image noise; a joint rests on several frames and points. Chosen on persons of the training data: a third
-# leaves more tremble, the whole costs 0.4 to 0.6 mm for runs.
-MAX_NOISE_SHARE = 0.5
-MIN_NOISE_M = 1e-4  # m; far below what is seen, keeps the gains defined
-INITIAL_NOISE_M = 0.02  # m; noise of the first frames, until it is estimated
-INITIAL_DENSITY = 0.3  # m^2/s^3, likewise
-INITIAL_VELOCITY_M_S = 1.0  # m/s; standard deviation of a first velocity: that of a walker
-NOMINAL_STEP_S = 1 / 30  # s; time step for which the initial mean squares are computed
+# The constants of joints and the powers were chosen together on 53 trials of persons of the training data, with
+# clean points and as three detectors give them: least errors of acceleration for 0.1 to 0.6 mm of the positions.
+# `JOINT_STIFFNESS` and `TREMBLE_POWER` were set last, with other persons in sight (docs/tracker.md).
+JOINT_STIFFNESS = 40.0  # rad/s; Omega of joints
+JOINT_DAMPING = 0.5  # 1; zeta of joints
+JOINT_FADE_PER_S = 6.4  # 1/s; b of joints: limbs swing to and fro
+CENTRE_STIFFNESS = 20.0  # rad/s; Omega of the centre, chosen by its place, acceleration and velocity
+CENTRE_DAMPING = 1.0  # 1; zeta of the centre, whose steps should not overshoot
+CENTRE_FADE_PER_S = 0.5  # 1/s; b of the centre: who walks goes on for some seconds
+SPEED_POWER = 0.73  # 1; p
+TREMBLE_POWER = 0.45  # 1; q
+JOINT_SPEED_FLOOR_M_S = 0.055  # m/s; s_0 of joints, which somebody who stands still has
+CENTRE_SPEED_FLOOR_M_S = 0.2  # m/s; s_0 of the centre, whose first solutions may be off by a tenth of the depth
+TREMBLE_UNIT_M = 0.005  # m; w_0, what trembles with OpenPose's points
+SPEED_MEMORY_S = 0.077  # s; time constant of the mean square of the speed
+TREMBLE_MEMORY_S = 0.113  # s; time constant of that of the second differences, short for joints that are astray
+MAX_RISE = 6.0  # mean squares; a single squared difference counts at most so much, for it may be an outlier
+MAX_NOISE_SHARE = 0.5  # of the image noise; a joint rests on several frames and points
+MIN_TREMBLE_M = 1e-4  # m; far below what is seen, keeps the stiffness finite
+INITIAL_TREMBLE_M = 0.005  # m; until it is estimated
+INITIAL_SPEED_M_S = 1.0  # m/s; that of a walker
+# 1; f_w and f_s of x, y and z, by likelihood in these trials, then set so that two thirds of other persons' errors
+# are within the standard deviation.
+JOINT_TREMBLE_FACTORS = (1.6, 1.6, 0.5)
+JOINT_SPEED_FACTORS = (0.0, 0.0, 0.62)
+CENTRE_TREMBLE_FACTORS = (1.1, 1.1, 1.1)
+CENTRE_SPEED_FACTORS = (0.14, 0.14, 0.55)
+CENTRE_VELOCITY_FLOOR_M_S = 0.07  # m/s; f_0 of the centre, which rises and falls with each step
 MAX_STEP_S = 0.2  # s; over a longer gap the differences say nothing of the tremble
 MAX_SPEED_M_S = 10.0  # m/s; of a sprinter
 MAX_DEPTH_CHANGE = 0.3  # of the depth; a larger change from frame to frame is no tremble but another solution
-DIFFERENCE_FRAMES = 4  # frames that a third difference compares
-# Rows of the state: position, velocity, the three elements of P, and the two mean squares.
-_X, _V, _PXX, _PXV, _PVV, _SECOND, _THIRD = range(7)
-STATE_ROWS = 7  # as many as these
+DIFFERENCE_FRAMES = 3  # frames that a second difference compares
+DIFFERENCE_SQUARES = 6.0  # sum of the squared coefficients of a second difference at even times: 1, -2, 1
+# Rows of the state: x, v, the mean squares of the second differences and of v, and the variance of v.
+_X, _V, _SECOND, _SPEED, _VARIANCE = range(5)
+STATE_ROWS = 5  # as many as these
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +92,8 @@ class MotionFilter:
     Attributes:
         stamps_ns: ns, stamps of the newest frames, up to `DIFFERENCE_FRAMES`.
         recent: (n, J + 1, 3) m, unfiltered points of these frames: the joints about their centre, then the centre.
-        state: (7, J + 1, 3) of each coordinate: x in m, v in m/s, P_xx, P_xv, P_vv, m_2 and m_3 in m^2.
+        state: (5, J + 1, 3) of each coordinate: x in m, v in m/s, the mean squares of the second differences in
+            m^2 and of v in m^2/s^2, and the variance of v in m^2/s^2.
     """
 
     stamps_ns: tuple[int, ...]
@@ -87,11 +111,9 @@ class MotionFilter:
         points = _split(joints)
         state = np.zeros((STATE_ROWS, *points.shape))
         state[_X] = points
-        state[_PXX] = INITIAL_NOISE_M**2
-        state[_PVV] = INITIAL_VELOCITY_M_S**2
-        motion = INITIAL_DENSITY * NOMINAL_STEP_S**3
-        state[_SECOND] = 6 * INITIAL_NOISE_M**2 + 2 / 3 * motion
-        state[_THIRD] = 20 * INITIAL_NOISE_M**2 + motion
+        state[_SECOND] = DIFFERENCE_SQUARES * INITIAL_TREMBLE_M**2
+        state[_SPEED] = INITIAL_SPEED_M_S**2 / 3
+        state[_VARIANCE] = INITIAL_SPEED_M_S**2
         return MotionFilter((stamp_ns,), points[None], state)
 
     @property
@@ -107,7 +129,7 @@ class MotionFilter:
     @property
     def velocity_variance(self) -> Array:
         """(J, 3) m^2/s^2, variance of each coordinate of `velocity`: that of a joint's own and of the centre's."""
-        return np.asarray(self.state[_PVV, :-1] + self.state[_PVV, -1])
+        return np.asarray(self.state[_VARIANCE, :-1] + self.state[_VARIANCE, -1])
 
     def advance(self, stamp_ns: int, joints: Array, image_noise: float) -> MotionFilter:
         """Return the filter after a newer frame.
@@ -151,10 +173,7 @@ def _split(joints: Array) -> Array:
 
 @kernel(void(INPUT_1D, FLOATS_1D))
 def _write_difference(times: Array, out: Array) -> None:
-    """Write the coefficients (n,) of the divided difference of order n - 1 at times (n,) s.
-
-    They are scaled to the sum of squares that they have at even times, 6 for n = 3 and 20 for n = 4.
-    """
+    """Write the coefficients (3,) of the divided second difference at times (3,) s, scaled as at even times."""
     squares = 0.0
     for i in range(len(times)):
         product = 1.0
@@ -163,61 +182,61 @@ def _write_difference(times: Array, out: Array) -> None:
                 product *= times[i] - times[j]
         out[i] = 1 / product
         squares += out[i] * out[i]
-    out *= math.sqrt((6.0 if len(times) == 3 else 20.0) / squares)
+    out *= math.sqrt(DIFFERENCE_SQUARES / squares)
 
 
 @kernel(FLOATS_3D(INPUT_3D, INPUT_3D, INPUT_1D, FLOAT))
-def advance_state(state: Array, recent: Array, times: Array, max_noise: float) -> Array:
-    """Return the state (7, N, 3) after the newest frame (formulas at the head of this module).
+def advance_state(state: Array, recent: Array, times: Array, max_tremble: float) -> Array:
+    """Return the state (5, N, 3) after the newest frame (formulas at the head of this module).
 
     Args:
-        state: (7, N, 3) of the frame before.
+        state: (5, N, 3) of the frame before.
         recent: (n, N, 3) m, unfiltered points of the newest frames; the last of the N points is the centre.
         times: (n,) s, their times.
-        max_noise: m, largest standard deviation of a joint's noise.
+        max_tremble: m, largest standard deviation of the tremble of a joint.
     """
     out = state.copy()
     frames, points = len(times), state.shape[1]
     step = times[-1] - times[-2]
-    forgotten = 1 - math.exp(-step / NOISE_MEMORY_S)
-    mean_step = (times[-1] - times[0]) / (frames - 1)
-    second, third = np.zeros(3), np.zeros(4)
+    tremble_forgotten = 1 - math.exp(-step / TREMBLE_MEMORY_S)
+    speed_forgotten = 1 - math.exp(-step / SPEED_MEMORY_S)
+    coefficients = np.zeros(DIFFERENCE_FRAMES)
     if frames == DIFFERENCE_FRAMES:
-        _write_difference(times[1:], second)
-        _write_difference(times, third)
+        _write_difference(times, coefficients)
     for p in range(points):
         is_centre = p == points - 1
-        least, most = (CENTRE_DENSITY, CENTRE_DENSITY) if is_centre else (MIN_DENSITY, MAX_DENSITY)
-        fade = CENTRE_VELOCITY_FADE_PER_S if is_centre else VELOCITY_FADE_PER_S
-        kept = math.exp(-fade * step)
         for c in range(3):
             if frames == DIFFERENCE_FRAMES:
-                a = b = 0.0
-                for i in range(3):
-                    a += second[i] * recent[1 + i, p, c]
-                for i in range(4):
-                    b += third[i] * recent[i, p, c]
-                old_a, old_b = state[_SECOND, p, c], state[_THIRD, p, c]
-                out[_SECOND, p, c] += forgotten * (min(a * a, MAX_RISE * old_a) - old_a)
-                out[_THIRD, p, c] += forgotten * (min(b * b, MAX_RISE * old_b) - old_b)
-            cubed = mean_step**3
-            motion = (10 / 3 * out[_SECOND, p, c] - out[_THIRD, p, c]) / (11 / 9)  # q h^3, from both mean squares
-            motion = min(max(motion, least * cubed), most * cubed)
-            noise = (out[_THIRD, p, c] - motion) / 20
-            if not is_centre:
-                noise = min(noise, max_noise * max_noise)
-            noise = max(noise, MIN_NOISE_M**2)
-            density = ACCELERATION_SHARE * motion / cubed
-            pxx, pxv, pvv = state[_PXX, p, c], state[_PXV, p, c], state[_PVV, p, c]
+                difference = 0.0
+                for i in range(DIFFERENCE_FRAMES):
+                    difference += coefficients[i] * recent[i, p, c]
+                old = state[_SECOND, p, c]
+                out[_SECOND, p, c] += tremble_forgotten * (min(difference * difference, MAX_RISE * old) - old)
+            out[_SPEED, p, c] += speed_forgotten * (state[_V, p, c] ** 2 - state[_SPEED, p, c])
+        speed_floor = CENTRE_SPEED_FLOOR_M_S if is_centre else JOINT_SPEED_FLOOR_M_S
+        squared_speed = out[_SPEED, p].sum() + speed_floor**2
+        second = out[_SECOND, p].sum() / 3
+        for c in range(3):
+            if is_centre:
+                stiffness, damping, fade = CENTRE_STIFFNESS, CENTRE_DAMPING, CENTRE_FADE_PER_S
+                by_tremble, by_speed = CENTRE_TREMBLE_FACTORS[c], CENTRE_SPEED_FACTORS[c]
+                floor = CENTRE_VELOCITY_FLOOR_M_S
+                tremble = math.sqrt(out[_SECOND, p, c] / DIFFERENCE_SQUARES)
+            else:
+                stiffness, damping, fade = JOINT_STIFFNESS, JOINT_DAMPING, JOINT_FADE_PER_S
+                by_tremble, by_speed = JOINT_TREMBLE_FACTORS[c], JOINT_SPEED_FACTORS[c]
+                floor = 0.0
+                tremble = min(math.sqrt(second / DIFFERENCE_SQUARES), max_tremble)
+            tremble = max(tremble, MIN_TREMBLE_M)
+            omega = stiffness * squared_speed ** (SPEED_POWER / 2) * (tremble / TREMBLE_UNIT_M) ** -TREMBLE_POWER
+            rho = math.exp(-damping * omega * step)
+            turn = min(math.sqrt(1 - damping * damping) * omega * step, math.pi / 2)  # rad; then it is at rest
+            gain = 1 - rho * rho
+            velocity_gain = (1 - rho) ** 2 + 2 * rho * (1 - math.cos(turn))
+            kept = math.exp(-fade * step)
             x = state[_X, p, c] + (1 - kept) / fade * state[_V, p, c]
-            v = kept * state[_V, p, c]
-            pxx = pxx + 2 * step * pxv + step * step * pvv + density * step**3 / 3
-            pxv = kept * (pxv + step * pvv) + density * step * step / 2
-            pvv = kept * kept * pvv + density * step
-            gain_x, gain_v = pxx / (pxx + noise), pxv / (pxx + noise)
             innovation = recent[-1, p, c] - x
-            out[_X, p, c], out[_V, p, c] = x + gain_x * innovation, v + gain_v * innovation
-            out[_PXX, p, c] = (1 - gain_x) * pxx
-            out[_PVV, p, c] = pvv - gain_v * pxv
-            out[_PXV, p, c] = (1 - gain_x) * pxv
+            out[_X, p, c] = x + gain * innovation
+            out[_V, p, c] = kept * state[_V, p, c] + velocity_gain / step * innovation
+            out[_VARIANCE, p, c] = (by_tremble * tremble * omega) ** 2 + by_speed**2 * squared_speed + floor**2
     return out

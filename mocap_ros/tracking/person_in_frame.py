@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.joint_std import estimate_joint_std
-from mocap_ros.people import HIPS, Motion, Person3D
-from mocap_ros.tracking.joint_velocity import estimate_root_covariance, estimate_velocity
+from mocap_ros.people import Motion, Person3D
+from mocap_ros.tracking.body_size import ASSUMED, BodySize, resize
+from mocap_ros.tracking.joint_velocity import estimate_velocity
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
@@ -22,13 +23,22 @@ def locate_joints(track: Track, frame: int, model: BasePoses) -> Array:
     return np.asarray(pose / solution.stature_ratio)
 
 
-def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
-    """Return the person of a track in one solved frame of its window, with filtered joints if there are any.
+def locate_output_joints(track: Track, frame: int, model: BasePoses) -> Array:
+    """Return the core (J, 3) m as it is put out, filtered if there is a filter; arguments as of `make_person`."""
+    motion_filter = track.motion_filter
+    if motion_filter is not None and motion_filter.stamps_ns[-1] == track.seen.stamps_ns[frame]:
+        return motion_filter.joints
+    return locate_joints(track, frame, model)
+
+
+def make_person(track: Track, frame: int, model: BasePoses, body_size: BodySize = ASSUMED) -> Person3D:
+    """Return the core of a person in one solved frame of a track's window, filtered if there is a filter.
 
     Args:
         track: a solved track.
         frame: index of the frame.
         model: base poses of the track's solution.
+        body_size: what is known of the person's size.
     """
     solution, observed, classification = track.solved, track.seen.observed, track.schedule.classification
     intrinsics, lifted = track.seen.intrinsics, observed.lifted
@@ -44,8 +54,7 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
     motion, category = classification.motion, classification.periodic_model_name or solution.model_name
     std = estimate_joint_std(solution.joint_std * size, inferred, lifted_std, solution.noise * size)
     velocity = estimate_velocity(track, frame, model)
-    place = (joints[HIPS[0]] + joints[HIPS[1]]) / 2
-    return Person3D(
+    person = Person3D(
         id=track.id,
         joints=joints,
         std=std,
@@ -60,9 +69,7 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
         tentative=track.is_tentative,
         velocity=velocity.joints,
         velocity_std=velocity.std,
-        root_covariance=estimate_root_covariance(
-            place, float((std[HIPS[0]] + std[HIPS[1]]) / 2), is_focal_known=intrinsics.is_focal_known
-        ),
         root_velocity_covariance=velocity.root_covariance,
         age=(track.seen.stamps_ns[frame] - track.first_ns) / NS_PER_S,
     )
+    return resize(person, body_size)

@@ -1,88 +1,141 @@
-"""Prediction of a person through a gap: the last pose, moved with the velocity of the root; gaits go on.
+"""Prediction of a person after the last detection: through a gap, and ahead of the newest image.
 
-    joints(t) = joints(t0) + v (t - t0) + R (P(t - nT) - P(t0 - nT)),    std(t)^2 = std(t0)^2 + (c (t - t0))^2
-
-with t0 the time of the last detection, v the velocity of the root (m/s) and c the growth of the standard
-deviation (m/s). Where the motion is periodic, P is the pose in the body frame that the tracker found at a time, R
-the last rotation from the body to the camera, T the length of a cycle, and n the smallest number of cycles for
-which t - nT is before the gap. For other motion, or if the window does not reach back to t0 - nT, the last term is
-absent.
+Both come from what the window holds of the last 0.8 s, by the learned motion predictor
+(`models/motion_predictor.py`). A movement that would bring the body behind the camera is left out.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.people import MotionKind, Person3D
+from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past, load_motion_predictor
+from mocap_ros.people import Person3D, PredictedPerson
+from mocap_ros.skeleton import CORE_COUNT
+from mocap_ros.tracking.body_size import ASSUMED, BodySize, resize
 from mocap_ros.tracking.person_in_frame import make_person
-from mocap_ros.tracking.solution import interpolate_linearly
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
-PREDICTION_STD_PER_S = 0.5  # m/s; growth of the std in a prediction, for limbs and velocity change meanwhile
+VELOCITY_SPAN_S = 0.05  # s; over which the velocity in a gap is a difference: short, and far above rounding
+VELOCITY_STD_M_S = 0.5  # m/s; what the velocity may have changed by in a gap
 MIN_CLEARANCE_M = 0.1  # m; a predicted body must stay this far in front of the camera, or its image is meaningless
+UPRIGHT_CAMERA = np.array([0.0, -1.0, 0.0])  # direction upwards in the optical frame of a level camera
 
 
-def predict_person(track: Track, stamp_ns: int, model: BasePoses) -> Person3D:
-    """Return the person of a track at a time after its last detection (formula of the module).
-
-    A movement that would bring the body behind the camera is left out. The standard deviation grows with time.
+def predict_person(
+    track: Track, stamp_ns: int, model: BasePoses, upward: Array | None = None, size: BodySize = ASSUMED
+) -> Person3D:
+    """Return the person of a track at a time after its last detection.
 
     Args:
         track: a solved track.
         stamp_ns: ns, time of the prediction.
         model: base poses of the track's solution.
+        upward: (3,) unit vector upwards in the optical frame; None for that of a level camera.
+        size: what is known of the person's size.
     """
-    solution, stamps_ns, intrinsics = track.solved, track.seen.stamps_ns, track.seen.intrinsics
-    age_s = (stamp_ns - stamps_ns[-1]) / NS_PER_S
-    last = make_person(track, len(stamps_ns) - 1, model)
-    velocity = solution.estimate_velocity(stamps_ns) / solution.stature_ratio
-    movement = velocity * age_s
-    root = last.joints.mean(axis=0) + movement
-    joints = last.joints + movement + _continue_gait(track, age_s, model)
-    if root[2] < joints[:, 2].max() - root[2] + MIN_CLEARANCE_M:
-        joints, root, velocity = last.joints, last.joints.mean(axis=0), np.zeros(3)
+    age_s = (stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S
+    last, ahead = _predict(track, np.array([age_s, age_s + VELOCITY_SPAN_S]), model, upward, size)
+    velocity = (ahead.joints[1] - ahead.joints[0]) / VELOCITY_SPAN_S
+    joints, root = last.joints + ahead.joints[0], (last.joints + ahead.joints[0]).mean(axis=0)
+    intrinsics = track.seen.intrinsics
     return replace(
         last,
         joints=joints,
-        std=np.sqrt(last.std**2 + (PREDICTION_STD_PER_S * age_s) ** 2),
+        std=ahead.std[0],
         inferred=np.ones_like(last.inferred),
         scale=float(intrinsics.focal / root[2]),
         translation=intrinsics.project(root),
         residual=float('nan'),
         predicted=True,
-        velocity=np.tile(velocity, (len(joints), 1)),
-        velocity_std=np.hypot(last.velocity_std, PREDICTION_STD_PER_S),
-        root_covariance=last.root_covariance + (PREDICTION_STD_PER_S * age_s) ** 2 / 3 * np.eye(3),
-        root_velocity_covariance=last.root_velocity_covariance + PREDICTION_STD_PER_S**2 / 3 * np.eye(3),
+        velocity=velocity,
+        velocity_std=np.hypot(last.velocity_std, VELOCITY_STD_M_S),
+        root_covariance=last.root_covariance + ahead.root_covariance[0],
+        root_velocity_covariance=last.root_velocity_covariance + VELOCITY_STD_M_S**2 / 3 * np.eye(3),
         age=last.age + age_s,
         unseen_for=age_s,
     )
 
 
-def _continue_gait(track: Track, age_s: float, model: BasePoses) -> Array:
-    """Return the change of the joints (J, 3) m about the root since the last detection, if the motion is periodic.
+def predict_ahead(
+    track: Track,
+    stamp_ns: int,
+    times_s: Sequence[float],
+    model: BasePoses,
+    upward: Array | None = None,
+    size: BodySize = ASSUMED,
+) -> list[PredictedPerson]:
+    """Return the person of a track at some times after a frame, in which the person need not be detected.
 
     Args:
         track: a solved track.
-        age_s: s, time since the last detection, positive.
+        stamp_ns: ns, stamp of the frame.
+        times_s: s, times after the frame.
         model: base poses of the track's solution.
+        upward: (3,) unit vector upwards in the optical frame; None for that of a level camera.
+        size: what is known of the person's size.
     """
-    solution, motion = track.solved, track.schedule.classification.motion
-    still = np.zeros_like(model.mean)
-    if motion.kind is not MotionKind.PERIODIC:
-        return still
-    times = (np.array(track.seen.stamps_ns) - track.seen.stamps_ns[-1]) / NS_PER_S
-    cycles_s = math.ceil(age_s * motion.cadence) / motion.cadence
-    if times[0] > -cycles_s:
-        return still
-    now, then = model.poses(interpolate_linearly(np.array([age_s - cycles_s, -cycles_s]), times, solution.theta))
-    change = (now - then) @ solution.rotation[-1].T
-    return np.asarray((change - change.mean(axis=0)) / solution.stature_ratio)
+    age_s = (stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S
+    last, ahead = _predict(track, age_s + np.array(times_s), model, upward, size)
+    return [
+        PredictedPerson(track.id, last.joints + movement, std, last.root_covariance + covariance)
+        for movement, std, covariance in zip(*ahead, strict=True)
+    ]
+
+
+def sample_past(track: Track, last: Person3D, model: BasePoses, upward: Array | None = None) -> Past:
+    """Return what is known of the motion of a person's core up to the newest frame.
+
+    Before the first frame of the window, the person moves as at the newest.
+
+    Args:
+        track: a solved track.
+        last: its person in the newest frame.
+        model: base poses of the track's solution.
+        upward: (3,) unit vector upwards in the optical frame; None for that of a level camera.
+    """
+    solution, stamps_ns = track.solved, np.array(track.seen.stamps_ns)
+    times = (stamps_ns - stamps_ns[-1]) / NS_PER_S
+    ago = np.array(PAST_S)
+    known = -ago >= times[0]
+    newest = last.core
+    places = np.zeros((len(ago), *newest.shape))
+    if known.any():
+        after = np.searchsorted(times, -ago[known]).clip(min=1)
+        frames = np.concatenate([after - 1, after])
+        joints = solution.compute_joints(model, frames) + solution.roots[frames, None]
+        before, behind = np.split(joints / solution.stature_ratio, 2)
+        share = ((-ago[known] - times[after - 1]) / (times[after] - times[after - 1]))[:, None, None]
+        places[known] = before + share * (behind - before)
+    velocity = last.velocity[:CORE_COUNT]
+    if not np.isfinite(velocity).all():  # without a filter, or in the first frame
+        velocity = (newest - places[0]) / ago[0] if known[0] else np.zeros_like(newest)
+    earlier = np.where(known[:, None, None], places, newest - ago[:, None, None] * velocity)
+    heading = last.rotation[:, 0]
+    std = last.std[:CORE_COUNT]
+    return Past(newest, velocity, std, earlier, heading, UPRIGHT_CAMERA if upward is None else upward)
+
+
+def _predict(
+    track: Track, times: Array, model: BasePoses, upward: Array | None, size: BodySize
+) -> tuple[Person3D, Displacements]:
+    """Return the person in the newest frame, and the prediction at times (N,) in s after it.
+
+    The prediction is that of a person of the assumed size, whose image is the same. It has no movements behind the
+    camera.
+    """
+    last = make_person(track, len(track.seen.stamps_ns) - 1, model)
+    ahead = load_motion_predictor().predict(sample_past(track, last, model, upward), times)
+    joints = last.joints + ahead.joints
+    depth = joints[..., 2].mean(axis=1)
+    is_behind = depth < joints[..., 2].max(axis=1) - depth + MIN_CLEARANCE_M
+    moved = np.where(is_behind[:, None, None], 0.0, ahead.joints)
+    ratio = size.ratio
+    return resize(last, size), Displacements(moved * ratio, ahead.std * ratio, ahead.root_covariance * ratio**2)

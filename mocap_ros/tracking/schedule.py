@@ -17,7 +17,10 @@ MIN_CHECK_INTERVAL_S = 0.1  # s; the first solution comes from a single frame, w
 CHECK_INTERVAL_GROWTH = 0.2  # s per s of the track's age; a solution that passed many checks is rarely wrong
 NEW_TRACK_S = 1.0  # s; younger tracks are solved from scratch at each check, since their solution may be wrong
 NOISE_ALARM_RATIO = 1.3  # no unit; a rise of the image noise by 30 % indicates another motion or a wrong solution
-CLASSIFICATION_INTERVAL_S = 1.0  # s; for periodic motion; half of it for other motion, to find a new walk sooner
+CLASSIFICATION_INTERVAL_S = 1.0  # s; for periodic motion
+OTHER_CLASSIFICATION_INTERVAL_S = 0.5  # s; for other motion, to find a new walk sooner
+RESUMED_CLASSIFICATION_INTERVAL_S = 0.25  # s; for somebody who has walked or run and may go on with it
+RESUME_WITHIN_S = 10.0  # s; for so long after a walk it is expected to go on, which costs classifications
 # Motion of a track before its window is long enough to be classified.
 UNKNOWN_MOTION = Motion(MotionKind.UNKNOWN, '', math.nan, math.nan)
 
@@ -49,6 +52,8 @@ class CheckSchedule:
         next_classification_ns: ns, stamp at which the motion is to be classified again.
         classification_count: number of classifications so far.
         classification: the latest one.
+        last_periodic_ns: ns, stamp of the last classification that found periodic motion; None if none did, or if
+            that is long ago.
     """
 
     next_check_ns: int = 0
@@ -59,6 +64,7 @@ class CheckSchedule:
     next_classification_ns: int = 0
     classification_count: int = 0
     classification: Classification = Classification(UNKNOWN_MOTION, '')
+    last_periodic_ns: int | None = None
 
     def check_at(self, stamp_ns: int) -> CheckSchedule:
         """Return the schedule with an urgent check at a stamp in ns."""
@@ -135,10 +141,21 @@ class CheckSchedule:
         )
 
     @property
+    def is_periodic(self) -> bool:
+        """Whether the motion is periodic."""
+        return self.classification.motion.kind is MotionKind.PERIODIC
+
+    @property
+    def may_resume(self) -> bool:
+        """Whether the motion is not periodic now but has been shortly before."""
+        return self.last_periodic_ns is not None and not self.is_periodic
+
+    @property
     def classification_interval_s(self) -> float:
         """Time in s from one classification to the next."""
-        is_periodic = self.classification.motion.kind is MotionKind.PERIODIC
-        return CLASSIFICATION_INTERVAL_S if is_periodic else CLASSIFICATION_INTERVAL_S / 2
+        if self.is_periodic:
+            return CLASSIFICATION_INTERVAL_S
+        return RESUMED_CLASSIFICATION_INTERVAL_S if self.may_resume else OTHER_CLASSIFICATION_INTERVAL_S
 
     def begin_classification(self, stamp_ns: int) -> CheckSchedule:
         """Return the schedule after the beginning of a classification, with the next one an interval later."""
@@ -155,5 +172,10 @@ class CheckSchedule:
             count, classification = self.classification_count, self.classification
         else:
             count = self.classification_count + 1
-        finished = replace(self, classification_count=count, classification=classification)
+        last_ns = stamp_ns if classification.motion.kind is MotionKind.PERIODIC else self.last_periodic_ns
+        if last_ns is not None and stamp_ns - last_ns > RESUME_WITHIN_S * NS_PER_S:
+            last_ns = None
+        finished = replace(
+            self, classification_count=count, classification=classification, last_periodic_ns=last_ns
+        )
         return finished.begin_classification(stamp_ns)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INPUT_2D, INPUT_3D, INPUT_INTS_1D, kernel
+from mocap_ros.geometry.interpolation import interpolate_linearly
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.keypoints.association import VELOCITY_SPAN_S
@@ -298,8 +299,3 @@ def average_rows(values: Array) -> Array:
         for d in range(values.shape[1]):
             out[d] += values[n, d]
     return out / len(values)
-
-
-def interpolate_linearly(times: Array, sample_times: Array, samples: Array) -> Array:
-    """Interpolate samples (n, D) at times (n,) linearly at other times (N,), to (N, D)."""
-    return np.stack([np.interp(times, sample_times, s) for s in samples.T], axis=-1)

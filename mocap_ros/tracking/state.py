@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from mocap_ros.solvers.vertical import Vertical
+from mocap_ros.tracking.body_size import FloorContact
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.track import Track
 
@@ -55,6 +56,7 @@ class TrackerState:
         models: name and number of base poses of each of the tracker's models.
         is_lifted: whether the tracker has a lifter, so that the frames of the tracks hold lifted poses.
         vertical: what is known of the camera's vertical; None if nothing is.
+        contacts: ids, and what feet on the floor have told of the sizes of these people and of some who are gone.
     """
 
     tracks: tuple[Track, ...] = ()
@@ -71,6 +73,7 @@ class TrackerState:
     models: tuple[tuple[str, int], ...] = ()
     is_lifted: bool = False
     vertical: Vertical | None = None
+    contacts: tuple[tuple[str, FloorContact], ...] = ()
 
     def forget_everybody(self) -> TrackerState:
         """Return the state without people, names and stamps.

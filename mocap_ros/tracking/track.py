@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.left_right import SwapFilter
 from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.solvers.extremities import ExtremityEvidence, ExtremityState
 from mocap_ros.tracking.detection import Detection
 from mocap_ros.tracking.motion_filter import MotionFilter
 from mocap_ros.tracking.schedule import CheckSchedule
 from mocap_ros.tracking.seen_frames import SeenFrames
 from mocap_ros.tracking.solution import TrackSolution
+from mocap_ros.units import NS_PER_S
 
 # What a new person must have been seen for; docs/tracker.md has what other numbers cost.
 MIN_FRAMES = 3  # frames; at a low frame rate a wrong detection is in one or two
@@ -37,6 +39,8 @@ class Track:
         is_tentative: whether the person has not been seen for long enough to be sure that there is somebody.
         motion_filter: filter of the output; None before the first output, or if nothing is filtered.
         first_ns: ns, stamp of the frame in which the person was first seen.
+        extremities: face, feet and hands in the frame that was put out last; None before the first output.
+        extremities_ns: ns, stamp of this frame.
     """
 
     id: str
@@ -46,6 +50,8 @@ class Track:
     is_tentative: bool = False
     motion_filter: MotionFilter | None = None
     first_ns: int = 0
+    extremities: ExtremityState | None = None
+    extremities_ns: int = 0
 
     @property
     def solved(self) -> TrackSolution:
@@ -124,6 +130,23 @@ class Track:
         else:  # with a lag, this frame was put out before
             return self
         return replace(self, motion_filter=motion_filter)
+
+    def follow_extremities(self, stamp_ns: int, evidence: ExtremityEvidence, stature: float) -> Track:
+        """Return the track with the extremities in the frame that is put out.
+
+        Args:
+            stamp_ns: ns, stamp of the frame.
+            evidence: what tells of them.
+            stature: m, stature of the person.
+        """
+        if self.extremities is None:
+            extremities = ExtremityState.begin(evidence, stature)
+        elif stamp_ns > self.extremities_ns:
+            step_s = (stamp_ns - self.extremities_ns) / NS_PER_S
+            extremities = self.extremities.advance(step_s, evidence, stature)
+        else:  # with a lag, this frame was put out before
+            return self
+        return replace(self, extremities=extremities, extremities_ns=stamp_ns)
 
     def begin_solution(self, solution: TrackSolution) -> Track:
         """Return the track with its first solution, which is checked soon."""

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import Config
 from mocap_ros.errors import FrameDropped, InputError
+from mocap_ros.geometry.floor import Floor
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import solver_focal
 from mocap_ros.keypoints.left_right import BodySides, SwapFilter
@@ -29,22 +30,30 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.model_file import load_prior_lifter
 from mocap_ros.models.upward_direction import find_upward
-from mocap_ros.people import CameraVertical, Person3D
+from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
+from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.solvers.joint.solver import solve
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, let_base_poses_lead
 from mocap_ros.solvers.observed_window import RAY_FOCAL
+from mocap_ros.solvers.vertical import AUTO as AUTO_VERTICAL
 from mocap_ros.solvers.vertical import NONE as NO_VERTICAL
 from mocap_ros.solvers.vertical import Vertical, read_given_vertical, turn_towards_vertical
+from mocap_ros.tracking.body_size import MAX_REMEMBERED, BodySize, FloorContact, assume_size, resize
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_LIFTER, DeferredWork
 from mocap_ros.tracking.detection import Detection
 from mocap_ros.tracking.hypotheses import HypothesisChecker
 from mocap_ros.tracking.matching import match_detections
-from mocap_ros.tracking.person_in_frame import locate_joints, make_person
+from mocap_ros.tracking.person_in_frame import locate_joints
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
-from mocap_ros.tracking.prediction import predict_person
+from mocap_ros.tracking.prediction import predict_ahead, predict_person
 from mocap_ros.tracking.solver_input import build_refinement_window
 from mocap_ros.tracking.state import TrackerState
 from mocap_ros.tracking.track import Track
+from mocap_ros.tracking.whole_person import (
+    collect_track_evidence,
+    complete_prediction,
+    make_whole_person,
+)
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -88,6 +97,7 @@ class Tracker:
         }
         skeleton = next(iter(self.models.values())).skeleton
         self._new_swap_filter = SwapFilter(BodySides.of(skeleton), enabled=settings.undo_swaps)
+        self._skeleton = keypoint_layout(settings.skeleton)
         self._lifter = load_prior_lifter(config.solver.prior, skeleton)
         has_lifter = self._lifter is not None
         is_all_enough = has_lifter and ALL_MOTIONS in self.models
@@ -167,7 +177,9 @@ class Tracker:
         """Forget all people and all stamps."""
         self._state = self._state.forget_everybody()
 
-    def update(self, stamp_ns: int, people: Sequence[Person2D], intrinsics: Intrinsics) -> tuple[Person3D, ...]:
+    def update(
+        self, stamp_ns: int, people: Sequence[Person2D], intrinsics: Intrinsics, floor: Floor | None = None
+    ) -> tuple[Person3D, ...]:
         """Track the people of a new frame.
 
         A stamp that is older than the newest by more than `tracker.restart_after` restarts the tracker. The
@@ -177,6 +189,7 @@ class Tracker:
             stamp_ns: ns, time of the image.
             people: all people detected in the image, possibly none.
             intrinsics: intrinsics of the camera.
+            floor: floor that the people stand on, which tells how tall they are; None if it is not known.
 
         Returns:
             All people reconstructed in this frame, in the order of `people`, and then those who are predicted
@@ -195,6 +208,7 @@ class Tracker:
         self.run_deferred_work()
         state = self._state.forget_everybody() if backward_jump_s > 0 else self._state
         state = self._change_camera(state, intrinsics)
+        state = self._use_floor(state, stamp_ns, floor)
         state = self._forget_lost_tracks(state, stamp_ns)
         state = self._forget_all_after_absence(state, stamp_ns)
         state, tracks = self._add_detections(state, stamp_ns, detections, intrinsics)
@@ -206,8 +220,10 @@ class Tracker:
         if settings.steady_output and settings.lag < MIN_ACCELERATION_LAG_S:
             shown = self._filter_motion(output_stamp_ns, shown)
             state = state.put_tracks([track for track, _ in shown])
-        output = [make_person(t, frame, self.models[t.solved.model_name]) for t, frame in shown]
-        output += self._predict_people(stamp_ns, state.tracks)
+        shown = self._follow_extremities(output_stamp_ns, shown)
+        state = state.put_tracks([track for track, _ in shown])
+        output, state = self._make_people(output_stamp_ns, shown, state, floor)
+        output += self._predict_people(stamp_ns, state)
         self._state = replace(
             state,
             newest_stamp_ns=stamp_ns,
@@ -219,6 +235,27 @@ class Tracker:
             unusable_people=state.unusable_people + len(people) - len(tracks),
         )
         return tuple(output)
+
+    def predict(self, times_s: Sequence[float]) -> list[list[PredictedPerson]]:
+        """Return the people of the newest frame at some times after it; nobody with `tracker.lag`.
+
+        Args:
+            times_s: s, times after the newest frame, not negative.
+
+        Returns:
+            The people at each of the times, without those who are tentative.
+        """
+        state, stamp_ns = self._state, self._state.newest_stamp_ns
+        if stamp_ns is None:
+            return [[] for _ in times_s]
+        upward = None if state.vertical is None else state.vertical.direction
+        people = [
+            predict_ahead(
+                t, stamp_ns, times_s, self.models[t.solved.model_name], upward, self._find_size(t, state)
+            )
+            for t in self._list_known_tracks(stamp_ns, state)
+        ]
+        return [[person[i] for person in people] for i in range(len(times_s))]
 
     def run_deferred_work(self) -> None:
         """Do the part of the hypothesis checks and classifications that follows the last frame, if not done yet.
@@ -333,22 +370,26 @@ class Tracker:
     ) -> tuple[TrackerState, list[Track]]:
         """Return the tracks with their new frames lifted, all in one batch, if there is a lifter.
 
-        The lifted poses are turned towards the vertical as it was known before; the state has it as it is known
+        The lifter is told a vertical that is given. The lifted poses are turned towards the vertical as it was
+        known before; the state has it as it is known
         now, stamp in ns.
         """
         if self._lifter is None or not tracks:
             return state, tracks
         inputs = [t.seen.observed.sample_unlifted_histories() for t in tracks]
         points, weight = (np.concatenate(parts) for parts in zip(*inputs, strict=True))
-        lifted = self._lifter.lift(points, weight, RAY_FOCAL)
         counts = [len(own_weight) for _, own_weight in inputs]
+        cameras = [t.seen.observed.virtual_camera.rotation for t in tracks]
+        known, direction, std = state.vertical, None, None
+        if known is not None:
+            direction = np.repeat([camera @ known.direction for camera in cameras], counts, axis=0)
+            std = np.full(len(direction), known.std)
+        told = (direction, std) if known is not None and known.is_given else (None, None)
+        lifted = self._lifter.lift(points, weight, RAY_FOCAL, *told)
         if self.config.tracker.vertical != NO_VERTICAL:
             upward = find_upward(lifted.joints)
-            cameras = [t.seen.observed.virtual_camera.rotation for t in tracks]
-            if state.vertical is not None:
-                seen = np.repeat([camera @ state.vertical.direction for camera in cameras], counts, axis=0)
-                std = np.full(len(seen), state.vertical.std)
-                lifted = turn_towards_vertical(lifted, upward, seen, std)
+            if direction is not None and std is not None:
+                lifted = turn_towards_vertical(lifted, upward, direction, std)
             state = self._update_vertical(state, stamp_ns, tracks, upward[np.cumsum(counts) - 1], cameras)
         ends = np.cumsum(counts).tolist()
         return state, [
@@ -450,18 +491,79 @@ class Tracker:
             for t, frame in shown
         ]
 
-    def _predict_people(self, stamp_ns: int, tracks: Sequence[Track]) -> list[Person3D]:
+    def _follow_extremities(self, stamp_ns: int, shown: Sequence[tuple[Track, int]]) -> list[tuple[Track, int]]:
+        """Return the tracks with face, feet and hands followed up to the frame that is put out, stamp in ns."""
+        followed = []
+        for track, frame in shown:
+            model = self.models[track.solved.model_name]
+            evidence = collect_track_evidence(track, frame, model)
+            followed.append((track.follow_extremities(stamp_ns, evidence, model.stature), frame))
+        return followed
+
+    def _use_floor(self, state: TrackerState, stamp_ns: int, floor: Floor | None) -> TrackerState:
+        """Return the state with the vertical of the floor, stamp in ns, unless `tracker.vertical` gives another.
+
+        A vertical of a floor is forgotten when the floor is no longer known, for the camera may move.
+        """
+        if self.config.tracker.vertical != AUTO_VERTICAL:
+            return state
+        if floor is not None:
+            return replace(state, vertical=Vertical(floor.upward, math.inf, stamp_ns))
+        if state.vertical is not None and math.isinf(state.vertical.seconds):
+            return replace(state, vertical=None)
+        return state
+
+    def _make_people(
+        self, stamp_ns: int, shown: Sequence[tuple[Track, int]], state: TrackerState, floor: Floor | None
+    ) -> tuple[list[Person3D], TrackerState]:
+        """Return the people who are put out, and the state with what their feet tell of their sizes.
+
+        Args:
+            stamp_ns: ns, stamp of the frame that is put out.
+            shown: tracks, and index of that frame in each.
+            state: state before.
+            floor: floor that the people stand on; None if it is not known.
+        """
+        people = [
+            make_whole_person(t, frame, self.models[t.solved.model_name], self._skeleton) for t, frame in shown
+        ]
+        if floor is not None:
+            contacts, body_height = dict(state.contacts), self.config.tracker.body_height
+            for person in people:
+                if person.tentative or not person.scale_known:
+                    continue
+                before = contacts.pop(person.id, None)
+                contact = FloorContact.advance(before, stamp_ns, person, floor, body_height)
+                if contact is not None:
+                    contacts[person.id] = contact  # the newest come last
+            state = replace(state, contacts=tuple(contacts.items())[-MAX_REMEMBERED:])
+        sized = zip(people, shown, strict=True)
+        return [resize(person, self._find_size(track, state)) for person, (track, _) in sized], state
+
+    def _find_size(self, track: Track, state: TrackerState) -> BodySize:
+        """Return what is known of a person's size."""
+        assumed = assume_size(self.config.tracker, is_focal_known=track.seen.intrinsics.is_focal_known)
+        contact = dict(state.contacts).get(track.id)
+        return assumed if contact is None else contact.find_size(assumed)
+
+    def _predict_people(self, stamp_ns: int, state: TrackerState) -> list[Person3D]:
         """Return the people who are predicted for this frame, stamp in ns; nobody with `tracker.lag`."""
+        upward = None if state.vertical is None else state.vertical.direction
+        predicted = []
+        for track in self._list_known_tracks(stamp_ns, state):
+            if track.seen.stamps_ns[-1] < stamp_ns:
+                model, size = self.models[track.solved.model_name], self._find_size(track, state)
+                person = predict_person(track, stamp_ns, model, upward, size)
+                predicted.append(complete_prediction(person, track, stamp_ns, model, self._skeleton, size))
+        return predicted
+
+    def _list_known_tracks(self, stamp_ns: int, state: TrackerState) -> list[Track]:
+        """Return the tracks that are seen in this frame, stamp in ns, or predicted; none with `tracker.lag`."""
         settings = self.config.tracker
         if settings.lag > 0:
             return []
-        return [
-            predict_person(t, stamp_ns, self.models[t.solved.model_name])
-            for t in tracks
-            if t.seen.stamps_ns[-1] < stamp_ns
-            and not t.is_tentative
-            and stamp_ns - t.seen.stamps_ns[-1] <= settings.predict_for * NS_PER_S
-        ]
+        oldest_ns = stamp_ns - settings.predict_for * NS_PER_S
+        return [t for t in state.tracks if not t.is_tentative and t.seen.stamps_ns[-1] >= oldest_ns]
 
 
 def _describe_models(state: TrackerState) -> str:

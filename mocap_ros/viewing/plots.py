@@ -17,7 +17,7 @@ from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
-from mocap_ros.skeleton import CMU15, Skeleton
+from mocap_ros.skeleton import CMU15, CORE_COUNT, Skeleton
 
 Array = NDArray[np.float64]
 
@@ -164,9 +164,9 @@ def _draw_pose(axes: Any, data: PlotData, frame: int, projection: Any, radius: f
     joints = data.joints[frame]
     if data.truth is not None:
         truth = data.truth[frame]
-        draw_bones(axes, projection(truth - truth.mean(axis=0)), data.skeleton, TRUTH_COLOUR, linewidth=4)
+        draw_bones(axes, projection(_centre(truth)), data.skeleton, TRUTH_COLOUR, linewidth=4)
     if np.isfinite(joints).all():
-        points = projection(joints - joints.mean(axis=0))
+        points = projection(_centre(joints))
         draw_bones(axes, points, data.skeleton, linewidth=1.8)
         inferred = points[~data.seen[frame]]
         axes.scatter(inferred[:, 0], inferred[:, 1], s=16, color=INFERRED_COLOUR, zorder=3)
@@ -215,16 +215,20 @@ def _compute_error_mm(data: PlotData) -> Array | None:
     """Return (F,) mm, the mean error of the centred joints in each frame, or None without truth."""
     if data.truth is None:
         return None
-    joints = data.joints - data.joints.mean(axis=1, keepdims=True)
-    truth = data.truth - data.truth.mean(axis=1, keepdims=True)
-    return np.asarray(np.linalg.norm(joints - truth, axis=-1).mean(axis=1) * 1e3)
+    core = slice(None) if np.isfinite(data.truth).any(axis=(0, 2)).all() else slice(CORE_COUNT)
+    error = np.linalg.norm(_centre(data.joints) - _centre(data.truth), axis=-1)
+    return np.asarray(error[:, core].mean(axis=1) * 1e3)
 
 
 def _compute_radius(data: PlotData, frames: Sequence[int]) -> float:
     """Return half the width (m) of the 3D panels, into which the poses of all drawn frames fit."""
     poses = data.joints[list(frames)] if data.truth is None else data.truth[list(frames)]
-    centred = poses - poses.mean(axis=1, keepdims=True)
-    return float(np.nanmax(np.abs(centred), initial=MIN_RADIUS_M)) * RADIUS_MARGIN
+    return float(np.nanmax(np.abs(_centre(poses)), initial=MIN_RADIUS_M)) * RADIUS_MARGIN
+
+
+def _centre(poses: Array) -> Array:
+    """Return poses (..., J, 3) about the mean of their core."""
+    return np.asarray(poses - poses[..., :CORE_COUNT, :].mean(axis=-2, keepdims=True))
 
 
 def _remove_frame(axes: Any) -> None:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.errors import MocapError
 from mocap_ros.people import MotionKind
-from mocap_ros.skeleton import CMU15, Skeleton
+from mocap_ros.skeleton import Skeleton
 from mocap_ros.viewing.plots import INFERRED_COLOUR, TRUTH_COLOUR
 from mocap_ros.viewing.scene import (
     INPUT_COLOUR,
@@ -52,6 +52,7 @@ INFERRED_RADIUS_M = 0.038  # m; a little more, because they are drawn over the j
 TRAIL_RADIUS_M = 0.01  # m; a dot a frame
 IMAGE_RADIUS_PX = 3.0  # px of the image
 INPUT_RADIUS_PX = 2.0  # px of the image
+PIECE_ROWS = 4096  # rows that are sent at a time, as many as the viewer keeps together
 TRAIL_S = 2.0  # s; length of the trails
 DEVIATION_ALPHA = 40  # of 255; joints are seen through the ellipsoids
 CAMERA_PLANE_M = 0.5  # m; distance of the image plane in the picture of the camera
@@ -64,6 +65,7 @@ ALONE_COLOUR = '#4c9be8'  # blue; curves of somebody who is alone, readable on R
 GRID_COLOUR = '#c8c8c8'  # light grey
 TRUTH_CLASS = 0  # number of the truth in the annotation context; people have the numbers from 1
 FIRST_INPUT_CLASS = 1000  # number of the first keypoint layout in the annotation context; people have smaller ones
+CURVES = {'residual': 'px', 'cadence': 'Hz'}  # curves of a person, and their units
 MOTION_STATES = {
     MotionKind.UNKNOWN: ('unknown', '#dddddd'),
     MotionKind.PERIODIC: ('periodic', '#8fbf8f'),
@@ -141,11 +143,14 @@ def send_scene(recording: Any, scene: Scene) -> None:
     send_static(recording, scene, names)
     times = scene.times
     for index, (name, person) in enumerate(zip(names, scene.people, strict=True)):
-        writer = _PersonWriter(recording, name, index + 1)
-        writer.send_looks(choose_person_colour(scene, index))
+        writer = _PersonWriter(recording, name, index + 1, scene.skeleton)
+        is_whole = _all_known(person.joints), _all_known(person.image)
+        writer.send_looks(choose_person_colour(scene, index), *is_whole)
         writer.send(person, times)
+        recording.flush()  # so that what waits for being written takes no memory
         for lane, states in name_states(person, scene.swapped[index]).items():
-            writer.send_states(lane, find_changes(times, person.frames, states))
+            if lane != 'motion' or scene.has_motion:
+                writer.send_states(lane, find_changes(times, person.frames, states))
     for layout, keypoints in enumerate(scene.keypoints):
         _send_keypoints(rr, recording, times, keypoints, layout, set())
     if scene.truth is not None:
@@ -192,9 +197,10 @@ def send_static(recording: Any, scene: Scene, names: Sequence[str]) -> None:
     recording.log('world/camera/frame', rr.LineStrips2D([corners], colors=[_to_rgba('#999999')]), static=True)
     for index, (name, person) in enumerate(zip(names, scene.people, strict=True)):
         colour = [_to_rgba(choose_person_colour(scene, index) if len(scene.people) > 1 else ALONE_COLOUR)]
-        for curve in ('residual', 'cadence'):
+        for curve in _list_curves(scene):
             recording.log(f'curves/{curve}/{name}', rr.SeriesLines(colors=colour, names=[person.id]), static=True)
-        for lane, states in (('motion', dict(MOTION_STATES.values())), ('detection', DETECTION_STATES)):
+        lanes = {'motion': dict(MOTION_STATES.values()), 'detection': DETECTION_STATES}
+        for lane, states in lanes.items() if scene.has_motion else [('detection', DETECTION_STATES)]:
             recording.log(
                 f'states/{name}/{lane}',
                 rr.StateConfiguration(values=list(states), colors=[_to_rgba(c) for c in states.values()]),
@@ -212,6 +218,7 @@ def build_blueprint(scene: Scene, play_state: str = 'playing') -> Any:
     rr = import_rerun()
     rrb = rr.blueprint
     target = TARGET_SHARE * scene.centre
+    up = (-scene.to_level[1]).tolist()
     trail = rrb.VisibleTimeRanges(
         timeline=TIMELINE,
         start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
@@ -224,27 +231,30 @@ def build_blueprint(scene: Scene, play_state: str = 'playing') -> Any:
         line_grid=rrb.LineGrid3D(
             visible=True,
             spacing=1.0,
-            plane=rr.components.Plane3D((0.0, -1.0, 0.0), -scene.floor_y),
+            plane=rr.components.Plane3D(up, -scene.floor_y),
             color=_to_rgba(GRID_COLOUR),
         ),
         eye_controls=rrb.EyeControls3D(
-            position=EYE_PLACE * max(float(np.linalg.norm(scene.centre)), scene.extent),
+            position=scene.to_level.T @ EYE_PLACE * max(float(np.linalg.norm(scene.centre)), scene.extent),
             look_target=target,
-            eye_up=[0.0, -1.0, 0.0],
+            eye_up=up,
         ),
         overrides={f'world/people/{name}/trail': trail for name in name_people(scene)},
     )
     image = rrb.Spatial2DView(origin='world/camera', name='2D input and result', background=list(BACKGROUND))
     curves = [
-        rrb.TimeSeriesView(origin='curves/residual', name='residual, px'),
-        rrb.TimeSeriesView(origin='curves/cadence', name='cadence, Hz'),
+        rrb.TimeSeriesView(origin=f'curves/{curve}', name=f'{curve}, {CURVES[curve]}')
+        for curve in _list_curves(scene)
     ]
-    states = rrb.StateTimelineView(origin='states', name='motion, detection and swaps')
-    columns: list[Any] = [rrb.Horizontal(space, image, column_shares=[3, 2]), rrb.Horizontal(*curves)]
+    kinds = [*['motion'] * scene.has_motion, 'detection', *['swaps'] * bool(scene.keypoints)]
+    states = rrb.StateTimelineView(origin='states', name=', '.join(kinds))
+    rows: list[Any] = [rrb.Horizontal(space, image, column_shares=[3, 2])]
+    if curves:
+        rows.append(rrb.Horizontal(*curves))
     if scene.marks:
         states = rrb.Horizontal(states, rrb.TextLogView(origin='marks', name='marks'), column_shares=[3, 1])
     return rrb.Blueprint(
-        rrb.Vertical(*columns, states, row_shares=[5, 2, 2]),
+        rrb.Vertical(*rows, states, row_shares=[5, *[2] * len(rows)]),
         rrb.TimePanel(
             state='collapsed',
             timeline=TIMELINE,
@@ -265,17 +275,28 @@ class _PersonWriter:
         recording: recording of Rerun.
         name: name of the person in entity paths.
         number: number of the person's class in the annotation context.
+        skeleton: skeleton of the person's joints.
     """
 
-    def __init__(self, recording: Any, name: str, number: int) -> None:
+    def __init__(self, recording: Any, name: str, number: int, skeleton: Skeleton) -> None:
         self._rr, self._recording, self._name, self._number = import_rerun(), recording, name, number
+        self._skeleton = skeleton
+        self._is_space_whole = self._is_image_whole = False
         self.entity, self.image_entity = f'world/people/{name}', f'world/camera/people/{name}'
 
-    def send_looks(self, colour: str) -> None:
-        """Send radii and colours."""
+    def send_looks(self, colour: str, is_space_whole: bool = False, is_image_whole: bool = False) -> None:
+        """Send radii and colours.
+
+        Args:
+            colour: the person's colour.
+            is_space_whole: whether all joints are known in all frames, so that their numbers are sent once.
+            is_image_whole: likewise in the image.
+        """
         rr = self._rr
+        self._is_space_whole, self._is_image_whole = is_space_whole, is_image_whole
+        joints = len(self._skeleton.joints)
         looks = {
-            'joints': _make_joint_looks(rr, self._number),
+            'joints': _make_looks(rr.Points3D, self._number, JOINT_RADIUS_M, joints if is_space_whole else 0),
             'inferred': rr.Points3D.from_fields(radii=[INFERRED_RADIUS_M], colors=[_to_rgba(INFERRED_COLOUR)]),
             'deviation': rr.Ellipsoids3D.from_fields(
                 colors=[_to_rgba(colour, DEVIATION_ALPHA)], fill_mode='solid'
@@ -284,7 +305,7 @@ class _PersonWriter:
         }
         for part, archetype in looks.items():
             self._recording.log(f'{self.entity}/{part}', archetype, static=True)
-        image = rr.Points2D.from_fields(radii=[IMAGE_RADIUS_PX], show_labels=False)
+        image = _make_looks(rr.Points2D, self._number, IMAGE_RADIUS_PX, joints if is_image_whole else 0)
         self._recording.log(self.image_entity, image, static=True)
 
     def send(self, person: ScenePerson, times: Array) -> None:
@@ -294,21 +315,33 @@ class _PersonWriter:
             person: the person in N frames.
             times: (F,) s, times of the frames.
         """
+        for first in range(0, len(person.frames), PIECE_ROWS):
+            rows = slice(first, first + PIECE_ROWS)
+            following = person.frames[first + PIECE_ROWS :][:1].tolist()
+            self._send_piece(person.cut(rows), times, following[0] if following else None)
+
+    def _send_piece(self, person: ScenePerson, times: Array, next_frame: int | None) -> None:
+        """Send some rows of a person; `next_frame` is as for `end_runs`."""
         rr, joints = self._rr, person.joints
-        every = np.ones(len(person.frames), int)
-        columns = rr.Points3D.columns(positions=joints.reshape(-1, 3))
-        self._send_rows(f'{self.entity}/joints', person, times, joints.shape[1] * every, columns)
-        columns = rr.Points3D.columns(positions=joints[person.inferred])
-        self._send_rows(f'{self.entity}/inferred', person, times, person.inferred.sum(axis=1), columns)
-        known = np.isfinite(person.std)
+        is_finite = np.asarray(np.isfinite(joints).all(axis=2))
+        counts, columns = _make_point_columns(rr.Points3D, joints, self._is_space_whole)
+        self._send_rows(f'{self.entity}/joints', person, times, next_frame, counts, columns)
+        inferred = person.inferred & is_finite
+        counts = inferred.sum(axis=1)
+        is_told = (counts > 0) | (np.diff(counts, prepend=1) != 0)  # nobody need be told twice that there are none
+        columns = rr.Points3D.columns(positions=joints[inferred])
+        self._send_rows(f'{self.entity}/inferred', person, times, next_frame, counts, columns, is_told)
+        known = np.isfinite(person.std) & is_finite
         if known.any():
             half_sizes = np.repeat(person.std[known][:, None], 3, axis=1)
             columns = rr.Ellipsoids3D.columns(centers=joints[known], half_sizes=half_sizes)
-            self._send_rows(f'{self.entity}/deviation', person, times, known.sum(axis=1), columns)
-        columns = rr.Points3D.columns(positions=joints[:, CMU15.index(TRAIL_JOINT)])
-        self._send_rows(f'{self.entity}/trail', person, times, every, columns)
-        counts, columns = _make_image_columns(rr, person.image, self._number)
-        self._send_rows(self.image_entity, person, times, counts, columns)
+            self._send_rows(f'{self.entity}/deviation', person, times, next_frame, known.sum(axis=1), columns)
+        trail = self._skeleton.index(TRAIL_JOINT)
+        columns = rr.Points3D.columns(positions=joints[is_finite[:, trail], trail])
+        counts = is_finite[:, trail].astype(int)
+        self._send_rows(f'{self.entity}/trail', person, times, next_frame, counts, columns)
+        counts, columns = _make_point_columns(rr.Points2D, person.image, self._is_image_whole)
+        self._send_rows(self.image_entity, person, times, next_frame, counts, columns)
         for curve, values in (('residual', person.residual), ('cadence', person.cadence)):
             if np.isfinite(values).any():  # NaN interrupts a curve
                 column = rr.TimeColumn(TIMELINE, duration=times[person.frames])
@@ -322,11 +355,21 @@ class _PersonWriter:
             columns = self._rr.StateChange.columns(state=[state for _, state in changes])
             self._recording.send_columns(f'states/{self._name}/{lane}', [column], columns)
 
-    def _send_rows(self, entity: str, person: ScenePerson, times: Array, counts: Indices, columns: Any) -> None:
-        """Send rows of different lengths, and an empty row after each run of frames."""
-        ends, lengths = end_runs(times, person.frames, counts)
-        column = self._rr.TimeColumn(TIMELINE, duration=ends)
-        self._recording.send_columns(entity, [column], columns.partition(lengths))
+    def _send_rows(
+        self,
+        entity: str,
+        person: ScenePerson,
+        times: Array,
+        next_frame: int | None,
+        counts: Indices,
+        columns: Any,
+        is_told: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Send the rows that are told, of different lengths, and an empty row after each run of frames."""
+        ends, lengths = end_runs(times, person.frames, counts, next_frame, is_told)
+        if len(ends):
+            column = self._rr.TimeColumn(TIMELINE, duration=ends)
+            self._recording.send_columns(entity, [column], columns.partition(lengths))
 
 
 class LiveDrawing:
@@ -376,7 +419,7 @@ class LiveDrawing:
         self._recording.send_blueprint(build_blueprint(everybody, 'following'))
         send_static(self._recording, everybody, names)
         for index, (person_id, name) in enumerate(zip(self._people, names, strict=True)):
-            self._writers[person_id] = _PersonWriter(self._recording, name, index + 1)
+            self._writers[person_id] = _PersonWriter(self._recording, name, index + 1, everybody.skeleton)
             self._writers[person_id].send_looks(choose_person_colour(everybody, index))
 
     def _change_state(self, person_id: str, lane: str, time_s: float, state: str) -> None:
@@ -433,7 +476,13 @@ def find_changes(times: Array, frames: Indices, states: Sequence[str]) -> list[t
     return changes
 
 
-def end_runs(times: Array, frames: Indices, lengths: Indices) -> tuple[Array, Indices]:
+def end_runs(
+    times: Array,
+    frames: Indices,
+    lengths: Indices,
+    next_frame: int | None = None,
+    is_told: NDArray[np.bool_] | None = None,
+) -> tuple[Array, Indices]:
     """Return times and lengths of rows, with a row of length 0 after each run of frames.
 
     Rerun shows the last row of an entity until the next one, also long after a person has left.
@@ -442,36 +491,63 @@ def end_runs(times: Array, frames: Indices, lengths: Indices) -> tuple[Array, In
         times: (F,) s.
         frames: (N,) indices of the frames of the rows, increasing.
         lengths: (N,) lengths of the rows.
+        next_frame: index of the frame of the row that comes after these; None if they are the last ones.
+        is_told: (N,) False for rows to leave out; None for none.
     """
-    ends = np.flatnonzero(np.diff(frames, append=len(times) + 1) > 1)
+    ends = np.flatnonzero(np.diff(frames, append=len(times) + 1 if next_frame is None else next_frame) > 1)
     ends = ends[frames[ends] + 1 < len(times)]
+    told = np.insert(np.ones(len(frames), bool) if is_told is None else is_told, ends + 1, True)
     all_frames = np.insert(frames, ends + 1, frames[ends] + 1)
-    return times[all_frames], np.insert(lengths, ends + 1, 0)
+    return times[all_frames][told], np.insert(lengths, ends + 1, 0)[told]
 
 
 def _send_truth(rr: Any, recording: Any, scene: Scene, truth: Array32) -> None:
-    """Send the true joints of the frames in which all of them are known."""
-    known = np.flatnonzero(np.isfinite(truth).all(axis=(1, 2)))
-    ends, lengths = end_runs(scene.times, known, np.full(len(known), truth.shape[1]))
-    columns = rr.Points3D.columns(positions=truth[known].reshape(-1, 3)).partition(lengths)
-    recording.send_columns('world/truth', [rr.TimeColumn(TIMELINE, duration=ends)], columns)
-    recording.log('world/truth', _make_joint_looks(rr, TRUTH_CLASS), static=True)
+    """Send the true joints."""
+    known = np.flatnonzero(np.isfinite(truth).any(axis=(1, 2)))
+    counts, columns = _make_point_columns(rr.Points3D, truth[known], is_whole=False)
+    ends, lengths = end_runs(scene.times, known, counts)
+    recording.send_columns('world/truth', [rr.TimeColumn(TIMELINE, duration=ends)], columns.partition(lengths))
+    looks = _make_looks(rr.Points3D, TRUTH_CLASS, JOINT_RADIUS_M, 0)
+    recording.log('world/truth', looks, static=True)
 
 
-def _make_joint_looks(rr: Any, number: int) -> Any:
-    """Return what does not change of the joints of a skeleton, by the number of its class."""
-    joints = np.arange(len(CMU15.joints))
-    return rr.Points3D.from_fields(
-        radii=[JOINT_RADIUS_M], class_ids=[number], keypoint_ids=joints, show_labels=False
-    )
+def _make_looks(archetype: Any, number: int, radius: float, joints: int) -> Any:
+    """Return what does not change of the points of a skeleton.
+
+    Args:
+        archetype: Points2D or Points3D of Rerun.
+        number: number of the skeleton's class.
+        radius: radius of a point in m or px.
+        joints: number of joints if all of them are in every row, so that their numbers do not change; else 0.
+    """
+    numbers = {'keypoint_ids': np.arange(joints)} if joints else {}
+    return archetype.from_fields(radii=[radius], class_ids=[number], show_labels=False, **numbers)
 
 
-def _make_image_columns(rr: Any, points: Array32, number: int) -> tuple[Indices, Any]:
-    """Return how many points of (N, J, 2) are known in each row, and the columns of all known points."""
+def _make_point_columns(archetype: Any, points: Array32, is_whole: bool) -> tuple[Indices, Any]:
+    """Return how many points of (N, J, 2) or (N, J, 3) are known in each row, and the columns of all known points.
+
+    Args:
+        archetype: Points2D or Points3D of Rerun.
+        points: the points; NaN where unknown.
+        is_whole: whether all are known in all rows, and their numbers do not change.
+    """
+    if is_whole:
+        return np.full(len(points), points.shape[1]), archetype.columns(
+            positions=points.reshape(-1, points.shape[2])
+        )
     known = np.isfinite(points).all(axis=2)
-    ids = np.broadcast_to(np.arange(known.shape[1]), known.shape)[known]
-    numbers = np.full(len(ids), number)
-    return known.sum(axis=1), rr.Points2D.columns(positions=points[known], keypoint_ids=ids, class_ids=numbers)
+    numbers = np.broadcast_to(np.arange(known.shape[1]), known.shape)[known]
+    return known.sum(axis=1), archetype.columns(positions=points[known], keypoint_ids=numbers)
+
+
+def _all_known(points: Array32) -> bool:
+    return bool(np.isfinite(points).all())
+
+
+def _list_curves(scene: Scene) -> list[str]:
+    """Return the names of the curves of which the scene has values."""
+    return [name for name in CURVES if any(np.isfinite(getattr(person, name)).any() for person in scene.people)]
 
 
 def _send_keypoints(
@@ -489,14 +565,17 @@ def _send_keypoints(
     """
     slots = np.arange(len(keypoints.frames)) - np.searchsorted(keypoints.frames, keypoints.frames)
     for slot in range(int(slots.max(initial=-1)) + 1):
-        rows = np.flatnonzero(slots == slot)
-        counts, columns = _make_image_columns(rr, keypoints.points[rows], FIRST_INPUT_CLASS + layout)
-        ends, lengths = end_runs(times, keypoints.frames[rows], counts)
+        of_slot = np.flatnonzero(slots == slot)
         entity = f'world/camera/input/{layout}_{slot}'
-        recording.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=ends)], columns.partition(lengths))
+        for first in range(0, len(of_slot), PIECE_ROWS):
+            rows, following = of_slot[first : first + PIECE_ROWS], of_slot[first + PIECE_ROWS :][:1].tolist()
+            counts, columns = _make_point_columns(rr.Points2D, keypoints.points[rows], is_whole=False)
+            next_frame = int(keypoints.frames[following[0]]) if following else None
+            ends, lengths = end_runs(times, keypoints.frames[rows], counts, next_frame)
+            recording.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=ends)], columns.partition(lengths))
         if entity not in known:
             known.add(entity)
-            looks = rr.Points2D.from_fields(radii=[INPUT_RADIUS_PX], show_labels=False)
+            looks = _make_looks(rr.Points2D, FIRST_INPUT_CLASS + layout, INPUT_RADIUS_PX, 0)
             recording.log(entity, looks, static=True)
 
 

@@ -7,18 +7,18 @@ the same. Joints are in m in the camera's optical frame (x right, y down, z forw
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import SkeletonError
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.joint_map import map_to_model_joints
-from mocap_ros.skeleton import CMU15, Skeleton
+from mocap_ros.geometry.level import rotation_to_level
+from mocap_ros.people import MotionKind
+from mocap_ros.skeleton import CMU15, Skeleton, canonical_joint_names
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.plots import MIDDLE_COLOUR, TRUTH_COLOUR, choose_side_colour
 
@@ -41,9 +41,12 @@ EXTENT_PERCENTILES = (2, 98)  # %; of the joints' coordinates, for the first vie
 MAX_EXCHANGED_ERROR = 0.5  # 1
 # and if that error is more than this share of the extent of the person's image, about a third of the hips' width
 MIN_SWAP_ERROR = 0.03  # 1
-# The parts of the body whose sides detectors exchange, by the joints of the left side.
-SIDED_PARTS = (('lshoulder', 'lelbow', 'lwrist'), ('lhip', 'lknee', 'lankle'))
-MIN_SCORE = 1e-6  # 1; least score of a keypoint that was seen at all
+# The parts of the body whose sides detectors exchange, by their joints without the side.
+SIDED_PARTS = (('shoulder', 'elbow', 'wrist'), ('hip', 'knee', 'ankle'))
+SIDED_JOINTS = tuple(side + joint for side in 'lr' for part in SIDED_PARTS for joint in part)
+MAX_CENTRE_DISTANCE = 1.0  # extents of a person's image; a detection whose centre is farther is of somebody else
+MIN_DEPTH_M = 0.1  # m; nearer joints have no image point that could be drawn
+EXTENT_ROWS = 20_000  # skeletons from which the extent of the scene is found; more would tell the same
 CHUNK_ROWS = 4096  # detections that are compared at a time, which bounds the memory
 MIN_PART_JOINTS = 2  # pairs of joints of a part that must be seen on both sides; one alone may be an outlier
 
@@ -97,7 +100,7 @@ class ScenePerson:
         joints: (N, J, 3) m.
         std: (N, J) m, standard deviation of each joint; NaN where unknown.
         inferred: (N, J) True where the joint was not seen and was inferred.
-        image: (N, J, 2) px, the joints in the image; NaN where the camera is unknown.
+        intrinsics: intrinsics of the camera.
         residual: (N,) px, RMS reprojection error; NaN where unknown.
         cadence: (N,) Hz; NaN where the motion is not periodic.
         motion: (N,) kind of motion, as in `people.MotionKind`.
@@ -110,12 +113,23 @@ class ScenePerson:
     joints: Array32
     std: Array32
     inferred: Mask
-    image: Array32
+    intrinsics: Intrinsics
     residual: Array32
     cadence: Array32
     motion: NDArray[np.uint8]
     predicted: Mask
     tentative: Mask
+
+    def cut(self, rows: slice) -> ScenePerson:
+        """Return the person in some of the rows only."""
+        own: dict[str, Any] = {name: v[rows] for name, v in vars(self).items() if isinstance(v, np.ndarray)}
+        return replace(self, **own)
+
+    @property
+    def image(self) -> Array32:
+        """(N, J, 2) px, the joints in the image; NaN behind or at the camera. It is computed at each call."""
+        points = np.where(self.joints[..., 2:] > MIN_DEPTH_M, self.joints, np.nan).astype(np.float64)
+        return self.intrinsics.project(points).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,13 +140,11 @@ class SceneKeypoints:
         skeleton: the layout.
         frames: (N,) index of the frame of each detection, not decreasing.
         points: (N, Jk, 2) px; NaN where a keypoint was not seen.
-        score: (N, Jk) confidence scores.
     """
 
     skeleton: Skeleton
     frames: Indices
     points: Array32
-    score: Array32
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +161,7 @@ class Scene:
         marks: events, in the order of their times.
         truth: (F, J, 3) m, true joints of one person, NaN where unknown; or None.
         skeleton: skeleton of the joints.
+        vertical: (3,) unit vector upwards in the camera's optical frame; NaN where it is not known.
     """
 
     title: str
@@ -160,6 +173,7 @@ class Scene:
     marks: tuple[Mark, ...] = ()
     truth: Array32 | None = None
     skeleton: Skeleton = CMU15
+    vertical: Array = field(default_factory=lambda: np.full(3, np.nan))
 
     @cached_property
     def times(self) -> Array:
@@ -168,9 +182,11 @@ class Scene:
 
     @cached_property
     def _coordinates(self) -> Array:
-        """(K, 3) m, all joints of all people, or one point before the camera where there is nobody."""
-        joints = [person.joints.reshape(-1, 3) for person in self.people if len(person.frames)]
-        return np.concatenate(joints).astype(np.float64) if joints else np.array([[0.0, 0.0, 4.0]])
+        """(K, 3) m, joints of all people in many frames, or one point before the camera where there is nobody."""
+        rows = sum(len(person.frames) for person in self.people)
+        joints = [person.joints[:: 1 + rows // EXTENT_ROWS].reshape(-1, 3) for person in self.people]
+        known = [own[np.isfinite(own).all(axis=1)] for own in joints]
+        return np.concatenate([*known, np.empty((0, 3))]) if any(map(len, known)) else np.array([[0.0, 0.0, 4.0]])
 
     @cached_property
     def centre(self) -> Array:
@@ -183,15 +199,31 @@ class Scene:
         return float(np.ptp(np.percentile(self._coordinates, EXTENT_PERCENTILES, axis=0), axis=0).max())
 
     @cached_property
+    def to_level(self) -> Array:
+        """(3, 3) rotation from the camera's optical frame to that of a level camera at its place."""
+        return rotation_to_level(self.vertical)
+
+    @cached_property
     def floor_y(self) -> float:
-        """Y of the floor in m: that of the lowest joints, since the true floor is not known."""
-        lowest = [person.joints[..., 1].max(axis=1) for person in self.people if len(person.frames)]
-        return float(np.percentile(np.concatenate(lowest), FLOOR_PERCENTILE)) if lowest else 1.0
+        """Y of the floor in m in the frame of the level camera.
+
+        It is that of the lowest joints, since the true floor is not known.
+        """
+        down = self.to_level[1].astype(np.float32)
+        lowest = [np.fmax.reduce(person.joints @ down, axis=1) for person in self.people if len(person.frames)]
+        known = [own[np.isfinite(own)] for own in lowest]
+        return float(np.percentile(np.concatenate(known), FLOOR_PERCENTILE)) if any(map(len, known)) else 1.0
 
     @cached_property
     def swapped(self) -> tuple[Mask, ...]:
         """(N,) for each person, True in the frames in which an exchange of left and right was undone."""
-        return tuple(find_undone_swaps(person, self.keypoints, self.skeleton) for person in self.people)
+        inputs = [SidedPoints.find(keypoints) for keypoints in self.keypoints]
+        return tuple(find_undone_swaps(person, inputs, self.skeleton) for person in self.people)
+
+    @cached_property
+    def has_motion(self) -> bool:
+        """Whether the kind of motion is known of anybody at any time."""
+        return any((person.motion != MotionKind.UNKNOWN).any() for person in self.people)
 
     @property
     def frustum_corners(self) -> Array:
@@ -232,15 +264,42 @@ def list_colour_key(scene: Scene) -> list[tuple[str, str]]:
     return key if scene.truth is None else [*key, ('truth', TRUTH_COLOUR)]
 
 
-def find_undone_swaps(
-    person: ScenePerson, keypoints: Sequence[SceneKeypoints], skeleton: Skeleton = CMU15
-) -> Mask:
+class SidedPoints(NamedTuple):
+    """The keypoints whose sides detectors exchange.
+
+    Attributes:
+        frames: (N,) index of the frame of each detection.
+        points: (N, 12, 2) px, those that are `SIDED_JOINTS`; NaN where not seen or not in the layout.
+        centre: (N, 2) px, their mean; NaN where none was seen.
+    """
+
+    frames: Indices
+    points: Array32
+    centre: Array32
+
+    @staticmethod
+    def find(keypoints: SceneKeypoints) -> SidedPoints:
+        """Return these keypoints of all detections of a layout."""
+        names = canonical_joint_names(keypoints.skeleton.joints)
+        points = np.full((len(keypoints.points), len(SIDED_JOINTS), 2), np.nan, np.float32)
+        for place, joint in enumerate(SIDED_JOINTS):
+            if joint in names:
+                points[:, place] = keypoints.points[:, names.index(joint)]
+        total, count = np.zeros((len(points), 2), np.float32), np.zeros((len(points), 2), np.float32)
+        for place in range(len(SIDED_JOINTS)):  # one by one, which takes less memory than all at a time
+            total += np.nan_to_num(points[:, place])
+            count += np.isfinite(points[:, place])
+        centre = total / np.where(count > 0, count, np.nan)
+        return SidedPoints(keypoints.frames, points, centre.astype(np.float32))
+
+
+def find_undone_swaps(person: ScenePerson, keypoints: Sequence[SidedPoints], skeleton: Skeleton = CMU15) -> Mask:
     """Find the frames in which the result has left and right of a part of the body otherwise than the detector.
 
     e = mean |x_j - y_j| and e' = mean |x_m(j) - y_j| over the joints j of a part that are seen on both sides, with
     x the detector's keypoints, y the result in the image and m(j) the same joint of the other side. A swap was
     undone if e' < `MAX_EXCHANGED_ERROR` e and e > `MIN_SWAP_ERROR` times the extent of the person's image. Of
-    several detections in a frame, the one that fits the person best counts.
+    several detections in a frame, the one that fits the person best counts; those elsewhere are passed over.
 
     Args:
         person: the person in N frames.
@@ -253,58 +312,53 @@ def find_undone_swaps(
     swapped = np.zeros(len(person.frames), bool)
     if not len(person.frames):
         return swapped
-    row_of_frame = np.full(int(person.frames[-1]) + 1, -1)
+    row_of_frame = np.full(int(person.frames[-1]) + 2, -1)
     row_of_frame[person.frames] = np.arange(len(person.frames))
     best = np.full(len(person.frames), np.inf)
+    image = person.image[:, [skeleton.index(joint) for joint in SIDED_JOINTS]]
+    extent = np.maximum(np.ptp(image, axis=1).max(axis=1), 1.0)
+    centre = image.mean(axis=1)
     for detections in keypoints:
         rows = row_of_frame[np.minimum(detections.frames, len(row_of_frame) - 1)]
-        present = np.flatnonzero((rows >= 0) & (detections.frames < len(row_of_frame)))
-        for first in range(0, len(present), CHUNK_ROWS):
-            chunk = present[first : first + CHUNK_ROWS]
-            try:
-                costs, verdicts = _compare_sides(detections, chunk, person.image[rows[chunk]], skeleton)
-            except SkeletonError:  # a layout with too few joints of the body
-                break
-            for row, cost, verdict in zip(rows[chunk].tolist(), costs.tolist(), verdicts.tolist(), strict=True):
-                if cost < best[row]:
-                    best[row], swapped[row] = cost, verdict
+        distance = np.linalg.norm(detections.centre - centre[rows], axis=1)
+        near = np.flatnonzero((rows >= 0) & (distance < MAX_CENTRE_DISTANCE * extent[rows]))
+        for first in range(0, len(near), CHUNK_ROWS):
+            chunk = near[first : first + CHUNK_ROWS]
+            own = rows[chunk]
+            cost, verdict = _compare_sides(detections.points[chunk], image[own], extent[own])
+            order = np.argsort(
+                -cost, kind='stable'
+            )  # so that of several detections in a frame the best comes last
+            last = np.full(len(best), -1)
+            last[own[order]] = order
+            chosen = last[np.unique(own)]
+            chosen = chosen[cost[chosen] < best[own[chosen]]]
+            best[own[chosen]], swapped[own[chosen]] = cost[chosen], verdict[chosen]
     return swapped & ~person.predicted
 
 
-def _compare_sides(
-    detections: SceneKeypoints, rows: Indices, image: Array32, skeleton: Skeleton
-) -> tuple[Array, Mask]:
+def _compare_sides(points: Array32, image: Array32, extent: Array32) -> tuple[Array32, Mask]:
     """Compare some detections with a person's image, as they are and with left and right exchanged.
 
     Args:
-        detections: all detections of a layout.
-        rows: (N,) the detections to compare.
-        image: (N, J, 2) px, the person in the images of these detections.
-        skeleton: skeleton of the person.
+        points: (N, 12, 2) px, the detected `SIDED_JOINTS`; NaN where not seen.
+        image: (N, 12, 2) px, the person's.
+        extent: (N,) px, extent of the person's image.
 
     Returns:
         (N,) sums of the parts' smaller errors in extents of the person's image, and (N,) if a swap was undone.
     """
-    body, weight = map_to_model_joints(
-        detections.points[rows].astype(np.float64),
-        detections.score[rows].astype(np.float64),
-        detections.skeleton.joints,
-        MIN_SCORE,
-        skeleton,
+    mirror = np.roll(np.arange(len(SIDED_JOINTS)), len(SIDED_JOINTS) // 2)
+    both = np.isfinite(points[..., 0])
+    both &= both[:, mirror]
+    error, exchanged = (
+        np.where(both, np.hypot(*np.moveaxis(own - image, 2, 0)), 0) for own in (points, points[:, mirror])
     )
-    mirror = np.array(skeleton.mirror)
-    both = (weight > 0) & (weight[:, mirror] > 0)
-    extent = np.maximum(np.ptp(image, axis=1).max(axis=1), 1.0)
-    error = np.linalg.norm(body - image, axis=-1)
-    exchanged = np.linalg.norm(body[:, mirror] - image, axis=-1)
-    cost, verdict = np.zeros(len(rows)), np.zeros(len(rows), bool)
-    for names in SIDED_PARTS:
-        left = [skeleton.index(joint) for joint in names]
-        part = np.array([*left, *mirror[left]])
-        count = both[:, part].sum(axis=1)
-        as_is, other = (
-            np.where(both[:, part], e[:, part], 0).sum(axis=1) / np.maximum(count, 1) for e in (error, exchanged)
-        )
+    cost, verdict = np.zeros(len(points), np.float32), np.zeros(len(points), bool)
+    for part in SIDED_PARTS:
+        places = [place for place, joint in enumerate(SIDED_JOINTS) if joint[1:] in part]
+        count = both[:, places].sum(axis=1)
+        as_is, other = (e[:, places].sum(axis=1) / np.maximum(count, 1) for e in (error, exchanged))
         is_exchanged = (other < MAX_EXCHANGED_ERROR * as_is) & (as_is > MIN_SWAP_ERROR * extent)
         verdict |= is_exchanged & (count >= 2 * MIN_PART_JOINTS)
         cost += np.minimum(as_is, other) / extent

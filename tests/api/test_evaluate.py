@@ -12,7 +12,7 @@ import pytest
 
 import mocap_ros
 from mocap_ros.evaluation.evaluate import evaluate
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import BODY26
 
 
 @pytest.fixture(scope='module')
@@ -34,7 +34,7 @@ def test_the_errors_of_a_result_are_those_of_the_evaluation(
     scores = keypoints.keypoints[..., 2] if limbs_only else None
     fps = 1 / float(np.median(np.diff(result.times)))
     expected = evaluate(
-        result.joints, CMU15, result.residual, truth.joints, truth.joint_names, fps, keypoints.joint_names, scores
+        result.joints, BODY26, result.residual, truth.joints, truth.joint_names, fps, keypoints.joint_names, scores
     )
     own = mocap_ros.evaluate(result, limbs_only=limbs_only)
     assert own == mocap_ros.evaluate(result, truth, limbs_only=limbs_only) == expected
@@ -115,8 +115,8 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     'None for the names': ({'truth': 'own', 'truth_names': None}, 'truth_names: expected names'),
     'an empty truth': ({'truth': mocap_ros.GroundTruth(None, None)}, 'truth: expected names'),  # type: ignore[arg-type]
     'no common joints': (
-        {'truth': np.ones((40, 2, 3)), 'truth_names': ['nose', 'tail']},
-        'truth_names: only 0 joints .*; the truth has nose, tail; the result has head, neck',
+        {'truth': np.ones((40, 2, 3)), 'truth_names': ['fin', 'tail']},
+        'truth_names: only 0 joints .*; the truth has fin, tail; the result has head, neck',
     ),
     'times of other frames': (
         {'joints': np.zeros((40, 15, 3)), 'truth': np.zeros((40, 15, 3)), 'times': np.arange(3)},

@@ -36,7 +36,7 @@ result = mocap_ros.reconstruct(
     sequence.keypoints, sequence.joint_names, sequence.timestamps, image_size=sequence.image_size
 )
 print(sequence, result, sep='\\n')
-assert result.joints.shape == (390, 15, 3)
+assert result.joints.shape == (390, 26, 3)
 whole = mocap_ros.evaluate(result, sequence.truth)
 print(whole)
 assert whole.failed_frames == 0
@@ -58,7 +58,7 @@ for suffix in ('npz', 'csv', 'mcap', 'bvh', 'trc'):
     mocap_ros.write(f'demo_3d.{suffix}', result)
 stored = np.load('demo_3d.npz')['joints3d']
 assert abs(mocap_ros.evaluate(stored, sequence.truth).mpjpe_mm - whole.mpjpe_mm) < 1e-3
-table = np.loadtxt('demo_3d.csv', delimiter=',', skiprows=1)[:, 1:].reshape(-1, 15, 3)
+table = np.loadtxt('demo_3d.csv', delimiter=',', skiprows=1)[:, 1:].reshape(-1, 26, 3)
 assert np.abs(table - result.joints).max() < 1e-6
 again = mocap_ros.read('demo_3d.mcap')
 assert np.nanmax(np.abs(again.keypoints - sequence.keypoints)) < 1e-3

@@ -185,7 +185,7 @@ def test_sequences_are_reconstructed_and_summarised(client: Any, tmp_path: Path,
     assert outcomes['broken'].reason.startswith(f'{tmp_path}/in/broken.npz: ')
     results = tmp_path / 'out' / 'results'
     if work is Work.RECONSTRUCT:
-        assert np.load(results / 'walk.npz')['joints3d'].shape == (60, 15, 3)
+        assert np.load(results / 'walk.npz')['joints3d'].shape == (60, 26, 3)
         assert outcomes['walk'].rows[0]['residual_px'] > 0
     else:
         assert 'keyframes:' in (results / 'walk.yaml').read_text()

@@ -119,3 +119,30 @@ def test_the_content_and_no_time_stamp_identifies_a_recording(root: str) -> None
     assert compute_content_key(bag) == key
     fs.pipe_file(path, b'ab')
     assert compute_content_key(bag) != key
+
+
+def test_a_name_without_a_scheme_is_a_local_path_whatever_is_in_it(tmp_path: Path) -> None:
+    bag = tmp_path / 'a::b' / 'c::d.mcap'
+    bag.parent.mkdir()
+    bag.write_bytes(b'bag')
+    (found,) = find_recordings(str(tmp_path), Work.REPLAY)
+    assert (found.name, found.url) == ('a::b/c::d', str(bag))
+    assert names(str(bag.parent)) == names(str(bag)) == names(f'{bag.parent}/*.mcap') == ['c::d']
+    assert len(compute_content_key(found)) == 64
+
+
+def test_links_are_followed_and_what_is_reached_twice_is_taken_once(tmp_path: Path) -> None:
+    corpus, elsewhere = tmp_path / 'corpus', tmp_path / 'elsewhere'
+    for folder in (corpus / 'day1', elsewhere):
+        folder.mkdir(parents=True)
+    (corpus / 'day1' / 'a.mcap').write_bytes(b'aa')
+    (elsewhere / 'b.mcap').write_bytes(b'b')
+    (corpus / 'abroad').symlink_to(elsewhere)
+    (corpus / 'again').symlink_to(elsewhere)
+    (corpus / 'all').symlink_to(corpus)
+    (corpus / 'day0').symlink_to(corpus / 'day1')
+    (corpus / 'broken.mcap').symlink_to(tmp_path / 'nothing')
+    (corpus / 'newest.mcap').symlink_to(corpus / 'day1' / 'a.mcap')
+    assert names(str(corpus)) == ['day1/a', 'abroad/b']
+    assert names(str(corpus / 'again')) == ['b']
+    assert names(str(corpus / 'newest.mcap')) == ['newest']

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import ast
+import json
+import os
+import time
 from pathlib import Path
 from typing import Any
 
 import figures
+import numpy as np
 import pytest
 from figure_record import (
     RECORD,
@@ -14,6 +18,7 @@ from figure_record import (
     Benchmark,
     find_differences,
     list_stale,
+    list_unmarked,
     load_record,
     save_record,
     write_pages,
@@ -147,12 +152,12 @@ def test_stale_tables_are_marked_until_they_are_measured_again(root: Path) -> No
     assert figures.check([ONE, TWO], root, release=False) == 0
     assert figures.check([ONE, TWO], root, release=True) == 1
     write_measured(root)
-    assert STALE_MARK in page.read_text()
+    assert STALE_MARK.search(page.read_text())
     assert '| 5 |' in page.read_text()
     assert figures.check([ONE, TWO], root, release=False) == 0
     figures.run_benchmarks([ONE, TWO], root, quick=False)
     write_measured(root)
-    assert STALE_MARK not in page.read_text()
+    assert not STALE_MARK.search(page.read_text())
     assert '| 6 |' in page.read_text()
     assert figures.check([ONE, TWO], root, release=True) == 0
 
@@ -191,6 +196,94 @@ def test_a_release_is_kept_only_when_nothing_is_stale_or_missing(root: Path) -> 
     assert (root / figures.PICTURE_OF_HISTORY).read_bytes().startswith(b'\x89PNG')
 
 
+def write_results(root: Path, **results: Any) -> Path:
+    """Write what a full run that began just now would write, and return the file."""
+    found = {'begun': time.time() + 1, 'command': 'benchmarks/one.py', 'quick': False, 'tables': {'one': '| 7 |'}}
+    file = root / 'results.json'
+    file.write_text(json.dumps({**found, **results}))
+    return file
+
+
+def test_results_are_entered_and_a_table_that_was_not_measured_again_is_kept(root: Path) -> None:
+    (root / 'docs' / 'page.md').write_text(PAGE + PAGE.replace('one', 'other'))
+    before = write_results(root, tables={'one': '| 6 |', 'other': '| 8 |'}, records=[0] * 20_000)
+    figures.enter(ONE, before, root)
+    assert write_measured(root)['one']['results'] == {}  # the records are too long
+    assert figures.check([ONE], root, release=True) == 0
+    figures.enter(ONE, write_results(root), root)
+    record = write_measured(root)
+    assert record['one']['tables'] == {'one': '| 7 |'}
+    assert record['one']['kept']['other']['text'] == '| 8 |'
+    text = (root / 'docs' / 'page.md').read_text()
+    assert text.index('| 7 |') < text.index('| 8 |') < STALE_MARK.search(text).start()  # type: ignore[union-attr]
+    assert figures.check([ONE], root, release=False) == 0
+    assert figures.check([ONE], root, release=True) == 1
+
+
+def test_a_table_that_was_entered_by_hand_gives_way_to_the_measured_one(root: Path) -> None:
+    figures.keep(['one'], 'by hand', [], root, once=True)
+    figures.enter(TWO, write_results(root), root)
+    record = write_measured(root)
+    assert record['one']['kept'] == {}
+    assert '| 7 |' in (root / 'docs' / 'page.md').read_text()
+
+
+def test_results_of_sources_that_changed_meanwhile_are_stale(root: Path) -> None:
+    file = write_results(root)
+    os.utime(root / 'measured.txt', (time.time() + 10,) * 2)
+    figures.enter(ONE, file, root)
+    assert list_stale(load_record(root / RECORD), [ONE], root) == ['one']
+
+
+@pytest.mark.parametrize('results', [{'quick': True}, {'quick': None}])
+def test_results_of_a_short_run_are_not_entered(root: Path, results: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r'results\.json: these are not the results of a full run'):
+        figures.enter(ONE, write_results(root, **results), root)
+    assert not (root / RECORD).exists()
+
+
+@pytest.mark.parametrize('once', [False, True])
+def test_tables_are_entered_by_hand_as_the_pages_show_them(root: Path, once: bool) -> None:
+    page = root / 'docs' / 'page.md'
+    page.write_text(PAGE.replace('<!-- end', f'\n{TABLE}\n\n<!-- end'))
+    figures.keep(['one'], 'benchmarks/one.py --slow', [ONE], root, once=once)
+    record = write_measured(root)
+    assert record['one']['kept']['one']['command'] == 'benchmarks/one.py --slow'
+    assert record['one']['kept']['one']['text'] == TABLE
+    assert not STALE_MARK.search(page.read_text())
+    (root / 'measured.txt').write_text('6')
+    write_measured(root)
+    assert (STALE_MARK.search(page.read_text()) is None) == once
+    assert list_stale(load_record(root / RECORD), [ONE], root) == ([] if once else ['one'])
+    page.write_text(page.read_text().replace('| 2 |', '| 3 |'))
+    assert figures.check([], root, release=False) == 1
+    with pytest.raises(ValueError, match='no page shows a table between the markers of two'):
+        figures.keep(['two'], '', [ONE], root)
+
+
+def test_a_release_has_no_figures_outside_of_markers(root: Path) -> None:
+    figures.run_benchmarks([ONE], root, quick=False)
+    (root / 'README.md').write_text(f'Text.\n\n| name | text |\n| --- | --- |\n| a | b 1 |\n\n{TABLE}\n')
+    write_measured(root)
+    assert list_unmarked(root) == ['README.md:7: these figures are not between markers']
+    assert figures.check([ONE], root, release=False) == 0
+    assert figures.check([ONE], root, release=True) == 1
+
+
+def test_headlines_are_found_in_any_release() -> None:
+    rows = [
+        '| row | now | mean |',
+        '| --- | --- | --- |',
+        '| OpenPose | 1 | 2 |',
+        '| OpenPose, both | 3 | **64** |',
+    ]
+    text = '\n'.join(rows)
+    for record in ({'x': {'tables': {'t': text}}}, {'x': {'kept': {'t': {'text': text}}}}):
+        assert figures.find_headline(record, 't', ('openpose, both',), 'mean') == 64
+    for table, row, column in (('u', 'openpose', 'mean'), ('t', 'other', 'mean'), ('t', 'openpose', 'then')):
+        assert np.isnan(figures.find_headline(record, table, (row,), column))
+
+
 def test_releases_are_in_the_order_of_their_versions(tmp_path: Path) -> None:
     for version in ('0.10.0', '0.2.0', '0.9.1'):
         save_record({}, tmp_path / f'{version}.json')
@@ -203,9 +296,10 @@ def test_every_benchmark_is_registered_with_sources_that_exist() -> None:
     programs = {
         f.name
         for f in (ROOT / 'benchmarks').glob('*.py')
-        if any(isinstance(n, ast.FunctionDef) and n.name == 'main' for n in ast.parse(f.read_text()).body)
+        for n in ast.parse(f.read_text()).body
+        if isinstance(n, ast.ImportFrom) and n.module == 'report' and 'run' in [name.name for name in n.names]
     }
-    assert programs - {'figures.py'} == {b.script for b in figures.BENCHMARKS}
+    assert programs == {b.script for b in figures.BENCHMARKS}
 
 
 def test_every_section_of_the_paper_is_measured_from_its_module() -> None:

@@ -11,9 +11,17 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from mocap_ros.bags.recorder import Recorder
+from mocap_ros.bags.topics import Source
 from mocap_ros.cli.main import main
+from mocap_ros.config import RecorderConfig, with_values
 from mocap_ros.formats.sequence_file import GroundTruth, load_sequence, save_sequence
+from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.runtime.pipeline import Pipeline
+from mocap_ros.runtime.sequence_messages import encode_sequence
+from tests.support.camera_infos import camera_info
 from tests.support.evaluation_data import shared
+from tests.support.pipeline_inputs import FAST_CONFIG
 from tests.support.quick_options import QUICK_OPTIONS
 
 
@@ -102,7 +110,7 @@ def test_results_are_compared_as_they_are_with_the_truth_of_another_file(
     for record in json.loads((tmp_path / 'e.json').read_text()):
         assert 'seconds' not in record
         assert {k: record[k] for k in record if k != 'file'} == pytest.approx(
-            {k: solved[k] for k in solved if k not in ('file', 'seconds')}, rel=1e-4
+            {k: solved[k] for k in solved if k not in ('file', 'seconds')}, rel=1e-4, abs=1e-4
         )
     assert main(['evaluate', names[0], '--joints', 'limbs', *arguments]) == 0
     (limbs,) = json.loads((tmp_path / 'e.json').read_text())
@@ -166,3 +174,34 @@ def test_a_result_is_compared_at_the_times_that_the_truth_has(
     assert (
         'r.npz: timestamps: none of 0.000 to 12.967 s is that of a frame of the truth' in capsys.readouterr().err
     )
+
+
+def test_covariances_of_a_recording_are_checked_in_whatever_frame_they_are(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sequence = load_sequence(recording)
+    frames = [*encode_sequence(sequence)][:60]
+    found = {}
+    for name, values in (
+        ('camera', {}),
+        ('map', {'node.output_frame': 'map', 'node.camera_pose': '3 2 1.5 0.1 0.2 0.7'}),
+    ):
+        pipeline = Pipeline(with_values(FAST_CONFIG, values))
+        pipeline.set_camera_info(camera_info())
+        with Recorder(tmp_path / name, RecorderConfig()) as recorder:
+            for frame in frames:
+                (skeletons,) = (
+                    o for o in pipeline.feed(Source.KEYPOINTS, frame.raw).outputs if o.topic == 'skeletons'
+                )
+                recorder.write('/skeletons', SKELETONS, skeletons.data, frame.stamp_ns, frame.stamp_ns)
+        out = tmp_path / f'{name}.json'
+        assert main(['evaluate', str(tmp_path / name), '--truth', str(recording), '--json', str(out)]) == 0
+        (record,) = json.loads(out.read_text())
+        found[name] = {key: record[key] for key in ('joints68', 'joints95', 'roots68', 'roots95', 'mpjpe_mm')}
+        text = capsys.readouterr().out
+        assert (
+            f'{name}: covariances: {100 * record["joints68"]:.0f} and {100 * record["joints95"]:.0f} of 100'
+            in text
+        )
+    assert found['map'] == pytest.approx(found['camera'], rel=1e-6)
+    assert 0.5 < found['map']['roots95'] <= 1

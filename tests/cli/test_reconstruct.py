@@ -29,12 +29,12 @@ def test_reconstruct_writes_npz_and_csv(recording: Path, tmp_path: Path, method:
     assert main(['reconstruct', str(recording), '-o', str(tmp_path / 'r.csv'), *options]) == 0
     with np.load(tmp_path / 'r.npz') as z:
         joints = z['joints3d']
-        assert joints.shape == (390, 15, 3)
+        assert joints.shape == (390, 26, 3)
         assert np.isfinite(joints).all()
     with (tmp_path / 'r.csv').open() as file:
         rows = list(csv.reader(file))
     assert len(rows) == 391
-    assert np.array(rows[1][1:], float).reshape(15, 3) == pytest.approx(joints[0], abs=1e-5)
+    assert np.array(rows[1][1:], float).reshape(26, 3) == pytest.approx(joints[0], abs=1e-5)
 
 
 def test_results_are_written_into_the_current_folder(
@@ -187,9 +187,11 @@ def test_several_files_of_one_reconstruction_agree(short_recording: Path, tmp_pa
     assert lines[2:4] == ['nRows=20', f'nColumns={len(COORDINATES) + 1}']
     of_mot = np.array([line.split('\t') for line in lines[start + 2 :]], float)
     assert of_mot == pytest.approx(np.array(rows, float), abs=0.01)  # the recording has a constant rate
-    pelvis = np.load(tmp_path / 'r.npz')['joints3d'][:, CMU15.index('pelvis')] * [1, -1, -1]
-    position = [1 + COORDINATES.index(name) for name in POSITIONS]
-    assert of_mot[:, position] == pytest.approx(pelvis, abs=1e-5)
+    result = np.load(tmp_path / 'r.npz')
+    pelvis, upward = result['joints3d'][:, CMU15.index('pelvis')], result['vertical'].mean(axis=0)
+    position = of_mot[:, [1 + COORDINATES.index(name) for name in POSITIONS]]
+    assert np.linalg.norm(position, axis=1) == pytest.approx(np.linalg.norm(pelvis, axis=1), abs=1e-5)
+    assert position[:, 1] == pytest.approx(pelvis @ upward / np.linalg.norm(upward), abs=1e-5)
     markers = ET.parse(tmp_path / 'r.osim').getroot().findall('.//Marker')
     assert sorted(marker.get('name', '') for marker in markers) == sorted(CMU15.joints)
 

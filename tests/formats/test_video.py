@@ -158,3 +158,16 @@ def test_who_stops_reading_stops_the_thread() -> None:
     assert next(numbers) == 0
     numbers.close()
     assert 'read_ahead' not in [thread.name for thread in threading.enumerate()]
+
+
+def test_a_video_that_was_cut_off_says_where_it_ended(tmp_path: Path) -> None:
+    path = write_video(tmp_path / 'a.mkv', make_images(12) * 10, [i / 30 for i in range(120)])
+    *_, whole = read_all(path)
+    assert not whole.ending
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    _, times, reader = read_all(path)
+    assert 30 < len(times) < 90
+    assert reader.ending == f'cut off after {times[-1]:.1f} s of the 4.0 s that the file states'
+    short = VideoReader(path)
+    next(iter(short))
+    assert not short.ending  # somebody who stops reading learns nothing about the end

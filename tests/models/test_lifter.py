@@ -166,11 +166,11 @@ def test_later_frames_do_not_matter(shipped: Lifter, walk: tuple[lifter.Array, .
 
 def test_hidden_joints_are_inferred(shipped: Lifter, walk: tuple[lifter.Array, ...]) -> None:
     poses, points, weight, times = walk
-    hidden = [CMU15.index(j) for j in ('head', 'neck', 'pelvis', 'lwrist', 'rankle')]
+    hidden = [CMU15.index(j) for j in ('head', 'lwrist', 'rankle')]
     weight[:, hidden] = 0
     points[:, hidden] = np.nan
     lifted = shipped.lift_sequence(points, weight, times)
-    assert error_mm(lifted.joints, poses) < 1.1 * 37.5  # mm, measured
+    assert error_mm(lifted.joints, poses) < 1.1 * 37.2  # mm, measured
     assert lifted.std[:, hidden].mean() > lifted.select_core().std.mean()
 
 

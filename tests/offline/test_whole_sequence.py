@@ -35,7 +35,7 @@ def test_the_most_probable_of_several_models_is_used() -> None:
     assert several.category == 'walk'
     alone = reconstruct_sequence(keypoints, CMU15.joints, times, CAMERA, models['walk'], CONFIG)
     assert (alone.joints == several.joints).all()
-    assert alone.joints[..., 2].mean() > 1
+    assert alone.core[..., 2].mean() > 1
 
 
 def test_swapped_frames_are_undone() -> None:
@@ -65,10 +65,10 @@ def test_the_result_knows_its_cameras(walk_model: BasePoses, method: str) -> Non
     else:
         result = reconstruct_sequence(*args, models, CONFIG)
     cameras, translation = result.cameras_in_real_image()
-    roots = result.joints.mean(axis=1)
+    roots = result.core.mean(axis=1)
     assert translation == pytest.approx(CAMERA.project(roots), abs=1e-9)
     assert cameras.scale == pytest.approx(CAMERA.focal / roots[:, 2])
-    recovered = fit_rotation(result.solution.joints, centre_poses(result.joints))  # from virtual to real camera
+    recovered = fit_rotation(result.solution.joints, centre_poses(result.core))  # from virtual to real camera
     assert cameras.rotation == pytest.approx(recovered @ result.solution.cameras.rotation, abs=1e-9)
     axis = result.virtual_camera.to_real_camera(np.tile([0.0, 0.0, 1.0], (45, 1, 1)))[:, 0]
     assert axis[:, :2] / axis[:, 2:] == pytest.approx((truth[..., :2] / truth[..., 2:]).mean(axis=1), abs=0.02)
@@ -89,7 +89,7 @@ def test_out_of_sight_there_are_no_poses_and_no_cameras(walk_model: BasePoses) -
     observed = observe_sequence(keypoints, CMU15.joints, times, CAMERA, CONFIG.tracker)
     all_frames = reconstruct_window(observed, {'walk': walk_model}, CONFIG).joints
     assert np.isfinite(all_frames).all(), 'a window may be part of a longer sequence'
-    assert (all_frames[~out_of_sight] == result.joints[~out_of_sight]).all()
+    assert (all_frames[~out_of_sight] == result.core[~out_of_sight]).all()
 
 
 def test_the_learned_prior_is_better_than_the_base_poses_alone() -> None:
@@ -112,9 +112,9 @@ def test_the_learned_prior_is_better_than_the_base_poses_alone() -> None:
     )
     assert both.category == 'all'
     network = load_shipped_lifter().lift_sequence(points, np.ones(points.shape[:2]), times).select_core()
-    assert error_mm(both.joints) < 1.1 * 24.3  # mm, measured; the base poses alone: 26.8, the network alone: 19.2
-    assert error_mm(both.joints) < error_mm(alone.joints)
-    assert error_mm(both.joints) < 1.35 * error_mm(network.joints)
+    assert error_mm(both.core) < 1.1 * 24.3  # mm, measured; the base poses alone: 26.8, the network alone: 19.2
+    assert error_mm(both.core) < error_mm(alone.core)
+    assert error_mm(both.core) < 1.35 * error_mm(network.joints)
 
 
 def test_errors_of_points_are_in_metres_at_the_body(walk_model: BasePoses) -> None:
@@ -160,7 +160,7 @@ def test_misdetected_points_do_not_mislead_the_lifter(
         monkeypatch.setattr(whole_sequence, 'UNEXPLAINED_MEDIANS', medians)
         joints = reconstruct_sequence(
             keypoints, CMU15.joints, times, unknown, load_base_poses('all'), Config()
-        ).joints
+        ).core
         found = scale_to_reference(centre_poses(joints), truth)
         errors.append(np.linalg.norm(found - truth, axis=-1).mean() * 1e3)
     assert errors[0] < 0.8 * errors[1]  # measured: 24 and 37 mm

@@ -107,7 +107,7 @@ def test_images_of_several_encodings_become_skeletons(
         assert np.nanmedian(errors) < 1.5, encoding
     peer.wait_until(lambda: len(peer.received['skeletons']) >= 6)
     (skeleton,) = decode(peer.received['skeletons'][-1], SKELETONS).people
-    assert len(skeleton.joints) == 15
+    assert len(skeleton.joints) == 26
     nobody = camera.show(2 * 10**12, **encode_pixels(draw([]), 'mono8'))
     assert len(nobody.people) == 0
     assert stop(detector) == []

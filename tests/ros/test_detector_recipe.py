@@ -46,5 +46,5 @@ def test_the_recipe_of_the_documentation_runs(
         detector.kill()
         detector.wait()
     (person,) = decode(peer.received['skeletons'][-1], SKELETONS).people
-    assert len(person.joints) == 15
+    assert len(person.joints) == 26
     stop_node(node)

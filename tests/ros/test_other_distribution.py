@@ -18,6 +18,7 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.markers import ADD, MARKERS
 from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.skeleton import BODY26
 from tests.support import foreign_packages
 from tests.support.paths import ROOT
 from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, keypoints_at, run_cli, stop_node
@@ -91,7 +92,9 @@ def test_markers_are_published_recorded_and_played_as_the_installed_version(
     seen_x = [x for _, x in received if x]
     seen = len(seen_x)
     assert seen_x == [[p.x for marker in m.markers for p in marker.points] for m in own[-seen:]]
-    assert [x[:15] for x in seen_x] == [[p.x for p in m.people[0].joints] for m in skeletons[-seen:]]
+    assert [x[: len(BODY26.joints)] for x in seen_x] == [
+        [p.x for p in m.people[0].joints] for m in skeletons[-seen:]
+    ]
     with Reader(folder) as reader:
         (connection,) = [c for c in reader.connections if c.topic == '/markers']
         assert connection.digest == FOXY.hash_rihs01(MARKERS)

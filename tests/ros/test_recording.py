@@ -76,7 +76,7 @@ def test_a_live_run_is_received_recorded_and_replayed(
     for topic in OUTPUTS:
         assert peer.received_stamps(topic) == sequence.stamps_ns[:FRAMES]
     (definition,) = peer.received['skeleton_definition']
-    assert decode(definition, SKELETON_DEFINITION).name == 'cmu15'
+    assert decode(definition, SKELETON_DEFINITION).name == 'body26'
 
     (bag_folder,) = (tmp_path / 'bags').iterdir()
     with Bag(bag_folder) as bag:

@@ -11,7 +11,6 @@ from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.topics import Source, make_body_topic
 from mocap_ros.config import with_values
 from mocap_ros.errors import FrameDropped
-from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.foreign.definitions import HRI_SKELETON
@@ -44,10 +43,10 @@ def test_a_message_that_completes_two_images_outputs_the_accepted_one() -> None:
     class RefusingTracker(Tracker):
         """A tracker that refuses images that show only the second person."""
 
-        def update(self, stamp_ns: int, people: Sequence[Person2D], intrinsics: Intrinsics) -> Any:
+        def update(self, stamp_ns: int, people: Sequence[Person2D], *more: Any) -> Any:
             if [p.id for p in people] == [second.id]:
                 raise FrameDropped('refused')
-            return super().update(stamp_ns, people, intrinsics)
+            return super().update(stamp_ns, people, *more)
 
     pipeline = Pipeline(make_config(HRI_SKELETON), None, RefusingTracker)
     feed_all(

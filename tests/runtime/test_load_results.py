@@ -16,7 +16,7 @@ from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.skeletons import SKELETONS, encode_skeletons
 from mocap_ros.people import Motion, MotionKind, Person3D
 from mocap_ros.runtime.load_results import holds_result, load_result
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import BODY26
 from tests.support.keypoint_files import FRAMES, make_walker
 from tests.support.quick_options import QUICK_OPTIONS
 
@@ -64,7 +64,7 @@ def test_a_result_file_and_a_bag_hold_the_same(results: Path) -> None:
     assert np.array_equal(bag.seen, file.seen)
     assert not file.seen.all()
     assert bag.stamps_ns == file.stamps_ns
-    assert (bag.skeleton, file.skeleton) == (CMU15, CMU15)
+    assert (bag.skeleton, file.skeleton) == (BODY26, BODY26)
 
 
 def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> None:
@@ -94,14 +94,14 @@ def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ('change', 'message'),
     [
-        ({'joints3d': np.zeros((FRAMES, 14, 3))}, r'joints3d: shape \(40, 14, 3\), expected \(40, 15, 3\)'),
-        ({'joints3d': np.full((FRAMES, 15, 3), np.inf)}, 'joints3d: not finite'),
-        ({'seen': np.ones((FRAMES, 15))}, 'seen: holds float64, expected true or false'),
-        ({'seen': np.ones((3, 15), bool)}, r'seen: shape \(3, 15\), expected \(40, 15\)'),
-        ({'joints3d': np.full((FRAMES, 15, 3), np.nan)}, 'no frame has a skeleton'),
+        ({'joints3d': np.zeros((FRAMES, 14, 3))}, r'joints3d: shape \(40, 14, 3\), expected \(40, 26, 3\)'),
+        ({'joints3d': np.full((FRAMES, 26, 3), np.inf)}, 'joints3d: not finite'),
+        ({'seen': np.ones((FRAMES, 26))}, 'seen: holds float64, expected true or false'),
+        ({'seen': np.ones((3, 26), bool)}, r'seen: shape \(3, 26\), expected \(40, 26\)'),
+        ({'joints3d': np.full((FRAMES, 26, 3), np.nan)}, 'no frame has a skeleton'),
         ({'timestamps': np.zeros(FRAMES)}, 'timestamps: expected increasing times in s'),
         (
-            {'joint_names': np.array([f'j{i}' for i in range(15)])},
+            {'joint_names': np.array([f'j{i}' for i in range(26)])},
             'joint_names: j0, .*: not those of a known skeleton',
         ),
     ],

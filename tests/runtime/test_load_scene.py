@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,9 @@ from mocap_ros.runtime import save_results
 from mocap_ros.runtime.bag_images import read_images
 from mocap_ros.runtime.load_scene import SceneOptions, load_keyframe_marks, load_scene
 from mocap_ros.runtime.replay import ReplayOptions, replay
+from mocap_ros.runtime.scene_rows import SceneRows
 from mocap_ros.runtime.sequence_messages import DEFAULT_FRAME_ID
+from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Mark, MarkKind, SceneImage
 from tests.support.keypoint_files import flatten_keypoints, make_walker
 from tests.support.pipeline_inputs import FAST_CONFIG
@@ -207,13 +210,55 @@ def test_messages_that_cannot_be_drawn_are_counted(bag: Path, tmp_path: Path) ->
                     broken.people[0].x = np.full(17, np.inf, np.float32)
                 raw = encode(broken, KEYPOINTS)
             recorder.write(message.topic, message.type, raw, message.time_ns, message.time_ns)
+            if message.type == SKELETONS and number < 8:
+                recorder.write('/skeletons', SKELETONS, raw[: len(raw) // 8 * 4], message.time_ns, message.time_ns)
     scene, lines = load_scene(tmp_path / 'odd', OPTIONS)
     (line,) = lines
-    assert 'messages left out; /keypoints: people: 3 keypoints, expected 17' in line
+    assert '7 messages left out; ' in line
     (keypoints,) = scene.keypoints
     unseen = np.isnan(keypoints.points).all(axis=(1, 2))
     assert unseen.sum() >= 2
-    assert (keypoints.score[unseen] == 0).all()
+
+
+def test_joints_that_are_not_finite_are_left_out_alone(bag: Path, tmp_path: Path) -> None:
+    with Bag(bag) as recorded, Recorder(tmp_path / 'nan', RecorderConfig()) as recorder:
+        for message in recorded.messages(['/keypoints', '/skeletons']):
+            raw = message.raw
+            if message.type == SKELETONS:
+                array = decode(raw, SKELETONS)
+                for person in array.people:
+                    person.joints[4].y = math.nan
+                raw = encode(array, SKELETONS)
+            recorder.write(message.topic, message.type, raw, message.time_ns, message.time_ns)
+    scene, lines = load_scene(tmp_path / 'nan', OPTIONS)
+    whole, _ = load_scene(bag, OPTIONS)
+    assert not lines
+    for person, expected in zip(scene.people, whole.people, strict=True):
+        others = np.arange(len(scene.skeleton.joints)) != 4
+        assert (person.joints[:, others] == expected.joints[:, others]).all()
+        assert np.isnan(person.joints[:, 4, 1]).all()
+        assert np.isfinite(person.image[:, others]).all()
+    assert scene.intrinsics.focal == pytest.approx(whole.intrinsics.focal, rel=0.05)
+    assert np.isfinite([*scene.centre, scene.extent, scene.floor_y]).all()
+    assert 'NaN' not in build_page(scene).partition('id="data"')[0]
+
+
+def test_of_a_long_bag_the_same_frames_of_all_topics_are_kept(bag: Path) -> None:
+    rows, whole = SceneRows(max_bytes=9000), SceneRows()
+    with Bag(bag) as recorded:
+        for message in recorded.messages(['/keypoints', '/skeletons']):
+            for each in (rows, whole):
+                (each.add_keypoints if message.type == KEYPOINTS else each.add_skeletons)(message.raw)
+    expected, scene = whole.build('whole'), rows.build('thinned')
+    assert rows.stride > 1
+    assert len(expected.stamps_ns) / rows.stride == pytest.approx(len(scene.stamps_ns), abs=2)
+    kept = np.searchsorted(expected.stamps_ns, scene.stamps_ns)
+    assert [expected.stamps_ns[frame] for frame in kept] == scene.stamps_ns
+    for person, other in zip(scene.people, expected.people, strict=True):
+        assert kept[person.frames].tolist() == [frame for frame in other.frames if frame in kept]
+        assert (person.joints == other.joints[np.isin(other.frames, kept)]).all()
+    (keypoints,), (others,) = scene.keypoints, expected.keypoints
+    assert kept[keypoints.frames].tolist() == [frame for frame in others.frames if frame in kept]
 
 
 def test_images_of_a_bag_are_those_beside_the_keypoints(tmp_path: Path) -> None:

@@ -130,6 +130,38 @@ def test_a_camera_on_a_robot_that_drives_is_where_it_was_at_the_time_of_the_imag
         np.testing.assert_allclose(stack(placed), expected_joints(own), atol=1e-9)
 
 
+def test_velocities_from_a_robot_that_drives_and_turns_are_those_in_the_map(
+    stream: list[bytes], in_camera: list[Any]
+) -> None:
+    """The robot turns at 0.5 rad/s about its own axis while it drives along x of map."""
+    pipeline = Pipeline(MAP_CONFIG)
+    pipeline.set_camera_info(camera_info())
+    feed_transforms(pipeline, Source.STATIC_TRANSFORMS, static_transforms())
+    first_ns = stamp_of(in_camera[0])
+
+    def pose_at(stamp_ns: int) -> tuple[np.ndarray, Rotation]:
+        seconds = (stamp_ns - first_ns) / SECOND_NS
+        return np.array([SPEED_M_S * seconds, 0.0, 0.0]), Rotation.from_euler('z', 0.5 * seconds)
+
+    def place(points: np.ndarray, stamp_ns: int) -> np.ndarray:
+        origin, turn = pose_at(stamp_ns)
+        return np.asarray(turn.apply(OPTICAL.apply(points) + CAMERA) + origin)
+
+    for stamp_ns in range(first_ns, first_ns + SECOND_NS, SECOND_NS // 100):
+        origin, turn = pose_at(stamp_ns)
+        raw = make_transforms(('map', 'base', stamp_ns, tuple(origin), turn.as_quat()))
+        feed_transforms(pipeline, Source.TRANSFORMS, raw)
+    for raw, own in zip(stream, in_camera, strict=True):
+        placed, stamp_ns = find_skeletons(process(pipeline, raw)), stamp_of(own)
+        if stamp_ns < first_ns + SECOND_NS // 10:  # the transforms tell no motion yet
+            continue
+        joints, velocity, step_s = stack(own)[0], stack(own, 'joint_velocity')[0], 1e-3
+        later = place(joints + step_s * velocity, stamp_ns + round(step_s * SECOND_NS))
+        expected = (later - place(joints, stamp_ns)) / step_s
+        np.testing.assert_allclose(stack(placed, 'joint_velocity')[0], expected, atol=0.1)
+        assert np.linalg.norm(expected.mean(axis=0) - velocity.mean(axis=0)) > 0.5
+
+
 def test_without_transforms_people_are_in_the_frame_of_the_camera_and_the_reason_is_told(
     stream: list[bytes], in_camera: list[Any]
 ) -> None:

@@ -23,7 +23,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_key
 from mocap_ros.messages.markers import MARKERS, MarkerEncoder
 from mocap_ros.messages.point_cloud import POINT_DTYPE, POINTS
 from mocap_ros.runtime.pipeline import Pipeline
-from mocap_ros.skeleton import CMU15, keypoint_layout
+from mocap_ros.skeleton import BODY26, CORE_COUNT, keypoint_layout
 from tests.support.camera_infos import camera_info
 from tests.support.pipeline_inputs import FAST_CONFIG, decode_skeletons, encode_demo_frames, process, reject
 
@@ -108,7 +108,7 @@ def test_image_size_comes_from_message_then_camera_then_parameters(stream: list[
     def depth(pipeline: Pipeline, keypoints: bytes, scale_source: int) -> float:
         (person,) = decode_skeletons(process(pipeline, keypoints)).people
         assert person.scale_source == scale_source
-        return float(np.mean([j.z for j in person.joints]))
+        return float(np.mean([j.z for j in person.joints[:CORE_COUNT]]))
 
     nominal = depth(Pipeline(FAST_CONFIG), stream[0], scale_source=0)  # the focal length is 640 px, the width
     wide = replace(FAST_CONFIG, node=replace(FAST_CONFIG.node, image_width=1280, image_height=960))
@@ -157,7 +157,9 @@ def test_the_distortion_of_camera_info_is_removed(model: str, stream: list[bytes
         pipeline = Pipeline(with_values(FAST_CONFIG, values))
         pipeline.set_camera_info(info)
         people = [decode_skeletons(process(pipeline, raw)).people for raw in inputs]
-        return np.array([[p.x, p.y, p.z] for frame in people for person in frame for p in person.joints])
+        return np.array(
+            [[p.x, p.y, p.z] for frame in people for person in frame for p in person.joints[:CORE_COUNT]]
+        )
 
     expected = joints(undistorted, camera_info(focal=focal))
     np.testing.assert_allclose(joints(distorted, raw), expected, atol=2e-3)
@@ -201,11 +203,11 @@ def test_the_point_cloud_holds_every_joint(stream: list[bytes]) -> None:
     cloud = decode(outputs['points'].data, POINTS)
     read = np.frombuffer(cloud.data.tobytes(), POINT_DTYPE)
     (person,) = decode_skeletons(tuple(outputs.values())).people
-    assert (cloud.width, cloud.height, cloud.header.frame_id) == (15, 1, 'camera')
+    assert (cloud.width, cloud.height, cloud.header.frame_id) == (26, 1, 'camera')
     assert POINT_DTYPE.fields is not None
     assert {f.name: f.offset for f in cloud.fields} == {n: d[1] for n, d in POINT_DTYPE.fields.items()}
     np.testing.assert_allclose(read['x'], [j.x for j in person.joints], rtol=1e-6)
-    np.testing.assert_array_equal(read['joint'], np.arange(15))
+    np.testing.assert_array_equal(read['joint'], np.arange(26))
     np.testing.assert_array_equal(read['inferred'], person.inferred)
 
 
@@ -220,15 +222,18 @@ def test_transforms_need_a_metric_scale_and_follow_rep_155(stream: list[bytes]) 
     pipeline.set_camera_info(camera_info())
     found = transforms(stream[5])
     person = pipeline.people[0]
-    assert len(found) == 15
+    assert len(found) == 26
     body = found[f'cam1_body_{person.id}']
     assert body.header.frame_id == 'camera'
     q, t = body.transform.rotation, body.transform.translation
     body_to_camera = Rotation.from_quat([q.x, q.y, q.z, q.w])
-    joints = dict(zip(CMU15.joints, person.joints, strict=True))
+    joints = dict(zip(BODY26.joints, person.joints, strict=True))
     hips, shoulders = ((joints[f'l{j}'] + joints[f'r{j}']) / 2 for j in ('hip', 'shoulder'))
     limbs = [f'{side}_{j}' for side in 'lr' for j in ('shoulder', 'elbow', 'wrist', 'hip', 'knee', 'ankle')]
-    places = {'torso': shoulders, 'head': joints['head']} | {name: joints[name.replace('_', '')] for name in limbs}
+    limbs += [f'{side}_{j}' for side in 'lr' for j in ('toe', 'heel', 'hand', 'eye', 'ear')]
+    places = {'torso': shoulders, 'head': joints['head'], 'nose': joints['nose']} | {
+        name: joints[name.replace('_', '')] for name in limbs
+    }
     assert found.keys() == {f'cam1_{name}_{person.id}' for name in ('body', *places)}
     np.testing.assert_allclose([t.x, t.y, t.z], hips, atol=1e-9)
     for name, expected in places.items():
@@ -237,6 +242,10 @@ def test_transforms_need_a_metric_scale_and_follow_rep_155(stream: list[bytes]) 
         in_body = frame.transform.translation
         in_camera = body_to_camera.apply([in_body.x, in_body.y, in_body.z]) + [t.x, t.y, t.z]
         np.testing.assert_allclose(in_camera, expected, atol=1e-9)
+    turn = found[f'cam1_l_ankle_{person.id}'].transform.rotation
+    in_camera = body_to_camera * Rotation.from_quat([turn.x, turn.y, turn.z, turn.w])
+    toe = joints['ltoe'] - joints['lheel']
+    np.testing.assert_allclose(in_camera.apply([1, 0, 0]), toe / np.linalg.norm(toe), atol=1e-6)
     assert found[f'cam1_head_{person.id}'].transform.translation.z > 0.4  # up
     assert found[f'cam1_l_hip_{person.id}'].transform.translation.y > 0.04  # left
     up = (shoulders - hips) / np.linalg.norm(shoulders - hips)
@@ -251,10 +260,10 @@ def test_tentative_people_are_flagged_and_have_no_transforms(stream: list[bytes]
         outputs = {o.topic: decode(o.data, o.type) for o in process(pipeline, raw)}
         (person,) = outputs['skeletons'].people
         assert list(outputs['cameras'].ids) == [person.id] == ['person_1']
-        assert (len(outputs['markers'].markers), outputs['points'].width) == (2, 15)
+        assert (len(outputs['markers'].markers), outputs['points'].width) == (2, 26)
         color = outputs['markers'].markers[0].color
         shown.append((person.tentative, color.r == color.g == color.b, len(outputs['/tf'].transforms)))
-    assert shown == [(True, True, 0)] * 2 + [(False, False, 15)] * 4
+    assert shown == [(True, True, 0)] * 2 + [(False, False, 26)] * 4
 
 
 def test_seen_inferred_and_predicted_joints_are_drawn_in_different_colors(stream: list[bytes]) -> None:
@@ -264,10 +273,10 @@ def test_seen_inferred_and_predicted_joints_are_drawn_in_different_colors(stream
     person = replace(pipeline.people[0], tentative=False)
     colors = {}
     changes: dict[str, dict[str, Any]] = {
-        'seen': {'inferred': np.zeros(15, bool)},
-        'inferred': {'inferred': np.ones(15, bool)},
-        'predicted': {'inferred': np.ones(15, bool), 'predicted': True},
-        'tentative': {'inferred': np.zeros(15, bool), 'tentative': True},
+        'seen': {'inferred': np.zeros(26, bool)},
+        'inferred': {'inferred': np.ones(26, bool)},
+        'predicted': {'inferred': np.ones(26, bool), 'predicted': True},
+        'tentative': {'inferred': np.zeros(26, bool), 'tentative': True},
     }
     for name, change in changes.items():
         raw = encoder.encode_update(Header(1, 'camera'), [replace(person, **change)], 0.5)

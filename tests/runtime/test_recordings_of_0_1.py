@@ -26,11 +26,11 @@ START_NS = 1_700_000_000_000_000_000  # since the epoch
 
 
 def read_people(bag: Path) -> list[dict[str, np.ndarray]]:
-    """Return the joints (J, 3) in m of all people in each message on /skeletons, by id."""
+    """Return the joints (15, 3) of `CMU15` in m of all people in each message on /skeletons, by id."""
     with AnyReader([bag]) as reader:
         connections = [c for c in reader.connections if c.topic == '/skeletons']
         messages: list[Any] = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(connections)]
-    return [{p.id: np.array([[j.x, j.y, j.z] for j in p.joints]) for p in m.people} for m in messages]
+    return [{p.id: np.array([[j.x, j.y, j.z] for j in p.joints[:15]]) for p in m.people} for m in messages]
 
 
 def test_it_replays_with_the_parameters_it_was_recorded_with(tmp_path: Path) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.cli.main import main
@@ -20,7 +22,7 @@ from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.point_cloud import POINT_DTYPE, POINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import BODY26, CMU15
 from tests.support.keypoint_files import FRAMES, make_walker
 from tests.support.motion_files import Z_UP_TO_Y_UP
 
@@ -43,7 +45,8 @@ def results(tmp_path_factory: pytest.TempPathFactory, walker: KeypointSequence) 
 
 def test_cameras_project_the_joints_to_the_keypoints(results: Path, walker: KeypointSequence) -> None:
     result = np.load(results / 'r.npz')
-    body = result['joints3d'] - result['joints3d'].mean(axis=1, keepdims=True)
+    core = result['joints3d'][:, : len(CMU15.joints)]
+    body = core - core.mean(axis=1, keepdims=True)
     image = result['scale'][:, None, None] * body[..., :2] + result['translation'][:, None]
     points, score = build_joint_map(walker.joint_names).apply(walker.keypoints[..., :2], walker.keypoints[..., 2])
     error = np.linalg.norm(image - points, axis=-1)[score > 0]
@@ -55,8 +58,12 @@ def test_cameras_project_the_joints_to_the_keypoints(results: Path, walker: Keyp
 
 
 def load_joints_y_up(folder: Path) -> np.ndarray:
-    """Return the joints (F, 15, 3) in m of the .npz file, in the axes of BVH and TRC."""
-    return np.load(folder / 'r.npz')['joints3d'] * np.array([1, -1, -1])
+    """Return the joints (F, 26, 3) in m of the .npz file, in the axes of BVH and TRC."""
+    result = np.load(folder / 'r.npz')
+    mean = np.nanmean(result['vertical'], axis=0)
+    turn, _ = Rotation.align_vectors([[0.0, -1.0, 0.0]], [mean / np.linalg.norm(mean)])
+    joints = result['joints3d']
+    return turn.apply(joints.reshape(-1, 3)).reshape(joints.shape) * np.array([1, -1, -1])
 
 
 def test_bag_holds_the_joints(results: Path) -> None:
@@ -77,6 +84,7 @@ def test_bvh_has_constant_bones_and_the_same_joints(results: Path) -> None:
     bvh = load_bvh(results / 'r.bvh')
     assert bvh.frame_time == pytest.approx(1 / 30)
     joints = load_joints_y_up(results)
+    outer, joints = joints[:, len(CMU15.joints) :], joints[:, : len(CMU15.joints)]
     positions = dict(zip(bvh.names, np.moveaxis(bvh.compute_positions() / 100, 1, 0), strict=True))
     bvh_joints = map_to_model(positions)
     assert min(position[:, 1].min() for position in positions.values()) == pytest.approx(0.0, abs=1e-5)
@@ -93,6 +101,9 @@ def test_bvh_has_constant_bones_and_the_same_joints(results: Path) -> None:
         limit = 1e-3 if is_at_branches else 1e-6
         assert np.ptp(np.linalg.norm(bvh_joints[:, a] - bvh_joints[:, b], axis=1)) < limit
     assert np.abs(np.diff(bvh.motion, axis=0)).max() < 1.1 * 11.8  # degrees, measured; no angle jumps by a turn
+    for node, joint in (('LeftFoot_end', 'ltoe'), ('RightHand_end', 'rhand')):
+        place = outer[:, BODY26.index(joint) - len(CMU15.joints)] - [0, floor, 0]
+        assert np.linalg.norm(positions[node] - place, axis=1).max() < 0.01  # m; bones are constant
     (trial,) = load_trials(results / 'r.bvh')
     assert trial.poses - trial.poses.mean(axis=1, keepdims=True) == pytest.approx(
         (joints - joints.mean(axis=1, keepdims=True)) @ Z_UP_TO_Y_UP, abs=0.002
@@ -103,15 +114,15 @@ def test_trc_holds_the_joints(results: Path) -> None:
     lines = (results / 'r.trc').read_text().splitlines()
     assert lines[0] == 'PathFileType\t4\t(X/Y/Z)\tr.trc'
     assert lines[1].split('\t')[:5] == ['DataRate', 'CameraRate', 'NumFrames', 'NumMarkers', 'Units']
-    assert lines[2].split('\t') == ['30', '30', '40', '15', 'mm', '30', '1', '40']
+    assert lines[2].split('\t') == ['30', '30', '40', '26', 'mm', '30', '1', '40']
     assert lines[3].split('\t')[:6] == ['Frame#', 'Time', 'head', '', '', 'neck']
     assert lines[4].split('\t')[:5] == ['', '', 'X1', 'Y1', 'Z1']
-    assert {len(line.split('\t')) for line in (lines[3], lines[4], *lines[6:])} == {2 + 45}
+    assert {len(line.split('\t')) for line in (lines[3], lines[4], *lines[6:])} == {2 + 78}
     assert not lines[5]
     table = np.loadtxt(results / 'r.trc', skiprows=6)
     assert table[:, 0].tolist() == list(range(1, FRAMES + 1))
     assert table[:, 1] == pytest.approx(np.arange(FRAMES) / 30, abs=1e-5)
-    assert table[:, 2:].reshape(-1, 15, 3) / 1000 == pytest.approx(load_joints_y_up(results), abs=1e-6)
+    assert table[:, 2:].reshape(-1, 26, 3) / 1000 == pytest.approx(load_joints_y_up(results), abs=1e-6)
 
 
 def test_uneven_times_are_resampled_at_a_constant_rate(tmp_path: Path, walker: KeypointSequence) -> None:
@@ -157,7 +168,7 @@ def test_there_is_no_skeleton_before_the_first_and_after_the_last_sight(passing:
         assert not result['seen'][GAP].any()
         joints = result['joints3d']
     table = np.genfromtxt(passing / 'r.csv', delimiter=',', skip_header=1)[:, 1:]
-    assert table.reshape(FRAMES, 15, 3) == pytest.approx(joints, abs=1e-5, nan_ok=True)
+    assert table.reshape(FRAMES, 26, 3) == pytest.approx(joints, abs=1e-5, nan_ok=True)
     with Bag(passing / 'r.mcap') as bag:
         for topic, msgtype in (('/skeletons', SKELETONS), ('/cameras', CAMERAS)):
             messages = [decode(m.raw, msgtype) for m in bag.messages([topic])]
@@ -177,18 +188,33 @@ def test_keyframes_give_no_skeleton_out_of_sight_either(passing: Path) -> None:
 
 
 def test_a_trc_has_empty_fields_and_a_bvh_the_nearest_pose_where_there_is_no_skeleton(passing: Path) -> None:
-    joints = np.load(passing / 'r.npz')['joints3d'] * np.array([1, -1, -1])
+    joints = load_joints_y_up(passing)
     rows = [line.split('\t') for line in (passing / 'r.trc').read_text().splitlines()[6:]]
     assert len(rows) == FRAMES
     for frame, (_, time, *fields) in enumerate(rows):
         assert float(time) == pytest.approx(frame / 30, abs=1e-5)
         if FIRST <= frame <= LAST:
-            assert np.array(fields, float).reshape(15, 3) / 1000 == pytest.approx(joints[frame], abs=1e-6)
+            assert np.array(fields, float).reshape(26, 3) / 1000 == pytest.approx(joints[frame], abs=1e-6)
         else:
-            assert fields == [''] * 46
+            assert fields == [''] * 79
     bvh = load_bvh(passing / 'r.bvh').motion
     assert len(bvh) == FRAMES
     for held, frames in ((FIRST, range(FIRST)), (LAST, range(LAST + 1, FRAMES))):
         for frame in frames:
             assert np.array_equal(bvh[frame], bvh[held])
     assert not np.array_equal(bvh[FIRST], bvh[FIRST + 1])
+
+
+def test_people_stand_upright_before_a_tilted_camera(tmp_path: Path, walker: KeypointSequence) -> None:
+    """A vertical that is given turns the exports, and only them."""
+    save_sequence(tmp_path / 'walk.npz', walker)
+    tilt = math.radians(20)
+    upward = f'0.0 {-math.cos(tilt)} {-math.sin(tilt)}'
+    options = ['--model', 'walk', '--set', 'solver.max_iterations=2', '--set', f'tracker.vertical={upward}']
+    outputs = [option for suffix in ('npz', 'trc') for option in ('-o', str(tmp_path / f'r.{suffix}'))]
+    assert main(['reconstruct', str(tmp_path / 'walk.npz'), *outputs, *options]) == 0
+    joints = np.load(tmp_path / 'r.npz')['joints3d']
+    rows = np.genfromtxt(tmp_path / 'r.trc', skip_header=6, delimiter='\t')[:, 2:]
+    written = rows[:, : joints.shape[1] * 3].reshape(len(joints), -1, 3) / 1000
+    heights = joints @ [0.0, -math.cos(tilt), -math.sin(tilt)]
+    assert written[..., 1] == pytest.approx(heights, abs=1e-3)

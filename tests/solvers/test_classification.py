@@ -17,6 +17,7 @@ from mocap_ros.solvers.classification import (
     choose_category,
     fit_periodic,
     is_periodic,
+    measure_tremble,
 )
 from mocap_ros.solvers.periodic.solver import EstimatedPoses
 from mocap_ros.solvers.window import Window
@@ -126,3 +127,37 @@ def test_what_a_periodic_motion_does_not_explain_counts(walk_model: BasePoses) -
         estimates.append(fit.excess_residual)
     assert estimates[0] < 0.005
     assert estimates[1] > 2 * ClassifierConfig().walk_residual
+
+
+@pytest.mark.parametrize('rate', [30.0, 100.0])
+def test_tremble_is_what_remains_of_noise_without_the_motion(rng: np.random.Generator, rate: float) -> None:
+    times = np.arange(int(2 * rate)) / rate
+    swing = 0.2 * np.sin(2 * np.pi * times[:, None, None] + rng.uniform(0, 6, (15, 2)))
+    assert measure_tremble(times, swing) < 0.003, 'm; the motion of 0.2 m'
+    noise = rng.normal(0, 0.02, swing.shape)
+    noise -= noise.mean(axis=1, keepdims=True)
+    assert measure_tremble(times, swing + noise) == pytest.approx(0.02 * np.sqrt(2), rel=0.15)
+    moved = swing + noise + np.cumsum(rng.normal(0, 1, (len(times), 1, 2)), axis=0)
+    assert measure_tremble(times, moved) == pytest.approx(measure_tremble(times, swing + noise)), 'of the body'
+
+
+def test_tremble_is_not_looked_for_in_few_frames_or_slow_streams(rng: np.random.Generator) -> None:
+    noise = rng.normal(0, 0.02, (30, 15, 2))
+    assert measure_tremble(np.arange(30) / 10, noise) == 0
+    assert measure_tremble(np.arange(5) / 30, noise[:5]) == 0
+    assert measure_tremble(np.zeros(1), noise[:1]) == 0
+
+
+def test_what_trembles_does_not_speak_against_a_periodic_motion(
+    walk_model: BasePoses, rng: np.random.Generator
+) -> None:
+    _, _, points, times = make_walk(walk_model)
+    window = Window(points, np.ones(points.shape[:2]), times)
+    exact = fit_periodic(window, {'walk': walk_model}, QUICK).reconstruction
+    trembling = exact.joints + rng.normal(0, 0.02, exact.joints.shape)
+    excess = []
+    for tremble in (0.0, 0.01, 1.0):
+        poses = EstimatedPoses(trembling, exact.cameras.scale, 0.01, tremble)
+        excess.append(fit_periodic(window, {'walk': walk_model}, QUICK, poses).excess_residual)
+    assert excess[0] ** 2 - excess[1] ** 2 == pytest.approx(3 * (0.01 / walk_model.stature) ** 2, rel=0.05)
+    assert excess[2] == 0

@@ -47,7 +47,7 @@ def make_motion(name: str, times: Array = TIMES) -> tuple[Array, BasePoses, Arra
 def reconstruct(keypoints: Array, base_poses: BasePoses, prior: str = 'learned') -> Array:
     config = Config(solver=SolverConfig(prior=prior))
     found = reconstruct_sequence(keypoints, CMU15.joints, TIMES, UNKNOWN, base_poses, config)
-    return centre_poses(found.joints)
+    return centre_poses(found.core)
 
 
 @pytest.mark.parametrize('lifter_noise', [0.0, 0.001, 0.01, 0.02])

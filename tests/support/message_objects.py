@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.geometry.rotations import quaternion_from_rotation
@@ -32,7 +33,6 @@ from mocap_ros.messages.point_cloud import DATATYPES, POINT_DTYPE, POINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.people import CameraVertical, Person3D
-from mocap_ros.skeleton import CMU15
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -87,7 +87,7 @@ def encode_skeletons_slowly(
         create_message(
             MOCAP_ROS_MSGS + 'Skeleton3D',
             id=person.id,
-            skeleton=CMU15.name,
+            skeleton=person.skeleton.name,
             joints=create_points(person.joints),
             joint_std=person.std.astype(np.float32),
             inferred=person.inferred,
@@ -111,6 +111,8 @@ def encode_skeletons_slowly(
             root_velocity_covariance=person.root_velocity_covariance.ravel(),
             age=person.age,
             unseen_for=person.unseen_for,
+            joint_orientation=[create_quaternion(*q) for q in person.orientation.tolist()],
+            turn_inferred=person.turn_inferred,
         )
         for person in people
     ]
@@ -194,7 +196,7 @@ def create_marker(header: Header, namespace: str, number: int, action: int) -> A
 
 
 def create_person_markers(header: Header, person: Person3D, number: int, lifetime_s: float) -> list[Any]:
-    bones = np.array(CMU15.bones)
+    bones = np.array(person.skeleton.bones)
     inferred_bones = person.inferred[bones].any(axis=1)
     seen_color = create_color(number, UNCERTAIN_STYLE if person.tentative else SEEN_STYLE)
     is_uncertain = person.predicted or person.tentative
@@ -243,7 +245,8 @@ def encode_transforms_slowly(header: Header, people: Sequence[Person3D], prefix:
     """Encode the transforms of people whose ids are valid in the names of frames."""
     transforms = []
     for person in people:
-        position = dict(zip(CMU15.joints, person.joints, strict=True))
+        position = dict(zip(person.joint_names, person.joints, strict=True))
+        turns = dict(zip(person.joint_names, person.orientation.tolist(), strict=True))
         torso = (position['lshoulder'] + position['rshoulder']) / 2
         root = (position['lhip'] + position['rhip']) / 2
         up = (torso - root) / np.linalg.norm(torso - root)
@@ -252,12 +255,15 @@ def encode_transforms_slowly(header: Header, people: Sequence[Person3D], prefix:
         axes = np.stack([forward, np.cross(up, forward), up], axis=-1)
         body = f'{prefix}body_{person.id}'
         transforms.append(create_transform(header, body, root, quaternion_from_rotation(axes)))
-        limbs = {f'{joint[0]}_{joint[1:]}': p for joint, p in position.items() if joint[0] in 'lr'}
-        for link, origin in {'torso': torso, 'head': position['head'], **limbs}.items():
+        middle = [joint for joint in ('head', 'nose') if joint in position]
+        limbs = [joint for joint in position if joint[0] in 'lr']
+        links = {'torso': (torso, turns['neck'])} | {j: (position[j], turns[j]) for j in middle}
+        links |= {f'{j[0]}_{j[1:]}': (position[j], turns[j]) for j in limbs}
+        for link, (origin, turn) in links.items():
+            rotation = (0.0, 0.0, 0.0, 1.0)
+            if np.isfinite(turn).all():
+                rotation = (Rotation.from_matrix(axes).inv() * Rotation.from_quat(turn)).as_quat()
             child = f'{prefix}{link}_{person.id}'
-            transforms.append(
-                create_transform(
-                    Header(header.stamp_ns, body), child, (origin - root) @ axes, (0.0, 0.0, 0.0, 1.0)
-                )
-            )
+            own_header = Header(header.stamp_ns, body)
+            transforms.append(create_transform(own_header, child, (origin - root) @ axes, rotation))
     return encode(create_message(TRANSFORMS, transforms=transforms), TRANSFORMS)

@@ -26,7 +26,7 @@ def make_scene_person(person_id: str, frames: Sequence[int], place: Sequence[flo
         joints=joints.astype(np.float32),
         std=np.full((count, 15), 0.05, np.float32),
         inferred=np.zeros((count, 15), bool),
-        image=INTRINSICS.project(joints).astype(np.float32),
+        intrinsics=INTRINSICS,
         residual=np.linspace(2, 3, count, dtype=np.float32),
         cadence=np.full(count, 0.9, np.float32),
         motion=np.full(count, MotionKind.PERIODIC, np.uint8),
@@ -40,7 +40,7 @@ def make_keypoints(people: Sequence[ScenePerson]) -> SceneKeypoints:
     frames = np.concatenate([person.frames for person in people])
     order = np.argsort(frames, kind='stable')
     points = np.concatenate([person.image for person in people])[order]
-    return SceneKeypoints(CMU15, frames[order], points, np.ones(points.shape[:2], np.float32))
+    return SceneKeypoints(CMU15, frames[order], points)
 
 
 def make_scene(frames: int = 40) -> Scene:

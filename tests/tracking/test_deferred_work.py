@@ -10,6 +10,7 @@ import pytest
 from mocap_ros.config import Config, with_values
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses
+from mocap_ros.people import Motion, MotionKind
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, WINDOW_COST, DeferredWork
 from mocap_ros.tracking.hypotheses import CheckOutcome, HypothesisChecker
 from mocap_ros.tracking.schedule import CheckSchedule, Classification
@@ -23,6 +24,7 @@ S = 10**9  # ns
 FRAMES = 61
 CONFIG = with_values(Config(), {'solver.prior': 'pca', 'tracker.components': 10})
 CHECK_SLICES, CHECK_COST = 20, 12_000
+WALK = Motion(MotionKind.PERIODIC, 'walk', 0.01, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,3 +319,48 @@ def test_an_answer_is_taken_over_into_the_frames_that_came_meanwhile(
     assert len(after.solved.theta) == FRAMES + 1
     for frame in (FRAMES - 1, FRAMES):
         assert np.trace(after.solved.rotation[frame] @ track.solved.rotation[-1].T) > 2
+
+
+def walk_on(track: Track, *, stops: bool) -> Track:
+    """Return the track as one of a walk, at its cadence or with other poses in the newest 0.3 s."""
+    solution, count = track.solved, len(track.solved.theta)
+    phase = 2 * np.pi * WALK.cadence * np.arange(count)[:, None] * STEP_NS / S
+    theta = np.sin(phase + np.arange(solution.theta.shape[1]))
+    if stops:
+        theta[-9:] = 3.0
+    schedule = replace(track.schedule, classification=Classification(WALK, 'walk'))
+    return replace(track, solution=replace(solution, theta=theta), schedule=schedule)
+
+
+def test_periodic_motion_ends_when_the_newest_poses_do_not_repeat_the_last_cycle(
+    track: Track, models: dict[str, BasePoses]
+) -> None:
+    late = track.seen.stamps_ns[-1] + S
+    idle = DeferredWork(IdleChecker(models, CONFIG), ('jump', 'walk'), 0.5)
+    for stops in (False, True):
+        walker = walk_on(with_schedule(track, 'walker', late, late), stops=stops)
+        (after,) = advance(idle, make_state(walker)).tracks
+        found = after.schedule.classification
+        assert (found.motion.kind is MotionKind.NON_PERIODIC) == stops
+        assert found.periodic_model_name == ('' if stops else 'walk')
+
+
+def test_a_classification_that_is_overtaken_by_the_end_of_the_motion_does_not_bring_it_back(
+    track: Track, models: dict[str, BasePoses]
+) -> None:
+    class WalkChecker(IdleChecker):
+        def classify_motion(self, track: Track) -> Slices[Classification | None]:  # noqa: ARG002
+            yield 10 * CHECK_COST  # more than the budget of a frame
+            return Classification(WALK, 'walk')
+
+    work = DeferredWork(WalkChecker(models, CONFIG), ('jump', 'walk'), 0.5)
+    now_ns = track.seen.stamps_ns[-1]
+    walker = walk_on(with_schedule(track, 'walker', now_ns + S, now_ns), stops=False)
+    state = advance(work, make_state(walker))
+    assert state.begun_work is not None
+    kinds = []
+    for stops in (False, True):
+        later = replace(walker, solution=walk_on(walker, stops=stops).solution)
+        (after,) = finish(work, replace(state, tracks=(later,), is_work_pending=True)).tracks
+        kinds.append(after.schedule.classification.motion.kind)
+    assert kinds == [MotionKind.PERIODIC, MotionKind.NON_PERIODIC]

@@ -1,5 +1,6 @@
 """Tests of the hypothesis checks: what replaces a solution, what does not, and that a check changes nothing."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -8,14 +9,17 @@ from numpy.typing import NDArray
 
 import mocap_ros.tracking.hypotheses as hypotheses_module
 from mocap_ros.config import Config, with_values
+from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.people import MotionKind, Person3D
 from mocap_ros.skeleton import CMU15
+from mocap_ros.solvers.classification import PeriodicFit
+from mocap_ros.solvers.stepwise import Stepwise
 from mocap_ros.solvers.window import Array
-from mocap_ros.tracking.hypotheses import EVIDENCE_MARGIN, KEY_POSE_STEP_S, HypothesisChecker
+from mocap_ros.tracking.hypotheses import EVIDENCE_MARGIN, KEY_POSE_STEP_S, HypothesisChecker, classify_as_other
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.slices import finish_slices
 from mocap_ros.tracking.solution import TrackSolution
@@ -150,7 +154,7 @@ def test_the_tracker_finds_back_to_the_right_solution(tracker: Tracker, walk_mod
 
 
 def centre(person: Person3D) -> Array:
-    return np.asarray(person.joints - person.joints.mean(axis=0))
+    return np.asarray(person.core - person.core.mean(axis=0))
 
 
 def test_first_solutions_have_all_frames_and_the_likeliest_model(track: Track, checker: HypothesisChecker) -> None:
@@ -212,3 +216,41 @@ def test_a_walk_of_a_full_section_is_classified(track: Track, checker: Hypothesi
     assert other is not None
     assert (other.motion.kind, other.periodic_model_name) == (MotionKind.NON_PERIODIC, '')
     assert other.motion.category == 'walk'
+
+
+def test_a_short_section_is_enough_for_somebody_who_has_walked_before(
+    track: Track, checker: HypothesisChecker
+) -> None:
+    config = with_values(CONFIG, {'classifier.walk_residual': 0.2})
+    checker = replace(checker, config=config)
+    assert finish_slices(checker.classify_motion(track)) is None, '1.5 s of 2 s'
+    other = classify_as_other(track)
+    schedule = replace(track.schedule, last_periodic_ns=0, classification=other)
+    walked = replace(track, schedule=schedule)
+    classification = finish_slices(checker.classify_motion(walked))
+    assert classification is not None
+    assert (classification.motion.kind, classification.periodic_model_name) == (MotionKind.PERIODIC, 'walk')
+    assert checker.still_repeats(walked, classification)
+    assert checker.still_repeats(walked, other), 'other motion need not repeat itself'
+
+
+@pytest.mark.parametrize(('speed_up', 'likeliest'), [(1.0, 'walk'), (3.0, 'run')])
+def test_the_model_of_people_who_move_as_fast_is_fitted_first(
+    track: Track, checker: HypothesisChecker, monkeypatch: pytest.MonkeyPatch, speed_up: float, likeliest: str
+) -> None:
+    fitted: list[str] = []
+
+    def refuse(_window: object, models: Mapping[str, BasePoses], *_: object) -> Stepwise[PeriodicFit]:
+        fitted.extend(models)
+        raise InputError('not to be fitted')
+
+    monkeypatch.setattr(hypotheses_module, 'fit_periodic_stepwise', refuse)
+    walk = checker.models['walk']
+    config = with_values(CONFIG, {'classifier.section': 1.2})
+    checker = HypothesisChecker({'run': walk, 'walk': walk, 'all': walk}, config)
+    solution = replace(track.solved, model_name='all', theta=speed_up * track.solved.theta)
+    for count in range(8):
+        schedule = replace(track.schedule, classification_count=count)
+        finish_slices(checker.classify_motion(replace(track, solution=solution, schedule=schedule)))
+    assert fitted.count(likeliest) == 6, 'the other one in one of four classifications'
+    assert len(fitted) == 8

@@ -2,28 +2,52 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from mocap_ros.config import Config, with_values
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.people import Motion, MotionKind, Person3D
-from mocap_ros.skeleton import CMU15
+from mocap_ros.people import Person3D
+from mocap_ros.skeleton import CMU15, CORE_COUNT
 from mocap_ros.tracking.person_in_frame import make_person
-from mocap_ros.tracking.prediction import PREDICTION_STD_PER_S, predict_person
-from mocap_ros.tracking.schedule import Classification
+from mocap_ros.tracking.prediction import predict_person
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.synthetic_walk import make_walk
+
+Array = NDArray[np.float64]
 
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
 FRAMES = 20
 STEP_NS = 33_333_333
+ONES = np.ones(15)  # scores
 GAP = 12  # frames without a detection; 0.4 s
+
+
+def make_scene(model: BasePoses, start: list[float], velocity: list[float]) -> Array:
+    """Return the joints (FRAMES, 15, 3) m of a walk; the arguments are those of `track_walker`."""
+    theta, cameras, _, times = make_walk(model, FRAMES)
+    size = Config().tracker.body_height / model.stature
+    poses = model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2) * size
+    return np.asarray(poses + np.array(start) + times[:, None, None] * np.array(velocity))
+
+
+def track_walk(
+    model: BasePoses, start: list[float], velocity: list[float], values: Mapping[str, object] | None = None
+) -> Tracker:
+    """Return a tracker that has seen a walk; the arguments are those of `track_walker`, and parameters by name."""
+    tracker = Tracker(
+        model, with_values(Config(), {'solver.components': 8, 'tracker.predict_for': 1.0, **(values or {})})
+    )
+    for frame, joints in enumerate(make_scene(model, start, velocity)):
+        tracker.update(frame * STEP_NS, [Person2D('', CMU15.joints, CAMERA.project(joints), ONES)], CAMERA)
+    tracker.run_deferred_work()
+    return tracker
 
 
 def track_walker(model: BasePoses, start: list[float], velocity: list[float], gap: int) -> list[Person3D]:
@@ -35,78 +59,80 @@ def track_walker(model: BasePoses, start: list[float], velocity: list[float], ga
         velocity: m/s.
         gap: frames from the last detection to the prediction.
     """
-    theta, cameras, _, times = make_walk(model, FRAMES)
-    config = with_values(Config(), {'solver.components': 8, 'tracker.predict_for': 1.0})
-    tracker = Tracker(model, config)
-    poses = (
-        model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2) * (config.tracker.body_height / model.stature)
-    )
-    joints = poses + np.array(start) + times[:, None, None] * np.array(velocity)
-    for frame in range(FRAMES):
-        seen = Person2D('', CMU15.joints, CAMERA.project(joints[frame]), np.ones(15))
-        tracker.update(frame * STEP_NS, [seen], CAMERA)
-    tracker.run_deferred_work()
+    tracker = track_walk(model, start, velocity)
     (track,) = tracker.snapshot().tracks
     last = make_person(track, len(track.seen.stamps_ns) - 1, tracker.models[track.solved.model_name])
     (predicted,) = tracker.update((FRAMES - 1 + gap) * STEP_NS, [], CAMERA)
     return [last, predicted]
 
 
-def test_pose_and_image_move_on_with_the_velocity_of_the_body(walk_model: BasePoses) -> None:
-    last, predicted = track_walker(walk_model, [-0.6, 0.0, 4.0], [0.9, 0.0, 0.3], GAP)
-    movement = predicted.joints - last.joints
-    assert movement == pytest.approx(np.broadcast_to(movement[0], (15, 3)), abs=1e-9)
-    assert movement[0, :2] == pytest.approx([0.9 * 0.4, 0.0], abs=0.05)  # m; the depth is less certain
-    root = last.joints.mean(axis=0) + movement[0]
-    assert predicted.translation == pytest.approx(CAMERA.project(root), abs=15)
-    assert predicted.translation[0] - last.translation[0] > 15, 'px to the right'
-    assert predicted.scale == pytest.approx(CAMERA.focal / root[2], rel=0.02)
+def test_a_person_who_walks_on_is_found_farther_on(walk_model: BasePoses) -> None:
+    last, predicted = track_walker(walk_model, [-0.6, 0.0, 4.0], [0.9, 0.0, 0.0], GAP)
+    assert (predicted.root - last.root)[0] == pytest.approx(0.9 * 0.4, abs=0.1)
+    root = predicted.core.mean(axis=0)
+    assert predicted.translation == pytest.approx(CAMERA.project(root))
+    assert predicted.scale == pytest.approx(CAMERA.focal / root[2])
+    assert 0.3 < predicted.root_velocity[0] < 1.5
     assert predicted.predicted
     assert predicted.inferred.all()
     assert np.isnan(predicted.residual)
+    assert predicted.unseen_for == pytest.approx(0.4, abs=1e-6)
 
 
-def test_the_standard_deviation_grows_with_the_gap(walk_model: BasePoses) -> None:
-    for gap in (3, GAP):
-        last, predicted = track_walker(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, 0.0], gap)
-        growth = PREDICTION_STD_PER_S * gap / 30
-        assert predicted.std == pytest.approx(np.sqrt(last.std**2 + growth**2), rel=1e-6)
+def test_a_prediction_is_less_certain_the_longer_the_gap(walk_model: BasePoses) -> None:
+    last, soon = track_walker(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, 0.0], 3)
+    _, late = track_walker(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, 0.0], GAP)
+    for before, after in ((last, soon), (soon, late)):
+        assert (before.std[:CORE_COUNT] <= after.std[:CORE_COUNT]).all(), 'about the root'
+        assert before.std.mean() < after.std.mean()
+        growth = after.root_covariance - before.root_covariance
+        assert (np.linalg.eigvalsh(growth) > 0).all()
 
 
-def test_a_person_who_walks_towards_the_camera_is_not_predicted_behind_it(walk_model: BasePoses) -> None:
-    last, predicted = track_walker(walk_model, [0.0, 0.0, 3.2], [0.0, 0.0, -2.5], 28)
-    assert last.joints[:, 2].mean() < 2.0, 'in the next second the body would pass the camera'
-    assert predicted.joints == pytest.approx(last.joints)
-    assert predicted.translation == pytest.approx(last.translation)
-    assert predicted.scale == pytest.approx(last.scale)
-
-
-@pytest.mark.parametrize(('window_s', 'goes_on'), [(3.0, True), (0.8, False)])
-def test_a_gait_goes_on_during_a_gap_if_a_cycle_is_known(
-    walk_model: BasePoses, window_s: float, goes_on: bool
-) -> None:
-    cadence = 6 / (2 * np.pi)  # Hz of `make_walk`, whose cycle takes 1.05 s
-    last, gaps = 55, (4, 8, 15)  # frames
-    theta, cameras, _, _ = make_walk(walk_model, last + max(gaps) + 1)
-    config = with_values(Config(), {'solver.components': 8, 'tracker.window': window_s})
-    size = config.tracker.body_height / walk_model.stature
-    joints = walk_model.poses(theta) @ np.swapaxes(cameras.rotation[:1], -1, -2) * size + [0.0, 0.0, 4.0]
-    tracker = Tracker(walk_model, config)
-    for frame in range(last + 1):
-        seen = Person2D('', CMU15.joints, CAMERA.project(joints[frame]), np.ones(15))
-        tracker.update(frame * STEP_NS, [seen], CAMERA)
+def test_a_person_who_comes_towards_the_camera_is_not_predicted_behind_it(walk_model: BasePoses) -> None:
+    tracker = track_walk(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, -2.5])
     (track,) = tracker.snapshot().tracks
-    model = tracker.models[track.solved.model_name]
+    solution, model = track.solved, tracker.models[track.solved.model_name]
+    stamp_ns = (FRAMES + 27) * STEP_NS
+    last = make_person(track, FRAMES - 1, model)
+    depth = last.joints[:, 2]
+    assert predict_person(track, stamp_ns, model).joints[:, 2].mean() < depth.mean() - 0.2
+    nearer = [0.0, 0.0, depth.max() - 2 * depth.mean() + 0.15]  # m; then the body nearly touches the camera
+    near = replace(track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=None)
+    stopped, before = predict_person(near, stamp_ns, model), make_person(near, FRAMES - 1, model)
+    np.testing.assert_allclose(stopped.joints, before.joints)
+    assert stopped.joints[:, 2].min() > 0
+    assert stopped.scale == pytest.approx(before.scale)
 
-    def measure_error(motion: Motion, gap: int) -> float:
-        """Return the mean error of the joints about their centre, m."""
-        schedule = replace(track.schedule, classification=Classification(motion, 'walk'))
-        pose = predict_person(replace(track, schedule=schedule), (last + gap) * STEP_NS, model).joints
-        truth = joints[last + gap]
-        difference = pose - pose.mean(axis=0) - truth + truth.mean(axis=0)
-        return float(np.linalg.norm(difference, axis=1).mean())
 
-    for gap in gaps:
-        periodic = measure_error(Motion(MotionKind.PERIODIC, 'walk', 0.0, cadence), gap)
-        other = measure_error(Motion(MotionKind.NON_PERIODIC, 'walk', 0.0, math.nan), gap)
-        assert periodic < 0.5 * other if goes_on else periodic == pytest.approx(other, abs=1e-9)
+def test_ahead_of_the_newest_image_and_through_a_gap_are_one_prediction(walk_model: BasePoses) -> None:
+    tracker = track_walk(walk_model, [-0.6, 0.0, 4.0], [0.9, 0.0, 0.0])
+    (half_way,), (end,) = tracker.predict((GAP / 2 / 30, GAP / 30))
+    (at_gap,) = tracker.update((FRAMES - 1 + GAP // 2) * STEP_NS, [], CAMERA)
+    np.testing.assert_allclose(half_way.joints, at_gap.core, atol=1e-6)
+    np.testing.assert_allclose(half_way.std, at_gap.std[:15], atol=1e-6)
+    np.testing.assert_allclose(half_way.root_covariance, at_gap.root_covariance, atol=1e-6)
+    ((from_gap,),) = tracker.predict((GAP / 2 / 30,))
+    np.testing.assert_allclose(from_gap.joints, end.joints, atol=1e-6)
+    assert from_gap.id == at_gap.id
+
+
+def test_nobody_is_predicted_before_the_first_image_while_tentative_or_with_a_lag(walk_model: BasePoses) -> None:
+    tracker = Tracker(walk_model, with_values(Config(), {'solver.components': 8}))
+    assert tracker.predict((0.2, 0.4)) == [[], []]
+    joints = make_scene(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, 0.0])
+    for frame in range(2):
+        tracker.update(frame * STEP_NS, [Person2D('', CMU15.joints, CAMERA.project(joints[frame]), ONES)], CAMERA)
+        assert tracker.predict((0.2,)) == [[]], 'seen too shortly'
+    lagged = track_walk(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, 0.0], {'tracker.lag': 0.2})
+    assert lagged.predict((0.2,)) == [[]]
+
+
+def test_a_prediction_from_a_single_frame_is_finite(walk_model: BasePoses) -> None:
+    tracker = Tracker(walk_model, with_values(Config(), {'solver.components': 8}))
+    joints = make_scene(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, 0.0])[0]
+    tracker.update(0, [Person2D('', CMU15.joints, CAMERA.project(joints), ONES)], CAMERA)
+    (track,) = tracker.snapshot().tracks
+    person = predict_person(track, 10 * STEP_NS, tracker.models[track.solved.model_name])
+    assert np.isfinite(person.joints).all()
+    assert np.linalg.norm(person.root - track.solved.roots[0]) < 1

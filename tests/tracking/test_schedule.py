@@ -68,9 +68,21 @@ def test_a_periodic_motion_is_classified_less_often() -> None:
     periodic = CheckSchedule().finish_classification(4 * S, PERIODIC)
     assert (periodic.next_classification_ns, periodic.classification_count) == (5 * S, 1)
     assert periodic.classification is PERIODIC
-    other = periodic.finish_classification(5 * S, OTHER)
-    assert (other.next_classification_ns, other.classification_count) == (5.5 * S, 2)
+    other = CheckSchedule().finish_classification(5 * S, OTHER)
+    assert (other.next_classification_ns, other.classification_count) == (5.5 * S, 1)
     assert other.classification is OTHER
+
+
+def test_who_has_walked_is_classified_often_until_the_walk_goes_on() -> None:
+    stopped = CheckSchedule().finish_classification(4 * S, PERIODIC).finish_classification(5 * S, OTHER)
+    assert (stopped.next_classification_ns, stopped.classification_count) == (5.25 * S, 2)
+    assert (stopped.may_resume, stopped.last_periodic_ns) == (True, 4 * S)
+    assert stopped.finish_classification(6 * S, None).may_resume
+    resumed = stopped.finish_classification(6 * S, PERIODIC)
+    assert (resumed.next_classification_ns, resumed.may_resume, resumed.is_periodic) == (7 * S, False, True)
+    assert not CheckSchedule().finish_classification(5 * S, OTHER).may_resume
+    long_ago = stopped.finish_classification(20 * S, OTHER)
+    assert (long_ago.may_resume, long_ago.next_classification_ns) == (False, 20.5 * S)
 
 
 def test_a_classification_that_was_not_possible_changes_no_result() -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocap_ros.viewing.page import NOT_A_NUMBER, UNKNOWN_STD, build_page
 from mocap_ros.viewing.scene import Scene
@@ -148,10 +149,36 @@ def test_chromium_draws_the_page(scene: Scene, tmp_path: Path) -> None:
     assert (unsure['jointsDrawn'], unsure['cloudsDrawn']) == (15, 0)
     assert last['frame'] == len(scene.stamps_ns) - 1
     assert [person['id'] for person in last['people']] == ['anna', '<b>en']
+    assert first['rows'] == ['residual, px', 'cadence, Hz', 'motion', 'swaps undone', 'not detected', 'marks']
+    assert min(first['heights'][0]) == pytest.approx(0, abs=0.1)  # the feet are on the floor
     assert np.abs(np.array(last['people'][1]['joints']) - scene.people[1].joints[-1]).max() < 0.001
     assert count_colours(picture) > 100
     assert count_colours(image) > 10
     assert count_colours(curves) > 10
+
+
+def test_what_is_not_known_of_anybody_has_no_row_and_a_tilted_camera_leaves_people_upright(
+    scene: Scene, tmp_path: Path
+) -> None:
+    turn = Rotation.from_euler('xz', [-30, 5], degrees=True).as_matrix()
+    anna, nan = scene.people[0], np.float32(np.nan)
+    joints = (anna.joints @ turn.T).astype(np.float32)
+    joints[:, 4] = nan
+    plain = replace(
+        anna, joints=joints, cadence=anna.cadence * nan, std=anna.std * nan, motion=np.zeros_like(anna.motion)
+    )
+    tilted = replace(scene, people=(plain,), keypoints=(), marks=(), vertical=turn @ [0.0, -1.0, 0.0])
+    with open_browser() as page:
+        write_and_open(page, tmp_path / 'page.html', build_page(tilted))
+        page.wait_for_selector('body[data-ready]')
+        shown = page.evaluate('mocapPage.showTime(0)')
+        assert not page.is_visible('#clouds')
+    assert shown['rows'] == ['residual, px', 'not detected']
+    assert (shown['jointsDrawn'], shown['bonesDrawn']) == (14, 13)
+    (heights,) = shown['heights']
+    expected = anna.joints[0, :, 1].max() - anna.joints[0, :, 1]
+    known = np.arange(15) != 4
+    assert np.array(heights)[known] == pytest.approx(expected[known], abs=0.1)
 
 
 def test_a_page_that_was_cut_off_says_so(scene: Scene, tmp_path: Path) -> None:

@@ -6,23 +6,36 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocap_ros.skeleton import CMU15
-from mocap_ros.viewing.scene import choose_joint_colours, find_undone_swaps, image_corners, list_colour_key
+from mocap_ros.viewing.scene import (
+    SceneKeypoints,
+    ScenePerson,
+    SidedPoints,
+    choose_joint_colours,
+    find_undone_swaps,
+    image_corners,
+    list_colour_key,
+)
 from tests.support.scenes import INTRINSICS, make_keypoints, make_scene, make_scene_person
 
 MIRROR = list(CMU15.mirror)
 LEGS = [CMU15.index(side + joint) for side in 'lr' for joint in ('hip', 'knee', 'ankle')]
 
 
+def find_swaps(person: ScenePerson, *inputs: SceneKeypoints) -> np.ndarray:
+    return find_undone_swaps(person, [SidedPoints.find(keypoints) for keypoints in inputs])
+
+
 @pytest.mark.parametrize('joints', [list(range(15)), LEGS], ids=['whole body', 'legs'])
 def test_an_undone_swap_is_found_in_its_frames_only(joints: list[int]) -> None:
     person = make_scene_person('anna', range(10), (0.0, 0.0, 4.0))
     keypoints = make_keypoints([person])
-    assert not find_undone_swaps(person, [keypoints]).any()
+    assert not find_swaps(person, keypoints).any()
     points = keypoints.points.copy()
     points[4:6, joints] = keypoints.points[4:6, [MIRROR[joint] for joint in joints]]
-    found = find_undone_swaps(person, [replace(keypoints, points=points)])
+    found = find_swaps(person, replace(keypoints, points=points))
     assert np.flatnonzero(found).tolist() == [4, 5]
 
 
@@ -31,24 +44,22 @@ def test_a_swap_of_somebody_else_is_not_taken_for_the_persons() -> None:
     ben = make_scene_person('ben', range(10), (0.7, 0.0, 4.0))
     own, other = make_keypoints([anna]), make_keypoints([ben])
     other = replace(other, points=other.points[:, MIRROR])
-    assert not find_undone_swaps(anna, [other, own]).any()
-    assert find_undone_swaps(ben, [own, other]).all()
+    assert not find_swaps(anna, other, own).any()
+    assert find_swaps(ben, own, other).all()
 
 
 def test_noise_is_no_swap() -> None:
     person = make_scene_person('anna', range(200), (0.0, 0.0, 4.0))
     keypoints = make_keypoints([person])
     noise = np.random.default_rng(0).normal(0, 4, keypoints.points.shape)  # px; a person of 260 px
-    assert not find_undone_swaps(
-        person, [replace(keypoints, points=keypoints.points + noise.astype(np.float32))]
-    ).any()
+    assert not find_swaps(person, replace(keypoints, points=keypoints.points + noise.astype(np.float32))).any()
 
 
 def test_a_person_whom_nobody_detected_has_no_swaps() -> None:
     person = make_scene_person('anna', [5, 6], (0.0, 0.0, 4.0))
-    assert not find_undone_swaps(person, []).any()
+    assert not find_swaps(person).any()
     elsewhere = replace(make_keypoints([person]), frames=np.array([7, 8]))
-    assert not find_undone_swaps(person, [elsewhere]).any()
+    assert not find_swaps(person, elsewhere).any()
 
 
 def test_people_are_told_apart_by_colour_and_the_sides_of_one_person_too() -> None:
@@ -70,5 +81,21 @@ def test_the_space_holds_the_people() -> None:
     assert scene.centre == pytest.approx([0, 0.1, 4.5], abs=0.5)
     assert 1.5 < scene.extent < 3
     assert scene.floor_y == pytest.approx(0.95, abs=0.15)
+    nameless = replace(scene.people[1], joints=np.full_like(scene.people[1].joints, np.nan))
+    alone, with_unknown = (
+        replace(scene, people=scene.people[:1]),
+        replace(scene, people=(scene.people[0], nameless)),
+    )
+    assert (with_unknown.extent, with_unknown.floor_y) == (alone.extent, alone.floor_y)
     empty = replace(scene, people=())
     assert np.isfinite([*empty.centre, empty.extent, empty.floor_y]).all()
+
+
+def test_the_floor_is_level_where_the_camera_is_not() -> None:
+    """A camera that looks down by 30 degrees: the floor is where it would be for a level camera at its place."""
+    scene = make_scene()
+    turn = Rotation.from_euler('x', -30, degrees=True).as_matrix()
+    seen = [replace(p, joints=(p.joints @ turn.T).astype(np.float32)) for p in scene.people]
+    tilted = replace(scene, people=tuple(seen), vertical=turn @ [0.0, -1.0, 0.0])
+    assert tilted.floor_y == pytest.approx(scene.floor_y, abs=1e-4)
+    assert replace(tilted, vertical=np.full(3, np.nan)).floor_y != pytest.approx(scene.floor_y, abs=0.5)

@@ -4,8 +4,13 @@ A bone with the direction e in the T-pose has at every frame a rotation R and a 
 
     R e = (x_end - x_start) / |x_end - x_start|,    l = median over time of |x_end - x_start|.
 
+How a bone is turned about e follows from the orientation Q of its segment (`solvers.body_segments`), where it is
+known: R = S Q Q_0^T, with Q_0 the axes of the segment in the T-pose and S the smallest rotation that fulfils the
+formula above, since bone and segment differ a little. Else R is the smallest rotation from the parent bone.
+
 The names are those of the CMU database's BVH files. Those files have bones of zero length where the body branches
-(pelvis, neck), so that every limb rotates by itself, and after the wrists and ankles. Blender drops or lengthens
+(pelvis, neck), so that every limb rotates by itself, and after the wrists and ankles, unless hands and toes are
+known. Blender drops or lengthens
 bones of zero length, so here these bones are 1 cm long: where the body branches, a limb begins 1 cm beside the
 joint, and its first bone points from there to the limb's next joint. A joint is off by no more than the variation
 of the lengths l, as they are defined here, of the bones between it and the pelvis.
@@ -23,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.formats.bvh_motion import END_SUFFIX, POSITION_CHANNELS, ROTATION_CHANNELS, BvhMotion
 from mocap_ros.geometry.rotations import fit_rotation
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 
 Array = NDArray[np.float64]
 
@@ -52,6 +57,7 @@ class _Bone(NamedTuple):
         end: joint of the model at which the bone ends, empty for a bone of the length `SHORT_BONE_M`. Such a bone
             rotates with its branches if it is in `BRANCHES`, else with its parent.
         rest: direction in the T-pose.
+        segment: core joint about which the segment of this bone turns; empty for a bone without a segment.
     """
 
     name: str
@@ -59,31 +65,48 @@ class _Bone(NamedTuple):
     start: str
     end: str = ''
     rest: Direction = UP
+    segment: str = ''
 
 
 # The bones, parents first.
 BONES = (
     _Bone('Hips', '', 'pelvis'),
-    _Bone('Spine', 'Hips', 'pelvis', 'neck', UP),
+    _Bone('Spine', 'Hips', 'pelvis', 'neck', UP, 'neck'),
     _Bone('Neck', 'Spine', 'neck'),
-    _Bone('Head', 'Neck', 'neck', 'head', UP),
+    _Bone('Head', 'Neck', 'neck', 'head', UP, 'head'),
     _Bone('LeftShoulder', 'Neck', 'neck', 'lshoulder', LEFT),
-    _Bone('LeftArm', 'LeftShoulder', 'lshoulder', 'lelbow', LEFT),
-    _Bone('LeftForeArm', 'LeftArm', 'lelbow', 'lwrist', LEFT),
+    _Bone('LeftArm', 'LeftShoulder', 'lshoulder', 'lelbow', LEFT, 'lshoulder'),
+    _Bone('LeftForeArm', 'LeftArm', 'lelbow', 'lwrist', LEFT, 'lelbow'),
     _Bone('LeftHand', 'LeftForeArm', 'lwrist', '', LEFT),
     _Bone('RightShoulder', 'Neck', 'neck', 'rshoulder', RIGHT),
-    _Bone('RightArm', 'RightShoulder', 'rshoulder', 'relbow', RIGHT),
-    _Bone('RightForeArm', 'RightArm', 'relbow', 'rwrist', RIGHT),
+    _Bone('RightArm', 'RightShoulder', 'rshoulder', 'relbow', RIGHT, 'rshoulder'),
+    _Bone('RightForeArm', 'RightArm', 'relbow', 'rwrist', RIGHT, 'relbow'),
     _Bone('RightHand', 'RightForeArm', 'rwrist', '', RIGHT),
     _Bone('LHipJoint', 'Hips', 'pelvis', 'lhip', LEFT),
-    _Bone('LeftUpLeg', 'LHipJoint', 'lhip', 'lknee', DOWN),
-    _Bone('LeftLeg', 'LeftUpLeg', 'lknee', 'lankle', DOWN),
+    _Bone('LeftUpLeg', 'LHipJoint', 'lhip', 'lknee', DOWN, 'lhip'),
+    _Bone('LeftLeg', 'LeftUpLeg', 'lknee', 'lankle', DOWN, 'lknee'),
     _Bone('LeftFoot', 'LeftLeg', 'lankle', '', FORWARD),
     _Bone('RHipJoint', 'Hips', 'pelvis', 'rhip', RIGHT),
-    _Bone('RightUpLeg', 'RHipJoint', 'rhip', 'rknee', DOWN),
-    _Bone('RightLeg', 'RightUpLeg', 'rknee', 'rankle', DOWN),
+    _Bone('RightUpLeg', 'RHipJoint', 'rhip', 'rknee', DOWN, 'rhip'),
+    _Bone('RightLeg', 'RightUpLeg', 'rknee', 'rankle', DOWN, 'rknee'),
     _Bone('RightFoot', 'RightLeg', 'rankle', '', FORWARD),
 )
+
+# The bones that reach to hands and toes, where these are known.
+_TOE_REST: Direction = (0.0, -0.26, 0.97)  # from the ankle to the toe of a foot that stands flat
+_OUTER_BONES = {
+    bone.name: bone
+    for bone in (
+        _Bone('LeftHand', 'LeftForeArm', 'lwrist', 'lhand', LEFT, 'lwrist'),
+        _Bone('RightHand', 'RightForeArm', 'rwrist', 'rhand', RIGHT, 'rwrist'),
+        _Bone('LeftFoot', 'LeftLeg', 'lankle', 'ltoe', _TOE_REST, 'lankle'),
+        _Bone('RightFoot', 'RightLeg', 'rankle', 'rtoe', _TOE_REST, 'rankle'),
+    )
+}
+
+# Axes forward, left and up of the segments in the T-pose, in columns; those of an arm by its bones' rest
+_UPRIGHT_AXES = np.array([FORWARD, LEFT, UP]).T
+_ARM_AXES = {LEFT: np.array([FORWARD, UP, RIGHT]).T, RIGHT: np.array([FORWARD, DOWN, LEFT]).T}
 
 # For a bone where the body branches: start, end and rest direction of the vectors that determine its rotation.
 BRANCHES = {
@@ -92,25 +115,28 @@ BRANCHES = {
 }
 
 
-def build_armature(joints: Array, fps: float) -> BvhMotion:
+def build_armature(joints: Array, fps: float, orientation: Array | None = None) -> BvhMotion:
     """Build the armature of a motion, which stands on the floor y = 0.
 
     Args:
-        joints: (F, 15, 3) m, y up, in the order of `skeleton.CMU15`.
+        joints: (F, J, 3) m, y up, in the order of `skeleton.CMU15` or `skeleton.BODY26`.
         fps: frame rate in Hz.
+        orientation: (F, J, 4) quaternions x, y, z, w of the segments, in the frame of the joints; None if unknown.
 
     Returns:
         The armature and its motion, with offsets and positions in cm. The motion is moved along y, by one distance
         for all frames, so that the lowest point of all frames is at y = 0.
     """
-    index = {name: i for i, name in enumerate(CMU15.joints)}
-    bone_by_name = {bone.name: bone for bone in BONES}
+    has_extremities = joints.shape[1] > CORE_COUNT
+    bones = [_OUTER_BONES.get(bone.name, bone) if has_extremities else bone for bone in BONES]
+    index = {name: i for i, name in enumerate((BODY26 if has_extremities else CMU15).joints)}
+    bone_by_name = {bone.name: bone for bone in bones}
     names, parents, offsets = [], [], []
     channels: list[tuple[str, ...]] = []
     columns = [joints[:, index['pelvis']] * CM_PER_M]
     global_rotation: dict[str, Rotation] = {}
     end_offset: dict[str, Array] = {}  # m, from the start to the end of a bone in the T-pose
-    for bone in BONES:
+    for bone in bones:
         parent = bone_by_name.get(bone.parent)
         parent_rotation = global_rotation[bone.parent] if parent else Rotation.identity(len(joints))
         offset = end_offset[bone.parent] if parent else np.zeros(3)
@@ -126,7 +152,13 @@ def build_armature(joints: Array, fps: float) -> BvhMotion:
         elif bone.end:
             vectors = joints[:, index[bone.end]] - start
             length = max(float(np.median(np.linalg.norm(vectors, axis=1))), SHORT_BONE_M)
-            rotation = parent_rotation * _shortest_rotations(bone.rest, parent_rotation.inv().apply(vectors))
+            if bone.segment and orientation is not None:
+                axes = _ARM_AXES.get(bone.rest, _UPRIGHT_AXES)
+                turned = Rotation.from_quat(orientation[:, index[bone.segment]])
+                near = turned * Rotation.from_matrix(axes).inv()
+            else:
+                near = parent_rotation
+            rotation = near * _shortest_rotations(bone.rest, near.inv().apply(vectors))
         else:
             rotation = parent_rotation
         global_rotation[bone.name] = rotation
@@ -136,8 +168,8 @@ def build_armature(joints: Array, fps: float) -> BvhMotion:
         parents.append(names.index(bone.parent) if parent else -1)
         offsets.append(offset * CM_PER_M)
         channels.append(ROTATION_CHANNELS if parent else POSITION_CHANNELS + ROTATION_CHANNELS)
-    for bone in BONES:
-        has_children = any(child.parent == bone.name for child in BONES)
+    for bone in bones:
+        has_children = any(child.parent == bone.name for child in bones)
         if not has_children:
             names.append(bone.name + END_SUFFIX)
             parents.append(names.index(bone.name))

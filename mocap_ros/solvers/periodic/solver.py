@@ -63,11 +63,13 @@ class EstimatedPoses:
         joints: (F, J, 3) m, along the axes of the camera optical frame.
         scale: (F,) px/m, scales of the cameras.
         noise: m, standard deviation of a coordinate of an image point of weight 1.
+        tremble: m, RMS distance of a joint's image from where it would be without tremble.
     """
 
     joints: Array
     scale: Array
     noise: float
+    tremble: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 // The page that `mocap-ros view IN -o page.html` writes. `mocap_ros/viewing/page.py` fills in the scene (JSON) and
 // the data (arrays); THREE is the bundle of three.js beside this file. Coordinates are those of the camera's optical
-// frame (x right, y down, z forward, m); the group `world` turns them so that up is up.
+// frame (x right, y down, z forward, m); the group `world` turns them so that up is up and the floor is level.
 'use strict';
 
 (() => {
@@ -98,7 +98,10 @@
       sun.position.set(2, 5, 3);
       this.space.add(sun);
       this.world = new THREE.Group();
-      this.world.rotation.x = Math.PI; // y down, z forward: to y up, z backward
+      const turn = new THREE.Matrix4().set(...scene.toLevel[0], 0, ...scene.toLevel[1], 0, ...scene.toLevel[2], 0, 0, 0, 0, 1);
+      const flip = new THREE.Matrix4().makeRotationX(Math.PI); // y down, z forward: to y up, z backward
+      this.world.quaternion.setFromRotationMatrix(flip.multiply(turn));
+      this.world.updateMatrixWorld();
       this.space.add(this.world);
       this.addFloorAndCamera();
       this.addPeople();
@@ -108,10 +111,10 @@
     }
 
     addFloorAndCamera() {
-      const { floorY, camera } = this.scene;
+      const { floorY, camera, centre } = this.scene;
       const grid = new THREE.GridHelper(20, 20, '#bbbbbb', '#e2e2e2');
-      grid.position.set(0, floorY, this.scene.centre[2]);
-      this.world.add(grid);
+      grid.position.copy(this.toSpace(new THREE.Vector3(...centre))).setX(0).setY(-floorY);
+      this.space.add(grid);
       const corners = camera.corners.flatMap((corner, i) => {
         const next = camera.corners[(i + 1) % 4];
         return [[0, 0, 0], corner, corner, next];
@@ -153,6 +156,11 @@
       this.colour = new THREE.Color();
     }
 
+    // A point of the camera's optical frame in the frame of three.js.
+    toSpace(point) { return point.applyQuaternion(this.world.quaternion); }
+
+    isKnown(person, row, joint) { return person.joints[(row * this.scene.joints.length + joint) * 3] !== NOT_A_NUMBER; }
+
     jointOf(person, row, joint, out) {
       const at = (row * this.scene.joints.length + joint) * 3;
       const metre = this.scene.metrePerStep;
@@ -192,12 +200,14 @@
         const state = person.state[row];
         const isPale = state & 3; // predicted or tentative
         bones.forEach(([a, b], bone) => {
+          if (!this.isKnown(person, row, a) || !this.isKnown(person, row, b)) return;
           this.jointOf(person, row, a, from);
           this.jointOf(person, row, b, to);
           const colour = isPale ? this.scene.paleColour : person.boneColours[bone];
           this.placeBone(this.bones, from, to, BONE_RADIUS_M, colour);
         });
         for (let joint = 0; joint < joints.length; joint++) {
+          if (!this.isKnown(person, row, joint)) continue;
           this.jointOf(person, row, joint, from);
           const inferred = person.inferred[row] >> joint & 1;
           const colour = inferred ? this.scene.inferredColour : isPale ? this.scene.paleColour : person.jointColours[joint];
@@ -207,7 +217,9 @@
           mean.add(from);
           present++;
         }
-        middles.push(this.jointOf(person, row, this.scene.trailJoint, new THREE.Vector3()));
+        if (this.isKnown(person, row, this.scene.trailJoint)) {
+          middles.push(this.jointOf(person, row, this.scene.trailJoint, new THREE.Vector3()));
+        }
         trailPoints = this.addTrail(person, trailStart, frame, trailPoints);
       }
       if (this.truth) {
@@ -217,7 +229,7 @@
             const metre = this.scene.metrePerStep;
             return out.fromArray(truth.joints, at).multiplyScalar(metre);
           };
-          if (truth.joints[(frame * joints.length + a) * 3] === NOT_A_NUMBER) return;
+          if ([a, b].some((joint) => truth.joints[(frame * joints.length + joint) * 3] === NOT_A_NUMBER)) return;
           this.placeBone(this.truth, read(a, from), read(b, to), BONE_RADIUS_M / 2, this.scene.truthColour);
         });
       }
@@ -240,7 +252,8 @@
       this.colour.set(person.colour);
       let before = -1;
       for (let frame = firstFrame; frame <= lastFrame && count + 2 <= this.trailSize; frame++) {
-        const row = person.rowOfFrame[frame];
+        let row = person.rowOfFrame[frame];
+        if (row >= 0 && !this.isKnown(person, row, this.scene.trailJoint)) row = -1;
         if (row >= 0 && before >= 0) {
           for (const r of [before, row]) {
             this.jointOf(person, r, this.scene.trailJoint, this.points[0]);
@@ -256,7 +269,7 @@
     // Where the people are, in the frame of three.js.
     target() {
       const at = this.hasMean && $('follow').checked ? this.mean.toArray() : this.scene.centre;
-      return new THREE.Vector3(at[0], -at[1], -at[2]);
+      return this.toSpace(new THREE.Vector3(...at));
     }
 
     follow() {
@@ -276,7 +289,7 @@
       if (this.isAtCamera) {
         this.camera.position.set(0, 0, 0);
         this.camera.fov = this.scene.camera.fovDeg;
-        this.controls.target.set(0, 0, -this.scene.centre[2]);
+        this.toSpace(this.controls.target.set(0, 0, this.scene.centre[2]));
       } else {
         this.controls.target.copy(target);
         this.camera.position.fromArray(direction).normalize().multiplyScalar(distance).add(target);
@@ -322,9 +335,9 @@
         label.hidden = i >= wanted.length;
         if (label.hidden) return;
         const [text, row, person, joint, above, kind] = wanted[i];
-        const at = this.jointOf(person, row, joint, this.points[0]);
-        at.set(at.x, -at.y + above, -at.z).project(this.camera);
-        label.hidden = at.z > 1;
+        const at = this.toSpace(this.jointOf(person, row, joint, this.points[0]));
+        at.setY(at.y + above).project(this.camera);
+        label.hidden = at.z > 1 || !this.isKnown(person, row, joint);
         label.textContent = text;
         label.className = kind;
         label.style.color = kind ? '' : person.colour;
@@ -423,12 +436,27 @@
 
   const LEFT = 96; // px; room for the names of the curves
   const RIGHT = 10; // px
+  const TOP = 6; // px; above the first curve
+  const CURVE_GAP = 8; // px; between two curves
+  const LANE = 13; // px; height of a row of states
+  const AXIS = 42; // px; height of the axis of times and of the key below it
 
   class CurvesView {
     constructor(scene, goTo) {
       this.scene = scene;
       this.canvas = $('curves-view');
       this.end = Math.max(scene.seconds[scene.frameCount - 1], 1e-3);
+      // What is known of nobody is left out.
+      const isKnown = (key) => scene.people.some((person) => person[key].some((value) => value !== NOT_A_NUMBER));
+      this.curves = [['residual, px', 'residual', scene.residualPerStep, 46], ['cadence, Hz', 'cadence', scene.cadencePerStep, 30]]
+        .filter(([, key]) => isKnown(key));
+      this.hasMotion = scene.people.some((person) => person.state.some((state) => state >> 4 & 3));
+      this.lanes = ['motion', 'swaps undone', 'not detected', 'marks'].filter((name) => ({
+        motion: this.hasMotion, 'swaps undone': scene.keypoints.length, 'not detected': true, marks: scene.marks.length,
+      })[name]);
+      this.laneTop = TOP + this.curves.reduce((sum, [, , , height]) => sum + height + CURVE_GAP, 0);
+      this.axisTop = this.laneTop + LANE * this.lanes.length;
+      $('curves').style.height = `${this.axisTop + AXIS}px`;
       const drag = (event) => {
         if (!(event.buttons & 1)) return;
         const share = (event.offsetX - LEFT) / (this.canvas.clientWidth - LEFT - RIGHT);
@@ -447,32 +475,37 @@
       context.clearRect(0, 0, width, this.canvas.clientHeight);
       context.font = '11px system-ui, sans-serif';
       context.textBaseline = 'middle';
-      this.drawAxis(context, width, 152);
-      this.drawCurve(context, 'residual, px', 'residual', scene.residualPerStep, 6, 46);
-      this.drawCurve(context, 'cadence, Hz', 'cadence', scene.cadencePerStep, 60, 30);
+      this.drawAxis(context, width, this.axisTop + 4);
+      let top = TOP;
+      for (const [name, key, unit, height] of this.curves) {
+        this.drawCurve(context, name, key, unit, top, height);
+        top += height + CURVE_GAP;
+      }
       context.fillStyle = '#333333';
-      ['motion', 'swaps undone', 'not detected', 'marks'].forEach((name, i) => context.fillText(name, 6, 101 + 13 * i));
+      this.lanes.forEach((name, i) => context.fillText(name, 6, this.laneTop + 5 + LANE * i));
       scene.people.forEach((person, index) => this.drawStates(context, person, index));
       for (const mark of scene.marks) {
         const x = this.xOf(mark.time);
         context.fillStyle = context.strokeStyle = mark.colour;
         context.beginPath();
-        context.moveTo(x, 136); context.lineTo(x + 3, 140); context.lineTo(x, 144); context.lineTo(x - 3, 140);
+        const y = this.laneTop + LANE * this.lanes.indexOf('marks') + 5;
+        context.moveTo(x, y - 4); context.lineTo(x + 3, y); context.lineTo(x, y + 4); context.lineTo(x - 3, y);
         context.fill();
       }
       this.drawKey(context, width);
     }
 
     drawKey(context, width) {
-      const words = [...MOTION_NAMES.map((name, i) => [name, MOTION_COLOURS[i]]), ...this.scene.markKinds];
+      const motions = this.hasMotion ? MOTION_NAMES.map((name, i) => [name, MOTION_COLOURS[i]]) : [];
+      const words = [...motions, ...this.scene.markKinds];
       context.textAlign = 'right';
       let x = width - RIGHT;
       for (const [name, colour] of words.reverse()) {
         context.fillStyle = '#555555';
-        context.fillText(name, x, 177);
+        context.fillText(name, x, this.axisTop + 29);
         x -= context.measureText(name).width + 4;
         context.fillStyle = colour;
-        context.fillRect(x - 9, 173, 9, 9);
+        context.fillRect(x - 9, this.axisTop + 25, 9, 9);
         x -= 20;
       }
       context.textAlign = 'left';
@@ -545,12 +578,13 @@
         const x = Math.floor(this.xOf(scene.seconds[frame]));
         const next = Math.floor(this.xOf(scene.seconds[Math.min(frame + 1, scene.frameCount - 1)]));
         context.fillStyle = colour;
-        context.fillRect(x, 96 + 13 * line + share * index, Math.max(next - x, 1), share);
+        if (line >= 0) context.fillRect(x, this.laneTop + LANE * line + share * index, Math.max(next - x, 1), share);
       };
+      const [motion, swaps, absent] = ['motion', 'swaps undone', 'not detected'].map((name) => this.lanes.indexOf(name));
       person.state.forEach((state, row) => {
-        fill(row, 0, MOTION_COLOURS[state >> 4 & 3]);
-        if (state & 4) fill(row, 1, person.colour);
-        if (state & 1) fill(row, 2, person.colour);
+        fill(row, motion, MOTION_COLOURS[state >> 4 & 3]);
+        if (state & 4) fill(row, swaps, person.colour);
+        if (state & 1) fill(row, absent, person.colour);
       });
     }
 
@@ -601,6 +635,7 @@
       $('colours').append(' ');
     }
     $('time').max = scene.frameCount - 1;
+    $('clouds').parentElement.hidden = !scene.people.some((person) => person.std.some((std) => std !== 255));
 
     const show = () => {
       space.update(frame);
@@ -680,6 +715,14 @@
           }),
           jointsDrawn: space.joints.count,
           bonesDrawn: space.bones.count,
+          rows: [...curves.curves.map(([name]) => name), ...curves.lanes],
+          // Place of each joint over the floor in the frame in which y is up, m.
+          heights: scene.people.flatMap((person) => {
+            const row = person.rowOfFrame[frame];
+            if (row < 0) return [];
+            const point = new THREE.Vector3();
+            return [scene.joints.map((_, j) => space.toSpace(space.jointOf(person, row, j, point)).y + scene.floorY)];
+          }),
           cloudsDrawn: space.clouds.count,
         };
       },

@@ -13,6 +13,9 @@ from hypothesis import strategies as st
 from mcap_ros2._dynamic import generate_dynamic
 
 from mocap_ros.config import Config, with_values
+from mocap_ros.errors import ConfigError
+from mocap_ros.geometry.rigid_transform import parse_camera_pose
+from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, decode, typestore
 from mocap_ros.messages.foreign.definitions import COLLISION_OBJECT, DETECTIONS_3D, OBSTACLES, PEOPLE
 from mocap_ros.messages.robots.capsules import (
@@ -27,7 +30,13 @@ from mocap_ros.messages.robots.detections import encode_detections
 from mocap_ros.messages.robots.obstacles import encode_obstacles
 from mocap_ros.messages.robots.people import encode_people
 from mocap_ros.messages.robots.poses import POSES, encode_poses
-from mocap_ros.people import Person3D
+from mocap_ros.messages.robots.predictions import (
+    PREDICTIONS,
+    PredictedFrame,
+    encode_predictions,
+    read_prediction_times,
+)
+from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.runtime.outputs import OUTPUTS, SWITCHED_OUTPUTS, OutputEncoder
 from mocap_ros.skeleton import CMU15
 from tests.support.people import make_person_3d
@@ -40,6 +49,11 @@ ENCODERS: dict[str, Callable[[Header, Sequence[Person3D]], bytes]] = {
     OBSTACLES: encode_obstacles,
     POSES: encode_poses,
     CAPSULES: encode_capsules,
+    PREDICTIONS: lambda header, people: encode_predictions(
+        header,
+        [PredictedFrame(0.5, [make_predicted(p.id) for p in people]), PredictedFrame(1.0, [])],
+        CameraPlacement(header.frame_id),
+    ),
     COLLISION_OBJECT: lambda header, people: CollisionObjectEncoder().encode_update(header, people)[0],
 }
 
@@ -53,6 +67,12 @@ def make_walker(person_id: str = 'anna', shift: tuple[float, float, float] = (2.
         velocity=np.tile([0.0, 1.0, 0.0], (15, 1)),
         root_covariance=np.diag([0.04, 0.01, 0.02]),
     )
+
+
+def make_predicted(person_id: str = 'anna') -> PredictedPerson:
+    """Return where the walker will be in a second."""
+    walker = make_walker(person_id)
+    return PredictedPerson(person_id, walker.joints + [0.0, 1.0, 0.0], np.full(15, 0.1), 0.09 * np.eye(3))
 
 
 def xyz(point: Any) -> list[float]:
@@ -137,6 +157,49 @@ def test_capsules_of_unknown_deviation_are_as_thick_as_the_body() -> None:
     assert len(person.start) == len(person.end) == len(BODY_PARTS)
 
 
+def test_predictions_are_put_out_in_the_frame_of_the_outputs() -> None:
+    camera = CameraPlacement('camera', parse_camera_pose('0 0 1.5 0 0 1.57', 'test'))
+    covariance = np.diag([0.01, 0.04, 0.09])
+    person = replace(make_predicted(), root_covariance=covariance)
+    raw = encode_predictions(HEADER, [PredictedFrame(0.2, []), PredictedFrame(0.4, [person])], camera)
+    message = decode(raw, PREDICTIONS)
+    assert (message.header.frame_id, message.skeleton) == ('map', CMU15.name)
+    soon, later = message.times
+    assert [soon.ahead, later.ahead] == pytest.approx([0.2, 0.4])
+    assert soon.people == []
+    (anna,) = later.people
+    pose = camera.pose
+    assert pose is not None
+    np.testing.assert_allclose([xyz(p) for p in anna.joints], pose.apply(person.joints), atol=1e-12)
+    np.testing.assert_allclose(xyz(anna.root), pose.apply(person.root), atol=1e-12)
+    np.testing.assert_allclose(anna.root_covariance.reshape(3, 3), pose.rotate_covariance(covariance))
+    np.testing.assert_allclose(anna.joint_std, 0.1, rtol=1e-6)
+    assert anna.id == 'anna'
+    driving = camera._replace(before=parse_camera_pose('-0.1 0 1.5 0 0 1.57', 'test'), step_s=0.1)
+    raw = encode_predictions(HEADER, [PredictedFrame(0.4, [person])], driving)
+    root = decode(raw, PREDICTIONS).times[0].people[0].root
+    np.testing.assert_allclose(np.array(xyz(root)) - xyz(anna.root), [0.4, 0, 0], atol=1e-9)  # at 1 m/s along x
+
+
+@pytest.mark.parametrize(
+    ('values', 'message'),
+    [
+        ({'node.prediction_times': ''}, r"node\.prediction_times = '': expected one to 20 times in s"),
+        ({'node.prediction_times': '0.2 1.5'}, r'up to 1, separated'),
+        ({'node.prediction_times': '0.2 soon'}, r'such as 0\.2 0\.4'),
+        ({'node.prediction_times': '0.2 nan'}, r'above 0'),
+        ({'node.prediction_times': '0.1 ' * 21}, r'one to 20'),
+        ({'tracker.lag': 0.2}, r'node\.publish_predictions: needs tracker\.lag = 0'),
+    ],
+)
+def test_wrong_prediction_times_are_refused_only_where_they_are_used(
+    values: dict[str, object], message: str
+) -> None:
+    assert read_prediction_times(with_values(Config(), values)) == ()
+    with pytest.raises(ConfigError, match=message):
+        read_prediction_times(with_values(Config(), {**values, 'node.publish_predictions': True}))
+
+
 def test_collision_objects_hold_the_capsules_and_leave_the_scene_with_the_person() -> None:
     encoder, person = CollisionObjectEncoder(), make_walker()
     (added,) = (decode(raw, COLLISION_OBJECT) for raw in encoder.encode_update(HEADER, [person]))
@@ -194,9 +257,12 @@ def test_every_switch_adds_its_topics_and_tentative_people_are_in_none_of_them()
     tentative = replace(make_walker('nobody'), tentative=True)
     for field, switched in SWITCHED_OUTPUTS.items():
         node = with_values(Config(), {f'node.{field}': True}).node
-        outputs = OutputEncoder().encode(HEADER, [make_walker(), tentative], node)
+        outputs = OutputEncoder().encode(
+            HEADER, [make_walker(), tentative], node, predicted=[PredictedFrame(0.4, [make_predicted()])]
+        )
         added = {o.topic: o.type for o in outputs if o.topic not in OUTPUTS}
-        assert added == {switched.topic: switched.type}
+        own = {topic: kind for topic, kind in added.items() if '/anna/' not in topic}  # those of a body besides
+        assert own == {switched.topic: switched.type}
         for output in outputs:
             if output.topic in added:
                 assert b'anna' in output.data or output.type in (OBSTACLES, POSES)

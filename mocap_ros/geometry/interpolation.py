@@ -1,0 +1,24 @@
+"""Linear interpolation of vectors over time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def interpolate_linearly(times: Array, sample_times: Array, samples: Array) -> Array:
+    """Return samples at other times, (N, D); before the first and after the last sample, these.
+
+    Args:
+        times: (N,) times.
+        sample_times: (n,) times of the samples, increasing.
+        samples: (n, D) values.
+    """
+    if len(sample_times) == 1:
+        return np.repeat(samples, len(times), axis=0)
+    right = np.clip(np.searchsorted(sample_times, times), 1, len(sample_times) - 1)
+    left = right - 1
+    share = np.clip((times - sample_times[left]) / (sample_times[right] - sample_times[left]), 0, 1)[:, None]
+    return np.asarray((1 - share) * samples[left] + share * samples[right])

@@ -1,0 +1,46 @@
+"""Turning people who are seen by a tilted camera so that they stand upright.
+
+The smallest rotation R that takes the vertical u, in a camera's optical frame, to e = (0, -1, 0), which is upwards
+in the optical frame of a level camera:
+
+    R = I + [v]x + [v]x^2 / (1 + c),    v = u x e,    c = u . e
+
+It keeps the heading of the camera. Where u = -e, it is half a turn about the optical axis.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.geometry.rotations import cross_matrix
+
+Array = NDArray[np.float64]
+
+LEVEL_UP = np.array([0.0, -1.0, 0.0])  # upwards in the optical frame of a level camera
+HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # about the optical axis
+MIN_COSINE = -1 + 1e-9  # 1; below it the vertical is opposite to that of a level camera, up to rounding
+
+
+def average_vertical(vertical: Array) -> Array:
+    """Return the mean direction (3,) of unit vectors (..., 3), those with NaN left out; NaN if none is left."""
+    vectors = vertical.reshape(-1, 3)
+    total = vectors[np.isfinite(vectors).all(axis=1)].sum(axis=0)
+    length = float(np.linalg.norm(total))
+    return total / length if length > 0 else np.full(3, np.nan)
+
+
+def rotation_to_level(vertical: Array) -> Array:
+    """Return the rotation (3, 3) from a camera's optical frame to that of a level camera at its place.
+
+    Args:
+        vertical: (3,) unit vector upwards in the camera's optical frame; NaN where it is not known, and then the
+            camera is taken as level.
+    """
+    if not np.isfinite(vertical).all():
+        return np.eye(3)
+    cosine = float(vertical @ LEVEL_UP)
+    if cosine < MIN_COSINE:
+        return HALF_TURN
+    cross = cross_matrix(np.cross(vertical, LEVEL_UP))
+    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))

@@ -1,0 +1,48 @@
+"""How well the newest part of a motion repeats what was one cycle before.
+
+With theta(t) the base-pose weights at a time, n the newest 0.4 s, and c these and the cycle before them,
+
+    r = 1 - min_T mean_n |theta(t) - theta(t - T)|^2 / (2 mean_c |theta(t) - mean_c theta|^2)
+
+where T is any length near that of the cycle. This is a coefficient of correlation: 1 if the motion repeats itself,
+0 if the newest poses have nothing to do with those before, as after a walk has ended in a jump.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.geometry.interpolation import interpolate_linearly
+
+Array = NDArray[np.float64]
+
+NEWEST_S = 0.4  # s; most of a step of a walk: half of it tells that something else has begun
+SAMPLE_STEP_S = 1 / 15  # s; at which a motion is compared, often enough for a run
+MAX_STRETCH = 0.1  # of the cycle; by so much two cycles of a person differ, and a cadence is wrong
+STRETCHES = 9  # lengths of a cycle that are tried
+
+
+def measure_repetition(times: Array, theta: Array, cadence: float) -> float:
+    """Return r (formula of the module); NaN if the motion is not known for long enough or does not move.
+
+    Args:
+        times: (F,) s, increasing.
+        theta: (F, K) m, base-pose weights at these times.
+        cadence: Hz, full cycles.
+    """
+    known_s = times[-1] - times[0] - NEWEST_S
+    if known_s * cadence < 1:
+        return math.nan
+    longest_s = min((1 + MAX_STRETCH) / cadence, known_s)
+    cycles_s = np.linspace((1 - MAX_STRETCH) / cadence, longest_s, STRETCHES)
+    ages_s = np.arange(0, NEWEST_S + 1 / cadence, SAMPLE_STEP_S)
+    poses = interpolate_linearly(times[-1] - ages_s, times, theta)
+    spread = ((poses - poses.mean(axis=0)) ** 2).sum(axis=1).mean()
+    newest = ages_s <= NEWEST_S
+    before = interpolate_linearly((times[-1] - ages_s[newest] - cycles_s[:, None]).ravel(), times, theta)
+    changes = poses[newest] - before.reshape(STRETCHES, -1, theta.shape[1])
+    change = (changes**2).sum(axis=2).mean(axis=1).min()
+    return float(1 - change / (2 * spread)) if spread > 0 else math.nan

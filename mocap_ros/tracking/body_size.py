@@ -1,0 +1,152 @@
+"""How large a person is and so how far away, and what is known of it: from the body height, and from the floor.
+
+One camera sees the same image of a large person far away and of a small one near by. The tracker assumes a body
+height; the true body is r times as large and r times as far away. Before anything is seen, ln r has the variance
+
+    s_0^2 = s_height^2 + s_pose^2 (+ s_focal^2 without a CameraInfo)
+
+of body heights, and of the reconstruction, whose bones may be too long. Where the robot knows the floor, by the
+direction upwards u and the height c of the camera over it, a foot on the floor tells r: the lower ankle, found at
+a, is f b over the floor, with b the assumed body height and f the share of an ankle, so that
+
+    c + r u.a = r f b,    x = ln r = ln c - ln(f b - u.a)
+    s_x^2 = s_noise^2 + s_floor^2,    s_noise = F / c,    s_floor^2 = (G / c)^2 + (T d / c)^2
+
+with d the horizontal distance of the ankle. T is the error of the camera's tilt and G what the ankles of a person
+are higher or lower; both stay the same. The x of frames in which the lower foot neither rises nor sinks are
+averaged, robustly, with weights that last as long as the person is known; frames within C count as one:
+
+    n = sum_i k_i / C,    m = sum_i k_i x_i / sum_i k_i,    k_i = dt_i / (1 + ((x_i - m_i) / (2 s_x))^2)
+    s_m^2 = s_noise^2 / (n + 1) + s_floor^2,    g = s_0^2 / (s_0^2 + s_m^2),    ln r = g m,    s^2 = g s_m^2
+
+A foot on a step would make a person larger than anybody is: such frames count for nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.config import TrackerConfig
+from mocap_ros.geometry.floor import Floor
+from mocap_ros.people import Person3D
+from mocap_ros.skeleton import CMU15
+from mocap_ros.tracking.joint_velocity import estimate_root_covariance
+from mocap_ros.units import NS_PER_S
+
+Array = NDArray[np.float64]
+
+FOCAL_SHARE = 0.2  # 1; usual focal lengths are 0.8 to 1.2 image widths, and the nominal one is 1 image width
+POSE_SHARE = 0.04  # 1; s_pose, measured on training persons of known height seen by four detectors
+ANKLE_SHARE = 0.042  # of the body height; f, 0.03 to 0.055 in motion capture, more in a walk
+NOISE_M = 0.04  # m; F, of an ankle's height over the floor from image noise and heels that rise
+GROUND_M = 0.04  # m; G, by which ankles, shoes and carpets differ, and detectors put ankles elsewhere
+TILT_RAD = 0.005  # rad; T, 0.3 degrees: of a camera that was calibrated to its robot
+CORRELATION_S = 0.5  # s; C, as long as a step lasts
+MAX_RISE_M_S = 0.3  # m/s; of a foot that stands; depth trembles, and lets standing feet rise and sink a little
+MAX_STEP_S = 0.2  # s; longest time that one frame stands for
+SIZE_RANGE = math.log(0.4), math.log(1.25)  # of ln r: from children of 0.7 m to adults of 2.1 m
+MIN_DROP_SHARE = 0.1  # of the camera's height; a foot that seems higher than this below the camera tells nothing
+MAX_REMEMBERED = 200  # people whose size is remembered, the newest; bounds the memory
+ANKLES = CMU15.index('lankle'), CMU15.index('rankle')
+
+
+class BodySize(NamedTuple):
+    """A person's size, and how sure it and so the distance is.
+
+    Attributes:
+        ratio: r, of the true size to the assumed.
+        share: standard deviation of the size and of the distance, as a share of them.
+    """
+
+    ratio: float
+    share: float
+
+
+ASSUMED = BodySize(1.0, math.hypot(0.1 / 1.7, POSE_SHARE))  # of adults, before anything is seen
+
+
+@dataclass(frozen=True)
+class FloorContact:
+    """What feet on the floor have told of a person's size; it is immutable, and `advance` returns a new one.
+
+    Attributes:
+        mean: m, mean of ln r.
+        seconds: s, for how long feet were seen on the floor, frames that are discounted counting less.
+        noise: s_noise of the newest frame.
+        floor_std: s_floor of the newest frame.
+        stamp_ns: ns, stamp of the newest frame.
+    """
+
+    mean: float
+    seconds: float
+    noise: float
+    floor_std: float
+    stamp_ns: int
+
+    @staticmethod
+    def advance(
+        before: FloorContact | None, stamp_ns: int, person: Person3D, floor: Floor, body_height: float
+    ) -> FloorContact | None:
+        """Return what is known after another frame.
+
+        Args:
+            before: what was known; None if nothing was.
+            stamp_ns: ns, stamp of the frame.
+            person: person of the assumed size, in the camera's optical frame.
+            floor: floor in that frame.
+            body_height: m, assumed body height.
+        """
+        ankles, height = person.joints[list(ANKLES)], floor.camera_height
+        drops = -(ankles @ floor.upward)
+        lower = int(np.argmax(drops))
+        drop, ankle = float(drops[lower]), ankles[lower]
+        rise = float(person.velocity[ANKLES[lower]] @ floor.upward)
+        if not (drop > MIN_DROP_SHARE * height and abs(rise) < MAX_RISE_M_S):
+            return before
+        found = math.log(height / (ANKLE_SHARE * body_height + drop))
+        if not SIZE_RANGE[0] < found < SIZE_RANGE[1]:
+            return before
+        distance = math.sqrt(max(float(ankle @ ankle) - drop * drop, 0.0)) * math.exp(found)
+        noise, floor_std = NOISE_M / height, math.hypot(GROUND_M, TILT_RAD * distance) / height
+        if before is None:
+            return FloorContact(found, 0.0, noise, floor_std, stamp_ns)
+        step = min((stamp_ns - before.stamp_ns) / NS_PER_S, MAX_STEP_S)
+        off = (found - before.mean) / (2 * math.hypot(noise, floor_std))
+        weight = step / (1 + off * off)
+        seconds = before.seconds + weight
+        mean = before.mean + (found - before.mean) * weight / max(seconds, step)
+        return FloorContact(mean, seconds, noise, floor_std, stamp_ns)
+
+    def find_size(self, prior: BodySize) -> BodySize:
+        """Return the size that the floor and what is known besides tell together."""
+        own = self.noise**2 / (self.seconds / CORRELATION_S + 1) + self.floor_std**2
+        gain = prior.share**2 / (prior.share**2 + own)
+        return BodySize(math.exp(gain * self.mean), math.sqrt(gain * own))
+
+
+def assume_size(config: TrackerConfig, *, is_focal_known: bool) -> BodySize:
+    """Return what is known of everybody's size before anything is seen: s_0 of the module."""
+    share = math.hypot(config.body_height_std / config.body_height, POSE_SHARE)
+    return BodySize(1.0, share if is_focal_known else math.hypot(share, FOCAL_SHARE))
+
+
+def resize(person: Person3D, size: BodySize) -> Person3D:
+    """Return a person of the assumed size with another size, which has the same image."""
+    ratio = size.ratio
+    std = person.std * ratio
+    resized = replace(
+        person,
+        joints=person.joints * ratio,
+        std=std,
+        scale=person.scale / ratio,
+        velocity=person.velocity * ratio,
+        velocity_std=person.velocity_std * ratio,
+        root_velocity_covariance=person.root_velocity_covariance * ratio**2,
+    )
+    covariance = estimate_root_covariance(resized.root, std, size.share)
+    return replace(resized, root_covariance=covariance)

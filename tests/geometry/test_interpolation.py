@@ -1,0 +1,22 @@
+"""Linear interpolation against numpy's, column by column."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocap_ros.geometry.interpolation import interpolate_linearly
+
+
+@given(
+    steps=st.lists(st.floats(1e-6, 10.0), min_size=0, max_size=12),
+    times=st.lists(st.floats(-5.0, 50.0), min_size=1, max_size=12),
+)
+def test_each_column_is_interpolated_and_kept_beyond_the_ends(steps: list[float], times: list[float]) -> None:
+    sample_times = np.concatenate([[0.0], np.cumsum(steps)])
+    samples = np.random.default_rng(len(steps)).normal(size=(len(sample_times), 3))
+    found = interpolate_linearly(np.array(times), sample_times, samples)
+    expected = np.stack([np.interp(times, sample_times, column) for column in samples.T], axis=-1)
+    assert found == pytest.approx(expected, abs=1e-9)

@@ -1,0 +1,169 @@
+"""ROS4HRI bodies: joint states and models put the links where the joints are, and name what the REP names."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mocap_ros.messages.cdr import Header, decode
+from mocap_ros.messages.foreign.definitions import HRI_IDS
+from mocap_ros.messages.robots.bodies import (
+    DESCRIPTION,
+    JOINT_STATES,
+    JOINTS,
+    MOVED_JOINTS,
+    TRACKED,
+    BodiesEncoder,
+    compute_joint_states,
+    describe_body,
+    make_body_id,
+    measure_lengths,
+)
+from mocap_ros.messages.transforms import compute_links
+from mocap_ros.skeleton import CMU15
+from tests.support.people import make_person_3d
+from tests.support.swinging_body import STANDING
+
+HEADER = Header(12_345_678_901, 'map')
+LENGTHS = {
+    'trunk': 0.5,
+    'head': 0.25,
+    'shoulder': 0.18,
+    'hip': 0.1,
+    'upper_arm': 0.3,
+    'forearm': 0.26,
+    'thigh': 0.42,
+    'shin': 0.4,
+}
+# Joints of REP-155's model, as hri_fullbody and human_description name them.
+REP_JOINTS = {
+    *('waist', 'r_head', 'y_head', 'p_head'),
+    *(f'{s}_{j}' for s in 'lr' for j in ('y_shoulder', 'p_shoulder', 'r_shoulder', 'elbow')),
+    *(f'{s}_{j}' for s in 'lr' for j in ('y_hip', 'p_hip', 'r_hip', 'knee')),
+}
+LINK_OF_JOINT = {j: f'{j[0]}_{j[1:]}' for j in CMU15.joints if j[0] in 'lr'} | {'head': 'head', 'pelvis': 'body'}
+
+
+def place_links(urdf: str, angles: dict[str, float], suffix: str) -> dict[str, np.ndarray]:
+    """Return the origin of each link of a URDF with some angles, by a program that knows only URDF."""
+    robot = ET.fromstring(urdf)
+    places, turns = {f'body{suffix}': np.zeros(3)}, {f'body{suffix}': Rotation.identity()}
+    waiting = list(robot.findall('joint'))
+    while waiting:
+        joint = waiting.pop(0)
+        parent, child = (str(joint.find(end).get('link')) for end in ('parent', 'child'))  # type: ignore[union-attr]
+        if parent not in places:
+            waiting.append(joint)
+            continue
+        origin = np.array([float(v) for v in joint.find('origin').get('xyz').split()])  # type: ignore[union-attr]
+        places[child] = places[parent] + turns[parent].apply(origin)
+        turn = Rotation.identity()
+        if joint.get('type') == 'revolute':
+            axis = np.array([float(v) for v in joint.find('axis').get('xyz').split()])  # type: ignore[union-attr]
+            turn = Rotation.from_rotvec(axis * angles[str(joint.get('name')).removesuffix(suffix)])
+        turns[child] = turns[parent] * turn
+    return {name.removesuffix(suffix): place for name, place in places.items()}
+
+
+def make_body(angles: dict[str, float]) -> np.ndarray:
+    """Return the joints (15, 3) of a body with some angles."""
+    links = place_links(describe_body('x', LENGTHS), angles, '_x')
+    joints = np.array([links[LINK_OF_JOINT[j]] if j in LINK_OF_JOINT else np.zeros(3) for j in CMU15.joints])
+    joints[CMU15.index('neck')] = links['torso']
+    return joints
+
+
+def draw_angles(seed: int) -> dict[str, float]:
+    rng = np.random.default_rng(seed)
+    drawn = {j.name: float(rng.uniform(*j.limits)) for j in JOINTS if j.axis}
+    for side in 'lr':  # of a straight limb, the axis is unknown
+        drawn[f'{side}_knee'] = float(rng.uniform(-2.5, -0.1))
+        drawn[f'{side}_elbow'] = float(rng.uniform(0.1, 2.5))
+        drawn[f'{side}_p_shoulder'] = float(rng.uniform(0.1, 3.0))
+    return drawn | {'waist': 0.0, 'y_head': 0.0}
+
+
+@given(st.integers(0, 2**31))
+@settings(deadline=None, max_examples=50)
+def test_the_model_puts_the_links_where_the_joints_are(seed: int) -> None:
+    body = make_body(draw_angles(seed))
+    turn = Rotation.random(random_state=np.random.default_rng(seed))
+    angles = compute_joint_states(turn.apply(body) + [1.0, 2.0, 3.0])
+    assert angles is not None
+    np.testing.assert_allclose(make_body(angles), body, atol=1e-6)
+    lengths = measure_lengths(turn.apply(body))
+    assert lengths == pytest.approx(LENGTHS, abs=1e-3)
+
+
+def test_angles_of_poses_that_everybody_knows() -> None:
+    zero = compute_joint_states(make_body(dict.fromkeys(MOVED_JOINTS, 0.0)))
+    assert zero == pytest.approx(dict.fromkeys(MOVED_JOINTS, 0.0), abs=1e-6)
+    raised = make_body(dict.fromkeys(MOVED_JOINTS, 0.0) | {'l_p_shoulder': np.pi / 2, 'r_knee': -np.pi / 2})
+    left, right = (raised[CMU15.index(j)] for j in ('lelbow', 'rankle'))
+    assert left[1] > 0.4, 'the left arm is held out to the left'
+    assert right[0] < -0.3, 'the right shin is bent backwards'
+    angles = compute_joint_states(raised)
+    assert angles is not None
+    assert angles['l_p_shoulder'] == pytest.approx(np.pi / 2, abs=1e-6)
+    assert angles['r_knee'] == pytest.approx(-np.pi / 2, abs=1e-6)
+
+
+def test_the_model_has_the_joints_of_the_rep_and_the_frames_that_are_on_tf() -> None:
+    assert set(MOVED_JOINTS) == REP_JOINTS
+    robot = ET.fromstring(describe_body('anna', LENGTHS))
+    links = {link.get('name') for link in robot.findall('link')}
+    assert {'body_anna', 'torso_anna', 'head_anna', 'l_wrist_anna', 'r_ankle_anna'} <= links
+    children = [j.find('child').get('link') for j in robot.findall('joint')]  # type: ignore[union-attr]
+    assert len(set(children)) == len(children) == len(links) - 1, 'a tree'
+
+
+def test_a_pose_of_the_tracker_is_shown_as_it_is() -> None:
+    angles = compute_joint_states(STANDING)
+    assert angles is not None
+    links = place_links(describe_body('x', measure_lengths(STANDING)), angles, '_x')
+    origin, _, (axes,) = compute_links(STANDING[None])
+    local = (STANDING - origin[0]) @ axes
+    for joint, link in LINK_OF_JOINT.items():
+        np.testing.assert_allclose(links[link], local[CMU15.index(joint)], atol=0.06, err_msg=joint)
+
+
+def test_each_body_has_topics_of_its_own_and_is_described_once() -> None:
+    encoder = BodiesEncoder()
+    anna, ben = (replace(make_person_3d(name), joints=STANDING) for name in ('anna', '7'))
+    first, second = encoder.encode_update(HEADER, [anna, ben]), encoder.encode_update(HEADER, [anna])
+    assert [o.topic for o in first] == [
+        TRACKED,
+        *(f'/humans/bodies/{i}/urdf' for i in ('anna', 'p7')),
+        *(f'/humans/bodies/{i}/joint_states' for i in ('anna', 'p7')),
+    ]
+    assert [o.topic for o in second] == [TRACKED, '/humans/bodies/anna/joint_states']
+    tracked = decode(first[0].data, HRI_IDS)
+    assert (tracked.header.frame_id, tracked.ids) == ('map', ['anna', 'p7'])
+    state = decode(first[3].data, JOINT_STATES)
+    assert state.name == [f'{name}_anna' for name in MOVED_JOINTS]
+    angles = compute_joint_states(STANDING)
+    assert angles is not None
+    np.testing.assert_allclose(state.position, list(angles.values()))
+    assert (len(state.velocity), len(state.effort), state.header.frame_id) == (0, 0, 'body_anna')
+    assert 'l_elbow_p7' in decode(first[2].data, DESCRIPTION).data
+    grown = replace(anna, joints=STANDING * 1.2)
+    assert '/humans/bodies/anna/urdf' in [o.topic for o in encoder.encode_update(HEADER, [grown])]
+    (cleared,) = encoder.encode_clear(HEADER)
+    assert decode(cleared.data, HRI_IDS).ids == []
+    assert encoder.encode_clear(HEADER) == []
+
+
+def test_a_body_without_a_trunk_is_left_out() -> None:
+    flat = replace(make_person_3d('flat'), joints=np.zeros((15, 3)))
+    assert [o.topic for o in BodiesEncoder().encode_update(HEADER, [flat])] == [TRACKED]
+
+
+@pytest.mark.parametrize(('given_id', 'body_id'), [('anna', 'anna'), ('7', 'p7'), ('a-b c', 'a_b_c'), ('ä', 'p_')])
+def test_ids_are_made_names_of_topics(given_id: str, body_id: str) -> None:
+    assert make_body_id(given_id) == body_id

@@ -1,0 +1,95 @@
+"""The motion predictor: what it must not depend on, how it goes on between its times, and what ships."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mocap_ros.models.model_file import list_shipped_base_poses
+from mocap_ros.models.motion_predictor import PAST_S, Past, load_motion_predictor
+from tests.support.swinging_body import STANDING
+
+UP = np.array([0.0, 0.0, 1.0])
+UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # turns y down into z up
+FORWARD = np.array([0.0, -1.0, 0.0])  # where the body then faces
+TIMES = np.array([0.2, 0.4, 0.6, 1.0])
+
+
+def make_past(speed: float = 0.0, std: float = 0.02, place: tuple[float, float, float] = (3.0, 1.0, 0.0)) -> Past:
+    """Return somebody upright in a frame with z up who moves ahead at a speed in m/s, limbs at rest."""
+    joints = STANDING @ UPRIGHT.T + place
+    velocity = np.tile(speed * FORWARD, (15, 1))
+    earlier = joints - np.array(PAST_S)[:, None, None] * velocity
+    return Past(joints, velocity, np.full(15, std), earlier, FORWARD, UP)
+
+
+def test_who_stands_stays_and_who_walks_goes_on() -> None:
+    predictor = load_motion_predictor()
+    standing, walking = (predictor.predict(make_past(speed), TIMES).joints for speed in (0.0, 1.3))
+    assert np.linalg.norm(standing, axis=2).max() < 0.2
+    np.testing.assert_allclose((walking - standing).mean(axis=1) @ FORWARD, 1.3 * TIMES, rtol=0.5)
+
+
+@given(st.integers(0, 2**31), st.floats(0.0, 3.0))
+@settings(deadline=None, max_examples=30)
+def test_a_prediction_turns_with_the_axes_of_the_camera(seed: int, speed: float) -> None:
+    turn = Rotation.random(random_state=np.random.default_rng(seed)).as_matrix()
+    past = make_past(speed)
+    turned = Past(*(value if i == 2 else value @ turn.T for i, value in enumerate(past)))
+    one, other = (load_motion_predictor().predict(p, TIMES) for p in (past, turned))
+    np.testing.assert_allclose(one.joints @ turn.T, other.joints, atol=1e-9)
+    np.testing.assert_allclose(turn @ one.root_covariance @ turn.T, other.root_covariance, atol=1e-9)
+    np.testing.assert_allclose(one.std, other.std, atol=1e-12)
+
+
+def test_between_its_times_a_prediction_is_continuous_and_begins_with_the_newest_frame() -> None:
+    predictor, past = load_motion_predictor(), make_past(1.3)
+    at_zero = predictor.predict(past, np.zeros(1))
+    np.testing.assert_allclose(at_zero.joints, 0, atol=1e-12)
+    np.testing.assert_allclose(at_zero.std[0], past.std)
+    np.testing.assert_allclose(at_zero.root_covariance, 0)
+    dense = predictor.predict(past, np.linspace(0, 1, 101))
+    assert np.abs(np.diff(dense.joints, axis=0)).max() < 0.05, 'less than 5 m/s'
+    deviations = np.trace(dense.root_covariance, axis1=1, axis2=2)
+    assert (np.diff(deviations) > 0).all()
+    assert (np.diff(dense.std, axis=0) >= 0).all()
+    alone = [predictor.predict(past, np.array([t])).joints[0] for t in TIMES]
+    np.testing.assert_allclose(predictor.predict(past, TIMES).joints, alone, atol=1e-12)
+
+
+def test_beyond_its_times_people_stay_and_the_uncertainty_grows() -> None:
+    last, later = (load_motion_predictor().predict(make_past(1.3), np.array([t])) for t in (1.0, 1.5))
+    np.testing.assert_allclose(later.joints, last.joints)
+    np.testing.assert_allclose(later.root_covariance, 2.25 * last.root_covariance)
+
+
+@pytest.mark.parametrize('heading', [(0.0, 0.0, 1.0), (0.0, 0.0, 0.0)])
+def test_a_body_that_faces_upwards_and_unknown_deviations_give_finite_predictions(
+    heading: tuple[float, float, float],
+) -> None:
+    past = make_past(1.0)._replace(heading=np.array(heading), std=np.full(15, np.nan))
+    ahead = load_motion_predictor().predict(past, TIMES)
+    assert np.isfinite(ahead.joints).all()
+    assert np.isfinite(ahead.root_covariance).all()
+    assert np.isnan(ahead.std).all()
+
+
+def test_who_moves_is_less_certain_than_who_stands() -> None:
+    standing, running = (load_motion_predictor().predict(make_past(speed), TIMES) for speed in (0.0, 3.0))
+    assert (np.linalg.eigvalsh(running.root_covariance - standing.root_covariance) > 0).all()
+    past = make_past()
+    velocity = np.where(np.arange(15)[:, None] == 4, [0.0, 0.0, 2.0], past.velocity)  # a wrist rises
+    waving = load_motion_predictor().predict(past._replace(velocity=velocity), TIMES)
+    assert (waving.std[:, 4] > standing.std[:, 4]).all()
+    assert (waving.std[:, 4] - standing.std[:, 4] > waving.std[:, 7] - standing.std[:, 7]).all()
+
+
+def test_the_shipped_predictor_is_no_base_pose_model() -> None:
+    assert 'predictor' not in list_shipped_base_poses()
+    predictor = load_motion_predictor()
+    assert predictor.times.tolist() == pytest.approx(TIMES.tolist())
+    assert (predictor.root_variance >= 0).all()
+    assert (predictor.limb_variance >= 0).all()

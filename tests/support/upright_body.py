@@ -1,0 +1,20 @@
+"""A body that stands upright with hanging arms, as the axes of its segments are defined by it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mocap_ros.skeleton import CMU15
+
+_HALF = {'shoulder': (0.18, 1.42), 'elbow': (0.18, 1.14), 'wrist': (0.18, 0.88), 'hip': (0.09, 0.92)}
+_HALF |= {'knee': (0.09, 0.5), 'ankle': (0.09, 0.08)}  # m to the side, m above the floor
+_MIDDLE = {'head': 1.65, 'neck': 1.48, 'pelvis': 1.0}  # m above the floor
+# m, (15, 3) of `CMU15`: x forward, y to the left, z up
+UPRIGHT = np.array(
+    [
+        (0.0, 0.0, _MIDDLE[name])
+        if name in _MIDDLE
+        else (0.0, _HALF[name[1:]][0] * (1 if name[0] == 'l' else -1), _HALF[name[1:]][1])
+        for name in CMU15.joints
+    ]
+)

@@ -1,0 +1,174 @@
+"""How large a person is: what feet on a floor tell, what they do not, and that the image stays the same."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mocap_ros.config import Config, with_values
+from mocap_ros.geometry.floor import Floor
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.rigid_transform import parse_camera_pose
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.people import Person3D
+from mocap_ros.skeleton import CMU15
+from mocap_ros.tracking.body_size import (
+    ANKLE_SHARE,
+    ANKLES,
+    ASSUMED,
+    BodySize,
+    FloorContact,
+    assume_size,
+    resize,
+)
+from mocap_ros.tracking.tracker import Tracker
+from tests.support.people import make_person_3d
+from tests.support.swinging_body import STANDING
+from tests.support.synthetic_walk import make_walk
+
+HEIGHT_M = 1.7
+STEP_NS = 33_333_333
+LEVEL = Floor(np.array([0.0, -1.0, 0.0]), 1.5)
+CAMERA = Intrinsics(600.0, (320.0, 240.0), is_focal_known=True)
+
+
+def make_standing(ratio: float, distance: float = 4.0, lift: float = 0.0) -> Person3D:
+    """Return a person of the assumed size with the image of one `ratio` times as large on the floor of `LEVEL`.
+
+    Args:
+        ratio: true size over the assumed.
+        distance: m, true distance.
+        lift: m, height of a step under the true feet.
+    """
+    body = STANDING * ratio
+    lowest = body[list(ANKLES), 1].max()
+    down = LEVEL.camera_height - lift - ANKLE_SHARE * HEIGHT_M * ratio - lowest
+    joints = (body + [0.2, down, distance]) / ratio
+    return replace(
+        make_person_3d('anna'),
+        joints=joints,
+        std=np.full(15, 0.03),
+        velocity=np.zeros((15, 3)),
+        velocity_std=np.full(15, 0.3),
+        root_velocity_covariance=np.eye(3),
+    )
+
+
+def contact_after(frames: int, person: Person3D, floor: Floor = LEVEL) -> FloorContact | None:
+    contact = None
+    for frame in range(frames):
+        contact = FloorContact.advance(contact, frame * STEP_NS, person, floor, HEIGHT_M)
+    return contact
+
+
+@given(st.floats(0.5, 1.2), st.floats(1.5, 8.0))
+@settings(deadline=None, max_examples=40)
+def test_feet_on_the_floor_tell_the_size(ratio: float, distance: float) -> None:
+    contact = contact_after(60, make_standing(ratio, distance))
+    assert contact is not None
+    assert contact.mean == pytest.approx(math.log(ratio), abs=1e-9)
+    size = contact.find_size(BodySize(1.0, 1e3))
+    assert size.ratio == pytest.approx(ratio, rel=1e-6)
+    among_adults = contact.find_size(ASSUMED)
+    assert min(1, ratio) - 1e-9 <= among_adults.ratio <= max(1, ratio) + 1e-9, 'between what is usual and seen'
+    assert among_adults.share < min(ASSUMED.share, size.share)
+
+
+def test_the_longer_and_the_nearer_the_surer_but_the_tilt_of_the_camera_stays() -> None:
+    shares = [contact_after(n, make_standing(1.1)).find_size(ASSUMED).share for n in (1, 30, 300, 3000)]  # type: ignore[union-attr]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[-1] > 0.02
+    far = contact_after(300, make_standing(1.1, 10.0))
+    low = contact_after(300, make_standing(1.1), LEVEL._replace(camera_height=0.5))
+    assert far is not None
+    assert far.find_size(ASSUMED).share > shares[2]
+    assert low is None or low.find_size(ASSUMED).share > shares[2]
+
+
+@pytest.mark.parametrize(
+    'person',
+    [
+        make_standing(1.0, lift=0.5),  # on a step, a body would have to be 2.5 m tall
+        replace(make_standing(1.1), velocity=np.tile([0.0, -1.0, 0.0], (15, 1))),  # jumps
+        replace(make_standing(1.1), velocity=np.full((15, 3), np.nan)),  # not known whether the foot is still
+        replace(make_standing(1.1), joints=make_standing(1.1).joints - [0, 3, 0]),  # above the camera
+    ],
+)
+def test_what_is_no_foot_on_the_floor_tells_nothing(person: Person3D) -> None:
+    known = contact_after(30, make_standing(1.1))
+    assert FloorContact.advance(known, 31 * STEP_NS, person, LEVEL, HEIGHT_M) is known
+    assert FloorContact.advance(None, 0, person, LEVEL, HEIGHT_M) is None
+
+
+def test_a_foot_that_is_lifted_for_a_while_changes_little() -> None:
+    contact = contact_after(90, make_standing(1.0))
+    assert contact is not None
+    for frame in range(90, 105):
+        contact = FloorContact.advance(contact, frame * STEP_NS, make_standing(1.0, lift=0.2), LEVEL, HEIGHT_M)
+    assert contact is not None
+    assert 0 < contact.mean < 0.02, 'of 0.14'
+
+
+@given(st.floats(0.5, 2.0))
+@settings(deadline=None, max_examples=20)
+def test_a_resized_person_has_the_same_image(ratio: float) -> None:
+    person = make_standing(1.0)
+    resized = resize(person, BodySize(ratio, 0.03))
+    np.testing.assert_allclose(CAMERA.project(resized.joints), CAMERA.project(person.joints))
+    np.testing.assert_allclose(resized.joints, person.joints * ratio)
+    np.testing.assert_allclose(resized.std, person.std * ratio)
+    np.testing.assert_allclose(resized.velocity_std, person.velocity_std * ratio)
+    np.testing.assert_allclose(resized.root_velocity_covariance, ratio**2 * np.eye(3))
+    assert resized.scale == pytest.approx(person.scale / ratio)
+    variances, axes = np.linalg.eigh(resized.root_covariance)
+    root = resized.root
+    assert abs(axes[:, 2] @ root) == pytest.approx(np.linalg.norm(root))
+    assert variances[2] == pytest.approx((0.03 * ratio) ** 2 / 3 + 0.03**2 * root @ root)
+
+
+def test_a_known_height_or_focal_length_makes_the_distance_surer() -> None:
+    config = Config().tracker
+    assert assume_size(config, is_focal_known=True) == pytest.approx(ASSUMED)
+    known = with_values(Config(), {'tracker.body_height_std': 0.02}).tracker
+    shares = [assume_size(c, is_focal_known=f).share for c, f in ((known, True), (config, True), (config, False))]
+    assert shares == sorted(shares)
+    assert shares[0] < 0.7 * shares[1] < 0.3 * shares[2]
+
+
+@pytest.mark.parametrize('height', [1.5, 1.9])
+def test_the_tracker_puts_out_people_of_their_own_size(walk_model: BasePoses, height: float) -> None:
+    theta, cameras, _, times = make_walk(walk_model, 60)
+    size = height / walk_model.stature
+    poses = walk_model.poses(theta) @ np.swapaxes(cameras.rotation[:1], -1, -2) * size
+    upward = cameras.rotation[0] @ [0.0, 0.0, 1.0]
+    joints = poses + [0.0, 0.0, 4.0]
+    lowest = (joints[:, list(ANKLES)] @ upward).min()
+    floor = Floor(upward, float(ANKLE_SHARE * height - lowest))
+    tracker = Tracker(walk_model, with_values(Config(), {'solver.components': 8}))
+    distances = {}
+    for name, known in (('floor', floor), ('nothing', None)):
+        tracker.reset()
+        for frame, stamp in enumerate(times):
+            seen = Person2D('', CMU15.joints, CAMERA.project(joints[frame]), np.ones(15))
+            (person,) = tracker.update(round(stamp * 1e9) + 1, [seen], CAMERA, known)
+        distances[name] = abs(np.log(person.root[2] / (joints[-1, 9, 2] + joints[-1, 12, 2]) * 2))
+        ((ahead,),) = tracker.predict((0.001,))
+        np.testing.assert_allclose(ahead.joints, person.core, atol=0.02)
+        (gap,) = tracker.update(round(times[-1] * 1e9) + 1_000_000, [], CAMERA, known)
+        np.testing.assert_allclose(gap.joints, person.joints, atol=0.02)
+    assert distances['floor'] < 0.6 * distances['nothing']
+    assert tracker.vertical is None or math.degrees(tracker.vertical.std) > 1, 'that of the floor is forgotten'
+
+
+def test_the_floor_in_the_frame_of_the_outputs() -> None:
+    floor = Floor.find(parse_camera_pose('3 1 1.5 0 0.2 0.7', 'test'), 0.3)
+    assert floor is not None
+    assert floor.camera_height == pytest.approx(1.2)
+    np.testing.assert_allclose(floor.upward, [0, -np.cos(0.2), -np.sin(0.2)], atol=1e-12)
+    assert Floor.find(parse_camera_pose('0 0 0.2 0 0 0', 'test'), 0.3) is None

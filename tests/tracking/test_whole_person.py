@@ -1,0 +1,66 @@
+"""People of the tracker with face, feet, hands and orientations, and without them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mocap_ros.config import Config, with_values
+from mocap_ros.demo.scene import make_recording
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.models.model_file import load_base_pose_models
+from mocap_ros.people import Person3D
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
+from mocap_ros.tracking.tracker import Tracker
+
+FRAMES = 24
+STEP_NS = 33_333_333
+FACE = [BODY26.index(n) for n in ('nose', 'leye', 'reye', 'lear', 'rear')]
+
+
+def track(frames: int = FRAMES, **values: object) -> list[tuple[Person3D, ...]]:
+    """Return the people of the demo frame by frame, and those predicted for the frame after the last."""
+    config = with_values(Config(), {f'tracker.{name}': value for name, value in values.items()})
+    tracker, sequence = Tracker(load_base_pose_models('auto'), config), make_recording().sequence()
+    found = []
+    for frame in range(frames + 1):
+        seen: list[Person2D] = [sequence.person(frame)] if frame < frames else []
+        found.append(tracker.update(frame * STEP_NS, seen, sequence.intrinsics(1.0)))
+        tracker.run_deferred_work()
+    return found
+
+
+@pytest.fixture(scope='module')
+def whole() -> list[tuple[Person3D, ...]]:
+    return track()
+
+
+def test_without_face_feet_and_hands_people_have_the_same_core(whole: list[tuple[Person3D, ...]]) -> None:
+    for (one,), (other,) in zip(whole, track(skeleton='cmu15'), strict=True):
+        assert (one.skeleton, other.skeleton) == (BODY26, CMU15)
+        for name in ('joints', 'std', 'inferred', 'velocity', 'orientation', 'turn_inferred'):
+            np.testing.assert_array_equal(getattr(one, name)[:CORE_COUNT], getattr(other, name))
+        np.testing.assert_array_equal(one.core, other.joints)
+
+
+def test_what_the_detector_gives_is_seen_and_the_rest_inferred(whole: list[tuple[Person3D, ...]]) -> None:
+    (last,), (predicted,) = whole[-2:]
+    others = [j for j in range(CORE_COUNT, len(BODY26.joints)) if j not in FACE]
+    assert not last.inferred[FACE].any()  # of coco17
+    assert last.inferred[others].all()
+    assert predicted.predicted
+    assert predicted.inferred.all()
+    assert predicted.turn_inferred.all()
+    for person in (last, predicted):
+        assert (person.std[CORE_COUNT:] > 0).all()
+        assert np.isfinite(person.velocity).all()
+        assert np.linalg.norm(person.orientation, axis=1) == pytest.approx(np.ones(len(BODY26.joints)))
+    moved = np.linalg.norm(
+        (predicted.joints - predicted.core.mean(axis=0)) - (last.joints - last.core.mean(axis=0)), axis=1
+    )
+    assert moved.max() < 0.15  # m in one frame
+
+
+def test_with_a_lag_every_frame_has_face_feet_and_hands_once() -> None:
+    for people in track(lag=0.2)[8:-1]:
+        assert all(p.skeleton == BODY26 and np.isfinite(p.joints).all() for p in people)
