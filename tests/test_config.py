@@ -73,6 +73,14 @@ def test_errors_in_a_file_name_the_file_and_the_place(text: str, message: str) -
         from_yaml(text, 'f.yaml')
 
 
+def test_a_number_may_be_given_for_a_text_of_numbers() -> None:
+    given = {'node.floor_height': 0, 'node.prediction_times': 0.5}
+    node = with_values(Config(), given).node
+    assert (node.floor_height, node.prediction_times) == ('0', '0.5')
+    with pytest.raises(ConfigError, match=r'node\.output_frame = 5: expected a str'):
+        with_values(Config(), {'node.output_frame': 5})
+
+
 def test_a_group_is_no_parameter() -> None:
     with pytest.raises(
         ConfigError, match=r"^solver: is a group of parameters; names are dotted, such as 'solver\."

@@ -125,6 +125,10 @@ def find_people_topics(bag: Bag, name: str | None = None) -> dict[str, Source]:
         tracked_topic = next((t for t in tracked_topics if make_body_topic(t, body_id) == topic), '')
         if topic.endswith(BODY_SUFFIX):
             groups.setdefault(tracked_topic or _infer_tracked_topic(topic), {})[topic] = Source.BODY
+    if (
+        name is None and len(groups) > 1
+    ):  # a list of bodies without their keypoints may be an output of this package
+        groups = {t: s for t, s in groups.items() if set(s.values()) != {Source.TRACKED_BODIES}} or groups
     chosen = [sources for topic, sources in groups.items() if name in (None, topic)]
     if len(chosen) == 1:
         return chosen[0]

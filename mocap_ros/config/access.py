@@ -33,6 +33,7 @@ class Parameter:
         high: largest valid value, or None.
         choices: valid values of a text; empty if any text is valid.
         read_only: whether the value is fixed when the node starts.
+        takes_numbers: whether a number may be given for a text.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Parameter:
     high: float | None
     choices: tuple[str, ...]
     read_only: bool
+    takes_numbers: bool
 
     def check(self, value: object) -> Value:
         """Return the value in the parameter's own type.
@@ -53,6 +55,8 @@ class Parameter:
         if self.kind is float and isinstance(value, str) and SCIENTIFIC_NOTATION.fullmatch(value):
             value = float(value)
         is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if self.takes_numbers and is_number:
+            return repr(value)
         number = _to_float(value) if is_number else math.nan
         if type(value) is not self.kind and not (self.kind is float and is_number):
             article = 'an' if self.kind is int else 'a'

@@ -24,6 +24,7 @@ def define_parameter(
     high: float | None = None,
     choices: tuple[str, ...] = (),
     read_only: bool = False,
+    takes_numbers: bool = False,
 ) -> Any:
     """Return a dataclass field that is a parameter.
 
@@ -34,6 +35,7 @@ def define_parameter(
         high: largest valid value, or None.
         choices: valid values of a text; empty if any text is valid.
         read_only: whether the value is fixed when the node starts.
+        takes_numbers: whether a number may be given for a text.
     """
     return field(
         default=default,
@@ -43,6 +45,7 @@ def define_parameter(
             'high': high,
             'choices': choices,
             'read_only': read_only,
+            'takes_numbers': takes_numbers,
         },
     )
 
@@ -369,6 +372,7 @@ class NodeConfig:
         '0.2 0.4 0.6 1.0',
         's, up to 1, times after the image for which people are predicted, separated by blanks',
         read_only=True,
+        takes_numbers=True,
     )
     frame_prefix: str = define_parameter(
         '',
@@ -392,6 +396,7 @@ class NodeConfig:
         'm, height of the floor in node.output_frame, whose z axis must be up, such as 0: the feet of people who '
         'stand on it tell how tall they are and how far away; empty: not known',
         read_only=True,
+        takes_numbers=True,
     )
     transform_tolerance: float = define_parameter(
         0.1,

@@ -21,6 +21,13 @@ Array = NDArray[np.float64]
 EXTREMITY_COUNT = len(BODY26.joints) - CORE_COUNT  # joints
 _BODY_SIDES = BodySides.of(BODY26)
 
+# 1; feet and hands are nearer to the ankle or wrist, and the points of a face nearer to the shoulders, than these
+# shares of the diagonal of the core's points, also of somebody of whom only the trunk or a leg is seen.
+MAX_REACH = np.array([0.35 if name[1:] in ('toe', 'heel', 'hand') else 0.7 for name in BODY26.joints[CORE_COUNT:]])
+# (J_e, 2) core joints between which each extremity hangs
+_ANCHORS = np.array([[BODY26.parents[CORE_COUNT + i]] * 2 for i in range(EXTREMITY_COUNT)])
+_ANCHORS[MAX_REACH > 0.5] = [BODY26.index('lshoulder'), BODY26.index('rshoulder')]  # 0.5: those of the face
+
 
 class Extremities(NamedTuple):
     """Face, feet and hands in one frame or in F frames.
@@ -53,7 +60,35 @@ def convert_body_to_rays(
     Arguments and errors are those of `rays.convert_to_rays`.
     """
     rays, weight = convert_to_rays(points, score, names, intrinsics, min_score, BODY26)
-    return split_body(rays, weight)
+    core_rays, core_weight, extremities = split_body(rays, weight)
+    return core_rays, core_weight, _drop_far_points(core_rays, core_weight, extremities)
+
+
+def _drop_far_points(rays: Array, weight: Array, extremities: Extremities) -> Extremities:
+    """Return extremities without those that are too far from the core to belong to this person.
+
+    They do not count as seen, since one that is somewhere else would spoil the whole lifted pose.
+
+    Args:
+        rays: (..., J_c, 2) rays of the core.
+        weight: (..., J_c) its confidence scores.
+        extremities: those of the same frames.
+    """
+    if not extremities.weight.any():
+        return extremities
+    is_seen = weight[..., None] > 0
+    high = np.where(is_seen, rays, -np.inf).max(axis=-2)
+    low = np.where(is_seen, rays, np.inf).min(axis=-2)
+    with np.errstate(invalid='ignore'):
+        diagonal = np.linalg.norm(high - low, axis=-1)
+    anchors, is_anchored = rays[..., _ANCHORS, :].mean(axis=-2), (weight[..., _ANCHORS] > 0).all(axis=-1)
+    distance = np.linalg.norm(extremities.rays - anchors, axis=-1)
+    is_far = is_anchored & (distance > MAX_REACH * diagonal[..., None])
+    if not is_far.any():
+        return extremities
+    return Extremities(
+        np.where(is_far[..., None], 0.0, extremities.rays), np.where(is_far, 0.0, extremities.weight)
+    )
 
 
 def split_body(rays: Array, weight: Array) -> tuple[Array, Array, Extremities]:

@@ -93,6 +93,8 @@ def _read_person(columns: Columns, index: int, to_optical: _Transforms) -> Itera
     joints, std, inferred = read('joints'), read('joint_std'), read('inferred')
     if std.shape[1] != joints.shape[1]:
         std = np.full(joints.shape[:2], np.nan, np.float32)
+    if not inferred.shape[1]:  # messages of 0.1, whose flags had another name
+        inferred = np.zeros(joints.shape[:2], bool)
     arrays: tuple[NDArray[Any], ...] = (
         to_optical.apply(joints),
         std,

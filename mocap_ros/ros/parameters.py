@@ -53,6 +53,7 @@ def describe_parameter(p: Parameter) -> ParameterDescriptor:
         description=p.description,
         additional_constraints=f'one of {", ".join(p.choices)}' if p.choices else '',
         read_only=p.read_only,
+        dynamic_typing=p.takes_numbers,
     )
     if p.kind is float and (p.low is not None or p.high is not None):
         low = -sys.float_info.max if p.low is None else float(p.low)

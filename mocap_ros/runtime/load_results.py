@@ -91,10 +91,10 @@ def _collect(array_by_stamp: dict[int, Any], person: str) -> StoredResult:
     for frame, found in enumerate(skeletons):
         if found is None:
             continue
-        if len(found.joints) != shape[1] or len(found.inferred) != shape[1]:
+        if len(found.joints) != shape[1] or len(found.inferred) not in (0, shape[1]):
             raise InputError(f'skeleton of {len(found.joints)} joints, expected {shape[1]} of {name}')
         joints[frame] = [(point.x, point.y, point.z) for point in found.joints]
-        seen[frame] = ~np.asarray(found.inferred, bool)
+        seen[frame] = ~np.asarray(found.inferred, bool) if len(found.inferred) else True  # as in bags of 0.1
         residual[frame] = found.reprojection_residual
         if len(found.joint_std) == shape[1]:
             std[frame] = found.joint_std

@@ -63,7 +63,8 @@ def test_detectors_name_feet_and_hands_differently(
     layout: str, toe: str, hand: tuple[str, str] | None, rng: np.random.Generator
 ) -> None:
     names = keypoint_layout(layout).joints
-    points = rng.uniform(0, 400, (len(names), 2))
+    points = rng.uniform(280, 320, (len(names), 2))
+    points[names.index('rhip')] = 0  # px; the person is large
     _, _, found = convert_body_to_rays(points, np.ones(len(names)), names, CAMERA, 0.1)
     rays = dict(zip(BODY26.joints[CORE_COUNT:], found.rays, strict=True))
     seen = dict(zip(BODY26.joints[CORE_COUNT:], found.weight > 0, strict=True))
@@ -80,3 +81,19 @@ def test_a_face_alone_is_no_body() -> None:
     names = ('nose', 'leye', 'reye', 'lear', 'rear')
     with pytest.raises(SkeletonError, match='fewer than four joints of the body'):
         convert_body_to_rays(np.zeros((5, 2)), np.ones(5), names, CAMERA, 0.1)
+
+
+@pytest.mark.parametrize(
+    ('name', 'joint'), [('lbigtoe', 'ltoe'), ('rheel', 'rheel'), ('nose', 'nose'), ('lear', 'lear')]
+)
+def test_a_point_far_from_its_body_does_not_count_as_seen(name: str, joint: str, rng: np.random.Generator) -> None:
+    names = keypoint_layout('body25').joints
+    points = 300 + 10 * rng.standard_normal((len(names), 2))
+    points[names.index('neck'), 1], points[names.index('pelvis'), 1] = 240, 400  # px; how large the person is
+    index, wrong = BODY26.index(joint) - CORE_COUNT, names.index(name)
+    _, _, near = convert_body_to_rays(points, np.ones(len(names)), names, CAMERA, 0.1)
+    points[wrong] = 0
+    _, _, far = convert_body_to_rays(points, np.ones(len(names)), names, CAMERA, 0.1)
+    assert near.weight[index] > 0
+    assert far.weight[index] == 0
+    assert (np.delete(far.weight, index) == np.delete(near.weight, index)).all()
