@@ -14,19 +14,29 @@ from numpy.typing import NDArray
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.left_right import BodySides, exchange_sides
 from mocap_ros.keypoints.rays import convert_to_rays
-from mocap_ros.skeleton import BODY26, CORE_COUNT
+from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
 
 Array = NDArray[np.float64]
 
-EXTREMITY_COUNT = len(BODY26.joints) - CORE_COUNT  # joints
 _BODY_SIDES = BodySides.of(BODY26)
 
-# 1; feet and hands are nearer to the ankle or wrist, and the points of a face nearer to the shoulders, than these
-# shares of the diagonal of the core's points, also of somebody of whom only the trunk or a leg is seen.
-MAX_REACH = np.array([0.35 if name[1:] in ('toe', 'heel', 'hand') else 0.7 for name in BODY26.joints[CORE_COUNT:]])
-# (J_e, 2) core joints between which each extremity hangs
-_ANCHORS = np.array([[BODY26.parents[CORE_COUNT + i]] * 2 for i in range(EXTREMITY_COUNT)])
-_ANCHORS[MAX_REACH > 0.5] = [BODY26.index('lshoulder'), BODY26.index('rshoulder')]  # 0.5: those of the face
+# 1; feet and hands are nearer to the ankle or wrist, and the points of a face nearer to the middle of the
+# shoulders, than these shares of the diagonal of the core's points, also where only the trunk or a leg is seen.
+MAX_LIMB_REACH, MAX_FACE_REACH = 0.35, 0.7
+_LIMB_ENDS = {'toe': 'ankle', 'heel': 'ankle', 'hand': 'wrist'}  # joints on which feet and hands hang
+
+
+def _find_anchors() -> tuple[NDArray[np.intp], Array]:
+    """Return the two core joints (J_e, 2) between which each extremity hangs, and its largest reach (J_e,)."""
+    anchors, reach = [], []
+    for name in BODY26.joints[CORE_COUNT:]:
+        end = _LIMB_ENDS.get(name[1:])
+        anchors.append((name[0] + end,) * 2 if end else ('lshoulder', 'rshoulder'))
+        reach.append(MAX_LIMB_REACH if end else MAX_FACE_REACH)
+    return np.array([[BODY26.index(joint) for joint in pair] for pair in anchors]), np.array(reach)
+
+
+_ANCHORS, _MAX_REACH = _find_anchors()
 
 
 class Extremities(NamedTuple):
@@ -40,8 +50,8 @@ class Extremities(NamedTuple):
     rays: Array
     weight: Array
 
-    def select_frames(self, frames: NDArray[np.intp] | slice) -> Extremities:
-        """Return those of some of the frames."""
+    def select_frames(self, frames: NDArray[np.intp] | slice | int) -> Extremities:
+        """Return those of some of the frames, or of a single one."""
         return Extremities(self.rays[frames], self.weight[frames])
 
     def append_frame(self, newest: Extremities, dropped: int) -> Extremities:
@@ -83,7 +93,7 @@ def _drop_far_points(rays: Array, weight: Array, extremities: Extremities) -> Ex
         diagonal = np.linalg.norm(high - low, axis=-1)
     anchors, is_anchored = rays[..., _ANCHORS, :].mean(axis=-2), (weight[..., _ANCHORS] > 0).all(axis=-1)
     distance = np.linalg.norm(extremities.rays - anchors, axis=-1)
-    is_far = is_anchored & (distance > MAX_REACH * diagonal[..., None])
+    is_far = is_anchored & (distance > _MAX_REACH * diagonal[..., None])
     if not is_far.any():
         return extremities
     return Extremities(
@@ -100,12 +110,14 @@ def split_body(rays: Array, weight: Array) -> tuple[Array, Array, Extremities]:
 
 
 def join_body(rays: Array, weight: Array, extremities: Extremities | None) -> tuple[Array, Array]:
-    """Return points (F, J, 2) and weights (F, J) of a body; extremities that are None are not seen."""
+    """Return points (..., J, 2) and weights (..., J) of a body; extremities that are None are not seen."""
     if extremities is None:
-        extremities = Extremities(
-            np.zeros((len(rays), EXTREMITY_COUNT, 2)), np.zeros((len(rays), EXTREMITY_COUNT))
-        )
-    return np.concatenate([rays, extremities.rays], axis=1), np.concatenate([weight, extremities.weight], axis=1)
+        unseen = np.zeros((*weight.shape[:-1], EXTREMITY_COUNT))
+        extremities = Extremities(np.zeros((*unseen.shape, 2)), unseen)
+    return (
+        np.concatenate([rays, extremities.rays], axis=-2),
+        np.concatenate([weight, extremities.weight], axis=-1),
+    )
 
 
 def exchange_body_sides(

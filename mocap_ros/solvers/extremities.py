@@ -61,7 +61,7 @@ from mocap_ros.compiled.kernel import (
     kernel,
 )
 from mocap_ros.geometry.rotations import write_rotation_from_vector
-from mocap_ros.skeleton import BODY26, CORE_COUNT
+from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
 from mocap_ros.solvers.body_segments import (
     PART_SEGMENTS,
     SEGMENT_COUNT,
@@ -76,7 +76,6 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 EXTREMITIES = BODY26.joints[CORE_COUNT:]
-EXTREMITY_COUNT = len(EXTREMITIES)
 PARTS = ('head', 'lfoot', 'rfoot', 'lhand', 'rhand')
 PART_COUNT = len(PARTS)
 HEAD = 0  # index of the part

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.keypoints.extremities import join_body
 from mocap_ros.skeleton import BODY26
-from mocap_ros.solvers.extremities import EXTREMITY_COUNT, ExtremityEvidence
+from mocap_ros.solvers.extremities import ExtremityEvidence
 from mocap_ros.solvers.observed_window import ObservedWindow
 
 Array = NDArray[np.float64]
@@ -29,14 +30,6 @@ def collect_evidence(
     else:
         depth = core[..., 2].mean(axis=-1)[..., None, None]  # lifted poses are in the units of rays
         joints, std = lifted.joints[frames] * depth, lifted.std[frames] * depth
-    rays, weight = observed.rays[frames], observed.weight[frames]
-    if seen is None:
-        no_rays = np.zeros((*core.shape[:-2], EXTREMITY_COUNT, 2))
-        seen_rays, seen_weight = no_rays, no_rays[..., 0]
-    else:
-        seen_rays, seen_weight = seen.rays[frames], seen.weight[frames]
-    all_rays, all_weight = (
-        np.concatenate([rays, seen_rays], axis=-2),
-        np.concatenate([weight, seen_weight], axis=-1),
-    )
-    return ExtremityEvidence(core, joints, std, all_rays, all_weight, noise)
+    extremities = None if seen is None else seen.select_frames(frames)
+    rays, weight = join_body(observed.rays[frames], observed.weight[frames], extremities)
+    return ExtremityEvidence(core, joints, std, rays, weight, noise)

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.joint_std import estimate_joint_std
 from mocap_ros.people import Motion, Person3D
-from mocap_ros.tracking.body_size import ASSUMED, BodySize, resize
 from mocap_ros.tracking.joint_velocity import estimate_velocity
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
@@ -31,14 +30,15 @@ def locate_output_joints(track: Track, frame: int, model: BasePoses) -> Array:
     return locate_joints(track, frame, model)
 
 
-def make_person(track: Track, frame: int, model: BasePoses, body_size: BodySize = ASSUMED) -> Person3D:
-    """Return the core of a person in one solved frame of a track's window, filtered if there is a filter.
+def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
+    """Return the core of a person of the assumed size in one solved frame, filtered if there is a filter.
+
+    `body_size.resize` gives the person the size that is known, and with it the covariance of the root.
 
     Args:
         track: a solved track.
         frame: index of the frame.
         model: base poses of the track's solution.
-        body_size: what is known of the person's size.
     """
     solution, observed, classification = track.solved, track.seen.observed, track.schedule.classification
     intrinsics, lifted = track.seen.intrinsics, observed.lifted
@@ -54,7 +54,7 @@ def make_person(track: Track, frame: int, model: BasePoses, body_size: BodySize 
     motion, category = classification.motion, classification.periodic_model_name or solution.model_name
     std = estimate_joint_std(solution.joint_std * size, inferred, lifted_std, solution.noise * size)
     velocity = estimate_velocity(track, frame, model)
-    person = Person3D(
+    return Person3D(
         id=track.id,
         joints=joints,
         std=std,
@@ -72,4 +72,3 @@ def make_person(track: Track, frame: int, model: BasePoses, body_size: BodySize 
         root_velocity_covariance=velocity.root_covariance,
         age=(track.seen.stamps_ns[frame] - track.first_ns) / NS_PER_S,
     )
-    return resize(person, body_size)

@@ -219,7 +219,6 @@ class Tracker:
         output_stamp_ns, shown = self._choose_output(stamp_ns, state.tracks, tracks)
         if settings.steady_output and settings.lag < MIN_ACCELERATION_LAG_S:
             shown = self._filter_motion(output_stamp_ns, shown)
-            state = state.put_tracks([track for track, _ in shown])
         shown = self._follow_extremities(output_stamp_ns, shown)
         state = state.put_tracks([track for track, _ in shown])
         output, state = self._make_people(output_stamp_ns, shown, state, floor)
@@ -371,8 +370,7 @@ class Tracker:
         """Return the tracks with their new frames lifted, all in one batch, if there is a lifter.
 
         The lifter is told a vertical that is given. The lifted poses are turned towards the vertical as it was
-        known before; the state has it as it is known
-        now, stamp in ns.
+        known before; the state has it as it is known now, stamp in ns.
         """
         if self._lifter is None or not tracks:
             return state, tracks
@@ -509,7 +507,7 @@ class Tracker:
             return state
         if floor is not None:
             return replace(state, vertical=Vertical(floor.upward, math.inf, stamp_ns))
-        if state.vertical is not None and math.isinf(state.vertical.seconds):
+        if state.vertical is not None and state.vertical.is_given:
             return replace(state, vertical=None)
         return state
 

@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
-from mocap_ros.skeleton import BODY26, CMU15, Skeleton
+from mocap_ros.skeleton import BODY26, CMU15, EXTREMITY_COUNT, Skeleton
 from mocap_ros.solvers.extremities import (
     ANCHORS,
     ANGULAR_SPEED_STD,
-    EXTREMITY_COUNT,
     SEGMENT_OF,
     ExtremityEvidence,
     ExtremityState,

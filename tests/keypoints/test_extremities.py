@@ -8,14 +8,13 @@ import pytest
 from mocap_ros.errors import SkeletonError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.extremities import (
-    EXTREMITY_COUNT,
     convert_body_to_rays,
     exchange_body_sides,
     join_body,
     split_body,
 )
 from mocap_ros.keypoints.left_right import PARTS
-from mocap_ros.skeleton import BODY26, CORE_COUNT, keypoint_layout
+from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT, keypoint_layout
 
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
 

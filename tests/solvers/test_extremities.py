@@ -17,11 +17,10 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.geometry.rotations import rotation_from_vector
-from mocap_ros.skeleton import BODY26, CORE_COUNT
+from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
 from mocap_ros.solvers import extremities
 from mocap_ros.solvers.extremities import (
     ANCHORS,
-    EXTREMITY_COUNT,
     PART_OF,
     PARTS,
     SIZE_OF,

@@ -15,6 +15,7 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15, CORE_COUNT
+from mocap_ros.tracking.body_size import ASSUMED, resize
 from mocap_ros.tracking.person_in_frame import make_person
 from mocap_ros.tracking.prediction import predict_person
 from mocap_ros.tracking.tracker import Tracker
@@ -61,7 +62,8 @@ def track_walker(model: BasePoses, start: list[float], velocity: list[float], ga
     """
     tracker = track_walk(model, start, velocity)
     (track,) = tracker.snapshot().tracks
-    last = make_person(track, len(track.seen.stamps_ns) - 1, tracker.models[track.solved.model_name])
+    model = tracker.models[track.solved.model_name]
+    last = resize(make_person(track, len(track.seen.stamps_ns) - 1, model), ASSUMED)
     (predicted,) = tracker.update((FRAMES - 1 + gap) * STEP_NS, [], CAMERA)
     return [last, predicted]
 
