@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import pickle
+import zipfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import MocapError
 from mocap_ros.formats.mocap.trials import DEFAULT_OPTIONS, load_trials, select_trials
-from mocap_ros.formats.text_files import guard_output
+from mocap_ros.formats.text_files import check_output, guard_output
 from mocap_ros.models import model_file
 from mocap_ros.training.balance import balance_trials
 
-DEFAULT_STEPS = 40000  # optimiser steps with which the shipped lifter was trained
+DEFAULT_STEPS = 60000  # optimiser steps; more gain more (docs/lifter.md)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -37,6 +41,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='use no trials of this subject; may be repeated (default: none left out)',
     )
     parser.add_argument('--steps', type=int, default=DEFAULT_STEPS, metavar='N', help='number of optimiser steps')
+    parser.add_argument(
+        '--checkpoint',
+        type=Path,
+        metavar='FILE',
+        help='file that keeps the state of the training every few minutes; a training that finds one goes on from '
+        'there, also with more --steps (default: none is kept)',
+    )
     parser.add_argument(
         '--seed', type=int, default=0, metavar='N', help='random seed of the initial weights and the examples'
     )
@@ -66,6 +77,9 @@ def run(args: argparse.Namespace) -> int:
             f'{error}: training needs PyTorch; install it with pip install mocap_ros[train]'
         ) from None
     torch.set_num_threads(args.threads)
+    for path in (args.output, args.checkpoint):
+        if path is not None:
+            check_output(path)
     trials = select_trials(
         [
             t
@@ -87,8 +101,15 @@ def run(args: argparse.Namespace) -> int:
         [t.category for t in trials], [t.subject for t in trials], [len(t.poses) for t in trials]
     )
     settings = TrainingSettings(steps=args.steps, seed=args.seed)
+    path = args.checkpoint
     lifter = train_lifter(
-        [t.all_joints for t in trials], shares, settings, provenance, lambda steps: show_progress(steps, 'train')
+        [t.all_joints for t in trials],
+        shares,
+        settings,
+        provenance,
+        checkpoint=None if path is None or not path.exists() else _load_checkpoint(path),
+        keep=None if path is None else lambda state: _save_checkpoint(state, path),
+        progress=lambda steps: show_progress(steps, 'train'),
     )
     with guard_output(args.output):
         model_file.save_lifter(lifter, args.output)
@@ -98,3 +119,28 @@ def run(args: argparse.Namespace) -> int:
         f'{lifter.provenance["error_mm"]} mm on the last examples'
     )
     return 0
+
+
+def _load_checkpoint(path: Path) -> Mapping[str, Any]:
+    """Return the checkpoint in a file; raises `MocapError` if it holds none."""
+    import torch
+
+    checkpoint = None
+    try:
+        if zipfile.is_zipfile(path):  # as PyTorch writes it; it reads anything else as an old form, with any error
+            checkpoint = torch.load(path, weights_only=True)
+    except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
+        raise MocapError(f'{path}: no checkpoint of a training: {error}') from None
+    if not isinstance(checkpoint, dict) or 'fixed' not in checkpoint:
+        raise MocapError(f'{path}: no checkpoint of a training')
+    return checkpoint
+
+
+def _save_checkpoint(checkpoint: Mapping[str, Any], path: Path) -> None:
+    """Write a checkpoint; a file that was there is replaced only once the new one is complete."""
+    import torch
+
+    with guard_output(path):
+        unfinished = path.with_name(path.name + '.part')
+        torch.save(dict(checkpoint), unfinished)
+        unfinished.replace(path)

@@ -324,12 +324,14 @@ def compute_label_cost(
     The first arguments are fields of `ViterbiPaths`, the others those of `SwapFilter.update` and `BodySides`.
     """
     cost = np.zeros((STATES, len(PARTS), 2))
+    known_age, horizon = -1.0, 0.0
     for path in range(STATES):
         for j in range(len(mirror)):
             if part[j] < 0 or last_seen_s[path, j] == -np.inf:
                 continue
             age = time_s - last_seen_s[path, j]
-            horizon = VELOCITY_TIME_S * (1 - math.exp(-age / VELOCITY_TIME_S))
+            if age != known_age:  # most joints were seen in the same frame
+                known_age, horizon = age, VELOCITY_TIME_S * (1 - math.exp(-age / VELOCITY_TIME_S))
             growth = PREDICTION_STD + PREDICTION_STD_PER_S * age + PREDICTION_STD_PER_S2 * age**2
             for label in range(2):
                 source = mirror[j] if label else j

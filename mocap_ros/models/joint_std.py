@@ -32,7 +32,13 @@ POSTERIOR_FLOOR_M = 0.011  # m; the posterior does not know the poses that the b
 
 
 def estimate_joint_std(
-    posterior_std: Array, inferred: NDArray[np.bool_], lifter_std: Array | None = None, noise: float = 0.0
+    posterior_std: Array,
+    inferred: NDArray[np.bool_],
+    lifter_std: Array | None = None,
+    noise: float = 0.0,
+    *,
+    size: float = 1.0,
+    depth: float = 1.0,
 ) -> Array:
     """Estimate the standard deviation in m of each joint position (J,), relative to the body's origin.
 
@@ -42,27 +48,34 @@ def estimate_joint_std(
     Args:
         posterior_std: (J,) m, posterior standard deviation of each joint (`joint_std` of `JointReconstruction`).
         inferred: (J,) True for joints that were not seen.
-        lifter_std: (J, 3) m, standard deviations of the joints' coordinates (`LiftedPoses.std`), NaN for frames
-            that the lifter did not lift; None without a lifter.
+        lifter_std: (J, 3) or more joints, standard deviations of the joints' coordinates (`LiftedPoses.std`), NaN
+            for frames that the lifter did not lift; None without a lifter.
         noise: m, image noise at the body, as the solver estimated it.
+        size: size of the person over that of `posterior_std` and `noise`.
+        depth: m, of the unit of `lifter_std`.
     """
     if lifter_std is None:
         lifter_std = np.full((len(posterior_std), 3), np.nan)
-    return _estimate_joint_std(posterior_std, inferred, lifter_std, noise)
+    return _estimate_joint_std(posterior_std, inferred, lifter_std, noise, size, depth)
 
 
-@kernel(FLOATS_1D(INPUT_1D, INPUT_BOOLS_1D, INPUT_2D, FLOAT))
+@kernel(FLOATS_1D(INPUT_1D, INPUT_BOOLS_1D, INPUT_2D, FLOAT, FLOAT, FLOAT))
 def _estimate_joint_std(
-    posterior_std: Array, inferred: NDArray[np.bool_], lifter_std: Array, noise: float
+    posterior_std: Array,
+    inferred: NDArray[np.bool_],
+    lifter_std: Array,
+    noise: float,
+    size: float,
+    depth: float,
 ) -> Array:
     """Compute `estimate_joint_std`, with NaN for joints that the lifter did not estimate."""
     out = np.empty(len(posterior_std))
     for j in range(len(out)):
-        length = math.sqrt(lifter_std[j, 0] ** 2 + lifter_std[j, 1] ** 2 + lifter_std[j, 2] ** 2)
+        length = depth * math.sqrt(lifter_std[j, 0] ** 2 + lifter_std[j, 1] ** 2 + lifter_std[j, 2] ** 2)
         if math.isfinite(length):
-            seen = math.sqrt((LIFTER_FACTOR_SEEN * length) ** 2 + (NOISE_FACTOR_SEEN * noise) ** 2)
+            seen = math.sqrt((LIFTER_FACTOR_SEEN * length) ** 2 + (NOISE_FACTOR_SEEN * size * noise) ** 2)
             out[j] = LIFTER_FACTOR_INFERRED * length if inferred[j] else seen
         else:
             factor = POSTERIOR_FACTOR_INFERRED if inferred[j] else POSTERIOR_FACTOR_SEEN
-            out[j] = math.sqrt((factor * posterior_std[j]) ** 2 + POSTERIOR_FLOOR_M**2)
+            out[j] = math.sqrt((factor * size * posterior_std[j]) ** 2 + POSTERIOR_FLOOR_M**2)
     return out

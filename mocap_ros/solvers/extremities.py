@@ -42,7 +42,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import void
+from numba import types, void
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.kernel import (
@@ -185,14 +185,15 @@ def _add_lifted(
         along: 1/m^2, information along it.
     """
     depth_error = sight[0] * error[0] + sight[1] * error[1] + sight[2] * error[2]
+    depth_slopes = np.empty(7)
     for a in range(7):
-        depth_a = sight[0] * slopes[0, a] + sight[1] * slopes[1, a] + sight[2] * slopes[2, a]
+        depth_slopes[a] = sight[0] * slopes[0, a] + sight[1] * slopes[1, a] + sight[2] * slopes[2, a]
+    for a in (0, 1, 2, 6):
         dot = slopes[0, a] * error[0] + slopes[1, a] * error[1] + slopes[2, a] * error[2]
-        gradient[a] += across * dot + (along - across) * depth_a * depth_error
-        for b in range(7):
-            depth_b = sight[0] * slopes[0, b] + sight[1] * slopes[1, b] + sight[2] * slopes[2, b]
+        gradient[a] += across * dot + (along - across) * depth_slopes[a] * depth_error
+        for b in (0, 1, 2, 6):
             dot = slopes[0, a] * slopes[0, b] + slopes[1, a] * slopes[1, b] + slopes[2, a] * slopes[2, b]
-            hessian[a, b] += across * dot + (along - across) * depth_a * depth_b
+            hessian[a, b] += across * dot + (along - across) * depth_slopes[a] * depth_slopes[b]
 
 
 @kernel(void(FLOATS_2D, FLOATS_1D, INPUT_2D, INPUT_1D, INPUT_1D, FLOAT, FLOAT))
@@ -214,12 +215,13 @@ def _add_ray(
     error_x, error_y = (u - ray[0]) * point[2], (v - ray[1]) * point[2]
     squared = (error_x**2 + error_y**2) / variance
     information = share / (variance * (1 + squared / ROBUST_STDS**2))
+    x, y = np.empty(7), np.empty(7)
     for a in range(7):
-        x_a, y_a = slopes[0, a] - u * slopes[2, a], slopes[1, a] - v * slopes[2, a]
-        gradient[a] += information * (x_a * error_x + y_a * error_y)
+        x[a], y[a] = slopes[0, a] - u * slopes[2, a], slopes[1, a] - v * slopes[2, a]
+    for a in range(7):
+        gradient[a] += information * (x[a] * error_x + y[a] * error_y)
         for b in range(7):
-            x_b, y_b = slopes[0, b] - u * slopes[2, b], slopes[1, b] - v * slopes[2, b]
-            hessian[a, b] += information * (x_a * x_b + y_a * y_b)
+            hessian[a, b] += information * (x[a] * x[b] + y[a] * y[b])
 
 
 @kernel(void(FLOATS_1D, FLOATS_2D, INPUT_1D, INPUT_2D, FLOAT))
@@ -778,6 +780,110 @@ def _write_result(
     write_quaternions(quaternions, rotations)
 
 
+@kernel(
+    types.Tuple(
+        (
+            FLOATS_3D,
+            FLOATS_2D,
+            FLOATS_3D,
+            FLOATS_3D,
+            FLOATS_2D,
+            FLOATS_2D,
+            FLOATS_1D,
+            FLOATS_2D,
+            FLOATS_2D,
+            BOOLS_1D,
+        )
+    )(
+        INPUT_3D,
+        INPUT_2D,
+        INPUT_3D,
+        INPUT_3D,
+        INPUT_2D,
+        INPUT_2D,
+        INPUT_2D,
+        INPUT_2D,
+        INPUT_2D,
+        INPUT_2D,
+        INPUT_2D,
+        INPUT_2D,
+        INPUT_1D,
+        FLOAT,
+        FLOAT,
+        FLOAT,
+    )
+)
+def _follow_frame(
+    old_segments: Array,
+    old_twist: Array,
+    old_turns: Array,
+    old_covariances: Array,
+    old_sizes: Array,
+    old_offsets: Array,
+    old_velocity: Array,
+    old_quaternions: Array,
+    core: Array,
+    lifted: Array,
+    lifted_std: Array,
+    rays: Array,
+    weight: Array,
+    noise: float,
+    stature: float,
+    step_s: float,
+) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Bools]:
+    """Return the attributes of `ExtremityState` in a frame, from those of the frame before and the evidence.
+
+    Args:
+        old_segments: with the following seven, attributes of the state before.
+        old_twist: as above.
+        old_turns: as above.
+        old_covariances: as above.
+        old_sizes: as above.
+        old_offsets: as above.
+        old_velocity: as above.
+        old_quaternions: as above.
+        core: with the following five, those of `ExtremityEvidence`.
+        lifted: as above.
+        lifted_std: as above.
+        rays: as above.
+        weight: as above.
+        noise: as above.
+        stature: m.
+        step_s: s, time since the frame before; infinite for the first frame.
+    """
+    segments, twist, sizes = old_segments.copy(), old_twist.copy(), old_sizes.copy()
+    turns, covariances, quaternions = old_turns.copy(), old_covariances.copy(), old_quaternions.copy()
+    predicted, unused = np.empty(turns.shape), np.empty(turns.shape)
+    _advance(
+        segments,
+        twist,
+        turns,
+        covariances,
+        sizes,
+        predicted,
+        unused,
+        core,
+        lifted,
+        lifted_std,
+        rays,
+        weight,
+        noise,
+        stature,
+        step_s,
+        True,
+    )
+    offsets, std, told = np.empty(old_offsets.shape), np.empty(len(old_offsets)), np.empty(SEGMENT_COUNT, np.bool_)
+    _write_result(offsets, std, quaternions, told, segments, twist, turns, covariances, sizes, weight, stature)
+    velocity = np.zeros(offsets.shape)
+    if math.isfinite(step_s):
+        share = 1 - math.exp(-step_s / VELOCITY_MEMORY_S)
+        for p in range(len(offsets)):
+            for i in range(3):
+                moved = (offsets[p, i] - old_offsets[p, i]) / step_s
+                velocity[p, i] = old_velocity[p, i] + share * (moved - old_velocity[p, i])
+    return segments, twist, turns, covariances, sizes, offsets, std, velocity, quaternions, told
+
+
 class ExtremityEvidence(NamedTuple):
     """What tells of the extremities in one frame; all in the camera's optical frame.
 
@@ -874,20 +980,10 @@ class ExtremityState:
             evidence: what tells of them.
             stature: m, stature of the person.
         """
-        evidence = evidence.make_contiguous()
-        segments, twist, sizes = self.segments.copy(), self.twist.copy(), self.sizes.copy()
-        turns, covariances = self.turns.copy(), self.covariances.copy()
-        state = segments, twist, turns, covariances, sizes
-        predicted, unused = np.empty_like(turns), np.empty_like(turns)
-        _advance(segments, twist, turns, covariances, sizes, predicted, unused, *evidence, stature, step_s, True)
-        offsets, std = np.empty((EXTREMITY_COUNT, 3)), np.empty(EXTREMITY_COUNT)
-        quaternions, told = self.quaternions.copy(), np.empty(SEGMENT_COUNT, bool)
-        _write_result(offsets, std, quaternions, told, *state, evidence.weight, stature)
-        velocity = np.zeros((EXTREMITY_COUNT, 3))
-        if math.isfinite(step_s):
-            share = 1 - math.exp(-step_s / VELOCITY_MEMORY_S)
-            velocity = self.velocity + share * ((offsets - self.offsets) / step_s - self.velocity)
-        return ExtremityState(*state, offsets, std, velocity, quaternions, told)
+        old = self.segments, self.twist, self.turns, self.covariances, self.sizes
+        shown = self.offsets, self.velocity, self.quaternions
+        seen = evidence.make_contiguous()
+        return ExtremityState(*_follow_frame(*old, *shown, *seen[:5], seen.noise, stature, step_s))
 
 
 class ExtremitySequence(NamedTuple):

@@ -25,17 +25,18 @@ A foot on a step would make a person larger than anybody is: such frames count f
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import TrackerConfig
+from mocap_ros.copying import copy_with
 from mocap_ros.geometry.floor import Floor
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
-from mocap_ros.tracking.joint_velocity import estimate_root_covariance
+from mocap_ros.tracking.core_motion import estimate_root_covariance
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -102,6 +103,8 @@ class FloorContact:
             body_height: m, assumed body height.
         """
         ankles, height = person.joints[list(ANKLES)], floor.camera_height
+        if height is None:
+            return before
         drops = -(ankles @ floor.upward)
         lower = int(np.argmax(drops))
         drop, ankle = float(drops[lower]), ankles[lower]
@@ -138,15 +141,14 @@ def assume_size(config: TrackerConfig, *, is_focal_known: bool) -> BodySize:
 def resize(person: Person3D, size: BodySize) -> Person3D:
     """Return a person of the assumed size with another size, which has the same image."""
     ratio = size.ratio
-    std = person.std * ratio
-    resized = replace(
+    covariance = estimate_root_covariance(person.root, person.std, size.share)
+    return copy_with(
         person,
         joints=person.joints * ratio,
-        std=std,
+        std=person.std * ratio,
         scale=person.scale / ratio,
         velocity=person.velocity * ratio,
         velocity_std=person.velocity_std * ratio,
+        root_covariance=covariance * ratio**2,
         root_velocity_covariance=person.root_velocity_covariance * ratio**2,
     )
-    covariance = estimate_root_covariance(resized.root, std, size.share)
-    return replace(resized, root_covariance=covariance)

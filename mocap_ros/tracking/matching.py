@@ -123,6 +123,11 @@ class _Matcher:
         self.gates = GATE + GATE_GROWTH_PER_S * self.age_s
         self.same_id_gates = SAME_ID_GATE + SAME_ID_GATE_GROWTH_PER_S * self.age_s
         self.new_id_gates = NEW_ID_GATE + NEW_ID_GATE_GROWTH_PER_S * self.age_s
+        # tracks by the id that the detector gave the person last, and by the person's in the output
+        self.called: dict[str, list[int]] = {}
+        for p, track in enumerate(self.tracks):
+            for name in {track.seen.given_id, track.id}:
+                self.called.setdefault(name, []).append(p)
 
     def match_near_ids(self) -> None:
         """Match detections with people of their id who are near."""
@@ -144,7 +149,7 @@ class _Matcher:
         name, taken = self.detections[d].given_id, self.track_of.values()
         if not name:
             return None
-        called = [p for p, t in enumerate(self.tracks) if p not in taken and _is_called(t, name)]
+        called = [p for p in self.called.get(name, ()) if p not in taken]
         near = [p for p in called if self.has_size[d, p] and self.distances[d, p] <= gates[p]]
 
         def rank(p: int) -> tuple[bool, bool, float]:
@@ -225,9 +230,4 @@ class _Matcher:
         """Return whether the detector has given a person's id to a new detection that is somebody else's."""
         name = self.detections[d].given_id
         is_far = self.distances[d, p] > self.same_id_gates[p]
-        return bool(is_far) and name != '' and _is_called(self.tracks[p], name)
-
-
-def _is_called(track: Track, name: str) -> bool:
-    """Return whether a name is the id that the detector gave a person last, or the person's in the output."""
-    return name in (track.seen.given_id, track.id)
+        return bool(is_far) and name != '' and p in self.called.get(name, ())

@@ -37,9 +37,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numba import void
+from numba import types, void
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, FLOATS_3D, INPUT_1D, INPUT_2D, INPUT_3D, kernel
@@ -85,6 +86,23 @@ _X, _V, _SECOND, _SPEED, _VARIANCE = range(5)
 STATE_ROWS = 5  # as many as these
 
 
+class FilteredMotion(NamedTuple):
+    """What the filter of a person says of a frame.
+
+    Attributes:
+        joints: (J, 3) m, joints.
+        root: (3,) m, their mean.
+        velocity: (J, 3) m/s, velocity of each joint.
+        velocity_variance: (J, 3) m^2/s^2, variance of each coordinate of it: that of a joint's own and of the
+            centre's.
+    """
+
+    joints: Array
+    root: Array
+    velocity: Array
+    velocity_variance: Array
+
+
 @dataclass(frozen=True, eq=False)
 class MotionFilter:
     """The filter of one person; it is immutable, and `advance` returns a new one.
@@ -119,17 +137,11 @@ class MotionFilter:
     @property
     def joints(self) -> Array:
         """(J, 3) m, filtered joints of the newest frame."""
-        return np.asarray(self.state[_X, :-1] + self.state[_X, -1])
+        return self.read().joints
 
-    @property
-    def velocity(self) -> Array:
-        """(J, 3) m/s, velocity of each joint at the newest frame."""
-        return np.asarray(self.state[_V, :-1] + self.state[_V, -1])
-
-    @property
-    def velocity_variance(self) -> Array:
-        """(J, 3) m^2/s^2, variance of each coordinate of `velocity`: that of a joint's own and of the centre's."""
-        return np.asarray(self.state[_VARIANCE, :-1] + self.state[_VARIANCE, -1])
+    def read(self) -> FilteredMotion:
+        """Return the filtered motion at the newest frame."""
+        return FilteredMotion(*_read(self.state))
 
     def advance(self, stamp_ns: int, joints: Array, image_noise: float) -> MotionFilter:
         """Return the filter after a newer frame.
@@ -145,9 +157,9 @@ class MotionFilter:
             return MotionFilter.begin(stamp_ns, joints)
         stamps_ns = (*self.stamps_ns[1 - DIFFERENCE_FRAMES :], stamp_ns)
         recent = np.concatenate([self.recent[1 - DIFFERENCE_FRAMES :], points[None]])
+        if stamp_ns - stamps_ns[-2] > MAX_STEP_S * NS_PER_S:
+            stamps_ns, recent = stamps_ns[-2:], recent[-2:]
         times = np.array([(s - stamp_ns) / NS_PER_S for s in stamps_ns])
-        if times[-1] - times[-2] > MAX_STEP_S:
-            stamps_ns, recent, times = stamps_ns[-2:], recent[-2:], times[-2:]
         return MotionFilter(
             stamps_ns, recent, advance_state(self.state, recent, times, MAX_NOISE_SHARE * image_noise)
         )
@@ -157,6 +169,21 @@ class MotionFilter:
         old, new = self.state[_X, -1].tolist(), centre.tolist()
         moved = MAX_SPEED_M_S * (stamp_ns - self.stamps_ns[-1]) / NS_PER_S
         return math.dist(old, new) > MAX_DEPTH_CHANGE * abs(old[2]) + moved
+
+
+@kernel(types.Tuple((FLOATS_2D, FLOATS_1D, FLOATS_2D, FLOATS_2D))(INPUT_3D))
+def _read(state: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the attributes of `FilteredMotion` from the state (5, J + 1, 3) of a filter."""
+    count = state.shape[1] - 1
+    joints, root = np.empty((count, 3)), np.zeros(3)
+    velocity, variance = np.empty((count, 3)), np.empty((count, 3))
+    for j in range(count):
+        for i in range(3):
+            joints[j, i] = state[_X, j, i] + state[_X, count, i]
+            velocity[j, i] = state[_V, j, i] + state[_V, count, i]
+            variance[j, i] = state[_VARIANCE, j, i] + state[_VARIANCE, count, i]
+            root[i] += joints[j, i] / count
+    return joints, root, velocity, variance
 
 
 @kernel(FLOATS_2D(INPUT_2D))

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INPUT_2D, INPUT_3D, INPUT_INTS_1D, kernel
+from mocap_ros.compiled.kernel import (
+    FLOAT,
+    FLOATS_1D,
+    FLOATS_2D,
+    INPUT_1D,
+    INPUT_2D,
+    INPUT_3D,
+    INPUT_INTS_1D,
+    kernel,
+)
+from mocap_ros.copying import copy_with
 from mocap_ros.geometry.interpolation import interpolate_linearly
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
@@ -150,7 +160,7 @@ class TrackSolution:
             model: base poses of the solution.
         """
         lengths = model.skeleton.bone_lengths(model.poses(theta))
-        return replace(
+        return copy_with(
             self,
             theta=np.concatenate([self.theta, theta]),
             rotation=np.concatenate([self.rotation, rotation]),
@@ -168,7 +178,7 @@ class TrackSolution:
             return None
         if frames == 0:
             return self
-        return replace(
+        return copy_with(
             self,
             theta=self.theta[frames:],
             rotation=self.rotation[frames:],
@@ -185,7 +195,7 @@ class TrackSolution:
         """
         depth = self.roots[:, 2:] * new.focal / old.focal
         rays = new.pixels_to_rays(old.project(self.roots))
-        return replace(self, roots=np.concatenate([rays * depth, depth], axis=-1))
+        return copy_with(self, roots=np.concatenate([rays * depth, depth], axis=-1))
 
     def change_model(self, model: BasePoses, target_name: str, target_model: BasePoses) -> TrackSolution:
         """Return the solution with its poses approximated under another model; its fit is not measured again.
@@ -197,7 +207,7 @@ class TrackSolution:
         """
         rotation, theta = self.convert_poses(model, target_model, np.arange(len(self.theta)))
         lengths = target_model.skeleton.bone_lengths(target_model.poses(theta))
-        return replace(self, model_name=target_name, rotation=rotation, theta=theta, bone_lengths=lengths)
+        return copy_with(self, model_name=target_name, rotation=rotation, theta=theta, bone_lengths=lengths)
 
     def convert_poses(
         self, model: BasePoses, target_model: BasePoses, frames: NDArray[np.intp]
@@ -226,6 +236,16 @@ class TrackSolution:
         """
         poses = model.poses(self.theta[frames])
         return np.asarray(poses @ np.swapaxes(self.rotation[frames], -1, -2))
+
+    def locate_joints(self, frame: int, model: BasePoses) -> Array:
+        """Return the joints (J, 3) m of a person of the assumed size in the real camera's frame.
+
+        Args:
+            frame: index of the frame.
+            model: base poses of the solution.
+        """
+        state = self.theta[frame], self.rotation[frame], self.roots[frame]
+        return _locate_joints(*state, model.mean, model.components, 1 / self.stature_ratio)
 
     def estimate_velocity(self, stamps_ns: tuple[int, ...]) -> Array:
         """Return the velocity of the root, (3,) m/s: the slope of a line through the last `VELOCITY_SPAN_S`.
@@ -276,6 +296,34 @@ def _make_solution(
         frame_residual=float(reconstruction.residual[-1]),
         base_poses_lead=base_poses_lead,
     )
+
+
+@kernel(FLOATS_2D(INPUT_1D, INPUT_2D, INPUT_1D, INPUT_2D, INPUT_3D, FLOAT))
+def _locate_joints(
+    theta: Array, rotation: Array, root: Array, mean: Array, components: Array, size: float
+) -> Array:
+    """Return the joints (J, 3) m of a pose: size (R (Q_0 + sum_k theta_k Q_k) + root).
+
+    Args:
+        theta: (K,) m.
+        rotation: (3, 3) R.
+        root: (3,) m.
+        mean: (J, 3) m, Q_0.
+        components: (K or more, J, 3), Q_k.
+        size: of the person over that of the solution.
+    """
+    pose = mean.copy()
+    for k in range(len(theta)):
+        for j in range(len(pose)):
+            for i in range(3):
+                pose[j, i] += theta[k] * components[k, j, i]
+    out = np.empty(pose.shape)
+    for j in range(len(pose)):
+        x, y, z = pose[j, 0], pose[j, 1], pose[j, 2]
+        for i in range(3):
+            turned = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z
+            out[j, i] = size * (turned + root[i])
+    return out
 
 
 @kernel(FLOATS_2D(INPUT_3D, INPUT_INTS_1D, INPUT_INTS_1D))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.copying import copy_with
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.left_right import SwapFilter
 from mocap_ros.models.lifter import LiftedPoses
@@ -110,15 +111,15 @@ class Track:
         if seen.is_relabelled:
             schedule = schedule.check_at(stamp_ns)
         is_tentative = self.is_tentative and not _is_seen_for_long(seen)
-        return replace(self, seen=seen, solution=solution, schedule=schedule, is_tentative=is_tentative)
+        return copy_with(self, seen=seen, solution=solution, schedule=schedule, is_tentative=is_tentative)
 
     def append_lifted(self, lifted: LiftedPoses) -> Track:
         """Return the track with lifted poses of the frames that had none; see `ObservedWindow.append_lifted`."""
-        return replace(self, seen=self.seen.append_lifted(lifted))
+        return copy_with(self, seen=self.seen.append_lifted(lifted))
 
     def refine(self, solution: TrackSolution) -> Track:
         """Return the track with a newer solution of all its frames."""
-        return replace(self, solution=solution)
+        return copy_with(self, solution=solution)
 
     def filter_motion(self, stamp_ns: int, joints: Array) -> Track:
         """Return the track whose output goes on with the joints (J, 3) m of a frame, stamp in ns."""
@@ -129,7 +130,7 @@ class Track:
             motion_filter = self.motion_filter.advance(stamp_ns, joints, image_noise)
         else:  # with a lag, this frame was put out before
             return self
-        return replace(self, motion_filter=motion_filter)
+        return copy_with(self, motion_filter=motion_filter)
 
     def follow_extremities(self, stamp_ns: int, evidence: ExtremityEvidence, stature: float) -> Track:
         """Return the track with the extremities in the frame that is put out.
@@ -146,12 +147,12 @@ class Track:
             extremities = self.extremities.advance(step_s, evidence, stature)
         else:  # with a lag, this frame was put out before
             return self
-        return replace(self, extremities=extremities, extremities_ns=stamp_ns)
+        return copy_with(self, extremities=extremities, extremities_ns=stamp_ns)
 
     def begin_solution(self, solution: TrackSolution) -> Track:
         """Return the track with its first solution, which is checked soon."""
         schedule = self.schedule.check_after_initialisation(self.seen.stamps_ns[-1])
-        return replace(self, solution=solution, schedule=schedule)
+        return copy_with(self, solution=solution, schedule=schedule)
 
     def change_camera(self, intrinsics: Intrinsics, focal: float) -> Track:
         """Return the track under other intrinsics, with the same image points.
@@ -163,7 +164,7 @@ class Track:
         old = self.seen.intrinsics
         solution = None if self.solution is None else self.solution.change_camera(old, intrinsics)
         seen = self.seen.change_camera(intrinsics, focal)
-        return replace(self, seen=seen, solution=solution, motion_filter=None)
+        return copy_with(self, seen=seen, solution=solution, motion_filter=None)
 
 
 def _is_seen_for_long(seen: SeenFrames) -> bool:

@@ -43,7 +43,6 @@ from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_
 from mocap_ros.tracking.detection import Detection
 from mocap_ros.tracking.hypotheses import HypothesisChecker
 from mocap_ros.tracking.matching import match_detections
-from mocap_ros.tracking.person_in_frame import locate_joints
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.prediction import predict_ahead, predict_person
 from mocap_ros.tracking.solver_input import build_refinement_window
@@ -171,6 +170,8 @@ class Tracker:
                 f'state: it is of a tracker with {_describe_models(state)}; '
                 f'this tracker has {_describe_models(own)}'
             )
+        if self.config.tracker.vertical != AUTO_VERTICAL:  # that of the parameter, not of the other tracker
+            state = replace(state, vertical=read_given_vertical(self.config.tracker))
         self._state = state
 
     def reset(self) -> None:
@@ -485,7 +486,7 @@ class Tracker:
     def _filter_motion(self, stamp_ns: int, shown: Sequence[tuple[Track, int]]) -> list[tuple[Track, int]]:
         """Return the tracks with their motion filtered up to the frame that is put out, stamp in ns."""
         return [
-            (t.filter_motion(stamp_ns, locate_joints(t, frame, self.models[t.solved.model_name])), frame)
+            (t.filter_motion(stamp_ns, t.solved.locate_joints(frame, self.models[t.solved.model_name])), frame)
             for t, frame in shown
         ]
 

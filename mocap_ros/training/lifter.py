@@ -1,9 +1,17 @@
-"""Training of the lifter in PyTorch."""
+"""Training of the lifter in PyTorch.
+
+The learning rate of step n of N is
+
+    rate min(1, n / (0.02 N), (N - n) / (0.25 N))
+
+so that it is constant for most of the training, and a training that was stopped can go on with a larger N.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,6 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from mocap_ros.compiled.kernel import compile_kernels
+from mocap_ros.errors import MocapError
 from mocap_ros.models.lifter import LOG_STD_RANGE, OUTPUT_COUNT, Lifter
 from mocap_ros.models.lifter_input import FEATURE_COUNT, JOINT_COUNT
 from mocap_ros.skeleton import CORE_COUNT
@@ -19,7 +28,10 @@ from mocap_ros.training.synthesis import ExampleBatch, ExampleSynthesiser
 
 Array = NDArray[np.float64]
 
-WARM_UP_SHARE = 0.1  # 1, share of the steps in which the learning rate rises (one-cycle schedule)
+WARM_UP_SHARE = 0.02  # 1, share of the steps in which the learning rate rises
+DECAY_SHARE = 0.25  # 1, share of the steps in which the learning rate falls to zero
+BLOCK_BATCHES = 512  # batches of examples that are made at a time; 131,072 examples take 0.5 GB
+CHECKPOINT_BLOCKS = 2  # blocks between two checkpoints, some two minutes
 MAX_GRADIENT_NORM = 1.0  # 1; a batch with gross outliers cannot throw the weights off
 LIKELIHOOD_UNIT_M = 0.1  # m; converts the likelihood, a pure number, to the unit of the mean distance
 EXTREMITY_WEIGHT = (
@@ -36,18 +48,20 @@ class TrainingSettings:
     Attributes:
         steps: number of steps of the optimiser.
         batch: number of examples in a step.
+        passes: number of steps in which each example is used; making an example takes longer than a step with it.
         width: number of units in a hidden layer.
         blocks: number of residual blocks.
         dropout: share of hidden units that are left out in a step.
-        rate: highest learning rate of the one-cycle schedule.
+        rate: highest learning rate.
         decay: weight decay of AdamW.
         uncertainty: weight of the likelihood of the standard deviations in the objective.
         average: decay per step of the running average of the weights, which becomes the lifter.
         seed: seed of the examples, the initial weights and dropout.
     """
 
-    steps: int = 40000
+    steps: int = 60000
     batch: int = 256
+    passes: int = 2
     width: int = 768
     blocks: int = 2
     dropout: float = 0.0
@@ -142,9 +156,12 @@ def train_lifter(
     shares: Array,
     settings: TrainingSettings,
     provenance: Mapping[str, object],
+    *,
+    checkpoint: Mapping[str, Any] | None = None,
+    keep: Callable[[Mapping[str, Any]], None] | None = None,
     progress: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> Lifter:
-    """Train a lifter; the same trials, settings and library versions give the same lifter.
+    """Train a lifter; the same trials, settings and library versions give the same lifter, interrupted or not.
 
     Args:
         trials: arrays (F, J, 3) of `skeleton.BODY26` or (F, J_c, 3) of `skeleton.CMU15` in m, z up, 30 frames per
@@ -152,34 +169,114 @@ def train_lifter(
         shares: (N,) share of each trial in the examples, as from `balance.balance_trials`.
         settings: settings of the training.
         provenance: entries of the lifter's provenance; the settings and the last mean error on examples are added.
+        checkpoint: state of a training with the same arguments, which goes on from there; only the number of steps
+            may differ.
+        keep: function that is given a checkpoint every `CHECKPOINT_BLOCKS` blocks of examples.
         progress: function that wraps the iteration over the steps, for example to show a progress bar.
+
+    Raises:
+        MocapError: the checkpoint is of a training with other settings or other trials.
     """
     compile_kernels()
     torch.manual_seed(settings.seed)
     torch.set_flush_denormal(True)
-    synthesiser = ExampleSynthesiser(MotionLibrary.from_trials(trials, shares), settings.seed)
-    network = LifterNetwork(settings.width, settings.blocks, settings.dropout)
-    averaged = LifterNetwork(settings.width, settings.blocks, 0.0).eval()
-    averaged.load_state_dict(network.state_dict())
-    optimiser = torch.optim.AdamW(network.parameters(), lr=settings.rate, weight_decay=settings.decay, fused=True)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, settings.rate, settings.steps, pct_start=WARM_UP_SHARE
-    )
-    mean_error = 0.0
-    for step in progress(range(1, settings.steps + 1)):
-        batch = synthesiser.make_batch(settings.batch)
+    training = _Training(ExampleSynthesiser(MotionLibrary.from_trials(trials, shares), settings.seed), settings)
+    fixed = {**vars(settings), 'steps': None, 'trials': [len(t) for t in trials]}
+    if checkpoint is not None:
+        if checkpoint['fixed'] != fixed:
+            raise MocapError('the checkpoint is of a training with other settings or other data')
+        training.restore(checkpoint)
+    block_steps = BLOCK_BATCHES * settings.passes
+    for step in progress(range(training.step, settings.steps)):
+        training.step_once()
+        if keep is not None and (step + 1) % (CHECKPOINT_BLOCKS * block_steps) == 0:
+            keep({'fixed': fixed, **training.to_checkpoint()})
+    results = {
+        'settings': vars(settings),
+        'error_mm': round(training.mean_error * 1e3, 1),
+        'torch': torch.__version__,
+    }
+    return training.averaged.fold_batch_norms({**provenance, **results})
+
+
+class _Training:
+    """A training in progress.
+
+    Attributes:
+        step: number of steps that were made.
+        mean_error: m, running average of the mean error of the core's joints on examples that are new to the
+            network.
+        averaged: network with the running average of the weights.
+    """
+
+    def __init__(self, synthesiser: ExampleSynthesiser, settings: TrainingSettings) -> None:
+        self.step, self.mean_error = 0, 0.0
+        self._synthesiser, self._settings = synthesiser, settings
+        self._network = LifterNetwork(settings.width, settings.blocks, settings.dropout)
+        self.averaged = LifterNetwork(settings.width, settings.blocks, 0.0).eval()
+        self.averaged.load_state_dict(self._network.state_dict())
+        self._optimiser = torch.optim.AdamW(
+            self._network.parameters(), lr=settings.rate, weight_decay=settings.decay, fused=True
+        )
+        self._block: list[ExampleBatch] = []  # batches of this block that are still to be used, last one first
+
+    def step_once(self) -> None:
+        """Make one step of the optimiser with the next batch of examples."""
+        settings = self._settings
+        if not self._block:
+            self._block = self._make_block()
+        is_new = len(self._block) > BLOCK_BATCHES * (settings.passes - 1)
+        batch = self._block.pop()
+        self.step += 1
+        for group in self._optimiser.param_groups:
+            group['lr'] = settings.rate * _rate_factor(self.step, settings.steps)
         with torch.autocast('cpu', torch.bfloat16):
-            out = network(torch.from_numpy(batch.features))
+            out = self._network(torch.from_numpy(batch.features))
         loss, distance = compute_loss(out.float(), batch, settings.uncertainty)
-        optimiser.zero_grad(set_to_none=True)
+        self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
-        nn.utils.clip_grad_norm_(network.parameters(), MAX_GRADIENT_NORM)
-        optimiser.step()
-        schedule.step()
-        _update_average(averaged, network, min(settings.average, 1 - 1 / step))
-        mean_error += (float(distance[:CORE_COUNT].mean()) - mean_error) * max(ERROR_AVERAGE_RATE, 1 / step)
-    results = {'settings': vars(settings), 'error_mm': round(mean_error * 1e3, 1), 'torch': torch.__version__}
-    return averaged.fold_batch_norms({**provenance, **results})
+        nn.utils.clip_grad_norm_(self._network.parameters(), MAX_GRADIENT_NORM)
+        self._optimiser.step()
+        _update_average(self.averaged, self._network, min(settings.average, 1 - 1 / self.step))
+        if is_new:
+            change = float(distance[:CORE_COUNT].mean()) - self.mean_error
+            self.mean_error += change * max(ERROR_AVERAGE_RATE, 1 / self.step)
+
+    def to_checkpoint(self) -> dict[str, Any]:
+        """Return the state at the end of a block, as tensors and plain values."""
+        if self._block:
+            raise ValueError('a checkpoint is taken at the end of a block')
+        return {
+            'step': self.step,
+            'mean_error': self.mean_error,
+            'network': self._network.state_dict(),
+            'averaged': self.averaged.state_dict(),
+            'optimiser': self._optimiser.state_dict(),
+            'random': self._synthesiser.random.to_state(),
+        }
+
+    def restore(self, checkpoint: Mapping[str, Any]) -> None:
+        """Take over a state of `to_checkpoint`."""
+        self.step, self.mean_error = checkpoint['step'], checkpoint['mean_error']
+        self._network.load_state_dict(checkpoint['network'])
+        self.averaged.load_state_dict(checkpoint['averaged'])
+        self._optimiser.load_state_dict(checkpoint['optimiser'])
+        self._synthesiser.random.restore(checkpoint['random'])
+
+    def _make_block(self) -> list[ExampleBatch]:
+        """Make `BLOCK_BATCHES` batches of new examples, and mix them anew for each pass over them."""
+        batches = [self._synthesiser.make_batch(self._settings.batch) for _ in range(BLOCK_BATCHES)]
+        columns = [np.concatenate([getattr(b, field.name) for b in batches]) for field in fields(ExampleBatch)]
+        mixed = list(batches)
+        for _ in range(self._settings.passes - 1):
+            order = self._synthesiser.random.rng.permutation(len(columns[0])).reshape(BLOCK_BATCHES, -1)
+            mixed[:0] = [ExampleBatch(*(column[rows] for column in columns)) for rows in order]
+        return mixed
+
+
+def _rate_factor(step: int, steps: int) -> float:
+    """Return the learning rate of step 1, 2, ..., `steps` as a share of the highest one."""
+    return min(1.0, step / max(WARM_UP_SHARE * steps, 1), (steps + 1 - step) / max(DECAY_SHARE * steps, 1))
 
 
 def _update_average(averaged: LifterNetwork, network: LifterNetwork, decay: float) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +20,16 @@ class RandomArrays:
 
     def __init__(self, seed: int) -> None:
         self.rng = np.random.Generator(np.random.SFC64(seed))
+
+    def to_state(self) -> dict[str, Any]:
+        """Return the state of the generator as plain values."""
+        state = dict(self.rng.bit_generator.state)
+        return {**state, 'state': {name: value.tolist() for name, value in state['state'].items()}}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over a state of `to_state`."""
+        words = {name: np.array(value, np.uint64) for name, value in state['state'].items()}
+        self.rng.bit_generator.state = {**state, 'state': words}
 
     def chance(self, count: int, share: float, *, axes: int = 0) -> NDArray[np.bool_]:
         """Return an array that is true for a random share of `count` examples.

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mocap_ros.errors import ModelError
+from mocap_ros.errors import MocapError, ModelError
 from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
 from mocap_ros.models import lifter, model_file
 from mocap_ros.models.base_poses import BasePoses
@@ -273,21 +275,45 @@ def test_numpy_and_pytorch_agree(walk_model: BasePoses, rng: np.random.Generator
     assert found == pytest.approx(expected, abs=1e-3), 'weights are rounded to half precision'
 
 
-def test_training_is_repeatable_and_reduces_the_error(walk_model: BasePoses, rng: np.random.Generator) -> None:
+def test_training_is_repeatable_and_reduces_the_error(
+    walk_model: BasePoses, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
     torch = pytest.importorskip('torch', reason='training is optional: pip install mocap_ros[train]')
-    from mocap_ros.training.lifter import TrainingSettings, train_lifter
+    from mocap_ros.training import lifter as training
 
     torch.set_num_threads(1)
-
+    monkeypatch.setattr(training, 'BLOCK_BATCHES', 30)
     data = make_trials(walk_model, rng)
-    short, long = (TrainingSettings(steps=n, batch=64, width=32) for n in (3, 60))
+    short, long = (training.TrainingSettings(steps=n, batch=64, width=32) for n in (3, 60))
     first, repeated, longer = (
-        train_lifter(data, EQUAL_SHARES, s, {'source': 'test'}) for s in (short, short, long)
+        training.train_lifter(data, EQUAL_SHARES, s, {'source': 'test'}) for s in (short, short, long)
     )
     assert all((a[0] == b[0]).all() for a, b in zip(first.layers, repeated.layers, strict=True))
     assert longer.provenance['source'] == 'test'
     errors = [float(str(x.provenance['error_mm'])) for x in (first, longer)]
     assert errors[1] < errors[0]
+
+
+def test_an_interrupted_training_gives_the_same_lifter(
+    walk_model: BasePoses, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torch = pytest.importorskip('torch', reason='training is optional: pip install mocap_ros[train]')
+    from mocap_ros.training import lifter as training
+
+    torch.set_num_threads(1)
+    monkeypatch.setattr(training, 'BLOCK_BATCHES', 2)
+    monkeypatch.setattr(training, 'CHECKPOINT_BLOCKS', 1)
+    data, settings = make_trials(walk_model, rng), training.TrainingSettings(steps=20, batch=16, width=32)
+    checkpoints: list[Any] = []
+    whole = training.train_lifter(
+        data, EQUAL_SHARES, settings, {}, keep=lambda state: checkpoints.append(copy.deepcopy(state))
+    )
+    assert [c['step'] for c in checkpoints] == [4, 8, 12, 16, 20]
+    resumed = training.train_lifter(data, EQUAL_SHARES, settings, {}, checkpoint=checkpoints[1])
+    assert all((a[0] == b[0]).all() for a, b in zip(whole.layers, resumed.layers, strict=True))
+    with pytest.raises(MocapError, match='other settings'):
+        other = training.TrainingSettings(steps=20, batch=16, width=64)
+        training.train_lifter(data, EQUAL_SHARES, other, {}, checkpoint=checkpoints[1])
 
 
 def test_initial_values_from_lifted_poses(walk: tuple[lifter.Array, ...]) -> None:

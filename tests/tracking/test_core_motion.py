@@ -14,7 +14,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import HIPS, Person3D
 from mocap_ros.skeleton import CORE_COUNT
-from mocap_ros.tracking.joint_velocity import estimate_root_covariance
+from mocap_ros.tracking.core_motion import estimate_root_covariance
 from mocap_ros.tracking.motion_filter import MotionFilter
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.swinging_body import STANDING
@@ -44,8 +44,9 @@ def test_the_filter_finds_the_velocity_of_a_body_that_moves_steadily() -> None:
         motion_filter = motion_filter.advance(
             frame * STEP_NS, STANDING + velocity * frame * STEP_NS / 1e9, IMAGE_NOISE_M
         )
-    np.testing.assert_allclose(motion_filter.velocity, np.tile(velocity, (15, 1)), atol=0.02)
-    assert (motion_filter.velocity_variance > 0).all()
+    motion = motion_filter.read()
+    np.testing.assert_allclose(motion.velocity, np.tile(velocity, (15, 1)), atol=0.02)
+    assert (motion.velocity_variance > 0).all()
 
 
 def test_velocities_of_the_live_output_are_better_than_its_differences_and_as_good_as_they_say() -> None:

