@@ -35,8 +35,7 @@ from mocap_ros.models.upward_direction import find_upward
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton, estimate_stature
 from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.classification import choose_category
-from mocap_ros.solvers.extremities import SEGMENT_OF, attach, smooth_extremities
-from mocap_ros.solvers.extremity_evidence import collect_evidence
+from mocap_ros.solvers.extremities import SEGMENT_OF, attach, collect_evidence, smooth_extremities
 from mocap_ros.solvers.leading_prior import can_base_poses_lead, explains_as_well, let_base_poses_lead
 from mocap_ros.solvers.observed_window import RAY_FOCAL, ObservedWindow, observe_sequence
 from mocap_ros.solvers.vertical import (

@@ -21,13 +21,23 @@ QOS_OVERRIDE_PREFIX = 'qos_overrides.'  # rclpy declares these parameters when t
 def declare_parameters(node: Node) -> Config:
     """Declare all parameters on a node, with ranges and descriptions, and return their values.
 
+    A whole number may be given where the parameter is a real one, as in `-p tracker.window:=2`, which ROS refuses
+    otherwise.
+
     Raises:
         ConfigError: A parameter was given a value that it cannot have; the error names the parameter.
     """
+    given: dict[str, object] = {}
     try:
-        given: dict[str, object] = {
-            p.name: node.declare_parameter(p.name, p.default, describe_parameter(p)).value for p in parameters()
-        }
+        for p in parameters():
+            override, value = node._parameter_overrides.get(p.name), p.default
+            is_whole = p.kind is float and override is not None and type(override.value) is int
+            if override is not None and is_whole:
+                value = float(override.value)
+            declared: RosParameter[Any] = node.declare_parameter(
+                p.name, value, describe_parameter(p), ignore_override=is_whole
+            )
+            given[p.name] = declared.value
     except ParameterException as error:
         raise ConfigError(str(error)) from None
     return with_values(Config(), given)

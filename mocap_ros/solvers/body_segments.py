@@ -28,7 +28,7 @@ falls back to that of the parent segment, swung with the limb by the smallest ro
 where v' is the old v, turned with the parent segment. So a limb that is straight for a short time keeps its
 direction.
 
-Head, hands and feet have rotations of their own where face, hands and feet are followed (`extremities.py`). The
+Head, hands and feet have rotations of their own where face, hands and feet are followed (`extremities/`). The
 turn of a leg is then also told by the foot: y of thigh and shank is v + D_f y_foot. Nothing tells how forearm and
 hand are turned about themselves.
 """

@@ -27,8 +27,8 @@ from mocap_ros.solvers.extremities import (
     SEGMENT_OF,
     ExtremityEvidence,
     ExtremityState,
+    collect_frame_evidence,
 )
-from mocap_ros.solvers.extremity_evidence import collect_frame_evidence
 from mocap_ros.tracking.body_size import BodySize
 from mocap_ros.tracking.core_motion import locate_core
 from mocap_ros.tracking.person_in_frame import make_person

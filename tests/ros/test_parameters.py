@@ -24,8 +24,9 @@ def test_a_parameter_out_of_range_ends_the_start_with_one_line(start_node: Start
 
 
 def test_parameters_are_checked_when_they_are_set(peer: Peer, start_node: StartNode) -> None:
-    node = start_node()
+    node = start_node('tracker.min_score:=0', 'tracker.window:=3')
     peer.wait_for_node()
+    assert peer.get_parameter('tracker.window') == 3.0
     assert peer.set_parameter('tracker.min_score', 0.2).successful
     assert not peer.set_parameter('tracker.min_score', 1.5).successful
     assert 'joint, alternation' in peer.set_parameter('solver.method', 'none').reason

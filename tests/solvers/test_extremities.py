@@ -18,18 +18,8 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
-from mocap_ros.solvers import extremities
-from mocap_ros.solvers.extremities import (
-    ANCHORS,
-    PART_OF,
-    PARTS,
-    SIZE_OF,
-    TEMPLATE,
-    ExtremityEvidence,
-    ExtremityState,
-    attach,
-    smooth_extremities,
-)
+from mocap_ros.solvers.extremities import ExtremityEvidence, ExtremityState, attach, correction, smooth_extremities
+from mocap_ros.solvers.extremities.parts import ANCHORS, PART_OF, PARTS, SIZE_OF, TEMPLATE
 from tests.support.evaluation_data import shared
 from tests.support.upright_body import UPRIGHT
 
@@ -254,17 +244,17 @@ def test_the_gradients_are_those_of_the_sums(kind: str) -> None:
             return float(across * error @ error + (along - across) * (sight @ error) ** 2) / 2
         point = origin + x[3:6] + arm
         seen = (point[:2] / point[2] - ray) * depth
-        robust = extremities.ROBUST_STDS**2
+        robust = correction.ROBUST_STDS**2
         return share * robust / 2 * math.log1p(float(seen @ seen) / variance / robust)
 
     hessian, gradient, slopes, arm = np.zeros((7, 7)), np.zeros(7), np.empty((3, 7)), np.empty(3)
-    extremities._write_arm(arm, slopes, template, turn, size)
+    correction._write_arm(arm, slopes, template, turn, size)
     depth = origin[2] + arm[2]
     if kind == 'lifted':
-        extremities._add_lifted(hessian, gradient, slopes, arm - target, sight, across, along)
+        correction._add_lifted(hessian, gradient, slopes, arm - target, sight, across, along)
     else:
         slopes[:, 3:6] = np.eye(3)
-        extremities._add_ray(hessian, gradient, slopes, origin + arm, ray, variance, share)
+        correction._add_ray(hessian, gradient, slopes, origin + arm, ray, variance, share)
     step = 1e-6
     numeric = [(cost(step * e) - cost(-step * e)) / (2 * step) for e in np.eye(7)]
     assert gradient == pytest.approx(numeric, rel=1e-5, abs=1e-5)

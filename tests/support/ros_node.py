@@ -16,7 +16,7 @@ from mocap_ros.demo.scene import make_recording
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.messages.markers import DELETE_ALL, MARKERS
+from mocap_ros.messages.marker_writer import DELETE_ALL, MARKERS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION, SKELETONS
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.outputs import OUTPUTS
@@ -107,6 +107,14 @@ class Peer:
 
         request = [Parameter(name, value=value).to_parameter_msg()]
         return self.call_service(SetParameters, 'mocap_node/set_parameters', parameters=request).results[0]
+
+    def get_parameter(self, name: str) -> Any:
+        """Return the value of a parameter of the node."""
+        from rcl_interfaces.srv import GetParameters
+        from rclpy.parameter import parameter_value_to_python
+
+        (value,) = self.call_service(GetParameters, 'mocap_node/get_parameters', names=[name]).values
+        return parameter_value_to_python(value)
 
     def record(self, is_wanted: bool) -> Any:
         """Call ~/record of the node."""

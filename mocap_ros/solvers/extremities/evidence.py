@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
@@ -9,7 +11,6 @@ from numpy.typing import NDArray
 from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INPUT_1D, INPUT_2D, kernel
 from mocap_ros.keypoints.extremities import Extremities, join_body
 from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
-from mocap_ros.solvers.extremities import ExtremityEvidence
 from mocap_ros.solvers.observed_window import ObservedWindow
 
 Array = NDArray[np.float64]
@@ -17,6 +18,48 @@ Array = NDArray[np.float64]
 _NOT_LIFTED = np.full((len(BODY26.joints), 3), np.nan)  # m, joints of a person who was not lifted
 # rays and scores of a person of whom neither face nor feet nor hands were seen
 _NOT_SEEN = Extremities(np.zeros((EXTREMITY_COUNT, 2)), np.zeros(EXTREMITY_COUNT))
+
+
+class ExtremityEvidence(NamedTuple):
+    """What tells of the extremities in one frame; all in the camera's optical frame.
+
+    Attributes:
+        core: (15, 3) m, solved core joints.
+        lifted: (26, 3) m, lifted joints about any origin; NaN without a lifter.
+        lifted_std: (26, 3) m, their standard deviations across (twice) and along the line of sight.
+        rays: (26, 2) rays of all joints.
+        weight: (26,) confidence scores of all joints; 0 where not seen.
+        noise: m, image noise at the body.
+    """
+
+    core: Array
+    lifted: Array
+    lifted_std: Array
+    rays: Array
+    weight: Array
+    noise: float
+
+    def make_contiguous(self) -> ExtremityEvidence:
+        """Return the same with arrays that kernels take."""
+        core, lifted, lifted_std, rays, weight = (np.ascontiguousarray(a, np.float64) for a in self[:5])
+        return ExtremityEvidence(core, lifted, lifted_std, rays, weight, float(self.noise))
+
+    def reverse(self) -> ExtremityEvidence:
+        """Return that of a sequence in the reverse order of time."""
+        core, lifted, lifted_std, rays, weight = (np.ascontiguousarray(a[::-1]) for a in self[:5])
+        return ExtremityEvidence(core, lifted, lifted_std, rays, weight, self.noise)
+
+    def select_frame(self, frame: int) -> ExtremityEvidence:
+        """Return that of one frame of a sequence."""
+        core, lifted, lifted_std, rays, weight = (a[frame] for a in self[:5])
+        return ExtremityEvidence(core, lifted, lifted_std, rays, weight, self.noise)
+
+    @staticmethod
+    def without_image(core: Array) -> ExtremityEvidence:
+        """Return that nothing but the core (15, 3) m is known."""
+        joints = CORE_COUNT + EXTREMITY_COUNT
+        unknown = np.full((joints, 3), np.nan)
+        return ExtremityEvidence(core, unknown, unknown, np.zeros((joints, 2)), np.zeros(joints), 0.0)
 
 
 def collect_evidence(core: Array, observed: ObservedWindow, noise: float) -> ExtremityEvidence:
