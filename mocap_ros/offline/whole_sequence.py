@@ -3,14 +3,8 @@
 With a lifter, either its lifted poses lead or the base poses do, whichever suits the person
 (`solvers.leading_prior`).
 
-A detector at times takes something else for a joint, for some frames on end and often at a good score. The
-solver's robust loss bears that, but the lifter does not. So with a lifter a sequence is solved twice: the points
-that the first solution does not explain are hidden from the lifter before the second one,
-
-    e_tj > UNEXPLAINED_MEDIANS max(median e, MIN_MEDIAN_ERROR_M)
-
-with e_tj the reprojection error in m at the body, and its median over all joints that were seen. In frames with
-more than `MAX_UNEXPLAINED_JOINTS` such points all are believed.
+With a lifter, a sequence is solved two or three times: what the solution knows is told the lifter before the next
+one (`second_lift.py`).
 
 The solvers find the core of the body; face, feet, hands and the orientations follow it (`solvers.extremities`).
 """
@@ -29,9 +23,10 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.virtual_camera import VirtualCamera
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
-from mocap_ros.models.lifter import Lifter
+from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_prior_lifter
 from mocap_ros.models.upward_direction import find_upward
+from mocap_ros.offline.second_lift import draw_points, hide_unexplained_points, turn_like
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton, estimate_stature
 from mocap_ros.solvers import alternation, joint
 from mocap_ros.solvers.classification import choose_category
@@ -48,13 +43,6 @@ from mocap_ros.solvers.vertical import (
 from mocap_ros.solvers.window import Reconstruction, Window
 
 Array = NDArray[np.float64]
-
-UNEXPLAINED_MEDIANS = 4.0  # median errors; 4.7 standard deviations of a coordinate, if errors are Gaussian
-# m at the body; a smaller median error counts as this much, so that precise points are believed even where the
-# model cannot follow them
-MIN_MEDIAN_ERROR_M = 0.03
-# joints of a frame; where more are unexplained, the solution is wrong rather than the detector
-MAX_UNEXPLAINED_JOINTS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +164,8 @@ def _reconstruct(
     else:
         if ALL_MOTIONS in models:
             models = {ALL_MOTIONS: models[ALL_MOTIONS]}
-        observed, vertical = _lift(observed, lifter, config.tracker)
+        lifted, vertical = _lift(observed, lifter, config.tracker)
+        observed = observed.append_lifted(lifted)
         category, solution = _solve_with_lifter(observed, vertical, lifter, models, config)
     camera = observed.virtual_camera
     root = camera.root_positions(solution.cameras, solution.translation)
@@ -233,31 +222,6 @@ def find_frames_in_sight(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray((frames >= seen_frames.min(initial=len(seen))) & (frames <= seen_frames.max(initial=-1)))
 
 
-def measure_errors(window: Window, solution: Reconstruction) -> Array:
-    """Return the reprojection errors (F, J) of a solution in m at the body; 0 where a joint was not seen.
-
-    Args:
-        window: image points of F frames.
-        solution: solution of these frames.
-    """
-    scale = solution.cameras.scale[:, None]
-    depth = 1 + scale * solution.joints[..., 2] / window.focal
-    image = (scale[..., None] * solution.joints[..., :2] + solution.translation[:, None]) / depth[..., None]
-    return np.where(window.weight > 0, np.linalg.norm(image - window.points, axis=-1) / scale, 0.0)
-
-
-def find_unexplained_points(error: Array, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Find the points that a solution does not explain (formula of the module).
-
-    Args:
-        error: (F, J) m, reprojection errors.
-        seen: (F, J) True where the joint was seen; some joint was.
-    """
-    median = max(float(np.median(error[seen])), MIN_MEDIAN_ERROR_M)
-    unexplained = seen & (error > UNEXPLAINED_MEDIANS * median)
-    return np.asarray(unexplained & (unexplained.sum(axis=1, keepdims=True) <= MAX_UNEXPLAINED_JOINTS))
-
-
 class _Verticals(NamedTuple):
     """The vertical in each frame, as `SequenceResult` has it: (F, 3) and (F,) rad."""
 
@@ -288,8 +252,8 @@ def _repeat_vertical(given: Vertical, frames: int) -> _Verticals:
 
 def _lift(
     observed: ObservedWindow, lifter: Lifter, config: TrackerConfig, known: _Verticals | None = None
-) -> tuple[ObservedWindow, _Verticals]:
-    """Return a window with lifted poses that are turned towards the vertical, and the vertical.
+) -> tuple[LiftedPoses, _Verticals]:
+    """Return lifted poses that are turned towards the vertical, in the virtual cameras' axes, and the vertical.
 
     The lifter is told a vertical that is given.
 
@@ -309,7 +273,7 @@ def _lift(
     in_real_camera = camera.to_real_camera(upward[:, None])[:, 0]
     vertical = known or _choose_vertical(observed.times, in_real_camera, config)
     direction = camera.to_virtual_camera(vertical.direction[:, None])[:, 0]
-    return observed.append_lifted(turn_towards_vertical(lifted, upward, direction, vertical.std)), vertical
+    return turn_towards_vertical(lifted, upward, direction, vertical.std), vertical
 
 
 def _solve_with_lifter(
@@ -319,7 +283,10 @@ def _solve_with_lifter(
     models: Mapping[str, BasePoses],
     config: Config,
 ) -> tuple[str, Reconstruction]:
-    """Reconstruct with lifted poses, and again if there are points that the result does not explain.
+    """Reconstruct with lifted poses, and again with those of the points that the lifter is told.
+
+    If there are points that the first solution does not explain, they are hidden from the lifter for a second one.
+    The last one has poses of points that are drawn to the solution before.
 
     Args:
         observed: the person's joints in F frames, lifted.
@@ -329,13 +296,15 @@ def _solve_with_lifter(
         config: all parameters.
     """
     window = observed.build_solver_window()
-    category, solution = _solve(window, models, config.solver)
-    unexplained = find_unexplained_points(measure_errors(window, solution), window.weight > 0)
-    if not unexplained.any():
-        return category, solution
-    without = replace(observed, lifted=None).exclude_points(unexplained)
-    again, _ = _lift(without, lifter, config.tracker, vertical)
-    return _solve(replace(observed, lifted=again.lifted).build_solver_window(), models, config.solver)
+    _, solution = _solve(window, models, config.solver)
+    believed = hide_unexplained_points(observed, window, solution)
+    if believed is not observed:
+        lifted, _ = _lift(replace(believed, lifted=None), lifter, config.tracker, vertical)
+        observed = replace(observed, lifted=None).append_lifted(lifted)
+        _, solution = _solve(observed.build_solver_window(), models, config.solver)
+    again, _ = _lift(draw_points(believed, solution), lifter, config.tracker, vertical)
+    observed = replace(observed, lifted=None).append_lifted(turn_like(again, solution.joints))
+    return _solve(observed.build_solver_window(), models, config.solver)
 
 
 def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> tuple[str, Reconstruction]:

@@ -406,7 +406,7 @@ class HypothesisChecker:
     def _measure_speed(self, track: Track) -> float:
         """Return the RMS speed in m/s of a track's joints about the body's origin, over its window."""
         solution, model = track.solved, self.models[track.solved.model_name]
-        times = np.array([(s - track.seen.stamps_ns[-1]) / NS_PER_S for s in track.seen.stamps_ns])
+        times = track.seen.times_s
         later = np.arange(times[-1], times[0] + SPEED_STEP_S, -SPEED_STEP_S)
         if len(later) == 0:
             return 0.0
@@ -444,7 +444,7 @@ class HypothesisChecker:
         """
         if classification.motion.kind is not MotionKind.PERIODIC:
             return True
-        times = np.array([(s - track.seen.stamps_ns[-1]) / NS_PER_S for s in track.seen.stamps_ns])
+        times = track.seen.times_s
         return not measure_repetition(times, track.solved.theta, classification.motion.cadence) < MIN_REPETITION
 
     def _current_poses(self, track: Track, start: InitialValues) -> EstimatedPoses:
@@ -453,7 +453,7 @@ class HypothesisChecker:
         noise = track.solved.noise / (NOISE_RATIO_WITH_LIFTER if has_lifter else NOISE_RATIO)
         model = self.models[track.solved.model_name]
         joints = model.poses(start.theta) @ np.swapaxes(start.cameras.rotation, -1, -2)
-        times = np.array([(s - track.seen.stamps_ns[-1]) / NS_PER_S for s in track.seen.stamps_ns])
+        times = track.seen.times_s
         images = track.solved.compute_joints(model, np.arange(len(times)))[..., :2]
         return EstimatedPoses(joints, start.cameras.scale, noise, measure_tremble(times, images))
 

@@ -80,6 +80,12 @@ class SeenFrames:
         return (self.stamps_ns[-1] - self.first_stamp_ns) / NS_PER_S
 
     @property
+    def times_s(self) -> Array:
+        """Times (F,) in s of the frames, that of the newest is 0."""
+        stamps_ns = np.array(self.stamps_ns)
+        return np.asarray((stamps_ns - stamps_ns[-1]) / NS_PER_S)
+
+    @property
     def intrinsics(self) -> Intrinsics:
         """Intrinsics of the real camera."""
         return self.observed.virtual_camera.intrinsics
@@ -167,8 +173,7 @@ class SeenFrames:
             step_s: s, length of a step.
             span_s: s, age beyond which no frame is selected.
         """
-        stamps_ns = np.array(self.stamps_ns)
-        age_s = (stamps_ns[-1] - stamps_ns) / NS_PER_S
+        age_s = -self.times_s
         step = (age_s / step_s + 0.5).astype(int)
         total_weight = np.append(self.weight[:-1].sum(axis=1), np.inf)
         order = np.lexsort((-total_weight, step))

@@ -1,0 +1,102 @@
+"""What the solution of a whole sequence tells the lifter, before the sequence is lifted and solved again.
+
+A detector at times takes something else for a joint, for some frames on end and often at a good score. The
+solver's robust loss bears that, but the lifter does not. Points that the solution does not explain are hidden from
+it,
+
+    e_tj > UNEXPLAINED_MEDIANS max(median e, MIN_MEDIAN_ERROR_M)
+
+with e_tj the reprojection error in m at the body, and its median over all joints that were seen. In frames with
+more than `MAX_UNEXPLAINED_JOINTS` such points all are believed.
+
+The lifter sees 0.8 s of noisy points and knows nothing of constant bones and smooth motion; the solution has used
+all frames. So the points are drawn to where the solution has them,
+
+    r_tj <- SEEN_SHARE r_tj + (1 - SEEN_SHARE) r'_tj
+
+with the rays r of seen joints and r' of the solution's, in perspective, also of a solution in weak perspective.
+How the body is turned, the solution knows better, too. The new lifted poses P_t are turned as its poses Q_t are,
+
+    P_tj <- R_t P_tj,    R_t = argmin_R sum_j |R P_tj - Q_tj|^2
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.geometry.rotations import centre_poses, fit_rotation
+from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.skeleton import CORE_COUNT
+from mocap_ros.solvers.observed_window import ObservedWindow
+from mocap_ros.solvers.window import Reconstruction, Window
+
+Array = NDArray[np.float64]
+
+SEEN_SHARE = 0.3  # 1; with less, rare poses become too common, with more the noise of detectors stays
+MIN_DEPTH_M = 0.1  # m; guards divisions, nobody is nearer to a camera
+UNEXPLAINED_MEDIANS = 4.0  # median errors; 4.7 standard deviations of a coordinate, if errors are Gaussian
+# m at the body; a smaller median error counts as this much, so that precise points are believed even where the
+# model cannot follow them
+MIN_MEDIAN_ERROR_M = 0.03
+# joints of a frame; where more are unexplained, the solution is wrong rather than the detector
+MAX_UNEXPLAINED_JOINTS = 2
+
+
+def hide_unexplained_points(observed: ObservedWindow, window: Window, solution: Reconstruction) -> ObservedWindow:
+    """Return a person's joints in F frames without those that a solution does not explain.
+
+    Args:
+        observed: the joints; returned as they are if all are explained.
+        window: the same as the solver had them.
+        solution: solution of the window.
+    """
+    unexplained = find_unexplained_points(measure_errors(window, solution), window.weight > 0)
+    return observed.exclude_points(unexplained) if unexplained.any() else observed
+
+
+def draw_points(observed: ObservedWindow, solution: Reconstruction) -> ObservedWindow:
+    """Return a person's joints in F frames, not lifted yet, drawn to where a solution has them."""
+    camera = observed.virtual_camera
+    roots = camera.root_positions(solution.cameras, solution.translation)
+    places = camera.to_real_camera(solution.joints) + roots[:, None]
+    rays = places[..., :2] / np.maximum(places[..., 2:], MIN_DEPTH_M)
+    drawn = SEEN_SHARE * observed.rays + (1 - SEEN_SHARE) * rays
+    return replace(observed, rays=np.where(observed.weight[..., None] > 0, drawn, observed.rays), lifted=None)
+
+
+def turn_like(lifted: LiftedPoses, joints: Array) -> LiftedPoses:
+    """Return lifted poses that are turned as the poses (F, J_c, 3) of a solution, in the same axes."""
+    core = lifted.joints[:, :CORE_COUNT]
+    known = np.isfinite(core).all(axis=(1, 2))
+    turned = lifted.joints.copy()
+    rotation = fit_rotation(centre_poses(core[known]), centre_poses(joints[known]))
+    turned[known] = turned[known] @ np.swapaxes(rotation, -1, -2)
+    return LiftedPoses(turned, lifted.std)
+
+
+def measure_errors(window: Window, solution: Reconstruction) -> Array:
+    """Return the reprojection errors (F, J) of a solution in m at the body; 0 where a joint was not seen.
+
+    Args:
+        window: image points of F frames.
+        solution: solution of these frames.
+    """
+    scale = solution.cameras.scale[:, None]
+    depth = 1 + scale * solution.joints[..., 2] / window.focal
+    image = (scale[..., None] * solution.joints[..., :2] + solution.translation[:, None]) / depth[..., None]
+    return np.where(window.weight > 0, np.linalg.norm(image - window.points, axis=-1) / scale, 0.0)
+
+
+def find_unexplained_points(error: Array, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Find the points that a solution does not explain (formula of the module).
+
+    Args:
+        error: (F, J) m, reprojection errors.
+        seen: (F, J) True where the joint was seen; some joint was.
+    """
+    median = max(float(np.median(error[seen])), MIN_MEDIAN_ERROR_M)
+    unexplained = seen & (error > UNEXPLAINED_MEDIANS * median)
+    return np.asarray(unexplained & (unexplained.sum(axis=1, keepdims=True) <= MAX_UNEXPLAINED_JOINTS))
