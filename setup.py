@@ -1,3 +1,4 @@
+import re
 import xml.etree.ElementTree as ET
 from glob import glob
 from pathlib import Path
@@ -7,16 +8,25 @@ from setuptools import find_packages, setup
 ROOT = Path(__file__).parent
 PACKAGE = ET.parse(ROOT / 'package.xml').getroot()
 NAME = PACKAGE.findtext('name')
+VERSION = PACKAGE.findtext('version')
+# package.xml allows only numbers: that they are not released yet is what the first heading of the changelog says.
+IS_UNRELEASED = f'## {VERSION} (unreleased)' in (ROOT / 'CHANGELOG.md').read_text(encoding='utf-8').splitlines()
 MAINTAINER = PACKAGE.find('maintainer')
 # What `mocap-ros batch` needs, on this machine and on the workers: 60 MB to download, 48 of them pyarrow.
 CLUSTER = ['distributed>=2024.2', 'fsspec>=2024.2', 'universal-pathlib>=0.2.2,<0.4', 'pyarrow>=15']
 URLS = {url.get('type'): url.text for url in PACKAGE.findall('url')}
+# A package index shows the README elsewhere, so its links to files of the repository name the repository there.
+README = re.sub(
+    r'(!?)(\[[^\]]*\]\()(?!https?:|#)',
+    lambda link: f'{link[1]}{link[2]}{URLS["repository"]}/{"raw" if link[1] else "blob"}/main/',
+    (ROOT / 'README.md').read_text(encoding='utf-8'),
+)
 
 setup(
     name=NAME,
-    version=PACKAGE.findtext('version'),
+    version=f'{VERSION}.dev0' if IS_UNRELEASED else VERSION,
     description=PACKAGE.findtext('description'),
-    long_description=(ROOT / 'README.md').read_text(encoding='utf-8'),
+    long_description=README,
     long_description_content_type='text/markdown',
     url=URLS['website'],
     project_urls={
@@ -43,6 +53,9 @@ setup(
     ],
     python_requires='>=3.10',
     packages=find_packages(include=[f'{NAME}*']),
+    # An editable installation is then a path, which Python also searches from the folder above a clone; otherwise
+    # it would take the clone itself for the package there, a folder of the same name.
+    package_dir={'': '.'},
     package_data={
         NAME: ['models/shipped/*.npz', 'demo/*.npz', 'messages/msg/*.msg', 'py.typed', 'viewing/page_files/*']
     },
@@ -70,8 +83,11 @@ setup(
         'tqdm>=4.64,<5',
     ],
     extras_require={
+        'audit': ['cyclonedx-bom>=5,<8', 'pip-audit>=2.7,<3'],
         'c3d': ['ezc3d>=1.6,<2'],
         'cluster': CLUSTER,
+        'collision': ['coal>=3.0.2,<4'],  # distances between capsules, in one test; 400 MB with its libraries
+        'fuzz': ['atheris>=2.3,<4'],  # coverage-guided fuzzing, 35 MB; its tests do without
         'mediapipe': ['av>=14.2,<19', 'mediapipe>=0.10.14,<2', 'Pillow>=9.1'],
         'train': ['torch>=2.4,<3'],
         'test': [
@@ -93,6 +109,7 @@ setup(
             'types-PyYAML>=6.0,<7',
             'types-tqdm>=4.64,<5',
         ],
+        'docs': ['furo>=2024.8', 'myst-parser>=4,<6', 'sphinx>=8.1,<10'],
         's3': ['s3fs>=2024.2'],
         'view': ["rerun-sdk==0.41.*; python_version >= '3.11'"],  # a viewer reads files of its own minor version
         'video': ['av>=14.2,<19', 'onnxruntime>=1.18,<2', 'Pillow>=9.1'],

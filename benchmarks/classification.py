@@ -94,26 +94,23 @@ def compute_balanced_accuracy(answers: np.ndarray, truth: np.ndarray) -> float:
     return float((answers[truth].mean() + (~answers[~truth]).mean()) / 2)
 
 
-def classify_with_all(found: list[Section], thresholds: list[ClassifierConfig]) -> np.ndarray:
-    """Return for each set of thresholds and each section whether it is called periodic, (T, S)."""
-    return np.array([[is_periodic(s.fit, t) for s in found] for t in thresholds])
-
-
-def classify_left_out_subjects(found: list[Section], thresholds: list[ClassifierConfig]) -> np.ndarray:
-    """Classify the sections of each subject with thresholds chosen on the other subjects.
-
-    The chosen thresholds are the medians of all thresholds whose accuracy is close to the best.
-    """
-    answers = classify_with_all(found, thresholds)
-    true = np.array([s.label == 'periodic' for s in found])
-    subjects = np.array([s.subject for s in found])
+def choose_thresholds(answers: np.ndarray, true: np.ndarray, thresholds: list[ClassifierConfig]) -> np.ndarray:
+    """Return the medians (T,) of all thresholds whose answers are close to the best, in the order of `GRID`."""
+    accuracy = np.array([compute_balanced_accuracy(a, true) for a in answers])
     values = np.array([[getattr(t, name) for name in GRID] for t in thresholds])
+    return np.asarray(np.median(values[accuracy >= accuracy.max() - 0.003], axis=0))
+
+
+def classify_left_out_subjects(
+    found: list[Section], answers: np.ndarray, true: np.ndarray, thresholds: list[ClassifierConfig]
+) -> np.ndarray:
+    """Classify the sections of each subject with thresholds chosen on the other subjects."""
+    subjects = np.array([s.subject for s in found])
     said = np.zeros(len(found), bool)
     for subject in set(subjects):
         others = subjects != subject
-        accuracy = np.array([compute_balanced_accuracy(a[others], true[others]) for a in answers])
-        plateau = np.median(values[accuracy >= accuracy.max() - 0.003], axis=0)
-        config = ClassifierConfig(**dict(zip(GRID, plateau.tolist(), strict=True)))
+        chosen = choose_thresholds(answers[:, others], true[others], thresholds)
+        config = ClassifierConfig(**dict(zip(GRID, chosen.tolist(), strict=True)))
         said[~others] = [is_periodic(s.fit, config) for s in itertools.compress(found, ~others)]
     return said
 
@@ -126,45 +123,34 @@ def show_confusion(report: Report, found: list[Section], answers: np.ndarray, sa
         if chosen.any():
             counts = (int(chosen.sum()), int(answers[chosen].sum()), int((~answers[chosen]).sum()))
             rows.append((category, label, *counts))
-    report.text(said)
-    report.table(('trials', 'truth', 'seconds', 'called periodic', 'called other'), rows, page=page)
+    report.table(('trials', 'truth', 'seconds', 'called periodic', 'called other'), rows, said, page=page)
 
 
 def measure(args: argparse.Namespace, report: Report) -> None:
     chosen = {t: ls for t, ls in load_labels().items() if not args.quick or t in QUICK_TRIALS}
     found = [s for s in fit_sections(chosen) if s.label != 'transition']
     true = np.array([s.label == 'periodic' for s in found])
-    thresholds = [
-        replace(ClassifierConfig(), **dict[str, Any](zip(GRID, v, strict=True)))
-        for v in itertools.product(*GRID.values())
-    ]
     shipped = np.array([is_periodic(s.fit, ClassifierConfig()) for s in found])
     balanced = compute_balanced_accuracy(shipped, true)
     report.add(seconds=len(found), balanced_accuracy_defaults=balanced)
     said = f'Shipped thresholds: balanced accuracy {balanced:.1%} of {len(found)} seconds'
     show_confusion(report, found, shipped, said, 'classification.shipped')
     if not args.quick:
-        answers = classify_left_out_subjects(found, thresholds)
+        thresholds = [
+            replace(ClassifierConfig(), **dict[str, Any](zip(GRID, v, strict=True)))
+            for v in itertools.product(*GRID.values())
+        ]
+        by_threshold = np.array([[is_periodic(s.fit, t) for s in found] for t in thresholds])
+        answers = classify_left_out_subjects(found, by_threshold, true, thresholds)
         balanced = compute_balanced_accuracy(answers, true)
         report.add(balanced_accuracy_subject_left_out=balanced)
         said = f'Thresholds chosen on the other subjects: balanced accuracy {balanced:.1%}'
         show_confusion(report, found, answers, said, 'classification.left_out')
-        accuracy = np.array([compute_balanced_accuracy(a, true) for a in classify_with_all(found, thresholds)])
-        values = np.array([[getattr(t, n) for n in GRID] for t in thresholds])
-        plateau = np.median(values[accuracy >= accuracy.max() - 0.003], axis=0)
-        middle = dict(zip(GRID, plateau.round(4).tolist(), strict=True))
+        middle = choose_thresholds(by_threshold, true, thresholds).round(4).tolist()
         wrong = Counter(f'{s.trial} ({s.label})' for s in itertools.compress(found, answers != true))
-        report.text(f'Median of the best thresholds over all subjects: {middle}')
+        report.text(f'Median of the best thresholds over all subjects: {dict(zip(GRID, middle, strict=True))}')
         report.text(f'Wrongly classified seconds by trial: {dict(wrong.most_common(12))}')
 
 
-def main() -> None:
-    run(__doc__, 'Classification', measure, _keep_description_format)
-
-
-def _keep_description_format(parser: argparse.ArgumentParser) -> None:
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-
-
 if __name__ == '__main__':
-    main()
+    run(__doc__, 'Classification', measure)

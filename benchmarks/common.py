@@ -1,4 +1,4 @@
-"""Functions that the benchmarks share: evaluation data, test views, models, solvers, errors, tables and timing.
+"""Functions that the benchmarks share: evaluation data, test views, models, solvers, errors and timing.
 
 Import this module before numpy, since it limits the linear algebra to one thread. It is not a benchmark itself.
 """
@@ -11,23 +11,21 @@ from mocap_ros.runtime import cpu_setup
 cpu_setup.configure_process()
 
 # isort: split
-import argparse
 import importlib.util
-import json
 import os
-import platform
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from multiprocessing import get_context
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 from scipy.linalg import cholesky
 from tqdm import tqdm
@@ -35,9 +33,11 @@ from tqdm import tqdm
 from mocap_ros.config import SolverConfig, TrackerConfig
 from mocap_ros.evaluation.metrics import scale_to_reference
 from mocap_ros.formats.mocap.trials import Trial, load_trials, select_trials
+from mocap_ros.formats.sequence_file import create_intrinsics, load_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.geometry.rotations import centre_poses, fit_rotation
+from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation, fit_rotation
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.model_file import LEARNED
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers import alternation, joint, periodic
 from mocap_ros.solvers.window import Reconstruction, Window
@@ -59,35 +59,10 @@ HELD_OUT_LIFTER = ROOT / 'build' / 'lifter_heldout.npz'  # file of the lifter th
 # Files of motion capture below `data`, and the one that this program uses.
 CAPTURE_FILES = {'cmu': ('cmu', 'cmu15_30fps.npz'), 'motion': ('motion', 'body26_30fps.npz')}
 _chosen_capture = ['cmu']
+RECORDED_DETECTORS, CAMERAS = ('openpose', 'mediapipe'), (1, 2, 3)  # of the recorded detections
 ORTHOGRAPHIC_FOCAL_LENGTH = 20.0  # image widths; so long that perspective looks orthographic, as in the views
 # The fixed amount of linear algebra by which machines are compared.
 REFERENCE_KERNEL = '200 Cholesky factorisations of a 512 x 512 matrix'
-
-
-def parse_arguments(
-    description: str, add: Callable[[argparse.ArgumentParser], None] | None = None, one_core: bool = True
-) -> argparse.Namespace:
-    """Parse the command line that every benchmark has, and put this process on one core.
-
-    The process ends here, with a message, if the evaluation data is missing.
-
-    Args:
-        description: what the benchmark measures.
-        add: adds the benchmark's own options.
-        one_core: False for a benchmark that measures no times, which may run beside others.
-    """
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument('--quick', action='store_true', help='run a short version, which takes less than 40 s')
-    parser.add_argument('--json', type=Path, metavar='FILE', help='also write the results to this file')
-    if add is not None:
-        add(parser)
-    args = parser.parse_args()
-    if one_core and hasattr(os, 'sched_setaffinity'):
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    if not data_path('bench', 'protocol.py').is_file():
-        print(f'skipped: no evaluation data in {_data_folder()}; set MOCAP_ROS_SHARED to its folder')
-        sys.exit(0)
-    return args
 
 
 def _data_folder() -> Path:
@@ -160,10 +135,9 @@ class View:
 
     @property
     def intrinsics(self) -> Intrinsics:
-        if 'camera_matrix' in self.sequence:
-            return Intrinsics.from_matrix(self.sequence['camera_matrix'])
         width, height = (int(v) for v in self.sequence['image_size'])
-        return Intrinsics.from_image_size(width, height, ORTHOGRAPHIC_FOCAL_LENGTH)
+        matrix, distortion = (self.sequence.get(k) for k in ('camera_matrix', 'distortion'))
+        return create_intrinsics((width, height), matrix, distortion, ORTHOGRAPHIC_FOCAL_LENGTH)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -204,6 +178,29 @@ def make_views(trial: str | Array, headings: Iterable[float] = HEADINGS_DEG, **o
     return [View(load_protocol().make_view(xyz, joints, h, **options), h) for h in headings]
 
 
+def load_recording(detector: str, camera: int) -> View:
+    """Load what one of `RECORDED_DETECTORS` found in the images of one of `CAMERAS`: 3 s of a person on a beam."""
+    path = data_path('data', 'detections', f'balance_{detector}_cam{camera}.npz')
+    with np.load(path) as archive:
+        return View({**archive, 'keypoints': load_sequence(path).keypoints})
+
+
+def choose_trials(
+    category: str = '',
+    without_trials: Sequence[str] = (),
+    without_subjects: Sequence[str] = (),
+    only_subjects: Sequence[str] = (),
+) -> list[Trial]:
+    """Choose the trials to train on; arguments as of `train_base_poses`."""
+    return select_trials(
+        list_trials(),
+        categories=category.split('+') if category else [],
+        without_trials=without_trials,
+        without_subjects=without_subjects,
+        only_subjects=only_subjects,
+    )
+
+
 @cache
 def train_base_poses(
     category: str = '',
@@ -224,13 +221,7 @@ def train_base_poses(
         only_subjects: subjects to train on; empty for all.
         plain: train on the poses alone, without their mirror images and without other bone lengths.
     """
-    chosen = select_trials(
-        list_trials(),
-        categories=category.split('+') if category else [],
-        without_trials=without_trials,
-        without_subjects=without_subjects,
-        only_subjects=only_subjects,
-    )
+    chosen = choose_trials(category, without_trials, without_subjects, only_subjects)
     augmented = bool(category) and not plain
     balanced = balance_trials(
         [t.category for t in chosen], [t.subject for t in chosen], [len(t.poses) for t in chosen]
@@ -247,8 +238,9 @@ def train_base_poses(
     return model.rescale(TrackerConfig().body_height / model.stature)
 
 
-def provide_held_out_lifter(path: Path = HELD_OUT_LIFTER) -> Path:
+def provide_held_out_lifter(file: Path | None = None) -> Path:
     """Return the file of a lifter that never saw `HELD_OUT_SUBJECTS`; train it if it is missing (half an hour)."""
+    path = file or HELD_OUT_LIFTER
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
         command = [sys.executable, '-m', 'mocap_ros.cli.main', 'train-lifter']
@@ -257,6 +249,17 @@ def provide_held_out_lifter(path: Path = HELD_OUT_LIFTER) -> Path:
         print(f'training a lifter without the tested subjects: {" ".join(command)}', file=sys.stderr)
         subprocess.run(command, check=True)
     return path
+
+
+def choose_held_out_prior(quick: bool) -> str:
+    """Return the `solver.prior` of a lifter that never saw `HELD_OUT_SUBJECTS`.
+
+    In a short run nothing is trained: where the file is missing, the shipped lifter stands in, which saw some.
+    """
+    if quick and not HELD_OUT_LIFTER.is_file():
+        print(f'\nThe shipped lifter, which has seen tested people, stands in for {HELD_OUT_LIFTER.name}.')
+        return LEARNED
+    return str(provide_held_out_lifter())
 
 
 def solve_jointly(
@@ -319,10 +322,17 @@ def compute_errors(
 
 
 def compute_all_errors(
-    tests: Sequence[View], found: Sequence[Reconstruction], model: BasePoses
+    tests: Sequence[View], found: Sequence[Reconstruction | Array], joints: str = 'common'
 ) -> list[dict[str, float]]:
-    """Compute the errors of one reconstruction per view by the protocol."""
-    return [compute_errors(v, r.joints, model.skeleton.joints) for v, r in zip(tests, found, strict=True)]
+    """Compute the errors of one reconstruction, or of its joints (F, 15, 3) m, per view by the protocol."""
+    poses = [r.joints if isinstance(r, Reconstruction) else r for r in found]
+    return [compute_errors(v, p, CMU15.joints, joints) for v, p in zip(tests, poses, strict=True)]
+
+
+def compute_errors_of_detector(view: View) -> dict[str, float] | None:
+    """Compute the errors of the detector's own 3D joints on a recording; None if it has none."""
+    joints3d = view.sequence.get('mediapipe_world')
+    return None if joints3d is None else compute_errors(view, joints3d.astype(float), view.joint_names, 'limbs')
 
 
 def mean_error(records: Sequence[Mapping[str, Any]], key: str = 'mpjpe_mm') -> float:
@@ -350,6 +360,14 @@ def compute_frame_errors(view: View, result: Reconstruction, *, per_frame_simila
     return compute_pose_errors(found, truth, similarity=per_frame_similarity)
 
 
+def find_true_weights(model: BasePoses, trial: str, frames: int) -> tuple[Array, Array]:
+    """Return the first poses (F, 15, 3) m of a trial, scaled and turned to a model, and their weights (F, K) m."""
+    poses = centre_poses(next(t.poses for t in list_trials() if t.name == trial)[:frames])
+    poses = poses * (np.linalg.norm(model.mean) / np.linalg.norm(poses, axis=(1, 2)).mean())
+    turned = poses @ np.swapaxes(fit_heading_rotation(poses, model.mean), -1, -2)
+    return turned, model.weights(turned)
+
+
 def compute_pose_errors(found: Array, truth: Array, *, similarity: bool) -> Array:
     """Return the mean joint error of centred poses (F, J, 3) m, (F,) mm; with `similarity`, after one for each."""
     if similarity:
@@ -364,11 +382,6 @@ def compute_residual_mm(view: View, result: Reconstruction) -> float:
     count = (view.window.weight > 0).sum(axis=1)
     squared = np.nansum(np.nan_to_num(result.residual) ** 2 * count) / count.sum()
     return float(np.sqrt(squared) / load_protocol().PX_PER_M * 1e3)
-
-
-def compute_bone_lengths_mm(result: Reconstruction, model: BasePoses) -> Array:
-    """Return the bone lengths (F, B) in mm."""
-    return model.skeleton.bone_lengths(result.joints) * 1e3
 
 
 def measure_time(action: Callable[[], T], repeats: int = 1) -> tuple[T, float]:
@@ -392,44 +405,26 @@ def measure_reference_kernel_s() -> float:
     return measure_time(lambda: [cholesky(matrix, lower=True) for _ in range(200)])[1]
 
 
-def describe_machine() -> str:
-    """Describe the machine in one line: processor, versions, and the current CPU time of the reference kernel."""
-    cpu = platform.processor() or platform.machine()
-    info = Path('/proc/cpuinfo')
-    if info.is_file():
-        models = [line.partition(':')[2].strip() for line in info.read_text().splitlines() if 'model name' in line]
-        cpu = models[0] if models else cpu
-    return (
-        f'{cpu}, one core, one BLAS thread; Python {platform.python_version()}, NumPy {np.__version__}, '
-        f'SciPy {scipy.__version__}; reference kernel ({REFERENCE_KERNEL}): {measure_reference_kernel_s():.3f} s'
-    )
+def read_peak_mb() -> float:
+    """Return the peak resident memory of this process in MB; `ru_maxrss` would include that of its parent."""
+    status = Path('/proc/self/status')
+    lines = status.read_text().splitlines() if status.is_file() else []
+    return next((int(line.split()[1]) / 1024 for line in lines if line.startswith('VmHWM')), float('nan'))
 
 
-def format_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Format a Markdown table; floats get two decimals, None becomes a dash."""
-    cells = [[_format_cell(c) for c in row] for row in rows]
-    lines = ['| ' + ' | '.join(header) + ' |', '|' + ' --- |' * len(header)]
-    return '\n'.join(lines + ['| ' + ' | '.join(row) + ' |' for row in cells])
+def _run_and_read_peak(action: Callable[..., T], *arguments: Any) -> tuple[T, float]:
+    return action(*arguments), read_peak_mb()
 
 
-def _format_cell(value: object) -> str:
-    return f'{value:.2f}' if isinstance(value, float) else '-' if value is None else str(value)
+def run_in_process(action: Callable[..., T], *arguments: Any, fresh: bool = False) -> tuple[T, float]:
+    """Run a function of a module in a process of its own; return its result and its peak memory in MB.
+
+    Unless it is `fresh`, the process has what this one has loaded and compiled.
+    """
+    with ProcessPoolExecutor(1, get_context('spawn' if fresh else 'fork')) as process:
+        return process.submit(_run_and_read_peak, action, *arguments).result()
 
 
 def show_progress(items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
     """Yield the items, and show a progress bar on a terminal."""
     return tqdm(items, desc=description, total=total, disable=not sys.stderr.isatty(), leave=False)
-
-
-def write_json(path: Path | None, record: object) -> None:
-    """Write the results as JSON if there is a path."""
-    if path is not None:
-        path.write_text(json.dumps(record, indent=1, default=_to_builtin) + '\n', encoding='utf-8')
-
-
-def _to_builtin(value: object) -> object:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f'the results contain a {type(value).__name__}')

@@ -22,20 +22,18 @@ No model saw the person of the recordings, so `--models shipped` tests there wha
 
 from __future__ import annotations
 
-import common
-
-# isort: split
 import argparse
 import json
 import statistics
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
 import yaml
-from common import View
 from experiments.detector_errors import POSES, compute_errors, summarise
 from experiments.detector_extremities import (
     compute_extremity_errors,
@@ -49,18 +47,18 @@ from experiments.detector_views import (
     CLEAN,
     DETECTORS,
     ORACLES,
+    DetectedView,
     ViewOptions,
     choose_trials,
     list_views,
     make_view,
 )
-from experiments.own_base_poses import ALONE, NOT_GIVEN, OWN, measure_own_base_poses, summarise_own
+from experiments.own_base_poses import ALONE, NOT_GIVEN, OWN, summarise_own, train_own_base_poses
 from reconstruction import WAYS, Models, reconstruct
-from report import Records, Report, cross, group, run, select
+from report import Records, Report, cross, group, run
 
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import Config, with_values
-from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.models.base_poses import ALL_MOTIONS
 from mocap_ros.models.model_file import AUTO, LEARNED, load_base_pose_models, load_prior_lifter
 from mocap_ros.skeleton import CMU15
@@ -74,10 +72,7 @@ MIN_LONG_FRAMES = 300  # frames, 10 s; a filter of swaps that goes wrong may tak
 SEEDS = (0, 1, 2)
 TRIALS_PER_MOTION = 4  # trials of each held-out person and kind of motion; one with `--quick`
 PICTURES = common.ROOT / 'docs' / 'img' / 'detectors'
-CAMERAS = (1, 2, 3)  # cameras of the recorded detections
-RECORDED_DETECTORS = ('openpose', 'mediapipe')
 COMPARED = {'mpjpe_mm': 1.0, 'pa_mpjpe_mm': 1.0, 'accel_mm_s2': 1e3}  # errors, with their divisors, of `--against`
-ERROR_NAMES = ('MPJPE', 'PA', 'accel.', 'ratio', 'delay', 'failed')
 # What the tables of the pages call detectors and ways.
 PAGE_NAMES = {d: f'{n}-like' for d, n in zip(DETECTORS[1:], ('OpenPose', 'MediaPipe', 'MoveNet'), strict=True)}
 PAGE_NAMES |= {'detector': 'points', 'category': 'motion', 'whole': 'whole sequence'}
@@ -122,15 +117,23 @@ class Measurement:
         return 1 if self.quick else TRIALS_PER_MOTION
 
 
-def measure_errors(options: Sequence[ViewOptions], ways: Sequence[str], run: Measurement) -> Records:
-    """Return one record for each way and view."""
+def measure_views(
+    options: Sequence[ViewOptions], ways: Sequence[str], measure: Callable[[str, DetectedView], Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    """Return one record for each view and way: how the trial is seen, and what is measured of it."""
     records = []
     for chosen in common.show_progress(options, ' and '.join(ways)):
         seen = make_view(chosen)
-        for way in ways:
-            errors = compute_errors(seen, reconstruct(way, seen.view, run.models, run.config))
-            records.append({**asdict(chosen), 'category': chosen.category, 'way': way, **errors})
+        about = {**asdict(chosen), 'category': chosen.category}
+        records += [{**about, 'way': way, **measure(way, seen)} for way in ways]
     return records
+
+
+def measure_errors(options: Sequence[ViewOptions], ways: Sequence[str], run: Measurement) -> Records:
+    """Return the errors of each view and way."""
+    return measure_views(
+        options, ways, lambda way, s: compute_errors(s, reconstruct(way, s.view, run.models, run.config))
+    )
 
 
 def spread_of_seeds(records: Records) -> str:
@@ -140,24 +143,13 @@ def spread_of_seeds(records: Records) -> str:
 
 
 def show_errors(report: Report, records: Records, key: str) -> None:
-    """Show the mean errors, one row for each value of a key and each detector, columns whole and live."""
-    ways = list(group(records, 'way'))
-    keys = list(dict.fromkeys((key, 'detector')))
-    rows = []
-    for values, mine in group(records, *keys).items():
-        row: list[object] = [*values, len(select(mine, way=ways[0][0]))]
-        for of_way in group(mine, 'way').values():
-            s = summarise(of_way)
-            row += [f'{s["mpjpe"]:.1f}{spread_of_seeds(of_way) if key == "detector" else ""}']
-            row += [*(f'{s[k]:.1f}' for k in ('pa', 'acceleration')), f'{s["ratio"]:.2f}', f'{s["delay"]:.2f}']
-            row.append(int(s['failed']))
-        rows.append(row)
-    title = f'By {key}: mm; accelerations m/s^2; ratio of output to true RMS acceleration; delay of limbs, frames'
-    notes = ['Behind ± is the standard deviation of the means of the seeds, which also differ in the headings.']
-    has_spread = key == 'detector' and len(group(records, 'seed')) > 1
-    report.table(
-        [*keys, 'views', *(f'{w}: {n}' for (w,) in ways for n in ERROR_NAMES)], rows, title, *notes[:has_spread]
-    )
+    """Show the mean errors of each value of a key, detector and way."""
+    keys = list(dict.fromkeys((key, 'detector', 'way')))
+    rows = [
+        {**dict(zip(keys, values, strict=True)), 'views': len(mine), **summarise(mine)}
+        for values, mine in group(records, *keys).items()
+    ]
+    report.rows(f'By {key}: mm; m/s^2; ratio of output to true RMS acceleration; delay of limbs, frames', rows)
 
 
 def format_summary(records: Records) -> str:
@@ -167,34 +159,22 @@ def format_summary(records: Records) -> str:
     )
 
 
-def keep_errors(report: Report, records: Records) -> None:
-    """Keep the tables of the page: all views, and whole sequences by motion and by pose."""
-    report.keep('detectors.points', *cross(records, 'detector', 'way', format_summary, PAGE_NAMES))
-    whole = select(records, way=WAYS[0])
-    if whole:
-        motions = cross(whole, 'category', 'detector', lambda r: f'{summarise(r)["mpjpe"]:.0f}', PAGE_NAMES)
-        report.keep('detectors.motions', *motions)
-        poses = [{'pose': p, **r, 'sums': r['poses'][p]} for p in POSES for r in whole if p in r['poses']]
-        report.keep('detectors.poses', *cross(poses, 'pose', 'detector', format_pose_errors, PAGE_NAMES))
-
-
 def format_pose_errors(records: Records) -> str:
     count, mpjpe, pa = np.sum([r['sums'] for r in records], axis=0)
     return f'{mpjpe / count:.0f} / {pa / count:.0f}'
 
 
-def show_poses(report: Report, records: Records) -> None:
-    """Show the mean errors of all frames in which the person truly is in a kind of pose."""
-    ways, detectors = group(records, 'way'), group(records, 'detector')
-    columns = {(w, d): select(records, way=w, detector=d) for (w,) in ways for (d,) in detectors}
-    rows = []
-    for pose in POSES:
-        sums = [np.sum([r['poses'].get(pose, [0, 0, 0]) for r in mine], axis=0) for mine in columns.values()]
-        cells = [f'{mpjpe / count:.0f} / {pa / count:.0f}' if count else '-' for count, mpjpe, pa in sums]
-        rows.append([pose, int(sums[-1][0]), *cells])
-    report.table(
-        ['pose', 'frames', *(f'{w}, {d}' for w, d in columns)], rows, 'By true pose, all frames: MPJPE / PA, mm'
-    )
+def show_tables_of_errors(report: Report, records: Records) -> None:
+    """Show the tables of the page: all views, and whole sequences by motion and by true pose."""
+    report.text('Behind ± is the standard deviation of the means of the seeds, which also differ in the headings.')
+    report.table(*cross(records, 'detector', 'way', format_summary, PAGE_NAMES), page='detectors.points')
+    for (way,), mine in group(records, 'way').items():
+        pages = ('detectors.motions', 'detectors.poses') if way == WAYS[0] else ('', '')
+        motions = cross(mine, 'category', 'detector', lambda r: f'{summarise(r)["mpjpe"]:.0f}', PAGE_NAMES)
+        report.table(*motions, f'{PAGE_NAMES.get(way, way)}, by motion: MPJPE, mm', page=pages[0])
+        poses = [{'pose': p, **r, 'sums': r['poses'][p]} for p in POSES for r in mine if p in r['poses']]
+        by_pose = cross(poses, 'pose', 'detector', format_pose_errors, PAGE_NAMES)
+        report.table(*by_pose, f'{PAGE_NAMES.get(way, way)}, by true pose: MPJPE / PA, mm', page=pages[1])
 
 
 def show_comparison(report: Report, records: Records, before: Records) -> None:
@@ -211,17 +191,6 @@ def show_comparison(report: Report, records: Records, before: Records) -> None:
         rows += [row] if pairs else []
     header = ['detector', 'way', 'views', 'MPJPE, mm', 'PA, mm', 'accel., m/s^2']
     report.table(header, rows, 'Change since the earlier run, with its standard error')
-
-
-def measure_swaps(options: Sequence[ViewOptions], run: Measurement) -> Records:
-    """Return the counts of swaps for each way and view."""
-    records = []
-    for chosen in common.show_progress(options, 'swaps'):
-        seen = make_view(chosen)
-        for way in run.ways:
-            counts = count_swaps(seen.is_swapped, *find_exchanged(way, seen, run.models, run.config))
-            records.append({**asdict(chosen), 'way': way, **counts})
-    return records
 
 
 def describe_swaps(records: Records) -> list[str]:
@@ -257,44 +226,24 @@ def show_swaps(report: Report, records: Records) -> None:
 
 def show_oracles(report: Report, records: Records) -> None:
     """Show the errors under each oracle beside those with all of the detector's errors."""
-    rows: list[list[object]] = []
-    for (oracle, detector), mine in group(records, 'oracle', 'detector').items():
-        row: list[object] = [detector, oracle or 'all errors of the detector']
-        for of_way in group(mine, 'way').values():
-            s = summarise(of_way)
-            row.append(f'{s["mpjpe"]:.1f} / {s["pa"]:.1f} / {s["acceleration"]:.1f}')
-        rows.append(row)
-    rows.sort(key=lambda row: str(row[0]))
-    header = ['detector', 'points', *(w for (w,) in group(records, 'way'))]
-    report.table(header, rows, 'Oracles: MPJPE, mm / PA, mm / acceleration error, m/s^2')
-    page = cross(
-        select(records, way=WAYS[0]) or records,
-        'detector',
-        'oracle',
-        lambda r: '{mpjpe:.1f} / {pa:.1f}'.format(**summarise(r)),
-        {**PAGE_NAMES, '': 'all errors', 'true 2D points': "true points, with the detector's scores and gaps"},
-    )
-    report.keep('detectors.oracles', *page)
+    names = {**PAGE_NAMES, '': 'all errors', 'true 2D points': "true points, with the detector's scores and gaps"}
+    for (way,), mine in group(records, 'way').items():
+        table = cross(mine, 'detector', 'oracle', lambda r: '{mpjpe:.1f} / {pa:.1f}'.format(**summarise(r)), names)
+        title = f'Oracles, {PAGE_NAMES.get(way, way)}: MPJPE / PA, mm'
+        report.table(*table, title, page='detectors.oracles' if mine[0]['way'] == records[0]['way'] else '')
 
 
 def measure_recordings(run: Measurement) -> Records:
     """Return the errors on the recorded detections, and those of MediaPipe's own 3D joints."""
     records = []
-    for detector in RECORDED_DETECTORS:
-        for camera in CAMERAS:
-            file = common.data_path('data', 'detections', f'balance_{detector}_cam{camera}.npz')
-            with np.load(file) as archive:
-                sequence = {k: archive[k] for k in archive.files}
-            recorded = load_sequence(file)
-            sequence |= {'keypoints': recorded.keypoints, 'camera_matrix': recorded.camera_matrix}
-            view = View(sequence)
-            found = {way: (reconstruct(way, view, run.models, run.config), CMU15.joints) for way in run.ways}
-            if detector == 'mediapipe':
-                found["the detector's own 3D"] = sequence['mediapipe_world'].astype(float), view.joint_names
-            records += [
-                {'detector': detector, 'camera': camera, 'way': way, **common.compute_errors(view, *f, 'limbs')}
-                for way, f in found.items()
-            ]
+    for detector, camera in product(common.RECORDED_DETECTORS, common.CAMERAS):
+        view = common.load_recording(detector, camera)
+        found = [reconstruct(way, view, run.models, run.config) for way in run.ways]
+        scores = common.compute_all_errors([view] * len(found), found, 'limbs')
+        by_way: dict[str, Mapping[str, Any]] = dict(zip(run.ways, scores, strict=True))
+        if own := common.compute_errors_of_detector(view):
+            by_way["the detector's own 3D"] = own
+        records += [{'detector': detector, 'camera': camera, 'way': w, **s} for w, s in by_way.items()]
     return records
 
 
@@ -307,7 +256,7 @@ def show_recordings(report: Report, records: Records) -> None:
         failed = sum(int(r['failed_frames']) for r in mine)
         rows.append([*names, *('{:.1f} / {:.1f}'.format(*c) for c in cells), acceleration, failed])
     report.table(
-        ['detector', 'result', *(f'camera {c}' for c in CAMERAS), 'mean', 'accel.', 'failed'],
+        ['detector', 'result', *(f'camera {c}' for c in common.CAMERAS), 'mean', 'accel.', 'failed'],
         rows,
         'Recorded detections, 12 joints of the limbs: MPJPE / PA, mm; acceleration error, m/s^2',
         page='detectors.recordings',
@@ -344,17 +293,14 @@ def show_extremities(report: Report, records: Records) -> None:
     )
 
 
-def load_models(shipped: bool, config: Config) -> tuple[Models, Config]:
+def load_models(shipped: bool, quick: bool, config: Config) -> tuple[Models, Config]:
     """Return base poses by name and the configuration with a lifter; where it names models, it has precedence."""
     common.choose_capture('motion')
-    models: Models
+    models: Models = {ALL_MOTIONS: common.train_base_poses(without_subjects=common.HELD_OUT_SUBJECTS)}
     if shipped or config.tracker.model != AUTO:
-        name = ALL_MOTIONS if config.tracker.model == AUTO else config.tracker.model
-        models = load_base_pose_models(name)
-    else:
-        models = {ALL_MOTIONS: common.train_base_poses(without_subjects=common.HELD_OUT_SUBJECTS)}
+        models = load_base_pose_models(ALL_MOTIONS if config.tracker.model == AUTO else config.tracker.model)
     if not shipped and config.solver.prior == LEARNED:
-        config = with_values(config, {'solver.prior': str(common.provide_held_out_lifter())})
+        config = with_values(config, {'solver.prior': common.choose_held_out_prior(quick)})
     return models, config
 
 
@@ -394,7 +340,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def choose_measurement(args: argparse.Namespace) -> Measurement:
     """Return what is measured, by the command line."""
-    models, config = load_models(args.models == 'shipped', with_values(Config(), parse_values(args.set)))
+    models, config = load_models(
+        args.models == 'shipped', args.quick, with_values(Config(), parse_values(args.set))
+    )
     sections = args.only or (QUICK_SECTIONS if args.quick else SECTIONS)
     return Measurement(
         models,
@@ -413,23 +361,30 @@ def run_errors(run: Measurement, report: Report) -> Records:
     errors = measure_errors(list_views(trials, run.detectors, run.frames, run.seeds), run.ways, run)
     for key in ('detector', 'category', 'camera'):
         show_errors(report, errors, key)
-    show_poses(report, errors)
-    keep_errors(report, errors)
+    show_tables_of_errors(report, errors)
     if run.against:
         show_comparison(report, errors, json.loads(run.against.read_text(encoding='utf-8'))['errors'])
     return errors
 
 
-def run_swaps(run: Measurement, report: Report) -> Records:
+def list_long_views(run: Measurement, detectors: Sequence[str], seeds: Sequence[int]) -> list[ViewOptions]:
+    """Return views of trials of `MIN_LONG_FRAMES` and more."""
     trials = choose_trials(run.persons, run.trials_per_motion, MIN_LONG_FRAMES)
-    swaps = measure_swaps(list_views(trials, run.disturbed, max(run.frames, MIN_LONG_FRAMES), run.seeds), run)
-    show_swaps(report, swaps)
-    return swaps
+    return list_views(trials, detectors, max(run.frames, MIN_LONG_FRAMES), seeds)
 
 
 def list_short_views(run: Measurement, detectors: Sequence[str], oracle: str = '') -> list[ViewOptions]:
     """Return one short view of a trial of each motion."""
     return list_views(choose_trials(run.persons, 1), detectors, QUICK_FRAMES, run.seeds[:1], oracle)
+
+
+def run_swaps(run: Measurement, report: Report) -> Records:
+    def count(way: str, seen: DetectedView) -> Mapping[str, Any]:
+        return count_swaps(seen.is_swapped, *find_exchanged(way, seen, run.models, run.config))
+
+    swaps = measure_views(list_long_views(run, run.disturbed, run.seeds), run.ways, count)
+    show_swaps(report, swaps)
+    return swaps
 
 
 def run_oracles(run: Measurement, report: Report) -> Records:
@@ -441,11 +396,21 @@ def run_oracles(run: Measurement, report: Report) -> Records:
 
 def run_own(run: Measurement, report: Report) -> Records:
     options = list_short_views(run, run.detectors)
-    errors = measure_own_base_poses(options, run.ways, run.models, run.config)
+    by_trial = {o.trial: train_own_base_poses(o.trial) for o in options}
+    alone = with_values(run.config, {'solver.prior': 'pca'})
+    records: list[dict[str, Any]] = []
+    for given, config in ((OWN, run.config), (ALONE, alone), (NOT_GIVEN, run.config)):
+        for chosen in options:
+            if own := by_trial[chosen.trial]:
+                models = run.models if given == NOT_GIVEN else {'own': own}
+                some = measure_errors([chosen], run.ways, replace(run, models=models, config=config))
+                records += [
+                    {**asdict(chosen), **{k: r[k] for k in ('way', 'mpjpe_mm')}, 'given': given} for r in some
+                ]
     title = 'Base poses of the very person: MPJPE, mm; the ratio is the geometric mean over the views'
     header = ['detector', 'way', 'views', OWN, ALONE, NOT_GIVEN, 'own / pca']
-    report.table(header, summarise_own(errors), title, page='detectors.own')
-    return errors
+    report.table(header, summarise_own(records), title, page='detectors.own')
+    return records
 
 
 def run_recordings(run: Measurement, report: Report) -> Records:
@@ -455,23 +420,19 @@ def run_recordings(run: Measurement, report: Report) -> Records:
 
 
 def run_ghosts(run: Measurement, report: Report) -> dict[str, Any]:
-    trials, found = choose_trials(run.persons, run.trials_per_motion, MIN_LONG_FRAMES), {}
+    found = {}
     for detector in run.detectors:
-        options = list_views(trials, [detector], max(run.frames, MIN_LONG_FRAMES), run.seeds[:1])
-        views = [make_view(v) for v in options]
+        views = [make_view(v) for v in list_long_views(run, [detector], run.seeds[:1])]
         found[detector] = measure_ghosts(views, run.models, run.config)
     show_ghosts(report, found)
     return found
 
 
 def run_extremities(run: Measurement, report: Report) -> Records:
-    records = []
-    options = list_views(choose_trials(run.persons, 1), run.detectors, QUICK_FRAMES, run.seeds[:1])
-    for chosen in common.show_progress(options, 'extremities'):
-        seen = make_view(chosen)
-        for way in run.ways:
-            errors = compute_extremity_errors(seen, reconstruct_body(way, seen, run.models, run.config))
-            records.append({**asdict(chosen), 'category': chosen.category, 'way': way, **errors})
+    def measure(way: str, seen: DetectedView) -> Mapping[str, Any]:
+        return compute_extremity_errors(seen, reconstruct_body(way, seen, run.models, run.config))
+
+    records = measure_views(list_short_views(run, run.detectors), run.ways, measure)
     show_extremities(report, records)
     return records
 
@@ -495,10 +456,6 @@ def measure(args: argparse.Namespace, report: Report) -> None:
         report.add(**{name: RUNS[name](chosen, report)})
 
 
-def main() -> None:
-    run(__doc__, 'Detectors', measure, add_options, one_core=False)
-
-
 RUNS: Mapping[str, Callable[[Measurement, Report], Any]] = {
     'errors': run_errors,
     'swaps': run_swaps,
@@ -511,4 +468,4 @@ RUNS: Mapping[str, Callable[[Measurement, Report], Any]] = {
 }
 
 if __name__ == '__main__':
-    main()
+    run(__doc__, 'Detectors', measure, add_options, one_core=False)

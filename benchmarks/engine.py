@@ -17,9 +17,6 @@ at different times and machines are compared. Sections of `--only`:
 
 from __future__ import annotations
 
-import common
-
-# isort: split
 import argparse
 import json
 import tempfile
@@ -29,12 +26,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import common
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import solvers
 from experiments import past_only
-from experiments.node import HZ, MAX_PEOPLE, Peer, choose_domain, measure_usage, run_node
+from experiments.node import HZ, MAX_PEOPLE, START_TIMEOUT_S, Peer, choose_domain, measure_usage, run_node
 from experiments.stages import OTHER, STAGES, measure_stages
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -55,7 +53,6 @@ BEFORE = Path(__file__).resolve().parent / 'history' / '0.1.0.json'  # what the 
 STAGE_PEOPLE = (1, 10, 30)  # crowds whose stages are measured
 GROWTH_PEOPLE = (1, 2, 5, 10, 20, 30, 50)
 GROWTH_TRIAL = '09_12'  # a walk of 16 s
-START_TIMEOUT_S = 180.0  # s; far above the slowest start, with an empty cache on a busy machine
 CROWD_S = 60.0  # s for which a crowd must be tracked without a dropped frame
 # Figures of the table of targets: the one to reach and the one beyond; True where more is better.
 TARGETS: Mapping[str, tuple[float, float, bool]] = {
@@ -360,7 +357,7 @@ def measure_starts(_report: Report, quick: bool) -> dict[str, Any]:
 
 
 def report_past(report: Report, quick: bool) -> dict[str, Any]:
-    found = past_only.compare_all(*provide_held_out(), quick)
+    found = past_only.compare_all(*provide_held_out(quick), quick)
     out: dict[str, Any] = {'live_over_past_only': past_only.compute_ratio(found)}
     for attribute in ('detector', 'category', 'camera'):
         rows = [
@@ -400,7 +397,7 @@ def format_verdict(key: str, value: float) -> str:
 def measure(args: argparse.Namespace, report: Report) -> None:
     common.choose_capture('motion')
     reference_s, found = {}, report.results
-    for section in report.choose(args, SECTIONS, needing_lifter=['past']):
+    for section in args.only or SECTIONS:
         reference_s[section] = common.measure_reference_kernel_s()
         report.text(f'Reference kernel before section {section}: {reference_s[section]:.3f} s')
         report.add(**SECTIONS[section](report, args.quick), reference_s=reference_s)
@@ -414,9 +411,5 @@ def measure(args: argparse.Namespace, report: Report) -> None:
     report.table(header, rows, 'Targets', page='engine.targets')
 
 
-def main() -> None:
-    run(__doc__, 'The engine', measure, add_sections(SECTIONS))
-
-
 if __name__ == '__main__':
-    main()
+    run(__doc__, 'The engine', measure, lambda p: add_sections(p, SECTIONS))

@@ -13,16 +13,19 @@ and nobody edits what is between them: `write_pages` writes it, and `find_differ
 An entry is stale when the files that its benchmark measures, `Benchmark.sources`, have changed since. The tables
 that its last run did not measure, and those that somebody entered by hand, are `kept` with the command, the commit
 and the time of their own measurement; they are stale as well, unless they say `once`: measured to choose a
-setting, and not to be repeated. Nothing but the standard library is needed here, so that the check is quick.
+setting, and not to be repeated. Where only files of `benchmarks` have changed, and no result by that, somebody may
+say so: `confirm_entry`. Nothing but the standard library is needed here, so that the check is quick.
 """
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +33,7 @@ RECORD = Path('benchmarks', 'figures.json')  # from the root of the repository, 
 STALE_MARK = re.compile(r'\*Measured on \S+ at \S+, before the last change of what it measures\.\*\n\n')
 MARKER = re.compile(r'(?<=<!-- table: )(?P<name>\S+) -->\n(?P<text>.*?)(?=<!-- end of table -->)', re.DOTALL)
 NUMBER = re.compile(r'[\s*<±+-]*\d')  # how a cell with a figure begins
+LAYOUT = ('report.py', 'panels.py')  # files of `benchmarks` that say how results look, and not what they are
 CHUNK_BYTES = 1 << 20  # bytes that are read at once for a checksum
 
 Entry = Mapping[str, Any]
@@ -42,9 +46,12 @@ class Benchmark:
     Attributes:
         name: of its entry in the record.
         script: file below `benchmarks`, which has the options --quick and --json.
-        sources: files and folders, from the root of the repository, whose change makes its results stale.
+        sources: files and folders, from the root of the repository, whose change makes its results stale. The
+            script is one of them, and so is what it imports from `benchmarks`, but for `LAYOUT`.
         data: files of the evaluation data that it reads, from the data's folder.
         options: further options of the script, such as the section that is to be run.
+        quick_options: options of a short run, where `--quick` alone takes longer than a minute or two.
+        part: file below `benchmarks` that holds this section; its imports count instead of the script's.
     """
 
     name: str
@@ -52,6 +59,8 @@ class Benchmark:
     sources: Sequence[str]
     data: Sequence[str] = ()
     options: Sequence[str] = ()
+    quick_options: Sequence[str] = ()
+    part: str = ''
 
     def list_sources(self, root: Path) -> list[Path]:
         """List the files of `sources`.
@@ -59,8 +68,9 @@ class Benchmark:
         Raises:
             FileNotFoundError: one of them does not exist.
         """
-        files: list[Path] = []
-        for source in (f'benchmarks/{self.script}', *self.sources):
+        folder = root / 'benchmarks'
+        files = [folder / self.script, *_follow_imports(folder / (self.part or self.script), folder)]
+        for source in self.sources:
             path = root / source
             if path.is_dir():
                 files += sorted(f for f in path.rglob('*.py') if '__pycache__' not in f.parts)
@@ -70,12 +80,38 @@ class Benchmark:
                 raise FileNotFoundError(f'benchmark {self.name}: there is no {source}')
         return sorted(set(files))
 
-    def hash_sources(self, root: Path) -> str:
-        """Return the checksum of the sources with their names."""
+    def hash_sources(self, root: Path, *, only_package: bool = False) -> str:
+        """Return the checksum of the sources with their names; of all, or of those outside of `benchmarks`."""
         total = hashlib.sha256()
         for file in self.list_sources(root):
-            total.update(f'{file.relative_to(root).as_posix()} {hash_file(file)}\n'.encode())
+            if not (only_package and file.is_relative_to(root / 'benchmarks')):
+                total.update(f'{file.relative_to(root).as_posix()} {hash_file(file)}\n'.encode())
         return total.hexdigest()
+
+
+def _follow_imports(file: Path, folder: Path) -> set[Path]:
+    """Return a file and the files of a folder that it imports, directly or not."""
+    if not file.is_file():
+        raise FileNotFoundError(f'there is no {file}')
+    found, waiting = set[Path](), {file}
+    while waiting:
+        found.add(file := waiting.pop())
+        names = _list_imports(file.read_text(encoding='utf-8'))
+        imported = {folder.joinpath(*name.split('.')).with_suffix('.py') for name in names}
+        waiting |= {f for f in imported if f.is_file() and f.relative_to(folder).as_posix() not in LAYOUT} - found
+    return found
+
+
+@cache
+def _list_imports(text: str) -> frozenset[str]:
+    """Return the names of the modules that a program may import; of what is no module as well."""
+    names = set[str]()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names |= {node.module, *(f'{node.module}.{alias.name}' for alias in node.names)}
+    return frozenset(names)
 
 
 def hash_file(path: Path) -> str:
@@ -130,6 +166,22 @@ def put_entry(record: Mapping[str, Entry], name: str, measured: Entry) -> dict[s
     kept = before.get('kept', {}) | {t: {**about, 'text': text} for t, text in before.get('tables', {}).items()}
     entries = {**record, name: {**measured, 'kept': kept}}
     return {n: {**e, 'kept': _drop(e.get('kept', {}), measured['tables'])} for n, e in entries.items()}
+
+
+def confirm_entry(entry: Entry, benchmark: Benchmark, root: Path) -> dict[str, Any]:
+    """Return an entry, or a table that is kept, as up to date though files of `benchmarks` have changed since.
+
+    Raises:
+        ValueError: the package has changed since, or nobody knows whether it has.
+    """
+    now = {'sources': benchmark.hash_sources(root), 'package': benchmark.hash_sources(root, only_package=True)}
+    if isinstance(entry['sources'], Mapping):  # of a table that is kept, for several benchmarks
+        new: dict[str, Any] = {k: {**entry.get(k, {}), benchmark.name: v} for k, v in now.items()}
+    else:
+        new = dict(now)
+    if entry.get('package') != new['package']:
+        raise ValueError(f'{benchmark.name}: the package that it measures has changed since; measure it again')
+    return {**entry, **new}
 
 
 def _drop(kept: Entry, names: Iterable[str]) -> dict[str, Any]:

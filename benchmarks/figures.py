@@ -8,7 +8,8 @@ Commands:
                       build/figures/quick.json and into no page.
     enter NAME FILE   enter what a benchmark wrote with --json FILE, and write the pages
     keep NAME ...     enter tables by hand as the pages show them, with the command that measured them
-    write             write the pages from the record, and draw how the figures went
+    confirm NAME ...  state that benchmarks measure what they did, though their own files were changed since
+    write             write the pages from the record, as the commands above do, and draw how the figures went
     check             find tables and pictures that differ from the record; with --release, stale ones as well
     release VERSION   keep the record as history/VERSION.json, and draw how the figures went
 """
@@ -33,6 +34,7 @@ from typing import Any
 from figure_record import (
     RECORD,
     Benchmark,
+    confirm_entry,
     find_differences,
     hash_file,
     list_stale,
@@ -62,7 +64,6 @@ DETECTIONS = tuple(f'data/detections/balance_{d}_cam{c}.npz' for d in ('mediapip
 SOLVERS = tuple(f'mocap_ros/{f}' for f in ('config', 'geometry', 'models', 'solvers', 'training/base_poses.py'))
 TRACKER = (*SOLVERS, 'mocap_ros/compiled', 'mocap_ros/keypoints', 'mocap_ros/offline', 'mocap_ros/tracking')
 BAGS = ('mocap_ros/bags', 'mocap_ros/messages', 'mocap_ros/runtime')
-EXPERIMENTS = 'benchmarks/experiments'
 # Sections of `paper.py`, which are measured one by one, with their modules.
 PAPER_SECTIONS = {
     **dict.fromkeys(('table1', 'base_poses', 'beta', 'bones', 'norms'), 'accuracy'),
@@ -74,46 +75,37 @@ PAPER_SECTIONS = {
 }
 
 BENCHMARKS = (
-    Benchmark(
-        'table1',
-        'table1.py',
-        ('benchmarks/rivals', f'{EXPERIMENTS}/accuracy.py', f'{EXPERIMENTS}/variants/sines.py', *SOLVERS),
-        CMU,
-    ),
+    Benchmark('table1', 'table1.py', SOLVERS, CMU),
     *(
         Benchmark(
             f'paper.{section}',
             'paper.py',
-            (f'{EXPERIMENTS}/{module}.py', f'{EXPERIMENTS}/variants', *SOLVERS),
-            (*CMU, *DETECTIONS),
+            TRACKER if module == 'targets' else SOLVERS,
+            (*CMU, *(DETECTIONS if module == 'targets' else ())),
             ('--only', section),
+            part=f'experiments/{module}.py',
         )
         for section, module in PAPER_SECTIONS.items()
     ),
-    Benchmark('classification', 'classification.py', SOLVERS, CMU),
-    Benchmark('solvers', 'solvers.py', (f'{EXPERIMENTS}/least_squares.py', *SOLVERS), CMU),
+    Benchmark('classification', 'classification.py', ('benchmarks/periodic_labels.csv', *SOLVERS), CMU),
+    Benchmark('solvers', 'solvers.py', SOLVERS, CMU),
     Benchmark('lifter', 'lifter.py', SOLVERS, (*MOTION, *DETECTIONS)),
     Benchmark('tracker', 'tracker.py', TRACKER, MOTION),
     Benchmark('keyframes', 'keyframes.py', TRACKER, (*CMU, *DETECTIONS)),
     Benchmark(
         'detectors',
         'detectors.py',
-        tuple(f'{EXPERIMENTS}/detector_{f}.py' for f in ('errors', 'extremities', 'ghosts', 'swaps', 'views'))
-        + TRACKER,
+        TRACKER,
         (*MOTION, *DETECTIONS),
+        quick_options=('--only', 'live', 'recordings', '--seeds', '0', '--detectors', 'mediapipe'),
     ),
-    Benchmark('vertical', 'vertical.py', (f'{EXPERIMENTS}/detector_views.py', *TRACKER), MOTION),
-    Benchmark(
-        'engine',
-        'engine.py',
-        tuple(f'{EXPERIMENTS}/{f}.py' for f in ('node', 'past_only', 'stages'))
-        + TRACKER
-        + BAGS
-        + ('mocap_ros/ros',),
-        MOTION,
-    ),
+    Benchmark('vertical', 'vertical.py', TRACKER, MOTION),
+    Benchmark('engine', 'engine.py', (*TRACKER, *BAGS, 'mocap_ros/ros'), MOTION),
+    Benchmark('faults', 'faults.py', (*BAGS, 'mocap_ros/ros'), (PROTOCOL,)),
+    Benchmark('overload', 'overload.py', ('mocap_ros/ros', 'mocap_ros/runtime/pipeline.py'), (PROTOCOL,)),
+    Benchmark('soak', 'soak.py', ('mocap_ros/bags', 'mocap_ros/ros'), (PROTOCOL,)),
     Benchmark('corpora', 'corpora.py', (*BAGS, 'mocap_ros/batch'), (PROTOCOL,)),
-    Benchmark('robots', 'robots.py', (f'{EXPERIMENTS}/robot_scenes.py', 'mocap_ros/messages', *TRACKER), MOTION),
+    Benchmark('robots', 'robots.py', ('mocap_ros/messages', *TRACKER), MOTION),
     Benchmark('recording', 'recording.py', (*BAGS, 'mocap_ros/ros/live.py'), (PROTOCOL,)),
 )
 # What the picture of the history shows: title, table, beginnings of the row in any release, and column in any.
@@ -155,8 +147,8 @@ def run_benchmark(benchmark: Benchmark, root: Path, *, quick: bool) -> dict[str,
     folder.mkdir(parents=True, exist_ok=True)
     output, log = folder / f'{benchmark.name}.json', folder / f'{benchmark.name}.log'
     output.unlink(missing_ok=True)
-    command = [sys.executable, str(root / 'benchmarks' / benchmark.script), *benchmark.options]
-    command += ['--json', str(output), *['--quick'] * quick]
+    options = [*benchmark.options, *(['--quick', *benchmark.quick_options] if quick else [])]
+    command = [sys.executable, str(root / 'benchmarks' / benchmark.script), *options, '--json', str(output)]
     sources, begun = benchmark.hash_sources(root), time.monotonic()
     with log.open('w', encoding='utf-8') as file:
         status = subprocess.run(command, stdout=file, stderr=subprocess.STDOUT, cwd=root, check=False).returncode
@@ -167,10 +159,11 @@ def run_benchmark(benchmark: Benchmark, root: Path, *, quick: bool) -> dict[str,
         return None
     found = json.loads(output.read_text(encoding='utf-8'))
     return {
-        'command': ' '.join([f'benchmarks/{benchmark.script}', *benchmark.options, *['--quick'] * quick]),
+        'command': ' '.join([f'benchmarks/{benchmark.script}', *options]),
         'finished': datetime.now(timezone.utc).isoformat(timespec='seconds'),
         'seconds': round(time.monotonic() - begun, 1),
         'sources': sources,
+        'package': benchmark.hash_sources(root, only_package=True),
         **describe_results(found, root),
     }
 
@@ -202,12 +195,14 @@ def enter(benchmark: Benchmark, file: Path, root: Path) -> None:
     changed = [f for f in benchmark.list_sources(root) if f.stat().st_mtime > found['begun']]
     for path in changed:
         print(f'changed since the run began: {path.relative_to(root)}')
+    is_package_changed = any(not path.is_relative_to(root / 'benchmarks') for path in changed)
     entry = {
         'command': found['command'],
         'data': hash_data(benchmark, root),
         'finished': datetime.fromtimestamp(file.stat().st_mtime, timezone.utc).isoformat(timespec='seconds'),
         'seconds': round(file.stat().st_mtime - found['begun'], 1),
         'sources': '' if changed else benchmark.hash_sources(root),
+        'package': '' if is_package_changed else benchmark.hash_sources(root, only_package=True),
         **describe_results(found, root),
     }
     save_record(put_entry(load_record(root / RECORD), benchmark.name, entry), root / RECORD)
@@ -228,11 +223,35 @@ def keep(
     record = load_record(root / RECORD)
     about: dict[str, Any] = {'by': 'hand', 'command': command, 'commit': describe_commit(root)}
     about['finished'] = datetime.now(timezone.utc).isoformat(timespec='seconds')
-    about |= {'once': True} if once else {'sources': {b.name: b.hash_sources(root) for b in benchmarks}}
+    if once:
+        about['once'] = True
+    else:
+        about['sources'] = {b.name: b.hash_sources(root) for b in benchmarks}
+        about['package'] = {b.name: b.hash_sources(root, only_package=True) for b in benchmarks}
     for name in names:
         entry = record.setdefault(_find_entry(name), {})
         entry.get('tables', {}).pop(name, None)
         entry.setdefault('kept', {})[name] = {**about, 'text': read_table(name, root)}
+    save_record(record, root / RECORD)
+
+
+def confirm(benchmarks: Sequence[Benchmark], because: str, root: Path) -> None:
+    """Enter that the results of benchmarks are as before, though their own files have changed, and why.
+
+    Raises:
+        ValueError: the package has changed since they were measured.
+    """
+    record = load_record(root / RECORD)
+    for benchmark in benchmarks:
+        said = {'because': because, 'commit': describe_commit(root)}
+        entry = record[benchmark.name]
+        if 'sources' in entry:
+            entry = confirm_entry(entry, benchmark, root)
+        kept = {
+            name: confirm_entry(table, benchmark, root) if benchmark.name in table.get('sources', {}) else table
+            for name, table in entry.get('kept', {}).items()
+        }
+        record[benchmark.name] = {**entry, 'kept': kept, 'confirmed': [*entry.get('confirmed', []), said]}
     save_record(record, root / RECORD)
 
 
@@ -317,7 +336,7 @@ def find_headline(record: Mapping[str, Any], table: str, rows: Sequence[str], co
 
 def draw_history(history: Mapping[str, Mapping[str, Any]], path: Path) -> None:
     """Draw the headlines of the releases."""
-    from experiments.report import make_panels
+    from panels import make_panels
 
     figure, axes = make_panels(3, rows=2, height=4.0)
     for ax, (title, table, rows, column) in zip(axes.flat, HEADLINES, strict=True):
@@ -351,6 +370,9 @@ def main() -> int:
         '--of', nargs='+', choices=names, default=[], metavar='BENCHMARK', help='that it belongs to'
     )
     origin.add_argument('--once', action='store_true', help='measured to choose a setting, and never stale')
+    confirming = commands.add_parser('confirm', help='state that results are as before')
+    confirming.add_argument('names', nargs='+', choices=names, metavar='NAME', help='of the benchmarks')
+    confirming.add_argument('--because', required=True, help='how it is known that the results are the same')
     checking = commands.add_parser('check', help='compare the pages with the record')
     checking.add_argument('--release', action='store_true', help='fail also if something is stale or missing')
     release = commands.add_parser('release', help='keep the record of a release')
@@ -366,10 +388,12 @@ def main() -> int:
             if not args.quick:
                 write(ROOT)
             return min(failed, 1)
-        case 'enter' | 'keep':
+        case 'enter' | 'keep' | 'confirm':
             try:
                 if args.command == 'enter':
                     enter(names[args.name], args.file, ROOT)
+                elif args.command == 'confirm':
+                    confirm([names[n] for n in args.names], args.because, ROOT)
                 else:
                     keep(args.names, args.measured_by, [names[n] for n in args.of], ROOT, once=args.once)
             except (OSError, ValueError) as error:
@@ -377,8 +401,6 @@ def main() -> int:
             write(ROOT)
         case 'write':
             write(ROOT)
-            now = load_record(ROOT / RECORD)
-            draw_history({**load_history(ROOT / HISTORY), 'now': now}, ROOT / PICTURE_OF_HISTORY)
         case 'check':
             return check(BENCHMARKS, ROOT, release=args.release)
         case _:
@@ -387,8 +409,9 @@ def main() -> int:
 
 
 def write(root: Path) -> None:
-    """Write the pages from the record, and print which of them changed."""
+    """Write the pages from the record, print which of them changed, and draw how the figures went."""
     record = load_record(root / RECORD)
+    draw_history({**load_history(root / HISTORY), 'now': record}, root / PICTURE_OF_HISTORY)
     for page in write_pages(record, list_stale(record, BENCHMARKS, root), root):
         print(f'written: {page.relative_to(root)}')
 

@@ -9,26 +9,20 @@ output says which.
 
 from __future__ import annotations
 
-import common
-
-# isort: split
-import argparse
-import multiprocessing
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
+import common
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from common import View
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from reconstruction import reconstruct_whole, track
-from report import Report, run
+from report import Report, Section, run
 
 from mocap_ros.config import Config, with_values
 from mocap_ros.evaluation.metrics import LIMB_JOINTS
@@ -46,13 +40,13 @@ from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.viewing.keyframe_plots import draw_distances_figure, draw_keyframes_figure
-from mocap_ros.viewing.plots import TRUTH_COLOUR, draw_bones, project_from_side, save_figure
+from mocap_ros.viewing.plots import TRUTH_COLOUR, draw_bones, project_from_side
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 mpl.use('Agg')
-PICTURES = common.ROOT / 'docs' / 'img' / 'keyframes'
+PICTURES = 'docs/img/keyframes'  # from the root of the repository
 
 # Trials of playground games, dance, martial arts and gestures, in this order in the mixed sequence.
 MIXED_TRIALS = ('01_03', '05_18', '135_02', 'UB_02', '01_07', '05_20', '135_06', '01_06', 'UB_04')
@@ -162,9 +156,11 @@ def compute_frame_errors(view: View, joints: Array) -> Array:
     return common.compute_pose_errors(found, truth, similarity=False)
 
 
-def compare_methods(quick: bool) -> tuple[list[dict[str, Any]], dict[str, float]]:
+def report_methods(report: Report, quick: bool) -> dict[str, Any]:
     """Compare the keyframe method, the tracker and the whole-sequence solver on clean and corrupted views."""
     config = make_config()
+    lifter = 'held out' if common.HELD_OUT_LIFTER.is_file() else 'as shipped'
+    report.text(f'Lifter: {lifter}')
     rows: list[dict[str, Any]] = []
     figures: dict[str, float] = {}
     kinds = {'mixed': MIXED_TRIALS, 'unseen by the lifter': UNSEEN_TRIALS}
@@ -204,10 +200,14 @@ def compare_methods(quick: bool) -> tuple[list[dict[str, Any]], dict[str, float]
         for label, result in (('clean', reconstruct_by_keyframes(clean, config)), ('corrupted', done)):
             for half in result.keyframes:
                 figures[f'{key}{half.body_half.name}_keyframes_per_s_{label}'] = len(half.frames) / seconds
-    return rows, figures
+    title = 'Keyframe method, whole-sequence solver and tracker: MPJPE, mm'
+    report.rows(title, rows, page='keyframes.methods')
+    shown = [{'figure': k, 'value': f'{v:.4g}'} for k, v in figures.items()]
+    report.rows('Targets', shown, page='keyframes.targets')
+    return {'lifter': lifter, **figures, 'side_by_side': rows}
 
 
-def count_keyframes(quick: bool) -> list[dict[str, Any]]:
+def report_counts(report: Report, quick: bool) -> dict[str, Any]:
     """Count the keyframes per second of the mixed sequence against alpha, for some beta."""
     clean = make_mixed_view(MIXED_TRIALS, 20.0 if quick else SEQUENCE_S)
     config, rows = make_config(), []
@@ -225,10 +225,13 @@ def count_keyframes(quick: bool) -> list[dict[str, Any]]:
                 for alpha in (0.8, 0.9, 0.95, 0.99):
                     row[f'alpha {alpha:g}'] = float((np.argmax(curve >= alpha) + 1) / (view.frames / common.FPS))
                 rows.append({**row, 'curve': curve})
-    return rows
+    counts = [{k: v for k, v in r.items() if k != 'curve'} for r in rows]
+    report.rows('Keyframes per second against alpha', counts)
+    report.picture(draw_counts(rows, view.frames / common.FPS), f'{PICTURES}/alpha.png')
+    return {'alpha': counts}
 
 
-def draw_counts(rows: Sequence[dict[str, Any]], seconds: float) -> None:
+def draw_counts(rows: Sequence[dict[str, Any]], seconds: float) -> Figure:
     figure, panels = plt.subplots(1, 2, figsize=(9, 3.4), layout='constrained', sharey=True)
     for axes, label in zip(panels, ('clean', 'corrupted'), strict=True):
         for row in (r for r in rows if r['sequence'] == label):
@@ -241,10 +244,10 @@ def draw_counts(rows: Sequence[dict[str, Any]], seconds: float) -> None:
         axes.set(xlabel='share of frames covered (alpha)', xlim=(0.5, 1.0), ylim=(0, 1.5), title=label)
     panels[0].set_ylabel('keyframes per second')
     panels[1].legend(frameon=False, fontsize=8)
-    _save_figure(figure, 'alpha')
+    return figure
 
 
-def measure_burst(draw: bool) -> dict[str, float]:
+def report_burst(report: Report, _quick: bool) -> dict[str, Any]:
     """Put an arm in a wrong place for a quarter of a second, and fit with and without smoothing (figure 14)."""
     clean = make_mixed_view(('05_18', '135_06'), 20.0, heading=60.0)
     keypoints = clean.sequence['keypoints'].astype(float).copy()
@@ -272,16 +275,13 @@ def measure_burst(draw: bool) -> dict[str, float]:
         iterations=config.keyframes.iterations,
     )
     without = seen.virtual_camera.to_real_camera(raw.motion.joints)
-    if draw:
-        _draw_burst(view, 104, without, smooth.result.joints)
-    out = {}
-    for label, joints in (('without smoothing', without), ('with', smooth.result.joints)):
-        out[f'{label}: arm, mm'] = float(_compute_arm_errors(clean, joints, arm)[when].mean())
-    out['clean: arm, mm'] = float(
-        _compute_arm_errors(clean, reconstruct_by_keyframes(clean, config).result.joints, arm)[when].mean()
-    )
+    report.picture(_draw_burst(view, 104, without, smooth.result.joints), f'{PICTURES}/burst.png')
+    best = reconstruct_by_keyframes(clean, config)
+    kinds = {'without smoothing': without, 'with': smooth.result.joints, 'clean': best.result.joints}
+    out = {f'{k}: arm, mm': float(_compute_arm_errors(clean, p, arm)[when].mean()) for k, p in kinds.items()}
     out['called outliers'] = float(smooth.outliers[when][:, arm].mean())
-    return out
+    report.rows('An arm in a wrong place for 0.27 s (figure 14)', [out])
+    return {'burst': out}
 
 
 def _compute_arm_errors(view: View, joints: Array, arm: Sequence[int]) -> Array:
@@ -289,7 +289,7 @@ def _compute_arm_errors(view: View, joints: Array, arm: Sequence[int]) -> Array:
     return np.linalg.norm(found - truth, axis=-1)[:, list(arm)].mean(axis=1) * 1e3
 
 
-def _draw_burst(view: View, frame: int, without: Array, smooth: Array) -> None:
+def _draw_burst(view: View, frame: int, without: Array, smooth: Array) -> Figure:
     figure, panels = plt.subplots(1, 5, figsize=(12, 3.6), layout='constrained')
     draw_bones(panels[0], view.sequence['keypoints'][frame, :, :2], CMU15, linewidth=2)
     panels[0].set_title('(a) 2D input, right arm wrong', fontsize=9)
@@ -312,10 +312,10 @@ def _draw_burst(view: View, frame: int, without: Array, smooth: Array) -> None:
         axes.set(xlim=(-0.7, 0.7), ylim=(1.0, -1.0), aspect='equal')
     for axes in panels:
         axes.set_axis_off()
-    _save_figure(figure, 'burst')
+    return figure
 
 
-def evaluate_second_camera(quick: bool, draw: bool) -> list[dict[str, Any]]:
+def report_second_camera(report: Report, quick: bool) -> dict[str, Any]:
     """Reconstruct from one camera and compare with the detections of another camera (figures 11 to 13)."""
     rows = []
     models, config = load_base_pose_models('all'), Config()
@@ -332,9 +332,11 @@ def evaluate_second_camera(quick: bool, draw: bool) -> list[dict[str, Any]]:
             for name, joints in found.items():
                 errors, seen_from_two = _compare_in_second_camera(a, b, joints)
                 rows.append({'detector': detector, 'from': one, 'seen by': two, 'method': name, **errors})
-                if draw and detector == 'openpose' and (one, two) == (1, 3) and name == 'keyframes':
-                    _draw_second_camera(a, b, seen_from_two)
-    return rows
+                if detector == 'openpose' and (one, two) == (1, 3) and name == 'keyframes':
+                    report.picture(_draw_second_camera(a, b, seen_from_two), f'{PICTURES}/second_camera.png')
+    title = 'Real detections, seen from a second camera (figures 11 to 13)'
+    report.rows(title, rows, page='keyframes.second_camera')
+    return {'second_camera': rows}
 
 
 def _select_limbs(recorded: KeypointSequence) -> tuple[Array, list[int]]:
@@ -371,7 +373,7 @@ def _compare_in_second_camera(
     return {'MPJPE mm': float(wrong), 'image error, % of height': float(100 * np.nanmean(missed) / height)}, view
 
 
-def _draw_second_camera(a: KeypointSequence, b: KeypointSequence, view: Array) -> None:
+def _draw_second_camera(a: KeypointSequence, b: KeypointSequence, view: Array) -> Figure:
     frames = np.linspace(5, len(a) - 6, 6).round().astype(int)
     figure, panels = plt.subplots(3, len(frames), figsize=(12, 6.4), layout='constrained')
     for column, frame in enumerate(frames):
@@ -390,7 +392,7 @@ def _draw_second_camera(a: KeypointSequence, b: KeypointSequence, view: Array) -
         axes.set_aspect('equal', adjustable='datalim')
         axes.invert_yaxis()
         axes.set_axis_off()
-    _save_figure(figure, 'second_camera')
+    return figure
 
 
 def observe_pixels(recorded: KeypointSequence) -> tuple[Array, Array]:
@@ -403,7 +405,7 @@ def observe_pixels(recorded: KeypointSequence) -> tuple[Array, Array]:
     return pixels, seen.weight
 
 
-def measure_paper_length() -> dict[str, float]:
+def report_paper_length(report: Report, _quick: bool) -> dict[str, Any]:
     """Measure the CPU time of the distance matrices and the selection for the paper's 1,800 frames (36 s)."""
     clean = make_mixed_view(MIXED_TRIALS[:3], 36.0)
     times = np.arange(1800) / 50
@@ -411,10 +413,8 @@ def measure_paper_length() -> dict[str, float]:
     flat = clean.sequence['keypoints'][..., :2].astype(float)
     seen = np.isfinite(flat).all(axis=-1)
     both = [np.interp(times, old[seen[:, j]], flat[seen[:, j], j, d]) for j in range(15) for d in (0, 1)]
-    points = np.stack(both, axis=-1).reshape(1800, 15, 2)
-    weight = np.ones((1800, 15))
-    rules = Config().keyframes
-    out = {}
+    points, weight = np.stack(both, axis=-1).reshape(1800, 15, 2), np.ones((1800, 15))
+    rules, out = Config().keyframes, {}
 
     def matrices() -> list[Any]:
         found = []
@@ -428,14 +428,8 @@ def measure_paper_length() -> dict[str, float]:
     (_, out['selection_1800_s']) = common.measure_time(
         lambda: [select_keyframes(d < rules.beta, p.times, rules.alpha, rules.gap) for p, d in made]
     )
+    report.rows("The paper's 1,800 frames", [out])
     return out
-
-
-def read_peak_mb() -> float:
-    """Return the peak resident memory of this process in MB; `ru_maxrss` would include that of its parent."""
-    status = Path('/proc/self/status')
-    lines = status.read_text().splitlines() if status.is_file() else []
-    return next((int(line.split()[1]) / 1024 for line in lines if line.startswith('VmHWM')), float('nan'))
 
 
 def make_long_keypoints(seconds: float) -> Array:
@@ -450,112 +444,72 @@ def make_long_keypoints(seconds: float) -> Array:
     return np.concatenate([v.sequence['keypoints'] for v in parts]).astype(float)
 
 
-def find_keyframes_in_process(path: str, connection: Any) -> None:
-    """Find the keyframes of a sequence in a process of its own; send the time, the memory and the coverage."""
-    keypoints = np.load(path)
-    times = np.arange(len(keypoints)) / common.FPS
-    before = read_peak_mb()
-    start_s = time.process_time()
+def find_long_keyframes(seconds: float) -> dict[str, Any]:
+    """Find the keyframes of a long sequence; return the time and the coverage."""
+    keypoints = make_long_keypoints(seconds)
+    before = common.read_peak_mb()
     intrinsics = View({'image_size': np.array([640, 800])}).intrinsics
-    seen = observe_shots(keypoints, CMU15.joints, times, intrinsics, Config().tracker)
-    found = keyframe_method.find_keyframes(
-        seen.exclude_points(keyframe_method.find_suspect_points(seen)), Config().keyframes
-    )
-    connection.send(
-        {
-            'frames': len(times),
-            'CPU s': time.process_time() - start_s,
-            'MB before': before,
-            'MB at most': read_peak_mb(),
-            'one whole matrix, MB': len(times) ** 2 * 4 / 1e6,
-            **{f'keyframes, {half.body_half.name}': len(half.frames) for half in found},
-            'covered': min(h.coverage for h in found),
-        }
-    )
+    times = np.arange(len(keypoints)) / common.FPS
+
+    def find() -> Any:
+        seen = observe_shots(keypoints, CMU15.joints, times, intrinsics, Config().tracker)
+        seen = seen.exclude_points(keyframe_method.find_suspect_points(seen))
+        return keyframe_method.find_keyframes(seen, Config().keyframes)
+
+    found, cpu_s = common.measure_time(find)
+    return {
+        'frames': len(times),
+        'CPU s': cpu_s,
+        'MB before': before,
+        'one whole matrix, MB': len(times) ** 2 * 4 / 1e6,
+        **{f'keyframes, {half.body_half.name}': len(half.frames) for half in found},
+        'covered': min(h.coverage for h in found),
+    }
 
 
-def measure_long_sequence(seconds: float) -> dict[str, Any]:
-    """Measure time and memory of the keyframes of a long sequence."""
-    context = multiprocessing.get_context('spawn')
-    receiver, sender = context.Pipe(duplex=False)
-    with TemporaryDirectory() as folder:
-        path = str(Path(folder) / 'keypoints.npy')
-        np.save(path, make_long_keypoints(seconds))
-        process = context.Process(target=find_keyframes_in_process, args=(path, sender))
-        process.start()
-        sender.close()
-        try:
-            return receiver.recv()
-        finally:
-            process.join()
+def report_long(report: Report, quick: bool) -> dict[str, Any]:
+    """Measure time and memory of the keyframes of ten minutes and of an hour."""
+    rows = []
+    for seconds in () if quick else (HOUR_S / 6, HOUR_S):
+        found, peak = common.run_in_process(find_long_keyframes, seconds, fresh=True)
+        rows.append({**found, 'MB at most': peak})
+    report.rows('Ten minutes and an hour', rows, page='' if quick else 'keyframes.long')
+    return {'long': rows}
 
 
-def compare_sections() -> dict[str, Any]:
+def report_sections(report: Report, quick: bool) -> dict[str, Any]:
     """Compare the keyframes of two minutes at once and in sections of 30 s."""
-    clean = make_mixed_view(MIXED_TRIALS, SEQUENCE_S)
-    config = make_config()
-    seen = observe_view(clean, config)
-    out = {}
+    config, out = make_config(), {}
+    seen = observe_view(make_mixed_view(MIXED_TRIALS, 20.0 if quick else SEQUENCE_S), config)
     for label, largest in (('at once', 3600), ('in sections of 30 s', 900)):
         found = keyframe_method.find_keyframes(seen, replace(config.keyframes, max_matrix_frames=largest))
         for half in found:
             out[f'{half.body_half.name}, {label}'] = f'{len(half.frames)} ({half.coverage:.1%})'
-    return out
+    report.rows('Keyframes at once and section by section', [out])
+    return {'sections': out}
 
 
-def draw_pictures() -> None:
+def draw_pictures(report: Report, _quick: bool) -> None:
     """Draw the first 36 s of the mixed sequence as in figures 3, 4 and 6 of the paper."""
-    clean = make_mixed_view(MIXED_TRIALS[:3], 36.0)
     config = Config()
-    seen = observe_view(clean, config)
+    seen = observe_view(make_mixed_view(MIXED_TRIALS[:3], 36.0), config)
     found = keyframe_method.find_keyframes(seen, config.keyframes)
-    PICTURES.mkdir(parents=True, exist_ok=True)
     title = 'playground, dance and martial arts, 36 s'
-    save_figure(draw_keyframes_figure(seen, found, title), PICTURES / 'keyframes.png')
-    save_figure(draw_distances_figure(seen, found, config.keyframes.beta, title), PICTURES / 'distances.png')
+    report.picture(draw_keyframes_figure(seen, found, title), f'{PICTURES}/keyframes.png')
+    distances = draw_distances_figure(seen, found, config.keyframes.beta, title)
+    report.picture(distances, f'{PICTURES}/distances.png')
 
 
-def _save_figure(figure: Any, name: str) -> None:
-    PICTURES.mkdir(parents=True, exist_ok=True)
-    figure.savefig(PICTURES / f'{name}.png', dpi=100)
-    plt.close(figure)
-
-
-def measure(args: argparse.Namespace, report: Report) -> None:
-    quick = args.quick
-    lifter = 'held out' if common.HELD_OUT_LIFTER.is_file() else 'as shipped'
-    report.text(f'Lifter: {lifter}')
-    rows, figures = compare_methods(quick)
-    title = 'Keyframe method, whole-sequence solver and tracker: MPJPE, mm'
-    report.rows(title, rows, page='keyframes.methods')
-    shown = [{'figure': k, 'value': f'{v:.4g}'} for k, v in figures.items()]
-    report.rows('Targets', shown, page='keyframes.targets')
-    by_alpha = count_keyframes(quick)
-    counts = [{k: v for k, v in r.items() if k != 'curve'} for r in by_alpha]
-    report.rows('Keyframes per second against alpha', counts)
-    wrong_arm = measure_burst(draw=not quick)
-    report.rows('An arm in a wrong place for 0.27 s (figure 14)', [wrong_arm])
-    elsewhere = evaluate_second_camera(quick, draw=not quick)
-    title = 'Real detections, seen from a second camera (figures 11 to 13)'
-    report.rows(title, elsewhere, page='keyframes.second_camera')
-    lengths = measure_paper_length()
-    report.rows("The paper's 1,800 frames", [lengths])
-    results = {'side_by_side': rows, 'alpha': counts, 'burst': wrong_arm, 'second_camera': elsewhere}
-    report.add(lifter=lifter, **figures, **results, **lengths)
-    if not quick:
-        draw_counts(by_alpha, SEQUENCE_S)
-        draw_pictures()
-        report.pictures += [f.relative_to(common.ROOT).as_posix() for f in sorted(PICTURES.glob('*.png'))]
-        apart = compare_sections()
-        long = [measure_long_sequence(seconds) for seconds in (HOUR_S / 6, HOUR_S)]
-        report.rows('Keyframes at once and section by section', [apart])
-        report.rows('Ten minutes and an hour', long, page='keyframes.long')
-        report.add(sections=apart, long=long)
-
-
-def main() -> None:
-    run(__doc__, 'Keyframes', measure)
-
+SECTIONS: Mapping[str, Section] = {
+    'methods': report_methods,
+    'counts': report_counts,
+    'burst': report_burst,
+    'second_camera': report_second_camera,
+    'paper_length': report_paper_length,
+    'sections': report_sections,
+    'long': report_long,
+    'pictures': draw_pictures,
+}
 
 if __name__ == '__main__':
-    main()
+    run(__doc__, 'Keyframes', SECTIONS)

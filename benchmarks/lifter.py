@@ -7,28 +7,27 @@ detections are evaluated with the shipped lifter.
 
 from __future__ import annotations
 
-import common
-
-# isort: split
 import argparse
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
 from common import View
+from experiments.detector_pictures import draw_case
+from numpy.typing import NDArray
 from report import Records, Report, group, run
 
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import Config, SolverConfig
 from mocap_ros.formats.mocap.trials import Trial
-from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.geometry.virtual_camera import VirtualCamera
-from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.models import lifter, lifter_input, model_file
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses, Lifter
@@ -38,6 +37,8 @@ from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.joint.solver import solve_hypotheses
 from mocap_ros.solvers.observed_window import observe_sequence
 from mocap_ros.solvers.window import Window
+
+Array = NDArray[np.float64]
 
 # Rows of the table of motion capture: which trials belong to the row, and the target of its MPJPE in mm.
 TEST_ROWS: dict[str, tuple[Callable[[Trial], bool], float]] = {
@@ -51,7 +52,6 @@ TEST_ROWS: dict[str, tuple[Callable[[Trial], bool], float]] = {
 # Options of the protocol for a bad detector.
 NOISY_OPTIONS = {'noise': 0.02, 'missing': 0.1}
 MAX_NOISY_RATIO = 1.25  # target of the ratio of the noisy to the clean error
-CAMERAS = (1, 2, 3)  # cameras of the recorded detections
 # mm, targets of MPJPE and PA-MPJPE by detector.
 DETECTOR_TARGETS_MM = {'openpose': (75, 58), 'mediapipe': (85, 68)}
 # ms, targets of the CPU time per person and frame by number of people.
@@ -61,73 +61,53 @@ MAX_SOLVED_FRAMES = 120  # frames of a sequence that the solver is given, to lim
 METHODS = ('network', 'factorisation', 'both')  # with the solver
 
 
-@dataclass(frozen=True, eq=False)
-class Detections:
-    """A recorded sequence in the image of virtual cameras that look at the person."""
-
-    view: View
-    virtual_camera: VirtualCamera
-    window: Window
-
-    @staticmethod
-    def load(detector: str, camera: int, undo_swaps: bool = True) -> Detections:
-        file = common.data_path('data', 'detections', f'balance_{detector}_cam{camera}.npz')
-        with np.load(file) as archive:
-            sequence = {k: archive[k] for k in archive.files}
-        settings = replace(Config().tracker, undo_swaps=undo_swaps)
-        recorded = load_sequence(file)
-        intrinsics = recorded.intrinsics(settings.nominal_focal_length)
-        seen = observe_sequence(
-            recorded.keypoints, recorded.joint_names, recorded.timestamps, intrinsics, settings, CMU15
-        )
-        window = replace(seen, focal=intrinsics.focal).build_solver_window()
-        return Detections(View(sequence), seen.virtual_camera, window)
-
-    def score(self, joints: np.ndarray) -> dict[str, float]:
-        return common.compute_errors(self.view, self.virtual_camera.to_real_camera(joints), CMU15.joints, 'limbs')
-
-    def score_detector(self) -> dict[str, float]:
-        """Compute the errors of the detector's own 3D joints."""
-        s = self.view.sequence
-        return common.compute_errors(
-            self.view, s['mediapipe_world'].astype(float), list(s['joint_names']), 'limbs'
-        )
+def observe(view: View, undo_swaps: bool) -> tuple[VirtualCamera, Window]:
+    """Return the image of virtual cameras that look at the person of a recording."""
+    settings, camera = replace(Config().tracker, undo_swaps=undo_swaps), view.intrinsics
+    keypoints, times = view.sequence['keypoints'].astype(float), view.sequence['timestamps']
+    seen = observe_sequence(keypoints, view.joint_names, times, camera, settings, CMU15)
+    return seen.virtual_camera, replace(seen, focal=camera.focal).build_solver_window()
 
 
 def lift_windows(model: Lifter, windows: Sequence[Window]) -> list[LiftedPoses]:
     return [model.lift_sequence(w.points, w.weight, w.times, w.focal).select_core() for w in windows]
 
 
-def scale_lifted(out: LiftedPoses, window: Window) -> np.ndarray:
-    return lifter.scale_to_metres(out, window.times, Config().tracker.body_height).joints
+def scale_lifted(lifted: Sequence[LiftedPoses], windows: Sequence[Window]) -> list[Array]:
+    height = Config().tracker.body_height
+    return [lifter.scale_to_metres(out, w.times, height).joints for out, w in zip(lifted, windows, strict=True)]
 
 
-def load_scaled_base_poses(without: tuple[str, ...] = ()) -> BasePoses:
-    model = common.train_base_poses(without_subjects=without) if without else load_base_poses('all')
-    return model.rescale(Config().tracker.body_height / model.stature)
+def reconstruct(
+    model: Lifter, windows: Sequence[Window], poses: BasePoses
+) -> tuple[dict[str, Sequence[Array]], float]:
+    """Return the poses of each of `METHODS`, and the CPU time in s of the solver with the lifter."""
+    lifted = lift_windows(model, windows)
+    plain = solve_hypotheses(windows, poses, SolverConfig())
+    with_lifted = [replace(w, lifted=out) for w, out in zip(windows, lifted, strict=True)]
+    both, seconds = common.measure_time(partial(solve_hypotheses, with_lifted, poses, SolverConfig()))
+    found = scale_lifted(lifted, windows), [r.joints for r in plain], [r.joints for r in both]
+    return dict(zip(METHODS, found, strict=True)), seconds
 
 
-def evaluate_detections(model: Lifter, cameras: Sequence[int], solved: bool) -> list[dict[str, Any]]:
+def evaluate_detections(model: Lifter, cameras: Sequence[int]) -> list[dict[str, Any]]:
+    """Evaluate the network with labels as detected, and all methods with swaps undone."""
+    shipped = load_base_poses('all')
+    shipped = shipped.rescale(Config().tracker.body_height / shipped.stature)
     records = []
-    for detector in DETECTOR_TARGETS_MM:
-        for camera in cameras:
-            tests = {f'undo swaps {on}': Detections.load(detector, camera, on) for on in (False, True)}
-            for name, test in tests.items():
-                (out,) = lift_windows(model, [test.window])
-                found = {'network': test.score(scale_lifted(out, test.window))}
-                if solved and name.endswith('True'):
-                    config = SolverConfig()
-                    (plain,) = solve_hypotheses([test.window], load_scaled_base_poses(), config)
-                    (both,) = solve_hypotheses(
-                        [replace(test.window, lifted=out)], load_scaled_base_poses(), config
-                    )
-                    found |= {'factorisation': test.score(plain.joints), 'both': test.score(both.joints)}
-                if detector == 'mediapipe' and name.endswith('False'):
-                    found['MediaPipe'] = test.score_detector()
-                records += [
-                    {'detector': detector, 'camera': camera, 'labels': name, 'method': m, **s}
-                    for m, s in found.items()
-                ]
+    for detector, camera, undo_swaps in product(DETECTOR_TARGETS_MM, cameras, (False, True)):
+        view = common.load_recording(detector, camera)
+        virtual_camera, window = observe(view, undo_swaps)
+        if undo_swaps:
+            found, _ = reconstruct(model, [window], shipped)
+        else:
+            found = {'network': scale_lifted(lift_windows(model, [window]), [window])}
+        real = [virtual_camera.to_real_camera(joints) for (joints,) in found.values()]
+        scores = dict(zip(found, common.compute_all_errors([view] * len(real), real, 'limbs'), strict=True))
+        if not undo_swaps and (own := common.compute_errors_of_detector(view)):
+            scores['MediaPipe'] = own
+        about = {'detector': detector, 'camera': camera, 'labels': f'undo swaps {undo_swaps}'}
+        records += [{**about, 'method': method, **errors} for method, errors in scores.items()]
     return records
 
 
@@ -148,27 +128,27 @@ def show_detections(report: Report, records: Records, cameras: Sequence[int]) ->
     )
 
 
-def make_row_views(row: str, stride: int, frames: int, headings: Sequence[float], **options: float) -> list[View]:
-    of, _ = TEST_ROWS[row]
-    chosen = [t.name for t in common.list_trials() if t.clean and of(t)][::stride]
-    return [v for t in chosen for v in common.make_views(t, headings, frames=frames, **options)]
+def make_row_views(
+    row: str, noisy: bool, headings: Sequence[float], frames: int, trials: int = 1_000, stride: int = 1
+) -> list[View]:
+    """Return views of the trials of a row of the table: of every so many, or of so many in all."""
+    chosen = [t.name for t in common.list_trials() if t.clean and TEST_ROWS[row][0](t)]
+    chosen = chosen[:: max(stride, len(chosen) // trials)]
+    options: dict[str, Any] = {'frames': frames, **(NOISY_OPTIONS if noisy else {})}
+    return [v for t in chosen for v in common.make_views(t, headings, **options)]
 
 
 def evaluate_capture(model: Lifter, quick: bool) -> list[dict[str, Any]]:
     """Evaluate the network alone on all frames; with `--quick`, on a few trials, three headings and 120 frames."""
-    stride, frames = (4, MAX_SOLVED_FRAMES) if quick else (1, 1_000_000)
     headings = common.HEADINGS_DEG[::3] if quick else common.HEADINGS_DEG
+    frames, stride = (MAX_SOLVED_FRAMES, 4) if quick else (1_000_000, 1)
     records = []
-    for row in common.show_progress(TEST_ROWS, 'capture'):
-        for noisy in (False, True):
-            tests = make_row_views(row, stride, frames, headings, **(NOISY_OPTIONS if noisy else {}))
-            found = [scale_lifted(lift_windows(model, [v.window])[0], v.window) for v in tests]
-            scored = compute_all_errors(tests, found)
-            keys = ('mpjpe_mm', 'pa_mpjpe_mm', 'accel_mm_s2')
-            failed = sum(s['failed_frames'] for s in scored)
-            records.append(
-                {'row': row, 'noisy': noisy, 'failed': failed, **{k: common.mean_error(scored, k) for k in keys}}
-            )
+    for row, noisy in common.show_progress(list(product(TEST_ROWS, (False, True))), 'capture'):
+        tests = make_row_views(row, noisy, headings, frames, stride=stride)
+        windows = [v.window for v in tests]
+        scored = common.compute_all_errors(tests, scale_lifted(lift_windows(model, windows), windows))
+        errors = {k: common.mean_error(scored, k) for k in ('mpjpe_mm', 'pa_mpjpe_mm', 'accel_mm_s2')}
+        records.append({'row': row, 'noisy': noisy, 'failed': sum(s['failed_frames'] for s in scored), **errors})
     return records
 
 
@@ -186,75 +166,34 @@ def show_capture(report: Report, records: Records) -> None:
     )
 
 
-def compute_all_errors(tests: Sequence[View], found: Sequence[np.ndarray]) -> list[dict[str, float]]:
-    return [common.compute_errors(v, joints, CMU15.joints) for v, joints in zip(tests, found, strict=True)]
-
-
 def evaluate_with_solver(model: Lifter, quick: bool) -> list[dict[str, Any]]:
     """Evaluate the network, the solver without it, and both, on the first frames of some trials of each row."""
-    rows = list(TEST_ROWS)[:1] if quick else list(TEST_ROWS)
+    poses = common.train_base_poses(without_subjects=common.HELD_OUT_SUBJECTS)
     records = []
-    for row in common.show_progress(rows, 'solver'):
-        for noisy in (False, True):
-            of, _ = TEST_ROWS[row]
-            count = sum(t.clean and of(t) for t in common.list_trials())
-            stride = max(1, count // (1 if quick else 3))
-            tests = make_row_views(
-                row, stride, MAX_SOLVED_FRAMES, common.HEADINGS_DEG[::2], **(NOISY_OPTIONS if noisy else {})
-            )
-            windows = [v.window for v in tests]
-            poses, config = load_scaled_base_poses(common.HELD_OUT_SUBJECTS), SolverConfig()
-            out = lift_windows(model, windows)
-            plain = solve_hypotheses(windows, poses, config)
-            lifted_windows = [replace(w, lifted=o) for w, o in zip(windows, out, strict=True)]
-            both, seconds = common.measure_time(partial(solve_hypotheses, lifted_windows, poses, config))
-            methods = {
-                'network': [scale_lifted(o, w) for o, w in zip(out, windows, strict=True)],
-                'factorisation': [r.joints for r in plain],
-                'both': [r.joints for r in both],
-            }
-            records.append(
-                {
-                    'row': row,
-                    'noisy': noisy,
-                    'views': len(tests),
-                    'seconds': seconds / len(tests),
-                    **{
-                        name: common.mean_error(compute_all_errors(tests, found))
-                        for name, found in methods.items()
-                    },
-                }
-            )
+    cases = list(product(list(TEST_ROWS)[: 1 if quick else None], (False, True)))
+    for row, noisy in common.show_progress(cases, 'solver'):
+        headings, trials = common.HEADINGS_DEG[::2], 1 if quick else 3
+        tests = make_row_views(row, noisy, headings, MAX_SOLVED_FRAMES, trials)
+        found, seconds = reconstruct(model, [v.window for v in tests], poses)
+        errors = {m: common.mean_error(common.compute_all_errors(tests, f)) for m, f in found.items()}
+        about = {'row': row, 'noisy': noisy, 'views': len(tests), 'seconds': seconds / len(tests)}
+        records.append({**about, **errors})
     return records
 
 
 def show_with_solver(report: Report, records: Records) -> None:
-    report.table(
-        ['row', 'image', 'views', *METHODS, 'both, s per sequence'],
-        [
-            [r['row'], 'noisy' if r['noisy'] else 'clean', r['views'], *(r[m] for m in METHODS), r['seconds']]
-            for r in records
-        ],
-        f'Motion capture, at most {MAX_SOLVED_FRAMES} frames: network, solver without it, and both: MPJPE, mm',
-    )
-    report.keep(
-        'lifter.solver',
-        [
-            'motion',
-            *(f'{m}, {image}' for image in ('clean', 'noisy') for m in METHODS),
-            'target, clean',
-            'noisy / clean',
-        ],
-        [
-            [
-                row,
-                *(f'{r[m]:.1f}' for r in (clean, noisy) for m in METHODS),
-                f'{TEST_ROWS[row][1]:g}',
-                noisy['both'] / clean['both'],
-            ]
-            for (row,), (clean, noisy) in group(records, 'row').items()
-        ],
-    )
+    rows = [
+        {
+            'motion': row,
+            **{f'{m}, clean': f'{clean[m]:.1f}' for m in METHODS},
+            **{f'{m}, noisy': f'{noisy[m]:.1f}' for m in METHODS},
+            'target, clean': f'{TEST_ROWS[row][1]:g}',
+            'noisy / clean': noisy['both'] / clean['both'],
+        }
+        for (row,), (clean, noisy) in group(records, 'row').items()
+    ]
+    title = f'Motion capture, at most {MAX_SOLVED_FRAMES} frames: network, solver without it, and both: MPJPE, mm'
+    report.rows(title, rows, page='lifter.solver')
 
 
 def measure_cost(model: Lifter, quick: bool) -> dict[int, float]:
@@ -293,67 +232,35 @@ def show_cost(report: Report, found: dict[int, float]) -> None:
 
 
 def draw_pictures(model: Lifter, folder: Path) -> None:
-    """Draw the truth and the lifted poses of the best and the worst sequence, in the image and from the side."""
-    import matplotlib as mpl
-
-    mpl.use('Agg')
-    from matplotlib import pyplot as plt
-
-    from mocap_ros.viewing.plots import draw_bones, project_from_side, save_figure
-
-    folder.mkdir(parents=True, exist_ok=True)
-    tests = {(d, c): Detections.load(d, c) for d in DETECTOR_TARGETS_MM for c in CAMERAS}
-    found = {k: scale_lifted(lift_windows(model, [t.window])[0], t.window) for k, t in tests.items()}
-    errors = {k: t.score(found[k])['mpjpe_mm'] for k, t in tests.items()}
-    order = sorted(errors, key=errors.__getitem__)
-    for name, key in (('best', order[0]), ('worst', order[-1])):
-        test = tests[key]
-        joints = test.virtual_camera.to_real_camera(found[key])
-        names = tuple(str(n) for n in test.view.sequence['joints3d_names'])
-        known = np.isfinite(test.view.truth).all(-1).astype(float)
-        truth, _ = build_joint_map(names).apply(test.view.truth, known)
-        truth -= np.nanmean(truth, axis=1, keepdims=True)
-        good = np.isfinite(joints).all((1, 2)) & np.isfinite(truth).all((1, 2))
-        joints = joints * (joints[good] * truth[good]).sum() / (joints[good] ** 2).sum()
-        frames = np.flatnonzero(good)[:: max(1, good.sum() // 6)][:6]
-        figure, axes = plt.subplots(2, len(frames), figsize=(2.2 * len(frames), 5))
-        for column, frame in enumerate(frames):
-            for row, turn in enumerate((lambda p: p, project_from_side)):
-                for points, style in ((truth, {'colour': '#999999'}), (joints, {})):
-                    draw_bones(axes[row, column], turn(points[frame])[:, :2], CMU15, **style)
-                axes[row, column].set(aspect='equal', xlim=(-1.1, 1.1), ylim=(1.1, -1.1), xticks=[], yticks=[])
-            axes[0, column].set_title(f'{test.window.times[frame] - test.window.times[0]:.1f} s', fontsize=8)
-        axes[0, 0].set_ylabel('as the camera sees it')
-        axes[1, 0].set_ylabel('from the side')
-        figure.suptitle(f'{key[0]}, camera {key[1]}: {errors[key]:.0f} mm; grey: triangulated from four cameras')
-        figure.tight_layout()
-        save_figure(figure, folder / f'{name}.png')
+    """Draw the best and the worst lifted sequence of the recorded detections, beside the truth."""
+    cases = []
+    for detector, camera in product(DETECTOR_TARGETS_MM, common.CAMERAS):
+        view = common.load_recording(detector, camera)
+        virtual_camera, window = observe(view, undo_swaps=True)
+        joints = virtual_camera.to_real_camera(scale_lifted(lift_windows(model, [window]), [window])[0])
+        (errors,) = common.compute_all_errors([view], [joints], 'limbs')
+        cases.append((errors['mpjpe_mm'], detector, camera, view, joints))
+    cases.sort(key=lambda case: case[0])
+    for name, (error, detector, camera, view, joints) in (('best', cases[0]), ('worst', cases[-1])):
+        title = f'{detector}, camera {camera}: {error:.0f} mm; grey: triangulated from four cameras'
+        draw_case(view, joints, title, folder / f'{name}.png')
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        '--lifter',
-        type=Path,
-        default=common.HELD_OUT_LIFTER,
-        metavar='NPZ',
-        help='lifter that was not trained on the tested subjects',
-    )
-    parser.add_argument(
-        '--pictures',
-        type=Path,
-        metavar='FOLDER',
-        help='also draw the best and the worst sequence into this folder',
-    )
+    help_text = 'lifter that was not trained on the tested subjects'
+    parser.add_argument('--lifter', type=Path, default=common.HELD_OUT_LIFTER, metavar='NPZ', help=help_text)
+    help_text = 'also draw the best and the worst sequence into this folder'
+    parser.add_argument('--pictures', type=Path, metavar='FOLDER', help=help_text)
 
 
 def measure(args: argparse.Namespace, report: Report) -> None:
     common.choose_capture('motion')
     compile_kernels()
-    cameras = CAMERAS[1:2] if args.quick else CAMERAS
+    cameras = common.CAMERAS[1:2] if args.quick else common.CAMERAS
     shipped = model_file.load_shipped_lifter()
     report.add(cost_ms=(found := measure_cost(shipped, args.quick)))
     show_cost(report, found)
-    report.add(detections=(detections := evaluate_detections(shipped, cameras, solved=True)))
+    report.add(detections=(detections := evaluate_detections(shipped, cameras)))
     show_detections(report, detections, cameras)
     if args.quick and not args.lifter.is_file():
         report.text(f'skipped: motion capture, which needs {args.lifter}; run without --quick to train it')
@@ -367,9 +274,5 @@ def measure(args: argparse.Namespace, report: Report) -> None:
         draw_pictures(shipped, args.pictures)
 
 
-def main() -> None:
-    run(__doc__, 'Lifter', measure, add_options)
-
-
 if __name__ == '__main__':
-    main()
+    run(__doc__, 'Lifter', measure, add_options)

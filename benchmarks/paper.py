@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import common
-
-# isort: split
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Mapping
 
-from experiments import accuracy, cameras, gait, stability
-from experiments.report import Section
-from experiments.targets import measure_targets
-from report import Report, run
+import common
+from experiments import accuracy, cameras, gait, stability, targets
+from report import Report, Section, add_sections, run
 
-# The experiments in the order of the report, by their names on the command line.
-EXPERIMENTS: dict[str, Callable[[bool], Section]] = {
-    'targets': measure_targets,
+# The experiments in the order of the page, by their names on the command line and between its markers.
+EXPERIMENTS: Mapping[str, Section] = {
+    'targets': targets.measure_targets,
     'table1': accuracy.measure_table_1,
     'cameras': cameras.measure_moving_cameras,
     'base_poses': accuracy.measure_number_of_base_poses,
@@ -38,34 +34,17 @@ EXPERIMENTS: dict[str, Callable[[bool], Section]] = {
 }
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        '--only',
-        nargs='+',
-        choices=list(EXPERIMENTS),
-        metavar='NAME',
-        help='experiments to run, of ' + ', '.join(EXPERIMENTS),
-    )
-
-
 def measure(args: argparse.Namespace, report: Report) -> None:
     seconds: dict[str, float] = {}
-    results = {}
-    for name in common.show_progress(args.only or list(EXPERIMENTS), 'paper'):
-        start_s = time.perf_counter()
-        section = EXPERIMENTS[name](args.quick)
-        seconds[name], results[name] = time.perf_counter() - start_s, section.data
-        report.text(section.plain(), f'({name}: {seconds[name]:.1f} s)')
-        report.tables[f'paper.{name}'] = section.markdown()
-        if not args.quick:
-            for path, figure in section.figures.items():
-                report.picture(figure, path)
-        report.add(seconds=seconds, results=results)
-
-
-def main() -> None:
-    run(__doc__, 'The experiments of the paper', measure, add_options)
+    for name in common.show_progress(args.only or EXPERIMENTS, 'paper'):
+        experiment, start_s = EXPERIMENTS[name], time.perf_counter()
+        report.text(f'## {(experiment.__doc__ or name).partition(chr(10))[0].rstrip(".")}')
+        with report.write_page(f'paper.{name}'):
+            found = experiment(report, args.quick)
+        seconds[name] = time.perf_counter() - start_s
+        report.text(f'({name}: {seconds[name]:.1f} s)')
+        report.add(seconds=seconds, **{name: found})
 
 
 if __name__ == '__main__':
-    main()
+    run(__doc__, 'The experiments of the paper', measure, lambda p: add_sections(p, EXPERIMENTS))

@@ -1,4 +1,4 @@
-"""Recording and replay: loss after kill -9 at random times, CPU time, speed and memory.
+"""Recording and replay: CPU time, speed and memory; `faults.py` measures what a kill loses.
 
 All bags are real files in a temporary folder. The recorder is compared with the bare writer of the `mcap` package,
 and replay with the bare pipeline, in the same run.
@@ -6,22 +6,16 @@ and replay with the bare pipeline, in the same run.
 
 from __future__ import annotations
 
-import common
-
-# isort: split
 import argparse
-import os
-import resource
-import signal
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from itertools import cycle, islice
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
 from mcap.writer import CompressionType, Writer
 from report import Report, run
@@ -30,16 +24,14 @@ from mocap_ros.bags.background import BackgroundRecorder
 from mocap_ros.bags.journal import Journal, Verdict
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import RecordedMessage, Recorder
-from mocap_ros.bags.recovery import recover
 from mocap_ros.bags.topics import Source
 from mocap_ros.config import Config, RecorderConfig, with_values
 from mocap_ros.demo.scene import make_recording
-from mocap_ros.errors import MocapError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header as MessageHeader
 from mocap_ros.messages.cdr import create_header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.messages.markers import MARKERS
+from mocap_ros.messages.marker_writer import MARKERS
 from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.runtime import replay as replaying
@@ -54,8 +46,6 @@ FRAME_PERIOD_NS = 33_333_333  # ns, 1 / HZ
 START_NS = 1_700_000_000_000_000_000  # ns, log time of the first message, in the year 2023
 # Targets of the measured values, as printed.
 TARGETS = {
-    'kill9_worst_loss_s': '0.5 or less',
-    'kill9_unreadable': '0',
     'recorder_messages_s': '20000 or more',
     'recorder_cpu_percent': 'under 5',
     'replay_x_realtime': '15 or more',
@@ -105,23 +95,6 @@ def load_frames() -> list[EncodedFrame]:
     return list(encode_sequence(make_recording().sequence()))
 
 
-def run_in_process(action: Callable[..., object], *arguments: object) -> Any:
-    """Run an action in a process of its own, and return its result and its peak memory in MB."""
-    context = get_context('fork')
-    receiving, sending = context.Pipe(duplex=False)
-
-    def work() -> None:
-        result = action(*arguments)
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-        sending.send((result, peak))
-
-    process = context.Process(target=work)
-    process.start()
-    result = receiving.recv()
-    process.join()
-    return result
-
-
 def record_until_killed(folder: Path, frames: Sequence[EncodedFrame]) -> None:
     """Record a live run at 30 Hz until the process is killed."""
     config = with_values(Config(), {'recorder.enabled': True, 'recorder.folder': str(folder)})
@@ -133,42 +106,6 @@ def record_until_killed(folder: Path, frames: Sequence[EncodedFrame]) -> None:
         run.enqueue(Source.KEYPOINTS, frame.raw, 0)
         due += 1 / HZ
         time.sleep(max(due - time.monotonic(), 0))
-
-
-def kill_recording(folder: Path, frames: Sequence[EncodedFrame], delay_s: float) -> float | None:
-    """Kill a recording after `delay_s`, and return the lost seconds, or None if nothing can be read."""
-    process = get_context('fork').Process(target=record_until_killed, args=(folder, frames))
-    process.start()
-    while not list(folder.glob('*/*.mcap')):
-        time.sleep(0.01)
-    time.sleep(delay_s)
-    os.kill(process.pid or 0, signal.SIGKILL)
-    killed_ns = time.time_ns()
-    process.join()
-    (bag,) = folder.iterdir()
-    try:
-        recover(bag, folder / 'whole')
-        with Bag(folder / 'whole') as whole:
-            newest = max(m.time_ns for m in whole.messages(whole.topics))
-    except (MocapError, ValueError):
-        return None
-    return (killed_ns - newest) / 1e9
-
-
-def measure_kills(root: Path, count: int) -> dict[str, float]:
-    rng = np.random.default_rng(0)
-    frames = load_frames()
-    losses = [
-        kill_recording(root / f'kill{n}', frames, after)
-        for n, after in enumerate(common.show_progress(rng.uniform(0.4, 1.4, count), 'kill -9', count))
-    ]
-    read = [loss for loss in losses if loss is not None]
-    return {
-        'kill9_times': count,
-        'kill9_worst_loss_s': max(read),
-        'kill9_mean_loss_s': float(np.mean(read)),
-        'kill9_unreadable': losses.count(None),
-    }
 
 
 def make_payloads() -> list[bytes]:
@@ -275,7 +212,7 @@ def measure_replay(root: Path) -> tuple[float, float]:
     frames = load_frames()
     if not (root / 'demo').is_dir():
         write_keypoints(root / 'demo', frames, len(frames))
-    taken, peak = run_in_process(replay_bag, root / 'demo', Path(tempfile.mkdtemp(dir=root)) / 'out')
+    taken, peak = common.run_in_process(replay_bag, root / 'demo', Path(tempfile.mkdtemp(dir=root)) / 'out')
     return taken, peak
 
 
@@ -283,10 +220,10 @@ def measure_replays(root: Path, minutes: int) -> dict[str, float]:
     frames = load_frames()
     seconds = len(frames) / HZ
     taken, peak = measure_replay(root)
-    alone, _ = run_in_process(measure_pipeline, frames)
+    alone, _ = common.run_in_process(measure_pipeline, frames)
     count = minutes * 60 * HZ
     write_keypoints(root / 'long', frames, count)
-    standing, standing_peak = run_in_process(
+    standing, standing_peak = common.run_in_process(
         replay_with_constant_tracker, root / 'long', root / 'long_out', track_first_person(frames)
     )
     return {
@@ -316,16 +253,11 @@ def measure(args: argparse.Namespace, report: Report) -> None:
     with tempfile.TemporaryDirectory() as name:
         root = Path(name)
         results = {
-            **measure_kills(root, 8 if quick else 50),
             **measure_recorders(root, 40_000 if quick else 200_000, 4 if quick else 12),
             **measure_replays(root, 2 if quick else 60),
         }
     report.quantities(results, TARGETS, page='recording.targets')
 
 
-def main() -> None:
-    run(__doc__, 'Recording and replay', measure)
-
-
 if __name__ == '__main__':
-    main()
+    run(__doc__, 'Recording and replay', measure)

@@ -9,34 +9,31 @@ factorisations against the speed of an orbiting camera.
 
 from __future__ import annotations
 
-import common
-
-# isort: split
 import argparse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import product
-from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
-from common import View, make_paper_config
-from experiments.accuracy import BETAS, PAPER_ERRORS_CM, TABLE_1_TRIALS, solve_with_paper_sines, train_like_paper
+from common import View
+from experiments.accuracy import BETAS, PAPER_ERRORS_CM, TABLE_1_TRIALS
 from experiments.cameras import CAMERAS
-from experiments.report import make_panels
+from experiments.methods import ALGORITHM_1, JOINT, PERIODIC, SINES, Method
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from panels import make_panels
 from report import Report, run
 from rivals import bregler, gotardo, ramakrishna, zhou
 from rivals.factorisation import reflect_in_depth
 from scipy.cluster.vq import kmeans2
 
-from mocap_ros.formats.mocap.trials import select_trials
 from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation, fit_rotation
-from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
 from mocap_ros.training.base_poses import align_to_mean
-from mocap_ros.viewing.plots import TRUTH_COLOUR, draw_bones, project_from_side, save_figure
+from mocap_ros.viewing.plots import TRUTH_COLOUR, draw_bones, project_from_side
 
 Array = NDArray[np.float64]
 # Image points of the views of one case to its poses (F, 15, 3) in the camera's optical frame, one array a view.
@@ -101,7 +98,7 @@ class Case:
 
 
 @dataclass(frozen=True, eq=False)
-class Method:
+class Row:
     """A row of the table.
 
     Attributes:
@@ -131,70 +128,55 @@ class Result:
     ms_per_frame: float
     poses: Sequence[Array]
 
+    def to_record(self) -> dict[str, object]:
+        record = {'setting': self.setting, 'e_paper_cm': self.e_cm}
+        return record | {key: getattr(self, key) for key in ('mpjpe_mm', 'residual_mm', 'ms_per_frame')}
+
+    def __str__(self) -> str:
+        return f'{self.e_cm:.2f} / {self.mpjpe_mm:.0f}'
+
 
 Results = dict[str, dict[str, dict[str, Result]]]  # by method, camera and motion
 
 
-def list_methods(quick: bool) -> list[Method]:
+def list_methods(quick: bool) -> list[Row]:
     """List the rows of the table, best known first."""
     return [*list_project(quick), *list_factorisations(quick), *list_single_images(quick)]
 
 
-def list_project(quick: bool) -> list[Method]:
+def list_project(quick: bool) -> list[Row]:
     """List the project's solvers and the paper's own method, as `paper.py` runs them."""
 
-    def by(solve: Callable[..., Any], model: Callable[[Case], BasePoses], *options: Any) -> Solver:
-        return lambda case: [r.joints for r in solve(case.views, model(case), *options)]
+    def by(method: Method, category: str | None = None, **values: Any) -> Solver:
+        """Solve with base poses of the motion's category, or of another one."""
 
-    def ours(case: Case) -> BasePoses:
-        return common.train_base_poses(case.category, without_trials=(case.trial,))
+        def solve(case: Case) -> list[Array]:
+            of = case.category if category is None else category
+            return [r.joints for r in method.solve(case.views, of, case.trial, **values)]
 
-    def paper(case: Case) -> BasePoses:
-        return train_like_paper(case.category, case.trial)
-
-    def everything(case: Case) -> BasePoses:
-        return common.train_base_poses(without_trials=(case.trial,))
+        return solve
 
     betas = BETAS[3:4] if quick else BETAS
+    slow: dict[str, dict[str, Any]] = {f'beta {b:g}': {'bone_weight': b, 'tolerance': 2e-4} for b in betas}
     gait = ('walk', 'run')
-    alternation = common.solve_by_alternation
+    best = {name: by(ALGORITHM_1, **values) for name, values in slow.items()}
+    everything = {name: by(ALGORITHM_1, '', components=15, **values) for name, values in slow.items()}
     return [
-        Method('this project, joint solver', {'': by(common.solve_jointly, ours)}),
-        Method('this project, all motions', {'': by(common.solve_jointly, everything)}),
-        Method('this project, periodic', {'': by(common.solve_periodically, ours)}, gait),
-        Method(
-            'Algorithm 1, best',
-            {
-                f'beta {b:g}': by(alternation, paper, make_paper_config(bone_weight=b, tolerance=2e-4))
-                for b in betas
-            },
-            printed=PAPER_ERRORS_CM['best'],
-        ),
-        Method(
+        Row('this project, joint solver', {'': by(JOINT)}),
+        Row('this project, all motions', {'': by(JOINT, '')}),
+        Row('this project, periodic', {'': by(PERIODIC)}, gait),
+        Row('Algorithm 1, best', best, printed=PAPER_ERRORS_CM['best']),
+        Row(
             'Algorithm 1, np (beta = 0)',
-            {'': by(alternation, paper, make_paper_config(bone_weight=0.0))},
+            {'': by(ALGORITHM_1, bone_weight=0.0)},
             printed=PAPER_ERRORS_CM['np (beta = 0)'],
         ),
-        Method(
-            'Algorithm 1, np all',
-            {
-                f'beta {b:g}': by(
-                    alternation, everything, make_paper_config(bone_weight=b, components=15, tolerance=2e-4)
-                )
-                for b in betas
-            },
-            printed=PAPER_ERRORS_CM['np all'],
-        ),
-        Method(
-            'periodic, one sine',
-            {'': by(solve_with_paper_sines, paper)},
-            gait,
-            printed=PAPER_ERRORS_CM['periodic'],
-        ),
+        Row('Algorithm 1, np all', everything, printed=PAPER_ERRORS_CM['np all']),
+        Row('periodic, one sine', {'': by(SINES)}, gait, printed=PAPER_ERRORS_CM['periodic']),
     ]
 
 
-def list_factorisations(quick: bool) -> list[Method]:
+def list_factorisations(quick: bool) -> list[Row]:
     """List the methods that know nothing about bodies."""
     counts = (2,) if quick else (1, 2, 3, 4)
 
@@ -226,18 +208,18 @@ def list_factorisations(quick: bool) -> list[Method]:
     widths = (1.0,) if quick else (0.5, 1.0)
     by_time = {(s, k): smooth(s, k) for s, k in product(shares, shapes)}
     return [
-        Method(
+        Row(
             'Bregler et al. 2000, as printed',
             {f'K = {k}': view_by_view(bregler.reconstruct_as_printed, k) for k in counts},
             mirrored=True,
             printed=PRINTED_RIVALS_CM['Bregler'],
         ),
-        Method(
+        Row(
             'Bregler et al. 2000, full upgrade',
             {f'K = {k}': view_by_view(bregler.reconstruct_with_full_upgrade, k) for k in counts},
             mirrored=True,
         ),
-        Method(
+        Row(
             'smooth trajectories 2011',
             {
                 f'K = {k}, d = {s:g} F, cameras {c}': along(model, c)
@@ -245,11 +227,11 @@ def list_factorisations(quick: bool) -> list[Method]:
             },
             mirrored=True,
         ),
-        Method(
+        Row(
             'smooth trajectories 2011, true cameras',
             {f'K = {k}, d = {s:g} F': along(model, 0) for (s, k), model in by_time.items()},
         ),
-        Method(
+        Row(
             'kernel shape trajectories 2011',
             {
                 f'K = {k}, s = {1 / w:g}, cameras {c}': along(kernel(0.1, k, w), c)
@@ -257,7 +239,7 @@ def list_factorisations(quick: bool) -> list[Method]:
             },
             mirrored=True,
         ),
-        Method(
+        Row(
             'spatially-smooth mappings 2012',
             {
                 f'K = {k}, s = {w:g}, cameras {c}': along(mapping(12, k, w), c)
@@ -269,7 +251,7 @@ def list_factorisations(quick: bool) -> list[Method]:
     ]
 
 
-def list_single_images(quick: bool) -> list[Method]:
+def list_single_images(quick: bool) -> list[Row]:
     """List the methods that take each image alone."""
     words = {'category': ('{}',), 'walk, run, jump': ('walk', 'run', 'jump')}
     counts = (4,) if quick else (3, 6, 12)
@@ -278,9 +260,9 @@ def list_single_images(quick: bool) -> list[Method]:
 
     def pursue(kinds: Sequence[str], count: int) -> Solver:
         def solve(case: Case) -> list[Array]:
-            models = [_train(k.format(case.category), case.trial) for k in kinds]
-            base_poses = np.concatenate([m.components[:20] for m in models])
-            mean = _train('+'.join(kinds).format(case.category), case.trial).mean
+            categories = [k.format(case.category) for k in kinds]
+            base_poses = np.concatenate([JOINT.train(c, case.trial).components[:20] for c in categories])
+            mean = JOINT.train('+'.join(categories), case.trial).mean
             images = np.concatenate(case.points)
             return case.split(ramakrishna.reconstruct(images, mean, base_poses, CMU15.bones, count))
 
@@ -294,12 +276,12 @@ def list_single_images(quick: bool) -> list[Method]:
         return solve
 
     return [
-        Method(
+        Row(
             'Ramakrishna et al. 2012',
             {f'{w}, {n} base poses': pursue(kinds, n) for (w, kinds), n in product(words.items(), counts)},
         ),
         *(
-            Method(
+            Row(
                 f'Zhou et al. 2015, {name}',
                 {
                     f'{w}, {n} poses, a = {a:g}': relax(kinds, n, a, refine)
@@ -311,24 +293,17 @@ def list_single_images(quick: bool) -> list[Method]:
     ]
 
 
-def _train(category: str, trial: str) -> BasePoses:
-    return common.train_base_poses(category, without_trials=(trial,))
-
-
 @cache
 def choose_examples(categories: str, trial: str, size: int) -> Array:
     """Choose example poses (size, 15, 3), the centres of clusters of the training poses turned to one heading."""
-    chosen = select_trials(
-        common.list_trials(), categories=categories.split('+'), without_trials=(trial,), without_subjects=[],
-        only_subjects=[],
-    )  # fmt: skip
+    chosen = common.choose_trials(categories, without_trials=(trial,))
     poses = centre_poses(np.concatenate([t.poses for t in chosen])[::EXAMPLE_EVERY])
     _, aligned = align_to_mean(poses, np.full(len(poses), 1 / len(poses)), fit_heading_rotation)
     centres, _ = kmeans2(aligned.reshape(len(aligned), -1), size, minit='++', seed=EXAMPLE_SEED)
     return np.asarray(centres.reshape(size, -1, 3))
 
 
-def measure_method(method: Method, case: Case) -> Result:
+def measure_method(method: Row, case: Case) -> Result:
     """Choose the setting of a method on the views of `CHOICE_HEADINGS`, and measure it on all views."""
     chosen = next(iter(method.settings))
     if len(method.settings) > 1:
@@ -339,7 +314,7 @@ def measure_method(method: Method, case: Case) -> Result:
     return Result(chosen, e, mpjpe, _residual_mm(case, poses), seconds / len(first.points[0]) * 1e3, poses)
 
 
-def _run(method: Method, setting: str, case: Case) -> tuple[float, float, list[Array]]:
+def _run(method: Row, setting: str, case: Case) -> tuple[float, float, list[Array]]:
     """Return e in cm and the MPJPE in mm, means over the views, and the poses of one setting."""
     found = method.settings[setting](case)
     errors, poses = [], []
@@ -367,12 +342,8 @@ def make_case(category: str, camera: str, headings: Sequence[float]) -> Case:
     return Case(category, trial, camera, common.make_views(trial, headings, **CAMERAS[camera]))
 
 
-def format_cell(result: Result | None) -> str | None:
-    return None if result is None else f'{result.e_cm:.2f} / {result.mpjpe_mm:.0f}'
-
-
 def measure_errors(
-    methods: Sequence[Method], cameras: Sequence[str], categories: Sequence[str], headings: Sequence[float]
+    methods: Sequence[Row], cameras: Sequence[str], categories: Sequence[str], headings: Sequence[float]
 ) -> Results:
     """Return the results by method, camera and motion."""
     found: Results = {m.name: {c: {} for c in cameras} for m in methods}
@@ -384,7 +355,7 @@ def measure_errors(
     return found
 
 
-def show_orbits(report: Report, methods: Sequence[Method], speeds: Sequence[float]) -> None:
+def show_orbits(report: Report, methods: Sequence[Row], speeds: Sequence[float]) -> None:
     """Measure a walk seen by a camera that orbits faster and faster: MPJPE in mm."""
     trial = TABLE_1_TRIALS['walk']
     errors: dict[str, dict[str, float]] = {m.name: {} for m in methods}
@@ -397,7 +368,7 @@ def show_orbits(report: Report, methods: Sequence[Method], speeds: Sequence[floa
     report.add(orbits=errors)
 
 
-def show_errors(report: Report, methods: Sequence[Method], found: Results) -> None:
+def show_errors(report: Report, methods: Sequence[Row], found: Results) -> None:
     """Show the table of all methods, cameras and motions."""
     cameras = list(next(iter(found.values())))
     categories = list(found[methods[0].name][cameras[0]])
@@ -411,7 +382,7 @@ def show_errors(report: Report, methods: Sequence[Method], found: Results) -> No
         rows.append(
             [
                 method.name,
-                *(format_cell(by_camera[camera].get(c)) for camera in cameras for c in categories),
+                *(by_camera[camera].get(c) for camera in cameras for c in categories),
                 f'{np.mean([r.ms_per_frame for r in everything]):.2f}',
                 *(f'{printed[c]:.2f}' if printed.get(c) else None for c in categories),
             ]
@@ -419,7 +390,7 @@ def show_errors(report: Report, methods: Sequence[Method], found: Results) -> No
     report.table(header, rows, page='rivals.errors')
 
 
-def show_settings(report: Report, methods: Sequence[Method], found: Results) -> None:
+def show_settings(report: Report, methods: Sequence[Row], found: Results) -> None:
     """Show the table of the grids and of the settings that were best."""
     rows = []
     for method in methods:
@@ -431,18 +402,16 @@ def show_settings(report: Report, methods: Sequence[Method], found: Results) -> 
     report.table(['method', 'settings', 'best in so many of the cases'], rows, page='rivals.settings')
 
 
-def show_side_view(report: Report, methods: Sequence[Method], *, draw: Path | None) -> None:
+def show_side_view(report: Report, methods: Sequence[Row]) -> None:
     """Measure a walk that passes by a fixed camera, and draw it."""
     case = make_case('walk', 'fixed', SIDE_HEADINGS)
     found = {m.name: measure_method(m, case) for m in methods}
-    if draw is not None:
-        draw.parent.mkdir(parents=True, exist_ok=True)
-        draw_side_view(case, found, draw)
+    report.picture(draw_side_view(case, found), PICTURE)
     rows = [[n, f'{r.residual_mm:.1f}', f'{r.mpjpe_mm:.0f}', f'{r.e_cm:.2f}'] for n, r in found.items()]
     report.table(['method', 'image error, mm', 'MPJPE, mm', 'e, cm'], rows, page='rivals.side_view')
 
 
-def draw_side_view(case: Case, found: Mapping[str, Result], path: Path) -> None:
+def draw_side_view(case: Case, found: Mapping[str, Result]) -> Figure:
     """Draw a rival and the project as the camera sees them and from the side, with the truth in grey."""
     shown = ('spatially-smooth mappings 2012', 'Ramakrishna et al. 2012', 'this project, joint solver')
     figure, axes = make_panels(2 * len(PICTURE_FRAMES), rows=len(shown), width=7.4, height=2.1 * len(shown))
@@ -462,13 +431,7 @@ def draw_side_view(case: Case, found: Mapping[str, Result], path: Path) -> None:
             ax.set_title(f'{where}, {case.views[0].sequence["timestamps"][frame]:.1f} s' if first else '')
         label = row[0].text(0, 1, f'{name}: {found[name].mpjpe_mm:.0f} mm', transform=row[0].transAxes, va='top')
         label.set_in_layout(False)
-    save_figure(figure, path)
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        '--picture', type=Path, default=common.ROOT / PICTURE, metavar='FILE', help='where the picture goes'
-    )
+    return figure
 
 
 def measure(args: argparse.Namespace, report: Report) -> None:
@@ -476,29 +439,17 @@ def measure(args: argparse.Namespace, report: Report) -> None:
     headings = common.HEADINGS_DEG[1:2] if args.quick else common.HEADINGS_DEG
     categories = list(TABLE_1_TRIALS)[: 1 if args.quick else 3]
     found = measure_errors(methods, list(CAMERAS)[:3], categories, headings)
-    report.add(
-        **{
-            name: {camera: {c: to_record(r) for c, r in by.items()} for camera, by in by_camera.items()}
-            for name, by_camera in found.items()
-        }
-    )
+    records = {
+        name: {camera: {c: r.to_record() for c, r in by.items()} for camera, by in by_camera.items()}
+        for name, by_camera in found.items()
+    }
+    report.add(**records)
     show_errors(report, methods, found)
     show_settings(report, methods, found)
-    show_side_view(report, methods, draw=None if args.quick else args.picture)
-    if not args.quick and args.picture == common.ROOT / PICTURE:
-        report.pictures.append(PICTURE)
+    show_side_view(report, methods)
     speeds = ORBITS_DEG_S[:3:2] if args.quick else ORBITS_DEG_S
     show_orbits(report, [methods[0], *list_factorisations(args.quick)], speeds)
 
 
-def to_record(result: Result) -> dict[str, object]:
-    record = {'setting': result.setting, 'e_paper_cm': result.e_cm}
-    return record | {key: getattr(result, key) for key in ('mpjpe_mm', 'residual_mm', 'ms_per_frame')}
-
-
-def main() -> None:
-    run(__doc__, 'Other methods on the same views', measure, add_options, one_core=False)
-
-
 if __name__ == '__main__':
-    main()
+    run(__doc__, 'Other methods on the same views', measure, one_core=False)

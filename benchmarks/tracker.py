@@ -7,32 +7,23 @@ base poses are trained on the other trials of the tested subject.
 
 from __future__ import annotations
 
-import common
-
-# isort: split
-import argparse
-import resource
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from typing import Any
 
+import common
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from reconstruction import list_people, reconstruct_whole, track
-from report import Record, Report, add_sections, group, run
+from reconstruction import reconstruct_whole, track
+from report import Record, Report, Section, group, run
 
 from mocap_ros.config import Config, with_values
-from mocap_ros.errors import FrameDropped
-from mocap_ros.keypoints.left_right import PARTS, BodySides, exchange_sides
-from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import MotionKind
 from mocap_ros.skeleton import CMU15, estimate_stature
-from mocap_ros.tracking.tracker import Tracker
-from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 CATEGORIES = ('walk', 'run', 'jump')
@@ -47,13 +38,6 @@ UNSEEN_TRIALS = (
 )
 # Trials that are tested with base poses of the same subject.
 SAME_SUBJECT_TRIALS = (('35_02', 'walk'), ('35_17', 'run'))
-# Trials in which left and right are swapped, and the parts that are, with the most frames of a burst.
-SWAP_TRIALS = ('35_02', '35_17', 'UW_22', 'UJ_01', '13_11', '05_04', 'UB_01')
-SWAPPED_PARTS: dict[str, tuple[tuple[str, ...], int]] = {
-    'the whole body': (PARTS, 9),
-    'the legs': (('legs',), 3),
-    'the arms': (('arms',), 3),
-}
 # Trials on which the predicted standard deviations are tested; none of them served to choose their factors.
 RELIABILITY_TRIALS = ('35_20', '35_23', 'UW_22', '13_19x', 'UT_01', 'UWW_01', '135_04', '135_08')
 # Joints that are hidden in the tests of the standard deviations.
@@ -71,8 +55,9 @@ def make_tracker_config(prior: str, **values: Any) -> Config:
     return with_values(Config(), {'solver.prior': prior, **{k.replace('__', '.'): v for k, v in values.items()}})
 
 
-def list_priors() -> dict[str, str]:
-    return {'learned': str(common.HELD_OUT_LIFTER), 'pca': 'pca'}
+@cache
+def list_priors(quick: bool) -> dict[str, str]:
+    return {'learned': common.choose_held_out_prior(quick), 'pca': 'pca'}
 
 
 def measure_lags(quick: bool) -> list[dict[str, Any]]:
@@ -80,7 +65,7 @@ def measure_lags(quick: bool) -> list[dict[str, Any]]:
     rows = []
     trials, headings = (UNSEEN_TRIALS[::2], (45,)) if quick else (UNSEEN_TRIALS, common.HEADINGS_DEG)
     auto = train_models()
-    for prior, value in list_priors().items():
+    for prior, value in list_priors(quick).items():
         for trial, category in common.show_progress(trials, f'lag, {prior}'):
             views, known = common.make_views(trial, headings), train_models((category,))
             config = make_tracker_config(value)
@@ -106,7 +91,7 @@ def measure_lags(quick: bool) -> list[dict[str, Any]]:
 def report_lags(report: Report, quick: bool) -> None:
     rows = measure_lags(quick)
     report.rows('MPJPE of the tracker and of the whole-sequence solver, mm', rows, page='tracker.lags')
-    ratios = {p: {c or 'all': compute_ratio(rows, p, c) for c in ('', *CATEGORIES)} for p in list_priors()}
+    ratios = {p: {c or 'all': compute_ratio(rows, p, c) for c in ('', *CATEGORIES)} for p in list_priors(quick)}
     named = [{'prior': p, **r} for p, r in ratios.items()]
     report.rows('Error at lag 0 / error of the whole-sequence solver', named, page='tracker.ratios')
     report.add(lag=rows, ratios=ratios, windowed_over_whole=ratios['learned']['all'])
@@ -147,7 +132,7 @@ def report_perspective(report: Report, quick: bool) -> None:
         for options in common.show_progress(cases, 'perspective'):
             views = common.make_views(trial, headings, **options)
             record: dict[str, Any] = {'case': f'{trial} {options or "orthographic"}'}
-            for prior, value in list_priors().items():
+            for prior, value in list_priors(quick).items():
                 for label, on in (('weak', False), ('perspective', True)):
                     config = make_tracker_config(value, tracker__perspective=on)
                     found = [reconstruct_whole(v, {'m': model}, config) for v in views]
@@ -168,7 +153,7 @@ def report_metric(report: Report, quick: bool) -> None:
             if quick
             else {'unknown': train_models(), 'known': train_models((category,))}
         )
-        for prior, value in list_priors().items():
+        for prior, value in list_priors(quick).items():
             config = make_tracker_config(value, tracker__body_height=truth)
             for label, models in given.items():
                 ways = {'whole': [reconstruct_whole(v, models, config) for v in views]}
@@ -179,50 +164,6 @@ def report_metric(report: Report, quick: bool) -> None:
                     rows.append({**row, **errors})
     report.rows('Metric errors at 3 m, body height given, subject left out', rows, page='tracker.metric')
     report.add(metric=rows)
-
-
-def report_swaps(report: Report, quick: bool) -> None:
-    """Swap left and right in 10 % of the frames, in bursts, and measure the shares that are undone.
-
-    A frame is undone if just the swapped parts are exchanged, and false if another part is.
-    """
-    sides = BodySides.of(CMU15)
-    rows = []
-    models, config = train_models(), make_tracker_config(list_priors()['learned'])
-    trials = SWAP_TRIALS[:2] if quick else SWAP_TRIALS
-    for name, (parts, longest) in SWAPPED_PARTS.items():
-        undone = swapped_frames = false = frames = 0
-        is_part = np.isin(PARTS, parts)
-        for trial in common.show_progress(trials, f'swaps of {name}'):
-            for view in common.make_views(trial, (110,) if quick else common.HEADINGS_DEG, frames=240, noise=0.01):
-                rng = np.random.default_rng(int(view.heading))
-                true = draw_bursts(view.frames, 0.1, longest, rng)[:, None] & is_part
-                given = view.sequence['keypoints']
-                swapped = exchange_sides(given[..., :2].astype(float), given[..., 2].astype(float), true, sides)
-                keypoints = np.concatenate([swapped[0], swapped[1][..., None]], axis=-1)
-                disturbed = common.View({**view.sequence, 'keypoints': keypoints})
-                for frame, window in enumerate(track(disturbed, models, config).newest):
-                    assert window is not None
-                    found = window.swap_filter.is_swapped[-1]
-                    undone += bool(true[frame].any()) and bool((found == true[frame]).all())
-                    false += bool((found & ~true[frame]).any())
-                swapped_frames += int(true.any(axis=1).sum())
-                frames += view.frames
-        rows.append({'swapped': name, 'undone': undone / max(swapped_frames, 1), 'false': false / max(frames, 1)})
-    report.rows('Left and right swapped by the detector', rows, page='tracker.swaps')
-    report.add(swaps=rows)
-
-
-def draw_bursts(frames: int, share: float, longest: int, rng: np.random.Generator) -> NDArray[np.bool_]:
-    out = np.zeros(frames, bool)
-    for _ in range(100):
-        if out.sum() >= share * frames:
-            break
-        length = int(rng.integers(1, longest + 1))
-        start = int(rng.integers(1, max(frames - length, 2)))
-        if not out[max(start - 3, 0) : start + length + 3].any():
-            out[start : start + length] = True
-    return out
 
 
 def measure_reliability(quick: bool, prior: str, headings: Sequence[float]) -> dict[str, Any]:
@@ -279,61 +220,13 @@ def draw_reliability(found: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def report_endurance(report: Report, quick: bool) -> None:
-    """Track people who come and go, with gaps, swaps, senseless points, and stamps that repeat and jump.
-
-    Counted are people by outcome, and the memory early and at the end.
-    """
-    minutes = 0.1 if quick else 30.0
-    rng = np.random.default_rng(0)
-    views = common.make_views('16_32', (0, 60, 120, 200), frames=120)
-    tracks = [list_people(v, f'p{i}') for i, v in enumerate(views)]
-    tracker = Tracker(train_models(), Config())
-    camera = views[0].intrinsics
-    exceptions, given, answered, dropped, peaks, start_ns = 0, 0, 0, 0, [], 0
-    frames = int(minutes * 60 * 30)
-    for frame in common.show_progress(range(frames), 'endurance'):
-        people = [t[frame % 120] for i, t in enumerate(tracks) if (frame // (40 + 17 * i)) % 3]
-        if rng.random() < 0.1:
-            people = [replace(p, points=p.points[list(CMU15.mirror)]) for p in people]
-        if rng.random() < 0.05:
-            wild = rng.normal(size=(15, 2)) * 10.0 ** rng.integers(-3, 6)
-            people.append(Person2D('', CMU15.joints, wild, rng.uniform(0.2, 1.0, 15)))
-        if rng.random() < 0.005:
-            start_ns += round(rng.choice([-1.5, 0.4, 3.0]) * NS_PER_S)
-        stamp = start_ns + round((frame / 30 + rng.uniform(0, 0.02)) * NS_PER_S) + 1
-        for _ in range(1 + (rng.random() < 0.02)):
-            given += len(people)
-            try:
-                answered += sum(not p.predicted for p in tracker.update(stamp, people, camera))
-            except FrameDropped:
-                dropped += len(people)
-            except Exception:
-                exceptions += 1
-        if frame % max(frames // 8, 1) == 0:
-            peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-    lasting = {
-        'frames': frames,
-        'people given': given,
-        'answered': answered,
-        'dropped with their frame': dropped,
-        'counted as unusable': tracker.unusable_people,
-        'unaccounted for': given - answered - dropped - tracker.unusable_people,
-        'exceptions': exceptions,
-        'MB after 1/8': peaks[1],
-        'MB at the end': peaks[-1],
-    }
-    report.rows('Endurance', [lasting], page='tracker.endurance')
-    report.add(endurance=lasting)
-
-
-def report_switching(report: Report, _quick: bool) -> None:
+def report_switching(report: Report, quick: bool) -> None:
     """Track a walk, a jump and a walk in sequence, and measure when the live classification changes."""
     motion, _ = common.load_capture()
     parts = [motion['35_29'][:120], motion['UJ_01'][:150], motion['35_29'][:120]]
     parts = [p - p.mean(axis=(0, 1)) for p in parts]
     (view,) = common.make_views(np.concatenate(parts), (60,), frames=390)
-    found = track(view, train_models(), make_tracker_config(list_priors()['learned']))
+    found = track(view, train_models(), make_tracker_config(list_priors(quick)['learned']))
     periodic = np.array([k is MotionKind.PERIODIC for k in found.kinds])
     seams = np.cumsum([len(p) for p in parts])[:-1]
     live = {
@@ -346,7 +239,7 @@ def report_switching(report: Report, _quick: bool) -> None:
 
 
 def report_reliability(report: Report, quick: bool) -> None:
-    found = {'learned': measure_reliability(quick, list_priors()['learned'], (20,) if quick else (20, 200))}
+    found = {'learned': measure_reliability(quick, list_priors(quick)['learned'], (20,) if quick else (20, 200))}
     if not quick:
         found['pca'] = measure_reliability(quick, 'pca', (20,))
         report.picture(draw_reliability(found['learned']), 'docs/img/tracker/reliability.png')
@@ -362,26 +255,15 @@ def report_reliability(report: Report, quick: bool) -> None:
     report.add(reliability=found)
 
 
-SECTIONS: Mapping[str, Callable[[Report, bool], None]] = {
+SECTIONS: Mapping[str, Section] = {
     'lags': report_lags,
     'perspective': report_perspective,
     'metric': report_metric,
-    'swaps': report_swaps,
     'reliability': report_reliability,
-    'endurance': report_endurance,
     'switching': report_switching,
 }
 
 
-def measure(args: argparse.Namespace, report: Report) -> None:
-    common.choose_capture('motion')
-    for section in report.choose(args, SECTIONS, needing_lifter=set(SECTIONS) - {'endurance'}):
-        SECTIONS[section](report, args.quick)
-
-
-def main() -> None:
-    run(__doc__, 'Tracker', measure, add_sections(SECTIONS))
-
-
 if __name__ == '__main__':
-    main()
+    common.choose_capture('motion')
+    run(__doc__, 'Tracker', SECTIONS)

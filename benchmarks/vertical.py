@@ -11,15 +11,13 @@ leans over the true ones, up to 60 degrees, and its error that of people who tru
 
 from __future__ import annotations
 
-import common
-
-# isort: split
 import argparse
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import common
 import numpy as np
 from common import View
 from experiments.detector_views import CLEAN, DETECTORS, HEADING_STEP_DEG, choose_trials, load_middle, load_motion
@@ -138,27 +136,20 @@ def fit_slope(lines: Sequence[tuple[float, ...]]) -> float:
 
 def show_results(report: Report, records: Records) -> None:
     rows = []
-    for (detector, way), each in group(records, 'detector', 'way').items():
-        for (choice,), mine in group(each, 'choice').items():
-            by_elevation = [common.mean_error(r) for r in group(mine, 'elevation').values()]
-            rows.append(
-                [
-                    *(detector, way, choice, f'{common.mean_error(mine):.1f}'),
-                    ' / '.join(f'{e:.1f}' for e in by_elevation),
-                    f'{fit_slope([r["line"] for r in mine]):.2f}',
-                    f'{np.nanmean([r["lean_error_deg"] for r in mine]):.1f}',
-                ]
-            )
-    header = [
-        'detector',
-        'way',
-        'vertical',
-        'MPJPE, mm',
-        'by elevation',
-        'slope of the lean',
-        'its error, degrees',
-    ]
-    report.table(header, rows, page='vertical.errors')
+    for (detector, way, choice), mine in group(records, 'detector', 'way', 'choice').items():
+        by_elevation = [common.mean_error(r) for r in group(mine, 'elevation').values()]
+        rows.append(
+            {
+                'detector': detector,
+                'way': way,
+                'vertical': choice,
+                'MPJPE, mm': f'{common.mean_error(mine):.1f}',
+                'by elevation': ' / '.join(f'{e:.1f}' for e in by_elevation),
+                'slope of the lean': f'{fit_slope([r["line"] for r in mine]):.2f}',
+                'its error, degrees': f'{np.nanmean([r["lean_error_deg"] for r in mine]):.1f}',
+            }
+        )
+    report.rows('', rows, page='vertical.errors')
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -174,7 +165,7 @@ def measure(args: argparse.Namespace, report: Report) -> None:
     common.choose_capture('motion')
     compile_kernels()
     if args.persons == 'held-out':
-        models, config = provide_held_out()
+        models, config = provide_held_out(args.quick)
     else:
         models, config = load_base_pose_models(ALL_MOTIONS), Config()
     trials = choose_trials(args.persons, args.trials, MIN_FRAMES)
@@ -194,9 +185,5 @@ def measure(args: argparse.Namespace, report: Report) -> None:
     report.add(records=records)
 
 
-def main() -> None:
-    run(__doc__, 'The vertical of the camera', measure, add_options, one_core=False)
-
-
 if __name__ == '__main__':
-    main()
+    run(__doc__, 'The vertical of the camera', measure, add_options, one_core=False)

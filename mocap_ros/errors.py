@@ -1,8 +1,21 @@
 """Exceptions of the package. Libraries raise them; programs print them as one line."""
 
+MAX_MESSAGE_CHARACTERS = 2000  # of an error; longer ones, which quote what a stranger wrote, lose their middle
+
 
 class MocapError(Exception):
-    """Base of all exceptions that this package raises on purpose; the message says what is wrong and where."""
+    """Base of all exceptions that this package raises on purpose; the message says what is wrong and where.
+
+    Messages quote names from files and messages of strangers. Therefore the message is one line, at most
+    `MAX_MESSAGE_CHARACTERS` long, in which characters that a terminal would obey are written as Python escapes
+    them.
+
+    Args:
+        message: what is wrong and where.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(_make_clear(message))
 
 
 class ConfigError(MocapError):
@@ -31,6 +44,17 @@ class RecordingError(MocapError):
 
 class DiskFull(RecordingError):
     """A disk without space, or with less than `recorder.min_free_mb`."""
+
+
+def _make_clear(message: str) -> str:
+    """Return a message as one printable line of at most `MAX_MESSAGE_CHARACTERS`."""
+    if len(message) > MAX_MESSAGE_CHARACTERS:
+        half = MAX_MESSAGE_CHARACTERS // 2 - 3
+        message = f'{message[:half]} ... {message[-half:]}'
+    if message.isprintable():
+        return message
+    line = ' '.join(message.split())
+    return ''.join(c if c.isprintable() else repr(c)[1:-1] for c in line)[:MAX_MESSAGE_CHARACTERS]
 
 
 def describe_read_error(error: Exception) -> str:

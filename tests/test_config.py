@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocap_ros.config import Config, from_yaml, parameters, to_yaml, values, with_values
+from mocap_ros.config import Config, from_yaml, load_yaml, parameters, to_yaml, values, with_values, yaml_file
 from mocap_ros.errors import ConfigError
 
 SHIPPED = Path(__file__).parents[1] / 'config' / 'mocap_ros.yaml'
@@ -56,7 +56,7 @@ def test_yaml_round_trip() -> None:
         ('[1, 2]', 'expected a mapping'),
         ('{', r'f\.yaml: not YAML'),
         ('!!python/object/apply:os.system [true]', 'not YAML'),
-        ('{a: ' * 2000, r'f\.yaml: not YAML: nested too deep'),
+        ('{a: ' * 2000, r'f\.yaml: not YAML: line 1: nested too deep'),
         ('a: &a [1]\nb: *a', r'f\.yaml: not YAML: line 2: aliases are not allowed'),
         ('solver: {components: 3}\nsolver: {}', r"line 2: the key 'solver' occurs twice"),
         ('1: 2', 'line 1: a key is not text'),
@@ -89,6 +89,13 @@ def test_a_group_is_no_parameter() -> None:
 
 
 yaml_like = st.text('ab:{}[]&*!- \n\'"|>?%@1.,#~x', max_size=30)
+
+
+def test_a_text_of_very_many_values_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(yaml_file, 'MAX_NODES', 100)
+    assert load_yaml('a: [' + '1,' * 90 + ']', 'f.yaml') == {'a': [1] * 90}
+    with pytest.raises(ConfigError, match=r'f\.yaml: not YAML: line 1: more than 100 keys and values'):
+        load_yaml('a: [' + '1,' * 100 + ']', 'f.yaml')
 
 
 @given(st.one_of(st.text(max_size=30), yaml_like))

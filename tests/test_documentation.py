@@ -40,6 +40,11 @@ def test_every_link_leads_somewhere(page: Path) -> None:
             assert (page.parent / target).exists(), f'{page.name}: {target}'
 
 
+def test_every_page_is_in_the_table_of_contents_of_the_site() -> None:
+    listed = (ROOT / 'docs' / 'index.rst').read_text(encoding='utf-8').split()
+    assert {page.stem for page in PAGES if page.parent.name == 'docs'} - set(listed) == set()
+
+
 def test_the_glossary_has_every_folder_of_the_mathematics() -> None:
     named = {path.split('/')[0] for path in code_paths(ROOT / 'docs' / 'glossary.md')}
     assert named >= {'geometry', 'keypoints', 'models', 'solvers', 'tracking', 'offline', 'evaluation', 'training'}

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from typing import Any
 
 import common
 import numpy as np
-from common import make_paper_config
 from numpy.typing import NDArray
+from panels import JUMP, RUN, WALK, draw_curves, label_axes, make_panels
+from report import Report
 from scipy.optimize import least_squares
 from scipy.sparse import lil_array
 
-from experiments.accuracy import choose_few_headings, train_like_paper
-from experiments.report import JUMP, RUN, WALK, Section, label_axes, make_panels
+from experiments.methods import ALGORITHM_1, JOINT, choose_few_headings, choose_headings
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation, rotation_from_vector
 from mocap_ros.geometry.weak_perspective import fit_cameras_closed_form, subtract_weighted_centroid
 from mocap_ros.solvers.window import Reconstruction
@@ -22,7 +22,6 @@ Array = NDArray[np.float64]
 
 # Trials of the experiments, with their categories.
 CASES = (('35_02', 'walk'), ('35_17', 'run'), ('13_11', 'jump'))
-FLIP_CASES = CASES[:2]
 FLIP_NOISE = 0.05  # option `noise` of the protocol
 MIN_FLIP_ANGLE_DEG = 30.0  # degrees between two frames; no real camera of the test turns as fast
 # Options of the protocol for each camera motion.
@@ -43,80 +42,67 @@ def count_flips(result: Reconstruction) -> int:
     return int((np.degrees(np.arccos(np.clip(cosine, -1, 1))) > MIN_FLIP_ANGLE_DEG).sum())
 
 
-def measure_flip_regulariser(quick: bool) -> Section:
-    """Measure error and camera flips against the flip regulariser (figure 4)."""
-    section = Section('Flip regulariser (figure 4)')
+def measure_flip_regulariser(report: Report, quick: bool) -> dict[str, Any]:
+    """Flip regulariser (figure 4)."""
     gammas = (0.0, 1e-2) if quick else (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0)
-    headings = choose_few_headings(quick)
-    columns = ('Algorithm 1, clean', 'Algorithm 1, 5 % noise', 'joint, 5 % noise')
+    slow, plain = {'tolerance': 1e-3}, {'heading_flip_factor': 1.0, 'start_window': 0.0}
+    columns: dict[str, Any] = {
+        'Algorithm 1, clean': (ALGORITHM_1, 0.0, slow),
+        'Algorithm 1, 5 % noise': (ALGORITHM_1, FLIP_NOISE, slow),
+        'joint, 5 % noise': (JOINT, FLIP_NOISE, plain),
+    }
     errors: dict[str, list[float]] = {c: [] for c in columns}
     counts: dict[str, list[int]] = {c: [] for c in columns}
     for gamma in common.show_progress(gammas, 'gamma'):
-        for column in columns:
-            noise = FLIP_NOISE if 'noise' in column else 0.0
+        for column, (method, noise, values) in columns.items():
             scores, total = [], 0
-            for trial, category in FLIP_CASES:
-                tests = common.make_views(trial, headings, noise=noise)
-                if column.startswith('joint'):
-                    config = common.make_config(flip_weight=gamma, heading_flip_factor=1.0, start_window=0.0)
-                    model = common.train_base_poses(category, without_trials=(trial,))
-                    found = common.solve_jointly(tests, model, config)
-                else:
-                    model = train_like_paper(category, trial)
-                    found = common.solve_by_alternation(
-                        tests, model, make_paper_config(flip_weight=gamma, tolerance=1e-3)
-                    )
-                scores += [r['mpjpe_mm'] for r in common.compute_all_errors(tests, found, model)]
-                total += sum(count_flips(r) for r in found)
-            errors[column].append(float(np.mean(scores)))
+            for trial, category in CASES[:2]:
+                tests = common.make_views(trial, choose_few_headings(quick), noise=noise)
+                found = method.solve(tests, category, trial, flip_weight=gamma, **values)
+                scores += common.compute_all_errors(tests, found)
+                total += sum(map(count_flips, found))
+            errors[column].append(common.mean_error(scores))
             counts[column].append(total)
     rows = [
         [f'{g:g}', *(cell for c in columns for cell in (f'{errors[c][i]:.1f}', counts[c][i]))]
         for i, g in enumerate(gammas)
     ]
-    section.table(['gamma', *(f'{c}: {what}' for c in columns for what in ('MPJPE, mm', 'flips'))], rows)
-    section.data = {'gamma': list(gammas), 'mpjpe_mm': errors, 'flips': counts}
+    report.table(['gamma', *(f'{c}: {what}' for c in columns for what in ('MPJPE, mm', 'flips'))], rows)
     axis = [max(g, gammas[1] / 10) for g in gammas]
     figure, axes = make_panels(2)
-    for column, colour in zip(columns, (WALK, JUMP, RUN), strict=True):
-        axes[0].plot(axis, errors[column], 'o-', color=colour, label=column)
-        axes[1].plot(axis, counts[column], 'o-', color=colour)
+    draw_curves(axes[0], axis, errors, (WALK, JUMP, RUN))
+    draw_curves(axes[1], axis, counts, (WALK, JUMP, RUN))
     for ax, what in zip(axes, ('MPJPE, mm', 'camera flips'), strict=True):
         ax.set_xscale('log')
         ax.set_ylim(bottom=0)
         label_axes(ax, 'gamma, m² s (leftmost: 0)', what)
-    figure.legend(loc='outside lower center', ncols=3)
-    section.figure('fig04_flips', figure, '3D error and camera flips against the flip regulariser')
-    return section
+    figure.legend(*axes[0].get_legend_handles_labels(), loc='outside lower center', ncols=3)
+    report.paper_figure('fig04_flips', figure, '3D error and camera flips against the flip regulariser')
+    return {'gamma': list(gammas), 'mpjpe_mm': errors, 'flips': counts}
 
 
-def compare_differences(quick: bool) -> Section:
-    """Compare forward and central differences in the flip term (section 3.5)."""
-    section = Section('Forward and central differences (section 3.5)')
-    gamma = 1e-2
+def compare_differences(report: Report, quick: bool) -> dict[str, Any]:
+    """Forward and central differences (section 3.5)."""
+    gamma, px_per_m = 1e-2, common.load_protocol().PX_PER_M
     rows = []
     for trial, category in CASES[1:2] if quick else CASES:
         (view,) = common.make_views(trial, [45], noise=0.02)
-        model = train_like_paper(category, trial).truncate(6)
+        window, model = view.window, ALGORITHM_1.train(category, trial).truncate(6)
         poses = model.poses(np.zeros((view.frames, 6)))
-        body, _ = subtract_weighted_centroid(poses, view.window.weight)
-        image, _ = subtract_weighted_centroid(
-            view.window.points / common.load_protocol().PX_PER_M, view.window.weight
-        )
-        start = fit_cameras_closed_form(poses, view.window.points, view.window.weight, view.window.times, 0.0)
-        scale = start.scale / common.load_protocol().PX_PER_M
+        body, _ = subtract_weighted_centroid(poses, window.weight)
+        image, _ = subtract_weighted_centroid(window.points / px_per_m, window.weight)
+        start = fit_cameras_closed_form(poses, window.points, window.weight, window.times, 0.0)
         truth = fit_rotation(poses, centre_poses(view.true_poses))
         cells = []
         for scheme in (_fit_forward, _fit_central, _fit_central_dense):
             begun = time.perf_counter()
-            rotations = scheme(body, image, start.rotation, scale, gamma)
+            rotations = scheme(body, image, start.rotation, start.scale / px_per_m, gamma)
             cells.append((time.perf_counter() - begun, _mean_angle_degrees(rotations, truth)))
         times = [f'{seconds * 1e3:.0f}' for seconds, _ in cells]
         rows.append([trial, *times, f'{cells[2][0] / cells[0][0]:.1f}', *(f'{e:.2f}' for _, e in cells[:2])])
     header = ['forward, ms', 'central, sparse, ms', 'central, dense, ms', 'dense / forward']
-    section.table(['trial', *header, 'forward: error, degrees', 'central: error, degrees'], rows)
-    section.data['rows'] = rows
-    return section
+    report.table(['trial', *header, 'forward: error, degrees', 'central: error, degrees'], rows)
+    return {'rows': rows}
 
 
 def _make_camera_matrices(x: Array, rotation: Array) -> Array:
@@ -175,27 +161,22 @@ def _mean_angle_degrees(rotations: Array, truth: Array) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
 
 
-def measure_moving_cameras(quick: bool) -> Section:
-    """Measure the error with fixed and moving cameras, the paper's main claim."""
-    section = Section('Fixed, orbiting and shaken cameras')
-    angles: Sequence[int] = common.HEADINGS_DEG[1:2] if quick else common.HEADINGS_DEG
+def measure_moving_cameras(report: Report, quick: bool) -> dict[str, Any]:
+    """Fixed, orbiting and shaken cameras: the paper's main claim."""
     trials = MOVING_TRIALS[::3] if quick else MOVING_TRIALS
-    rows = []
+    rows, data = [], {}
     for name, options in list(CAMERAS.items())[:: 3 if quick else 1]:
         means, worst, periodic = [], [], []
         for trial, category in trials:
-            tests = common.make_views(trial, angles, **options)
-            model = common.train_base_poses(category, without_subjects=(trial[:2],))
-            records = common.compute_all_errors(tests, common.solve_jointly(tests, model), model)
+            tests = common.make_views(trial, choose_headings(quick), **options)
+            some, model = tests[::4], common.train_base_poses(category, without_subjects=(trial[:2],))
+            records = common.compute_all_errors(tests, common.solve_jointly(tests, model))
             means.append(common.mean_error(records))
             worst.append(common.worst_error(records))
-            some = tests[::4]
-            periodic.append(
-                common.mean_error(common.compute_all_errors(some, common.solve_periodically(some, model), model))
-            )
+            records = common.compute_all_errors(some, common.solve_periodically(some, model))
+            periodic.append(common.mean_error(records))
         rows.append([name, *(f'{m:.1f}' for m in means), *(f'{np.mean(v):.1f}' for v in (means, worst, periodic))])
-        section.data[name] = {'mean': means, 'worst': worst, 'periodic': periodic}
-    section.table(
-        ['camera', *(t for t, _ in trials), 'mean', 'worst heading, mean over the trials', 'periodic model'], rows
-    )
-    return section
+        data[name] = {'mean': means, 'worst': worst, 'periodic': periodic}
+    header = ['mean', 'worst heading, mean over the trials', 'periodic model']
+    report.table(['camera', *(t for t, _ in trials), *header], rows)
+    return data

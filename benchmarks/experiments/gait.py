@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import common
 import numpy as np
 from common import View, make_paper_config
 from numpy.typing import NDArray
+from panels import RUN, WALK, draw_curves, draw_weights, label_axes, make_panels
+from report import Report
 from scipy.optimize import minimize_scalar
 
-from experiments.accuracy import choose_few_headings, solve_with_paper_sines, train_both
-from experiments.report import JUMP, NEUTRAL, RUN, WALK, Section, label_axes, make_panels
+from experiments.methods import PERIODIC, SINES, choose_few_headings
 from experiments.variants.sines import solve_with_sines
-from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation
+from mocap_ros.geometry.rotations import centre_poses
 from mocap_ros.solvers import periodic
 from mocap_ros.solvers.window import Reconstruction, Window
 
@@ -27,47 +29,35 @@ SECTION_FRAMES = 10  # frames of a section that is classified, as in the paper
 CLAIM_CATEGORIES = ('walk', 'run', 'jump', 'walk+run+jump', '')
 
 
-def measure_sines(quick: bool) -> Section:
-    """Fit sines to the true weights of the base poses (figure 5)."""
-    section = Section('Sines fitted to ground-truth weights (figure 5)')
-    rows = []
-    drawn: tuple[Array, Array, Array] | None = None
+def measure_sines(report: Report, quick: bool) -> dict[str, Any]:
+    """Sines fitted to ground-truth weights (figure 5)."""
+    rows, drawn = [], {}
     for trial in SINE_TRIALS[:1] if quick else SINE_TRIALS:
         model = common.train_base_poses('walk', only_subjects=(trial[:2],), plain=True)
-        poses = next(t.poses for t in common.list_trials() if t.name == trial)[:120]
-        poses = poses * (np.linalg.norm(model.mean) / np.linalg.norm(centre_poses(poses), axis=(1, 2)).mean())
-        body = centre_poses(poses) @ np.swapaxes(fit_heading_rotation(centre_poses(poses), model.mean), -1, -2)
+        body, theta = common.find_true_weights(model, trial, 120)
         times = np.arange(len(body)) / common.FPS
-        theta = model.weights(body)
+        every = len(model.std)
         forms = {
             'one sine per base pose, K = 4 (the paper)': (4, 1, True),
             'shared fundamental, H = 1, K = 4': (4, 1, False),
             'shared fundamental, H = 2, K = 4': (4, 2, False),
-            'shared fundamental, H = 2, all base poses': (len(model.std), 2, False),
-            'shared fundamental, H = 3, all base poses': (len(model.std), 3, False),
+            'shared fundamental, H = 2, all base poses': (every, 2, False),
+            'shared fundamental, H = 3, all base poses': (every, 3, False),
         }
         cells = []
         for k, harmonics, sines in forms.values():
             fit = fit_harmonics(theta[:, :k], times, harmonics, sines)
             difference = model.truncate(k).poses(fit) - body
-            cells.append(
-                f'{np.abs(difference).mean() * 1e3:.2f} / {np.linalg.norm(difference, axis=-1).mean() * 1e3:.1f}'
-            )
+            distance = np.linalg.norm(difference, axis=-1).mean()
+            cells.append(f'{np.abs(difference).mean() * 1e3:.2f} / {distance * 1e3:.1f}')
             if trial == SINE_TRIALS[0] and sines:
-                drawn = times, theta[:, :4], fit
+                drawn = {'ground truth, walk 35/02': theta, 'fitted sines, walk 35/02': fit}
         rows.append([trial.replace('_', '/'), *cells])
-    section.table(['trial', *forms], rows)
-    section.data['rows'] = rows
-    if drawn is not None:
-        times, theta, fit = drawn
-        figure, axes = make_panels(2, sharey=True)
-        for ax, values, title in zip(axes, (theta, fit), ('ground truth', 'fitted sines'), strict=True):
-            for k, colour in enumerate((WALK, RUN, JUMP, NEUTRAL)):
-                ax.plot(times, values[:, k], color=colour, label=f'base pose {k + 1}')
-            label_axes(ax, 'time, s', 'weight, m' if ax is axes[0] else '', f'{title}, walk 35/02')
-        figure.legend(*axes[0].get_legend_handles_labels(), loc='outside lower center', ncols=4)
-        section.figure('fig05_sines', figure, 'True weights and fitted sines')
-    return section
+    report.table(['trial', *forms], rows)
+    figure, axes = make_panels(2, sharey=True)
+    draw_weights(axes, np.arange(len(drawn['ground truth, walk 35/02'])) / common.FPS, drawn)
+    report.paper_figure('fig05_sines', figure, 'True weights and fitted sines')
+    return {'rows': rows}
 
 
 def fit_harmonics(theta: Array, times: Array, harmonics: int, sines: bool) -> Array:
@@ -121,21 +111,16 @@ def make_splice() -> tuple[Array, list[tuple[str, int, int]]]:
     return np.concatenate(turned), bounds
 
 
-def measure_classification(quick: bool) -> Section:
-    """Measure the residual of the periodic model over a run, a jump and a run (figure 19)."""
-    section = Section('Run, jump, run (figure 19)')
+def measure_classification(report: Report, quick: bool) -> dict[str, Any]:
+    """Run, jump, run (figure 19)."""
     body, parts = make_splice()
-    model = common.train_base_poses('run', only_subjects=('35',), without_trials=('35_17', '35_18'))
+    train = partial(common.train_base_poses, 'run', only_subjects=('35',), without_trials=('35_17', '35_18'))
     headings = (90,) if quick else (45, 90, 135)
     tests = common.make_views(body, headings, frames=len(body))
     starts = range(0, len(body) - SECTION_FRAMES + 1, SECTION_FRAMES // (1 if quick else 2))
     forms = {
-        'project': (periodic.solve, common.make_config(bone_weight=0.0), model),
-        "the paper's sines, K = 6": (
-            solve_with_sines,
-            make_paper_config(),
-            common.train_base_poses('run', only_subjects=('35',), without_trials=('35_17', '35_18'), plain=True),
-        ),
+        'project': (periodic.solve, common.make_config(bone_weight=0.0), train()),
+        "the paper's sines, K = 6": (solve_with_sines, make_paper_config(), train(plain=True)),
     }
     residuals: dict[str, Array] = {}
     size = float(np.linalg.norm(centre_poses(body), axis=(1, 2)).mean() / np.sqrt(body.shape[1])) * 1e-3
@@ -149,28 +134,22 @@ def measure_classification(quick: bool) -> Section:
     jumping = np.array([parts[1][1] <= m < parts[1][2] for m in middle])
     rows = []
     for name, values in residuals.items():
-        area = _compute_roc_area(values[~jumping], values[jumping])
-        rows.append(
-            [
-                name,
-                f'{values[~jumping].mean():.3f} (at most {values[~jumping].max():.3f})',
-                f'{values[jumping].mean():.3f} (at least {values[jumping].min():.3f})',
-                f'{area:.2f}',
-            ]
-        )
-        section.data[name] = {'start_frame': list(starts), 'residual': values}
-    section.table(
-        ['periodic model', '2D error in the runs', '2D error in the jump', 'area under the ROC curve'], rows
-    )
+        running, jump = values[~jumping], values[jumping]
+        most, least = f'at most {running.max():.3f}', f'at least {jump.min():.3f}'
+        cells = f'{running.mean():.3f} ({most})', f'{jump.mean():.3f} ({least})'
+        rows.append([name, *cells, f'{_compute_roc_area(running, jump):.2f}'])
+    header = ['periodic model', '2D error in the runs', '2D error in the jump', 'area under the ROC curve']
+    report.table(header, rows)
     figure, axes = make_panels(1, height=2.6)
-    for (name, values), colour in zip(residuals.items(), (RUN, WALK), strict=True):
-        axes[0].plot(middle / common.FPS, values, 'o-', color=colour, label=name)
+    draw_curves(axes[0], middle / common.FPS, residuals, (RUN, WALK))
     axes[0].axvspan(parts[1][1] / common.FPS, parts[1][2] / common.FPS, color='#f0f0f0', zorder=0, label='jump')
     label_axes(axes[0], 'middle of the section, s', '2D error / body size')
     axes[0].set_ylim(bottom=0)
     axes[0].legend()
-    section.figure('fig19_classification', figure, '2D error of the periodic model over a run, a jump and a run')
-    return section
+    report.paper_figure(
+        'fig19_classification', figure, '2D error of the periodic model over a run, a jump and a run'
+    )
+    return {name: {'start_frame': list(starts), 'residual': values} for name, values in residuals.items()}
 
 
 def measure_section_residual(
@@ -187,65 +166,45 @@ def _compute_roc_area(below: Array, above: Array) -> float:
     return float((above[:, None] > below).mean() + 0.5 * (above[:, None] == below).mean())
 
 
-def measure_claims(quick: bool) -> Section:
-    """Measure the claims that the paper makes beside its experiments."""
-    section = Section('Further claims')
-    _measure_explained_variance(section, CLAIM_CATEGORIES[:3] if quick else CLAIM_CATEGORIES)
-    _measure_periodic_bones(section, quick)
-    return section
+def measure_claims(report: Report, quick: bool) -> dict[str, Any]:
+    """Further claims."""
+    return {
+        'ten components': _measure_explained_variance(report, CLAIM_CATEGORIES[:3] if quick else CLAIM_CATEGORIES),
+        'periodic bones': _measure_periodic_bones(report, quick),
+    }
 
 
-def _measure_explained_variance(section: Section, categories: Sequence[str]) -> None:
-    section.text(
-        'Share of the variance in the first ten base poses, all trials of the category (the paper: over 99 %).'
-    )
-    rows = []
+def _measure_explained_variance(report: Report, categories: Sequence[str]) -> list[Sequence[object]]:
+    share = 'Share of the variance in the first ten base poses, all trials of the category'
+    report.text(f'{share} (the paper: over 99 %).')
+    rows: list[Sequence[object]] = []
     for category in categories:
-        chosen = [
-            t.poses
-            for t in common.list_trials()
-            if t.clean and (not category or t.category in category.split('+'))
-        ]
-        stacked = centre_poses(np.concatenate(chosen)).reshape(-1, chosen[0].shape[1] * 3)
+        kinds = category.split('+') if category else []
+        poses = [t.poses for t in common.list_trials() if t.clean and (not kinds or t.category in kinds)]
+        stacked = centre_poses(np.concatenate(poses)).reshape(-1, poses[0].shape[1] * 3)
         variance = np.linalg.eigvalsh(np.cov(stacked.T))[::-1]
         raw = variance[:10].sum() / variance.sum()
-        aligned = common.train_base_poses(category, plain=True).explained[9]
-        shipped = common.train_base_poses(category).explained[9]
         count = int(np.searchsorted(np.cumsum(variance) / variance.sum(), 0.99)) + 1
-        rows.append([category or 'all motions', f'{raw:.1%}', count, f'{aligned:.1%}', f'{shipped:.1%}'])
-    section.table(
-        [
-            'category',
-            'as in the paper, not aligned',
-            'base poses needed for 99 %',
-            'aligned',
-            'as shipped (with mirrored poses and other bodies)',
-        ],
-        rows,
-    )
-    section.data['ten components'] = rows
+        trained = [common.train_base_poses(category, plain=plain).explained[9] for plain in (True, False)]
+        rows.append([category or 'all motions', f'{raw:.1%}', count, *(f'{share:.1%}' for share in trained)])
+    needed, shipped = 'base poses needed for 99 %', 'as shipped (with mirrored poses and other bodies)'
+    report.table(['category', 'as in the paper, not aligned', needed, 'aligned', shipped], rows)
+    return rows
 
 
-def _measure_periodic_bones(section: Section, quick: bool) -> None:
+def _measure_periodic_bones(report: Report, quick: bool) -> list[list[str]]:
     weights = (0.0, 20.0) if quick else (0.0, 0.1, 1.0, 5.0, 20.0, 100.0, 1e3, 1e4)
-    trials: Sequence[tuple[str, str]] = (('35_02', 'walk'),) if quick else (('35_02', 'walk'), ('35_17', 'run'))
+    trials = (('35_02', 'walk'),) if quick else (('35_02', 'walk'), ('35_17', 'run'))
+    cases = [(method, trial, category) for trial, category in trials for method in (SINES, PERIODIC)]
+    views = {trial: common.make_views(trial, choose_few_headings(quick)) for trial, _ in trials}
     rows = []
     for beta in weights:
-        cells = []
-        for trial, category in trials:
-            tests = common.make_views(trial, choose_few_headings(quick))
-            paper, ours = train_both(category, trial)
-            by_model = (
-                (paper, solve_with_paper_sines(tests, paper, bone_weight=beta)),
-                (ours, common.solve_periodically(tests, ours, common.make_config(bone_weight=beta))),
-            )
-            for model, found in by_model:
-                cells.append(f'{common.mean_error(common.compute_all_errors(tests, found, model)):.1f}')
-        rows.append([f'{beta:g}', *cells])
-    section.text(
+        scores = [m.score(views[trial], category, trial, bone_weight=beta) for m, trial, category in cases]
+        rows.append([f'{beta:g}', *(f'{common.mean_error(s):.1f}' for s in scores)])
+    report.text(
         """Bone-length term in the periodic model, MPJPE in mm. The paper: no improvement, and with too high a
         weight the skeleton stays in the mean pose."""
     )
-    header = [f'{t}, {form}' for t, _ in trials for form in ("the paper's sines, K = 4", 'project')]
-    section.table(['beta', *header], rows)
-    section.data['periodic bones'] = rows
+    names = {SINES: "the paper's sines, K = 4", PERIODIC: 'project'}
+    report.table(['beta', *(f'{trial}, {names[method]}' for method, trial, _ in cases)], rows)
+    return rows

@@ -14,7 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import (
+    bsr_array,
+    coo_array,
+    csr_array,
+    dia_array,
+    diags_array,
+    eye_array,
+    hstack,
+    kron,
+    vstack,
+)
 
 from mocap_ros.geometry.rotations import cross_matrix, rotation_from_vector
 from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior
@@ -108,11 +118,20 @@ class SparseProblem:
         p = self.problem
         state, vector, _ = self.unpack(x)
         frames, k = state.theta.shape
+        bones = len(p.bones.weight)
         turn = _left_jacobian(vector)
         fit = p.fit(state)
         turned, error = fit.scaled_poses, fit.error
         factor, slope = self._data_rows(error)
-        root = np.sqrt(p.reprojection.weight)
+
+        def by_frame(blocks: Array, first: int = 0, of_means: Array | None = None) -> coo_array:
+            """Return the rows of dense blocks (F, R, C) by the unknowns of their frames from the first one on."""
+            rows, columns = blocks.shape[1:]
+            wide = np.zeros((len(blocks), rows, self.width))
+            wide[..., first : first + columns] = blocks
+            own = bsr_array((wide, np.arange(len(blocks)), np.arange(len(blocks) + 1)))
+            means = coo_array((len(blocks) * rows, bones)) if of_means is None else of_means
+            return hstack([own, means])
 
         m = np.exp(state.log_scale)[:, None, None] * state.rotation[:, :2]
         basis = np.moveaxis(p.model.components * p.model.std[:, None, None], 0, -1)
@@ -123,20 +142,12 @@ class SparseProblem:
         raw[..., k + 4 :] = np.eye(2)
         along = (error[..., None] * raw).sum(axis=2, keepdims=True)
         data = factor[..., None, None] * raw + 2 * (slope[..., None] * error)[..., None] * along
-        blocks = _Blocks(frames * self.width + len(p.bones.weight))
-        own = np.arange(frames * self.width).reshape(frames, self.width)
-        blocks.add((root[..., None, None] * data).reshape(frames, -1, self.width), own)
+        data *= np.sqrt(p.reprojection.weight)[..., None, None]
 
         direction = basis[p.bones.children] - basis[p.bones.parents]
-        bones = np.sqrt(p.bones.weight)[:, None] * np.einsum('fbc,bck->fbk', fit.bone_direction, direction)
-        mean_columns = frames * self.width + np.arange(len(p.bones.weight))
-        blocks.add_bones(bones, own[:, :k], -np.sqrt(p.bones.weight), mean_columns)
-
-        blocks.add_diagonal(
-            np.broadcast_to(np.sqrt(p.find_term(BasePosePrior).precision) * p.model.std, (frames, k)), own[:, :k]
-        )
-        smooth = np.broadcast_to(np.sqrt(p.find_term(PoseSmoothness).weight)[:, None], (frames - 1, k))
-        blocks.add_difference(smooth, own[:, :k])
+        root = np.sqrt(p.bones.weight)
+        lengths = root[:, None] * np.einsum('fbc,bck->fbk', fit.bone_direction, direction)
+        prior = np.diag(np.sqrt(p.find_term(BasePosePrior).precision) * p.model.std)
 
         columns = np.swapaxes(state.rotation, -1, -2)
         scaled = np.exp(state.log_scale)[:, None, None] * columns
@@ -147,21 +158,27 @@ class SparseProblem:
         camera_rows = np.zeros((frames, 9, 4))
         camera_rows[:, :8] = np.swapaxes(camera, 1, 2).reshape(frames, 8, 4)
         camera_rows[:, 8, 3] = 1.0  # the log of the scale
-        root_flip = np.sqrt(p.find_term(CameraSmoothness).weight[..., None])
-        both = np.concatenate([-root_flip * camera_rows[:-1], root_flip * camera_rows[1:]], axis=-1)
-        columns_of = own[:, k : k + 4]
-        blocks.add(both, np.concatenate([columns_of[:-1], columns_of[1:]], axis=1))
-
-        pose, turning = p.find_term(PoseAcceleration), p.find_term(CameraAcceleration)
-        factors = pose.factors[:-2, :, None, None]
-        per_frame = factors * np.diag(p.model.std)
-        blocks.add_neighbours([per_frame[:, e] for e in range(3)], own[:, :k])
-        factors = turning.factors[:-2, :, None, None]
         of_m = camera_rows[:, [0, 1, 2, 4, 5, 6]] / np.exp(state.log_scale)[:, None, None]
         of_m[..., 3] = 0.0  # by the scale
-        later = [of_m[e : frames - 2 + e] for e in range(3)]
-        blocks.add_neighbours([factors[:, e] * rows for e, rows in enumerate(later)], columns_of)
-        return blocks.matrix()
+
+        smooth = np.sqrt(p.find_term(PoseSmoothness).weight)
+        flip = np.sqrt(p.find_term(CameraSmoothness).weight)
+        pose, turning = (p.find_term(term).factors[:-2] for term in (PoseAcceleration, CameraAcceleration))
+        same, scale = np.tile(np.eye(k), (frames, 1, 1)), np.tile(np.diag(p.model.std), (frames, 1, 1))
+        difference = np.array([-1.0, 1.0])
+        return csr_array(
+            vstack(
+                [
+                    by_frame(data.reshape(frames, -1, self.width)),
+                    by_frame(lengths, 0, kron(np.ones((frames, 1)), np.diag(-root))),
+                    by_frame(np.tile(prior, (frames, 1, 1))),
+                    _combine(smooth[:, None] * difference, k) @ by_frame(same),
+                    _weigh(flip) @ _combine(np.tile(difference, (frames - 1, 1)), 9) @ by_frame(camera_rows, k),
+                    _combine(pose, k) @ by_frame(scale),
+                    _combine(turning, 6) @ by_frame(of_m, k),
+                ]
+            )
+        )
 
     def solve(self, differences: bool = False, **options: Any) -> tuple[State, Progress, int]:
         """Minimise the objective.
@@ -216,48 +233,14 @@ def _left_jacobian(vector: Array) -> Array:
     return np.eye(3) + a * k + b * (k @ k)
 
 
-class _Blocks:
-    """A sparse matrix that is built row by row."""
+def _combine(factors: Array, size: int) -> csr_array:
+    """Return the matrix that adds blocks of rows of n neighbouring frames with factors (F - n + 1, n)."""
+    count, neighbours = factors.shape
+    shape = (count, count + neighbours - 1)
+    by_frame = diags_array(list(factors.T), offsets=list(range(neighbours)), shape=shape)
+    return csr_array(kron(by_frame, eye_array(size)))
 
-    def __init__(self, columns: int) -> None:
-        self.columns = columns
-        self.rows = 0
-        self.parts: list[tuple[Array, NDArray[np.intp], NDArray[np.intp]]] = []
 
-    def _append(self, values: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> None:
-        self.parts.append((values.ravel(), rows.ravel(), columns.ravel()))
-
-    def add(self, blocks: Array, columns: NDArray[np.intp]) -> None:
-        """Add dense blocks (F, R, C), each in rows of its own and in `columns` (F, C)."""
-        frames, rows, _ = blocks.shape
-        index = self.rows + np.arange(frames * rows).reshape(frames, rows, 1)
-        self._append(blocks, np.broadcast_to(index, blocks.shape), np.broadcast_to(columns[:, None], blocks.shape))
-        self.rows += frames * rows
-
-    def add_neighbours(self, blocks: list[Array], columns: NDArray[np.intp]) -> None:
-        """Add rows that depend on n neighbouring frames: n blocks (F - n + 1, R, C) in `columns` (F, C)."""
-        count = len(columns) - len(blocks) + 1
-        together = [columns[e : e + count] for e in range(len(blocks))]
-        self.add(np.concatenate(blocks, axis=-1), np.concatenate(together, axis=1))
-
-    def add_bones(
-        self, blocks: Array, columns: NDArray[np.intp], of_mean: Array, mean_columns: NDArray[np.intp]
-    ) -> None:
-        frames, bones, _ = blocks.shape
-        index = self.rows + np.arange(frames * bones).reshape(frames, bones)
-        self._append(np.broadcast_to(of_mean, index.shape), index, np.broadcast_to(mean_columns, index.shape))
-        self.add(blocks, columns)
-
-    def add_diagonal(self, values: Array, columns: NDArray[np.intp]) -> None:
-        self._append(values, self.rows + np.arange(values.size), columns)
-        self.rows += values.size
-
-    def add_difference(self, values: Array, columns: NDArray[np.intp]) -> None:
-        index = self.rows + np.arange(values.size)
-        self._append(-values, index, columns[:-1])
-        self._append(values, index, columns[1:])
-        self.rows += values.size
-
-    def matrix(self) -> csr_array:
-        values, rows, columns = (np.concatenate(part) for part in zip(*self.parts, strict=True))
-        return coo_array((values, (rows, columns)), shape=(self.rows, self.columns)).tocsr()
+def _weigh(weights: Array) -> dia_array:
+    """Return the diagonal matrix of weights."""
+    return diags_array(weights.ravel())

@@ -29,6 +29,7 @@ NODE_CORE = min(os.sched_getaffinity(0))  # the core that the node runs on
 MAX_PEOPLE = 60  # largest crowd that is tried
 IMAGE_SIZE = 3840, 2160  # px, large enough for the crowd side by side
 TIMEOUT_S = 20.0  # s; guards against a node that never answers
+START_TIMEOUT_S = 180.0  # s; far above the slowest start, with an empty cache on a busy machine
 # ns; each stream begins so much later than the one before, so that no person of that one is continued
 STREAM_GAP_NS = 1000 * NS_PER_S
 
@@ -112,7 +113,10 @@ class Peer:
             self.executor.spin_once(timeout_sec=0.02)
 
     def wait_for_node(self) -> None:
-        self.wait(lambda: self.keypoints.get_subscription_count() and self.skeletons.get_publisher_count())
+        self.wait(
+            lambda: self.keypoints.get_subscription_count() and self.skeletons.get_publisher_count(),
+            START_TIMEOUT_S,
+        )
 
     def encode_stream(self, people: int) -> Iterator[tuple[int, bytes]]:
         """Yield the stamps in ns and the messages of new people, without end, at `HZ`."""

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from typing import Any
 
 import common
 import numpy as np
-from reconstruction import Models, reconstruct
 
-from experiments.detector_errors import compute_errors
-from experiments.detector_views import ViewOptions, make_view
-from mocap_ros.config import Config, with_values
 from mocap_ros.models.base_poses import BasePoses
 
 OWN, ALONE, NOT_GIVEN = 'own base poses', 'own base poses, pca', 'base poses of all motions'
@@ -32,32 +27,6 @@ def train_own_base_poses(trial: str) -> BasePoses | None:
         return None
     dropped = (trial, *others[MAX_TRIALS:])
     return common.train_base_poses(shown.category, only_subjects=(shown.subject,), without_trials=dropped)
-
-
-def measure_own_base_poses(
-    options: Sequence[ViewOptions], ways: Sequence[str], models: Models, config: Config
-) -> list[dict[str, Any]]:
-    """Return one record for each view of a person with other trials, way, and base poses.
-
-    Args:
-        options: the views.
-        ways: `whole` and `live`, or one of them.
-        models: base poses of all motions, not trained on these people.
-        config: parameters, with the lifter.
-    """
-    records = []
-    for chosen in common.show_progress(options, 'own base poses'):
-        model = train_own_base_poses(chosen.trial)
-        if model is None:
-            continue
-        seen = make_view(chosen)
-        own: Models = {'own': model}
-        alone = with_values(config, {'solver.prior': 'pca'})
-        for way in ways:
-            for given, poses, parameters in ((OWN, own, config), (ALONE, own, alone), (NOT_GIVEN, models, config)):
-                errors = compute_errors(seen, reconstruct(way, seen.view, poses, parameters))
-                records.append({**asdict(chosen), 'way': way, 'given': given, 'mpjpe_mm': errors['mpjpe_mm']})
-    return records
 
 
 def summarise_own(records: Sequence[Mapping[str, Any]]) -> list[list[object]]:

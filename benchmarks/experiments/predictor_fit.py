@@ -1,90 +1,195 @@
 """Fit of the motion predictor (`models/motion_predictor.py`) to what the tracker saw, and what people then did.
 
 The place of the root at the newest frame counts as right: that a person is nearer or farther than thought is no
-error of the prediction, and is in the covariance of the root already.
+error of the prediction, and is in the covariance of the root already. The network is trained with PyTorch (the
+extra `train`) to the least mean distance of the joints, not the least squares, by which few fast motions would
+outweigh all others. Some bodies are shown to it facing anywhere, as they are seen the wrong way round at times,
+and some moving otherwise than their limbs do, as people on wheels and treadmills: training has none of these.
+Errors for the variances are those on persons who were left out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from mocap_ros.models.motion_predictor import MotionPredictor, Past, compute_features
+from mocap_ros.models.motion_predictor import (
+    MIRRORED,
+    PAST_S,
+    Features,
+    MotionPredictor,
+    Past,
+    collect_inputs,
+    compute_features,
+    mirror,
+)
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
 
 Array = NDArray[np.float64]
 
 TIMES_S = (0.2, 0.4, 0.6, 1.0)  # s ahead, for which a predictor is fitted
-DIRECTIONS = 30  # principal directions of the limbs' features; 60 are 2 % worse on others than those fitted to
-ROOT_RIDGE = 3e-2  # of the number of samples; features are scaled to a mean square of 1
-LIMB_RIDGE = 0.3  # likewise
-TURNED_SHARE = 0.2  # of a sample, for which its copy with a wrong heading counts; 1 % worse where it is right
-NEAR_M = 0.05  # m; nearer predictions count alike, for the truth is not known better
+TYPICAL_ERRORS_M = (0.12, 0.2, 0.26, 0.4)  # m, at these times; distances are divided by them
+DIRECTIONS = 60  # principal directions of the limbs' features
+HIDDEN = 128  # units of each hidden layer; 256 are no better on others than those fitted to
+LAYERS = 3  # the last without an activation
+DROPOUT = 0.3  # share of the hidden units that are left out in a step
+TURNED_SHARE = 0.3  # of the samples, that are shown again with a wrong heading; 5 % worse where it is right
+MOVED_SHARE = 0.2  # of the samples, that are shown again with another velocity of the whole body
+MOVED_RANGE_M_S = (
+    0.6,
+    1.6,
+)  # m/s; of that: wheels and treadmills at the speed of a walk. Slower motions may well end
+EPOCHS = 10  # rounds over all samples; more are no better on others
+BATCH = 512  # samples of a step
+LEARNING_RATE = 2e-3  # largest
+WEIGHT_DECAY = 0.05
+OUTPUT_UNIT_M = 0.1  # m; of the outputs of the network while it is trained
+LEAST_SCALE = 1e-3  # of an input, which is divided by it
+FOLDS = 2  # groups of persons, each left out once
 WITHIN_95 = 7.815  # 1; squared Mahalanobis distance in three dimensions that 95 of 100 normal errors are below
-ROUNDS = 4  # of a fit, each weighted by the errors or the variances of the one before
-MIRRORED = np.array([1.0, -1.0, 1.0])  # of the axes of the body
+ROUNDS = 4  # of a fit of variances, each weighted by the variances of the one before
 
 
-def fit_predictor(pasts: Sequence[Past], future: Array) -> MotionPredictor:
+def fit_predictor(pasts: Sequence[Past], future: Array, persons: NDArray[np.str_]) -> MotionPredictor:
     """Return the predictor that is fitted to N samples.
 
     Args:
         pasts: what was known of the motion.
         future: (N, K, J, 3) m, true joints at the `TIMES_S` after, moved so that the root was right at the newest
             frame; NaN where not known.
+        persons: (N,) who it is.
     """
-    features = [compute_features(past) for past in pasts]
-    gates = np.array([f.gates for f in features])
-    turned = [compute_features(past) for past in _turn_headings(pasts)]
-    root_features = np.array([[f.root, g.root] for f, g in zip(features, turned, strict=True)])
-    root_features = np.concatenate(
-        [root_features, *(g[:, None, None, None] * root_features for g in gates.T)], axis=3
-    )
-    sights, bodies = (np.array([getattr(f, name) for f in features]) for name in ('line_of_sight', 'body'))
+    features = compute_features(pasts)
     now = np.array([past.joints for past in pasts])
-    root, future_root = _centre(now), _centre(future)
-    moved = (future_root - root[:, None]) @ sights
-    about = now - root[:, None]
-    changed = (future - future_root[:, :, None] - about[:, None]) @ bodies[:, None]
-    limb_features = np.array([f.limbs for f in features])
-    both = np.concatenate([limb_features, _mirror(limb_features)])
-    mean = both.mean(axis=0)
-    directions = np.linalg.eigh(np.cov((both - mean).T))[1][:, ::-1][:, :DIRECTIONS]
-    z = (both - mean) @ directions
-    z = np.concatenate([z, np.tile(gates[:, 1], 2)[:, None] * z], axis=1)
-    root_weights, limb_weights = [], []
-    for k in range(len(TIMES_S)):
-        known = np.isfinite(future[:, k]).all(axis=(1, 2))
-        along = np.moveaxis(moved[known, k], -1, 0)[:, :, None]
-        seen = np.concatenate([root_features[known, 0], root_features[known, 1]])
-        count = np.repeat([1.0, TURNED_SHARE], known.sum())
-        twice = np.concatenate([along, along], axis=1)
-        fitted = _fit_robustly(np.moveaxis(seen, 1, 0), twice, ROOT_RIDGE, count)
-        root_weights.append(fitted[:, :, 0])
-        flat = changed[known, k].reshape(known.sum(), -1)
-        both_flat = np.concatenate([flat, _mirror(flat)])
-        limb_weights.append(_fit_robustly(z[np.tile(known, 2)][None], both_flat[None], LIMB_RIDGE)[0])
-    joints = len(CMU15.joints)
-    unknown = np.zeros((len(TIMES_S), 3, 4)), np.zeros((len(TIMES_S), joints, 4))
-    draft = MotionPredictor(
-        np.array(TIMES_S), np.array(root_weights), mean, directions, np.array(limb_weights), *unknown
-    )
-    predicted = np.array([draft.predict(past, np.array(TIMES_S)).joints for past in pasts]) + now[:, None]
+    predicted = np.full(future.shape, np.nan)
+    for left_out in np.array_split(np.random.default_rng(0).permutation(np.unique(persons)), FOLDS):
+        is_out = np.isin(persons, left_out)
+        draft = _fit_network(*_add_others(pasts, features, future - now[:, None], np.flatnonzero(~is_out)))
+        rows = np.flatnonzero(is_out)
+        ahead = draft.predict_all([pasts[i] for i in rows.tolist()], np.tile(TIMES_S, (len(rows), 1)))
+        predicted[rows] = [now[i] + a.joints for i, a in zip(rows, ahead, strict=True)]
     root_variance, limb_variance = _fit_variances(
         predicted,
         future,
-        sights,
+        features.line_of_sight,
         np.array([past.std for past in pasts]),
-        np.array([f.root_squares for f in features]),
-        np.array([f.limb_squares for f in features]),
+        features.root_squares,
+        features.limb_squares,
     )
-    return MotionPredictor(
-        draft.times, draft.root, draft.mean, draft.directions, draft.limbs, root_variance, limb_variance
+    fitted = _fit_network(*_add_others(pasts, features, future - now[:, None], np.arange(len(pasts))))
+    return replace(fitted, root_variance=root_variance, limb_variance=limb_variance)
+
+
+def _add_others(
+    pasts: Sequence[Past], features: Features, displacement: Array, rows: NDArray[np.intp]
+) -> tuple[Features, Array]:
+    """Return features and displacements of some samples, and of these again turned or moved, as of the module."""
+    rng = np.random.default_rng(0)
+    turned, moved = (rng.choice(rows, round(s * len(rows)), replace=False) for s in (TURNED_SHARE, MOVED_SHARE))
+    others = [pasts[i]._replace(heading=rng.standard_normal(3)) for i in turned]
+    further = []
+    for i in moved:
+        past = pasts[i]
+        drawn = np.cross(past.upward, rng.standard_normal(3))
+        velocity = rng.uniform(*MOVED_RANGE_M_S) * drawn / np.linalg.norm(drawn)
+        earlier = past.earlier - np.array(PAST_S)[:, None, None] * velocity
+        others.append(past._replace(velocity=past.velocity + velocity, earlier=earlier))
+        further.append(displacement[i] + np.array(TIMES_S)[:, None, None] * velocity)
+    joined = _join(Features(*(values[rows] for values in features)), compute_features(others))
+    return joined, np.concatenate([displacement[rows], displacement[turned], np.array(further)])
+
+
+def _join(first: Features, second: Features) -> Features:
+    """Return the features of two groups of samples as those of one."""
+    return Features(*map(np.concatenate, zip(first, second, strict=True)))
+
+
+def _fit_network(features: Features, displacement: Array) -> MotionPredictor:
+    """Return a predictor whose variances are 0.
+
+    Args:
+        features: of N samples.
+        displacement: (N, K, J, 3) m, what they are to give in the optical frame; NaN where not known.
+    """
+    both = _join(features, mirror(features))
+    limbs = both.limbs
+    mean = limbs.mean(axis=0)
+    directions = np.linalg.eigh(np.cov((limbs - mean).T))[1][:, ::-1][:, :DIRECTIONS]
+    inputs = np.concatenate([(limbs - mean) @ directions, collect_inputs(both)], axis=1)
+    joints, root = _express_targets(features, displacement)
+    mirrored_joints = joints[:, :, list(CMU15.mirror)] * MIRRORED
+    targets = np.concatenate([joints, mirrored_joints]), np.concatenate([root, root * MIRRORED])
+    turns = both.line_of_sight.swapaxes(1, 2) @ both.body
+    scale = inputs.std(axis=0) + LEAST_SCALE
+    untrained = MotionPredictor(
+        times=np.array(TIMES_S),
+        mean=mean,
+        directions=directions,
+        centre=inputs.mean(axis=0),
+        scale=scale,
+        root_variance=np.zeros((len(TIMES_S), 3, 4)),
+        limb_variance=np.zeros((len(TIMES_S), len(CMU15.joints), 4)),
+        **{f'{kind}_{i}': np.zeros(0) for kind in ('weight', 'bias') for i in range(LAYERS)},
     )
+    return replace(untrained, **_train(untrained.build_inputs(both), *targets, turns))
+
+
+def _express_targets(features: Features, displacement: Array) -> tuple[Array, Array]:
+    """Return displacements (N, K, J, 3) about the root in the axes of bodies, and those of the root (N, K, 3)."""
+    root = _centre(displacement)
+    about = displacement - root[:, :, None]
+    return about @ features.body[:, None], root @ features.line_of_sight
+
+
+def _train(inputs: Array, joints: Array, root: Array, turns: Array) -> dict[str, Array]:
+    """Return the weights and biases of a network.
+
+    Args:
+        inputs: (N, I) centred and scaled.
+        joints: (N, K, J, 3) m, displacements about the root in the axes of the bodies; NaN where not known.
+        root: (N, K, 3) m, displacements of the root in the axes of the line of sight.
+        turns: (N, 3, 3) from the axes of the bodies to those of the line of sight.
+    """
+    import torch
+
+    torch.manual_seed(0)
+    times, count = joints.shape[1], joints.shape[2]
+    layers: list[Any] = []
+    for width in (inputs.shape[1], HIDDEN):
+        layers += [torch.nn.Linear(width, HIDDEN), torch.nn.SiLU(), torch.nn.Dropout(DROPOUT)]
+    network = torch.nn.Sequential(*layers, torch.nn.Linear(HIDDEN, times * (count + 1) * 3))
+    known = np.isfinite(joints).all(axis=(2, 3)) & np.isfinite(root).all(axis=2)
+    data = [torch.tensor(np.nan_to_num(a), dtype=torch.float32) for a in (inputs, joints, root, turns, known)]
+    weight = 1 / torch.tensor(TYPICAL_ERRORS_M)
+    steps = EPOCHS * max(len(inputs) // BATCH, 1)
+    optimiser = torch.optim.AdamW(network.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, LEARNING_RATE, total_steps=steps + 1)
+    for epoch in range(EPOCHS):
+        order = np.random.default_rng(epoch).permutation(len(inputs))
+        for rows in np.array_split(order, max(len(inputs) // BATCH, 1)):
+            x, limb, centre, turn, is_known = (d[rows] for d in data)
+            found = network(x).view(-1, times, count + 1, 3) * OUTPUT_UNIT_M
+            root_error = torch.einsum('nka,nab->nkb', found[:, :, -1] - centre, turn)
+            error = found[:, :, :-1] - limb + root_error[:, :, None]
+            distance = torch.sqrt((error**2).sum(dim=-1) + 1e-6).mean(dim=-1)
+            loss = (distance * weight * is_known).sum() / is_known.sum().clamp(min=1)
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            schedule.step()
+    linear = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
+    out: dict[str, Array] = {}
+    for i, layer in enumerate(linear):
+        unit = OUTPUT_UNIT_M if layer is linear[-1] else 1.0
+        out[f'weight_{i}'] = layer.weight.detach().numpy().T.astype(float) * unit
+        out[f'bias_{i}'] = layer.bias.detach().numpy().astype(float) * unit
+    return out
 
 
 def _fit_variances(
@@ -138,48 +243,6 @@ def _find_factor(growth: Array, squared: Array, before: Array) -> float:
         is_enough = (squared * 3 <= WITHIN_95 * (before + factor * growth)).mean() >= 0.95
         low, high = (low, factor) if is_enough else (factor, high)
     return high
-
-
-def _fit_robustly(features: Array, values: Array, share: float, count: Array | float = 1.0) -> Array:
-    """Return the weights (F, P) by which features (G, N, F) give values (G, N, P), one set for each of G groups.
-
-    They have the least mean distance, not the least squares, by which few fast motions would outweigh all others.
-
-    Args:
-        features: (G, N, F); the groups are axes whose errors are those of one place, or one group.
-        values: (G, N, P) m.
-        share: ridge as a share of N.
-        count: (N,) how much each sample counts.
-    """
-    weight = np.ones(features.shape[1]) * count
-    for _ in range(ROUNDS):
-        weights = [_fit_ridge(f, v, share, weight) for f, v in zip(features, values, strict=True)]
-        errors = np.stack([f @ w - v for f, w, v in zip(features, weights, values, strict=True)])
-        distance = np.sqrt((errors**2).sum(axis=(0, 2)) * 3 / (errors.shape[0] * errors.shape[2]))
-        weight = count / np.maximum(distance, NEAR_M)
-        weight /= weight.mean()
-    return np.array(weights)
-
-
-def _fit_ridge(features: Array, values: Array, share: float, weight: Array) -> Array:
-    """Return the weights (F, V) by which features (N, F) give values (N, V), held small by a share of N."""
-    scale = np.maximum(np.sqrt((weight[:, None] * features**2).mean(axis=0)), 1e-3)
-    scaled = features / scale
-    weighted = scaled * weight[:, None]
-    normal = scaled.T @ weighted + share * len(scaled) * np.eye(scaled.shape[1])
-    return np.asarray(np.linalg.solve(normal, weighted.T @ values) / scale[:, None])
-
-
-def _turn_headings(pasts: Sequence[Past]) -> list[Past]:
-    """Return samples whose bodies seem to face anywhere, as they do when they are seen the wrong way round."""
-    rng = np.random.default_rng(0)
-    return [past._replace(heading=rng.standard_normal(3)) for past in pasts]
-
-
-def _mirror(flat: Array) -> Array:
-    """Return places (N, M * 3 J) in the axes of the body with left and right exchanged."""
-    shaped = flat.reshape(len(flat), -1, len(CMU15.joints), 3)
-    return np.asarray((shaped[:, :, list(CMU15.mirror)] * MIRRORED).reshape(flat.shape))
 
 
 def _centre(places: Array) -> Array:

@@ -16,7 +16,7 @@ from experiments.detector_views import CLEAN, DETECTORS, HEADING_STEP_DEG, load_
 from mocap_ros.config import Config
 from mocap_ros.geometry.floor import Floor
 from mocap_ros.people import Person3D
-from mocap_ros.skeleton import CMU15, estimate_stature
+from mocap_ros.skeleton import BODY26, CMU15, estimate_stature
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.units import NS_PER_S
 
@@ -49,13 +49,26 @@ class RobotScene:
     floor: Floor
 
     @property
+    def bodies(self) -> Array:
+        """True joints (F, 26, 3) m, in the order of `BODY26`."""
+        names = [str(name) for name in self.view.sequence['joints3d_names']]
+        return np.asarray(self.view.truth[:, [names.index(joint) for joint in BODY26.joints]])
+
+    @property
     def root(self) -> Array:
         """True places (F, 3) m between the hips."""
         poses = self.view.true_poses
         return np.asarray((poses[:, CMU15.index('lhip')] + poses[:, CMU15.index('rhip')]) / 2)
 
 
-def make_robot_scene(trial: str, number: int, frames: int, stature: float | None = None) -> RobotScene:
+def make_robot_scene(
+    trial: str,
+    number: int,
+    frames: int,
+    stature: float | None = None,
+    detector: str | None = None,
+    distance: float | None = None,
+) -> RobotScene:
     """Return the middle of a trial before a camera that depends on a number.
 
     Args:
@@ -63,15 +76,18 @@ def make_robot_scene(trial: str, number: int, frames: int, stature: float | None
         number: seed of the camera and of the detector's errors, and which detector it is.
         frames: most frames.
         stature: m, body height that the person is scaled to; None for the own one.
+        detector: name of the detector; None for that of the number.
+        distance: m, of the nearest point of the person; None for one that is drawn.
     """
     _, joints, rows = load_motion()
     rng, poses = np.random.default_rng(number), load_middle(trial, frames).astype(float)
     own = estimate_stature(poses[:, [joints.index(n) for n in CMU15.joints]] / 1e3, CMU15)
     if stature is not None:
         poses = poses * (stature / own)
-    detector = DETECTORS[number % len(DETECTORS)]
+    detector = detector or DETECTORS[number % len(DETECTORS)]
     elevation = float(rng.uniform(*ELEVATIONS_DEG))
-    options: dict[str, Any] = {'frames': frames, 'seed': number, 'distance': float(rng.uniform(*DISTANCES_M))}
+    drawn = float(rng.uniform(*DISTANCES_M))
+    options: dict[str, Any] = {'frames': frames, 'seed': number, 'distance': distance or drawn}
     if detector != CLEAN:
         options['detector'] = detector
     heading, protocol = number * HEADING_STEP_DEG % 360, common.load_protocol()

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import common
 import numpy as np
-from common import View, make_paper_config
+from common import View
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
+from panels import TRUTH, draw_curves, draw_weights, label_axes, make_panels
+from report import Report
 
-from experiments.accuracy import choose_few_headings, solve_with_paper_sines, train_both, train_like_paper
-from experiments.report import JUMP, NEUTRAL, PERIODIC, RUN, TRUTH, WALK, Section, label_axes, make_panels
+from experiments.methods import ALGORITHM_1, JOINT, PERIODIC, SINES, Method, choose_few_headings
 from experiments.variants.heading_ring import solve_from_ring
 from mocap_ros.config import SolverConfig
-from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation
+from mocap_ros.geometry.rotations import centre_poses
 from mocap_ros.geometry.weak_perspective import (
     CameraStepObjective,
     WeakPerspectiveCameras,
@@ -25,6 +26,7 @@ from mocap_ros.geometry.weak_perspective import (
     subtract_weighted_centroid,
 )
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers import alternation, joint, periodic
 from mocap_ros.solvers.window import InitialValues, Reconstruction, Window, choose_initial_values
 from mocap_ros.viewing.plots import draw_bones, project_from_side
@@ -39,6 +41,13 @@ BEHIND = 180  # degrees, direction of a view from behind
 # Joints that are hidden in figures 14 and 15.
 ARM = ('lshoulder', 'lelbow', 'lwrist')
 LEGS = ('lknee', 'lankle', 'rknee', 'rankle')
+# The solvers in the tables of disturbances, with values of their configurations; np means non-periodic.
+SOLVERS: Mapping[str, tuple[Method, Mapping[str, Any]]] = {
+    'np, Algorithm 1': (ALGORITHM_1, {'tolerance': 1e-3}),
+    'np, joint': (JOINT, {}),
+    "periodic, the paper's sines": (SINES, {}),
+    'periodic, project': (PERIODIC, {}),
+}
 
 
 def list_sequences(quick: bool) -> list[tuple[str, str]]:
@@ -49,47 +58,41 @@ def list_sequences(quick: bool) -> list[tuple[str, str]]:
     return found[::36] if quick else found
 
 
-def measure_convergence(quick: bool) -> Section:
-    """Measure the 2D error by iteration (figure 12)."""
-    section = Section('Convergence (figure 12)')
+def measure_convergence(report: Report, quick: bool) -> dict[str, Any]:
+    """Convergence (figure 12)."""
     steps = 4 if quick else 10
     curves: dict[str, list[Array]] = {'Algorithm 1': [], 'joint': [], 'periodic': []}
-    chosen = list_sequences(quick)
-    for index, (trial, category) in enumerate(common.show_progress(chosen, 'convergence')):
+    for index, (trial, category) in enumerate(common.show_progress(list_sequences(quick), 'convergence')):
         (view,) = common.make_views(trial, [HEADING])
-        paper, ours = train_both(category, trial)
-        curves['Algorithm 1'].append(measure_half_steps(view, paper, make_paper_config(), steps))
+        paper, ours = (m.train(category, trial) for m in (ALGORITHM_1, JOINT))
+        curves['Algorithm 1'].append(measure_half_steps(view, paper, ALGORITHM_1.configure(), steps))
         if index % 2 == 0:
             curves['joint'].append(measure_joint_iterations(view, ours, steps))
         if index % 4 == 0 and category != 'jump':
             curves['periodic'].append(measure_periodic_iterations(view, ours, steps))
+    data = {n: {'mean': np.mean(v, axis=0), 'std': np.std(v, axis=0)} for n, v in curves.items()}
     rows = []
-    for name, values in curves.items():
-        stacked = np.array(values)
-        mean, spread = stacked.mean(axis=0), stacked.std(axis=0)
-        section.data[name] = {'mean': mean, 'std': spread}
-        shown = range(0, stacked.shape[1], 2 if name == 'Algorithm 1' else 1)
-        before = ['-'] if name == 'periodic' else []
-        rows.append([name, *before, *(f'{mean[i]:.1f} ± {spread[i]:.1f}' for i in shown)])
-    section.table(['iterations', *map(str, range(steps + 1))], rows)
-    steps_taken = np.diff(np.array(curves['Algorithm 1']), axis=1)
-    section.text(
-        f"""The 2D error of Algorithm 1 rose in {(steps_taken > 1e-3).sum()} of {steps_taken.size} half steps, by
-        at most {max(steps_taken.max(), 0):.2f} mm. The paper reports no rise."""
-    )
     figure, axes = make_panels(3, sharey=True)
-    for ax, (name, colour) in zip(axes, zip(curves, (WALK, RUN, PERIODIC), strict=True), strict=True):
-        stacked = np.array(curves[name])
-        x = np.arange(stacked.shape[1]) + (name == 'periodic')
-        mean, spread = stacked.mean(axis=0), stacked.std(axis=0)
-        ax.fill_between(x, mean - spread, mean + spread, color=colour, alpha=0.2, linewidth=0)
-        ax.plot(x, mean, 'o-', color=colour)
+    for ax, method in zip(axes, (ALGORITHM_1, JOINT, PERIODIC), strict=True):
+        name, mean, spread = method.name, *data[method.name].values()
+        before = ['-'] if name == 'periodic' else []
+        shown = range(0, len(mean), 2 if name == 'Algorithm 1' else 1)
+        rows.append([name, *before, *(f'{mean[i]:.1f} ± {spread[i]:.1f}' for i in shown)])
+        x = np.arange(len(mean)) + (name == 'periodic')
+        ax.fill_between(x, mean - spread, mean + spread, color=method.colour, alpha=0.2, linewidth=0)
+        ax.plot(x, mean, 'o-', color=method.colour)
         unit = 'half steps' if name == 'Algorithm 1' else 'iterations'
         label_axes(ax, unit, '2D error, mm' if ax is axes[0] else '', name)
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes[0].set_ylim(bottom=0)
-    section.figure('fig12_convergence', figure, '2D error by iteration, mean and standard deviation')
-    return section
+    report.table(['iterations', *map(str, range(steps + 1))], rows)
+    rises = np.diff(np.array(curves['Algorithm 1']), axis=1)
+    report.text(
+        f"""The 2D error of Algorithm 1 rose in {(rises > 1e-3).sum()} of {rises.size} half steps, by
+        at most {max(rises.max(), 0):.2f} mm. The paper reports no rise."""
+    )
+    report.paper_figure('fig12_convergence', figure, '2D error by iteration, mean and standard deviation')
+    return data
 
 
 def measure_half_steps(view: View, model: BasePoses, config: SolverConfig, steps: int) -> Array:
@@ -100,18 +103,24 @@ def measure_half_steps(view: View, model: BasePoses, config: SolverConfig, steps
     flip = config.flip_weight / np.diff(view.window.times)
     errors: list[float] = []
     for _ in range(steps):
-        cameras = start.cameras
-        scaled = WeakPerspectiveCameras(cameras.scale / unit, cameras.rotation)
-        image, _ = subtract_weighted_centroid(view.window.points / unit, view.window.weight)
-        body, _ = subtract_weighted_centroid(model.poses(start.theta), view.window.weight)
-        problem = CameraStepObjective(body, image, view.window.weight, flip)
+        problem, cameras = _make_camera_step(view, model, start, unit, flip)
         if not errors:
-            errors.append(_to_rms_mm(problem.data_cost(scaled), view, unit))
-        errors.append(_to_rms_mm(problem.data_cost(run_camera_step(problem, scaled)), view, unit))
+            errors.append(_to_rms_mm(problem.data_cost(cameras), view, unit))
+        errors.append(_to_rms_mm(problem.data_cost(run_camera_step(problem, cameras)), view, unit))
         result = alternation.reconstruct(replace(view.window, start=start, unit=unit), model, one)
         start = InitialValues(result.theta, result.cameras)
         errors.append(common.compute_residual_mm(view, result))
     return np.array(errors)
+
+
+def _make_camera_step(
+    view: View, model: BasePoses, start: InitialValues, unit: float, flip: Array
+) -> tuple[CameraStepObjective, WeakPerspectiveCameras]:
+    """Return the objective of the cameras with the poses of the initial values, and the cameras of these, m."""
+    image, _ = subtract_weighted_centroid(view.window.points / unit, view.window.weight)
+    body, _ = subtract_weighted_centroid(model.poses(start.theta), view.window.weight)
+    cameras = WeakPerspectiveCameras(start.cameras.scale / unit, start.cameras.rotation)
+    return CameraStepObjective(body, image, view.window.weight, flip), cameras
 
 
 def _to_rms_mm(cost: Array, view: View, unit: float) -> float:
@@ -124,14 +133,10 @@ def measure_joint_iterations(view: View, model: BasePoses, steps: int) -> Array:
     """Return the 2D error of the joint solver by iteration limit, (steps + 1,) mm."""
     config = common.make_config(tolerance=0.0)
     start, unit = choose_initial_values(view.window, model, config.start_window)
-    scaled = WeakPerspectiveCameras(start.cameras.scale / unit, start.cameras.rotation)
-    image, _ = subtract_weighted_centroid(view.window.points / unit, view.window.weight)
-    body, _ = subtract_weighted_centroid(model.poses(start.theta), view.window.weight)
-    at_start = CameraStepObjective(body, image, view.window.weight, np.zeros(view.frames - 1))
-    found = [
-        common.solve_jointly([view], model, replace(config, max_iterations=n))[0] for n in range(1, steps + 1)
-    ]
-    first = _to_rms_mm(at_start.data_cost(scaled), view, unit)
+    problem, cameras = _make_camera_step(view, model, start, unit, np.zeros(view.frames - 1))
+    limits = [replace(config, max_iterations=n) for n in range(1, steps + 1)]
+    found = [common.solve_jointly([view], model, c)[0] for c in limits]
+    first = _to_rms_mm(problem.data_cost(cameras), view, unit)
     return np.array([first] + [common.compute_residual_mm(view, r) for r in found])
 
 
@@ -144,41 +149,34 @@ def measure_periodic_iterations(view: View, model: BasePoses, steps: int) -> Arr
     return np.array([common.compute_residual_mm(view, periodic.solve([window], model, c)[0]) for c in limits])
 
 
-def measure_noisy_starts(quick: bool) -> Section:
-    """Measure the error against noise of the initial values (figure 13)."""
-    section = Section('Noisy initial values (figure 13)')
+def measure_noisy_starts(report: Report, quick: bool) -> dict[str, Any]:
+    """Noisy initial values (figure 13)."""
     levels = (0.0, 0.1) if quick else (0.0, 0.05, 0.1, 0.2, 0.3)
-    chosen = list_sequences(quick)
-    errors: dict[str, dict[float, list[float]]] = {'Algorithm 1': {}, 'joint': {}}
-    for trial, category in common.show_progress(chosen, 'noisy starts'):
+    cases = ((ALGORITHM_1, ALGORITHM_1.configure(tolerance=1e-3, max_iterations=40)), (JOINT, SolverConfig()))
+    errors: dict[str, dict[float, list[float]]] = {m.name: {x: [] for x in levels} for m, _ in cases}
+    for trial, category in common.show_progress(list_sequences(quick), 'noisy starts'):
         (view,) = common.make_views(trial, [HEADING])
-        paper, ours = train_both(category, trial)
-        for level in levels:
-            slow, fast = make_paper_config(tolerance=1e-3, max_iterations=40), SolverConfig()
-            for name, model, config in (('Algorithm 1', paper, slow), ('joint', ours, fast)):
-                started = View(view.sequence, view.heading)
-                window = add_noise_to_start(started.window, model.truncate(config.components), level, config)
-                result = solve_window(window, model, config)
-                error = common.compute_errors(view, result.joints, model.skeleton.joints)['mpjpe_mm']
-                errors[name].setdefault(level, []).append(error)
+        for method, config in cases:
+            model = method.train(category, trial)
+            for level in levels:
+                window = add_noise_to_start(view.window, model.truncate(config.components), level, config)
+                (scores,) = common.compute_all_errors([view], [solve_window(window, model, config)])
+                errors[method.name][level].append(scores['mpjpe_mm'])
     rows = [
         [name, *(f'{np.mean(v):.1f} ± {np.std(v):.1f}' for v in by_level.values())]
         for name, by_level in errors.items()
     ]
-    section.table(['noise of the initial poses', *(f'{x:.1%}' for x in levels)], rows)
-    section.data = {n: {f'{x:g}': v for x, v in by.items()} for n, by in errors.items()}
+    report.table(['noise of the initial poses', *(f'{x:.1%}' for x in levels)], rows)
     figure, axes = make_panels(1, width=4.4)
-    for (name, by_level), colour in zip(errors.items(), (WALK, RUN), strict=True):
-        mean = [np.mean(v) for v in by_level.values()]
-        axes[0].errorbar(
-            100 * np.array(levels), mean, [np.std(v) for v in by_level.values()], fmt='o-', capsize=2,
-            color=colour, label=name,
-        )  # fmt: skip
+    for method, _ in cases:
+        mean, std = (([f(v) for v in errors[method.name].values()]) for f in (np.mean, np.std))
+        style = {'fmt': 'o-', 'capsize': 2, 'color': method.colour, 'label': method.name}
+        axes[0].errorbar(100 * np.array(levels), mean, std, **style)
     label_axes(axes[0], 'noise of the initial poses, % of stature', 'MPJPE, mm')
     axes[0].set_ylim(bottom=0)
     axes[0].legend()
-    section.figure('fig13_noisy_starts', figure, '3D error against noise of the initial values')
-    return section
+    report.paper_figure('fig13_noisy_starts', figure, '3D error against noise of the initial values')
+    return {n: {f'{x:g}': v for x, v in by.items()} for n, by in errors.items()}
 
 
 def add_noise_to_start(window: Window, model: BasePoses, level: float, config: SolverConfig) -> Window:
@@ -199,52 +197,35 @@ def solve_window(window: Window, model: BasePoses, config: SolverConfig) -> Reco
     return joint.solve([window], model, config)[0]
 
 
-def measure_initial_cameras(quick: bool) -> Section:
-    """Measure the error from one, two and a ring of initial cameras, for people seen from behind."""
-    section = Section('One, two and nine initial cameras')
-    counts = (1, 2, 9)
-    trials = {'35_02': 'walk'} if quick else {'35_02': 'walk', '09_01': 'run'}
+def measure_initial_cameras(report: Report, quick: bool) -> dict[str, Any]:
+    """One, two and nine initial cameras, for people seen from behind."""
+    counts, trials = (1, 2, 9), {'35_02': 'walk', '09_01': 'run'}
     rows = []
-    for trial, category in trials.items():
+    for trial in list(trials)[: 1 if quick else 2]:
         (view,) = tests = common.make_views(trial, [BEHIND])
-        for motions in (category, ''):
+        for motions in (trials[trial], ''):
             model = common.train_base_poses(motions, without_subjects=(trial[:2],))
             found = [solve_from_ring([view.window], model, SolverConfig(), count) for count in counts]
-            errors = [common.mean_error(common.compute_all_errors(tests, f, model)) for f in found]
+            errors = [common.mean_error(common.compute_all_errors(tests, f)) for f in found]
             rows.append([trial.replace('_', '/'), motions or 'all motions', *(f'{e:.1f}' for e in errors)])
-    section.table(['trial', 'base poses', *(f'{c} cameras' if c > 1 else '1 camera' for c in counts)], rows)
-    section.data['rows'] = rows
-    return section
+    report.table(['trial', 'base poses', *(f'{c} cameras' if c > 1 else '1 camera' for c in counts)], rows)
+    return {'rows': rows}
 
 
-# Solvers in the tables; np means non-periodic.
-SOLVERS = ('np, Algorithm 1', 'np, joint', "periodic, the paper's sines", 'periodic, project')
-# Colour of each solver in the figures.
-COLOURS = dict(zip(SOLVERS, (WALK, RUN, JUMP, PERIODIC), strict=True))
-
-
-def solve_with_all(tests: Sequence[View], trial: str, category: str) -> dict[str, Sequence[Reconstruction]]:
-    """Solve the views with the paper's two models and the project's, with the category model without the trial."""
-    paper, ours = train_both(category, trial)
-    found = (
-        common.solve_by_alternation(tests, paper, make_paper_config(tolerance=1e-3)),
-        common.solve_jointly(tests, ours),
-        solve_with_paper_sines(tests, paper),
-        common.solve_periodically(tests, ours),
-    )
-    return dict(zip(SOLVERS, found, strict=True))
+def solve_with_all(tests: Sequence[View], trial: str) -> dict[str, Sequence[Reconstruction]]:
+    """Solve the views of a walk with the paper's two models and the project's."""
+    return {n: method.solve(tests, 'walk', trial, **values) for n, (method, values) in SOLVERS.items()}
 
 
 def measure_disturbance(
-    section: Section, quick: bool, option: str, levels: Sequence[float], what: str, name: str
-) -> None:
+    report: Report, quick: bool, option: str, levels: Sequence[float], what: str, name: str
+) -> dict[str, Any]:
     """Measure the error of all solvers on 35/01 against the strength of a disturbance."""
-    trial = '35_01'
     mean: dict[str, list[float]] = {s: [] for s in SOLVERS}
     most: dict[str, list[float]] = {s: [] for s in SOLVERS}
     for level in levels:
-        tests = common.make_views(trial, choose_few_headings(quick), **{option: level})
-        for solver, found in solve_with_all(tests, trial, 'walk').items():
+        tests = common.make_views('35_01', choose_few_headings(quick), **{option: level})
+        for solver, found in solve_with_all(tests, '35_01').items():
             errors = [common.compute_frame_errors(v, r) for v, r in zip(tests, found, strict=True)]
             mean[solver].append(float(np.mean([e.mean() for e in errors])))
             most[solver].append(float(np.mean([e.max() for e in errors])))
@@ -252,77 +233,66 @@ def measure_disturbance(
         [f'{level:.0%}', *(f'{mean[s][i]:.1f} / {most[s][i]:.1f}' for s in SOLVERS)]
         for i, level in enumerate(levels)
     ]
-    section.table([what, *(f'{s}: mean / maximum' for s in SOLVERS)], rows)
-    section.data = {'levels': list(levels), 'mean': mean, 'maximum': most}
+    report.table([what, *(f'{s}: mean / maximum' for s in SOLVERS)], rows)
     figure, axes = make_panels(2)
     for ax, values, title in zip(axes, (mean, most), ('mean over frames', 'maximum over frames'), strict=True):
-        for solver in SOLVERS:
-            ax.plot(100 * np.array(levels), values[solver], 'o-', color=COLOURS[solver], label=solver)
+        draw_curves(ax, 100 * np.array(levels), values, [m.colour for m, _ in SOLVERS.values()])
         label_axes(ax, f'{what}, %', 'MPJPE of a frame, mm', title)
         ax.set_ylim(bottom=0)
     figure.legend(*axes[0].get_legend_handles_labels(), loc='outside lower center', ncols=4)
-    section.figure(name, figure, f'3D error against {what}')
+    report.paper_figure(name, figure, f'3D error against {what}')
+    return {'levels': list(levels), 'mean': mean, 'maximum': most}
 
 
-def measure_missing_points(quick: bool) -> Section:
-    """Measure the error against the share of randomly missing points (figure 16)."""
-    section = Section('Randomly missing points (figure 16)')
+def measure_missing_points(report: Report, quick: bool) -> dict[str, Any]:
+    """Randomly missing points (figure 16)."""
     levels = (0.0, 0.2) if quick else (0.0, 0.01, 0.02, 0.03, 0.05, 0.1, 0.15, 0.2)
-    measure_disturbance(section, quick, 'missing', levels, 'missing points', 'fig16_missing')
-    return section
+    return measure_disturbance(report, quick, 'missing', levels, 'missing points', 'fig16_missing')
 
 
-def measure_noise(quick: bool) -> Section:
-    """Measure the error against image noise (figure 17)."""
-    section = Section('Noise (figure 17)')
+def measure_noise(report: Report, quick: bool) -> dict[str, Any]:
+    """Noise (figure 17)."""
     levels = (0.0, 0.2) if quick else (0.0, 0.01, 0.02, 0.05, 0.1, 0.15, 0.2)
-    measure_disturbance(section, quick, 'noise', levels, 'noise', 'fig17_noise')
-    return section
+    return measure_disturbance(report, quick, 'noise', levels, 'noise', 'fig17_noise')
 
 
-def measure_hidden_limbs(quick: bool) -> Section:
-    """Measure the error of hidden limbs (figures 14 and 15)."""
-    section = Section('Hidden limbs (figures 14 and 15)')
-    trial = '07_02'
-    (whole,) = common.make_views(trial, [90])
+def measure_hidden_limbs(report: Report, _quick: bool) -> dict[str, Any]:
+    """Hidden limbs (figures 14 and 15)."""
+    (whole,) = common.make_views('07_02', [90])
     cases = {
-        'legs behind a box, 0.8 to 1.8 s': (whole.hide_joints(LEGS, slice(24, 54)), LEGS, slice(24, 54)),
-        'far arm hidden throughout': (whole.hide_joints(ARM), ARM, slice(None)),
+        'legs behind a box, 0.8 to 1.8 s': (LEGS, slice(24, 54)),
+        'far arm hidden throughout': (ARM, slice(None)),
     }
-    rows = []
-    shown: dict[str, Reconstruction] = {}
-    for name, (view, joints, frames) in cases.items():
-        for solver, found in solve_with_all([view], trial, 'walk').items():
-            skeleton = common.train_base_poses('walk', without_trials=(trial,)).skeleton
-            columns = [skeleton.index(j) for j in joints]
-            estimate, truth = common.align_scale(found[0].joints, view.true_poses)
+    rows, shown = [], {}
+    for name, (joints, frames) in cases.items():
+        view = whole.hide_joints(joints, frames)
+        found = solve_with_all([view], '07_02')
+        for solver, (result,) in found.items():
+            estimate, truth = common.align_scale(result.joints, view.true_poses)
             error = np.linalg.norm(estimate - truth, axis=-1) * 1e3
-            rows.append([name, solver, f'{error[frames][:, columns].mean():.1f}', f'{error.mean():.1f}'])
-            if solver == 'np, joint':
-                shown[name] = found[0]
-    section.table(['hidden limbs', 'solver', 'hidden joints: MPJPE, mm', 'all joints: MPJPE, mm'], rows)
-    section.data['rows'] = rows
-    if not quick:
-        figure = _draw_hidden_limbs(cases, shown)
-        section.figure('fig14_15_hidden', figure, 'Hidden limbs: reconstruction and truth from the side')
-    return section
+            hidden = error[frames][:, [CMU15.index(j) for j in joints]]
+            rows.append([name, solver, f'{hidden.mean():.1f}', f'{error.mean():.1f}'])
+        shown[name] = view, found['np, joint'][0]
+    report.table(['hidden limbs', 'solver', 'hidden joints: MPJPE, mm', 'all joints: MPJPE, mm'], rows)
+    figure = _draw_hidden_limbs(shown)
+    report.paper_figure('fig14_15_hidden', figure, 'Hidden limbs: reconstruction and truth from the side')
+    return {'rows': rows}
 
 
-def _draw_hidden_limbs(cases: dict[str, Any], shown: dict[str, Reconstruction]) -> Any:
-    skeleton = common.train_base_poses('walk').skeleton
+def _draw_hidden_limbs(cases: Mapping[str, tuple[View, Reconstruction]]) -> Any:
     instants = (29, 34, 39, 44)
     figure, axes = make_panels(len(instants) * len(cases), rows=3, height=6.2, width=8.2)
     layout: Any = figure.get_layout_engine()
     layout.set(rect=(0.03, 0, 0.97, 0.95), wspace=0, hspace=0, w_pad=0, h_pad=0)
-    for case, (name, (view, _, _)) in enumerate(cases.items()):
-        order = [list(view.sequence['joints3d_names']).index(j) for j in skeleton.joints]
-        truth, found = centre_poses(view.true_poses), centre_poses(shown[name].joints)
+    for case, (name, (view, result)) in enumerate(cases.items()):
+        order = [list(view.sequence['joints3d_names']).index(j) for j in CMU15.joints]
+        truth, found = centre_poses(view.true_poses), centre_poses(result.joints)
         image = view.sequence['keypoints'][:, order, :2] - view.sequence['image_size'] / 2
         for column, frame in enumerate(instants, start=case * len(instants)):
-            draw_bones(axes[0, column], image[frame] / common.load_protocol().PX_PER_M, skeleton, linewidth=1.4)
+            draw_bones(axes[0, column], image[frame] / common.load_protocol().PX_PER_M, CMU15, linewidth=1.4)
             for row, seen_from in enumerate((lambda p: p[..., :2], project_from_side), start=1):
-                draw_bones(axes[row, column], seen_from(truth[frame]), skeleton, colour=TRUTH, linewidth=3.5)
-                draw_bones(axes[row, column], seen_from(found[frame]), skeleton, linewidth=1.2)
+                draw_bones(axes[row, column], seen_from(truth[frame]), CMU15, colour=TRUTH, linewidth=3.5)
+                draw_bones(axes[row, column], seen_from(found[frame]), CMU15, linewidth=1.2)
             axes[0, column].text(0, -1.0, f'{frame / common.FPS:.1f} s', fontsize=8, ha='center')
         head = axes[0, case * len(instants)].text(-0.4, -1.25, name, fontsize=9)
         head.set_in_layout(False)
@@ -337,40 +307,28 @@ def _draw_hidden_limbs(cases: dict[str, Any], shown: dict[str, Reconstruction]) 
     return figure
 
 
-def measure_weights_under_noise(_quick: bool) -> Section:
-    """Measure and draw the weights of the base poses under noise (figure 18)."""
-    section = Section('Weights of the base poses under noise (figure 18)')
-    trial, frames, level = '07_01', 50, 0.2
-    tests = common.make_views(trial, [HEADING], frames=frames, noise=level)
-    ours = common.train_base_poses('walk', without_trials=(trial,))
-    true = common.make_views(trial, [HEADING], frames=frames)[0]
-    body = next(t.poses for t in common.list_trials() if t.name == trial)[:frames]
-    poses = centre_poses(body) * (
-        np.linalg.norm(ours.mean) / np.linalg.norm(centre_poses(body), axis=(1, 2)).mean()
-    )
-    aligned = poses @ np.swapaxes(fit_heading_rotation(poses, ours.mean), -1, -2)
-    times = tests[0].sequence['timestamps']
-    kinds: dict[str, tuple[Array, Reconstruction | None]] = {'ground truth': (ours.weights(aligned), None)}
-    (jointly,) = common.solve_jointly(tests, ours)
-    (harmonic,) = common.solve_periodically(tests, ours)
-    kinds |= {'non-periodic': (jointly.theta, jointly), 'periodic': (harmonic.theta, harmonic)}
-    (plainly,) = common.solve_by_alternation(tests, train_like_paper('walk', trial), make_paper_config())
+def measure_weights_under_noise(report: Report, _quick: bool) -> dict[str, Any]:
+    """Weights of the base poses under noise (figure 18)."""
+    trial, frames = '07_01', 50
+    tests = common.make_views(trial, [HEADING], frames=frames, noise=0.2)
+    clean = common.make_views(trial, [HEADING], frames=frames)
+    found = {
+        'non-periodic, Algorithm 1': ALGORITHM_1.solve(tests, 'walk', trial),
+        'non-periodic, joint': JOINT.solve(tests, 'walk', trial),
+        'periodic, project': PERIODIC.solve(tests, 'walk', trial),
+    }
+    printed = {'non-periodic, Algorithm 1': '1.09', 'periodic, project': '1.02'}
     rows = []
-    for name, result, model in (
-        ('non-periodic, Algorithm 1', plainly, train_like_paper('walk', trial)),
-        ('non-periodic, joint', jointly, ours),
-        ('periodic, project', harmonic, ours),
-    ):
-        errors = common.compute_errors(true, result.joints, model.skeleton.joints)
-        printed = {'non-periodic, Algorithm 1': '1.09', 'periodic, project': '1.02'}.get(name)
-        rows.append([name, printed, f'{errors["e_paper_cm"]:.2f}', f'{errors["mpjpe_mm"]:.1f}'])
-    section.table(['reconstruction', 'paper: e, cm', 'e, cm', 'MPJPE, mm'], rows)
-    section.data['rows'] = rows
+    for name, results in found.items():
+        (errors,) = common.compute_all_errors(clean, results)
+        rows.append([name, printed.get(name), f'{errors["e_paper_cm"]:.2f}', f'{errors["mpjpe_mm"]:.1f}'])
+    report.table(['reconstruction', 'paper: e, cm', 'e, cm', 'MPJPE, mm'], rows)
+    weights = {
+        'ground truth': common.find_true_weights(JOINT.train('walk', trial), trial, frames)[1],
+        'non-periodic': found['non-periodic, joint'][0].theta,
+        'periodic': found['periodic, project'][0].theta,
+    }
     figure, axes = make_panels(3, sharey=True)
-    for ax, (name, (theta, _)) in zip(axes, kinds.items(), strict=True):
-        for k in range(4):
-            ax.plot(times, theta[:, k], color=(WALK, RUN, JUMP, NEUTRAL)[k], label=f'base pose {k + 1}')
-        label_axes(ax, 'time, s', 'weight, m' if ax is axes[0] else '', name)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc='outside lower center', ncols=4)
-    section.figure('fig18_weights', figure, 'Weights of the first four base poses')
-    return section
+    draw_weights(axes, tests[0].sequence['timestamps'], weights)
+    report.paper_figure('fig18_weights', figure, 'Weights of the first four base poses')
+    return {'rows': rows}

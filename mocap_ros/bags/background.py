@@ -18,9 +18,14 @@ from mocap_ros.bags.rosbag2 import Topic, TypeDefinition
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import RecordingError
 
+CHECK_PERIOD_S = 0.25  # s; how soon a removed folder and a disk that is nearly full are noticed
+MAX_UNSAVED_S = 0.02  # s; how long messages may be with the process alone while more are arriving
+
 
 class BackgroundRecorder:
     """A `Recorder` that receives messages in batches and closes chunks by the clock instead of by log time.
+
+    Messages are handed to the operating system as soon as the thread has none to write, in a write-ahead log.
 
     Args:
         folder: Folder of the new bag.
@@ -30,6 +35,7 @@ class BackgroundRecorder:
 
     Attributes:
         folder: Folder of the bag.
+        refused_count: Number of the batches that `put` has refused.
 
     Raises:
         RecordingError: The folder exists or cannot be written, or too little disk space is left.
@@ -43,15 +49,33 @@ class BackgroundRecorder:
         definitions: Mapping[str, TypeDefinition] = MappingProxyType({}),
     ) -> None:
         self.folder = folder
+        self.refused_count = 0
         recorder_config = replace(config, chunk_seconds=inf)
-        self._recorder = Recorder(folder, recorder_config, attachments, definitions=definitions)
+        self._recorder = Recorder(folder, recorder_config, attachments, definitions=definitions, has_log=True)
         self._config = config
         self._batches: deque[tuple[RecordedMessage | Topic, ...]] = deque()
         self._wake = threading.Condition()
         self._closing = False
         self._error: RecordingError | None = None
+        self._busy_since_s: float | None = None  # steady clock; when the present step began; None: nothing to do
         self._thread = threading.Thread(target=self._run, name='mocap recorder')
         self._thread.start()
+
+    @property
+    def waiting_count(self) -> int:
+        """Number of batches that wait."""
+        return len(self._batches)
+
+    @property
+    def stalled_s(self) -> float:
+        """Seconds for which the disk has not taken what the recorder writes; 0 while nothing is being written."""
+        since_s = self._busy_since_s
+        return 0.0 if since_s is None else time.monotonic() - since_s
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the thread has ended: the bag is finished, or the recording has failed."""
+        return not self._thread.is_alive()
 
     def put(self, records: Iterable[RecordedMessage | Topic], *, even_if_full: bool = False) -> bool:
         """Queue records to be written, all or none; return False where the queue is full.
@@ -67,6 +91,7 @@ class BackgroundRecorder:
         batch = tuple(records)
         with self._wake:
             if len(self._batches) >= self._config.backlog and not even_if_full:
+                self.refused_count += bool(batch)
                 return False
             if batch:
                 self._batches.append(batch)
@@ -83,8 +108,11 @@ class BackgroundRecorder:
         if error is not None:
             raise error
 
-    def close(self) -> None:
-        """Write the waiting batches and finish the bag.
+    def close(self, timeout_s: float | None = None) -> bool:
+        """Write the waiting batches and finish the bag; return False where that takes longer and goes on.
+
+        Args:
+            timeout_s: How long to wait for the disk; by default until the bag is finished.
 
         Raises:
             RecordingError: The disk is full or fails.
@@ -92,8 +120,9 @@ class BackgroundRecorder:
         with self._wake:
             self._closing = True
             self._wake.notify()
-        self._thread.join()
+        self._thread.join(timeout_s)
         self.check()
+        return self.is_closed
 
     def _run(self) -> None:
         """Run the writing thread until the recorder is closed or fails."""
@@ -104,22 +133,34 @@ class BackgroundRecorder:
             self._error = error
         except Exception:
             self._error = RecordingError(f'{self.folder}: {traceback.format_exc()}')
+        self._busy_since_s = None
 
     def _write_until_closed(self) -> None:
-        """Write batches as they arrive and flush every `recorder.chunk_seconds`."""
-        flush_due_s = 0.0  # on the monotonic clock
+        """Write batches as they arrive, and check the disk and close chunks when it is time."""
+        recorder = self._recorder
+        flush_due_s = check_due_s = 0.0  # on the steady clock
+        saved_s = time.monotonic()
         while True:
             with self._wake:
-                timeout_s = max(flush_due_s - time.monotonic(), 0.0)
+                timeout_s = max(min(flush_due_s, check_due_s) - time.monotonic(), 0.0)
+                if not self._batches and not self._closing:
+                    self._busy_since_s = None
                 self._wake.wait_for(lambda: self._batches or self._closing, timeout_s)
                 batch = self._batches.popleft() if self._batches else None
+            now_s = self._busy_since_s = time.monotonic()
             for record in batch or ():
                 if isinstance(record, Topic):
-                    self._recorder.add_topic(record)
+                    recorder.add_topic(record)
                 else:
-                    self._recorder.write(*record)
-            if time.monotonic() >= flush_due_s:
-                self._recorder.flush()
-                flush_due_s = time.monotonic() + self._config.chunk_seconds
+                    recorder.write(*record)
+            if now_s >= flush_due_s:
+                recorder.flush()
+                flush_due_s = now_s + self._config.chunk_seconds
+            if not self._batches or now_s - saved_s > MAX_UNSAVED_S:
+                recorder.write_ahead()
+                saved_s = now_s
+            if now_s >= check_due_s:
+                recorder.check_disk()
+                check_due_s = now_s + CHECK_PERIOD_S
             if batch is None and self._closing:
                 return

@@ -1,17 +1,23 @@
 """Repair of an MCAP file whose writer failed: the missing end is written, so that every reader accepts the file.
 
-The end consists of the message indexes of the last chunk, a metadata record, DataEnd, the summary section, Footer
-and the magic bytes (MCAP specification, https://mcap.dev/spec). The summary is rebuilt from the complete records.
+The end consists of the open chunk, the message indexes of the last chunk, a metadata record, DataEnd, the summary
+section, Footer and the magic bytes (MCAP specification, https://mcap.dev/spec). The summary is rebuilt from the
+complete records.
 """
 
 from __future__ import annotations
 
+import errno
 import mmap
+import os
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from io import FileIO
 from pathlib import Path
 from typing import NamedTuple
 
+import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -38,6 +44,7 @@ from mocap_ros.bags.mcap_layout import (
     iterate_records,
     open_content,
 )
+from mocap_ros.bags.write_ahead_log import OpenChunk, write_all
 
 
 class ChannelStatistics(NamedTuple):
@@ -59,6 +66,7 @@ def write_missing_end(
     schemas: Iterable[Schema],
     channels: Iterable[Channel],
     make_metadata: Callable[[ChannelStatistics], Metadata],
+    open_chunk: OpenChunk | None = None,
 ) -> ChannelStatistics:
     """Remove the incomplete record at the end of a file and write the missing end of the file.
 
@@ -67,16 +75,20 @@ def write_missing_end(
         schemas: All schemas of the file.
         channels: All channels of the file.
         make_metadata: Makes the metadata record to add; the record is omitted if the disk has no space for it.
+        open_chunk: Messages to add, unless they are in the file already.
 
     Returns:
         Number and times of the messages in the file.
 
     Raises:
-        OSError: The disk has no space for the end; the file then ends with its last complete record.
+        OSError: The disk has no space for the end, or not even the start of the file was written; the file then
+            ends with its last complete record.
     """
-    with path.open('r+b') as file:
-        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            index = _RebuiltIndex(data)
+    with path.open('r+b', buffering=0) as file:
+        index = _read_index(file)
+        if open_chunk is not None and index.chunk_count <= open_chunk.chunks_before:
+            _append_chunk(file, index.data_end, open_chunk.records)
+            index = _read_index(file)
         totals = index.statistics
         statistics = ChannelStatistics(
             totals.channel_message_counts, totals.message_start_time, totals.message_end_time
@@ -85,8 +97,7 @@ def write_missing_end(
             file.truncate(index.data_end)
             file.seek(index.data_end)
             try:
-                file.write(index.encode_end(list(schemas), list(channels), metadata) + MAGIC)
-                file.flush()
+                write_all(file, index.encode_end(list(schemas), list(channels), metadata) + MAGIC)
             except OSError:
                 if not metadata:
                     file.truncate(index.data_end)
@@ -94,6 +105,38 @@ def write_missing_end(
             else:
                 break
     return statistics
+
+
+def _read_index(file: FileIO) -> _RebuiltIndex:
+    """Return the index of what a file holds; raise OSError where it does not hold the start of an MCAP file."""
+    if os.fstat(file.fileno()).st_size > len(MAGIC):
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            index = _RebuiltIndex(data)
+        if index.data_end > len(MAGIC):
+            return index
+    raise OSError(errno.EIO, 'not even the start of the file was written')
+
+
+def _append_chunk(file: FileIO, start: int, records: bytes) -> None:
+    """Write a chunk at `start`, the end of the last complete record; if that fails, the file ends there."""
+    times_ns, end = [], 0
+    for record in iterate_records(records, 0):
+        content = records[record.content_start : record.end]
+        if record.opcode == Opcode.MESSAGE:
+            times_ns.append(Message.read(open_content(content), len(content)).log_time)
+        end = record.end
+    if not times_ns:
+        return
+    complete, builder = records[:end], RecordBuilder()
+    compressed = zstandard.compress(complete)
+    Chunk('zstd', compressed, max(times_ns), min(times_ns), zlib.crc32(complete), len(complete)).write(builder)
+    file.truncate(start)
+    file.seek(start)
+    try:
+        write_all(file, builder.end())  # type: ignore[no-untyped-call]
+    except OSError:
+        file.truncate(start)
+        raise
 
 
 class _RebuiltIndex:
@@ -131,6 +174,11 @@ class _RebuiltIndex:
                     index.write(rebuilt)
                     self._add_message_index(index, start, self.data_end + rebuilt.count)
         self._missing_message_indexes = bytes(rebuilt.end())  # type: ignore[no-untyped-call]
+
+    @property
+    def chunk_count(self) -> int:
+        """Number of the complete chunks."""
+        return len(self._chunks)
 
     def encode_end(self, schemas: list[Schema], channels: list[Channel], metadata: Iterable[Metadata]) -> bytes:
         """Return the bytes from the last complete record to the end of the footer."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -13,6 +14,7 @@ from mcap.writer import CompressionType, Writer
 
 from mocap_ros.bags.mcap_ending import ChannelStatistics, write_missing_end
 from mocap_ros.bags.rosbag2 import ROSBAG2, MessageStatistics, Topic, encode_yaml
+from mocap_ros.bags.write_ahead_log import WriteAheadLog
 from mocap_ros.config import RecorderConfig
 
 # The compression of chunks by the values of `recorder.compression`.
@@ -21,6 +23,8 @@ COMPRESSION = {
     'lz4': CompressionType.LZ4,
     'none': CompressionType.NONE,
 }
+
+RECORD_BYTES = 31  # that a message takes in a chunk besides its data
 
 # A function that describes a file as metadata.yaml does.
 DescribeFile = Callable[['McapFile'], dict[str, Any]]
@@ -43,6 +47,7 @@ class McapFile:
     Args:
         path: Path of the new file.
         config: Compression and size of the chunks.
+        has_log: Whether the messages of the open chunk are written to a write-ahead log by `write_ahead`.
 
     Attributes:
         path: Path of the file.
@@ -52,18 +57,30 @@ class McapFile:
         OSError: The file exists or cannot be written.
     """
 
-    def __init__(self, path: Path, config: RecorderConfig) -> None:
+    def __init__(self, path: Path, config: RecorderConfig, *, has_log: bool = False) -> None:
         self.path = path
         self.statistics = MessageStatistics()
         self._channels: dict[str, Channel] = {}  # by topic
         self._schemas: dict[str, Schema] = {}  # by message type
+        self._max_chunk_bytes = config.chunk_bytes
+        self._chunk_count = self._open_bytes = 0
+        self._log: WriteAheadLog | None = None
         self._stream: BinaryIO = path.open('xb')
-        self._writer = Writer(
-            self._stream,
-            chunk_size=config.chunk_bytes,
-            compression=COMPRESSION[config.compression],
-        )
-        self._writer.start('ros2', 'mocap_ros')
+        try:
+            self._writer = Writer(
+                self._stream,
+                chunk_size=sys.maxsize,  # `write` closes the chunks
+                compression=COMPRESSION[config.compression],
+            )
+            self._writer.start('ros2', 'mocap_ros')
+            self._stream.flush()  # so that a recovery knows the file as an MCAP file
+            self._log = WriteAheadLog(path) if has_log else None
+        except OSError:
+            with suppress(OSError):
+                self._stream.close()
+            with suppress(OSError):
+                path.unlink()
+            raise
 
     @property
     def written_bytes(self) -> int:
@@ -85,14 +102,24 @@ class McapFile:
             definition = topic.definition.encode()
             schema_id = self._writer.register_schema(topic.type, topic.encoding, definition)
             schema = self._schemas[topic.type] = Schema(schema_id, definition, topic.encoding, topic.type)
+            if self._log is not None:
+                self._log.add_description(schema)
         metadata = topic.channel_metadata
         channel_id = self._writer.register_channel(topic.name, 'cdr', schema.id, metadata)
-        self._channels[topic.name] = Channel(channel_id, topic.name, 'cdr', metadata, schema.id)
+        channel = self._channels[topic.name] = Channel(channel_id, topic.name, 'cdr', metadata, schema.id)
+        if self._log is not None:
+            self._log.add_description(channel)
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         """Append a message of a topic that has been added."""
-        self._writer.add_message(self._channels[topic].id, log_time_ns, data, publish_time_ns)
+        channel_id = self._channels[topic].id
+        self._writer.add_message(channel_id, log_time_ns, data, publish_time_ns)
+        if self._log is not None:
+            self._log.add_message(channel_id, data, log_time_ns, publish_time_ns)
         self.statistics.add_message(topic, log_time_ns)
+        self._open_bytes += len(data) + RECORD_BYTES
+        if self._open_bytes >= self._max_chunk_bytes:
+            self.flush()
 
     def add_attachments(self, attachments: Iterable[Attachment], time_ns: int) -> None:
         """Add attachments with a log time and creation time in ns."""
@@ -106,17 +133,38 @@ class McapFile:
     def flush(self) -> None:
         """Close the chunk and hand the written data to the operating system."""
         self._writer.flush()  # type: ignore[no-untyped-call]
+        if not self._open_bytes:
+            return
+        self._open_bytes = 0
+        self._chunk_count += 1
+        if self._log is not None:
+            self._log.start_chunk(self._chunk_count)
+
+    def write_ahead(self) -> None:
+        """Hand the messages of the open chunk to the operating system, in the write-ahead log."""
+        self._stream.flush()  # attachments
+        if self._log is not None:
+            self._log.write()
 
     def finish(self, describe: DescribeFile) -> None:
         """Write the description for rosbag2, the summary and the footer, and close the file."""
         self.add_metadata(ROSBAG2, {'serialized_metadata': encode_yaml(describe(self))})
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.close()
+        if self._log is not None:
+            self._log.close(remove=True)
 
     def finish_after_failure(self, describe: DescribeFile) -> None:
-        """Make a complete file of the data that reached the disk after another method failed."""
+        """Make a complete file of the data that reached the disk, and of the open chunk of a file with a log.
+
+        If this fails as well, the write-ahead log stays, so that a recovery finds the messages of the open chunk.
+        """
         with suppress(OSError):
             self._stream.close()
+        open_chunk = None
+        if self._log is not None:
+            open_chunk = self._log.open_chunk
+            self._log.close(remove=False)
         topics = {c.id: c.topic for c in self._channels.values()}
 
         def make_metadata(written: ChannelStatistics) -> Metadata:
@@ -124,4 +172,6 @@ class McapFile:
             self.statistics.counts.update({topics[channel]: count for channel, count in written.counts.items()})
             return Metadata(ROSBAG2, {'serialized_metadata': encode_yaml(describe(self))})
 
-        write_missing_end(self.path, self._schemas.values(), self._channels.values(), make_metadata)
+        write_missing_end(self.path, self._schemas.values(), self._channels.values(), make_metadata, open_chunk)
+        if self._log is not None:
+            self._log.close(remove=True)

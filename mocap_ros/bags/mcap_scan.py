@@ -1,4 +1,4 @@
-"""Scan of MCAP files that were cut off or damaged: everything that can still be read.
+"""Scan of MCAP files that were cut off or damaged: everything that can still be read, their log included.
 
 Records are parsed by the classes of the `mcap` package. The readers of that package stop at the first fault; this
 scan reports the fault and continues behind it.
@@ -44,6 +44,7 @@ from mocap_ros.bags.mcap_layout import (
     iterate_records,
     open_content,
 )
+from mocap_ros.bags.write_ahead_log import OpenChunk, read_log
 
 
 class ScannedMessage(NamedTuple):
@@ -73,7 +74,8 @@ class McapScan:
         self.losses: list[str] = []
         self.scanned_bytes = 0
         self._reached_data_end = False
-        self._has_chunks = False
+        self._chunk_count = 0
+        self._log: OpenChunk | None = read_log(path)
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
         self._messages_without_channel: Counter[int] = Counter()  # by channel id
@@ -96,6 +98,9 @@ class McapScan:
         message_count = 0
         for item in self._scan_data():
             message_count += isinstance(item, ScannedMessage)
+            yield item
+        for item in self._read_log():
+            message_count += 1
             yield item
         for channel, lost in self._messages_without_channel.items():
             self.losses.append(
@@ -131,17 +136,35 @@ class McapScan:
             ):
                 return
             if record.opcode == Opcode.CHUNK:
-                self._has_chunks = True
+                self._chunk_count += 1
                 yield from self._read_chunk(content, record.start)
             elif record.opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
                 yield from self._read_attachment_or_metadata(record.opcode, content, record.start)
-            elif record.opcode != Opcode.MESSAGE or not self._has_chunks:
+            elif record.opcode != Opcode.MESSAGE or not self._chunk_count:
                 yield from self._read_message(record.opcode, content)
             self.scanned_bytes = record.end
 
+    def _read_log(self) -> Iterator[ScannedMessage]:
+        """Yield the messages of the open chunk of a file that was not finished, unless the file holds them."""
+        if self._reached_data_end or self._log is None or not self._is_log_needed:
+            return
+        records, end = self._log.records, 0
+        for record in iterate_records(records, 0):
+            yield from self._read_message(record.opcode, records[record.content_start : record.end])
+            end = record.end
+        if end < len(records):
+            self.losses.append(
+                f'the last {len(records) - end} bytes of its write-ahead log are no complete record'
+            )
+
+    @property
+    def _is_log_needed(self) -> bool:
+        """Whether the file lacks the chunk whose messages the log holds."""
+        return self._log is not None and self._chunk_count <= self._log.chunks_before
+
     def _report_gap(self, start: int, end: int, saved_count: int, *, is_last: bool) -> None:
         """Add a loss for the bytes from `start` to `end`, which are no complete record."""
-        if start == end:
+        if start == end or (is_last and self._is_log_needed and not self.is_finished):
             if is_last:
                 self.losses.append('the file was not finished; its end is missing, but no message')
             return
@@ -227,7 +250,7 @@ class McapScan:
     def _read_cut_chunk(self, start: int) -> Iterator[ScannedMessage]:
         """Yield the complete messages of a chunk that the end of the file cuts off."""
         header_end = start + RECORD_PREFIX.size + MIN_CHUNK_BYTES + MAX_COMPRESSION_NAME_BYTES
-        if not CHUNK_PATTERN.match(self._data[start:header_end]) or self.is_finished:
+        if not CHUNK_PATTERN.match(self._data[start:header_end]) or self.is_finished or self._is_log_needed:
             return
         content = self._data[start + RECORD_PREFIX.size : start + MAX_CHUNK_BYTES]
         *_, size, _, name_length = CHUNK_HEADER.unpack_from(content)

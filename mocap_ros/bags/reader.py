@@ -17,14 +17,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rosbags.interfaces import Connection, MessageDefinitionFormat, Qos
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from mocap_ros.bags.mcap_layout import CRC_BYTES, FOOTER, MAGIC
+from mocap_ros.bags.reader_limits import limit_readers
 from mocap_ros.bags.rosbag2 import METADATA
+from mocap_ros.bags.sqlite_schema import find_unusual_tables
 from mocap_ros.errors import InputError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import typestore
+from mocap_ros.messages.recorded_types import load_recorded_types
 from mocap_ros.messages.versions import Convert, VersionConverter, convert_or_keep, make_ros1_converter
 from mocap_ros.units import NS_PER_S
 
@@ -33,7 +35,9 @@ if TYPE_CHECKING:
 
 ROS2_SUFFIXES = ('.mcap', '.db3')  # of the files of ROS 2 bags
 ROS1_SUFFIX = '.bag'  # of ROS 1 bags
-IDL_HEADING = re.compile(r'^={80}\nIDL: .*\n', re.MULTILINE)  # separates the types in a definition in IDL
+MAX_METADATA_BYTES = 1 << 20  # of a metadata.yaml, which takes half a minute to parse; 100 topics have 100 kB
+
+limit_readers()
 
 
 class BagMessage(NamedTuple):
@@ -76,6 +80,9 @@ class Bag:
         if self.path.exists() and not (self.path.is_dir() or self.path.is_file()):
             raise InputError(f'{self.path}: neither a file nor a folder')
         self._raise_fault(_find_fault(self.path))
+        metadata = self.path / METADATA
+        if metadata.is_file() and metadata.stat().st_size > MAX_METADATA_BYTES:
+            raise InputError(f'{metadata}: larger than {MAX_METADATA_BYTES >> 20} MiB')
         try:
             self._reader: Any = Ros1Reader(self.path) if self._is_ros1 else Ros2Reader(self.path)
             self._reader.open()
@@ -208,20 +215,15 @@ class Bag:
         """
         fault = f'{self.path}: {connection.topic} holds another version of {connection.msgtype}'
         definition = connection.msgdef
-        store = get_typestore(Stores.EMPTY)
+        if not definition.data:
+            raise InputError(f'{fault}, and the bag does not define it')
+        is_idl = definition.format != MessageDefinitionFormat.MSG
         try:
-            if definition.format == MessageDefinitionFormat.MSG:
-                store.register(get_types_from_msg(definition.data, connection.msgtype))
-            else:
-                for text in IDL_HEADING.split(definition.data):
-                    store.register(get_types_from_idl(text) if text.strip() else {})
-            if definition.data:
-                store.generate_msgdef(connection.msgtype)  # fails where the type of a field is not defined
+            store = load_recorded_types(definition.data, connection.msgtype, is_idl=is_idl)
+            store.generate_msgdef(connection.msgtype)
         except Exception as error:  # the parser may raise anything for damaged text
             reason = ' '.join(str(error).split())
             raise InputError(f'{fault}, and its definition cannot be parsed: {reason}') from None
-        if connection.msgtype not in store.types:
-            raise InputError(f'{fault}, and the bag does not define it')
         return store
 
     def _make_read_error(self, error: Exception) -> InputError:
@@ -291,6 +293,8 @@ def _find_fault(path: Path) -> str:
             if file.suffix == '.db3' and write_ahead_log.is_file() and write_ahead_log.stat().st_size:
                 missing = f'{write_ahead_log.name} holds messages that are not in {file.name} yet'
                 return f'the recording was cut off: {missing}'
+            if file.suffix == '.db3' and (unusual := find_unusual_tables(file)):
+                return f'{unusual} ({file.name})'
     if files and not (path / METADATA).exists():
         return f'the recording was not finished: {METADATA} is missing'
     return ''

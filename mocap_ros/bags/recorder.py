@@ -4,12 +4,13 @@ A bag is a folder that holds `<name>_0.mcap`, further numbered files where the b
 
 Messages are collected in chunks. A chunk is closed when it holds `recorder.chunk_bytes`, or by `flush`, which
 `write` calls when the log time has advanced by `recorder.chunk_seconds`. `flush` also hands the written data to
-the operating system, so a crash of the process loses only the messages since the last flush. Files are not synced,
-so the operating system decides what a power failure loses.
+the operating system, so a crash of the process loses only the messages since the last flush. `write_ahead` hands
+the messages of the open chunk to the operating system, in a file beside the bag's, without closing the chunk.
+Files are not synced, so the operating system decides what a power failure loses.
 
-Free disk space is checked before a recording starts and at every flush. If less than `recorder.min_free_mb` is
-left, the bag is finished and the recording ends with an error. If writing fails, the bag is finished with the
-messages that reached the disk.
+Free disk space is checked before a recording starts, at every flush and by `check_disk`. If less than
+`recorder.min_free_mb` is left, the bag is finished and the recording ends with an error. If writing fails, the bag
+is finished with the messages that reached the disk.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mocap_ros.bags.mcap_file import Attachment, McapFile
+from mocap_ros.bags.reader import ROS2_SUFFIXES
 from mocap_ros.bags.rosbag2 import (
     METADATA,
     MessageStatistics,
@@ -75,6 +77,26 @@ def choose_bag_folder(root: Path, time_ns: int) -> Path:
         raise RecordingError(f'{root}: {error.strerror}') from None
 
 
+def remove_partial(out: Path) -> None:
+    """Remove the incomplete bag that an interrupted command has left, which was to become `out`, if there is one.
+
+    Raises:
+        RecordingError: `out` exists, the folder contains files that are not a bag's, or it cannot be removed.
+    """
+    partial = choose_partial_path(out)
+    if not partial.exists():
+        return
+    unexpected = [
+        f.name for f in partial.iterdir() if f.suffix not in ROS2_SUFFIXES and not f.name.startswith(METADATA)
+    ]
+    if unexpected:
+        raise RecordingError(f"{partial}: not removed, because the file {unexpected[0]} in it is not a bag's")
+    try:
+        shutil.rmtree(partial)
+    except OSError as error:
+        raise RecordingError(f'{partial}: {error.strerror}') from None
+
+
 def choose_partial_path(out: Path) -> Path:
     """Return the path under which a bag is written until it is complete and can be renamed to `out`.
 
@@ -95,6 +117,7 @@ class Recorder:
         attachments: Files to attach to each file of the bag.
         name: Beginning of the file names; by default the name of the folder.
         definitions: Definitions of message types, by name, that differ from this package's.
+        has_log: Whether `write_ahead` keeps a write-ahead log.
 
     Attributes:
         folder: Folder of the bag.
@@ -111,8 +134,11 @@ class Recorder:
         attachments: Sequence[Attachment] = (),
         name: str = '',
         definitions: Mapping[str, TypeDefinition] = MappingProxyType({}),
+        *,
+        has_log: bool = False,
     ) -> None:
         self.folder = folder
+        self._has_log = has_log
         self.ros_distro = find_ros_distro()
         self._definitions = definitions
         self._name = name or folder.name
@@ -127,10 +153,11 @@ class Recorder:
             folder.mkdir(parents=True)
             try:
                 self._check_space()
-            except RecordingError:
-                folder.rmdir()
+                self._file = self._create_file()
+            except (OSError, RecordingError):
+                with suppress(OSError):
+                    folder.rmdir()
                 raise
-            self._file = self._create_file()
 
     def __enter__(self) -> Self:
         return self
@@ -223,9 +250,29 @@ class Recorder:
         self._chunk_start_ns = -1
         file = self._open_file
         with self._finish_on_disk_error():
-            if not file.is_in_place:
-                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), file.path)
+            self._check_place(file)
             file.flush()
+            self._check_space()
+
+    def write_ahead(self) -> None:
+        """Hand the messages of the open chunk to the operating system, if the recorder has a write-ahead log.
+
+        Raises:
+            RecordingError: The disk is full or fails; the bag is closed.
+        """
+        file = self._open_file
+        with self._finish_on_disk_error():
+            file.write_ahead()
+
+    def check_disk(self) -> None:
+        """Check the file and the free disk space.
+
+        Raises:
+            RecordingError: The disk is nearly full, or the file was removed; the bag is closed.
+        """
+        file = self._open_file
+        with self._finish_on_disk_error():
+            self._check_place(file)
             self._check_space()
 
     def close(self) -> None:
@@ -259,7 +306,8 @@ class Recorder:
         return self._file
 
     def _create_file(self) -> McapFile:
-        return McapFile(self.folder / f'{self._name}_{len(self._finished_files)}.mcap', self._config)
+        path = self.folder / f'{self._name}_{len(self._finished_files)}.mcap'
+        return McapFile(path, self._config, has_log=self._has_log)
 
     def _select_file(self, log_time_ns: int) -> McapFile:
         """Return the current file, or the next one where the current file has reached a limit.
@@ -298,6 +346,11 @@ class Recorder:
         temporary.write_text(encode_yaml(content), encoding='utf-8')
         temporary.replace(self.folder / METADATA)
 
+    def _check_place(self, file: McapFile) -> None:
+        """Raise FileNotFoundError where the file was removed or moved."""
+        if not file.is_in_place:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), file.path)
+
     def _check_space(self) -> None:
         free_bytes = shutil.disk_usage(self.folder).free
         if free_bytes < self._config.min_free_mb * MB:
@@ -317,16 +370,21 @@ class Recorder:
             reason = (
                 'the file was removed or moved while it was written' if was_removed else error.strerror or error
             )
-            self._finish_after_failure()
+            is_unfinished = self._file is not None and not self._finish_after_failure()
+            if is_unfinished and not was_removed:
+                reason = f'{reason}; `mocap-ros recover {self.folder}` restores what was written'
             kind = DiskFull if error.errno in (errno.ENOSPC, errno.EDQUOT) else RecordingError
             raise kind(f'{error.filename or self.folder}: {reason}') from None
 
-    def _finish_after_failure(self) -> None:
-        """Finish the bag with the data that have reached the disk, unless the disk fails again."""
+    def _finish_after_failure(self) -> bool:
+        """Finish the bag with the data that have reached the disk; return False where the disk fails again."""
         file, self._file = self._file, None
-        with suppress(OSError):
+        try:
             if file is not None:
                 file.finish_after_failure(self._describe_file)
                 self._finished_files[file.path.name] = file.statistics
             if self._finished_files:
                 self._write_metadata()
+        except OSError:
+            return False
+        return True

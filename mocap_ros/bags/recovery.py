@@ -10,21 +10,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
 from mcap.records import Attachment as AttachmentRecord
 from mcap.records import Metadata as MetadataRecord
-from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.rosbag2.metadata import dump_qos_v9
 
 from mocap_ros.bags.mcap_file import Attachment
 from mocap_ros.bags.mcap_scan import McapScan, ScannedMessage
-from mocap_ros.bags.reader import ROS2_SUFFIXES, list_bag_files
-from mocap_ros.bags.recorder import Recorder, choose_partial_path
+from mocap_ros.bags.reader import MAX_METADATA_BYTES, ROS2_SUFFIXES, list_bag_files
+from mocap_ros.bags.reader_limits import parse_qos
+from mocap_ros.bags.recorder import Recorder, choose_partial_path, remove_partial
 from mocap_ros.bags.rosbag2 import METADATA, ROSBAG2, Topic, make_topic
 from mocap_ros.bags.sqlite_scan import SQLITE_ERRORS, MessageRows
-from mocap_ros.config import RecorderConfig
-from mocap_ros.errors import InputError, RecordingError
+from mocap_ros.bags.sqlite_schema import describe_unusual_tables
+from mocap_ros.config import RecorderConfig, load_yaml
+from mocap_ros.errors import ConfigError, InputError, RecordingError
 from mocap_ros.messages.cdr import typestore
+from mocap_ros.messages.recorded_types import load_recorded_types
 
 # A function that receives the number of processed bytes and of all bytes.
 ReportProgress = Callable[[int, int], None]
@@ -47,8 +48,8 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
     """Write a new bag with everything that can be read of another bag.
 
     The new bag names the distribution that the other bag names, or none where that is lost. It is written as
-    `<out>.partial` and renamed when it is complete. If the recovery fails or is
-    interrupted, the new bag is deleted.
+    `<out>.partial` and renamed when it is complete. If the recovery fails or is interrupted, the new bag is
+    deleted; what a killed recovery left there is deleted by the next one.
 
     Args:
         path: Bag folder, or a .mcap or .db3 file; it is not changed.
@@ -64,6 +65,7 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
         raise InputError(f'{path}: no bag folder, .mcap or .db3 file (ROS 1: `rosbag reindex` repairs a .bag)')
     report = RecoveryReport()
     sizes = [_get_size(f) for f in files]
+    remove_partial(out)
     partial = choose_partial_path(out)
     with Recorder(partial, RecorderConfig(min_free_mb=0), name=out.name) as recorder:
         try:
@@ -90,6 +92,8 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
 def _read_ros_distro(metadata: Path) -> str:
     """Return the distribution that a metadata.yaml names; an empty string where it cannot be read."""
     try:
+        if metadata.stat().st_size > MAX_METADATA_BYTES:
+            return ''
         return _parse_ros_distro(metadata.read_text(encoding='utf-8'))
     except (OSError, UnicodeDecodeError):
         return ''
@@ -98,8 +102,8 @@ def _read_ros_distro(metadata: Path) -> str:
 def _parse_ros_distro(description: str) -> str:
     """Return the distribution that the description (YAML) of a bag names; an empty string where it names none."""
     try:
-        content = yaml.safe_load(description)
-    except yaml.YAMLError:
+        content = load_yaml(description, METADATA)
+    except ConfigError:
         return ''
     if isinstance(content, dict):
         content = content.get('rosbag2_bagfile_information', content)
@@ -176,6 +180,9 @@ class _FileRecovery:
         try:
             with closing(sqlite3.connect(f'{self._file.resolve().as_uri()}?mode=ro', uri=True)) as database:
                 database.execute('PRAGMA writable_schema=ON')  # otherwise SQLite opens no file that was cut off
+                if unusual := describe_unusual_tables(database):
+                    self._report_loss(unusual)
+                    return
                 topics = self._read_sqlite_topics(database)
                 rows = MessageRows(database, size)
                 for number, topic_id, time_ns, data in rows:
@@ -196,7 +203,6 @@ class _FileRecovery:
 
     def _read_sqlite_topics(self, database: sqlite3.Connection) -> dict[int, Topic]:
         """Read the topics of a database and add them to the new bag; return them by their id."""
-        database.text_factory = lambda text: text.decode(errors='replace')
         columns = {row[1] for row in database.execute('PRAGMA table_info(topics)')}
         optional = [c if c in columns else "''" for c in ('offered_qos_profiles', 'type_description_hash')]
         definitions = self._read_sqlite_definitions(database)
@@ -277,9 +283,7 @@ def _has_valid_definition(topic: Topic) -> bool:
     if not topic.definition or topic.encoding != 'ros2msg':
         return False
     try:
-        store = get_typestore(Stores.EMPTY)
-        store.register(get_types_from_msg(topic.definition, topic.type))
-        store.generate_msgdef(topic.type)  # fails where the type of a field is not defined
+        load_recorded_types(topic.definition, topic.type, is_idl=False).generate_msgdef(topic.type)
     except Exception:  # the parser may raise anything for damaged text
         return False
     return True

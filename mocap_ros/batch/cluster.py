@@ -28,6 +28,7 @@ CONNECT_SECONDS = 10  # s without an answer after which a scheduler has gone; bu
 LOST_WORKERS = 9
 LOCAL_SETTINGS = {
     'distributed.scheduler.allowed-failures': LOST_WORKERS,
+    'distributed.deploy.lost-worker-timeout': '10m',  # after 15 s a busy machine has not started another one yet
     'distributed.scheduler.worker-saturation': 1.0,  # tasks that wait stay with the scheduler, and are not lost
     'distributed.worker.profile.enabled': False,  # takes 1 % of the time of a worker
     'distributed.admin.low-level-log-length': 0,  # memory of long runs

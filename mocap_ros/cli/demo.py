@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.bags.reader import Bag
+from mocap_ros.cli.compile import compile_all
 from mocap_ros.cli.options import parse_positive
 from mocap_ros.config import Config
 from mocap_ros.demo.scene import motion_name_at
@@ -39,6 +40,7 @@ Array = NDArray[np.float64]
 
 # s, times of the poses in the picture: at least one of every motion of the recording, and one with a hidden arm
 PICTURE_TIMES_S = (1.0, 2.6, 4.0, 5.2, 6.6, 7.9, 8.7, 10.6, 12.2)
+START_TIMEOUT_S = 60.0  # s; far above what the node takes to start where everything is compiled
 STOP_TIMEOUT_S = 10.0  # s; guards against a node that does not stop after an interrupt, which takes it under 1 s
 
 
@@ -78,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
         'ROS_DOMAIN_ID': str(random.SystemRandom().randrange(1, 100)),
     }
+    compile_all()  # the node does not listen while it compiles
     old_bags = set(_list_bags(args.output))
     with _run_node(args.output, environment) as node:
         duration_s = _measure_duration(recording)
@@ -90,11 +93,14 @@ def run(args: argparse.Namespace) -> int:
             str(recording),
             '--rate',
             str(args.rate),
+            '--wait',
+            str(START_TIMEOUT_S),
         ]
-        if subprocess.run(player_command, env=environment, check=False).returncode:
-            raise MocapError('the player failed')
+        player = subprocess.run(player_command, env=environment, check=False)
         if node.poll() is not None:
             raise MocapError(f'the node stopped during the playback (exit code {node.returncode})')
+        if player.returncode:
+            raise MocapError('the player failed')
     new_bags = sorted(set(_list_bags(args.output)) - old_bags)
     if not new_bags:
         raise MocapError(f'{args.output}: the node recorded nothing')

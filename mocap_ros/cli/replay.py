@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recorder import remove_partial
 from mocap_ros.cli.options import add_config_options, load_config
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import InputError, MocapError, RecordingError
 from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
-from mocap_ros.runtime.replay import ReplayOptions, ReplayResult, remove_partial, replay
+from mocap_ros.runtime.replay import ReplayOptions, ReplayResult, replay
 
 
 class _Job(NamedTuple):

@@ -246,9 +246,10 @@ class TrackerConfig:
     )
     vertical: str = define_parameter(
         'auto',
-        'vertical of the camera, towards which lifted poses are turned: auto (found from how people stand and '
-        "walk), none, or the direction upwards in the camera's optical frame as three numbers, such as 0 -1 0 of "
-        'a level camera',
+        'vertical of the camera, towards which lifted poses are turned: auto (from a node.output_frame whose z '
+        'axis is up: map, odom, world or one with node.floor_height; else found from how people stand and walk), '
+        "none, or the direction upwards in the camera's optical frame as three numbers, such as 0 -1 0 of a level "
+        'camera',
         read_only=True,
     )
     min_score: float = define_parameter(
@@ -285,6 +286,11 @@ class TrackerConfig:
         'height of those who come is known; part of the covariance of where somebody is',
         low=0.0,
         high=1.0,
+    )
+    body_heights: str = define_parameter(
+        '',
+        'm, body heights of single persons by the ids that the detector gives, such as 7=1.82, anna=1.65; of '
+        'all others tracker.body_height is assumed',
     )
     perspective: bool = define_parameter(True, 'use the true perspective projection where CameraInfo is known')
     nominal_focal_length: float = define_parameter(
@@ -354,6 +360,11 @@ class NodeConfig:
         'publish bodies as capsules, mocap_ros_msgs/BodyCapsulesArray, on the topic capsules',
         read_only=True,
     )
+    publish_capsule_markers: bool = define_parameter(
+        False,
+        'publish the capsules of bodies as markers, for RViz and Foxglove, on the topic capsule_markers',
+        read_only=True,
+    )
     publish_collision_objects: bool = define_parameter(
         False, 'publish moveit_msgs/CollisionObject of each person on the topic collision_object', read_only=True
     )
@@ -366,6 +377,12 @@ class NodeConfig:
     publish_predictions: bool = define_parameter(
         False,
         'publish where people will be, mocap_ros_msgs/Predictions, on the topic predictions; not with tracker.lag',
+        read_only=True,
+    )
+    publish_prediction_markers: bool = define_parameter(
+        False,
+        'publish where people will be as markers, for RViz and Foxglove, on the topic prediction_markers; not '
+        'with tracker.lag',
         read_only=True,
     )
     prediction_times: str = define_parameter(
@@ -419,14 +436,14 @@ class RecorderConfig:
         'zstd', 'compression of the chunks', choices=('zstd', 'lz4', 'none'), read_only=True
     )
     chunk_bytes: int = define_parameter(
-        65_536, 'bytes, size at which a chunk is closed', low=1024, high=16_777_216
+        1_048_576, 'bytes, size at which a chunk is closed', low=1024, high=16_777_216
     )
-    chunk_seconds: float = define_parameter(0.25, 's, time after which a chunk is closed', low=0.01, high=10.0)
+    chunk_seconds: float = define_parameter(1.0, 's, time after which a chunk is closed', low=0.01, high=10.0)
     split_mb: int = define_parameter(
         0, 'MB, size at which a bag continues in a new file; 0: never', low=0, high=1_000_000
     )
     split_seconds: float = define_parameter(
-        0.0, 's, time after which a bag continues in a new file; 0: never', low=0.0
+        3600.0, 's, time after which a bag continues in a new file; 0: never', low=0.0
     )
     min_free_mb: int = define_parameter(
         200, 'MB, free disk space below which a recording is finished and none is started', low=0, high=1_000_000

@@ -15,6 +15,9 @@ from mocap_ros.config.renamed import REMOVED_SINCE_0_1
 from mocap_ros.errors import ConfigError
 
 COMMENT_WIDTH = 90  # characters of a comment line, so that a line with its indentation stays below 100
+MAX_DEPTH = 50  # levels of a YAML text; parameter files have 4
+MAX_NODES = 200_000  # keys and values of a YAML text; they take some seconds and 200 MB
+TEXT_TAG = 'tag:yaml.org,2002:str'  # tag of texts in YAML, written as !!str
 
 HEADER = """\
 # Every parameter of the node with its default. Made by `mocap-ros config`.
@@ -23,20 +26,38 @@ HEADER = """\
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """A YAML loader that refuses aliases, which can make a small file huge, and repeated keys."""
+    """A YAML loader that refuses repeated keys, and what strangers may use to make a small file expensive.
+
+    These are aliases, which can make it huge, deep nesting, very many values, and tags, which name how a value is
+    to be read and for which PyYAML raises almost any exception.
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth = self._count = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Compose a node as the base class does, and refuse aliases."""
-        if self.check_event(yaml.AliasEvent):
-            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
-            raise yaml.MarkedYAMLError(problem='aliases are not allowed', problem_mark=mark)
-        return super().compose_node(parent, index)
+        """Compose a node as the base class does, and refuse what the class refuses."""
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        self._count += 1
+        for is_refused, problem in (
+            (isinstance(event, yaml.AliasEvent), 'aliases are not allowed'),
+            (getattr(event, 'tag', None) not in (None, TEXT_TAG), 'tags are not allowed'),
+            (self._depth >= MAX_DEPTH, 'nested too deep'),
+            (self._count > MAX_NODES, f'more than {MAX_NODES} keys and values'),
+        ):
+            if is_refused:
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
+        self._depth += 1
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         """Construct a mapping as the base class does, and refuse keys that are repeated or not text."""
         seen = set()
         for key, _ in node.value:
-            name = key.value if key.tag == 'tag:yaml.org,2002:str' else None
+            name = key.value if key.tag == TEXT_TAG else None
             if name is None or name in seen:
                 problem = 'a key is not text' if name is None else f'the key {format_value(name)} occurs twice'
                 raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
@@ -61,8 +82,6 @@ def load_yaml(text: str, source: str) -> Any:
         raise ConfigError(f'{source}: not YAML: {line}{error.problem}') from None
     except yaml.YAMLError as error:
         raise ConfigError(f'{source}: not YAML: {" ".join(str(error).split())}') from None
-    except RecursionError:
-        raise ConfigError(f'{source}: not YAML: nested too deep') from None
     except ValueError as error:  # numbers and dates that Python refuses
         raise ConfigError(f'{source}: not YAML: {error}') from None
 

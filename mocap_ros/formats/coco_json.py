@@ -15,6 +15,7 @@ of COCO, or of the joints of another known layout.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path, PurePath
@@ -123,17 +124,23 @@ def _read_images(content: Any) -> dict[Any, tuple[int, tuple[int, int] | None]]:
             images[image['id']] = (_parse_frame_number(name), size)
     except MALFORMED:
         raise InputError(f'images[{len(images)}]: expected id, file_name, width, height') from None
-    numbers = [number for number, _ in images.values()]
-    if len(set(numbers)) != len(numbers):
-        repeated = max(numbers, key=numbers.count)
+    (repeated, count) = next(iter(Counter(number for number, _ in images.values()).most_common(1)), (0, 0))
+    if count > 1:
         raise InputError(f'images: several have the frame number {repeated}; a file must hold one video')
     return images
+
+
+def _check_frame_number(number: int) -> int:
+    """Return the number of a frame; OverflowError where it has too many digits."""
+    if abs(number) >= 10**MAX_FRAME_NUMBER_DIGITS:
+        raise OverflowError
+    return number
 
 
 def _parse_frame_number(name: Any) -> int:
     """Return the frame number in an image's name or id."""
     if isinstance(name, int):
-        return name
+        return _check_frame_number(name)
     digits = re.findall(r'\d+', PurePath(name).stem)
     if not digits:
         raise InputError(f'image {name!r}: no frame number in its name')
@@ -160,7 +167,7 @@ def _read_instances(
             if isinstance(entry, list):
                 frame, people = index, list(entry)
             elif 'instances' in entry:
-                frame, people = int(entry['frame_id']), list(entry['instances'])
+                frame, people = _check_frame_number(int(entry['frame_id'])), list(entry['instances'])
             else:
                 image_id = entry['image_id']
                 is_listed = image_id in number_by_image_id

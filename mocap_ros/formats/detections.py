@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
-from mocap_ros.formats.sequence_file import KeypointSequence
+from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, KeypointSequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.association import associate_keypoints
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, ImageSize, resolve_image_size
@@ -42,6 +42,7 @@ LAYOUT_BY_KEYPOINT_COUNT = {
 }
 
 MAX_FRAMES = 1_000_000  # guards the memory against frame numbers that are not of one video; 9 h at 30 Hz
+MAX_KEYPOINTS = 50_000_000  # of a person over time; guards the memory; 9 h of body25 have half of it
 MAX_GAP_S = 3.0  # s without a detection after which a track without an id ends; documented in docs/files.md
 MAX_LISTED_PEOPLE = 5  # people named in a line of output
 
@@ -160,7 +161,8 @@ def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Vi
     numbers = sorted(people_by_number)
     step = gcd(*(b - a for a, b in pairwise(numbers))) or 1
     all_numbers = range(numbers[0], numbers[-1] + 1, step)
-    if len(all_numbers) > MAX_FRAMES:
+    duration_s = (numbers[-1] - numbers[0]) / video.fps
+    if (numbers[-1] - numbers[0]) // step >= MAX_FRAMES or duration_s >= MAX_TIMESTAMP_S:
         raise InputError(f'frames are numbered {numbers[0]} to {numbers[-1]}: not those of one video')
     stamps = [round((number - numbers[0]) / video.fps * NS_PER_S) for number in all_numbers]
     people = [people_by_number.get(number, ()) for number in all_numbers]
@@ -222,7 +224,8 @@ def select_person(detections: Detections, person_id: str | None = None) -> tuple
         selected, what was left out and what was assumed.
 
     Raises:
-        InputError: nobody is seen, there is no person of that id, or the keypoints are not in px.
+        InputError: nobody is seen, there is no person of that id, the keypoints are not in px, or there are more
+            than `MAX_KEYPOINTS`.
     """
     tracks = associate_people(detections)
     if not tracks:
@@ -231,6 +234,8 @@ def select_person(detections: Detections, person_id: str | None = None) -> tuple
     frames = range(min(selected.detection_by_frame), max(selected.detection_by_frame) + 1)
     names = tuple(dict.fromkeys(name for person in selected.detection_by_frame.values() for name in person.joints))
     column = {name: i for i, name in enumerate(names)}
+    if len(frames) * len(names) > MAX_KEYPOINTS:
+        raise InputError(f'{len(frames)} frames of {len(names)} joints, more than {MAX_KEYPOINTS} keypoints')
     keypoints = np.full((len(frames), len(names), 3), [np.nan, np.nan, 0.0])
     for frame, person in selected.detection_by_frame.items():
         columns = [column[name] for name in person.joints]

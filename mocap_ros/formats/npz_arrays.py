@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import zipfile
 from collections.abc import Collection, Mapping
 from contextlib import suppress
@@ -24,7 +25,7 @@ MAX_FILE_BYTES = 1 << 30  # unpacked; guards the memory against files that unpac
 def list_keys(path: Path) -> frozenset[str]:
     """Return the keys of the arrays in an .npz file without reading them, or nothing if it is no such file."""
     with (
-        suppress(OSError, zipfile.BadZipFile, ValueError),
+        suppress(OSError, zipfile.BadZipFile, ValueError, NotImplementedError),
         open_input_file(path) as stream,
         zipfile.ZipFile(stream) as archive,
     ):
@@ -113,6 +114,9 @@ class ArrayReader:
         array = self._get(key)
         if array.dtype.kind != 'U' or array.ndim != 1:
             raise InputError(f'{key}: holds {array.dtype} of shape {array.shape}, expected names')
+        code_points = np.ascontiguousarray(array).view(array.dtype.byteorder.replace('|', '=') + 'u4')
+        if (code_points > sys.maxunicode).any():
+            raise InputError(f'{key}: holds characters that do not exist')
         return canonical_joint_names([str(n) for n in array])
 
     def _check_shape(self, key: str, shape: tuple[int | None, ...]) -> None:

@@ -30,7 +30,8 @@ def read_text(path: Path, errors: str = 'strict', max_bytes: int = MAX_FILE_BYTE
     """
     try:
         with open_input_file(path) as file:
-            content = file.read(max_bytes + 1)
+            size = os.fstat(file.fileno()).st_size
+            content = file.read(min(size or max_bytes, max_bytes) + 1)  # files of /proc state no size
     except OSError as error:
         raise InputError(f'{path}: {error.strerror or error}') from None
     if len(content) > max_bytes:

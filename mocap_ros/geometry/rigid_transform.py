@@ -37,6 +37,7 @@ MAX_DISTANCE_M = 1e9  # m; beyond it, positions in single precision say nothing
 QUATERNION_TOLERANCE = 0.1  # 1; a quaternion whose length is further from 1 is no rotation
 # Rotation from a camera's optical frame (x right, y down, z forward) to a body's frame (x forward, y left, z up).
 OPTICAL_TO_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+MAX_CAMERA_DISTANCE_M = 1e7  # m; frames of whole countries (UTM) are as large, and none is larger
 POSE_NUMBERS = 6  # numbers of a pose in a parameter: x, y, z in m and roll, pitch, yaw in rad
 
 
@@ -144,7 +145,7 @@ def parse_camera_pose(text: str, name: str) -> RigidTransform:
         name: name of the parameter that holds the text, for the error message.
 
     Raises:
-        ConfigError: the text is not six finite numbers.
+        ConfigError: the text is not six finite numbers, an angle is beyond a turn, or the place is absurdly far.
     """
     try:
         numbers = [float(word) for word in text.split()]
@@ -152,5 +153,9 @@ def parse_camera_pose(text: str, name: str) -> RigidTransform:
         numbers = []
     if len(numbers) != POSE_NUMBERS or not all(map(math.isfinite, numbers)):
         raise ConfigError(f'{name} = {text!r}: expected six numbers: x y z in m and roll pitch yaw in rad')
+    if max(map(abs, numbers[:3])) > MAX_CAMERA_DISTANCE_M:
+        raise ConfigError(f'{name} = {text!r}: the camera is more than {MAX_CAMERA_DISTANCE_M / 1e3:g} km away')
+    if max(map(abs, numbers[3:])) > 2 * math.pi:
+        raise ConfigError(f'{name} = {text!r}: an angle is more than a turn; angles are in rad, not in degrees')
     rotation = Rotation.from_euler('xyz', numbers[3:]).as_matrix() @ OPTICAL_TO_BODY
     return RigidTransform(np.array(numbers[:3]), quaternion_from_rotation(rotation))

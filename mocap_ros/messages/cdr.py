@@ -28,6 +28,7 @@ DEFINITIONS_DISTRO = 'kilted'  # the distribution whose definitions of the stand
 CDR_ALIGNMENT_BYTES = 4  # DDS (RTPS) pads every payload to a multiple of this length
 MOCAP_ROS_MSGS = 'mocap_ros_msgs/msg/'  # prefix of the type names of this package's own messages
 ENCAPSULATION = b'\0\1\0\0'  # the first bytes of a message: CDR, little endian
+BIG_ENDIAN = b'\0\0'  # the first bytes of a message in the other order of bytes
 
 _UINT32 = struct.Struct('<I')
 _STAMP = struct.Struct('<iI')
@@ -175,6 +176,29 @@ def decode(raw: bytes, msgtype: str) -> Any:
     except Exception as error:  # the bytes may come from anywhere, so the reader may raise anything
         reason = str(error).removeprefix(f"Could not deserialize '{msgtype}': ").rstrip('.')
         raise InputError(f'not a {msgtype} ({reason}; {len(raw)} bytes)') from None
+
+
+def read_count(raw: bytes, skipped: int = 0) -> int:
+    """Return the length of the first sequence of a message, which is not decoded for it.
+
+    The decoder makes objects of all elements, which takes seconds where a message states a million of them.
+
+    Args:
+        raw: CDR bytes of a message that begins with a std_msgs/Header.
+        skipped: number of fields of 4 bytes between header and sequence.
+
+    Returns:
+        The length; 0 where the bytes end before it, as the decoder will report.
+    """
+    number = struct.Struct('>I' if raw[:2] == BIG_ENDIAN else '<I')
+    start = len(ENCAPSULATION) + _STAMP.size
+    try:
+        (text_bytes,) = number.unpack_from(raw, start)
+        end = start + number.size + text_bytes
+        (count,) = number.unpack_from(raw, end + -end % number.size + skipped * number.size)
+    except struct.error:
+        return 0
+    return int(count)
 
 
 def validate_header(header: Any, limits: NodeConfig) -> Header:

@@ -9,7 +9,7 @@ from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.cdr import validate_header
+from mocap_ros.messages.cdr import read_count, validate_header
 from mocap_ros.messages.foreign.definitions import OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
 from mocap_ros.messages.foreign.openpose import read_pose
 from mocap_ros.messages.foreign.shared import decode_foreign
@@ -55,12 +55,11 @@ def decode_frame(raw: bytes, msgtype: str, limits: NodeConfig, size: ImageSize) 
     if msgtype == KEYPOINTS:
         return decode_keypoints(raw, limits)
     field, read_person = _FOREIGN_READERS[msgtype]
+    check_count(field, read_count(raw), limits)
     message = decode_foreign(raw, msgtype)
     header = validate_header(message.header, limits)
-    entries = getattr(message, field)
-    check_count(field, len(entries), limits)
     people = []
-    for index, entry in enumerate(entries):
+    for index, entry in enumerate(getattr(message, field)):
         try:
             person = read_person(entry, size, limits)
         except InputError as error:

@@ -28,6 +28,7 @@ from mocap_ros.messages.cdr import (
     create_message,
     decode,
     encode,
+    read_count,
     validate_header,
     validate_text,
 )
@@ -37,6 +38,7 @@ Array = NDArray[np.float64]
 
 KEYPOINTS = MOCAP_ROS_MSGS + 'Keypoints2DArray'
 
+SKIPPED_FIELDS = 2  # fields between the header and the people: width and height of the image
 MAX_UTF8_BYTES = 4  # bytes of one character
 STRING_OVERHEAD_BYTES = 8  # the length (4), the terminating zero (1) and the alignment (3) of a CDR string
 JOINT_BYTES = 12  # x, y and score as float32
@@ -71,9 +73,9 @@ def decode_keypoints(raw: bytes, limits: NodeConfig) -> KeypointsFrame:
         InputError: the message is not valid; the error names the field, and the person if the fault is in one.
     """
     _check_message_length(raw, limits)
+    check_count('people', read_count(raw, SKIPPED_FIELDS), limits)
     message = decode(raw, KEYPOINTS)
     header = validate_header(message.header, limits)
-    check_count('people', len(message.people), limits)
     people = _read_people(message.people, message.image_width, limits)
     check_ids('people', people)
     return KeypointsFrame(header, message.image_width, message.image_height, people)

@@ -7,56 +7,35 @@ person who was not detected in the image and is predicted, or who is tentative, 
 
 from __future__ import annotations
 
-import colorsys
-import struct
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Mapping, Sequence
 from itertools import count
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mocap_ros.geometry.rigid_transform import SAME_POSE
-from mocap_ros.messages.cdr import CdrWriter, Header, encode_header, encode_text, pad
+from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.marker_writer import (
+    ADD,
+    DELETE,
+    DELETE_ALL,
+    LINE_LIST,
+    SPHERE_LIST,
+    Colors,
+    MarkerContent,
+    MarkerStyle,
+    MarkerWriter,
+    choose_color,
+)
 from mocap_ros.people import Person3D
 from mocap_ros.units import NS_PER_S
-
-MARKERS = 'visualization_msgs/msg/MarkerArray'
-
-# Values of visualization_msgs/Marker.type.
-LINE_LIST = 5
-SPHERE_LIST = 7
-
-# Values of visualization_msgs/Marker.action.
-ADD = 0
-DELETE = 2
-DELETE_ALL = 3
 
 JOINT_DIAMETER_M = 0.06  # chosen for the look: about a wrist
 BONE_WIDTH_M = 0.025  # chosen for the look: thinner than the joints
 
-FIRST_HUE = 0.58  # of a turn around the colour circle; chosen for the look: blue
-GOLDEN_RATIO = 0.618034  # of a turn between the hues of two numbers, which keeps the hues of all numbers apart
-BRIGHTNESS = 0.95  # chosen for the look
-
-
-class _Style(NamedTuple):
-    """How a joint or bone is coloured.
-
-    Attributes:
-        saturation: saturation of the colour in [0, 1].
-        opacity: alpha of the colour in [0, 1].
-    """
-
-    saturation: float
-    opacity: float
-
-
 # All styles are chosen for the look.
-SEEN_STYLE = _Style(0.75, 1.0)
-INFERRED_STYLE = _Style(0.3, 0.35)
-UNCERTAIN_STYLE = _Style(0.0, 0.35)  # of people who are predicted or tentative
+SEEN_STYLE = MarkerStyle(0.75, 1.0)
+INFERRED_STYLE = MarkerStyle(0.3, 0.35)
+UNCERTAIN_STYLE = MarkerStyle(0.0, 0.35)  # of people who are predicted or tentative
 
 
 class _MarkerShape(NamedTuple):
@@ -76,66 +55,6 @@ class _MarkerShape(NamedTuple):
 JOINTS = _MarkerShape('joints', SPHERE_LIST, (JOINT_DIAMETER_M, JOINT_DIAMETER_M, JOINT_DIAMETER_M))
 BONES = _MarkerShape('bones', LINE_LIST, (BONE_WIDTH_M, 0.0, 0.0))  # viewers warn about lines that have a height
 
-Colors = NDArray[np.float32]  # (..., 4) red, green, blue and alpha in [0, 1]
-
-# Groups of fields of a visualization_msgs/Marker.
-_NUMBERS = struct.Struct('<iii')  # id, type, action
-# pose, scale, color, lifetime, frame_locked, number of points; then the points follow without a gap
-_LOOK = struct.Struct('<7d3d4fiI?3xI')
-_NO_TEXT = b'\1\0\0\0\0\0\0\0'  # an empty string, padded
-_NO_ELEMENTS = bytes(4)  # an empty sequence
-# The fields after texture.header: texture.format and .data, uv_coordinates, text, mesh_resource,
-# mesh_file.filename and .data, mesh_use_embedded_materials.
-_NO_MESH = b''.join([_NO_TEXT, *[_NO_ELEMENTS] * 2, *[_NO_TEXT] * 3, _NO_ELEMENTS, b'\0'])
-
-
-class _Content(NamedTuple):
-    """What a marker shows; by default nothing. Nobody writes into the arrays.
-
-    Attributes:
-        type: value of visualization_msgs/Marker.type.
-        scale: m, value of visualization_msgs/Marker.scale.
-        color: (4,) colour of the whole.
-        lifetime_ns: ns, time after which a viewer removes the marker by itself, 0 for never.
-        points: (N, 3) m.
-        colors: (N, 4) colours of the points.
-    """
-
-    type: int = 0
-    scale: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    color: Colors = np.zeros(4, np.float32)
-    lifetime_ns: int = 0
-    points: NDArray[np.float64] = np.zeros((0, 3))
-    colors: Colors = np.zeros((0, 4), np.float32)
-
-
-_NOTHING = _Content()
-
-
-class _MarkerWriter(CdrWriter):
-    """Writer of a MarkerArray, all markers of which have one header.
-
-    Args:
-        header: time and frame of the markers.
-        number_of_markers: the number of calls of `add_marker` that will follow.
-    """
-
-    def __init__(self, header: Header, number_of_markers: int) -> None:
-        super().__init__()
-        self.add_count(number_of_markers)
-        self._header = pad(encode_header(header))
-        self._end = _NO_TEXT + self._header + _NO_MESH  # from texture_resource on
-
-    def add_marker(self, namespace: str, number: int, action: int, content: _Content = _NOTHING) -> None:
-        """Append a marker; all fields that have no argument are zero or empty."""
-        type_, scale, color, lifetime_ns, points, colors = content
-        self.add(4, self._header + pad(encode_text(namespace)) + _NUMBERS.pack(number, type_, action))
-        lifetime = divmod(lifetime_ns, NS_PER_S)
-        self.add(8, _LOOK.pack(*SAME_POSE, *scale, *color.tolist(), *lifetime, False, len(points)))
-        self.add(1, points.tobytes())
-        self.add_sequence(colors)
-        self.add(4, self._end)
-
 
 class MarkerEncoder:
     """Encoder of the successive MarkerArrays of one topic.
@@ -146,6 +65,11 @@ class MarkerEncoder:
 
     def __init__(self) -> None:
         self._number_by_id: dict[str, int] = {}
+
+    @property
+    def numbers(self) -> Mapping[str, int]:
+        """Numbers of the people of the last message, by id."""
+        return self._number_by_id
 
     def encode_update(self, header: Header, people: Sequence[Person3D], lifetime_s: float) -> bytes:
         """Encode a MarkerArray that shows these people and deletes the markers of all others.
@@ -158,7 +82,7 @@ class MarkerEncoder:
         present = {p.id for p in people}
         gone = [n for person_id, n in self._number_by_id.items() if person_id not in present]
         self._number_by_id = {person_id: n for person_id, n in self._number_by_id.items() if person_id in present}
-        writer = _MarkerWriter(header, 2 * (len(gone) + len(people)))
+        writer = MarkerWriter(header, 2 * (len(gone) + len(people)))
         for number in gone:
             for shape in (JOINTS, BONES):
                 writer.add_marker(shape.namespace, number, DELETE)
@@ -169,7 +93,7 @@ class MarkerEncoder:
     def encode_clear(self, header: Header) -> bytes:
         """Encode a MarkerArray that deletes all markers, and forget all people."""
         self._number_by_id = {}
-        writer = _MarkerWriter(header, 1)
+        writer = MarkerWriter(header, 1)
         writer.add_marker('', 0, DELETE_ALL)
         return writer.finish()
 
@@ -181,7 +105,7 @@ class MarkerEncoder:
         return self._number_by_id[person_id]
 
 
-def _add_person(writer: _MarkerWriter, person: Person3D, number: int, lifetime_ns: int) -> None:
+def _add_person(writer: MarkerWriter, person: Person3D, number: int, lifetime_ns: int) -> None:
     """Append the two markers of a person."""
     seen_color, inferred_color = _choose_colors(number, person.predicted, person.tentative)
     bone_ends = np.array(person.skeleton.bone_ends).T.ravel()
@@ -191,19 +115,13 @@ def _add_person(writer: _MarkerWriter, person: Person3D, number: int, lifetime_n
         (BONES, person.joints[bone_ends], is_bone_inferred),
     ):
         colors = np.where(is_inferred[:, None], inferred_color, seen_color)
-        content = _Content(shape.type, shape.scale, seen_color, lifetime_ns, points, colors)
+        content = MarkerContent(shape.type, shape.scale, seen_color, lifetime_ns, points, colors)
         writer.add_marker(shape.namespace, number, ADD, content)
 
 
-@lru_cache(maxsize=1000)  # more people than are ever seen at once
 def _choose_colors(number: int, is_predicted: bool, is_tentative: bool) -> tuple[Colors, Colors]:
-    """Return the colours of a person's seen and inferred joints; neighbouring numbers get very different hues."""
-    hue = (FIRST_HUE + number * GOLDEN_RATIO) % 1
-    seen, inferred = (
-        np.array([*colorsys.hsv_to_rgb(hue, style.saturation, BRIGHTNESS), style.opacity], np.float32)
-        for style in (
-            UNCERTAIN_STYLE if is_tentative else SEEN_STYLE,
-            UNCERTAIN_STYLE if is_tentative or is_predicted else INFERRED_STYLE,
-        )
+    """Return the colours of a person's seen and inferred joints."""
+    return (
+        choose_color(number, UNCERTAIN_STYLE if is_tentative else SEEN_STYLE),
+        choose_color(number, UNCERTAIN_STYLE if is_tentative or is_predicted else INFERRED_STYLE),
     )
-    return seen, inferred

@@ -20,13 +20,14 @@ from typing import Any
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rigid_transform import RigidTransform, interpolate
 from mocap_ros.messages.cdr import Header, create_header, create_message, decode, encode, validate_stamp
-from mocap_ros.messages.foreign.shared import MAX_MESSAGE_BYTES
 from mocap_ros.messages.transforms import CHILD_LINKS, ROOT_LINK, TRANSFORMS
 from mocap_ros.units import NS_PER_S
 
 HISTORY_S = 10.0  # s; as tf2 keeps transforms, and longer than any tracker.lag
 MAX_FRAMES = 1000  # frames; many times those of a robot; guards the memory against names that never end
-MESSAGE_TRANSFORMS = 10_000  # transforms of an encoded message; 1 to 2 MB, far below the limit of a message
+MAX_SAMPLES = 20_000  # transforms that are kept of a frame, 10 s at 2 kHz; guards the memory against a flood
+MESSAGE_TRANSFORMS = 10_000  # transforms of a message at most; 1 to 2 MB
+MAX_MESSAGE_BYTES = 4_000_000  # of a message; guards the time that the decoder takes
 MAX_DEPTH = 100  # frames from a frame up to its root; guards the search against loops
 
 
@@ -54,6 +55,7 @@ class _Link:
             self.samples[index] = (stamp_ns, transform)
         else:
             insort(self.samples, (stamp_ns, transform), key=_get_stamp)
+        del self.samples[:-MAX_SAMPLES]
         oldest_kept = self.samples[-1][0] - history_ns
         del self.samples[: bisect_left(self.samples, oldest_kept, key=_get_stamp)]
 
@@ -105,9 +107,7 @@ class TransformTree:
             InputError: the bytes are no TFMessage, a transform is not valid, or there are more than `MAX_FRAMES`
                 frames; nothing was added.
         """
-        if len(raw) > MAX_MESSAGE_BYTES:
-            raise InputError(f'{len(raw)} bytes, more than a {TRANSFORMS} may have ({MAX_MESSAGE_BYTES})')
-        added = [_read_transform(i, stamped) for i, stamped in enumerate(decode(raw, TRANSFORMS).transforms)]
+        added = [_read_transform(i, stamped) for i, stamped in enumerate(_decode(raw))]
         new = {child for child, *_ in added if child not in self._links}
         if len(self._links) + len(new) > MAX_FRAMES:
             self._forget_old_frames()
@@ -204,11 +204,21 @@ def is_of_people_only(raw: bytes, prefix: str) -> bool:
         prefix: text before the name of every link.
     """
     try:
-        transforms = decode(raw, TRANSFORMS).transforms
+        transforms = _decode(raw)
     except InputError:
         return False
     pattern = re.compile(rf'{re.escape(prefix)}({"|".join((ROOT_LINK, *CHILD_LINKS))})_\w*', re.ASCII)
     return all(pattern.fullmatch(t.child_frame_id) for t in transforms)
+
+
+def _decode(raw: bytes) -> Sequence[Any]:
+    """Return the transforms of a TFMessage; InputError if it is none, or has too many."""
+    if len(raw) > MAX_MESSAGE_BYTES:
+        raise InputError(f'{len(raw)} bytes, more than a {TRANSFORMS} may have ({MAX_MESSAGE_BYTES})')
+    transforms: Sequence[Any] = decode(raw, TRANSFORMS).transforms
+    if len(transforms) > MESSAGE_TRANSFORMS:
+        raise InputError(f'transforms: {len(transforms)}, more than {MESSAGE_TRANSFORMS}')
+    return transforms
 
 
 def _read_transform(index: int, stamped: Any) -> tuple[str, str, int, RigidTransform]:

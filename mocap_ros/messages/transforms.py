@@ -74,7 +74,7 @@ def encode_transforms(header: Header, people: Sequence[Person3D], prefix: str = 
         people: all people in the image; people who are reconstructed without a focal length are left out.
         prefix: text before the name of every link.
     """
-    placed = [(p, body) for p in people if p.scale_known and header.frame_id and (body := _place_body(p))]
+    placed = _place_bodies([p for p in people if p.scale_known and header.frame_id])
     writer = CdrWriter()
     writer.add_count(sum(1 + len(_list_links(person.skeleton).names) for person, _ in placed))
     camera_header, used_ids = encode_header(header), set[str]()
@@ -93,10 +93,12 @@ def encode_transforms(header: Header, people: Sequence[Person3D], prefix: str = 
     return writer.finish()
 
 
-def _place_body(person: Person3D) -> tuple[Array, Array, Array] | None:
-    """Return root (3,) m, torso (3,) m and axes (3, 3) of a person as `compute_links` does; None without axes."""
-    (root,), (torso,), (axes,) = compute_links(person.joints[None])
-    return (root, torso, axes) if np.isfinite(axes).all() else None
+def _place_bodies(people: Sequence[Person3D]) -> list[tuple[Person3D, tuple[Array, Array, Array]]]:
+    """Return people who have axes, with root (3,) m, torso (3,) m and axes (3, 3), as of `compute_links`."""
+    if not people:
+        return []
+    found = zip(*compute_links(np.array([p.joints for p in people])), strict=True)
+    return [(person, body) for person, body in zip(people, found, strict=True) if np.isfinite(body[2]).all()]
 
 
 def compute_links(joints: Array) -> tuple[Array, Array, Array]:

@@ -149,10 +149,12 @@ def _decode_numbers(array: NDArray[np.generic], key: str) -> Array:
 
 def _check_base_poses(model: BasePoses) -> None:
     """Check shapes and values of a model; raises `ValueError` for what no training produces."""
-    joints, k = len(CMU15.joints), len(model.components)
+    joints, k = len(CMU15.joints), np.atleast_1d(model.components).shape[0]
+    if not 0 < k <= 3 * joints:  # more cannot be orthonormal, and their products would fill the memory
+        raise ValueError(f'components: shape {model.components.shape}, expected 1 to {3 * joints} base poses')
     shapes = {'mean': (joints, 3), 'components': (k, joints, 3), 'std': (k,), 'explained': (k,)}
     for key, shape in shapes.items():
-        if getattr(model, key).shape != shape or not k:
+        if getattr(model, key).shape != shape:
             raise ValueError(f'{key}: shape {getattr(model, key).shape}, expected {shape}')
     flat = model.components.reshape(k, -1)
     low, high = STATURE_RANGE_M

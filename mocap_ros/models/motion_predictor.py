@@ -1,34 +1,37 @@
 """Learned prediction of a person's motion by up to a second, from the last 0.8 s.
 
-At the times h_k ahead, the displacement of the root along each axis a of the line of sight, and that of the joints
-about the root in the axes of the body, are linear:
+At the times h_k ahead, the displacement d_0 of the root in the axes S of the line of sight, and those d_j of the
+joints about the root in the axes B of the body, come from a network of two hidden layers:
 
-    d_a(h_k) = w_ak . (f_a (1, g)),    d(h_k) = R W_k ((z, z g_2)),    z = V^T (x - m)
+    x = (V^T (q - m), f / 2, ln std, g, S^T B),    x' = (x - c) / s, within +-4
+    (d_1, ..., d_J, d_0)(h_k) = W_2 a(W_1 a(W_0 x' + b_0) + b_1) + b_2,    a(t) = t / (1 + e^-t)
 
-    f_a   velocity of the root along the axis, the ways that it has come within each of the `PAST_S`, both also
-          along the heading, mean velocity of the joints about the root, and the direction of the heading; upwards
-          the height of the joints over the root and a constant instead
-    x     joints about the root in the axes of the body (forward, left, up), their velocities, and how they have
-          changed since each of the `PAST_S`
+    q     joints about the root in the axes of the body (forward, left, up), their velocities, and how they have
+          changed since each of the `PAST_S`; V and m are principal directions and mean
+    f     along each axis of the line of sight: velocity of the root, the ways that it has come within each of
+          the `PAST_S`, both also along the heading, mean velocity of the joints about the root, and the direction
+          of the heading; upwards the height of the joints over the root and a constant instead
     g     what tells signal from tremble: accuracy of the pose, speed of the limbs, speed of the root
 
 The axes of the line of sight are horizontally away from the camera, to the left and up: depth trembles most, so a
-velocity along it counts less. Between the h_k, and from 0 on, displacements and variances are interpolated; beyond
-the last, displacements stay and deviations grow with time. The errors of the prediction have variances
+velocity along it counts less. The prediction is the mean of what the network says of the person and of the mirror
+image. Between the h_k, and from 0 on, displacements and variances are interpolated; beyond the last, displacements
+stay and deviations grow with time. The errors of the prediction have variances
 
     s_a(h_k)^2 = c_0 + c_1 |v|^2 + c_2 l^2 + c_3 p^2
     s_j(h_k)^2 = std_j^2 + e_0 + e_1 |v_j|^2 + e_2 l^2 + e_3 p^2
 
 with |v| the speed of the root, |v_j| that of the joint about the root, l that of the limbs (all in m/s) and p the
-mean standard deviation of the joints. The c and e are fitted to squared errors, and multiplied so that 95 of 100
-errors are within the ellipsoids of that probability (`benchmarks/experiments/motion_predictor.py`, which
-trains all).
+mean standard deviation of the joints. The c and e are fitted to squared errors on persons who were left out, and
+multiplied so that 95 of 100 errors are within the ellipsoids of that probability
+(`benchmarks/motion_predictor.py`, which trains all).
 """
 
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import cache, lru_cache
 from importlib.resources import files
 from typing import NamedTuple
@@ -37,17 +40,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.people import HIPS
+from mocap_ros.skeleton import CMU15
 
 Array = NDArray[np.float64]
 
 PAST_S = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)  # s; times ago at which the motion is sampled
-HEADING_PAST = (1, 3, 5)  # of `PAST_S`: ways along the heading, which change slowly
+HEADING_PAST = [1, 3, 5]  # of `PAST_S`: ways along the heading, which change slowly
 PREDICTOR_NAME = 'predictor'  # name of the shipped file among the models
-ARRAYS = ('times', 'root', 'mean', 'directions', 'limbs', 'root_variance', 'limb_variance')  # of the file
 VELOCITY_WEIGHT = 0.2  # s; of the joints' velocities among the features, so that they vary about as much as places
 ACCURACY_M = 0.04  # m; the first of the g is 0 for such a mean deviation of the joints; training has hardly better
 MAX_SPEED_M_S = 3.0  # m/s; speeds of the g are limited to that of a slow run, of which there is enough in training
 MEAN_SPEED_M_S = 0.5  # m/s; speed for which the second and third of the g are 0
+STD_RANGE_M = 0.005, 0.5  # m; of standard deviations of joints
+ROOT_WEIGHT = 0.5  # s; of the features of the root among the inputs, so that they vary about as much as the others
+INPUT_LIMIT = 4.0  # standard deviations; there is next to nothing beyond in training
+MIRRORED = np.array([1.0, -1.0, 1.0])  # of axes ahead or away, to the left, and up
 LEAST_LENGTH = 1e-6  # 1; of a direction that is normalised
 
 
@@ -86,16 +93,17 @@ class Displacements(NamedTuple):
 
 
 class Features(NamedTuple):
-    """What a prediction is linear in.
+    """What the predictions of N people depend on.
 
     Attributes:
-        line_of_sight: (3, 3) its axes, in columns.
-        body: (3, 3) the axes of the body, in columns.
-        root: (3, F) of the root, along each axis of the line of sight.
-        limbs: (D,) of the joints about the root.
-        gates: (3,) the g of the module.
-        root_squares: (4,) 1 and the squares on which the variances of the root depend.
-        limb_squares: (J, 4) the same of each joint.
+        line_of_sight: (N, 3, 3) its axes, in columns.
+        body: (N, 3, 3) the axes of the body, in columns.
+        root: (N, 3, F) of the root, along each axis of the line of sight.
+        limbs: (N, D) of the joints about the root.
+        gates: (N, 3) the g of the module.
+        std: (N, J) m, deviations of the joints, limited to what training has; unknown ones are usual.
+        root_squares: (N, 4) 1 and the squares on which the variances of the root depend.
+        limb_squares: (N, J, 4) the same of each joint.
     """
 
     line_of_sight: Array
@@ -103,49 +111,108 @@ class Features(NamedTuple):
     root: Array
     limbs: Array
     gates: Array
+    std: Array
     root_squares: Array
     limb_squares: Array
 
 
 @dataclass(frozen=True, eq=False)
 class MotionPredictor:
-    """A predictor that was trained for K times ahead (formulas of the module).
+    """A predictor that was trained for K times ahead (formulas of the module); I inputs, H hidden units.
 
     Attributes:
         times: (K,) s, the h_k, increasing.
-        root: (K, 3, 4 F) the w.
         mean: (D,) m.
         directions: (D, Z) the V.
-        limbs: (K, 2 Z, 3 J) the W.
+        centre: (I,) the c.
+        scale: (I,) the s.
+        weight_0: (I, H).
+        bias_0: (H,).
+        weight_1: (H, H).
+        bias_1: (H,).
+        weight_2: (H, 3 K (J + 1)); for each time the joints, then the root.
+        bias_2: (3 K (J + 1),) m.
         root_variance: (K, 3, 4) the c.
         limb_variance: (K, J, 4) the e.
     """
 
     times: Array
-    root: Array
     mean: Array
     directions: Array
-    limbs: Array
+    centre: Array
+    scale: Array
+    weight_0: Array
+    bias_0: Array
+    weight_1: Array
+    bias_1: Array
+    weight_2: Array
+    bias_2: Array
     root_variance: Array
     limb_variance: Array
 
     def predict(self, past: Past, times: Array) -> Displacements:
-        """Return the prediction at times (N,) in s after the newest frame, not negative."""
-        features = compute_features(past)
-        gated = np.concatenate([features.root, *(g * features.root for g in features.gates.tolist())], axis=1)
-        root = (self.root * gated).sum(axis=2) @ features.line_of_sight.T
-        z = (features.limbs - self.mean) @ self.directions
-        limbs = np.concatenate([z, features.gates[1] * z]) @ self.limbs
-        joints = root[:, None] + limbs.reshape(len(root), -1, 3) @ features.body.T
-        root_variance = self.root_variance @ features.root_squares
-        limb_variance = (self.limb_variance * features.limb_squares).sum(axis=2)
-        displaced, varied = _interpolate((0.0, *self.times.tolist()), tuple(times.tolist()))
-        axes = features.line_of_sight
-        return Displacements(
-            np.tensordot(displaced, joints, 1),
-            np.sqrt(past.std**2 + varied @ limb_variance),
-            (axes * (varied @ root_variance)[:, None]) @ axes.T,
-        )
+        """Return the prediction at times (T,) in s after the newest frame, not negative."""
+        (displacements,) = self.predict_all([past], times[None])
+        return displacements
+
+    def predict_all(self, pasts: Sequence[Past], times: Array) -> list[Displacements]:
+        """Return the predictions of N people at times (N, T) in s after the newest frame of each, not negative."""
+        if not pasts:
+            return []
+        features = compute_features(pasts)
+        inputs = np.concatenate([self.build_inputs(features), self.build_inputs(mirror(features))])
+        own, mirrored = np.split(self._run(inputs).reshape(2 * len(pasts), len(self.times), -1, 3), 2)
+        moved = (own + mirrored[:, :, [*CMU15.mirror, -1]] * MIRRORED) / 2
+        axes, to_optical = features.line_of_sight, features.body.swapaxes(1, 2)
+        joints = moved[:, :, :-1] @ to_optical[:, None] + (moved[:, :, -1] @ axes.swapaxes(1, 2))[:, :, None]
+        root_variance = np.tensordot(features.root_squares, self.root_variance, (1, 2))  # (N, K, 3)
+        limb_variance = (self.limb_variance * features.limb_squares[:, None]).sum(axis=3)  # (N, K, J)
+        out = []
+        for n, past in enumerate(pasts):
+            displaced, varied = _interpolate((0.0, *self.times.tolist()), tuple(times[n].tolist()))
+            out.append(
+                Displacements(
+                    np.tensordot(displaced, joints[n], 1),
+                    np.sqrt(past.std**2 + varied @ limb_variance[n]),
+                    (axes[n] * (varied @ root_variance[n])[:, None]) @ axes[n].T,
+                )
+            )
+        return out
+
+    def build_inputs(self, features: Features) -> Array:
+        """Return the inputs x' (N, I) of the network."""
+        limbs = (features.limbs - self.mean) @ self.directions
+        x = np.concatenate([limbs, collect_inputs(features)], axis=1)
+        return np.asarray(((x - self.centre) / self.scale).clip(-INPUT_LIMIT, INPUT_LIMIT))
+
+    def _run(self, inputs: Array) -> Array:
+        """Return the output (N, 3 K (J + 1)) of the network."""
+        hidden = _activate(inputs @ self.weight_0 + self.bias_0)
+        return np.asarray(_activate(hidden @ self.weight_1 + self.bias_1) @ self.weight_2 + self.bias_2)
+
+
+def collect_inputs(features: Features) -> Array:
+    """Return what the network takes besides limbs (N, 69), neither centred nor scaled."""
+    turns = features.line_of_sight.swapaxes(1, 2) @ features.body
+    parts = ROOT_WEIGHT * features.root, np.log(features.std), features.gates, turns
+    return np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+
+
+def mirror(features: Features) -> Features:
+    """Return the features of the mirror image in a vertical plane, left and right called as they then are."""
+    count, joints, swapped = len(features.limbs), len(CMU15.joints), list(CMU15.mirror)
+    limbs = (features.limbs.reshape(count, -1, joints, 3)[:, :, swapped] * MIRRORED).reshape(count, -1)
+    # what is to the left changes its sign in the axes of the line of sight, and so does the left axis of the body
+    axes = features.line_of_sight
+    body = axes @ (axes.swapaxes(1, 2) @ features.body * MIRRORED[:, None] * MIRRORED)
+    return features._replace(
+        body=body, root=features.root * MIRRORED[:, None], limbs=limbs, std=features.std[:, swapped]
+    )
+
+
+def _activate(values: Array) -> Array:
+    """Return the activations a of the module."""
+    return np.asarray(values / (1 + np.exp(-values)))
 
 
 @lru_cache(maxsize=100)  # a node asks for the same times again and again, except in gaps
@@ -162,65 +229,78 @@ def _interpolate(knots: tuple[float, ...], times: tuple[float, ...]) -> tuple[Ar
     return linear[:, 1:], linear[:, 1:] * longer[:, None]
 
 
-def compute_features(past: Past) -> Features:
-    """Return what the prediction of a person is linear in (formulas of the module)."""
-    joints, velocity, std, earlier, heading, up = past
-    root, root_velocity = _centre(joints), _centre(velocity)
-    earlier_roots = (earlier[:, HIPS[0]] + earlier[:, HIPS[1]]) / 2
-    about, about_velocity = joints - root, velocity - root_velocity
+def compute_features(pasts: Sequence[Past]) -> Features:
+    """Return what the predictions of N people depend on (formulas of the module)."""
+    joints, velocity, std, earlier, heading, up = (np.array(values) for values in zip(*pasts, strict=True))
+    root, root_velocity, earlier_roots = _centre(joints), _centre(velocity), _centre(earlier)
+    about, about_velocity = joints - root[:, None], velocity - root_velocity[:, None]
     forward = _make_horizontal(heading, up)
     away = _make_horizontal(root, up)
-    body = np.stack([forward, np.cross(up, forward), up], axis=1)
-    line_of_sight = np.stack([away, np.cross(up, away), up], axis=1)
-    way = earlier_roots - root
-    mean_velocity = about_velocity.mean(axis=0)
-    own = np.concatenate([[root_velocity], way, [mean_velocity]]) @ line_of_sight  # (8, 3)
-    ahead = np.concatenate([[root_velocity @ forward], -(way[list(HEADING_PAST)] @ forward)])
-    facing = forward @ line_of_sight
-    along = ahead[:, None] * facing
-    last = np.array([[facing[0], facing[1], 1.0], [0.0, 0.0, about.mean(axis=0) @ up]])
+    body = np.stack([forward, _cross(up, forward), up], axis=2)
+    line_of_sight = np.stack([away, _cross(up, away), up], axis=2)
+    way = earlier_roots - root[:, None]
+    mean_velocity = about_velocity.mean(axis=1)
+    own = np.concatenate([root_velocity[:, None], way, mean_velocity[:, None]], axis=1) @ line_of_sight
+    ahead = np.concatenate([root_velocity[:, None], -way[:, HEADING_PAST]], axis=1) @ forward[:, :, None]
+    facing = forward[:, None] @ line_of_sight  # (N, 1, 3)
+    last = np.zeros((len(pasts), 2, 3))
+    last[:, 0, :2], last[:, 0, 2] = facing[:, 0, :2], 1.0
+    last[:, 1, 2] = (about.mean(axis=1) * up).sum(axis=1)
     limbs = np.concatenate(
         [
-            about[None],
-            VELOCITY_WEIGHT * about_velocity[None],
-            earlier - earlier_roots[:, None] - about,
-        ]
+            about[:, None],
+            VELOCITY_WEIGHT * about_velocity[:, None],
+            earlier - earlier_roots[:, :, None] - about[:, None],
+        ],
+        axis=1,
     )
-    squared = (about_velocity * about_velocity).sum(axis=1)
-    activity, accuracy = float(squared.mean()), float(np.nan_to_num(std.mean(), nan=ACCURACY_M))
-    speed = float(np.linalg.norm(way[HEADING_PAST[1]])) / PAST_S[HEADING_PAST[1]]
-    gates = np.array(
+    squared = (about_velocity * about_velocity).sum(axis=2)
+    activity, accuracy = squared.mean(axis=1), std.mean(axis=1)
+    accuracy[np.isnan(accuracy)] = ACCURACY_M
+    speed = np.linalg.norm(way[:, HEADING_PAST[1]], axis=1) / PAST_S[HEADING_PAST[1]]
+    gates = np.stack(
         [
-            ACCURACY_M / max(accuracy, ACCURACY_M) - 1,
-            min(activity**0.5, MAX_SPEED_M_S) - MEAN_SPEED_M_S,
-            min(speed, MAX_SPEED_M_S) - MEAN_SPEED_M_S,
-        ]
+            ACCURACY_M / np.maximum(accuracy, ACCURACY_M) - 1,
+            np.minimum(np.sqrt(activity), MAX_SPEED_M_S) - MEAN_SPEED_M_S,
+            np.minimum(speed, MAX_SPEED_M_S) - MEAN_SPEED_M_S,
+        ],
+        axis=1,
     )
-    shared = np.array([activity, accuracy**2])
-    count = len(squared)
+    root_squares = np.stack([np.ones(len(pasts)), speed**2, activity, accuracy**2], axis=1)
+    limb_squares = np.repeat(root_squares[:, None], squared.shape[1], axis=1)
+    limb_squares[:, :, 1] = squared
     return Features(
         line_of_sight,
         body,
-        np.concatenate([own, along, last]).T,
-        (limbs @ body).ravel(),
+        np.concatenate([own, ahead * facing, last], axis=1).swapaxes(1, 2),
+        (limbs @ body[:, None]).reshape(len(pasts), -1),
         gates,
-        np.array([1.0, speed**2, *shared]),
-        np.stack([np.ones(count), squared, *np.repeat(shared[:, None], count, axis=1)], axis=1),
+        np.where(np.isnan(std), ACCURACY_M, std).clip(*STD_RANGE_M),
+        root_squares,
+        limb_squares,
     )
 
 
 def _centre(places: Array) -> Array:
-    """Return the middle (3,) between the hips of places or velocities (J, 3)."""
-    return np.asarray((places[HIPS[0]] + places[HIPS[1]]) / 2)
+    """Return the middles (..., 3) between the hips of places or velocities (..., J, 3)."""
+    return np.asarray((places[..., HIPS[0], :] + places[..., HIPS[1], :]) / 2)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the cross products (N, 3); `numpy.cross` takes five times as long for a few."""
+    x, y, z = a.T
+    u, v, w = b.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
 
 
 def _make_horizontal(direction: Array, up: Array) -> Array:
-    """Return the horizontal unit vector (3,) nearest to a direction, or any of a vertical one."""
-    flat = direction - (direction @ up) * up
-    length = np.linalg.norm(flat)
-    if length < LEAST_LENGTH:
-        flat = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-        length = np.linalg.norm(flat)
+    """Return the horizontal unit vectors (N, 3) nearest to directions, or any of vertical ones."""
+    flat = direction - (direction * up).sum(axis=1, keepdims=True) * up
+    length = np.linalg.norm(flat, axis=1, keepdims=True)
+    if (length < LEAST_LENGTH).any():
+        other = _cross(up, np.eye(3)[np.argmin(np.abs(up), axis=1)])
+        flat = np.where(length < LEAST_LENGTH, other, flat)
+        length = np.linalg.norm(flat, axis=1, keepdims=True)
     return np.asarray(flat / length)
 
 
@@ -229,5 +309,5 @@ def load_motion_predictor() -> MotionPredictor:
     """Return the shipped predictor."""
     data = (files('mocap_ros') / 'models' / 'shipped' / f'{PREDICTOR_NAME}.npz').read_bytes()
     with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        arrays = {name: archive[name].astype(np.float64) for name in ARRAYS}
+        arrays = {field.name: archive[field.name].astype(np.float64) for field in fields(MotionPredictor)}
     return MotionPredictor(**arrays)

@@ -25,7 +25,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.ros.detector_help import IMAGE_TOPIC, KEYPOINTS_TOPIC, MAX_PEOPLE, NODE_NAME, PARAMETERS
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.qos import OUTPUT_QOS, QosWarnings
-from mocap_ros.ros.startup import initialise_rclpy
+from mocap_ros.ros.startup import create_node, initialise_rclpy
 from mocap_ros.ros.throttled_log import ThrottledLog
 from mocap_ros.runtime.detection import detect_people
 from mocap_ros.units import NS_PER_S
@@ -150,7 +150,7 @@ def run(arguments: Sequence[str]) -> None:
     initialise_rclpy(arguments)
     executor = SingleThreadedExecutor()
     try:
-        node = DetectorNode()
+        node = create_node(DetectorNode)
         executor.add_node(node)
         try:
             while not stop.is_set():

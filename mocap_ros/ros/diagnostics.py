@@ -31,15 +31,24 @@ class Level(IntEnum):
 
 
 class RunStatistics:
-    """Times of receipt and processing times of the last `MAX_REMEMBERED_FRAMES` messages of people."""
+    """Times of receipt and processing times of the last `MAX_REMEMBERED_FRAMES` messages of people.
+
+    Attributes:
+        lost: Number of messages so far that were sent but did not arrive.
+    """
 
     def __init__(self) -> None:
+        self.lost = 0
         self._received: deque[float] = deque(maxlen=MAX_REMEMBERED_FRAMES)  # s, steady clock
         self._solve_seconds: deque[float] = deque(maxlen=MAX_REMEMBERED_FRAMES)
 
     def record_receipt(self) -> None:
         """Record that a message has just been received."""
         self._received.append(time.monotonic())
+
+    def record_lost(self, count: int) -> None:
+        """Record that messages did not arrive."""
+        self.lost += count
 
     def record_solve(self, seconds: float) -> None:
         """Record how many seconds the processing of a message took."""
@@ -80,7 +89,9 @@ class DiagnosticsReporter:
         self._silence = silence
         self._previous_counters = Counters()
 
-    def encode_status(self, pipeline: Pipeline, statistics: RunStatistics, recorder: str, now_ns: int) -> bytes:
+    def encode_status(
+        self, pipeline: Pipeline, statistics: RunStatistics, recorder: str, now_ns: int, recorder_fault: str = ''
+    ) -> bytes:
         """Encode the current status as a DiagnosticArray; its level depends on what happened since the last call.
 
         Args:
@@ -88,6 +99,7 @@ class DiagnosticsReporter:
             statistics: Statistics of the run.
             recorder: State of the recorder in words.
             now_ns: ROS time in ns.
+            recorder_fault: What is wrong with the recorder, in words; empty if nothing is.
         """
         counters, previous = pipeline.counters, self._previous_counters
         skipped = counters.dropped['backlog'] - previous.dropped['backlog']
@@ -105,6 +117,7 @@ class DiagnosticsReporter:
             'accepted': counters.accepted,
             'invalid': counters.invalid,
             **{f'dropped: {reason}': n for reason, n in sorted(counters.dropped.items())},
+            'lost before the node': statistics.lost,
             'people': len(people),
             'residual (px)': f'{np.mean(residuals):.2f}' if residuals else 'nan',
             'category': ', '.join(sorted({p.motion.category for p in people})),
@@ -121,6 +134,8 @@ class DiagnosticsReporter:
         elif skipped or invalid:
             level = Level.WARN
             message = f'{skipped} messages skipped because of a backlog, {invalid} invalid in the last second'
+        elif recorder_fault:
+            level, message = Level.WARN, recorder_fault
         return encode_diagnostics(Header(now_ns, ''), self._name, (level, message), values)
 
 

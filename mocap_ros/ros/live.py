@@ -2,8 +2,8 @@
 
 Three threads share the work. The thread of the ROS executor puts each message into the queue as soon as the
 message arrives, so that its time of receipt is right and every message is counted while another one is being
-processed. The worker thread processes the queue; when too many messages wait, it skips all but the newest message
-of people on each topic. The recorder's thread writes to the disk.
+processed. The worker thread processes the queue; when too many messages wait, and from then on until none waits,
+it skips all but the newest message of people on each topic. The recorder's thread writes to the disk.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ from mocap_ros.ros.throttled_log import Logger, ThrottledLog
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 
 MAX_LOGGED_TRACEBACKS = 30  # tracebacks; guards the log against internal errors with ever new texts
+MAX_FINISH_SECONDS = 2.0  # s; for which inputs wait for a recording to be finished; then that goes on by itself
+RECORDER_CHECK_SECONDS = 0.25  # s; between two looks at the recorder while no message arrives
 MAX_STOP_SECONDS = 0.3  # s; time to process waiting messages at a stop, so that the node ends within 1 s
 
 
@@ -76,6 +78,7 @@ class LiveRun:
         versions: Installed versions of the message types; by default all equal this package's.
 
     Attributes:
+        is_behind: Whether too many messages were waiting and some still are, so that only the newest is processed.
         statistics: Input rate and processing times.
     """
 
@@ -107,6 +110,7 @@ class LiveRun:
         self._logged_tracebacks: set[str] = set()
         self._received_counts: Counter[str] = Counter()  # by topic
         self._first_unskipped: dict[str, int] = {}  # by topic: messages with smaller numbers are skipped
+        self.is_behind = False
         self._thread = threading.Thread(target=self._process_until_stopped, name='mocap pipeline')
 
     def start(self) -> None:
@@ -127,12 +131,17 @@ class LiveRun:
                 self._publish_result(self._queue.popleft(), self._pipeline.note_backlog())
             self._publish_and_record(self._reset_pipeline())
             with suppress(RecordingError):  # it has been logged
-                self._recording.finish()
+                self._recording.finish(self._recording.detach())
 
     @property
     def recorder_state(self) -> str:
         """The state of the recorder in words, for diagnostics."""
         return self._recording.state
+
+    @property
+    def recorder_fault(self) -> str:
+        """What is wrong with the recorder, in words; empty if nothing is."""
+        return self._recording.fault
 
     def enqueue(self, source: Source, raw: bytes, sent_ns: int, topic: str = '') -> None:
         """Put a message that has just been received into the queue.
@@ -183,11 +192,14 @@ class LiveRun:
     def finish_recording(self) -> Path | None:
         """Finish the recording and return its folder, or None if no recording is running.
 
+        If the disk is slow, the recording is finished after the return, and its end is logged.
+
         Raises:
             RecordingError: The recording could not be finished; this has been logged.
         """
         with self._pipeline_lock:
-            return self._recording.finish()
+            recorder = self._recording.detach()
+        return self._recording.finish(recorder, MAX_FINISH_SECONDS)
 
     def set_recording(self, is_wanted: bool) -> None:
         """Start or finish the recording if it is not yet in the wanted state; a failure is logged, not raised."""
@@ -223,8 +235,10 @@ class LiveRun:
         """Wait for the next message and process or skip it; return False when the run is to stop."""
         config = self._pipeline.config
         with self._queue_changed:
+            if not self._queue:
+                self.is_behind = False
             self._queue_changed.wait_for(
-                lambda: self._queue or self._stop_deadline is not None, config.recorder.chunk_seconds
+                lambda: self._queue or self._stop_deadline is not None, RECORDER_CHECK_SECONDS
             )
             if self._stop_deadline is not None and (not self._queue or time.monotonic() > self._stop_deadline):
                 return False
@@ -233,7 +247,8 @@ class LiveRun:
             if not self._queue:
                 return True
             message = self._queue.popleft()
-            if self._is_behind(config.node.queue):
+            self.is_behind = self.is_behind or self._has_backlog(config.node.queue)
+            if self.is_behind:
                 self._first_unskipped = dict(self._received_counts)
             if message.source in PEOPLE_SOURCES and message.number < self._first_unskipped.get(message.topic, 0):
                 self._publish_result(message, self._pipeline.note_backlog())
@@ -241,7 +256,7 @@ class LiveRun:
                 self._process(message)
         return True
 
-    def _is_behind(self, limit: int) -> bool:
+    def _has_backlog(self, limit: int) -> bool:
         """Return whether at least `limit` messages of people are waiting."""
         queue = self._queue
         return len(queue) >= limit and sum(m.source in PEOPLE_SOURCES for m in tuple(queue)) >= limit

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from mocap_ros.ros.throttled_log import Logger
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, build_skeleton_definition
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
+
+MAX_STALL_S = 0.5  # s; after which a recorder whose disk takes nothing is reported; far above a busy disk's pauses
 
 # A function that returns the QoS profiles, by rosbag2's names, that the publishers of a topic offer.
 FindOfferedQos = Callable[[str], Sequence[Mapping[str, Any]]]
@@ -53,7 +56,8 @@ class LiveRecording:
         self._recorder: BackgroundRecorder | None = None
         self._journal = Journal(names['journal'])
         self._declared_inputs: set[str] = set()
-        self._unrecorded_count = 0
+        self._stalled_s = 0.0  # of the stall that has been logged
+        self._finishing: list[BackgroundRecorder] = []  # of recordings that have ended, but are not finished yet
 
     @property
     def is_running(self) -> bool:
@@ -66,8 +70,16 @@ class LiveRecording:
         recorder = self._recorder
         if recorder is None:
             return 'off'
-        missing = f'; {self._unrecorded_count} inputs missing' if self._unrecorded_count else ''
+        missing = f'; {recorder.refused_count} inputs missing' if recorder.refused_count else ''
         return f'recording to {recorder.folder}{missing}'
+
+    @property
+    def fault(self) -> str:
+        """What is wrong with the recorder, in words; empty if nothing is."""
+        recorder = self._recorder
+        if recorder is None or recorder.stalled_s < MAX_STALL_S:
+            return ''
+        return f'the disk has taken nothing of the recording for {recorder.stalled_s:.1f} s'
 
     def start(self, pipeline: Pipeline, start_ns: int) -> Path:
         """Start a recording with the latched messages and the parameters, and return the folder of the bag.
@@ -86,32 +98,46 @@ class LiveRecording:
         attachments = provenance_attachments(config, pipeline.models)
         self._declared_inputs = set()
         self._journal = Journal(self._names['journal'])
-        self._unrecorded_count = 0
+        self._stalled_s = 0.0
         first_records = self._make_first_records(pipeline, start_ns)
         self._recorder = BackgroundRecorder(folder, config.recorder, attachments, self._versions.definitions)
         self._put(first_records)
         return folder
 
-    def finish(self) -> Path | None:
-        """Finish the recording and return its folder, or None if no recording is running.
+    def detach(self) -> BackgroundRecorder | None:
+        """End the recording and return its recorder, which is to be passed to `finish`; None if there is none."""
+        recorder, self._recorder = self._recorder, None
+        return recorder
+
+    def finish(self, recorder: BackgroundRecorder | None, timeout_s: float | None = None) -> Path | None:
+        """Finish a recording that has been detached and return its folder, or None if there was none.
+
+        Args:
+            recorder: Recorder of the recording.
+            timeout_s: How long to wait for the disk; if that is not enough, `check` logs the end of the recording.
 
         Raises:
             RecordingError: The recording could not be finished; this has been logged.
         """
-        recorder, self._recorder = self._recorder, None
         if recorder is None:
             return None
         try:
-            recorder.close()
+            if not recorder.close(timeout_s):
+                self._finishing.append(recorder)
+                self._logger.warning(
+                    f'the disk is slow; {recorder.waiting_count} inputs wait for it, and the recording to '
+                    f'{recorder.folder} will be finished when it has taken them'
+                )
+                return recorder.folder
         except RecordingError as error:
             self._logger.error(
                 f'{error}; the recording could not be finished: `mocap-ros recover {recorder.folder}` '
                 'restores what has been written'
             )
             raise
-        if self._unrecorded_count:
+        if recorder.refused_count:
             self._logger.info(
-                f'the recording to {recorder.folder} is finished, but {self._unrecorded_count} inputs are missing '
+                f'the recording to {recorder.folder} is finished, but {recorder.refused_count} inputs are missing '
                 'in it, as the disk was too slow; record to a faster disk or raise recorder.backlog'
             )
         else:
@@ -119,8 +145,30 @@ class LiveRecording:
         return recorder.folder
 
     def check(self) -> None:
-        """Log whether the recording has failed since the last call of any method that writes."""
+        """Log what has become of the recording, and of those being finished, since the last call."""
         self._put([])
+        self._log_stall()
+        for recorder in [r for r in self._finishing if r.is_closed]:
+            self._finishing.remove(recorder)
+            with suppress(RecordingError):  # it has been logged
+                self.finish(recorder)
+
+    def _log_stall(self) -> None:
+        """Log that the disk takes nothing, once, and that it works again."""
+        recorder = self._recorder
+        if recorder is None:
+            return
+        stalled_s = recorder.stalled_s
+        if stalled_s > MAX_STALL_S:
+            if not self._stalled_s:
+                self._logger.error(
+                    f'the disk has taken nothing of the recording to {recorder.folder} for {stalled_s:.1f} s; '
+                    'inputs wait for it, up to recorder.backlog of them, and further ones will not be recorded'
+                )
+            self._stalled_s = stalled_s
+        elif self._stalled_s:
+            self._logger.info(f'the disk takes the recording again, after {self._stalled_s:.1f} s')
+            self._stalled_s = 0.0
 
     def write_input(
         self,
@@ -153,7 +201,6 @@ class LiveRecording:
             return True
         self._journal.mark_last_input_lost()
         self._declared_inputs.discard(topic)
-        self._unrecorded_count += 1
         return False
 
     def write_output(self, output: OutputMessage, published_ns: int) -> None:

@@ -28,7 +28,7 @@ from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.parameters import declare_parameters, select_config_values, warn_of_unknown_parameters
 from mocap_ros.ros.publications import OutputPublishers
 from mocap_ros.ros.qos import QosWarnings, profile_to_rosbag2
-from mocap_ros.ros.startup import initialise_rclpy
+from mocap_ros.ros.startup import create_node, initialise_rclpy
 from mocap_ros.ros.subscriptions import InputSubscriptions
 from mocap_ros.runtime.outputs import (
     LATCHED_OUTPUTS,
@@ -173,7 +173,7 @@ class MocapNode(LifecycleNode):
             self._versions,
         )
         self._run.start()
-        self._inputs.subscribe(self._run.enqueue)
+        self._inputs.subscribe(self._run.enqueue, self._run.statistics.record_lost)
         outputs = (*OUTPUTS, *switched, *LATCHED_OUTPUTS)
         published = ', '.join(names[topic] for topic in outputs if self._outputs.has_publisher(topic))
         self.get_logger().info(
@@ -252,7 +252,7 @@ class MocapNode(LifecycleNode):
         if run is None or pipeline is None or reporter is None:
             return
         now_ns = self.get_clock().now().nanoseconds
-        status = reporter.encode_status(pipeline, run.statistics, run.recorder_state, now_ns)
+        status = reporter.encode_status(pipeline, run.statistics, run.recorder_state, now_ns, run.recorder_fault)
         self._outputs.publish_diagnostics(self._versions.write(DIAGNOSTICS, status))
 
     def _find_offered_qos(self, topic: str) -> list[dict[str, Any]]:
@@ -289,7 +289,7 @@ def run(arguments: Sequence[str]) -> None:
     initialise_rclpy(arguments)
     executor = SingleThreadedExecutor()
     try:
-        node = MocapNode()
+        node = create_node(MocapNode)
         executor.add_node(node)
         try:
             if node.config.node.autostart:

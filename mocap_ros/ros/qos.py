@@ -17,12 +17,15 @@ from rclpy.qos import (
 from rosbags.interfaces import Qos
 
 QUEUE_DEPTH = 10  # messages; the default of ROS 2; waiting messages are queued in the node, not in the middleware
+# Messages of an input that may wait in the middleware while the thread that takes them has no turn: 0.25 s at
+# 200 Hz, by which they age. The node takes all of them at once, and counts those that did not fit.
+INPUT_QUEUE_DEPTH = 50
 TF_QUEUE_DEPTH = 100  # messages; the depth that tf2_ros uses on /tf
 PLAYBACK_QUEUE_DEPTH = 1000  # messages; lets a slow reliable subscriber catch up when a bag is played fast
 
 # Best effort is compatible with reliable and with best-effort publishers.
 INPUT_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT
+    history=HistoryPolicy.KEEP_LAST, depth=INPUT_QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT
 )
 # Reliable is compatible with reliable and with best-effort subscribers.
 OUTPUT_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.RELIABLE)

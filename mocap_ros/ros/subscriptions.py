@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -25,7 +25,7 @@ from mocap_ros.messages.foreign.hri import decode_ids
 from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
-from mocap_ros.ros.qos import INPUT_QOS, STATIC_TF_QOS, TF_QOS, QosWarnings
+from mocap_ros.ros.qos import INPUT_QOS, INPUT_QUEUE_DEPTH, STATIC_TF_QOS, TF_QOS, QosWarnings
 from mocap_ros.ros.silence import SilenceMonitor
 
 # A body id that may be part of a topic name: letters, digits and single underscores, without a leading digit.
@@ -34,8 +34,39 @@ BODY_ID_IN_TOPIC = re.compile(r'(?!\w*__)[A-Za-z_][A-Za-z0-9_]*')
 # The QoS profile of the subscription to each input; by default `INPUT_QOS`.
 QOS_BY_SOURCE = {Source.TRANSFORMS: TF_QOS, Source.STATIC_TRANSFORMS: STATIC_TF_QOS}
 
+MAX_PUBLISHERS = 16  # of a topic, whose messages are counted; guards the memory against ever new ones
+
+# A function that takes the number of messages that have been lost since its last call.
+NoteLost = Callable[[int], None]
+
 # A function that takes a message: its source, its CDR bytes, the time of sending in ns, and its topic.
 Receive = Callable[[Source, bytes, int, str], None]
+
+
+class LostMessages:
+    """Counter of the messages of a topic that were sent but did not arrive, by their numbers.
+
+    The middleware reports what is lost on the way, but not what it drops because too much waits for the node.
+    """
+
+    def __init__(self) -> None:
+        self._last_numbers: dict[bytes, int] = {}  # by publisher
+
+    def count(self, info: Mapping[str, Any]) -> int:
+        """Return how many messages of the same publisher are missing before a message.
+
+        Args:
+            info: What the middleware says of the message; 0 is returned where it does not number messages.
+        """
+        number = info.get('publication_sequence_number')
+        if number is None:
+            return 0
+        publisher = bytes((info.get('publisher_gid') or {}).get('data', b''))
+        last = self._last_numbers.pop(publisher, number - 1)
+        if len(self._last_numbers) >= MAX_PUBLISHERS:
+            del self._last_numbers[next(iter(self._last_numbers))]
+        self._last_numbers[publisher] = number
+        return max(number - last - 1, 0)
 
 
 class InputSubscriptions:
@@ -72,6 +103,7 @@ class InputSubscriptions:
         self._subscriptions: list[Any] = []
         self._body_subscriptions: dict[str, Any] = {}  # by topic
         self._receive: Receive | None = None
+        self._note_lost: NoteLost = lambda _: None
         self._silence: SilenceMonitor | None = None
 
     def _add_types(self) -> None:
@@ -95,9 +127,14 @@ class InputSubscriptions:
         """Absolute names of the subscribed topics, without those of ROS4HRI bodies."""
         return [self._node.resolve_topic_name(s.value) for s in self.types if s is not Source.BODY]
 
-    def subscribe(self, receive: Receive) -> None:
-        """Subscribe to all inputs and pass their messages to `receive`, in the thread of the executor."""
-        self._receive = receive
+    def subscribe(self, receive: Receive, note_lost: NoteLost) -> None:
+        """Subscribe to all inputs and pass their messages to `receive`, in the thread of the executor.
+
+        Args:
+            receive: Function that takes the messages.
+            note_lost: Function that takes the number of messages that were sent but did not arrive.
+        """
+        self._receive, self._note_lost = receive, note_lost
         for source in self.types:
             if source is not Source.BODY:
                 self._subscriptions.append(self._subscribe_to(source, source.value))
@@ -119,17 +156,34 @@ class InputSubscriptions:
         topic = self._node.resolve_topic_name(name)
         # rclpy declares parameters for overrides, which would stay behind for every body that leaves
         overridable = None if source is Source.BODY else QoSOverridingOptions.with_default_policies()
-        return self._node.create_subscription(
-            load_interface_class(self.types[source]),
+        message_class, lost_messages = load_interface_class(self.types[source]), LostMessages()
+
+        def take_all(raw: bytes, info: Any) -> None:
+            """Take a message, and all others that wait; the executor alone takes one each time that it wakes."""
+            taken, count = (raw, info), 0
+            while taken is not None:
+                raw, info = taken
+                if source in PEOPLE_SOURCES:
+                    self._note_lost(lost_messages.count(info))
+                self._take(source, raw, info['source_timestamp'], topic)
+                count += 1
+                if count > INPUT_QUEUE_DEPTH:  # the executor has other work as well
+                    return
+                with subscription.handle:
+                    taken = subscription.handle.take_message(message_class, True)
+
+        subscription: Any = self._node.create_subscription(
+            message_class,
             name,
-            lambda raw, info: self._take(source, raw, info['source_timestamp'], topic),
+            take_all,
             QOS_BY_SOURCE.get(source, INPUT_QOS),
             raw=True,
             qos_overriding_options=overridable,
             event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=lambda event: self._qos_warnings.warn_of_publisher(name, event.last_policy_kind)
+                incompatible_qos=lambda event: self._qos_warnings.warn_of_publisher(name, event.last_policy_kind),
             ),
         )
+        return subscription
 
     def _take(self, source: Source, raw: bytes, sent_ns: int, topic: str) -> None:
         """Pass a message on as it was received."""

@@ -7,7 +7,7 @@ remembered after its last message.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,9 +16,10 @@ from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cameras import CAMERAS, encode_cameras
 from mocap_ros.messages.cdr import Header, OutputMessage
 from mocap_ros.messages.foreign.definitions import COLLISION_OBJECT, DETECTIONS_3D, HRI_IDS, OBSTACLES, PEOPLE
-from mocap_ros.messages.markers import MARKERS, MarkerEncoder
+from mocap_ros.messages.marker_writer import MARKERS, MarkerSeries
+from mocap_ros.messages.markers import MarkerEncoder
 from mocap_ros.messages.point_cloud import POINTS, encode_points
-from mocap_ros.messages.robots.bodies import TRACKED, BodiesEncoder, make_body_id
+from mocap_ros.messages.robots.bodies import TRACKED, BodiesEncoder, BodyNames
 from mocap_ros.messages.robots.capsules import CAPSULES, encode_capsules
 from mocap_ros.messages.robots.collision_objects import CollisionObjectEncoder
 from mocap_ros.messages.robots.detections import encode_detections
@@ -26,6 +27,7 @@ from mocap_ros.messages.robots.obstacles import encode_obstacles
 from mocap_ros.messages.robots.people import encode_people
 from mocap_ros.messages.robots.poses import POSES, encode_poses
 from mocap_ros.messages.robots.predictions import PREDICTIONS, PredictedFrame, encode_predictions
+from mocap_ros.messages.robots.robot_markers import encode_capsule_markers, encode_prediction_markers
 from mocap_ros.messages.skeletons import (
     SKELETON_DEFINITION,
     SKELETONS,
@@ -35,6 +37,8 @@ from mocap_ros.messages.skeletons import (
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
 from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.skeleton import keypoint_layout
+
+CAPSULE_MARKERS, PREDICTION_MARKERS = 'capsule_markers', 'prediction_markers'  # topics
 
 # Message type of every output that each accepted image causes, by relative topic name.
 OUTPUTS = {
@@ -67,8 +71,10 @@ SWITCHED_OUTPUTS = {
     'publish_obstacles': SwitchedOutput('obstacles', OBSTACLES, encode_obstacles),
     'publish_poses': SwitchedOutput('poses', POSES, encode_poses),
     'publish_capsules': SwitchedOutput('capsules', CAPSULES, encode_capsules),
+    'publish_capsule_markers': SwitchedOutput(CAPSULE_MARKERS, MARKERS),
     'publish_collision_objects': SwitchedOutput('collision_object', COLLISION_OBJECT),
     'publish_predictions': SwitchedOutput('predictions', PREDICTIONS),
+    'publish_prediction_markers': SwitchedOutput(PREDICTION_MARKERS, MARKERS),
     'publish_bodies': SwitchedOutput(TRACKED, HRI_IDS),  # and the topics of each body
 }
 # Message type of the output that is published once and kept for late subscribers, by relative topic name.
@@ -88,8 +94,9 @@ class OutputEncoder:
 
     def __init__(self) -> None:
         self._markers = MarkerEncoder()
+        self._shapes = {topic: MarkerSeries() for topic in (CAPSULE_MARKERS, PREDICTION_MARKERS)}
         self._collision_objects = CollisionObjectEncoder()
-        self._bodies = BodiesEncoder()
+        self._bodies, self._body_names = BodiesEncoder(), BodyNames()
 
     def encode(
         self,
@@ -121,38 +128,61 @@ class OutputEncoder:
         }
         outputs = [OutputMessage(topic, OUTPUTS[topic], header.stamp_ns, raw) for topic, raw in data.items()]
         certain = [p for p in placed if not p.tentative]
+        numbers, lifetime = self._markers.numbers, node.marker_lifetime
+        names = self._body_names.assign([p.id for p in certain]) if node.publish_bodies else {}
         for field, output in SWITCHED_OUTPUTS.items():
             if not getattr(node, field):
                 continue
             if output.type == HRI_IDS:
-                outputs += self._bodies.encode_update(header, certain)
+                outputs += self._bodies.encode_update(header, certain, names)
                 continue
-            if output.type == PREDICTIONS:
+            if output.topic == CAPSULE_MARKERS:
+                series = self._shapes[output.topic]
+                messages = [encode_capsule_markers(series, header, certain, numbers, lifetime)]
+            elif output.topic == PREDICTION_MARKERS:
+                series = self._shapes[output.topic]
+                messages = [encode_prediction_markers(series, header, predicted, camera, numbers, lifetime)]
+            elif output.type == PREDICTIONS:
                 messages = [encode_predictions(header, predicted, camera)]
             else:
-                messages = self._encode_switched(output, header, certain, node)
+                messages = self._encode_switched(output, header, certain, node.frame_prefix, names)
             outputs += [OutputMessage(output.topic, output.type, header.stamp_ns, raw) for raw in messages]
         return tuple(outputs)
 
     def _encode_switched(
-        self, output: SwitchedOutput, header: Header, people: Sequence[Person3D], node: NodeConfig
+        self,
+        output: SwitchedOutput,
+        header: Header,
+        people: Sequence[Person3D],
+        frame_prefix: str,
+        names: Mapping[str, str],
     ) -> list[bytes]:
-        """Encode the messages of a further output for people who are not tentative."""
+        """Encode the messages of a further output for people who are not tentative.
+
+        Args:
+            output: the output.
+            header: time of the image, and the frame in which the people are.
+            people: the people.
+            frame_prefix: text before the names of frames on /tf.
+            names: names of people as bodies by id, which are those of their frames; empty if there are no bodies.
+        """
         if output.encode is not None:
             return [output.encode(header, people)]
         if output.type == TRANSFORMS:
-            if node.publish_bodies:  # whose names are those of the links of the bodies
-                people = [replace(p, id=make_body_id(p.id)) for p in people]
-            return [encode_transforms(header, people, node.frame_prefix)]
+            people = [replace(p, id=names.get(p.id, p.id)) for p in people]
+            return [encode_transforms(header, people, frame_prefix)]
         return self._collision_objects.encode_update(header, people)
 
     def encode_clear(self, header: Header) -> tuple[OutputMessage, ...]:
         """Encode the messages that delete all markers, collision objects and bodies, and forget all people."""
-        topic, msgtype, _ = SWITCHED_OUTPUTS['publish_collision_objects']
-        markers = OutputMessage('markers', MARKERS, header.stamp_ns, self._markers.encode_clear(header))
-        objects = self._collision_objects.encode_clear(header)
-        cleared = [OutputMessage(topic, msgtype, header.stamp_ns, raw) for raw in objects]
-        return markers, *cleared, *self._bodies.encode_clear(header)
+        objects, objects_type, _ = SWITCHED_OUTPUTS['publish_collision_objects']
+        cleared = [
+            ('markers', MARKERS, self._markers.encode_clear(header)),
+            *((topic, MARKERS, raw) for topic, s in self._shapes.items() for raw in s.encode_clear(header)),
+            *((objects, objects_type, raw) for raw in self._collision_objects.encode_clear(header)),
+        ]
+        messages = [OutputMessage(topic, msgtype, header.stamp_ns, raw) for topic, msgtype, raw in cleared]
+        return *messages, *self._bodies.encode_clear(header)
 
 
 def build_skeleton_definition(name: str) -> OutputMessage:

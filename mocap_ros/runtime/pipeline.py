@@ -7,6 +7,7 @@ state of its tracker.
 from __future__ import annotations
 
 import math
+import re
 import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +20,7 @@ from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.topics import PEOPLE_SOURCES, TRANSFORM_SOURCES, Source
 from mocap_ros.config import Config
 from mocap_ros.errors import ConfigError, FrameDropped, InputError, SkeletonError
-from mocap_ros.geometry.floor import Floor
+from mocap_ros.geometry.floor import Floor, is_level
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rigid_transform import RigidTransform, parse_camera_pose
 from mocap_ros.keypoints.image_size import resolve_image_size
@@ -36,10 +37,13 @@ from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.outputs import OutputEncoder
+from mocap_ros.solvers.vertical import AUTO, NONE
 from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.vertical_check import VerticalCheck
 from mocap_ros.units import NS_PER_S
 
 CAMERA_MOTION_S = 0.1  # s; over which the motion of the camera is found: as long as velocities are smoothed over
+OTHER_CAMERA_S = 1.0  # s; without images of one camera, before those of another are taken as a move of the input
 MAX_CONSECUTIVE_ERRORS = 3  # messages; after as many internal errors in a row the tracker's state is discarded
 BACKLOG_REASON = (
     'the message was skipped because newer messages were waiting, as the node cannot keep up with its input; '
@@ -191,8 +195,8 @@ class Pipeline:
         people: People in the outputs of the last accepted image, in the camera's optical frame.
 
     Raises:
-        ConfigError: `node.camera_pose` is not a pose, `node.floor_height` no number, or either is given without
-            `node.output_frame`; bodies of ROS4HRI are both input and output; or
+        ConfigError: `node.camera_pose` is not a pose, `node.floor_height` no number or above the camera, or either
+            is given without `node.output_frame`; bodies of ROS4HRI are both input and output; or
             `node.prediction_times` are no times up to a second, or people are to be predicted with `tracker.lag`.
         ModelError: The base poses cannot be loaded.
     """
@@ -211,6 +215,13 @@ class Pipeline:
             raise ConfigError(f'node.publish_bodies: not with node.input_type {HRI_SKELETON}, of the same topics')
         self._fixed_pose = _read_fixed_pose(config)
         self._floor_height = _read_floor_height(config)
+        if self._fixed_pose is not None and self._floor_height is not None:
+            camera_z = self._fixed_pose.translation[2]
+            if camera_z <= self._floor_height:
+                raise ConfigError(
+                    f'node.floor_height = {self._floor_height:g}: the camera of node.camera_pose, at z = '
+                    f'{camera_z:g} m, is not above it'
+                )
         self._prediction_times = read_prediction_times(config)
         self._camera: CameraInfo | None = None
         self.models = models or load_base_pose_models(config.tracker.model)
@@ -219,6 +230,8 @@ class Pipeline:
         self._outputs = OutputEncoder()
         self._assembler = FrameAssembler()
         self._consecutive_errors = 0
+        self._vertical_check = VerticalCheck()
+        self._noted: set[str] = set()  # remarks that are made once
         self.header = self.output_header = Header(0, '')
         self.people: tuple[Person3D, ...] = ()
 
@@ -286,7 +299,10 @@ class Pipeline:
         try:
             if is_stamp_missing(frame.header.stamp_ns, self.header.stamp_ns):
                 raise FrameDropped(MISSING_STAMP)
-            people = self._track(frame, self._find_intrinsics(frame))
+            self._check_camera(frame.header)
+            intrinsics = self._find_intrinsics(frame)
+            floor, floor_remark = self._find_floor(frame.header, intrinsics)
+            people = self._track(frame, intrinsics, floor)
             header, camera, remark = self._place_camera(
                 Header(self._tracker.output_stamp_ns, frame.header.frame_id)
             )
@@ -301,7 +317,20 @@ class Pipeline:
         back_s = self._tracker.backward_jump_s
         if back_s:
             remark = f'the stamp went back by {back_s:.1f} s, so tracking was restarted'
-        return ProcessingResult(Verdict.ACCEPTED, remark, outputs)
+        once = self._note_once(floor_remark), self._note_once(self._doubt_vertical(people, floor))
+        return ProcessingResult(Verdict.ACCEPTED, '; '.join(r for r in (remark, *once) if r), outputs)
+
+    def _check_camera(self, header: Header) -> None:
+        """Restart tracking where another camera has taken over; raise InputError where two send in turn."""
+        previous = self.header
+        if not previous.stamp_ns or header.frame_id == previous.frame_id:
+            return
+        if abs(header.stamp_ns - previous.stamp_ns) < OTHER_CAMERA_S * NS_PER_S:
+            raise InputError(
+                f'header.frame_id: {header.frame_id!r}, but the people of {previous.frame_id!r} are being '
+                'tracked; run a node for each camera'
+            )
+        self._tracker.reset()
 
     def _place_camera(self, header: Header) -> tuple[Header, CameraPlacement, str]:
         """Return the header of the outputs, the camera in its frame, and why that is not `node.output_frame`.
@@ -326,22 +355,61 @@ class Pipeline:
             return placed, CameraPlacement(header.frame_id, pose), ''
         return placed, CameraPlacement(header.frame_id, pose, before, CAMERA_MOTION_S), ''
 
-    def _find_floor(self, header: Header) -> Floor | None:
-        """Return the floor at the time of an image, header of it; None if it is not known.
+    def _find_floor(self, header: Header, intrinsics: Intrinsics) -> tuple[Floor | None, str]:
+        """Return the floor at the time of an image, and what `node.floor_height` is not used for, if anything.
 
-        With `tracker.lag`, people of an earlier image are put out, so a camera that may move tells no floor.
+        Without `node.floor_height`, a frame whose name says that its z axis is up tells which way is up. With
+        `tracker.lag`, people of an earlier image are put out, so a camera that may move tells no more either.
+
+        Args:
+            header: header of the image.
+            intrinsics: intrinsics of the camera.
         """
         height, pose, node = self._floor_height, self._fixed_pose, self.config.node
-        if height is None or (pose is None and self.config.tracker.lag > 0):
-            return None
+        if not node.output_frame or (height is None and not is_level(node.output_frame)):
+            return None, ''
+        may_move, remark = pose is None, ''
         if pose is None:
+            frames = node.output_frame, header.frame_id
             try:
-                pose = self.transforms.find(
-                    node.output_frame, header.frame_id, header.stamp_ns, node.transform_tolerance
-                )
+                pose = self.transforms.find(*frames, header.stamp_ns, node.transform_tolerance)
             except InputError:  # of which the outputs tell
-                return None
-        return Floor.find(pose, height)
+                return None, ''
+        floor = Floor.find(pose, height)
+        if height is not None:
+            if floor.camera_height is None:
+                camera_z = pose.translation[2]
+                remark = f'the camera is at z = {camera_z:.2f} m, below it; people keep the assumed size'
+            elif not intrinsics.is_focal_known:
+                remark = 'without a CameraInfo it tells which way is up, but not how far away people are'
+            elif may_move and self.config.tracker.lag > 0:
+                remark = 'with tracker.lag it needs node.camera_pose; people keep the assumed size'
+                floor = floor._replace(camera_height=None)
+        return floor, remark and f'node.floor_height = {height:g}: {remark}'
+
+    def _doubt_vertical(self, people: Sequence[Person3D], floor: Floor | None) -> str:
+        """Return a remark if people contradict the vertical that a parameter or the output frame gives."""
+        tracker, vertical = self.config.tracker, self._tracker.vertical
+        is_parameter = tracker.vertical not in (AUTO, NONE)
+        if vertical is None or not (is_parameter or (floor is not None and tracker.vertical == AUTO)):
+            return ''
+        angle_deg = self._vertical_check.advance(self._tracker.output_stamp_ns, people, vertical.direction)
+        if angle_deg is None:
+            return ''
+        if is_parameter:
+            name = f'tracker.vertical = {tracker.vertical!r}'
+            advice = "check it: it is the direction upwards in the camera's optical frame, whose y axis is down"
+        else:
+            name = f'node.output_frame = {self.config.node.output_frame!r}, whose z axis is taken as up'
+            advice = 'check the pose of the camera'
+        return f'{name}: people seem to stand at {angle_deg:.0f} degrees to it; {advice}, unless everybody lies'
+
+    def _note_once(self, remark: str) -> str:
+        """Return a remark if it is a new one since the last reset, whatever its numbers."""
+        kind = re.sub(r'[\d.]+', '#', remark)
+        is_known = kind in self._noted
+        self._noted.add(kind)
+        return '' if is_known else remark
 
     def _count(self, source: Source, result: ProcessingResult) -> None:
         """Count an input by its result; reset the tracker after `MAX_CONSECUTIVE_ERRORS` internal errors."""
@@ -375,6 +443,7 @@ class Pipeline:
         """Discard all people and return the messages that delete them from viewers and planning scenes."""
         self._tracker.reset()
         self._assembler.reset()
+        self._vertical_check, self._noted = VerticalCheck(), set()
         self.people = ()
         cleared = self._outputs.encode_clear(self.output_header)
         self.header = Header(0, '')
@@ -403,11 +472,9 @@ class Pipeline:
             )
         return Intrinsics.from_image_size(*size, self.config.tracker.nominal_focal_length)
 
-    def _track(self, frame: KeypointsFrame, intrinsics: Intrinsics) -> tuple[Person3D, ...]:
+    def _track(self, frame: KeypointsFrame, intrinsics: Intrinsics, floor: Floor | None) -> tuple[Person3D, ...]:
         try:
-            return self._tracker.update(
-                frame.header.stamp_ns, frame.people, intrinsics, self._find_floor(frame.header)
-            )
+            return self._tracker.update(frame.header.stamp_ns, frame.people, intrinsics, floor)
         except SkeletonError as error:
             raise InputError(f'people: {error}') from None
         except np.linalg.LinAlgError as error:

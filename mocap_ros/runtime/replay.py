@@ -5,15 +5,13 @@ A replay processes the inputs that the recorded run processed, in the same order
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from mocap_ros.bags.journal import RESET, Journal, Verdict, read_run
-from mocap_ros.bags.reader import ROS2_SUFFIXES, Bag, BagMessage
+from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import Recorder, choose_partial_path
-from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.bags.topics import (
     TRANSFORM_SOURCES,
     Source,
@@ -114,26 +112,6 @@ def replay(
     except OSError as error:
         raise RecordingError(f'{out}: {error.strerror}') from None
     return result
-
-
-def remove_partial(out: Path) -> None:
-    """Remove the incomplete bag that an interrupted replay to `out` has left, if there is one.
-
-    Raises:
-        RecordingError: The folder contains files that no replay writes, or it cannot be removed.
-    """
-    partial = choose_partial_path(out)
-    if not partial.exists():
-        return
-    unexpected = [
-        f.name for f in partial.iterdir() if f.suffix not in ROS2_SUFFIXES and not f.name.startswith(METADATA)
-    ]
-    if unexpected:
-        raise RecordingError(f'{partial}: not removed, because no replay writes the file {unexpected[0]} in it')
-    try:
-        shutil.rmtree(partial)
-    except OSError as error:
-        raise RecordingError(f'{partial}: {error.strerror}') from None
 
 
 class _Replay:

@@ -17,15 +17,19 @@ are higher or lower; both stay the same. The x of frames in which the lower foot
 averaged, robustly, with weights that last as long as the person is known; frames within C count as one:
 
     n = sum_i k_i / C,    m = sum_i k_i x_i / sum_i k_i,    k_i = dt_i / (1 + ((x_i - m_i) / (2 s_x))^2)
-    s_m^2 = s_noise^2 / (n + 1) + s_floor^2,    g = s_0^2 / (s_0^2 + s_m^2),    ln r = g m,    s^2 = g s_m^2
+    s_m^2 = s_noise^2 / (n + 1) + s_floor^2,    g = s_0^2 / (s_0^2 + s_m^2)
+    ln r = x_0 + g (m - x_0),    s^2 = min(Q^2 g s_m^2, s_0^2)
 
+with x_0 = 0, or the logarithm of a height that is known of the person, over the assumed one.
 A foot on a step would make a person larger than anybody is: such frames count for nothing.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +37,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.config import TrackerConfig
 from mocap_ros.copying import copy_with
+from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.floor import Floor
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
@@ -43,9 +48,12 @@ Array = NDArray[np.float64]
 
 FOCAL_SHARE = 0.2  # 1; usual focal lengths are 0.8 to 1.2 image widths, and the nominal one is 1 image width
 POSE_SHARE = 0.04  # 1; s_pose, measured on training persons of known height seen by four detectors
+KNOWN_HEIGHT_STD_M = 0.02  # m; of a height that somebody stated, shoes and posture included
+HEIGHT_RANGE_M = 0.3, 2.6  # of body heights, as of `tracker.body_height`
 ANKLE_SHARE = 0.042  # of the body height; f, 0.03 to 0.055 in motion capture, more in a walk
 NOISE_M = 0.04  # m; F, of an ankle's height over the floor from image noise and heels that rise
 GROUND_M = 0.04  # m; G, by which ankles, shoes and carpets differ, and detectors put ankles elsewhere
+FLOOR_FACTOR = 1.35  # 1; Q, so that 95 of 100 roots of training persons are within the ellipsoids
 TILT_RAD = 0.005  # rad; T, 0.3 degrees: of a camera that was calibrated to its robot
 CORRELATION_S = 0.5  # s; C, as long as a step lasts
 MAX_RISE_M_S = 0.3  # m/s; of a foot that stands; depth trembles, and lets standing feet rise and sink a little
@@ -129,13 +137,43 @@ class FloorContact:
         """Return the size that the floor and what is known besides tell together."""
         own = self.noise**2 / (self.seconds / CORRELATION_S + 1) + self.floor_std**2
         gain = prior.share**2 / (prior.share**2 + own)
-        return BodySize(math.exp(gain * self.mean), math.sqrt(gain * own))
+        before = math.log(prior.ratio)
+        share = min(FLOOR_FACTOR * math.sqrt(gain * own), prior.share)
+        return BodySize(math.exp(before + gain * (self.mean - before)), share)
 
 
-def assume_size(config: TrackerConfig, *, is_focal_known: bool) -> BodySize:
-    """Return what is known of everybody's size before anything is seen: s_0 of the module."""
-    share = math.hypot(config.body_height_std / config.body_height, POSE_SHARE)
-    return BodySize(1.0, share if is_focal_known else math.hypot(share, FOCAL_SHARE))
+@lru_cache(maxsize=10)
+def read_body_heights(text: str) -> Mapping[str, float]:
+    """Return the body heights in m, by id, that `tracker.body_heights` gives.
+
+    Raises:
+        ConfigError: the text is not as expected; the message names the part.
+    """
+    heights: dict[str, float] = {}
+    for part in filter(str.strip, text.split(',')):
+        person_id, sign, number = (word.strip() for word in part.rpartition('='))
+        try:
+            height = float(number)
+        except ValueError:
+            height = math.nan
+        if not (sign and person_id and HEIGHT_RANGE_M[0] <= height <= HEIGHT_RANGE_M[1]):
+            raise ConfigError(
+                f'tracker.body_heights: {part.strip()!r}: expected an id and a height of {HEIGHT_RANGE_M[0]:g} to '
+                f'{HEIGHT_RANGE_M[1]:g} m, such as 7=1.82'
+            )
+        if person_id in heights:
+            raise ConfigError(f'tracker.body_heights: {person_id!r} has two heights')
+        heights[person_id] = height
+    return heights
+
+
+def assume_size(config: TrackerConfig, person_id: str = '', *, is_focal_known: bool) -> BodySize:
+    """Return what is known of a person's size before anything is seen: s_0 of the module, and the ratio of x_0."""
+    height, std = read_body_heights(config.body_heights).get(person_id), KNOWN_HEIGHT_STD_M
+    if height is None:
+        height, std = config.body_height, config.body_height_std
+    share = math.hypot(std / height, POSE_SHARE)
+    return BodySize(height / config.body_height, share if is_focal_known else math.hypot(share, FOCAL_SHARE))
 
 
 def resize(person: Person3D, size: BodySize) -> Person3D:

@@ -42,7 +42,8 @@ def predict_person(
         size: what is known of the person's size.
     """
     age_s = (stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S
-    last, ahead = _predict(track, np.array([age_s, age_s + VELOCITY_SPAN_S]), model, upward, size)
+    times = np.array([[age_s, age_s + VELOCITY_SPAN_S]])
+    ((last, ahead),) = _predict([track], times, [model], upward, [size])
     velocity = (ahead.joints[1] - ahead.joints[0]) / VELOCITY_SPAN_S
     joints, root = last.joints + ahead.joints[0], (last.joints + ahead.joints[0]).mean(axis=0)
     intrinsics = track.seen.intrinsics
@@ -65,28 +66,34 @@ def predict_person(
 
 
 def predict_ahead(
-    track: Track,
+    tracks: Sequence[Track],
     stamp_ns: int,
     times_s: Sequence[float],
-    model: BasePoses,
-    upward: Array | None = None,
-    size: BodySize = ASSUMED,
-) -> list[PredictedPerson]:
-    """Return the person of a track at some times after a frame, in which the person need not be detected.
+    models: Sequence[BasePoses],
+    upward: Array | None,
+    sizes: Sequence[BodySize],
+) -> list[list[PredictedPerson]]:
+    """Return the persons of solved tracks at some times after a frame, in which they need not be detected.
 
     Args:
-        track: a solved track.
+        tracks: N solved tracks.
         stamp_ns: ns, stamp of the frame.
-        times_s: s, times after the frame.
-        model: base poses of the track's solution.
+        times_s: s, T times after the frame.
+        models: base poses of the solution of each track.
         upward: (3,) unit vector upwards in the optical frame; None for that of a level camera.
-        size: what is known of the person's size.
+        sizes: what is known of each person's size.
+
+    Returns:
+        T predictions for each of the N persons.
     """
-    age_s = (stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S
-    last, ahead = _predict(track, age_s + np.array(times_s), model, upward, size)
+    ages = [(stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S for track in tracks]
+    times = np.array(ages)[:, None] + np.array(times_s)
     return [
-        PredictedPerson(track.id, last.joints + movement, std, last.root_covariance + covariance)
-        for movement, std, covariance in zip(*ahead, strict=True)
+        [
+            PredictedPerson(last.id, last.joints + movement, std, last.root_covariance + covariance)
+            for movement, std, covariance in zip(*ahead, strict=True)
+        ]
+        for last, ahead in _predict(tracks, times, models, upward, sizes)
     ]
 
 
@@ -101,8 +108,7 @@ def sample_past(track: Track, last: Person3D, model: BasePoses, upward: Array | 
         model: base poses of the track's solution.
         upward: (3,) unit vector upwards in the optical frame; None for that of a level camera.
     """
-    solution, stamps_ns = track.solved, np.array(track.seen.stamps_ns)
-    times = (stamps_ns - stamps_ns[-1]) / NS_PER_S
+    solution, times = track.solved, track.seen.times_s
     ago = np.array(PAST_S)
     known = -ago >= times[0]
     newest = last.core
@@ -124,18 +130,26 @@ def sample_past(track: Track, last: Person3D, model: BasePoses, upward: Array | 
 
 
 def _predict(
-    track: Track, times: Array, model: BasePoses, upward: Array | None, size: BodySize
-) -> tuple[Person3D, Displacements]:
-    """Return the person in the newest frame, and the prediction at times (N,) in s after it.
+    tracks: Sequence[Track],
+    times: Array,
+    models: Sequence[BasePoses],
+    upward: Array | None,
+    sizes: Sequence[BodySize],
+) -> list[tuple[Person3D, Displacements]]:
+    """Return the person of each of N tracks in its newest frame, and the prediction at times (N, T) in s after it.
 
     The prediction is that of a person of the assumed size, whose image is the same. It has no movements behind the
     camera.
     """
-    last = make_person(track, len(track.seen.stamps_ns) - 1, model)
-    ahead = load_motion_predictor().predict(sample_past(track, last, model, upward), times)
-    joints = last.joints + ahead.joints
-    depth = joints[..., 2].mean(axis=1)
-    is_behind = depth < joints[..., 2].max(axis=1) - depth + MIN_CLEARANCE_M
-    moved = np.where(is_behind[:, None, None], 0.0, ahead.joints)
-    ratio = size.ratio
-    return resize(last, size), Displacements(moved * ratio, ahead.std * ratio, ahead.root_covariance * ratio**2)
+    people = [make_person(t, len(t.seen.stamps_ns) - 1, model) for t, model in zip(tracks, models, strict=True)]
+    pasts = [sample_past(t, p, model, upward) for t, p, model in zip(tracks, people, models, strict=True)]
+    predicted = load_motion_predictor().predict_all(pasts, times)
+    out = []
+    for last, ahead, size in zip(people, predicted, sizes, strict=True):
+        joints, ratio = last.joints + ahead.joints, size.ratio
+        depth = joints[..., 2].mean(axis=1)
+        is_behind = depth < joints[..., 2].max(axis=1) - depth + MIN_CLEARANCE_M
+        moved = np.where(is_behind[:, None, None], 0.0, ahead.joints)
+        displaced = Displacements(moved * ratio, ahead.std * ratio, ahead.root_covariance * ratio**2)
+        out.append((resize(last, size), displaced))
+    return out

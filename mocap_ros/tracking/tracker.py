@@ -38,7 +38,14 @@ from mocap_ros.solvers.observed_window import RAY_FOCAL
 from mocap_ros.solvers.vertical import AUTO as AUTO_VERTICAL
 from mocap_ros.solvers.vertical import NONE as NO_VERTICAL
 from mocap_ros.solvers.vertical import Vertical, read_given_vertical, turn_towards_vertical
-from mocap_ros.tracking.body_size import MAX_REMEMBERED, BodySize, FloorContact, assume_size, resize
+from mocap_ros.tracking.body_size import (
+    MAX_REMEMBERED,
+    BodySize,
+    FloorContact,
+    assume_size,
+    read_body_heights,
+    resize,
+)
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_LIFTER, DeferredWork
 from mocap_ros.tracking.detection import Detection
 from mocap_ros.tracking.hypotheses import HypothesisChecker
@@ -78,7 +85,8 @@ class Tracker:
 
     Raises:
         ModelError: The lifter that `solver.prior` names cannot be loaded.
-        ConfigError: The vertical that `tracker.vertical` gives is no unit vector.
+        ConfigError: The vertical that `tracker.vertical` gives is no unit vector, or `tracker.body_heights` are no
+            ids with heights.
 
     Attributes:
         config: all parameters.
@@ -116,6 +124,7 @@ class Tracker:
         self._limits_accelerations = refinement.pose_acceleration_weight > 0
         sizes = tuple((name, len(model.components)) for name, model in self.models.items())
         vertical = read_given_vertical(settings)
+        read_body_heights(settings.body_heights)  # raises what is wrong with them
         self._state = TrackerState(models=sizes, is_lifted=has_lifter, vertical=vertical)
 
     @property
@@ -249,12 +258,10 @@ class Tracker:
         if stamp_ns is None:
             return [[] for _ in times_s]
         upward = None if state.vertical is None else state.vertical.direction
-        people = [
-            predict_ahead(
-                t, stamp_ns, times_s, self.models[t.solved.model_name], upward, self._find_size(t, state)
-            )
-            for t in self._list_known_tracks(stamp_ns, state)
-        ]
+        tracks = self._list_known_tracks(stamp_ns, state)
+        models = [self.models[t.solved.model_name] for t in tracks]
+        sizes = [self._find_size(t, state) for t in tracks]
+        people = predict_ahead(tracks, stamp_ns, times_s, models, upward, sizes)
         return [[person[i] for person in people] for i in range(len(times_s))]
 
     def run_deferred_work(self) -> None:
@@ -541,7 +548,8 @@ class Tracker:
 
     def _find_size(self, track: Track, state: TrackerState) -> BodySize:
         """Return what is known of a person's size."""
-        assumed = assume_size(self.config.tracker, is_focal_known=track.seen.intrinsics.is_focal_known)
+        is_focal_known = track.seen.intrinsics.is_focal_known
+        assumed = assume_size(self.config.tracker, track.id, is_focal_known=is_focal_known)
         contact = dict(state.contacts).get(track.id)
         return assumed if contact is None else contact.find_size(assumed)
 

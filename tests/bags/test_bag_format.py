@@ -59,7 +59,7 @@ def test_mcap_reads_the_file_by_its_index(recorded: tuple[Path, list[Message]]) 
         assert summary is not None
         assert summary.statistics is not None
         assert summary.statistics.message_count == FRAMES + 1
-        assert len(summary.chunk_indexes) >= FRAMES * STEP_NS / 0.4e9
+        assert len(summary.chunk_indexes) >= FRAMES * STEP_NS / 1.1e9
         read = [(c.topic, m.log_time, m.publish_time, m.data) for _, c, m in reader.iter_messages()]
         assert read == written
         assert reader.get_header().profile == 'ros2'

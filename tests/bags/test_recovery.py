@@ -24,7 +24,8 @@ from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 
 FRAMES = 120  # enough for several chunks and, with a limit of 1 s, several files
 STEP_NS = 33_000_000  # between two frames; about 30 Hz
-MAX_FRAMES_PER_CHUNK = 9  # frames in recorder.chunk_seconds, 0.25 s
+CHUNK_SECONDS = 0.25  # s, time after which a chunk is closed
+MAX_FRAMES_PER_CHUNK = 9  # frames in `CHUNK_SECONDS`
 MESSAGES = [  # one message for each frame
     encode_keypoints(Header(i * STEP_NS, f'frame {i}'), (640, 480), []) for i in range(FRAMES)
 ]
@@ -33,7 +34,8 @@ MESSAGES = [  # one message for each frame
 def write_bag(folder: Path, compression: str = 'zstd') -> bytes:
     """Write a bag with all messages and an attachment; return the content of its file."""
     attachment = Attachment('a.txt', 'text/plain', b'kept')
-    with Recorder(folder, RecorderConfig(compression=compression), [attachment]) as recorder:
+    config = RecorderConfig(compression=compression, chunk_seconds=CHUNK_SECONDS)
+    with Recorder(folder, config, [attachment]) as recorder:
         for i, raw in enumerate(MESSAGES):
             recorder.write('/keypoints', KEYPOINTS, raw, i * STEP_NS + 1, i * STEP_NS)
     return (folder / f'{folder.name}_0.mcap').read_bytes()
@@ -266,6 +268,8 @@ def test_an_interrupted_recovery_leaves_no_bag(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         recover(tmp_path / 'bag', tmp_path / 'out', interrupt)
     assert [p.name for p in tmp_path.iterdir()] == ['bag']
+    (tmp_path / 'out.partial').mkdir()  # as a recovery that was killed leaves it
+    (tmp_path / 'out.partial' / 'out_0.mcap').write_bytes(b'half')
     recover(tmp_path / 'bag', tmp_path / 'out')
     assert read_frames(tmp_path / 'out') == list(range(FRAMES))
     assert [p.name for p in sorted((tmp_path / 'out').iterdir())] == ['metadata.yaml', 'out_0.mcap']

@@ -6,6 +6,7 @@ import ast
 import json
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +71,12 @@ def make_entry(sources: str = 's', **tables: str) -> dict[str, Any]:
 
 def runs(root: Path) -> list[str]:
     return (root / 'runs.txt').read_text().split()
+
+
+def write_page_table(root: Path, name: str) -> None:
+    page = root / 'docs' / 'page.md'
+    marker = f'<!-- table: {name} -->\n'
+    page.write_text(page.read_text().replace(marker, f'{marker}\n{TABLE}\n\n'))
 
 
 def write_measured(root: Path) -> dict[str, Any]:
@@ -235,6 +242,21 @@ def test_results_of_sources_that_changed_meanwhile_are_stale(root: Path) -> None
     assert list_stale(load_record(root / RECORD), [ONE], root) == ['one']
 
 
+def test_results_can_be_confirmed_when_only_the_benchmark_was_rewritten_meanwhile(root: Path) -> None:
+    for changed, is_confirmed in ((root / 'benchmarks' / 'one.py', True), (root / 'measured.txt', False)):
+        file = write_results(root)
+        os.utime(changed, (time.time() + 10,) * 2)
+        figures.enter(ONE, file, root)
+        assert list_stale(load_record(root / RECORD), [ONE], root) == ['one']
+        if is_confirmed:
+            figures.confirm([ONE], 'a function has another name', root)
+        else:
+            with pytest.raises(ValueError, match='measure it again'):
+                figures.confirm([ONE], 'nobody knows', root)
+        assert list_stale(load_record(root / RECORD), [ONE], root) == ([] if is_confirmed else ['one'])
+        os.utime(changed, (0, 0))
+
+
 @pytest.mark.parametrize('results', [{'quick': True}, {'quick': None}])
 def test_results_of_a_short_run_are_not_entered(root: Path, results: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r'results\.json: these are not the results of a full run'):
@@ -259,6 +281,22 @@ def test_tables_are_entered_by_hand_as_the_pages_show_them(root: Path, once: boo
     assert figures.check([], root, release=False) == 1
     with pytest.raises(ValueError, match='no page shows a table between the markers of two'):
         figures.keep(['two'], '', [ONE], root)
+
+
+def test_results_are_confirmed_when_only_their_benchmark_changed(root: Path) -> None:
+    figures.run_benchmarks([ONE], root, quick=False)
+    (root / 'docs' / 'page.md').write_text(PAGE + PAGE.replace('one', 'one.other'))
+    write_page_table(root, 'one.other')
+    figures.keep(['one.other'], 'by hand', [ONE], root)
+    (root / 'benchmarks' / 'one.py').write_text(SCRIPT + '# another name')
+    assert list_stale(load_record(root / RECORD), [ONE], root) == ['one', 'one.other']
+    figures.confirm([ONE], 'the same results of a short run', root)
+    assert list_stale(load_record(root / RECORD), [ONE], root) == []
+    assert load_record(root / RECORD)['one']['confirmed'][0]['because'] == 'the same results of a short run'
+    (root / 'measured.txt').write_text('6')
+    with pytest.raises(ValueError, match='one: the package that it measures has changed since; measure it again'):
+        figures.confirm([ONE], 'nobody knows', root)
+    assert list_stale(load_record(root / RECORD), [ONE], root) == ['one', 'one.other']
 
 
 def test_a_release_has_no_figures_outside_of_markers(root: Path) -> None:
@@ -311,6 +349,20 @@ def test_every_section_of_the_paper_is_measured_from_its_module() -> None:
         if isinstance(key, ast.Constant) and isinstance(value, ast.Attribute) and isinstance(value.value, ast.Name)
     }
     assert {**modules, 'targets': 'targets'} == figures.PAPER_SECTIONS
+
+
+def test_what_a_benchmark_imports_is_a_source_but_for_the_layout(root: Path) -> None:
+    folder = root / 'benchmarks'
+    (folder / 'parts').mkdir()
+    (folder / 'one.py').write_text('import report\nfrom parts import first')
+    (folder / 'parts' / 'first.py').write_text('def f() -> None:\n    import parts.second')
+    for name in ('parts/second.py', 'parts/third.py', 'report.py'):
+        (folder / name).write_text('')
+    names = {f.relative_to(folder).as_posix() for f in ONE.list_sources(root) if f.is_relative_to(folder)}
+    assert names == {'one.py', 'parts/first.py', 'parts/second.py'}
+    part = replace(ONE, part='parts/third.py')
+    names = {f.relative_to(folder).as_posix() for f in part.list_sources(root) if f.is_relative_to(folder)}
+    assert names == {'one.py', 'parts/third.py'}
 
 
 def test_a_source_that_does_not_exist_is_named(root: Path) -> None:

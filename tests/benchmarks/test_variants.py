@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from experiments.least_squares import SparseProblem
 from experiments.variants.frobenius import reconstruct_with_printed_norms
 from experiments.variants.heading_ring import solve_from_ring
 from experiments.variants.relative_bones import solve_with_relative_bones, use_relative_bones
@@ -18,7 +19,13 @@ from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers import joint
 from mocap_ros.solvers.joint.objective import JointObjective
-from mocap_ros.solvers.window import InitialValues, Reconstruction, Window, initialise_from_mean_pose
+from mocap_ros.solvers.window import (
+    InitialValues,
+    Reconstruction,
+    Window,
+    choose_initial_values,
+    initialise_from_mean_pose,
+)
 from tests.support.synthetic_walk import BODY_TO_OPTICAL, compute_mpjpe, make_noisy_window, make_walk
 
 # Algorithm 1 and the solvers beside it in the experiments neither estimate the image noise nor discount outliers.
@@ -142,3 +149,18 @@ def test_sines_of_different_frequencies_are_recovered(walk_model: BasePoses) -> 
     (result,) = solve_with_sines([make_window(points, times)], model, PAPER)
     assert compute_mpjpe(result, model, theta, cameras) < 1.1 * 1.23  # mm; measured: 1.221
     assert (np.diff(result.history) <= 0).all()
+
+
+def test_the_sparse_jacobian_agrees_with_finite_differences(walk_model: BasePoses) -> None:
+    config = SolverConfig(adapt_noise=False)
+    model, window = walk_model.truncate(3), make_noisy_window(walk_model, 5, 0.1)
+    start, unit = choose_initial_values(window, model, config.start_window)
+    window = dataclasses.replace(window, start=start, unit=unit)
+    objective = JointObjective.build([window], np.array([unit]), model, config)
+    state = objective.with_optimal_translation(objective.initial_state([start], np.array([unit]))).state
+    problem = SparseProblem(objective, state)
+    x = problem.pack(state) + 0.03
+    columns = np.eye(len(x))[:: len(x) // 40] * 1e-6
+    differences = [(problem.residuals(x + c) - problem.residuals(x - c)) / 2e-6 for c in columns]
+    jacobian = problem.jacobian(x).toarray()[:, :: len(x) // 40]
+    np.testing.assert_allclose(jacobian, np.transpose(differences), atol=1e-6 * np.abs(jacobian).max())

@@ -87,7 +87,7 @@ def test_evaluate_leaves_out_unknown_parts_of_the_truth(
         assert evaluate_without(unknown) == 0
         (record,) = json.loads(out.read_text())
         assert (record['joints'], record['frames']) == (joints, frames)
-        assert record['mpjpe_mm'] < 1.1 * 53.3  # mm, measured
+        assert record['mpjpe_mm'] < 1.1 * 59.5  # mm, measured
     assert evaluate_without(slice(None)) == 1
     assert 't.npz: joints3d: no joint is known in any frame' in capsys.readouterr().err
     foreign_truth = GroundTruth(truth.joints, tuple('abcdefghijklmno'))
@@ -186,7 +186,7 @@ def test_covariances_of_a_recording_are_checked_in_whatever_frame_they_are(
         ('camera', {}),
         ('map', {'node.output_frame': 'map', 'node.camera_pose': '3 2 1.5 0.1 0.2 0.7'}),
     ):
-        pipeline = Pipeline(with_values(FAST_CONFIG, values))
+        pipeline = Pipeline(with_values(FAST_CONFIG, {'tracker.vertical': 'none', **values}))  # map would tell one
         pipeline.set_camera_info(camera_info())
         with Recorder(tmp_path / name, RecorderConfig()) as recorder:
             for frame in frames:

@@ -49,7 +49,7 @@ from tests.support.quick_options import QUICK_OPTIONS
         (['config', '--set', f'solver.components=1{"0" * 400}'], 'expected 1 to 60'),
         (
             ['config', '--set', f'solver.components={"[" * 9999}'],
-            '--set solver.components: not YAML: nested too deep',
+            '--set solver.components: not YAML: line 1: nested too deep',
         ),
         (
             ['reconstruct', 'FOLDER'],

@@ -19,7 +19,8 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cameras import CAMERAS, encode_cameras
 from mocap_ros.messages.cdr import Header, decode, encode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
-from mocap_ros.messages.markers import MARKERS, MarkerEncoder
+from mocap_ros.messages.marker_writer import MARKERS
+from mocap_ros.messages.markers import MarkerEncoder
 from mocap_ros.messages.skeletons import (
     SKELETON_DEFINITION,
     SKELETONS,

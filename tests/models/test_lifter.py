@@ -311,8 +311,8 @@ def test_an_interrupted_training_gives_the_same_lifter(
     assert [c['step'] for c in checkpoints] == [4, 8, 12, 16, 20]
     resumed = training.train_lifter(data, EQUAL_SHARES, settings, {}, checkpoint=checkpoints[1])
     assert all((a[0] == b[0]).all() for a, b in zip(whole.layers, resumed.layers, strict=True))
+    other = training.TrainingSettings(steps=20, batch=16, width=64)
     with pytest.raises(MocapError, match='other settings'):
-        other = training.TrainingSettings(steps=20, batch=16, width=64)
         training.train_lifter(data, EQUAL_SHARES, other, {}, checkpoint=checkpoints[1])
 
 

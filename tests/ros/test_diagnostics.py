@@ -49,6 +49,7 @@ def test_the_values_are_those_of_the_run() -> None:
     for milliseconds in range(1, 101):
         statistics.record_receipt()
         statistics.record_solve(milliseconds / 1e3)
+    statistics.record_lost(3)
     status = report(DiagnosticsReporter('mocap_node', silence=60.0), pipeline, statistics)
     values = {v.key: v.value for v in status.values}
     assert values['input rate (Hz)'] == '50.0'  # 100 messages in the last 2 s
@@ -57,3 +58,13 @@ def test_the_values_are_those_of_the_run() -> None:
     assert float(values['residual (px)']) == pytest.approx(pipeline.people[0].residual, abs=0.005)
     assert (values['people'], values['category'], values['recorder']) == ('1', 'walk', 'off')
     assert values['camera'] == 'nominal focal length'
+    assert values['lost before the node'] == '3'
+
+
+def test_a_disk_that_takes_nothing_is_a_warning() -> None:
+    pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
+    statistics.record_receipt()
+    reporter = DiagnosticsReporter('mocap_node', silence=60.0)
+    raw = reporter.encode_status(pipeline, statistics, 'recording to bag', 10**9, 'the disk takes nothing')
+    (status,) = decode(raw, DIAGNOSTICS).status
+    assert (status.level, status.message) == (Level.WARN, 'the disk takes nothing')

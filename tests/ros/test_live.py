@@ -16,13 +16,14 @@ from rosbags.typesys.store import Typestore
 from mocap_ros.bags.journal import JOURNAL, read_run
 from mocap_ros.bags.mcap_file import McapFile
 from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import OutputMessage, decode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints
-from mocap_ros.messages.markers import MARKERS
+from mocap_ros.messages.marker_writer import MARKERS
 from mocap_ros.messages.versions import VersionConverter
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.ros.message_types import MessageVersions
@@ -163,7 +164,7 @@ def test_a_run_on_a_ros_with_other_message_versions_is_recorded_as_there_and_rep
             assert [bytes(raw) for _, _, raw in reader.messages([connection])] == expected
     with AnyReader([bag]) as any_reader:  # checks that the definitions in the bag have the recorded hashes
         assert any_reader.message_count
-    assert [line for line in live.log.lines if 'message 5: not a ' in line]
+    assert [line for line in live.log.lines if line.startswith('error /keypoints: message 5: ')]
     assert_replay_gives_the_same(bag, tmp_path / 'again')
 
 
@@ -209,6 +210,75 @@ def test_a_backlog_is_skipped_counted_and_left_out_of_a_replay(tmp_path: Path, s
     with Bag(bag) as opened:
         assert read_run(opened).skipped_inputs == set(range(2, FRAMES))
     assert_replay_gives_the_same(bag, tmp_path / 'again')
+
+
+def test_while_messages_wait_the_newest_comes_first_until_the_run_has_caught_up(stream: list[bytes]) -> None:
+    """After a backlog every frame is the newest of its time, though fewer wait than `node.queue`."""
+    entered, may_finish = threading.Semaphore(0), threading.Semaphore(0)
+
+    class SteppedTracker(Tracker):
+        """A tracker that finishes a frame when it is told to."""
+
+        def update(self, *frame: Any) -> Any:
+            entered.release()
+            assert may_finish.acquire(timeout=TIMEOUT_S)
+            return super().update(*frame)
+
+    live = CollectingRun(with_values(FAST_CONFIG, {'node.queue': 4}), SteppedTracker)
+    sent = processed = 0
+    for count in (1, 5, 3, 3, 0):  # messages that come while a frame is being processed
+        live.enqueue(*stream[sent : sent + count])
+        sent += count
+        if processed:
+            may_finish.release()
+        if count:
+            assert entered.acquire(timeout=TIMEOUT_S)
+            processed += 1
+    live.wait_for_frames(4)
+    while live.run.is_behind:  # until it has caught up, and takes one frame after the other again
+        time.sleep(0.002)
+    live.enqueue(stream[sent])
+    assert entered.acquire(timeout=TIMEOUT_S)
+    live.enqueue(*stream[sent + 1 : sent + 4])
+    may_finish.release(4)
+    live.wait_for_frames(8)
+    live.run.stop()
+    stamps = [decode_keypoints(raw, FAST_CONFIG.node).header.stamp_ns for raw in stream]
+    accepted = [stamps.index(o.stamp_ns) for o in live.skeletons]
+    assert accepted == [0, 5, 8, 11, 12, 13, 14, 15]
+
+
+def test_a_disk_that_takes_nothing_is_reported_and_does_not_stop_the_run(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk_is_ready = threading.Event()
+    write = Recorder.write
+    monkeypatch.setattr(Recorder, 'write', lambda *a: disk_is_ready.wait(TIMEOUT_S) and write(*a))
+    monkeypatch.setattr('mocap_ros.ros.live.MAX_FINISH_SECONDS', 0.1)
+    live = CollectingRun(recording_to(tmp_path / 'live'))
+    live.enqueue(stream[0])
+    live.wait_for_frames(1)
+
+    def wait_for_line(text: str) -> None:
+        deadline = time.monotonic() + TIMEOUT_S
+        while not [line for line in live.log.lines if text in line]:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+
+    wait_for_line('the disk has taken nothing of the recording')
+    assert 'the disk has taken nothing' in live.run.recorder_fault
+    live.enqueue(stream[1])
+    live.wait_for_frames(2)
+    assert live.run.finish_recording() is not None
+    wait_for_line('the disk is slow; ')
+    live.enqueue(stream[2])
+    live.wait_for_frames(3)
+    disk_is_ready.set()
+    wait_for_line('is finished')
+    live.run.stop()
+    assert live.run.recorder_fault == ''
+    (bag,) = (tmp_path / 'live').iterdir()
+    assert read_messages(bag, '/keypoints') == stream[:2]
 
 
 def test_a_recording_that_cannot_start_is_logged_once_and_the_run_continues(

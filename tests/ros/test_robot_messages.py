@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap_ros.messages.cdr import Header, decode, typestore
+from mocap_ros.messages.cdr import Header, OutputMessage, decode, typestore
 from mocap_ros.messages.foreign.definitions import DETECTIONS_3D, HRI_IDS, OBSTACLES, PEOPLE
-from mocap_ros.messages.robots.bodies import DESCRIPTION, JOINT_STATES, BodiesEncoder
+from mocap_ros.messages.robots.bodies import DESCRIPTION, JOINT_STATES, BodiesEncoder, BodyNames
 from mocap_ros.messages.robots.capsules import CAPSULES, encode_capsules
 from mocap_ros.messages.robots.detections import encode_detections
 from mocap_ros.messages.robots.obstacles import encode_obstacles
@@ -35,14 +35,21 @@ pytest.importorskip('mocap_ros_msgs')
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 READER = ROOT / 'tests' / 'support' / 'real_message_reader.py'
+
+
+def encode_bodies(header: Header, people: Sequence[Person3D]) -> list[OutputMessage]:
+    """Encode people as bodies that were not there before."""
+    return BodiesEncoder().encode_update(header, people, BodyNames().assign([p.id for p in people]))
+
+
 ENCODERS: dict[str, Callable[[Header, Sequence[Person3D]], bytes]] = {
     PEOPLE: encode_people,
     DETECTIONS_3D: encode_detections,
     OBSTACLES: encode_obstacles,
     POSES: encode_poses,
     CAPSULES: encode_capsules,
-    HRI_IDS: lambda header, people: BodiesEncoder().encode_update(header, people)[0].data,
-    JOINT_STATES: lambda header, people: BodiesEncoder().encode_update(header, people)[-1].data,
+    HRI_IDS: lambda header, people: encode_bodies(header, people)[0].data,
+    JOINT_STATES: lambda header, people: encode_bodies(header, people)[-1].data,
 }
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,7 @@ from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.camera_infos import camera_info
-from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, process
+from tests.support.pipeline_inputs import FAST_CONFIG, decode_skeletons, encode_demo_frames, process, with_stamp
 from tests.support.transforms import make_transforms
 
 FRAMES = 45
@@ -91,9 +93,8 @@ def test_without_a_transform_there_is_no_floor_and_people_are_put_out_neverthele
     stream: list[bytes], without_floor: Any
 ) -> None:
     pipeline = Pipeline(with_values(floor_config(without_floor), {'node.camera_pose': ''}))
-    own = read_joints(pipeline, stream[:20])
-    expected = OPTICAL.inv().apply((without_floor[:20] - [0, 0, 1.5]).reshape(-1, 3)).reshape(own.shape)
-    np.testing.assert_allclose(own, expected, atol=1e-9)
+    own, in_camera = read_joints(pipeline, stream[:20]), read_joints(Pipeline(FAST_CONFIG), stream[:20])
+    np.testing.assert_allclose(own, in_camera, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -105,8 +106,85 @@ def test_without_a_transform_there_is_no_floor_and_people_are_put_out_neverthele
             r"node\.floor_height = 'low': expected a number",
         ),
         ({'node.floor_height': 'nan', 'node.output_frame': 'map'}, r'such as 0'),
+        (
+            {'node.floor_height': 2, 'node.output_frame': 'map', 'node.camera_pose': '0 0 1.5 0 0 0'},
+            r'node\.floor_height = 2: the camera of node\.camera_pose, at z = 1\.5 m, is not above it',
+        ),
     ],
 )
 def test_a_wrong_height_is_refused(values: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         Pipeline(with_values(FAST_CONFIG, values))
+
+
+def list_remarks(pipeline: Pipeline, stream: list[bytes]) -> list[str]:
+    """Return what is remarked on each frame, transforms of a level camera in map included."""
+    pipeline.feed(
+        Source.STATIC_TRANSFORMS, make_transforms(('map', 'camera', 0, (0.0, 0.0, 1.5), OPTICAL.as_quat()))
+    )
+    return [pipeline.feed(Source.KEYPOINTS, raw).reason for raw in stream]
+
+
+@pytest.mark.parametrize(
+    ('values', 'has_camera_info', 'remark'),
+    [
+        ({'node.floor_height': 2}, True, r'the camera is at z = 1\.50 m, below it'),
+        ({'node.floor_height': 0}, False, r'without a CameraInfo it tells which way is up'),
+        ({'node.floor_height': 0, 'tracker.lag': 0.2}, True, r'with tracker\.lag it needs node\.camera_pose'),
+        ({'node.floor_height': 0}, True, ''),
+    ],
+)
+def test_a_floor_that_cannot_be_used_is_remarked_once(
+    stream: list[bytes], values: dict[str, object], has_camera_info: bool, remark: str
+) -> None:
+    pipeline = Pipeline(with_values(FAST_CONFIG, {'node.output_frame': 'map', **values}))
+    if has_camera_info:
+        pipeline.set_camera_info(camera_info())
+    first, *others = list_remarks(pipeline, stream[:3])
+    assert re.search(remark, first) if remark else not first
+    assert others == ['', '']
+    pipeline.reset()
+    assert list_remarks(pipeline, stream[:1]) == [first]
+
+
+@pytest.mark.parametrize(
+    ('values', 'remark'),
+    [
+        (
+            {'tracker.vertical': '0 1 0'},
+            r"tracker\.vertical = '0 1 0': people seem to stand at 1[5-8]\d degrees to it",
+        ),
+        ({'node.output_frame': 'odom'}, r"node\.output_frame = 'odom', whose z axis .* at 1[5-8]\d degrees to it"),
+        ({'tracker.vertical': '0 -1 0'}, ''),
+        ({'tracker.vertical': 'none', 'node.output_frame': 'odom'}, ''),
+    ],
+)
+def test_a_vertical_that_people_contradict_is_remarked_once(
+    stream: list[bytes], values: dict[str, object], remark: str
+) -> None:
+    pipeline = Pipeline(with_values(FAST_CONFIG, values))
+    pipeline.set_camera_info(camera_info())
+    hanging = make_transforms(('odom', 'camera', 0, (0.0, 0.0, 1.5), (1.0, 0.0, 0.0, 0.0)))
+    if remark or 'none' in values.values():  # x to the right, y up, z backwards, and then turned: upside down
+        turned = Rotation.from_matrix([[0, 0, 1], [1, 0, 0], [0, 1, 0]]).as_quat()
+        hanging = make_transforms(('odom', 'camera', 0, (0.0, 0.0, 1.5), turned))
+    pipeline.feed(Source.STATIC_TRANSFORMS, hanging)
+    reasons = [
+        pipeline.feed(Source.KEYPOINTS, with_stamp(raw, (1 + i) * 200_000_000)).reason
+        for i, raw in enumerate(stream)
+    ]
+    made = [r for r in reasons if r]
+    assert len(made) == (1 if remark else 0)
+    assert not made or re.match(remark, made[0])
+    assert not any(reasons[:20]), 'not before people have been seen for some seconds'
+
+
+def test_a_frame_whose_name_says_that_z_is_up_tells_the_vertical_without_a_floor(stream: list[bytes]) -> None:
+    for frame, is_told in (('odom', True), ('robot_1/map', True), ('base_link', False)):
+        pipeline = Pipeline(with_values(FAST_CONFIG, {**POSE, 'node.output_frame': frame}))
+        pipeline.set_camera_info(camera_info())
+        skeletons = [decode_skeletons(process(pipeline, raw)) for raw in stream[:6]][-1]
+        assert (skeletons.vertical_std < math.radians(1.5)) == is_told
+        if is_told:
+            v = skeletons.vertical
+            np.testing.assert_allclose([v.x, v.y, v.z], [0, 0, 1], atol=1e-9)

@@ -18,9 +18,10 @@ from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.camera_info import decode_camera_info
-from mocap_ros.messages.cdr import Header, decode, encode
+from mocap_ros.messages.cdr import Header, create_header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
-from mocap_ros.messages.markers import MARKERS, MarkerEncoder
+from mocap_ros.messages.marker_writer import MARKERS
+from mocap_ros.messages.markers import MarkerEncoder
 from mocap_ros.messages.point_cloud import POINT_DTYPE, POINTS
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.skeleton import BODY26, CORE_COUNT, keypoint_layout
@@ -88,6 +89,22 @@ def test_bad_input_is_counted_and_changes_nothing(stream: list[bytes]) -> None:
             assert 'older' in reject(disturbed, stream[i - 1], Verdict.DROPPED)
     counters = disturbed.counters
     assert (counters.accepted, counters.invalid, counters.dropped['stamp']) == (6, 6, 11)
+
+
+def test_of_two_cameras_that_send_in_turn_only_the_first_is_used(stream: list[bytes]) -> None:
+    def of_camera(frame: int, camera: str, seconds: float) -> bytes:
+        message = decode(stream[frame], KEYPOINTS)
+        message.header = create_header(Header(round(seconds * 1e9), camera))
+        return encode(message, KEYPOINTS)
+
+    alone, mixed = Pipeline(FAST_CONFIG), Pipeline(FAST_CONFIG)
+    for n in range(6):
+        expected = process(alone, of_camera(n, 'front', 1 + n / 30))
+        assert process(mixed, of_camera(n, 'front', 1 + n / 30)) == expected
+        reason = reject(mixed, of_camera(5 - n, 'back', 1.01 + n / 30), Verdict.INVALID)
+        assert reason.startswith("header.frame_id: 'back', but the people of 'front' are being tracked")
+    assert (mixed.counters.accepted, mixed.counters.invalid) == (6, 6)
+    assert process(mixed, of_camera(3, 'back', 2.3)) == process(Pipeline(FAST_CONFIG), of_camera(3, 'back', 2.3))
 
 
 def test_a_person_with_one_visible_joint_is_not_tracked() -> None:

@@ -31,9 +31,9 @@ def make_keypoints(frame: int) -> bytes:
     return encode_keypoints(Header(frame * STEP_NS, 'camera'), (640, 480), [person])
 
 
-def record_keypoints(recorder: Recorder, frames: int) -> None:
-    """Record the keypoints messages of the first frames on /keypoints."""
-    for i in range(frames):
+def record_keypoints(recorder: Recorder, frames: int, first: int = 0) -> None:
+    """Record the keypoints messages of consecutive frames on /keypoints."""
+    for i in range(first, first + frames):
         recorder.write('/keypoints', KEYPOINTS, make_keypoints(i), START_NS + i * STEP_NS, START_NS)
 
 

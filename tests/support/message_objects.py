@@ -15,20 +15,16 @@ from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cameras import CAMERAS
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, create_header, create_message, encode
-from mocap_ros.messages.markers import (
+from mocap_ros.messages.marker_writer import (
     ADD,
-    BONES,
     BRIGHTNESS,
     DELETE,
     FIRST_HUE,
     GOLDEN_RATIO,
-    INFERRED_STYLE,
-    JOINTS,
     MARKERS,
-    SEEN_STYLE,
-    UNCERTAIN_STYLE,
-    _Style,
+    MarkerStyle,
 )
+from mocap_ros.messages.markers import BONES, INFERRED_STYLE, JOINTS, SEEN_STYLE, UNCERTAIN_STYLE
 from mocap_ros.messages.point_cloud import DATATYPES, POINT_DTYPE, POINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.messages.transforms import TRANSFORMS
@@ -157,7 +153,7 @@ def encode_points_slowly(header: Header, people: Sequence[Person3D]) -> bytes:
     return encode(message, POINTS)
 
 
-def create_color(number: int, style: _Style) -> Any:
+def create_color(number: int, style: MarkerStyle) -> Any:
     r, g, b = colorsys.hsv_to_rgb((FIRST_HUE + number * GOLDEN_RATIO) % 1, style.saturation, BRIGHTNESS)
     return create_message('std_msgs/msg/ColorRGBA', r=r, g=g, b=b, a=style.opacity)
 

@@ -11,11 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocap_ros.config import Config, with_values
-from mocap_ros.geometry.floor import Floor
+from mocap_ros.errors import ConfigError
+from mocap_ros.formats.sequence_file import load_sequence
+from mocap_ros.geometry.floor import Floor, is_level
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rigid_transform import parse_camera_pose
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.body_size import (
@@ -28,13 +31,15 @@ from mocap_ros.tracking.body_size import (
     resize,
 )
 from mocap_ros.tracking.tracker import Tracker
+from tests.support.paths import ROOT
 from tests.support.people import make_person_3d
 from tests.support.swinging_body import STANDING
 from tests.support.synthetic_walk import make_walk
 
 HEIGHT_M = 1.7
 STEP_NS = 33_333_333
-LEVEL = Floor(np.array([0.0, -1.0, 0.0]), 1.5)
+CAMERA_HEIGHT_M = 1.5
+LEVEL = Floor(np.array([0.0, -1.0, 0.0]), CAMERA_HEIGHT_M)
 CAMERA = Intrinsics(600.0, (320.0, 240.0), is_focal_known=True)
 
 
@@ -48,7 +53,7 @@ def make_standing(ratio: float, distance: float = 4.0, lift: float = 0.0) -> Per
     """
     body = STANDING * ratio
     lowest = body[list(ANKLES), 1].max()
-    down = LEVEL.camera_height - lift - ANKLE_SHARE * HEIGHT_M * ratio - lowest
+    down = CAMERA_HEIGHT_M - lift - ANKLE_SHARE * HEIGHT_M * ratio - lowest
     joints = (body + [0.2, down, distance]) / ratio
     return replace(
         make_person_3d('anna'),
@@ -168,7 +173,63 @@ def test_the_tracker_puts_out_people_of_their_own_size(walk_model: BasePoses, he
 
 def test_the_floor_in_the_frame_of_the_outputs() -> None:
     floor = Floor.find(parse_camera_pose('3 1 1.5 0 0.2 0.7', 'test'), 0.3)
-    assert floor is not None
     assert floor.camera_height == pytest.approx(1.2)
     np.testing.assert_allclose(floor.upward, [0, -np.cos(0.2), -np.sin(0.2)], atol=1e-12)
-    assert Floor.find(parse_camera_pose('0 0 0.2 0 0 0', 'test'), 0.3) is None
+    for height in (None, 2.0):  # not known, or above the camera
+        unknown = Floor.find(parse_camera_pose('3 1 1.5 0 0.2 0.7', 'test'), height)
+        assert unknown.camera_height is None
+        np.testing.assert_array_equal(unknown.upward, floor.upward)
+        assert FloorContact.advance(None, 0, make_standing(1.1), unknown, HEIGHT_M) is None
+    assert [is_level(name) for name in ('map', 'robot_1/odom', 'base_link', 'camera_map')] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+
+
+@given(st.floats(0.5, 1.2), st.floats(0.8, 1.2))
+@settings(deadline=None, max_examples=20)
+def test_a_height_that_is_known_of_a_person_and_the_floor_are_weighed(ratio: float, known: float) -> None:
+    config = with_values(Config(), {'tracker.body_heights': f'7=1.50, a=b={known * 1.7:.4f}'}).tracker
+    prior, others = (assume_size(config, i, is_focal_known=True) for i in ('a=b', '8'))
+    assert prior.ratio == pytest.approx(known, abs=1e-4)
+    assert others == assume_size(Config().tracker, is_focal_known=True)
+    assert prior.share < others.share
+    contact = contact_after(60, make_standing(ratio))
+    assert contact is not None
+    together = contact.find_size(prior)
+    assert min(ratio, known) - 1e-4 <= together.ratio <= max(ratio, known) + 1e-4
+    assert abs(together.ratio - known) <= abs(contact.find_size(BodySize(prior.ratio, 1.0)).ratio - known) + 1e-4
+
+
+def test_the_tracker_puts_out_persons_of_known_heights_where_they_are() -> None:
+    model = load_base_pose_models('all')
+    sequence = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
+    roots = []
+    for text in ('', 'ann=1.36, bob=2.0'):
+        tracker = Tracker(model, with_values(Config(), {'tracker.body_heights': text}))
+        for frame in range(4):
+            points = np.nan_to_num(sequence.keypoints[frame])
+            seen = [Person2D('ann', sequence.joint_names, points[:, :2], points[:, 2])]
+            (ann,) = tracker.update(frame * STEP_NS, seen, sequence.intrinsics(1.0))
+        roots.append(ann.root)
+        ((ahead,),) = tracker.predict((0.0,))
+        np.testing.assert_allclose(ahead.root, ann.root, atol=1e-6)
+    np.testing.assert_allclose(roots[1], 0.8 * roots[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('1.82', r"tracker\.body_heights: '1\.82': expected an id and a height of 0\.3 to 2\.6 m"),
+        ('7=182', r"'7=182': expected"),
+        ('7=nan', r"'7=nan': expected"),
+        ('=1.8', r"'=1\.8': expected"),
+        ('7=tall', r"'7=tall': expected"),
+        ('7=1.8, 7=1.9', r"'7' has two heights"),
+    ],
+)
+def test_wrong_heights_are_refused_at_the_start(walk_model: BasePoses, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Tracker(walk_model, with_values(Config(), {'tracker.body_heights': text}))

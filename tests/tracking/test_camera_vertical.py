@@ -113,3 +113,17 @@ def test_whole_sequences_say_what_was_given_or_that_nothing_is_known() -> None:
     assert given.vertical_std == pytest.approx(np.full(10, math.radians(1)))
     assert np.isnan(none.vertical).all()
     assert np.isnan(none.vertical_std).all()
+
+
+def test_a_restored_state_has_the_vertical_of_the_own_parameter() -> None:
+    level = make_tracker(vertical='0 -1 0')
+    feed(level, 0, 5)
+    for vertical, expected in (('0 -0.8 -0.6', [0, -0.8, -0.6]), ('none', None)):
+        other = make_tracker(vertical=vertical)
+        other.restore(level.snapshot())
+        assert (None if other.vertical is None else other.vertical.direction.tolist()) == expected
+    found = make_tracker()
+    found.restore(level.snapshot())
+    feed(found, 5, 6)
+    assert found.vertical is not None
+    assert found.vertical.std > level.vertical.std, 'one that is found is less sure'  # type: ignore[union-attr]

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.errors import InputError
+from mocap_ros.formats.mocap.limits import check_position_count
 from mocap_ros.formats.text_files import read_text
 
 Array = NDArray[np.float64]
@@ -28,6 +29,8 @@ _Fields = dict[str, list[str]]  # the words of each line of a section, by the li
 ROOT = 'root'  # name of the root in both files
 ROTATIONS = ('rx', 'ry', 'rz')  # degrees of freedom of a bone
 TRANSLATIONS = ('tx', 'ty', 'tz')  # degrees of freedom of the root
+MAX_BONES = 2000  # guards the time that the hierarchy takes; the CMU database has 31
+MAX_SKELETON_BYTES = 1 << 20  # guards the memory that bones take; the CMU database's skeletons have 10 kB
 MAX_QUOTED_CHARACTERS = 60  # of a line in an error message
 
 
@@ -96,7 +99,7 @@ def _read_skeleton(path: Path) -> dict[str, _Bone]:
     fields: _Fields = {}
     section, in_degrees, number, line = '', True, 0, ''
     try:
-        for number, line in enumerate(read_text(path, 'replace').splitlines(), 1):  # noqa: B007, the error names the line
+        for number, line in enumerate(read_text(path, 'replace', MAX_SKELETON_BYTES).splitlines(), 1):  # noqa: B007
             key, *words = line.split('#')[0].split() or ['']
             if key.startswith(':'):
                 section = key
@@ -162,6 +165,8 @@ def _parse_freedom(words: list[str]) -> tuple[str, ...]:
 
 def _order_bones(bones: dict[str, _Bone], parents: dict[str, str], path: Path) -> dict[str, _Bone]:
     """Set the parent of every bone and return the bones with parents first."""
+    if max(len(bones), len(parents)) > MAX_BONES:
+        raise InputError(f'{path}: more than {MAX_BONES} bones')
     ordered = {ROOT: bones[ROOT]}
     unordered = {name: parent for name, parent in parents.items() if name != ROOT}
     while unordered:
@@ -186,15 +191,18 @@ def _read_motion(path: Path, bones: dict[str, _Bone]) -> dict[str, Array]:
         key, *words = line.split('#')[0].split() or ['']
         try:
             if key.upper() == ':RADIANS':
-                raise InputError(f'{path}: line {number}: angles in radians; degrees expected')
+                raise InputError('angles in radians; degrees expected')
             if not key or key.startswith(':'):
                 continue
             if not words:
                 frames = _start_frame(int(key), frames, rows)
+                check_position_count(frames, len(bones))
             elif key not in rows or len(words) != len(bones[key].freedom) or len(rows[key]) != frames - 1:
                 raise ValueError
             else:
                 rows[key].append([float(word) for word in words])
+        except InputError as error:
+            raise InputError(f'{path}: line {number}: {error}') from None
         except ValueError:
             quoted = line.strip()[:MAX_QUOTED_CHARACTERS]
             raise InputError(f'{path}: line {number}: {quoted!r} is not AMC, or of another skeleton') from None

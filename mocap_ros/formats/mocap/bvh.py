@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
 from mocap_ros.formats.bvh_motion import END_SUFFIX, POSITION_CHANNELS, ROTATION_CHANNELS, BvhMotion
+from mocap_ros.formats.mocap.limits import check_position_count
 from mocap_ros.formats.text_files import read_text
 
 Array = NDArray[np.float64]
 
 CHANNEL_BY_LOWER_CASE = {name.lower(): name for name in POSITION_CHANNELS + ROTATION_CHANNELS}
 MAX_NODES = 2000  # guards the memory; the largest rigs, with fingers and faces, have some hundreds
+MAX_NAME_CHARACTERS = 200  # of a joint; guards the memory, because the end of each bone repeats the name
 MAX_QUOTED_CHARACTERS = 60  # of a line in an error message
 
 
@@ -31,6 +33,7 @@ def load_bvh(path: Path) -> BvhMotion:
     try:
         hierarchy = _read_hierarchy(lines)
         frame_time, motion = _read_motion(lines, sum(map(len, hierarchy.channels)))
+        check_position_count(len(motion), len(hierarchy.names))
     except InputError as error:
         raise InputError(f'{path}: {error}') from None
     return BvhMotion(
@@ -87,7 +90,7 @@ class _HierarchyReader:
 
     def _open_node(self, key: str, name: str) -> None:
         parent = self.open_nodes[-1] if self.open_nodes else -1
-        if (parent < 0) != (key == 'ROOT') or len(self.names) >= MAX_NODES:
+        if (parent < 0) != (key == 'ROOT') or len(self.names) >= MAX_NODES or len(name) > MAX_NAME_CHARACTERS:
             raise ValueError
         self.open_nodes.append(len(self.names))
         self.names.append(self.names[parent] + END_SUFFIX if key == 'END' else name)

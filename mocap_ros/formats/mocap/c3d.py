@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import io
+import signal
+import subprocess
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import InputError, MocapError, describe_read_error
+from mocap_ros.errors import InputError, MocapError
 
 Array = NDArray[np.float64]
 
 METRES_BY_UNIT = {'m': 1.0, 'dm': 0.1, 'cm': 0.01, 'mm': 0.001}  # length in m of each unit that a file may name
+MEMORY_BYTES = 2 << 30  # address space of the reader without the file; it takes a quarter of it at the start
+MEMORY_PER_FILE_BYTE = 40  # bytes of a point in ezc3d's objects and in the arrays, by those in the file
+TIME_S = 5  # s of processor time of the reader without the file; the start takes a quarter of a second
+BYTES_PER_S = 500_000  # bytes of a file that are read in a second of processor time, at least
+READER = Path(__file__).with_name('c3d_process.py')  # the program that reads a file
 
 
 def load_c3d(path: Path) -> tuple[dict[str, Array], float | None]:
-    """Read the positions of all markers.
+    """Read the positions of all markers, in a process of its own, which a damaged file may crash.
 
     Returns:
         The positions (F, 3) of each marker by its label, in the file's frame and unit, NaN where the marker was
@@ -27,19 +37,29 @@ def load_c3d(path: Path) -> tuple[dict[str, Array], float | None]:
         MocapError: `ezc3d` is not installed.
     """
     try:
-        import ezc3d
-    except ImportError:
-        raise MocapError(f"{path}: C3D needs ezc3d: pip install 'mocap_ros[c3d]'") from None
+        is_installed = find_spec('ezc3d') is not None
+    except ValueError:  # sys.modules says that there is none
+        is_installed = False
+    if not is_installed:
+        raise MocapError(f"{path}: C3D needs ezc3d: pip install 'mocap_ros[c3d]'")
     if not path.is_file():
         raise InputError(f'{path}: no such file')
-    try:
-        content = ezc3d.c3d(str(path))
-        points = np.asarray(content['data']['points'], np.float64)
-        parameters = content['parameters']['POINT']
-        labels = [str(label) for label in parameters['LABELS']['value']]
-        unit = ''.join(parameters.get('UNITS', {}).get('value', [])[:1]).strip().lower()
-    except Exception as error:  # the C++ library raises almost any exception on malformed bytes
-        raise InputError(f'{path}: not a C3D file ({describe_read_error(error)})') from None
+    size = path.stat().st_size
+    memory, seconds = MEMORY_BYTES + MEMORY_PER_FILE_BYTE * size, TIME_S + size // BYTES_PER_S
+    result = subprocess.run(  # noqa: S603, the program is the package's own
+        [sys.executable, str(READER), str(path.resolve()), str(memory), str(seconds)],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        check=False,
+    )
+    if result.returncode:
+        reason = result.stderr.decode(errors='replace').strip().rpartition('\n')[2]
+        if result.returncode < 0:
+            reason = f'its reader ended by {signal.Signals(-result.returncode).name}'
+        raise InputError(f'{path}: not a C3D file ({reason})')
+    with np.load(io.BytesIO(result.stdout), allow_pickle=False) as archive:
+        points, labels, unit = archive['points'], archive['labels'].tolist(), str(archive['unit'])
     names = [label.rpartition(':')[2].strip() for label in labels]
-    positions = np.moveaxis(points[:3], 0, -1)
-    return {name: positions[i] for i, name in enumerate(names) if i < len(positions)}, METRES_BY_UNIT.get(unit)
+    positions = np.moveaxis(points, 0, -1)
+    metres = METRES_BY_UNIT.get(unit.strip().lower())
+    return {name: positions[i] for i, name in enumerate(names) if i < len(positions)}, metres

@@ -156,12 +156,17 @@ def _read_archive(path: Path, manifest: Manifest) -> Iterator[Trial]:
             others = BODY26.joints[len(order) :]
             other_order = [names.index(j) for j in others] if set(others) <= set(names) else []
             for key in keys:
-                array = np.asarray(archive[key], float)
-                if array.ndim != 3 or array.shape[1:] != (len(names), 3) or not len(array):
-                    raise InputError(f'key {key} has shape {array.shape}')
+                array = archive[key]
+                if (
+                    array.dtype.kind not in 'fiu'
+                    or array.ndim != 3
+                    or array.shape[1:] != (len(names), 3)
+                    or not len(array)
+                ):
+                    raise InputError(f'key {key} has shape {array.shape} of {array.dtype}')
                 if not np.isfinite(array).all():
                     raise InputError(f'key {key} holds numbers that are not finite')
-                array = rotate_z_up(array, 1) * M_PER_MM
+                array = rotate_z_up(array.astype(np.float64), 1) * M_PER_MM
                 trial = _create_trial(key, array[:, order], manifest, '')
                 yield replace(trial, extremities=array[:, other_order]) if other_order else trial
     except InputError as error:

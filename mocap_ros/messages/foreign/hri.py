@@ -11,7 +11,7 @@ from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.cdr import Header, validate_header, validate_text
+from mocap_ros.messages.cdr import Header, read_count, validate_header, validate_text
 from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
 from mocap_ros.messages.foreign.shared import decode_foreign, validate_person_of_field
 from mocap_ros.messages.keypoints import check_count
@@ -61,7 +61,7 @@ def decode_ids(raw: bytes, limits: NodeConfig) -> tuple[Header, tuple[str, ...]]
     Raises:
         InputError: the message is not valid, there are too many ids, or an id is too long.
     """
+    check_count('ids', read_count(raw), limits)
     message = decode_foreign(raw, HRI_IDS)
-    check_count('ids', len(message.ids), limits)
     ids = tuple(validate_text(i, 'ids', limits) for i in message.ids)
     return validate_header(message.header, limits), ids

@@ -9,8 +9,9 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import Array, validate_person
 
-# Guards the decoder against huge messages. A message of 20 people is below 1 MB without segmentation masks.
-MAX_MESSAGE_BYTES = 16_000_000
+# Guards the time of the decoder, which takes up to a second for so many bytes. A message of 20 people is below
+# 100 kB, and the outline of each of them below 20 kB.
+MAX_MESSAGE_BYTES = 4_000_000
 
 
 def decode_foreign(raw: bytes, msgtype: str) -> Any:

@@ -20,13 +20,23 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from numpy.typing import NDArray
 
-from mocap_ros.messages.cdr import Array, CdrWriter, Header, OutputMessage, create_message, encode
+from mocap_ros.messages.cdr import (
+    Array,
+    CdrWriter,
+    Header,
+    OutputMessage,
+    create_message,
+    encode,
+    encode_text,
+    pad,
+)
 from mocap_ros.messages.foreign.definitions import HRI_IDS
 from mocap_ros.messages.transforms import compute_links
 from mocap_ros.people import Person3D
@@ -95,6 +105,8 @@ def _list_joints() -> tuple[_Joint, ...]:
 
 
 JOINTS = _list_joints()
+# lengths of the model
+LENGTHS = ('trunk', 'head', 'shoulder', 'hip', 'upper_arm', 'forearm', 'thigh', 'shin')
 MOVED_JOINTS = tuple(j.name for j in JOINTS if j.axis)  # in the order of the joint states
 
 
@@ -104,66 +116,93 @@ def make_body_id(person_id: str) -> str:
     return valid if valid[:1].isalpha() else f'p{valid}'
 
 
-def compute_joint_states(joints: Array) -> dict[str, float] | None:
-    """Return the angle in rad of each of the `MOVED_JOINTS`; None of a body whose trunk has no direction.
+class BodyNames:
+    """Names of people as bodies, which two people never share and nobody changes while present."""
+
+    def __init__(self) -> None:
+        self._names: dict[str, str] = {}  # by id
+
+    def assign(self, ids: Sequence[str]) -> dict[str, str]:
+        """Return the name of each of the people who are present; new ones get the first that is free."""
+        names = {i: self._names[i] for i in ids if i in self._names}
+        used = set(names.values())
+        for person_id in ids:
+            if person_id in names:
+                continue
+            plain = name = make_body_id(person_id)
+            number = 1
+            while name in used:
+                number += 1
+                name = f'{plain}_{number}'
+            names[person_id] = name
+            used.add(name)
+        self._names = names
+        return names
+
+
+def compute_joint_states(joints: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the angles (N, A) in rad of the `MOVED_JOINTS` of bodies, and which bodies (N,) have a direction.
 
     Args:
-        joints: (15, 3) m, in the order of `skeleton.CMU15`, in any right-handed frame.
+        joints: (N, 15, 3) m, in the order of `skeleton.CMU15`, in any right-handed frame.
     """
-    origin, _, (axes,) = compute_links(joints[None])
-    if not np.isfinite(axes).all():
-        return None
-    local = (joints - origin[0]) @ axes
-    angles = dict.fromkeys(MOVED_JOINTS, 0.0)
+    origin, _, axes = compute_links(joints)
+    local = (joints - origin[:, None]) @ axes
+    angles = np.zeros((len(joints), len(MOVED_JOINTS)))
+    at = {name: angles[:, i] for i, name in enumerate(MOVED_JOINTS)}
     shoulders = (_at(local, 'lshoulder') + _at(local, 'rshoulder')) / 2
     head = _unit(_at(local, 'head') - shoulders)
-    angles['p_head'] = -float(np.arcsin(np.clip(head[0], -1, 1)))
-    angles['r_head'] = float(np.arctan2(-head[1], head[2]))
+    at['p_head'][:] = -np.arcsin(head[:, 0].clip(-1, 1))
+    at['r_head'][:] = np.arctan2(-head[:, 1], head[:, 2])
     for side, s in SIDES.items():
         upper, fore = _limb(local, side, 'shoulder', 'elbow'), _limb(local, side, 'elbow', 'wrist')
         thigh, shin = _limb(local, side, 'hip', 'knee'), _limb(local, side, 'knee', 'ankle')
-        pitch, yaw = float(np.arccos(np.clip(-upper[2], -1, 1))), 0.0
-        if np.hypot(upper[0], upper[1]) > STRAIGHT_SINE:  # else the arm hangs down or is held straight up
-            yaw = float(np.arctan2(upper[0], s * upper[1]))
-        frame = Rotation.from_euler('ZX', [-s * yaw, s * pitch])
-        bent = frame.inv().apply(fore)
-        angles[f'{side}_y_shoulder'], angles[f'{side}_p_shoulder'] = yaw, pitch
-        if np.hypot(bent[0], bent[1]) > STRAIGHT_SINE:
-            angles[f'{side}_r_shoulder'] = float(np.arctan2(s * bent[1], bent[0]))
-        angles[f'{side}_elbow'] = float(np.arccos(np.clip(-bent[2], -1, 1)))
-        axis = np.cross(thigh, shin)
-        if np.linalg.norm(axis) < STRAIGHT_SINE:
-            axis = np.array([0.0, 1.0, 0.0]) - thigh[1] * thigh
-        y, z = _unit(axis), -thigh
-        leg = Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=1)).as_euler('ZXY')
-        angles[f'{side}_y_hip'], angles[f'{side}_p_hip'] = -float(leg[0]), s * float(leg[1])
-        angles[f'{side}_r_hip'] = -float(leg[2])
-        angles[f'{side}_knee'] = -float(np.arccos(np.clip(thigh @ shin, -1, 1)))
-    return angles
+        pitch = np.arccos((-upper[:, 2]).clip(-1, 1))
+        hangs = np.hypot(upper[:, 0], upper[:, 1]) <= STRAIGHT_SINE  # or is held straight up
+        yaw = np.where(hangs, 0.0, np.arctan2(upper[:, 0], s * upper[:, 1]))
+        bent = _turn(_turn(fore, 2, s * yaw), 0, -s * pitch)
+        straight = np.hypot(bent[:, 0], bent[:, 1]) <= STRAIGHT_SINE
+        at[f'{side}_y_shoulder'][:], at[f'{side}_p_shoulder'][:] = yaw, pitch
+        at[f'{side}_r_shoulder'][:] = np.where(straight, 0.0, np.arctan2(s * bent[:, 1], bent[:, 0]))
+        at[f'{side}_elbow'][:] = np.arccos((-bent[:, 2]).clip(-1, 1))
+        axis = _cross(thigh, shin)
+        is_straight = np.linalg.norm(axis, axis=1, keepdims=True) < STRAIGHT_SINE
+        y, z = _unit(np.where(is_straight, np.array([0.0, 1.0, 0.0]) - thigh[:, 1:2] * thigh, axis)), -thigh
+        x = _cross(y, z)  # the columns of R_z(-yaw) R_x(s pitch) R_y(-roll)
+        at[f'{side}_y_hip'][:] = -np.arctan2(-y[:, 0], y[:, 1])
+        at[f'{side}_p_hip'][:] = s * np.arcsin(y[:, 2].clip(-1, 1))
+        at[f'{side}_r_hip'][:] = -np.arctan2(-x[:, 2], z[:, 2])
+        at[f'{side}_knee'][:] = -np.arccos((thigh * shin).sum(axis=1).clip(-1, 1))
+    return angles, np.asarray(np.isfinite(axes).all(axis=(1, 2)))
 
 
-def measure_lengths(joints: Array) -> dict[str, float]:
-    """Return the lengths in m of the model of a body with joints (15, 3) m: the means of left and right."""
+def measure_lengths(joints: Array) -> Array:
+    """Return the `LENGTHS` (N, 8) in m of bodies with joints (N, 15, 3) m; of limbs the means of both sides."""
 
-    def between(start: str, end: str) -> float:
-        return float(np.mean([np.linalg.norm(_at(joints, s + start) - _at(joints, s + end)) for s in SIDES]))
+    def between(start: Array, end: Array) -> Array:
+        return np.asarray(np.linalg.norm(start - end, axis=1))
+
+    def of_sides(start: str, end: str) -> Array:
+        return np.asarray(sum(between(_at(joints, s + start), _at(joints, s + end)) for s in SIDES) / len(SIDES))
 
     shoulders = (_at(joints, 'lshoulder') + _at(joints, 'rshoulder')) / 2
     hips = (_at(joints, 'lhip') + _at(joints, 'rhip')) / 2
-    return {
-        'trunk': float(np.linalg.norm(shoulders - hips)),
-        'head': float(np.linalg.norm(_at(joints, 'head') - shoulders)),
-        'shoulder': float(np.linalg.norm(_at(joints, 'lshoulder') - _at(joints, 'rshoulder'))) / 2,
-        'hip': float(np.linalg.norm(_at(joints, 'lhip') - _at(joints, 'rhip'))) / 2,
-        'upper_arm': between('shoulder', 'elbow'),
-        'forearm': between('elbow', 'wrist'),
-        'thigh': between('hip', 'knee'),
-        'shin': between('knee', 'ankle'),
+    lengths = {
+        'trunk': between(shoulders, hips),
+        'head': between(_at(joints, 'head'), shoulders),
+        'shoulder': between(_at(joints, 'lshoulder'), _at(joints, 'rshoulder')) / 2,
+        'hip': between(_at(joints, 'lhip'), _at(joints, 'rhip')) / 2,
+        'upper_arm': of_sides('shoulder', 'elbow'),
+        'forearm': of_sides('elbow', 'wrist'),
+        'thigh': of_sides('hip', 'knee'),
+        'shin': of_sides('knee', 'ankle'),
     }
+    return np.stack([lengths[name] for name in LENGTHS], axis=1)
 
 
-def describe_body(body_id: str, lengths: dict[str, float]) -> str:
-    """Return the URDF of a body with some lengths; its links and joints end in `_` and the id."""
+def describe_body(body_id: str, measured: Array) -> str:
+    """Return the URDF of a body with some `LENGTHS` (8,) in m; its links and joints end in `_` and the id."""
+    lengths = dict(zip(LENGTHS, measured.tolist(), strict=True))
     robot = ET.Element('robot', name=f'human_{body_id}')
     for link in ('body', *(j.link for j in JOINTS)):
         element = ET.SubElement(robot, 'link', name=f'{link}_{body_id}')
@@ -192,26 +231,31 @@ class BodiesEncoder:
     """Encoder of the successive messages of all bodies; it remembers who was described."""
 
     def __init__(self) -> None:
-        self._lengths: dict[str, dict[str, float]] = {}  # of the bodies that were described, by id
+        self._lengths: dict[str, Array] = {}  # of the bodies that were described, by name
 
-    def encode_update(self, header: Header, people: Sequence[Person3D]) -> list[OutputMessage]:
+    def encode_update(
+        self, header: Header, people: Sequence[Person3D], names: Mapping[str, str]
+    ) -> list[OutputMessage]:
         """Encode the ids, the joint states of each body, and the kinematic models of new or changed bodies.
 
         Args:
             header: time of the image.
             people: the people.
+            names: name of each person as a body, by id.
         """
         stamp_ns = header.stamp_ns
         states, descriptions, ids = [], [], []
-        for person in people:
-            body_id, angles = make_body_id(person.id), compute_joint_states(person.joints[:CORE])
-            if angles is None or body_id in ids:
+        joints = np.array([p.joints[:CORE] for p in people]).reshape(-1, CORE, 3)
+        rows = zip(people, *compute_joint_states(joints), measure_lengths(joints), strict=True)
+        for person, angles, is_known, lengths in rows:
+            if not is_known:
                 continue
+            body_id = names[person.id]
             ids.append(body_id)
             raw = encode_joint_states(header, body_id, angles)
             states.append(OutputMessage(f'{BODIES}{body_id}/joint_states', JOINT_STATES, stamp_ns, raw))
-            lengths = measure_lengths(person.joints[:CORE])
-            if self._is_new(body_id, lengths):
+            known = self._lengths.get(body_id)
+            if known is None or (np.abs(lengths - known) > MAX_LENGTH_CHANGE * known).any():
                 self._lengths[body_id] = lengths
                 raw = encode_description(body_id, lengths)
                 descriptions.append(OutputMessage(f'{BODIES}{body_id}/urdf', DESCRIPTION, stamp_ns, raw))
@@ -220,12 +264,7 @@ class BodiesEncoder:
 
     def encode_clear(self, header: Header) -> list[OutputMessage]:
         """Encode that no body is tracked, if there were some, and forget all."""
-        return self.encode_update(header, []) if self._lengths else []
-
-    def _is_new(self, body_id: str, lengths: dict[str, float]) -> bool:
-        """Return whether a body was not described with about these lengths."""
-        known = self._lengths.get(body_id)
-        return known is None or any(abs(lengths[n] - known[n]) > MAX_LENGTH_CHANGE * known[n] for n in known)
+        return self.encode_update(header, [], {}) if self._lengths else []
 
 
 def encode_tracked(header: Header, ids: Sequence[str]) -> bytes:
@@ -238,34 +277,55 @@ def encode_tracked(header: Header, ids: Sequence[str]) -> bytes:
     return writer.finish()
 
 
-def encode_joint_states(header: Header, body_id: str, angles: dict[str, float]) -> bytes:
-    """Encode the angles of a body's joints as a JointState; the frame of its header is that of the body."""
+def encode_joint_states(header: Header, body_id: str, angles: Array) -> bytes:
+    """Encode the angles (A,) of a body's `MOVED_JOINTS` as a JointState; the frame of its header is the body's."""
     writer = CdrWriter()
     writer.add_header(Header(header.stamp_ns, f'body_{body_id}'))
     writer.add_count(len(angles))
-    for name in angles:
-        writer.add_text(f'{name}_{body_id}')
-    writer.add_sequence(np.array(list(angles.values())))
+    writer.add(4, _encode_names(body_id))
+    writer.add_sequence(angles)
     for _ in ('velocity', 'effort'):
         writer.add_count(0)
     return writer.finish()
 
 
-def encode_description(body_id: str, lengths: dict[str, float]) -> bytes:
-    """Encode the URDF of a body with some lengths as a String."""
+@lru_cache(maxsize=100)  # more bodies than are tracked at once
+def _encode_names(body_id: str) -> bytes:
+    """Return the names of the moved joints of a body as CDR, to be added at a multiple of 4 bytes."""
+    return b''.join(pad(encode_text(f'{name}_{body_id}')) for name in MOVED_JOINTS)
+
+
+def encode_description(body_id: str, lengths: Array) -> bytes:
+    """Encode the URDF of a body with some `LENGTHS` (8,) in m as a String."""
     return encode(create_message(DESCRIPTION, data=describe_body(body_id, lengths)), DESCRIPTION)
 
 
 def _at(joints: Array, name: str) -> Array:
-    return np.asarray(joints[CMU15.index(name)])
+    return np.asarray(joints[:, CMU15.index(name)])
 
 
 def _limb(joints: Array, side: str, start: str, end: str) -> Array:
-    """Return the direction (3,) from one joint to another of a side."""
+    """Return the directions (N, 3) from one joint to another of a side."""
     return _unit(_at(joints, side + end) - _at(joints, side + start))
 
 
-def _unit(vector: Array) -> Array:
-    """Return a vector (3,) at unit length; downwards if it has none."""
-    length = float(np.linalg.norm(vector))
-    return vector / length if length > 0 else np.array([0.0, 0.0, -1.0])
+def _unit(vectors: Array) -> Array:
+    """Return vectors (N, 3) at unit length; downwards those that have none."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.where(length > 0, vectors / np.where(length > 0, length, 1.0), np.array([0.0, 0.0, -1.0]))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the cross products (N, 3); `numpy.cross` takes five times as long for a few."""
+    x, y, z = a.T
+    u, v, w = b.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+
+
+def _turn(vectors: Array, axis: int, angles: Array) -> Array:
+    """Return vectors (N, 3) turned about a coordinate axis by angles (N,)."""
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    cosine, sine, out = np.cos(angles), np.sin(angles), vectors.copy()
+    out[:, first] = cosine * vectors[:, first] - sine * vectors[:, second]
+    out[:, second] = sine * vectors[:, first] + cosine * vectors[:, second]
+    return out

@@ -1,12 +1,13 @@
-"""mocap_ros_msgs/BodyCapsulesArray: bodies as capsules, for distances, and the same as markers.
+"""mocap_ros_msgs/BodyCapsulesArray: bodies as capsules, for distances.
 
 A capsule is all that is nearer to the segment between two places of the body than its radius
 
-    r = g + k std
+    r = g + k s
 
-with g the half girth of the body part, std the larger standard deviation of its two ends (the root of the trace of
-the covariance), and k so that 95 of 100 true places are inside: the length of a vector of three independent normal
-coordinates with variances std^2 / 3 is below k std with that probability, k = sqrt(chi2_3(0.95) / 3) = 1.614.
+with g the half girth of the body part, s the larger standard deviation of its two ends (the root of the trace of
+the covariance) and k of the part: so large that 95 of 100 parts of its volume are inside. The k were fitted to
+training persons seen by four detectors, about whose true joints bodies were put (`benchmarks/robots.py` measures
+it on others). A trunk needs little, as g is that of a heavy person; a hand, whose place is known least, most.
 
 The whole body may be nearer or farther than it seems, as its height is not known. This is not in the radii but in
 Skeleton3D.root_covariance: added to every capsule, it would make all of them thick in all directions.
@@ -15,18 +16,17 @@ Skeleton3D.root_covariance: added to every capsule, it would make all of them th
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Array, CdrWriter, Header
 from mocap_ros.people import Person3D
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import BODY26, CMU15, Skeleton
 
 CAPSULES = MOCAP_ROS_MSGS + 'BodyCapsulesArray'
-INSIDE_FACTOR = 1.614  # 1; k of 95 of 100 (formula of the module)
-HAND_SHARE = 0.45  # of the forearm; a hand reaches so far beyond the wrist, its fingers half bent
-FOOT_SHARE = 0.25  # of the shin; a foot reaches so far below the ankle
 
 
 class BodyPart(NamedTuple):
@@ -37,6 +37,7 @@ class BodyPart(NamedTuple):
         start: joint at one end.
         end: joint at the other end.
         girth_m: m, half the thickness of a tall and heavy adult, clothes included.
+        spread: k of the module.
         beyond: how far the part reaches beyond its end, of the length between the ends.
     """
 
@@ -44,36 +45,87 @@ class BodyPart(NamedTuple):
     start: str
     end: str
     girth_m: float
+    spread: float
     beyond: float = 0.0
 
 
 # The parts of a body. Half girths: a trunk is 0.3 m deep at most, a thigh 0.2 m, a shin and an upper arm 0.14 m, a
-# forearm with a sleeve 0.12 m, a head 0.24 m long.
-BODY_PARTS = (
-    BodyPart('head', 'neck', 'head', 0.12),
-    BodyPart('trunk', 'neck', 'pelvis', 0.15),
-    BodyPart('shoulders', 'lshoulder', 'rshoulder', 0.1),
-    BodyPart('pelvis', 'lhip', 'rhip', 0.14),
-    *(
-        part
-        for side in 'lr'
-        for part in (
-            BodyPart(f'{side}_upper_arm', f'{side}shoulder', f'{side}elbow', 0.07),
-            BodyPart(f'{side}_forearm', f'{side}elbow', f'{side}wrist', 0.06, HAND_SHARE),
-            BodyPart(f'{side}_thigh', f'{side}hip', f'{side}knee', 0.1),
-            BodyPart(f'{side}_shin', f'{side}knee', f'{side}ankle', 0.07, FOOT_SHARE),
-        )
-    ),
+# forearm with a sleeve and a shoe 0.12 m, a hand 0.1 m, a head 0.24 m long.
+_TRUNK = (
+    BodyPart('head', 'neck', 'head', 0.12, 0.7),
+    BodyPart('trunk', 'neck', 'pelvis', 0.15, 0.2),
+    BodyPart('shoulders', 'lshoulder', 'rshoulder', 0.1, 0.2),
+    BodyPart('pelvis', 'lhip', 'rhip', 0.14, 0.2),
 )
-PART_NAMES = tuple(part.name for part in BODY_PARTS)
-_START = np.array([CMU15.index(part.start) for part in BODY_PARTS])
-_END = np.array([CMU15.index(part.end) for part in BODY_PARTS])
-_GIRTH = np.array([part.girth_m for part in BODY_PARTS])
-_BEYOND = np.array([part.beyond for part in BODY_PARTS])[:, None]
+_HALF_LIMBS = (
+    BodyPart('upper_arm', 'shoulder', 'elbow', 0.07, 0.9),
+    BodyPart('thigh', 'hip', 'knee', 0.1, 0.25),
+)
+# Without hands and feet, the forearm reaches beyond the wrist as far as a hand with half-bent fingers, and the
+# shin beyond the ankle as far as the sole; toes are outside.
+_ENDS_OF_CORE = (
+    BodyPart('forearm', 'elbow', 'wrist', 0.06, 1.6, 0.45),
+    BodyPart('shin', 'knee', 'ankle', 0.07, 0.8, 0.25),
+)
+# `lhand` is at the knuckles and `ltoe` at the ball of the foot: fingers and toes reach beyond.
+_ENDS = (
+    BodyPart('forearm', 'elbow', 'wrist', 0.06, 1.0),
+    BodyPart('hand', 'wrist', 'hand', 0.05, 1.7, 0.6),
+    BodyPart('shin', 'knee', 'ankle', 0.07, 0.8),
+    BodyPart('foot', 'heel', 'toe', 0.06, 1.0, 0.25),
+)
+
+
+class PartArrays(NamedTuple):
+    """The P body parts of a skeleton.
+
+    Attributes:
+        names: their names.
+        start: (P,) index of the joint at one end.
+        end: (P,) index of that at the other end.
+        girth: (P,) m, half girths.
+        spread: (P,) k of the module.
+        beyond: (P, 1) how far a part reaches beyond its end, of the length between the ends.
+    """
+
+    names: tuple[str, ...]
+    start: NDArray[np.intp]
+    end: NDArray[np.intp]
+    girth: Array
+    spread: Array
+    beyond: Array
+
+
+def list_body_parts(skeleton: Skeleton) -> tuple[BodyPart, ...]:
+    """Return the parts of a body with the joints of a skeleton, the middle ones first."""
+    limbs = (*_HALF_LIMBS, *(_ENDS if skeleton.name == BODY26.name else _ENDS_OF_CORE))
+    sided = (
+        part._replace(name=f'{side}_{part.name}', start=side + part.start, end=side + part.end)
+        for side in 'lr'
+        for part in limbs
+    )
+    return (*_TRUNK, *sided)
+
+
+@lru_cache(maxsize=2)  # skeletons
+def arrange_body_parts(skeleton: Skeleton) -> PartArrays:
+    """Return the parts of a body with the joints of a skeleton, as arrays."""
+    parts = list_body_parts(skeleton)
+    return PartArrays(
+        tuple(p.name for p in parts),
+        np.array([skeleton.index(p.start) for p in parts]),
+        np.array([skeleton.index(p.end) for p in parts]),
+        np.array([p.girth_m for p in parts]),
+        np.array([p.spread for p in parts]),
+        np.array([p.beyond for p in parts])[:, None],
+    )
+
+
+MAX_PARTS = max(len(list_body_parts(skeleton)) for skeleton in (CMU15, BODY26))
 
 
 class Capsules(NamedTuple):
-    """The P capsules of a body, in the order of `BODY_PARTS`.
+    """The P capsules of a body, in the order of `list_body_parts`.
 
     Attributes:
         start: (P, 3) m, one end of each segment.
@@ -88,10 +140,11 @@ class Capsules(NamedTuple):
 
 def compute_capsules(person: Person3D) -> Capsules:
     """Return the capsules of a person (formula of the module); unknown standard deviations count as 0."""
-    start, end = person.joints[_START], person.joints[_END]
-    std = np.nan_to_num(person.std)
-    radius = _GIRTH + INSIDE_FACTOR * np.maximum(std[_START], std[_END])
-    return Capsules(start, end + _BEYOND * (end - start), radius)
+    parts = arrange_body_parts(person.skeleton)
+    start, end = person.joints[parts.start], person.joints[parts.end]
+    std = np.fmax(person.std[parts.start], person.std[parts.end])
+    std[np.isnan(std)] = 0.0
+    return Capsules(start, end + parts.beyond * (end - start), parts.girth + parts.spread * std)
 
 
 def encode_capsules(header: Header, people: Sequence[Person3D]) -> bytes:
@@ -100,10 +153,10 @@ def encode_capsules(header: Header, people: Sequence[Person3D]) -> bytes:
     writer.add_header(header)
     writer.add_count(len(people))
     for person in people:
-        capsules = compute_capsules(person)
+        capsules, names = compute_capsules(person), arrange_body_parts(person.skeleton).names
         writer.add_text(person.id)
-        writer.add_count(len(PART_NAMES))
-        for name in PART_NAMES:
+        writer.add_count(len(names))
+        for name in names:
             writer.add_text(name)
         writer.add_sequence(capsules.start)
         writer.add_sequence(capsules.end)

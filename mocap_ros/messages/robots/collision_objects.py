@@ -75,13 +75,13 @@ def _encode(header: Header, person_id: str, operation: int, person: Person3D | N
     return writer.finish()
 
 
-def _compute_cylinders(person: Person3D) -> tuple[Array, Array]:
-    """Return the length and the radius (P, 2) in m of the cylinder about each capsule, and its pose (P, 7).
+def find_axis_poses(start: Array, end: Array) -> tuple[Array, Array]:
+    """Return the lengths (P,) in m of the segments between places (P, 3), and their poses (P, 7).
 
-    The pose is the position in m and the quaternion x, y, z, w that turns the z axis to the axis a of the capsule
-    by the shortest way: (-a_y, a_x, 0, 1 + a_z), of unit length; half a turn about x where the axis points down.
+    A pose is the position of the middle in m and the quaternion x, y, z, w that turns the z axis to the axis a of
+    the segment by the shortest way: (-a_y, a_x, 0, 1 + a_z), of unit length; half a turn about x where the axis
+    points down.
     """
-    start, end, radius = compute_capsules(person)
     length = np.linalg.norm(end - start, axis=1)
     axis = (end - start) / np.maximum(length, MIN_LENGTH_M)[:, None]
     axis[length < MIN_LENGTH_M] = 0, 0, 1
@@ -91,4 +91,11 @@ def _compute_cylinders(person: Person3D) -> tuple[Array, Array]:
     norm = np.linalg.norm(poses[:, 3:], axis=1)
     poses[norm < MIN_QUATERNION, 3:] = 1, 0, 0, 0
     poses[:, 3:] /= np.where(norm < MIN_QUATERNION, 1, norm)[:, None]
+    return length, poses
+
+
+def _compute_cylinders(person: Person3D) -> tuple[Array, Array]:
+    """Return the length and the radius (P, 2) in m of the cylinder about each capsule, and its pose (P, 7)."""
+    start, end, radius = compute_capsules(person)
+    length, poses = find_axis_poses(start, end)
     return np.column_stack([length + 2 * radius, radius]), poses

@@ -17,6 +17,7 @@ from mocap_ros.skeleton import CMU15
 
 PREDICTIONS = MOCAP_ROS_MSGS + 'Predictions'
 MAX_TIME_S = 1.0  # s; so far the motion predictor was trained
+PREDICTING = 'publish_predictions', 'publish_prediction_markers'  # fields of `NodeConfig`
 MAX_TIMES = 20  # more than a planner has use for; bounds what a message costs
 _AHEAD = struct.Struct('<f')
 
@@ -39,12 +40,11 @@ def read_prediction_times(config: Config) -> tuple[float, ...]:
     Raises:
         ConfigError: `node.prediction_times` is not some times up to `MAX_TIME_S`, or there is a `tracker.lag`.
     """
-    if not config.node.publish_predictions:
+    asking = [f for f in PREDICTING if getattr(config.node, f)]
+    if not asking:
         return ()
     if config.tracker.lag > 0:
-        raise ConfigError(
-            'node.publish_predictions: needs tracker.lag = 0, as an output with a lag is of the past'
-        )
+        raise ConfigError(f'node.{asking[0]}: needs tracker.lag = 0, as an output with a lag is of the past')
     text = config.node.prediction_times
     try:
         times = tuple(float(word) for word in text.split())

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from mocap_ros.config import Config, with_values
 from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.foreign.definitions import HRI_IDS
 from mocap_ros.messages.robots.bodies import (
@@ -20,27 +21,20 @@ from mocap_ros.messages.robots.bodies import (
     MOVED_JOINTS,
     TRACKED,
     BodiesEncoder,
+    BodyNames,
     compute_joint_states,
     describe_body,
     make_body_id,
     measure_lengths,
 )
-from mocap_ros.messages.transforms import compute_links
+from mocap_ros.messages.transforms import TRANSFORMS, compute_links
+from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.skeleton import CMU15
 from tests.support.people import make_person_3d
 from tests.support.swinging_body import STANDING
 
 HEADER = Header(12_345_678_901, 'map')
-LENGTHS = {
-    'trunk': 0.5,
-    'head': 0.25,
-    'shoulder': 0.18,
-    'hip': 0.1,
-    'upper_arm': 0.3,
-    'forearm': 0.26,
-    'thigh': 0.42,
-    'shin': 0.4,
-}
+OWN_LENGTHS = np.array([0.5, 0.25, 0.18, 0.1, 0.3, 0.26, 0.42, 0.4])  # m, in the order of `LENGTHS`
 # Joints of REP-155's model, as hri_fullbody and human_description name them.
 REP_JOINTS = {
     *('waist', 'r_head', 'y_head', 'p_head'),
@@ -73,10 +67,17 @@ def place_links(urdf: str, angles: dict[str, float], suffix: str) -> dict[str, n
 
 def make_body(angles: dict[str, float]) -> np.ndarray:
     """Return the joints (15, 3) of a body with some angles."""
-    links = place_links(describe_body('x', LENGTHS), angles, '_x')
+    links = place_links(describe_body('x', OWN_LENGTHS), angles, '_x')
     joints = np.array([links[LINK_OF_JOINT[j]] if j in LINK_OF_JOINT else np.zeros(3) for j in CMU15.joints])
     joints[CMU15.index('neck')] = links['torso']
     return joints
+
+
+def find_angles(joints: np.ndarray) -> dict[str, float]:
+    """Return the angles of a single body (15, 3) by the names of the joints."""
+    (angles,), (is_known,) = compute_joint_states(joints[None])
+    assert is_known
+    return dict(zip(MOVED_JOINTS, angles.tolist(), strict=True))
 
 
 def draw_angles(seed: int) -> dict[str, float]:
@@ -94,29 +95,29 @@ def draw_angles(seed: int) -> dict[str, float]:
 def test_the_model_puts_the_links_where_the_joints_are(seed: int) -> None:
     body = make_body(draw_angles(seed))
     turn = Rotation.random(random_state=np.random.default_rng(seed))
-    angles = compute_joint_states(turn.apply(body) + [1.0, 2.0, 3.0])
-    assert angles is not None
-    np.testing.assert_allclose(make_body(angles), body, atol=1e-6)
-    lengths = measure_lengths(turn.apply(body))
-    assert lengths == pytest.approx(LENGTHS, abs=1e-3)
+    turned = turn.apply(body) + [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(make_body(find_angles(turned)), body, atol=1e-6)
+    (lengths,) = measure_lengths(turned[None])
+    np.testing.assert_allclose(lengths, OWN_LENGTHS, atol=1e-3)
+    many, _ = compute_joint_states(np.stack([STANDING, turned]))
+    np.testing.assert_allclose(many[1], [*find_angles(turned).values()], atol=1e-12)
 
 
 def test_angles_of_poses_that_everybody_knows() -> None:
-    zero = compute_joint_states(make_body(dict.fromkeys(MOVED_JOINTS, 0.0)))
+    zero = find_angles(make_body(dict.fromkeys(MOVED_JOINTS, 0.0)))
     assert zero == pytest.approx(dict.fromkeys(MOVED_JOINTS, 0.0), abs=1e-6)
     raised = make_body(dict.fromkeys(MOVED_JOINTS, 0.0) | {'l_p_shoulder': np.pi / 2, 'r_knee': -np.pi / 2})
     left, right = (raised[CMU15.index(j)] for j in ('lelbow', 'rankle'))
     assert left[1] > 0.4, 'the left arm is held out to the left'
     assert right[0] < -0.3, 'the right shin is bent backwards'
-    angles = compute_joint_states(raised)
-    assert angles is not None
+    angles = find_angles(raised)
     assert angles['l_p_shoulder'] == pytest.approx(np.pi / 2, abs=1e-6)
     assert angles['r_knee'] == pytest.approx(-np.pi / 2, abs=1e-6)
 
 
 def test_the_model_has_the_joints_of_the_rep_and_the_frames_that_are_on_tf() -> None:
     assert set(MOVED_JOINTS) == REP_JOINTS
-    robot = ET.fromstring(describe_body('anna', LENGTHS))
+    robot = ET.fromstring(describe_body('anna', OWN_LENGTHS))
     links = {link.get('name') for link in robot.findall('link')}
     assert {'body_anna', 'torso_anna', 'head_anna', 'l_wrist_anna', 'r_ankle_anna'} <= links
     children = [j.find('child').get('link') for j in robot.findall('joint')]  # type: ignore[union-attr]
@@ -124,9 +125,8 @@ def test_the_model_has_the_joints_of_the_rep_and_the_frames_that_are_on_tf() -> 
 
 
 def test_a_pose_of_the_tracker_is_shown_as_it_is() -> None:
-    angles = compute_joint_states(STANDING)
-    assert angles is not None
-    links = place_links(describe_body('x', measure_lengths(STANDING)), angles, '_x')
+    angles = find_angles(STANDING)
+    links = place_links(describe_body('x', measure_lengths(STANDING[None])[0]), angles, '_x')
     origin, _, (axes,) = compute_links(STANDING[None])
     local = (STANDING - origin[0]) @ axes
     for joint, link in LINK_OF_JOINT.items():
@@ -136,7 +136,8 @@ def test_a_pose_of_the_tracker_is_shown_as_it_is() -> None:
 def test_each_body_has_topics_of_its_own_and_is_described_once() -> None:
     encoder = BodiesEncoder()
     anna, ben = (replace(make_person_3d(name), joints=STANDING) for name in ('anna', '7'))
-    first, second = encoder.encode_update(HEADER, [anna, ben]), encoder.encode_update(HEADER, [anna])
+    names = BodyNames().assign(['anna', '7'])
+    first, second = (encoder.encode_update(HEADER, people, names) for people in ([anna, ben], [anna]))
     assert [o.topic for o in first] == [
         TRACKED,
         *(f'/humans/bodies/{i}/urdf' for i in ('anna', 'p7')),
@@ -147,13 +148,12 @@ def test_each_body_has_topics_of_its_own_and_is_described_once() -> None:
     assert (tracked.header.frame_id, tracked.ids) == ('map', ['anna', 'p7'])
     state = decode(first[3].data, JOINT_STATES)
     assert state.name == [f'{name}_anna' for name in MOVED_JOINTS]
-    angles = compute_joint_states(STANDING)
-    assert angles is not None
+    angles = find_angles(STANDING)
     np.testing.assert_allclose(state.position, list(angles.values()))
     assert (len(state.velocity), len(state.effort), state.header.frame_id) == (0, 0, 'body_anna')
     assert 'l_elbow_p7' in decode(first[2].data, DESCRIPTION).data
     grown = replace(anna, joints=STANDING * 1.2)
-    assert '/humans/bodies/anna/urdf' in [o.topic for o in encoder.encode_update(HEADER, [grown])]
+    assert '/humans/bodies/anna/urdf' in [o.topic for o in encoder.encode_update(HEADER, [grown], names)]
     (cleared,) = encoder.encode_clear(HEADER)
     assert decode(cleared.data, HRI_IDS).ids == []
     assert encoder.encode_clear(HEADER) == []
@@ -161,7 +161,32 @@ def test_each_body_has_topics_of_its_own_and_is_described_once() -> None:
 
 def test_a_body_without_a_trunk_is_left_out() -> None:
     flat = replace(make_person_3d('flat'), joints=np.zeros((15, 3)))
-    assert [o.topic for o in BodiesEncoder().encode_update(HEADER, [flat])] == [TRACKED]
+    assert [o.topic for o in BodiesEncoder().encode_update(HEADER, [flat], {'flat': 'flat'})] == [TRACKED]
+
+
+@given(st.lists(st.lists(st.text('a.-_2é', min_size=1, max_size=3), unique=True, max_size=6), max_size=6))
+def test_no_two_people_have_one_name_and_nobody_changes_it_while_present(frames: list[list[str]]) -> None:
+    names, before = BodyNames(), dict[str, str]()
+    for ids in frames:
+        assigned = names.assign(ids)
+        assert set(assigned) == set(ids)
+        assert len(set(assigned.values())) == len(ids)
+        assert all(assigned[i] == before[i] for i in ids if i in before)
+        before = assigned
+
+
+def test_people_whose_ids_make_one_name_are_two_bodies_with_the_same_names_on_tf() -> None:
+    people = [replace(make_person_3d(i), joints=STANDING) for i in ('a.b', 'a-b')]
+    node = with_values(Config(), {'node.publish_bodies': True, 'node.publish_tf': True}).node
+    encoder = OutputEncoder()
+    for seen in (people, people[::-1]):
+        outputs = encoder.encode(HEADER, seen, node)
+        (tracked,) = (decode(o.data, HRI_IDS) for o in outputs if o.type == HRI_IDS)
+        assert set(tracked.ids) == {'a_b', 'a_b_2'}
+        (frames,) = (decode(o.data, TRANSFORMS) for o in outputs if o.type == TRANSFORMS)
+        roots = [t.child_frame_id for t in frames.transforms if t.child_frame_id.startswith('body_')]
+        assert roots == [f'body_{i}' for i in tracked.ids]
+        assert tracked.ids[0] == ('a_b' if seen is people else 'a_b_2')
 
 
 @pytest.mark.parametrize(('given_id', 'body_id'), [('anna', 'anna'), ('7', 'p7'), ('a-b c', 'a_b_c'), ('ä', 'p_')])

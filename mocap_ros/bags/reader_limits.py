@@ -1,0 +1,135 @@
+"""Limits that the bag readers of rosbags lack: a small bag from a stranger could fill the memory or the disk.
+
+rosbags unpacks whatever a file holds and compares with the stated size afterwards, and it parses the QoS profiles
+of every topic anew. Its functions are replaced in its modules, because they are no parameters of its readers.
+"""
+
+from __future__ import annotations
+
+import bz2
+import io
+from collections.abc import Callable
+from functools import lru_cache, partial
+from types import SimpleNamespace
+from typing import IO, Any, BinaryIO
+
+import lz4.frame
+import zstandard
+from rosbags.interfaces import Qos
+from rosbags.rosbag1 import reader as ros1_reader
+from rosbags.rosbag2 import metadata, storage_mcap, storage_sqlite3
+from rosbags.rosbag2 import reader as ros2_reader
+
+from mocap_ros.bags.mcap_layout import MAX_CHUNK_BYTES
+from mocap_ros.config import load_yaml
+
+UNPACKED_FILE_BYTES = 1 << 26  # of a compressed file of a bag, of any size
+UNPACKED_PER_BYTE = 100  # bytes that a byte of a larger compressed file may unpack to; bags pack to a tenth
+PIECE_BYTES = 1 << 20  # that are unpacked at a time, and above which a stated length is compared with the file
+MAX_QOS_CHARACTERS = 16_384  # of the QoS profiles of a topic, which are YAML; a profile has some 500
+MAX_QOS_TEXTS = 256  # different QoS profiles that are remembered; most topics of a bag have the same
+
+
+def unpack(data: bytes, compression: str, max_bytes: int = MAX_CHUNK_BYTES) -> bytes:
+    """Unpack a chunk or a message.
+
+    Args:
+        data: the compressed bytes.
+        compression: `zstd`, `lz4` or `bz2`.
+        max_bytes: largest number of bytes to unpack to.
+
+    Raises:
+        ValueError: there would be more bytes.
+        Exception: the libraries raise exceptions of many types for damaged bytes.
+    """
+    limit = min(max_bytes, MAX_CHUNK_BYTES)
+    if compression == 'zstd':
+        with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as stream:
+            unpacked = b''.join(_read_pieces(stream, limit + 1))
+    elif compression == 'lz4':
+        unpacked = bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=limit + 1))
+    else:
+        unpacked = bz2.BZ2Decompressor().decompress(data, max_length=limit + 1)
+    if len(unpacked) > limit:
+        raise ValueError(f'{len(data)} bytes of {compression} unpack to more than {limit} bytes')
+    return unpacked
+
+
+def _read_pieces(stream: IO[bytes], size: int) -> list[bytes]:
+    """Read at most `size` bytes, so that no more memory is taken than there are bytes."""
+    pieces = []
+    while size > 0 and (piece := stream.read(min(size, PIECE_BYTES))):
+        pieces.append(piece)
+        size -= len(piece)
+    return pieces
+
+
+class _LimitedFile(io.RawIOBase):
+    """A compressed file that is open for reading, and that raises ValueError once it has unpacked to too much."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        packed = file.seek(0, io.SEEK_END)
+        file.seek(0)
+        self._left = UNPACKED_FILE_BYTES + UNPACKED_PER_BYTE * packed
+        self._stream = zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True)
+
+    def read(self, size: int = -1) -> bytes:
+        """Read at most `size` bytes."""
+        content = bytes(self._stream.read(size))
+        self._left -= len(content)
+        if self._left < 0:
+            raise ValueError(f'a file of the bag unpacks to more than {UNPACKED_PER_BYTE} times its size')
+        return content
+
+
+def _unpack_mcap(compression: str) -> Callable[[bytes, int], bytes]:
+    """Return a function that unpacks a chunk of MCAP to its stated size."""
+    return lambda data, size: unpack(data, compression, size)
+
+
+def parse_qos(profiles: Any) -> list[Qos]:
+    """Parse QoS profiles of any version of rosbag2: YAML, or what a metadata.yaml holds.
+
+    Raises:
+        ConfigError: the text is not YAML.
+        Exception: the parser raises exceptions of many types for what is no profile.
+    """
+    return list(_parse_qos_text(profiles)) if isinstance(profiles, str) else metadata.parse_qos(profiles)
+
+
+@lru_cache(MAX_QOS_TEXTS)
+def _parse_qos_text(text: str) -> tuple[Qos, ...]:
+    if len(text) > MAX_QOS_CHARACTERS:
+        raise ValueError(f'QoS profiles of {len(text)} characters, more than {MAX_QOS_CHARACTERS}')
+    return tuple(metadata.parse_qos(load_yaml(text, 'QoS profiles')))
+
+
+def _limit_length(read: Callable[[BinaryIO, int], bytes]) -> Callable[[BinaryIO, int], bytes]:
+    """Return a function that reads bytes, without asking for memory for more than there are."""
+
+    def read_at_most_all(stream: BinaryIO, size: int) -> bytes:
+        if size > PIECE_BYTES:
+            start = stream.tell()
+            left = stream.seek(0, io.SEEK_END) - start
+            stream.seek(start)
+            if size > left:
+                raise ValueError(f'{size} bytes are stated at byte {start}, and {left} are left')
+        return read(stream, size)
+
+    return read_at_most_all
+
+
+def limit_readers() -> None:
+    """Give the readers of rosbags their limits; once in a process, because they wrap what they replace."""
+    storage: Any = storage_mcap
+    storage.read_exact = _limit_length(storage_mcap.read_exact)
+    storage = ros1_reader
+    storage.read_bytes = _limit_length(ros1_reader.read_bytes)
+    storage_mcap.DECOMPRESSORS.update({name: _unpack_mcap(name) for name in ('zstd', 'lz4')})
+    ros1_reader.decompressors.update({name: partial(unpack, compression=name) for name in ('bz2', 'lz4')})
+    modules: tuple[Any, ...] = (storage_mcap, storage_sqlite3, ros2_reader)
+    for module in modules:
+        module.parse_qos = parse_qos
+    modules[-1].zstd = SimpleNamespace(
+        open=lambda file, _mode: _LimitedFile(file), decompress=partial(unpack, compression='zstd')
+    )

@@ -1,0 +1,102 @@
+"""visualization_msgs/MarkerArray: the capsules of bodies, and where people will be, for RViz and Foxglove.
+
+A capsule is a CYLINDER and a SPHERE_LIST with a ball at each end (namespaces `cylinders` and `ends`). A predicted
+person is a LINE_LIST along the bones for each time ahead, the paler the later; its namespace is that time, such as
+`0.4 s`, so that a viewer can hide it. Both have the colour of the person in the other markers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mocap_ros.messages.camera_placement import CameraPlacement
+from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.marker_writer import (
+    CYLINDER,
+    LINE_LIST,
+    SPHERE_LIST,
+    AlikeMarkers,
+    Colors,
+    MarkerSeries,
+    MarkerStyle,
+    choose_color,
+)
+from mocap_ros.messages.robots.capsules import MAX_PARTS, compute_capsules
+from mocap_ros.messages.robots.collision_objects import find_axis_poses
+from mocap_ros.messages.robots.predictions import PredictedFrame
+from mocap_ros.people import Person3D
+from mocap_ros.skeleton import CMU15
+
+CAPSULE_STYLE = MarkerStyle(0.75, 0.3)  # chosen for the look: the bones within can be seen
+GHOST_WIDTH_M = 0.02  # chosen for the look: thinner than the bones of people
+GHOST_SATURATION = 0.4  # chosen for the look
+GHOST_OPACITY = 0.2, 0.7  # chosen for the look: of the latest, and what the earliest have more
+NO_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # of points that are in the frame of the header
+_BONE_ENDS = np.array(CMU15.bone_ends).T.ravel()
+
+
+def encode_capsule_markers(
+    series: MarkerSeries, header: Header, people: Sequence[Person3D], numbers: Mapping[str, int], lifetime_s: float
+) -> bytes:
+    """Encode the capsules of people as markers.
+
+    Args:
+        series: encoder of the topic.
+        header: time of the image, and the frame in which the people are.
+        people: the people.
+        numbers: number of each person's markers and colour, by id.
+        lifetime_s: s after which a viewer removes the markers by itself, 0 for never.
+    """
+    if not people:
+        return series.encode_update(header, [], lifetime_s)
+    bodies = [compute_capsules(person) for person in people]
+    start, end, radius = (np.concatenate(parts) for parts in zip(*bodies, strict=True))
+    own = [numbers[p.id] * MAX_PARTS + np.arange(len(b.radius)) for p, b in zip(people, bodies, strict=True)]
+    number = np.concatenate(own)
+    colors = np.array([choose_color(n, CAPSULE_STYLE) for n in (number // MAX_PARTS).tolist()])
+    length, poses = find_axis_poses(start, end)
+    balls = np.tile(2 * radius[:, None], 3)
+    rods = np.column_stack([balls[:, :2], length])
+    ends = np.stack([start, end], axis=1)
+    resting = np.tile(NO_POSE, (len(ends), 1))
+    groups = [
+        AlikeMarkers('cylinders', CYLINDER, number, poses, rods, colors, np.zeros((len(ends), 0, 3))),
+        AlikeMarkers('ends', SPHERE_LIST, number, resting, balls, colors, ends),
+    ]
+    return series.encode_update(header, groups, lifetime_s)
+
+
+def encode_prediction_markers(
+    series: MarkerSeries,
+    header: Header,
+    frames: Sequence[PredictedFrame],
+    camera: CameraPlacement,
+    numbers: Mapping[str, int],
+    lifetime_s: float,
+) -> bytes:
+    """Encode predicted people as markers.
+
+    Args:
+        series: encoder of the topic.
+        header: time of the image, and the frame in which the people are put out.
+        frames: the people at each time, in the camera's optical frame.
+        camera: the camera in the frame of the header.
+        numbers: number of each person's markers and colour, by id.
+        lifetime_s: s after which a viewer removes the markers by itself, 0 for never.
+    """
+    last, groups = max((ahead for ahead, _ in frames), default=0.0), []
+    for ahead, predicted in frames:
+        people = camera.place_predicted(predicted, ahead)
+        if not people:
+            continue
+        own = np.array([numbers[p.id] for p in people])
+        opacity = GHOST_OPACITY[0] + GHOST_OPACITY[1] * (1 - ahead / last)
+        style = MarkerStyle(GHOST_SATURATION, opacity)
+        colors: Colors = np.array([choose_color(n, style) for n in own.tolist()])
+        points = np.array([p.joints[_BONE_ENDS] for p in people])
+        scales = np.tile([GHOST_WIDTH_M, 0.0, 0.0], (len(people), 1))
+        resting = np.tile(NO_POSE, (len(people), 1))
+        groups.append(AlikeMarkers(f'{ahead:g} s', LINE_LIST, own, resting, scales, colors, points))
+    return series.encode_update(header, groups, lifetime_s)

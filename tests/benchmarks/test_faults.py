@@ -1,0 +1,38 @@
+"""The campaign of faults in short: recorders that are killed, and disks that fail, leave bags that can be read."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.support.paths import ROOT
+
+# Kills one recorder of each kind, and lets some steps of a recording fail in each way.
+CAMPAIGN = """
+import json, sys
+from pathlib import Path
+import faults
+from report import Report
+root = Path(sys.argv[1])
+kinds = ('recording', 'splitting', 'closing', 'recovering')
+kills = faults.measure_kills(root, dict.fromkeys(kinds, 1))
+found = faults.measure_faults(root, Report(), every=9)
+Path(sys.argv[2]).write_text(json.dumps({'kills': [k.fault for k in kills], **found}))
+"""
+
+
+def test_bags_survive_kills_and_failing_disks(tmp_path: Path) -> None:
+    """In a process of its own, because it forks."""
+    found, bags = tmp_path / 'found.json', tmp_path / 'bags'
+    bags.mkdir()
+    command = [sys.executable, '-c', CAMPAIGN, str(bags), str(found)]
+    completed = subprocess.run(
+        command, cwd=ROOT / 'benchmarks', capture_output=True, text=True, check=False, timeout=300
+    )
+    assert completed.returncode == 0, completed.stderr
+    results = json.loads(found.read_text())
+    assert results['kills'] == [''] * 4, completed.stdout
+    assert results['steps'] > 40
+    assert results['wrong_after_fault'] == 0, completed.stdout

@@ -1,0 +1,370 @@
+"""Valid inputs of every fuzz target, from which the mutations of a run start."""
+
+from __future__ import annotations
+
+import io
+import json
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import yaml
+import zstandard
+from mcap.opcode import Opcode
+from mcap.records import Chunk
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+from PIL import Image
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.typesys import Stores, get_typestore
+
+from mocap_ros.bags.journal import Entry, Verdict, encode_entry
+from mocap_ros.bags.mcap_layout import iterate_records, open_content
+from mocap_ros.bags.recorder import Recorder
+from mocap_ros.bags.rosbag2 import METADATA, make_topic
+from mocap_ros.bags.write_ahead_log import CHUNK_COUNT
+from mocap_ros.config import Config, RecorderConfig, to_yaml
+from mocap_ros.demo.scene import make_recording
+from mocap_ros.formats.export.armature import build_armature
+from mocap_ros.formats.export.bvh import save_bvh
+from mocap_ros.formats.mocap.joint_maps import RIGS
+from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.cdr import Header, encode
+from mocap_ros.messages.foreign.definitions import (
+    HRI_IDS,
+    HRI_SKELETON,
+    OPENPOSE_POSES,
+    YOLO_DETECTIONS,
+    ZED_OBJECTS,
+)
+from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE
+from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.messages.skeletons import SKELETONS, encode_skeletons
+from mocap_ros.messages.transforms import TRANSFORMS
+from mocap_ros.models.model_file import load_base_poses, save_base_poses
+from mocap_ros.npz_file import write_npz
+from mocap_ros.skeleton import CMU15
+from tests.fuzz.targets import FILE_SEPARATOR, IMAGE_SIZE, MESSAGE_READERS, pack_arrays
+from tests.support.bag_writing import START_NS, STEP_NS, make_keypoints
+from tests.support.camera_infos import camera_info
+from tests.support.foreign_messages import create_blank_message, make_inputs
+from tests.support.motion_files import AMC, ASF, Z_UP_TO_Y_UP, make_bvh, make_poses
+from tests.support.people import make_person_3d
+from tests.support.transforms import make_transforms
+
+Examples = Callable[[], list[bytes]]
+
+CHUNK_BYTES = 2000  # of the example of MCAP: several chunks, so that there is an index to mutate
+FRAMES = 3  # of the examples: short inputs are mutated faster
+# Another version of the keypoints, which are therefore converted.
+OTHER_VERSION = """std_msgs/Header header
+mocap_ros_msgs/Keypoints2D[] people
+uint8[<=4] note
+================================================================================
+MSG: mocap_ros_msgs/Keypoints2D
+string id
+float32[] x
+float64[] y
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+
+
+def make_messages() -> list[bytes]:
+    """Return a message of every type, behind the byte that chooses the type."""
+    header = Header(7 * STEP_NS, 'camera')
+    image, compressed, jpeg = create_blank_message(IMAGE), create_blank_message(COMPRESSED_IMAGE), io.BytesIO()
+    image.height, image.width, image.step, image.encoding = 2, 2, 6, 'rgb8'
+    image.data = np.arange(12, dtype=np.uint8)
+    Image.new('RGB', (8, 8)).save(jpeg, 'JPEG')
+    compressed.format, compressed.data = 'jpeg', np.frombuffer(jpeg.getvalue(), np.uint8)
+    skeletons = encode_skeletons(header, [make_person_3d('a'), make_person_3d('b')])
+    bodies = make_inputs(HRI_SKELETON, 0)
+    by_type = {
+        **{t: make_inputs(t, 0)[0][1] for t in (KEYPOINTS, YOLO_DETECTIONS, ZED_OBJECTS, OPENPOSE_POSES)},
+        HRI_SKELETON: bodies[1][1],
+        HRI_IDS: bodies[0][1],
+        CAMERA_INFO: camera_info(),
+        TRANSFORMS: make_transforms(('map', 'camera', 0, (1, 2, 3)), ('camera', 'a', 5, (0, 0, 0))),
+        SKELETONS: skeletons,
+        IMAGE: encode(image, IMAGE),
+        COMPRESSED_IMAGE: encode(compressed, COMPRESSED_IMAGE),
+        'journal': encode_entry(Entry('input', 3, Verdict.DROPPED, 'late', '/keypoints', {'tracker.lag': 0.2})),
+        'columns of keypoints': make_keypoints(0),
+        'columns of skeletons': skeletons,
+    }
+    return [bytes([number]) + by_type[name] for number, (name, _) in enumerate(MESSAGE_READERS)]
+
+
+def make_json() -> list[bytes]:
+    """Return JSON in each of the forms that are read."""
+    flat = np.nan_to_num(make_recording().keypoints[:2]).round(1).reshape(2, -1).tolist()
+    people = [
+        {'keypoints': np.reshape(f, (-1, 3))[:, :2].tolist(), 'keypoint_scores': f[2::3], 'bbox_score': 0.9}
+        for f in flat
+    ]
+    columns = [{'x': f[::3], 'y': f[1::3], 'visible': f[2::3]} for f in flat]
+    results = [{'image_id': i, 'keypoints': f, 'score': 0.9, 'idx': [1]} for i, f in enumerate(flat)]
+    forms: list[object] = [
+        results,
+        {
+            'images': [{'id': i, 'file_name': f'a_{i}.jpg', 'width': 640, 'height': 480} for i in range(2)],
+            'annotations': results,
+            'categories': [{'keypoints': ['nose', 'left_eye', 'right_eye']}],
+        },
+        {'instance_info': [{'frame_id': i, 'instances': [p]} for i, p in enumerate(people)]},
+        [[{'keypoints': c, 'track_id': 3, 'confidence': 0.8}] for c in columns],
+        {'people': [{'person_id': [4], 'pose_keypoints_2d': flat[0]}]},
+    ]
+    return [json.dumps(form).encode() for form in forms]
+
+
+def make_bvhs() -> list[bytes]:
+    """Return BVH files of one joint, and of a whole body."""
+    with TemporaryDirectory() as folder:
+        save_bvh(Path(folder) / 'a.bvh', build_armature(make_poses()[:2] @ Z_UP_TO_Y_UP.T, 30.0))
+        whole = (Path(folder) / 'a.bvh').read_bytes()
+    return [make_bvh(lambda text: text).encode(), whole]
+
+
+def make_asfs() -> list[bytes]:
+    """Return skeleton and motion of two bones, and those of a whole body, whose bones all begin at the root."""
+    positions = make_poses()[0] @ Z_UP_TO_Y_UP.T
+    bones, names = [], []
+    for joint, name in RIGS['CMU ASF'].items():
+        offset = positions[CMU15.index(joint)] - positions[CMU15.index('pelvis')]
+        if name != 'root':
+            direction = ' '.join(map(str, offset.round(4)))
+            bones.append(f'begin\nname {name}\ndirection {direction}\nlength 1\ndof rx\nend\n')
+            names.append(name)
+    skeleton = (
+        ':root\norder TX TY TZ RX RY RZ\n:bonedata\n' + ''.join(bones) + ':hierarchy\nroot ' + ' '.join(names)
+    )
+    frame = 'root 0 1 0 5 6 7\n' + ''.join(f'{name} 3\n' for name in names)
+    small = ASF.encode() + FILE_SEPARATOR + AMC.encode()
+    return [small, skeleton.encode() + FILE_SEPARATOR + f'1\n{frame}2\n{frame}'.encode()]
+
+
+def make_c3ds() -> list[bytes]:
+    """Return a C3D file of the markers of a walk."""
+    import ezc3d
+
+    content = ezc3d.c3d()
+    content['parameters']['POINT']['RATE']['value'] = [100]
+    content['parameters']['POINT']['UNITS']['value'] = ['mm']
+    content['parameters']['POINT']['LABELS']['value'] = [f'anna:{j}' for j in CMU15.joints]
+    points = np.ones((4, 15, FRAMES))
+    points[:3] = make_poses()[:FRAMES].transpose(2, 1, 0) * 1000
+    content['data']['points'] = points
+    with TemporaryDirectory() as folder:
+        content.write(str(Path(folder) / 'a.c3d'))
+        return [(Path(folder) / 'a.c3d').read_bytes()]
+
+
+def make_npzs() -> list[bytes]:
+    """Return a sequence file, a result file, an archive of joints, and base poses."""
+    files = []
+    for arrays in _make_arrays():
+        stream = io.BytesIO()
+        write_npz(stream, arrays)
+        files.append(stream.getvalue())
+    return files
+
+
+def make_packed_arrays() -> list[bytes]:
+    """Return the arrays of the same files, packed."""
+    return [pack_arrays(arrays) for arrays in _make_arrays()]
+
+
+def _make_arrays() -> list[dict[str, NDArray[np.generic]]]:
+    demo = make_recording().sequence()
+    names = np.array(CMU15.joints)
+    joints = np.arange(FRAMES * 45.0).reshape(FRAMES, 15, 3)
+    model = io.BytesIO()
+    save_base_poses(load_base_poses('walk').truncate(2), model)
+    with np.load(io.BytesIO(model.getvalue())) as archive:
+        base_poses = dict(archive)
+    return [
+        {
+            'keypoints': demo.keypoints[:FRAMES].astype(np.float32),
+            'joint_names': np.array(demo.joint_names),
+            'timestamps': demo.timestamps[:FRAMES],
+            'image_size': np.array(IMAGE_SIZE),
+            'camera_matrix': np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]]),
+            'distortion': np.zeros(5),
+            'joints3d': joints,
+            'joints3d_names': names,
+        },
+        {
+            'timestamps': np.arange(FRAMES) / 30,
+            'joint_names': names,
+            'joints3d': joints,
+            'seen': np.ones((FRAMES, 15), bool),
+            'residual_px': np.ones(FRAMES),
+            'theta': np.zeros((FRAMES, 2)),
+        },
+        {'_joints': names, '35_01': joints},
+        base_poses,
+    ]
+
+
+def make_yamls() -> list[bytes]:
+    """Return a file of parameters, a map of markers and a manifest of trials."""
+    markers = '\n'.join(f'{joint}: [{joint}]' for joint in CMU15.joints)
+    tracker = {'mocap_node': {'ros__parameters': {'tracker': {'lag': 0.2}, 'node': {'output_frame': 'map'}}}}
+    return [
+        yaml.safe_dump(tracker).encode(),
+        b'tracker: {model: walk, iterations: 4}\n',
+        to_yaml(Config())[:800].encode(),
+        markers.encode(),
+        b'trial,subject,category,interior_glitches\n35_01,35,walk,0\n',
+    ]
+
+
+def make_mcaps() -> list[bytes]:
+    """Return files without compression and checksums, which mutations would break, and one of each compression."""
+    plain = CompressionType.NONE
+    return [_make_mcap(compression) for compression in CompressionType] + [
+        _make_mcap(plain, is_other_version=True)
+    ]
+
+
+def _make_mcap(compression: CompressionType, *, is_other_version: bool = False) -> bytes:
+    has_checksums = compression != CompressionType.NONE
+    stream = io.BytesIO()
+    writer = Writer(
+        stream, chunk_size=CHUNK_BYTES, compression=compression, enable_crcs=has_checksums,
+        enable_data_crcs=has_checksums,
+    )  # fmt: skip
+    writer.start('ros2', 'fuzz')
+    definition, metadata = '', {}
+    if has_checksums:
+        topic = make_topic('/keypoints', KEYPOINTS)
+        definition, metadata = topic.definition, topic.channel_metadata
+    if is_other_version:
+        definition = OTHER_VERSION
+    channel = writer.register_channel(
+        '/keypoints', 'cdr', writer.register_schema(KEYPOINTS, 'ros2msg', definition.encode()), metadata
+    )
+    for i in range(FRAMES):
+        writer.add_message(channel, START_NS + i * STEP_NS, make_keypoints(i), START_NS)
+    writer.add_attachment(START_NS, START_NS, 'mocap_ros.yaml', 'text/yaml', b'a: 1')
+    writer.add_metadata('rosbag2', {'serialized_metadata': 'ros_distro: kilted'})
+    writer.finish()  # type: ignore[no-untyped-call]
+    return stream.getvalue()
+
+
+def make_logged_mcap() -> bytes:
+    """Return a file whose last chunk is only in its write-ahead log."""
+    content = _make_mcap(CompressionType.NONE)
+    chunks = [record for record in iterate_records(content) if record.opcode == Opcode.CHUNK]
+    last = Chunk.read(open_content(content[chunks[-1].content_start : chunks[-1].end]))
+    log = CHUNK_COUNT.pack(len(chunks) - 1) + last.data
+    return content[: chunks[-1].start] + FILE_SEPARATOR + log
+
+
+def make_databases() -> list[bytes]:
+    """Return a bag in SQLite3."""
+    topic = make_topic('/keypoints', KEYPOINTS)
+    with TemporaryDirectory() as folder, closing(sqlite3.connect(Path(folder) / 'a.db3')) as database:
+        database.execute('PRAGMA page_size=512')
+        for table in (
+            'schema (schema_version INTEGER PRIMARY KEY, ros_distro TEXT)',
+            'topics (id, name, type, serialization_format, offered_qos_profiles, type_description_hash)',
+            'messages (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)',
+            'message_definitions (id, topic_type, encoding, encoded_message_definition, type_description_hash)',
+        ):
+            database.execute(f'CREATE TABLE {table}')
+        database.execute("INSERT INTO schema VALUES (4, 'kilted')")
+        row = (1, topic.name, topic.type, 'cdr', '', topic.type_hash)
+        database.execute('INSERT INTO topics VALUES (?, ?, ?, ?, ?, ?)', row)
+        definition = (1, topic.type, 'ros2msg', topic.definition, topic.type_hash)
+        database.execute('INSERT INTO message_definitions VALUES (?, ?, ?, ?, ?)', definition)
+        for i in range(FRAMES):
+            message = (i + 1, 1, START_NS + i * STEP_NS, make_keypoints(i))
+            database.execute('INSERT INTO messages VALUES (?, ?, ?, ?)', message)
+        database.commit()
+        return [(Path(folder) / 'a.db3').read_bytes()]
+
+
+def make_ros1_bags() -> list[bytes]:
+    """Return bags of ROS 1 with a CameraInfo, of each compression."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    info = store.types[CAMERA_INFO]
+    header = store.types['std_msgs/msg/Header'](7, store.types['builtin_interfaces/msg/Time'](5, 6), 'camera')
+    region = store.types['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False)
+    camera = info(
+        header,
+        480,
+        640,
+        'plumb_bob',
+        np.zeros(5),
+        np.eye(3).ravel(),
+        np.eye(3).ravel(),
+        np.zeros(12),
+        0,
+        0,
+        region,
+    )
+    bags = []
+    with TemporaryDirectory() as folder:
+        for compression in (None, *Ros1Writer.CompressionFormat):
+            path = Path(folder) / f'{compression}.bag'
+            writer = Ros1Writer(path)
+            if compression is not None:
+                writer.set_compression(compression)
+            with writer:
+                connection = writer.add_connection('/camera_info', CAMERA_INFO, typestore=store)
+                for i in range(2):
+                    raw = store.serialize_ros1(camera, CAMERA_INFO)
+                    writer.write(connection, START_NS + i * STEP_NS, raw)
+            bags.append(path.read_bytes())
+    return bags
+
+
+def make_folders() -> list[bytes]:
+    """Return bag folders: metadata.yaml and the file of messages, as it is and compressed."""
+    folders = []
+    with TemporaryDirectory() as folder:
+        with Recorder(Path(folder) / 'a', RecorderConfig(min_free_mb=0, compression='none')) as recorder:
+            for i in range(2):
+                recorder.write('/keypoints', KEYPOINTS, make_keypoints(i), START_NS + i * STEP_NS, START_NS)
+        (file,) = (Path(folder) / 'a').glob('*.mcap')
+        metadata = (Path(folder) / 'a' / METADATA).read_text().replace(file.name, 'a_0.mcap')
+        content = file.read_bytes()
+        for mode in ('', 'FILE'):
+            text = metadata
+            if mode:
+                text = metadata.replace("compression_format: ''", 'compression_format: zstd')
+                text = text.replace("compression_mode: ''", f'compression_mode: {mode}')
+            if mode == 'FILE':
+                text = text.replace('a_0.mcap', 'a_0.mcap.zstd')
+            data = zstandard.ZstdCompressor().compress(content) if mode == 'FILE' else content
+            folders.append(text.encode() + FILE_SEPARATOR + data)
+    return folders
+
+
+EXAMPLES: dict[str, Examples] = {
+    'messages': make_messages,
+    'json': make_json,
+    'bvh': make_bvhs,
+    'asf': make_asfs,
+    'c3d': make_c3ds,
+    'npz': make_npzs,
+    'arrays': make_packed_arrays,
+    'yaml': make_yamls,
+    'mcap': make_mcaps,
+    'db3': make_databases,
+    'ros1': make_ros1_bags,
+    'recovery': lambda: [*make_mcaps(), *make_databases(), make_logged_mcap()],
+    'folder': make_folders,
+}

@@ -1,0 +1,314 @@
+"""The fuzz targets: one function for each kind of input from strangers.
+
+A target takes bytes. It returns where the bytes are read, or where they are refused with one clear error of
+`mocap_ros.errors`; whatever else it raises is a fault. The same targets serve coverage-guided runs (`run.py`),
+the tests with structured inputs and the replay of the inputs that once failed (`failed/`).
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.bags.journal import decode_entry
+from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recovery import recover
+from mocap_ros.bags.write_ahead_log import find_log
+from mocap_ros.config import NodeConfig, from_yaml
+from mocap_ros.errors import MAX_MESSAGE_CHARACTERS, MocapError
+from mocap_ros.formats.coco_json import load_coco
+from mocap_ros.formats.detections import Video, select_person
+from mocap_ros.formats.mocap.joint_maps import load_marker_map
+from mocap_ros.formats.mocap.trials import TrialOptions, load_trials
+from mocap_ros.formats.openpose_json import load_openpose
+from mocap_ros.formats.result_file import load_result_file
+from mocap_ros.formats.sequence_file import SEQUENCE_KEYS, load_sequence
+from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
+from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
+from mocap_ros.messages.foreign.hri import decode_body, decode_ids
+from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE, decode_image
+from mocap_ros.messages.input_types import KEYPOINT_TYPES, decode_frame
+from mocap_ros.messages.keypoint_columns import read_keypoints
+from mocap_ros.messages.skeleton_columns import read_skeletons
+from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
+from mocap_ros.messages.transform_tree import TransformTree
+from mocap_ros.messages.transforms import TRANSFORMS
+from mocap_ros.models.model_file import decode_base_poses, decode_lifter
+
+IMAGE_SIZE = 640, 480  # px
+LIMITS = NodeConfig()
+VIDEO = Video(fps=30.0, image_size=IMAGE_SIZE)
+FILE_SEPARATOR = b'\n%%%%\n'  # between the files of an input that has several
+MAX_MESSAGES = 1000  # messages of a bag that a target decodes; a reader has no such limit, and none is needed
+
+# Keys of the arrays that a file of packed arrays may hold, by the number that stands for them (`pack_arrays`).
+ARRAY_KEYS = (
+    *SEQUENCE_KEYS,
+    *('theta', 'residual_px', 'seen', '_joints', '35_01', 'mean', 'components', 'std', 'explained', 'meta'),
+    *('w0', 'b0', 'w1', 'b1', 'w2', 'b2', 'w3', 'b3'),
+)
+
+Read = Callable[[bytes, Path], object]
+
+
+class Target(NamedTuple):
+    """A kind of input.
+
+    Attributes:
+        read: function that reads the bytes, and that may write files into the folder, which is empty.
+        modules: modules of the package in which the coverage of a run is counted.
+    """
+
+    read: Read
+    modules: tuple[str, ...]
+
+
+def check(name: str, data: bytes) -> bool:
+    """Give an input to a target.
+
+    Args:
+        name: name of the target.
+        data: the input.
+
+    Returns:
+        Whether the input was read; False where it was refused.
+
+    Raises:
+        AssertionError: the input was refused by an error that is not clear.
+        Exception: whatever else the reader raised is a fault of it.
+    """
+    with TemporaryDirectory(prefix='fuzz') as folder:
+        try:
+            TARGETS[name].read(data, Path(folder))
+        except MocapError as error:
+            _check_message(str(error), '' if name in UNNAMED else folder)
+            return False
+        return True
+
+
+def _check_message(message: str, place: str = '') -> None:
+    """Check that an error is one printable line that names the place and says more than a Python error."""
+    assert message.strip(), 'the error says nothing'
+    assert place in message, f'the error does not name the file: {message}'
+    assert message.isprintable(), f'the error is not one printable line: {message!r}'
+    assert len(message) <= MAX_MESSAGE_CHARACTERS, f'the error has {len(message)} characters'
+    for name in ('Unable to allocate', 'MemoryError', 'Traceback'):
+        assert name not in message, message
+
+
+def _read_all(readers: Iterable[Callable[[], object]]) -> None:
+    """Call all readers; raise the last error of this package where all of them refuse the input."""
+    refusal, is_read = None, False
+    for read in readers:
+        try:
+            read()
+            is_read = True
+        except MocapError as error:  # noqa: PERF203
+            _check_message(str(error))
+            refusal = error
+    if refusal is not None and not is_read:
+        raise refusal
+
+
+def _read_transforms(raw: bytes) -> None:
+    tree = TransformTree()
+    for is_static in (True, False):
+        tree.add(raw, is_static=is_static)
+    with suppress(MocapError):
+        tree.find('map', 'camera', 0, 0.1)
+    tree.encode_all()
+
+
+MESSAGE_READERS: tuple[tuple[str, Callable[[bytes], object]], ...] = (
+    *((t, lambda raw, t=t: decode_frame(raw, t, LIMITS, IMAGE_SIZE)) for t in KEYPOINT_TYPES),
+    (HRI_SKELETON, lambda raw: decode_body(raw, 'b0', IMAGE_SIZE, LIMITS)),
+    (HRI_IDS, lambda raw: decode_ids(raw, LIMITS)),
+    (CAMERA_INFO, lambda raw: (decode_camera_info(raw), decode_camera_info(raw, rectified=True))),
+    (TRANSFORMS, _read_transforms),
+    (SKELETONS, decode_skeletons),
+    (IMAGE, lambda raw: decode_image(raw, IMAGE, LIMITS)),
+    (COMPRESSED_IMAGE, lambda raw: decode_image(raw, COMPRESSED_IMAGE, LIMITS)),
+    ('journal', decode_entry),
+    ('columns of keypoints', lambda raw: list(read_keypoints([raw, raw]))),
+    ('columns of skeletons', lambda raw: [list(m.people) for m in read_skeletons([raw, raw])]),
+)
+
+
+def read_message(data: bytes, _: Path) -> None:
+    """Read a message whose first byte chooses the type."""
+    if data:
+        MESSAGE_READERS[data[0] % len(MESSAGE_READERS)][1](data[1:])
+
+
+def read_json(data: bytes, folder: Path) -> None:
+    """Read JSON in the form of COCO and in that of OpenPose."""
+    path = folder / 'a_0_keypoints.json'
+    path.write_bytes(data)
+    _read_all((lambda: select_person(load_coco(path, VIDEO)), lambda: select_person(load_openpose(folder, VIDEO))))
+
+
+def read_bvh(data: bytes, folder: Path) -> None:
+    """Read a BVH file."""
+    (folder / 'a.bvh').write_bytes(data)
+    load_trials(folder / 'a.bvh')
+
+
+def read_asf(data: bytes, folder: Path) -> None:
+    """Read a skeleton and its motion, separated by `FILE_SEPARATOR`."""
+    skeleton, _, motion = data.partition(FILE_SEPARATOR)
+    (folder / 'a.asf').write_bytes(skeleton)
+    (folder / 'a.amc').write_bytes(motion)
+    load_trials(folder / 'a.amc')
+
+
+def read_c3d(data: bytes, folder: Path) -> None:
+    """Read a C3D file."""
+    (folder / 'a.c3d').write_bytes(data)
+    load_trials(folder / 'a.c3d')
+
+
+def read_npz(data: bytes, folder: Path) -> None:
+    """Read an .npz file as everything that it may be."""
+    path = folder / 'a.npz'
+    path.write_bytes(data)
+    _read_all(
+        (
+            lambda: load_sequence(path),
+            lambda: load_result_file(path),
+            lambda: load_trials(path),
+            lambda: decode_base_poses(data, 'a.npz'),
+            lambda: decode_lifter(data, 'a.npz'),
+        )
+    )
+
+
+def read_arrays(data: bytes, folder: Path) -> None:
+    """Read an .npz file of packed arrays: mutations change the arrays, and the archive stays whole."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, 'w') as archive:
+        for key, content in _unpack_arrays(data):
+            archive.writestr(f'{key}.npy', content)
+    read_npz(stream.getvalue(), folder)
+
+
+def pack_arrays(arrays: dict[str, NDArray[np.generic]]) -> bytes:
+    """Pack arrays: of each the number of its key (1 byte), the length (3 bytes) and the content as .npy."""
+    packed = b''
+    for key, array in arrays.items():
+        stream = io.BytesIO()
+        np.save(stream, array)
+        packed += bytes([ARRAY_KEYS.index(key)]) + len(stream.getvalue()).to_bytes(3, 'little') + stream.getvalue()
+    return packed
+
+
+def _unpack_arrays(data: bytes) -> Iterator[tuple[str, bytes]]:
+    """Yield keys, each once, and contents of packed arrays."""
+    seen = set()
+    while data:
+        key, size = ARRAY_KEYS[data[0] % len(ARRAY_KEYS)], int.from_bytes(data[1:4], 'little')
+        if key not in seen:
+            yield key, data[4 : 4 + size]
+        seen.add(key)
+        data = data[4 + size :]
+
+
+def read_yaml(data: bytes, folder: Path) -> None:
+    """Read parameters, a map of markers, and a manifest of trials, which is CSV."""
+    text = data.decode(errors='replace')
+    (folder / 'a.yaml').write_text(text, encoding='utf-8', newline='')
+    (folder / 'a.npz').write_bytes(b'')
+    options = TrialOptions(manifest=folder / 'a.yaml')
+    _read_all(
+        (
+            lambda: from_yaml(text, 'a.yaml'),
+            lambda: load_marker_map(folder / 'a.yaml'),
+            lambda: load_trials(folder / 'a.npz', options),
+        )
+    )
+
+
+def _read_bag(path: Path) -> None:
+    """Read topics, QoS profiles and messages of a bag."""
+    with Bag(path) as bag:
+        assert isinstance(bag.qos, dict)
+        assert bag.duration_s is not None
+        for _, message in zip(range(MAX_MESSAGES), bag.messages(list(bag.topics)), strict=False):
+            with suppress(MocapError):
+                if message.type in KEYPOINT_TYPES:
+                    decode_frame(message.raw, message.type, LIMITS, IMAGE_SIZE)
+
+
+def _make_bag_reader(suffix: str) -> Read:
+    """Return a function that reads a bag of one file."""
+
+    def read(data: bytes, folder: Path) -> None:
+        (folder / f'a{suffix}').write_bytes(data)
+        _read_bag(folder / f'a{suffix}')
+
+    return read
+
+
+def recover_bag(data: bytes, folder: Path) -> None:
+    """Recover what can be recovered of a bag; the first bytes of an SQLite3 bag say what it is.
+
+    Its write-ahead log, if there is one, is behind `FILE_SEPARATOR`.
+    """
+    content, separator, log = data.partition(FILE_SEPARATOR)
+    path = folder / ('a.db3' if content.startswith(b'SQLite') else 'a.mcap')
+    path.write_bytes(content)
+    if separator:
+        find_log(path).write_bytes(log)
+    _recover(path, folder / 'recovered')
+
+
+def _recover(path: Path, out: Path) -> None:
+    """Recover a bag; what was recovered must be a whole bag."""
+    recover(path, out)
+    try:
+        _read_bag(out)
+    except MocapError as error:
+        raise AssertionError(f'the recovered bag is not whole: {error}') from None
+
+
+def read_bag_folder(data: bytes, folder: Path) -> None:
+    """Read a bag folder: metadata.yaml and the file of messages, separated by `FILE_SEPARATOR`."""
+    metadata, _, content = data.partition(FILE_SEPARATOR)
+    (folder / 'a_0.mcap').write_bytes(content)
+    (folder / 'a_0.mcap.zstd').write_bytes(content)
+    (folder / 'metadata.yaml').write_bytes(metadata)
+    _read_bag(folder)
+
+
+_MESSAGES = (
+    *('messages.camera_info', 'messages.cdr', 'messages.columns', 'messages.foreign', 'messages.images'),
+    *('messages.input_types', 'messages.keypoint', 'messages.skeleton_columns', 'messages.transform_tree'),
+    *('bags.journal', 'keypoints.validation'),
+)
+_NPZ = ('formats.npz_arrays', 'formats.sequence_file', 'formats.result_file', 'npz_file', 'models.model_file')
+_BAGS = ('bags.reader', 'messages.versions', 'messages.recorded_types')
+_RECOVERY = ('bags.recovery', 'bags.mcap_scan', 'bags.mcap_layout', 'bags.sqlite_s', 'bags.write_ahead')
+TARGETS = {
+    'messages': Target(read_message, _MESSAGES),
+    'json': Target(read_json, ('formats.coco_json', 'formats.openpose_json', 'formats.detections')),
+    'bvh': Target(read_bvh, ('formats.mocap.bvh', 'formats.bvh_motion', 'formats.mocap.trials')),
+    'asf': Target(read_asf, ('formats.mocap.asf', 'formats.mocap.trials', 'formats.mocap.joint_maps')),
+    'c3d': Target(read_c3d, ('formats.mocap.c3d',)),
+    'npz': Target(read_npz, _NPZ),
+    'arrays': Target(read_arrays, _NPZ),
+    'yaml': Target(read_yaml, ('config.yaml_file', 'config.access', 'formats.mocap.joint_maps')),
+    'mcap': Target(_make_bag_reader('.mcap'), _BAGS),
+    'db3': Target(_make_bag_reader('.db3'), _BAGS),
+    'ros1': Target(_make_bag_reader('.bag'), ('bags.reader', 'messages.versions', 'messages.recorded_types')),
+    'recovery': Target(recover_bag, _RECOVERY),
+    'folder': Target(read_bag_folder, _BAGS),
+}
+# Targets whose input is no file, or is also read from memory; the errors of all others name the file or folder.
+UNNAMED = ('messages', 'npz', 'arrays', 'yaml')

@@ -1,0 +1,110 @@
+"""The distributions hold what users need, and the version stands in package.xml alone."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import xml.etree.ElementTree as ET
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.support.paths import ROOT
+
+VERSION = ET.parse(ROOT / 'package.xml').findtext('version')
+# Built in one process, the wheel from the source distribution alone.
+BUILD = """
+import os, pathlib, sys, tarfile
+from setuptools import build_meta
+out = pathlib.Path(sys.argv[1])
+sdist = build_meta.build_sdist(str(out))
+with tarfile.open(out / sdist) as archive:
+    archive.extractall(out, filter='data')
+os.chdir(out / sdist.removesuffix('.tar.gz'))
+build_meta.build_wheel(str(out))
+"""
+
+
+def read_first_version() -> tuple[str, str]:
+    """The version at the head of the changelog, and what stands behind it."""
+    heading = re.search(r'^## (\S+) (.*)$', (ROOT / 'CHANGELOG.md').read_text(encoding='utf-8'), re.MULTILINE)
+    assert heading is not None
+    return heading[1], heading[2]
+
+
+@pytest.fixture(scope='module')
+def distributions(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the source distribution, unpacked too, and the wheel that was built from it."""
+    source = tmp_path_factory.mktemp('source')
+    for name in ('config', 'examples', 'mocap_ros', 'msg_defs', 'resource'):
+        shutil.copytree(
+            ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns('__pycache__', 'node_modules')
+        )
+    for file in ROOT.iterdir():
+        if file.is_file():
+            shutil.copy(file, source)
+    out = tmp_path_factory.mktemp('distributions')
+    ran = subprocess.run(
+        [sys.executable, '-c', BUILD, str(out)], cwd=source, capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 0, ran.stderr
+    return out
+
+
+def test_the_changelog_begins_with_the_version_of_the_package() -> None:
+    version, state = read_first_version()
+    assert version == VERSION
+    assert re.fullmatch(r'\(unreleased\)|- \d{4}-\d\d-\d\d', state)
+
+
+def test_an_unreleased_version_is_named_a_development_version(distributions: Path) -> None:
+    version = f'{VERSION}.dev0' if read_first_version()[1] == '(unreleased)' else VERSION
+    assert [path.name for path in distributions.glob('*.whl')] == [f'mocap_ros-{version}-py3-none-any.whl']
+
+
+def test_the_wheel_holds_every_file_of_the_package(distributions: Path) -> None:
+    package = ROOT / 'mocap_ros'
+    files = {path.relative_to(ROOT).as_posix() for path in package.rglob('*') if path.is_file()}
+    files |= {f'mocap_ros/messages/msg/{path.name}' for path in (ROOT / 'msg_defs' / 'msg').glob('*.msg')}
+    (wheel,) = distributions.glob('*.whl')
+    held = set(zipfile.ZipFile(wheel).namelist())
+    assert {file for file in files if '__pycache__' not in file} - held == set()
+    shared = {name.partition('.data/data/')[2] for name in held} - {''}
+    assert shared >= {
+        'share/ament_index/resource_index/packages/mocap_ros',
+        'share/mocap_ros/package.xml',
+        *(f'share/mocap_ros/config/mocap_ros.{suffix}' for suffix in ('foxglove.json', 'rviz', 'yaml')),
+        'share/mocap_ros/launch/mocap.launch.py',
+    }
+
+
+def test_the_source_distribution_is_enough_to_set_up_the_package(distributions: Path) -> None:
+    (sdist,) = distributions.glob('*.tar.gz')
+    with tarfile.open(sdist) as archive:
+        held = {name.partition('/')[2] for name in archive.getnames()}
+    needed = [
+        path for folder in ('msg_defs', 'config/env') for path in (ROOT / folder).rglob('*') if path.is_file()
+    ]
+    assert {path.relative_to(ROOT).as_posix() for path in needed} - held == set()
+    assert {'Makefile', 'CHANGELOG.md', 'LICENSE', 'colcon_defaults.yaml'} <= held
+
+
+def test_the_description_for_package_indexes_has_no_relative_links(distributions: Path) -> None:
+    (metadata,) = distributions.glob('*/PKG-INFO')
+    links = re.findall(r'\]\(([^)\s]+)', metadata.read_text(encoding='utf-8'))
+    assert links
+    assert [link for link in links if not link.startswith(('https://', '#'))] == []
+
+
+def test_from_the_folder_above_a_clone_the_package_is_found(tmp_path: Path) -> None:
+    """There the clone is a folder called mocap_ros, which Python takes for a package if it finds no other."""
+    (tmp_path / 'mocap_ros' / 'mocap_ros').mkdir(parents=True)
+    code = 'import mocap_ros; print(mocap_ros.__file__)'
+    printed = subprocess.run(
+        [sys.executable, '-c', code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert printed.stdout.strip().endswith('__init__.py')
