@@ -156,17 +156,29 @@ class McapScan:
             self.losses.append(
                 f'the last {len(records) - end} bytes of its write-ahead log are no complete record'
             )
+        if missing := self._log.chunks_before - self._chunk_count:
+            self.losses.append(
+                f'chunks before its write-ahead log that the file does not hold completely: {missing}'
+            )
 
     @property
     def _is_log_needed(self) -> bool:
         """Whether the file lacks the chunk whose messages the log holds."""
         return self._log is not None and self._chunk_count <= self._log.chunks_before
 
+    @property
+    def _has_log_of_end(self) -> bool:
+        """Whether the log holds what comes next in the file, whose earlier chunks are all there."""
+        return self._log is not None and self._chunk_count == self._log.chunks_before
+
     def _report_gap(self, start: int, end: int, saved_count: int, *, is_last: bool) -> None:
         """Add a loss for the bytes from `start` to `end`, which are no complete record."""
-        if start == end or (is_last and self._is_log_needed and not self.is_finished):
+        if start == end or (is_last and self._has_log_of_end and not self.is_finished):
             if is_last:
-                self.losses.append('the file was not finished; its end is missing, but no message')
+                told = 'every message that was written to it was recovered'
+                if self._log is None:
+                    told = 'messages of its last chunk may be missing without its write-ahead log (-wal)'
+                self.losses.append(f'the file was not closed; {told}')
             return
         fault = 'cut off' if is_last and not self.is_finished else 'damaged'
         saved = f'; {saved_count} complete messages in them were saved' if saved_count else ''
@@ -250,7 +262,7 @@ class McapScan:
     def _read_cut_chunk(self, start: int) -> Iterator[ScannedMessage]:
         """Yield the complete messages of a chunk that the end of the file cuts off."""
         header_end = start + RECORD_PREFIX.size + MIN_CHUNK_BYTES + MAX_COMPRESSION_NAME_BYTES
-        if not CHUNK_PATTERN.match(self._data[start:header_end]) or self.is_finished or self._is_log_needed:
+        if not CHUNK_PATTERN.match(self._data[start:header_end]) or self.is_finished or self._has_log_of_end:
             return
         content = self._data[start + RECORD_PREFIX.size : start + MAX_CHUNK_BYTES]
         *_, size, _, name_length = CHUNK_HEADER.unpack_from(content)

@@ -23,6 +23,7 @@ from mocap_ros.messages.cdr import Header, create_header, create_message, decode
 from mocap_ros.messages.transforms import CHILD_LINKS, ROOT_LINK, TRANSFORMS
 from mocap_ros.units import NS_PER_S
 
+RESTART_S = 2.0  # s; transforms of one frame never arrive so much out of order, but a simulation starts anew
 HISTORY_S = 10.0  # s; as tf2 keeps transforms, and longer than any tracker.lag
 MAX_FRAMES = 1000  # frames; many times those of a robot; guards the memory against names that never end
 MAX_SAMPLES = 20_000  # transforms that are kept of a frame, 10 s at 2 kHz; guards the memory against a flood
@@ -48,7 +49,7 @@ class _Link:
     def add(self, stamp_ns: int, transform: RigidTransform) -> None:
         """Add a transform; one that is far older than the newest begins anew, as time itself has gone back."""
         history_ns = int(HISTORY_S * NS_PER_S)
-        if self.is_static or (self.samples and stamp_ns < self.samples[-1][0] - history_ns):
+        if self.is_static or (self.samples and stamp_ns < self.samples[-1][0] - RESTART_S * NS_PER_S):
             self.samples = []
         index = bisect_left(self.samples, stamp_ns, key=_get_stamp)
         if index < len(self.samples) and self.samples[index][0] == stamp_ns:

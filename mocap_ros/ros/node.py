@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter as RosParameter
 from mocap_ros.bags.topics import Source
 from mocap_ros.compiled.kernel import compile_kernels, is_compiling
 from mocap_ros.config import Config, with_values
-from mocap_ros.errors import ConfigError, MocapError, RecordingError
+from mocap_ros.errors import MocapError, RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter
 from mocap_ros.ros.help import SERVICES
@@ -200,8 +200,10 @@ class MocapNode(LifecycleNode):
     def _check_parameters(self, changed: list[RosParameter[Any]]) -> SetParametersResult:
         """Accept or reject changes of parameters before they are made."""
         try:
-            with_values(self._config, select_config_values(changed))
-        except ConfigError as error:
+            config = with_values(self._config, select_config_values(changed))
+            if self._pipeline is not None:
+                self._pipeline.check(config)
+        except MocapError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 

@@ -21,23 +21,13 @@ QOS_OVERRIDE_PREFIX = 'qos_overrides.'  # rclpy declares these parameters when t
 def declare_parameters(node: Node) -> Config:
     """Declare all parameters on a node, with ranges and descriptions, and return their values.
 
-    A whole number may be given where the parameter is a real one, as in `-p tracker.window:=2`, which ROS refuses
-    otherwise.
-
     Raises:
         ConfigError: A parameter was given a value that it cannot have; the error names the parameter.
     """
-    given: dict[str, object] = {}
     try:
-        for p in parameters():
-            override, value = node._parameter_overrides.get(p.name), p.default
-            is_whole = p.kind is float and override is not None and type(override.value) is int
-            if override is not None and is_whole:
-                value = float(override.value)
-            declared: RosParameter[Any] = node.declare_parameter(
-                p.name, value, describe_parameter(p), ignore_override=is_whole
-            )
-            given[p.name] = declared.value
+        given: dict[str, object] = {
+            p.name: node.declare_parameter(p.name, p.default, describe_parameter(p)).value for p in parameters()
+        }
     except ParameterException as error:
         raise ConfigError(str(error)) from None
     return with_values(Config(), given)
@@ -58,12 +48,15 @@ def select_config_values(changed: Sequence[RosParameter[Any]]) -> dict[str, obje
 
 
 def describe_parameter(p: Parameter) -> ParameterDescriptor:
-    """Return the ROS descriptor of a parameter: description, range, choices and whether it is read-only."""
+    """Return the ROS descriptor of a parameter: description, range, choices and whether it is read-only.
+
+    ROS would refuse a whole number for a real parameter, as in `-p tracker.window:=2`, unless the type may change.
+    """
     descriptor = ParameterDescriptor(
         description=p.description,
         additional_constraints=f'one of {", ".join(p.choices)}' if p.choices else '',
         read_only=p.read_only,
-        dynamic_typing=p.takes_numbers,
+        dynamic_typing=p.takes_numbers or p.kind is float,
     )
     if p.kind is float and (p.low is not None or p.high is not None):
         low = -sys.float_info.max if p.low is None else float(p.low)

@@ -232,6 +232,7 @@ class Pipeline:
         self._consecutive_errors = 0
         self._vertical_check = VerticalCheck()
         self._noted: set[str] = set()  # remarks that are made once
+        self._camera_name = ''  # the last `frame_id` that was not empty
         self.header = self.output_header = Header(0, '')
         self.people: tuple[Person3D, ...] = ()
 
@@ -299,9 +300,11 @@ class Pipeline:
         try:
             if is_stamp_missing(frame.header.stamp_ns, self.header.stamp_ns):
                 raise FrameDropped(MISSING_STAMP)
-            self._check_camera(frame.header)
+            camera_remark = self._check_camera(frame.header)
             intrinsics = self._find_intrinsics(frame)
             floor, floor_remark = self._find_floor(frame.header, intrinsics)
+            if camera_remark:
+                self._tracker.reset()
             people = self._track(frame, intrinsics, floor)
             header, camera, remark = self._place_camera(
                 Header(self._tracker.output_stamp_ns, frame.header.frame_id)
@@ -314,23 +317,31 @@ class Pipeline:
                 error = FrameDropped(MISSING_STAMP)
             return _reject(error)
         self.header, self.output_header, self.people = frame.header, header, people
+        self._camera_name = frame.header.frame_id or self._camera_name
         back_s = self._tracker.backward_jump_s
         if back_s:
             remark = f'the stamp went back by {back_s:.1f} s, so tracking was restarted'
         once = self._note_once(floor_remark), self._note_once(self._doubt_vertical(people, floor))
-        return ProcessingResult(Verdict.ACCEPTED, '; '.join(r for r in (remark, *once) if r), outputs)
+        remarks = camera_remark, remark, *once
+        return ProcessingResult(Verdict.ACCEPTED, '; '.join(r for r in remarks if r), outputs)
 
-    def _check_camera(self, header: Header) -> None:
-        """Restart tracking where another camera has taken over; raise InputError where two send in turn."""
-        previous = self.header
-        if not previous.stamp_ns or header.frame_id == previous.frame_id:
-            return
-        if abs(header.stamp_ns - previous.stamp_ns) < OTHER_CAMERA_S * NS_PER_S:
+    def _check_camera(self, header: Header) -> str:
+        """Return a remark where another camera has taken over, so that tracking must be restarted.
+
+        A message without a `frame_id` is of the same camera.
+
+        Raises:
+            InputError: Two cameras send in turn.
+        """
+        known, name = self._camera_name, header.frame_id
+        if not known or not name or name == known:
+            return ''
+        if abs(header.stamp_ns - self.header.stamp_ns) < OTHER_CAMERA_S * NS_PER_S:
             raise InputError(
-                f'header.frame_id: {header.frame_id!r}, but the people of {previous.frame_id!r} are being '
-                'tracked; run a node for each camera'
+                f'header.frame_id: {name!r}, but the people of {known!r} are being tracked; '
+                'run a node for each camera'
             )
-        self._tracker.reset()
+        return f'the camera {known!r} is called {name!r} now or is another one, so tracking was restarted'
 
     def _place_camera(self, header: Header) -> tuple[Header, CameraPlacement, str]:
         """Return the header of the outputs, the camera in its frame, and why that is not `node.output_frame`.
@@ -450,12 +461,25 @@ class Pipeline:
         return cleared
 
     def reconfigure(self, config: Config) -> bool:
-        """Use other parameters; return whether the tracker had to be restarted for them."""
-        previous, self.config = self.config, config
-        if (previous.solver, previous.tracker) == (config.solver, config.tracker):
+        """Use other parameters; return whether the tracker had to be restarted for them.
+
+        Raises:
+            MocapError: The parameters cannot be used together, or a file that they name cannot be loaded; nothing
+                has changed.
+        """
+        tracker = self.check(config)
+        self.config = config
+        if tracker is None:
             return False
-        self._tracker = self._make_tracker(self.models, config)
+        self._tracker = tracker
         return True
+
+    def check(self, config: Config) -> FrameTracker | None:
+        """Return the tracker that other parameters need, or None if they need none; errors as `reconfigure`."""
+        read_prediction_times(config)
+        if (self.config.solver, self.config.tracker) == (config.solver, config.tracker):
+            return None
+        return self._make_tracker(self.models, config)
 
     def _find_intrinsics(self, frame: KeypointsFrame) -> Intrinsics:
         """Return the intrinsics of CameraInfo, or nominal ones from the size in the message or the parameters."""

@@ -535,10 +535,12 @@ class Tracker:
         ]
         if floor is not None:
             contacts, body_height = dict(state.contacts), self.config.tracker.body_height
-            for person in people:
+            for person, (track, _) in zip(people, shown, strict=True):
                 if person.tentative or not person.scale_known:
                     continue
                 before = contacts.pop(person.id, None)
+                if before is not None and before.stamp_ns < track.first_ns:
+                    before = None  # the name has come back, but a detector may have given it to somebody else
                 contact = FloorContact.advance(before, stamp_ns, person, floor, body_height)
                 if contact is not None:
                     contacts[person.id] = contact  # the newest come last

@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,7 @@ CHUNK_FRAMES = 20  # frames in the first chunk
 OPEN_FRAMES = 15  # further frames, in the open chunk
 FRAMES = CHUNK_FRAMES + OPEN_FRAMES
 IN_ONE_CHUNK = RecorderConfig(chunk_seconds=10.0)
-UNFINISHED = 'the file was not finished; its end is missing, but no message'
+UNFINISHED = 'the file was not closed; every message that was written to it was recovered'
 
 
 def recover_frames(bag: Path) -> tuple[list[bytes], list[str]]:
@@ -83,10 +84,31 @@ def test_a_log_that_is_cut_off_anywhere_loses_only_its_last_messages(open_bag: P
         log.write_bytes(content[:cut])
         found, losses = recover_frames(open_bag)
         assert found == [make_keypoints(i) for i in range(CHUNK_FRAMES + sum(end <= cut for end in lengths))]
-        assert losses[0] == UNFINISHED
+        assert losses[0].startswith('the file was not closed')
         is_whole = cut <= 8 or cut in lengths
         assert is_whole or 'bytes of its write-ahead log are no complete record' in losses[1]
         shutil.rmtree(open_bag.with_name('bag_whole'))
+
+
+def test_a_file_that_is_cut_before_its_log_gives_what_is_left_of_both(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / 'live' / 'bag', replace(IN_ONE_CHUNK, compression='none'), has_log=True)
+    record_keypoints(recorder, CHUNK_FRAMES)
+    recorder.flush()
+    record_keypoints(recorder, OPEN_FRAMES, CHUNK_FRAMES)
+    recorder.write_ahead()
+    open_bag = shutil.copytree(tmp_path / 'live' / 'bag', tmp_path / 'bag')
+    recorder.close()
+    file = open_bag / 'bag_0.mcap'
+    log, content = find_log(file).read_bytes(), file.read_bytes()
+    file.write_bytes(content[: 3 * len(content) // 4])  # within the only chunk
+    find_log(file).unlink()
+    salvaged = recover_frames(open_bag)[0]
+    assert salvaged
+    shutil.rmtree(open_bag.with_name('bag_whole'))
+    find_log(file).write_bytes(log)
+    found, losses = recover_frames(open_bag)
+    assert found == [*salvaged, *map(make_keypoints, range(CHUNK_FRAMES, FRAMES))]
+    assert losses[-1] == 'chunks before its write-ahead log that the file does not hold completely: 1'
 
 
 @pytest.mark.parametrize('written_bytes', [0, 5, 60, 900, None])

@@ -24,13 +24,18 @@ def test_a_parameter_out_of_range_ends_the_start_with_one_line(start_node: Start
 
 
 def test_parameters_are_checked_when_they_are_set(peer: Peer, start_node: StartNode) -> None:
-    node = start_node('tracker.min_score:=0', 'tracker.window:=3')
+    node = start_node('tracker.min_score:=0', 'tracker.window:=3', 'node.publish_predictions:=true')
     peer.wait_for_node()
-    assert peer.get_parameter('tracker.window') == 3.0
+    assert peer.get_parameter('tracker.window') == 3
+    assert peer.set_parameter('tracker.window', 4).successful
+    assert not peer.set_parameter('tracker.window', 'four').successful
     assert peer.set_parameter('tracker.min_score', 0.2).successful
     assert not peer.set_parameter('tracker.min_score', 1.5).successful
     assert 'joint, alternation' in peer.set_parameter('solver.method', 'none').reason
     assert not peer.set_parameter('recorder.folder', '/').successful
+    assert 'anna' in peer.set_parameter('tracker.body_heights', 'anna').reason
+    assert 'tracker.lag = 0' in peer.set_parameter('tracker.lag', 0.2).reason, 'there are no predictions then'
+    assert peer.set_parameter('tracker.body_heights', 'anna=1.65').successful
     stop_node(node)
 
 

@@ -104,7 +104,11 @@ def test_of_two_cameras_that_send_in_turn_only_the_first_is_used(stream: list[by
         reason = reject(mixed, of_camera(5 - n, 'back', 1.01 + n / 30), Verdict.INVALID)
         assert reason.startswith("header.frame_id: 'back', but the people of 'front' are being tracked")
     assert (mixed.counters.accepted, mixed.counters.invalid) == (6, 6)
-    assert process(mixed, of_camera(3, 'back', 2.3)) == process(Pipeline(FAST_CONFIG), of_camera(3, 'back', 2.3))
+    alone = Pipeline(FAST_CONFIG)
+    assert process(mixed, of_camera(3, 'back', 2.3)) == process(alone, of_camera(3, 'back', 2.3))
+    process(mixed, of_camera(4, '', 2.35))  # it has lost its name for a moment
+    process(mixed, of_camera(5, 'back', 2.4))
+    assert mixed.people[0].age == pytest.approx(0.1)
 
 
 def test_a_person_with_one_visible_joint_is_not_tracked() -> None:

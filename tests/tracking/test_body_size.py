@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocap_ros.config import Config, with_values
+from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import ConfigError
 from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.geometry.floor import Floor, is_level
@@ -109,6 +110,19 @@ def test_what_is_no_foot_on_the_floor_tells_nothing(person: Person3D) -> None:
     known = contact_after(30, make_standing(1.1))
     assert FloorContact.advance(known, 31 * STEP_NS, person, LEVEL, HEIGHT_M) is known
     assert FloorContact.advance(None, 0, person, LEVEL, HEIGHT_M) is None
+
+
+def test_a_name_that_comes_back_is_measured_anew() -> None:
+    tracker, sequence = Tracker(load_base_pose_models('auto'), Config()), make_recording().sequence()
+    floor = Floor(np.array([0.0, -1.0, 0.0]), 1.2)
+    seconds = []
+    for start_s in (0, 20):
+        for frame in range(45):
+            stamp_ns = start_s * 10**9 + sequence.stamps_ns[frame]
+            tracker.update(stamp_ns, [sequence.person(frame, 'anna')], CAMERA, floor)
+        contacts = dict(tracker.snapshot().contacts)
+        seconds.append(contacts['anna'].seconds)
+    assert seconds[1] == pytest.approx(seconds[0], abs=0.05)
 
 
 def test_a_foot_that_is_lifted_for_a_while_changes_little() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import signal
 import subprocess
 import sys
@@ -49,6 +50,7 @@ def load_c3d(path: Path) -> tuple[dict[str, Array], float | None]:
     result = subprocess.run(  # noqa: S603, the program is the package's own
         [sys.executable, str(READER), str(path.resolve()), str(memory), str(seconds)],
         stdin=subprocess.DEVNULL,
+        env={**os.environ, 'OPENBLAS_NUM_THREADS': '1'},  # each thread would take 40 MB of the address space
         capture_output=True,
         check=False,
     )

@@ -47,13 +47,13 @@ def read_prediction_times(config: Config) -> tuple[float, ...]:
         raise ConfigError(f'node.{asking[0]}: needs tracker.lag = 0, as an output with a lag is of the past')
     text = config.node.prediction_times
     try:
-        times = tuple(float(word) for word in text.split())
+        times = tuple(float(word) for word in text.replace(',', ' ').split())
     except ValueError:
         times = ()
     if not 0 < len(times) <= MAX_TIMES or not all(0 < t <= MAX_TIME_S for t in times):
         raise ConfigError(
             f'node.prediction_times = {text!r}: expected one to {MAX_TIMES} times in s, above 0 and up to '
-            f'{MAX_TIME_S:g}, separated by blanks, such as 0.2 0.4'
+            f'{MAX_TIME_S:g}, separated by blanks or commas, such as 0.2 0.4'
         )
     return times
 
