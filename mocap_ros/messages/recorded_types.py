@@ -1,4 +1,4 @@
-"""Definitions of message types from bags, with limits: rosbags makes a program of a definition, and trusts it."""
+"""Definitions of message types from bags, with limits: rosbags generates code from them and trusts them."""
 
 from __future__ import annotations
 

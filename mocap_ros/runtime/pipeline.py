@@ -457,7 +457,7 @@ class Pipeline:
         self._vertical_check, self._noted = VerticalCheck(), set()
         self.people = ()
         cleared = self._outputs.encode_clear(self.output_header)
-        self.header = Header(0, '')
+        self.header, self._camera_name = Header(0, ''), ''
         return cleared
 
     def reconfigure(self, config: Config) -> bool:

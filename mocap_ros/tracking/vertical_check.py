@@ -1,4 +1,4 @@
-"""Whether people stand as a vertical that was given says: if not, it is wrong, or they all lie.
+"""Check of a given vertical against how people stand: where they contradict it, it is wrong, or they all lie.
 
 The directions upwards that poses tell (`models.upward_direction`) are compared with it in every frame, over the
 time

@@ -27,7 +27,7 @@ from mocap_ros.solvers.extremities import (
     SEGMENT_OF,
     ExtremityEvidence,
     ExtremityState,
-    collect_frame_evidence,
+    collect_evidence,
 )
 from mocap_ros.tracking.body_size import BodySize
 from mocap_ros.tracking.core_motion import locate_core
@@ -50,7 +50,8 @@ def collect_track_evidence(track: Track, frame: int, model: BasePoses) -> Extrem
         model: base poses of the track's solution.
     """
     core, solution = locate_core(track, frame, model), track.solved
-    return collect_frame_evidence(core, track.seen.observed, solution.noise / solution.stature_ratio, frame)
+    noise = solution.noise / solution.stature_ratio
+    return collect_evidence(core[None], track.seen.observed, noise, slice(frame, frame + 1)).select_frame(0)
 
 
 def make_whole_person(track: Track, frame: int, model: BasePoses, skeleton: Skeleton) -> Person3D:

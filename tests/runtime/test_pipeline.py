@@ -109,6 +109,8 @@ def test_of_two_cameras_that_send_in_turn_only_the_first_is_used(stream: list[by
     process(mixed, of_camera(4, '', 2.35))  # it has lost its name for a moment
     process(mixed, of_camera(5, 'back', 2.4))
     assert mixed.people[0].age == pytest.approx(0.1)
+    mixed.reset()
+    assert process(mixed, of_camera(3, 'front', 2.45)), 'after a reset, as in a replay, any camera is the first'
 
 
 def test_a_person_with_one_visible_joint_is_not_tracked() -> None:

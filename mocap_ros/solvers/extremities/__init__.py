@@ -6,7 +6,7 @@ turns by R_k, from its own axes (x forward, y left, z up; `body_segments.py`) to
 `following.py` the live and `smoothing.py` the whole sequence.
 """
 
-from mocap_ros.solvers.extremities.evidence import ExtremityEvidence, collect_evidence, collect_frame_evidence
+from mocap_ros.solvers.extremities.evidence import ExtremityEvidence, collect_evidence
 from mocap_ros.solvers.extremities.following import ANGULAR_SPEED_STD, ExtremityState
 from mocap_ros.solvers.extremities.parts import SEGMENT_OF, attach
 from mocap_ros.solvers.extremities.smoothing import ExtremitySequence, smooth_extremities
@@ -19,6 +19,5 @@ __all__ = [
     'ExtremityState',
     'attach',
     'collect_evidence',
-    'collect_frame_evidence',
     'smooth_extremities',
 ]

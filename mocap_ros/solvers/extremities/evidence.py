@@ -8,16 +8,12 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INPUT_1D, INPUT_2D, kernel
-from mocap_ros.keypoints.extremities import Extremities, join_body
+from mocap_ros.compiled.kernel import FLOATS_2D, FLOATS_3D, INPUT_2D, INPUT_3D, kernel
+from mocap_ros.keypoints.extremities import Extremities
 from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
 from mocap_ros.solvers.observed_window import ObservedWindow
 
 Array = NDArray[np.float64]
-
-_NOT_LIFTED = np.full((len(BODY26.joints), 3), np.nan)  # m, joints of a person who was not lifted
-# rays and scores of a person of whom neither face nor feet nor hands were seen
-_NOT_SEEN = Extremities(np.zeros((EXTREMITY_COUNT, 2)), np.zeros(EXTREMITY_COUNT))
 
 
 class ExtremityEvidence(NamedTuple):
@@ -62,67 +58,60 @@ class ExtremityEvidence(NamedTuple):
         return ExtremityEvidence(core, unknown, unknown, np.zeros((joints, 2)), np.zeros(joints), 0.0)
 
 
-def collect_evidence(core: Array, observed: ObservedWindow, noise: float) -> ExtremityEvidence:
-    """Return what the frames of a window tell of the extremities.
+def collect_evidence(
+    core: Array, observed: ObservedWindow, noise: float, frames: slice = slice(None)
+) -> ExtremityEvidence:
+    """Return what F frames of a window tell of the extremities, each array with a first dimension F.
 
     Args:
         core: (F, 15, 3) m, solved core joints of these frames in the real camera's frame.
         observed: the window, lifted if there is a lifter.
         noise: m, image noise at the body.
+        frames: the frames.
     """
     lifted, seen = observed.lifted, observed.extremities
     if lifted is None:
-        joints = std = np.full((*core.shape[:-2], len(BODY26.joints), 3), np.nan)
+        joints = std = np.full((len(core), len(BODY26.joints), 3), np.nan)
     else:
-        depth = core[..., 2].mean(axis=-1)[..., None, None]  # lifted poses are in the units of rays
-        joints, std = lifted.joints * depth, lifted.std * depth
-    return ExtremityEvidence(core, joints, std, *join_body(observed.rays, observed.weight, seen), noise)
-
-
-def collect_frame_evidence(core: Array, observed: ObservedWindow, noise: float, frame: int) -> ExtremityEvidence:
-    """Return what a frame of a window tells of the extremities, as `collect_evidence` does.
-
-    Args:
-        core: (15, 3) m, solved core joints of the frame.
-        observed: as for `collect_evidence`.
-        noise: as for `collect_evidence`.
-        frame: index of the frame.
-    """
-    lifted, seen = observed.lifted, observed.extremities
-    joints, std = (_NOT_LIFTED,) * 2 if lifted is None else (lifted.joints[frame], lifted.std[frame])
-    others = _NOT_SEEN if seen is None else seen.select_frames(frame)
-    parts = _join_evidence(core, joints, std, observed.rays[frame], observed.weight[frame], *others)
-    return ExtremityEvidence(core, *parts, noise)
+        joints, std = lifted.joints[frames], lifted.std[frames]
+    if seen is None:
+        others = Extremities(np.zeros((len(core), EXTREMITY_COUNT, 2)), np.zeros((len(core), EXTREMITY_COUNT)))
+    else:
+        others = seen.select_frames(frames)
+    given = core, joints, std, observed.rays[frames], observed.weight[frames], *others
+    return ExtremityEvidence(core, *_join_evidence(*map(np.ascontiguousarray, given)), noise)
 
 
 @kernel(
-    types.Tuple((FLOATS_2D, FLOATS_2D, FLOATS_2D, FLOATS_1D))(
-        INPUT_2D, INPUT_2D, INPUT_2D, INPUT_2D, INPUT_1D, INPUT_2D, INPUT_1D
+    types.Tuple((FLOATS_3D, FLOATS_3D, FLOATS_3D, FLOATS_2D))(
+        INPUT_3D, INPUT_3D, INPUT_3D, INPUT_3D, INPUT_2D, INPUT_3D, INPUT_2D
     )
 )
 def _join_evidence(
     core: Array, lifted: Array, lifted_std: Array, rays: Array, weight: Array, others: Array, others_weight: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Return lifted joints and their deviations in m, rays and scores of all joints.
+    """Return lifted joints and their deviations in m, rays and scores of all joints in F frames.
 
     Args:
-        core: (15, 3) m.
-        lifted: (26, 3) in the units of rays.
-        lifted_std: (26, 3) likewise.
-        rays: (15, 2) of the core.
-        weight: (15,) of the core.
-        others: (11, 2) rays of the extremities.
-        others_weight: (11,) of the extremities.
+        core: (F, 15, 3) m.
+        lifted: (F, 26, 3) in the units of rays.
+        lifted_std: (F, 26, 3) likewise.
+        rays: (F, 15, 2) of the core.
+        weight: (F, 15) of the core.
+        others: (F, 11, 2) rays of the extremities.
+        others_weight: (F, 11) of the extremities.
     """
-    joints = len(lifted)
-    depth = 0.0
-    for j in range(CORE_COUNT):
-        depth += core[j, 2] / CORE_COUNT
-    all_rays, all_weight = np.empty((joints, 2)), np.empty(joints)
-    for j in range(joints):
-        if j < CORE_COUNT:
-            all_rays[j, 0], all_rays[j, 1], all_weight[j] = rays[j, 0], rays[j, 1], weight[j]
-        else:
-            e = j - CORE_COUNT
-            all_rays[j, 0], all_rays[j, 1], all_weight[j] = others[e, 0], others[e, 1], others_weight[e]
-    return lifted * depth, lifted_std * depth, all_rays, all_weight
+    frames, joints = lifted.shape[:2]
+    joints_m, std_m = np.empty(lifted.shape), np.empty(lifted.shape)
+    all_rays, all_weight = np.empty((frames, joints, 2)), np.empty((frames, joints))
+    for f in range(frames):
+        depth = 0.0
+        for j in range(CORE_COUNT):
+            depth += core[f, j, 2] / CORE_COUNT
+        for j in range(joints):
+            for i in range(3):
+                joints_m[f, j, i], std_m[f, j, i] = depth * lifted[f, j, i], depth * lifted_std[f, j, i]
+            for i in range(2):
+                all_rays[f, j, i] = rays[f, j, i] if j < CORE_COUNT else others[f, j - CORE_COUNT, i]
+            all_weight[f, j] = weight[f, j] if j < CORE_COUNT else others_weight[f, j - CORE_COUNT]
+    return joints_m, std_m, all_rays, all_weight
