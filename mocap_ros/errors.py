@@ -42,6 +42,10 @@ class RecordingError(MocapError):
     """A recording that cannot be opened, written or finished."""
 
 
+class FolderTaken(RecordingError):
+    """A folder for a new recording that is there already."""
+
+
 class DiskFull(RecordingError):
     """A disk without space, or with less than `recorder.min_free_mb`."""
 
@@ -66,3 +70,8 @@ def describe_read_error(error: Exception) -> str:
     if 'pickle' in message:
         return 'holds Python objects' if 'Object arrays' in message else 'no .npz file'
     return message or type(error).__name__
+
+
+def tell_installation(extra: str) -> str:
+    """Return the commands that install an optional part of this package, such as `view`."""
+    return f"pip install 'mocap_ros[{extra}]' (in its source folder: pip install '.[{extra}]')"

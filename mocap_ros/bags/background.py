@@ -7,19 +7,43 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from math import inf
 from pathlib import Path
 from types import MappingProxyType
 
 from mocap_ros.bags.mcap_file import Attachment
-from mocap_ros.bags.recorder import RecordedMessage, Recorder
+from mocap_ros.bags.recorder import RecordedMessage, Recorder, choose_bag_folder
 from mocap_ros.bags.rosbag2 import Topic, TypeDefinition
 from mocap_ros.config import RecorderConfig
-from mocap_ros.errors import RecordingError
+from mocap_ros.errors import FolderTaken, RecordingError
 
 CHECK_PERIOD_S = 0.25  # s; how soon a removed folder and a disk that is nearly full are noticed
 MAX_UNSAVED_S = 0.02  # s; how long messages may be with the process alone while more are arriving
+
+
+def start_recorder(
+    time_ns: int,
+    config: RecorderConfig,
+    attachments: Sequence[Attachment] = (),
+    definitions: Mapping[str, TypeDefinition] = MappingProxyType({}),
+) -> BackgroundRecorder:
+    """Start a recorder with a new folder in `recorder.folder`, whose name no other process has taken.
+
+    Args:
+        time_ns: Time since the epoch, in ns, by which the folder is named.
+        config: With the following, the arguments of `BackgroundRecorder`.
+        attachments: As above.
+        definitions: As above.
+
+    Raises:
+        RecordingError: The folder cannot be written, or too little disk space is left.
+    """
+    while True:
+        with suppress(FolderTaken):  # by another recorder since it was chosen
+            folder = choose_bag_folder(Path(config.folder), time_ns)
+            return BackgroundRecorder(folder, config, attachments, definitions)
 
 
 class BackgroundRecorder:

@@ -39,7 +39,7 @@ from mocap_ros.bags.rosbag2 import (
     make_topic,
 )
 from mocap_ros.config import RecorderConfig
-from mocap_ros.errors import DiskFull, RecordingError
+from mocap_ros.errors import DiskFull, FolderTaken, RecordingError
 from mocap_ros.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -59,6 +59,9 @@ class RecordedMessage(NamedTuple):
     repeat_key: str = ''
 
 
+_ERRORS = {errno.ENOSPC: DiskFull, errno.EDQUOT: DiskFull, errno.EEXIST: FolderTaken}  # by `OSError.errno`
+
+
 def choose_bag_folder(root: Path, time_ns: int) -> Path:
     """Return a path in `root` that does not exist yet, named by the UTC time.
 
@@ -72,7 +75,7 @@ def choose_bag_folder(root: Path, time_ns: int) -> Path:
     name = datetime.fromtimestamp(time_ns // NS_PER_S, timezone.utc).strftime('mocap_%Y%m%dT%H%M%SZ')
     candidates = (root / (name + (f'_{n}' if n else '')) for n in count())
     try:
-        return next(path for path in candidates if not path.exists())
+        return next(path for path in candidates if not (path.exists() or path.is_symlink()))
     except OSError as error:
         raise RecordingError(f'{root}: {error.strerror}') from None
 
@@ -124,7 +127,8 @@ class Recorder:
         ros_distro: Distribution of ROS 2 that the bag names; by default the one on which this program runs.
 
     Raises:
-        RecordingError: The folder exists or cannot be written, or too little disk space is left.
+        FolderTaken: The folder exists.
+        RecordingError: The folder cannot be written, or too little disk space is left.
     """
 
     def __init__(
@@ -373,8 +377,9 @@ class Recorder:
             is_unfinished = self._file is not None and not self._finish_after_failure()
             if is_unfinished and not was_removed:
                 reason = f'{reason}; `mocap-ros recover {self.folder}` restores what was written'
-            kind = DiskFull if error.errno in (errno.ENOSPC, errno.EDQUOT) else RecordingError
-            raise kind(f'{error.filename or self.folder}: {reason}') from None
+            raise _ERRORS.get(error.errno or 0, RecordingError)(
+                f'{error.filename or self.folder}: {reason}'
+            ) from None
 
     def _finish_after_failure(self) -> bool:
         """Finish the bag with the data that have reached the disk; return False where the disk fails again."""

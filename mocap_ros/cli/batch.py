@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from mocap_ros.cli.keypoint_input import add_video_options
 from mocap_ros.cli.options import add_config_options, load_config, parse_positive
-from mocap_ros.errors import InputError, MocapError
+from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.formats.detections import Video
 from mocap_ros.runtime.save_results import SUFFIXES
 
@@ -29,7 +29,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'Replays every bag, or reconstructs or summarises every recording, that a folder, a pattern or a list '
         'names. Each is a task of Dask, which uses the cores of this machine or the workers of a running '
         'scheduler. Inputs and outputs may be URLs, such as s3://bucket/folder. What was done before is not done '
-        'again, so a run that was stopped goes on. Needs: pip install "mocap_ros[cluster]".'
+        'again, so a run that was stopped goes on. Needs: ' + tell_installation('cluster')
     )
     parser.add_argument(
         'source', metavar='FOLDER|GLOB|LIST', help='folder to search, pattern, or text file (.txt) of these'
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
         from mocap_ros.batch.recordings import find_recordings
         from mocap_ros.batch.report import save_report, summarise
     except ModuleNotFoundError as error:
-        raise MocapError(f'{error.name} is not installed; pip install "mocap_ros[cluster]" installs it') from None
+        raise MocapError(f'{error.name} is not installed: {tell_installation("cluster")}') from None
     if args.scheduler is not None and (args.workers is not None or args.memory != 'auto'):
         raise InputError(
             '--workers and --memory are for this machine; the workers of a --scheduler have their own'

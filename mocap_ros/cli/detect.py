@@ -13,7 +13,7 @@ import numpy as np
 
 from mocap_ros.cli.options import derive_output_stem, parse_count, parse_positive
 from mocap_ros.cli.progress import show_progress
-from mocap_ros.errors import InputError
+from mocap_ros.errors import InputError, tell_installation
 from mocap_ros.formats.detections import select_person
 from mocap_ros.formats.sequence_file import describe_frames, save_sequence
 from mocap_ros.formats.text_files import check_output, guard_output
@@ -33,7 +33,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'Finds the keypoints of people in a video or in the images of a camera and writes them to a file that '
         '`mocap-ros reconstruct` and the other commands read: a sequence file (.npz) of one person, or a bag '
         '(.mcap) of all people, which `mocap-ros play` publishes. The times are those of the images. Needs '
-        "`pip install 'mocap_ros[video]'`, and for MediaPipe `'mocap_ros[mediapipe]'`."
+        f'{tell_installation("video")}, and MediaPipe the extra mediapipe instead.'
     )
     parser.add_argument(
         'input',

@@ -42,6 +42,6 @@ def run(args: argparse.Namespace) -> int:
 
         found = recover(args.bag, out, watch)
     for loss in found.losses:
-        print(f'not recovered: {loss}', file=sys.stderr)
+        print(loss, file=sys.stderr)
     print(f'{out}: {found.messages.total()} messages on {len(found.messages)} topics')
     return 0

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mocap_ros.cli.progress import show_progress
-from mocap_ros.errors import MocapError
+from mocap_ros.errors import MocapError, tell_installation
 from mocap_ros.formats.mocap.trials import DEFAULT_OPTIONS, load_trials, select_trials
 from mocap_ros.formats.text_files import check_output, guard_output
 from mocap_ros.models import model_file
@@ -24,8 +24,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         'Trains the lifter, a small network that estimates 3D poses from 2D joints. The training '
         'images are synthesised from motion capture at 30 frames per second with random cameras and the errors '
-        'of a detector. The data has the formats of `mocap-ros train`. Needs PyTorch: pip install '
-        'mocap_ros[train].'
+        'of a detector. The data has the formats of `mocap-ros train`. Needs PyTorch: '
+        + tell_installation('train')
     )
     parser.add_argument(
         'data', nargs='+', type=Path, metavar='DATA', help='motion capture: folder, .amc, .bvh, .c3d or .npz'
@@ -47,6 +47,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='FILE',
         help='file that keeps the state of the training every few minutes; a training that finds one goes on from '
         'there, also with more --steps (default: none is kept)',
+    )
+    parser.add_argument(
+        '--start-from',
+        type=Path,
+        metavar='LIFTER.npz',
+        help='lifter whose weights the training begins with; give another --seed than it had, so that the '
+        'examples are new (default: random weights)',
     )
     parser.add_argument(
         '--seed', type=int, default=0, metavar='N', help='random seed of the initial weights and the examples'
@@ -73,9 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
         from mocap_ros.training.lifter import TrainingSettings, train_lifter
     except ImportError as error:
-        raise MocapError(
-            f'{error}: training needs PyTorch; install it with pip install mocap_ros[train]'
-        ) from None
+        raise MocapError(f'{error}: training needs PyTorch: {tell_installation("train")}') from None
     torch.set_num_threads(args.threads)
     for path in (args.output, args.checkpoint):
         if path is not None:
@@ -90,6 +95,7 @@ def run(args: argparse.Namespace) -> int:
     )
     if not trials:
         raise MocapError('the options select no trial')
+    start = None if args.start_from is None else model_file.load_lifter(args.start_from)
     provenance = {
         'data': [path.name for path in args.data],
         'source': args.source,
@@ -97,6 +103,8 @@ def run(args: argparse.Namespace) -> int:
         'without_subjects': args.without_subject,
         'trials': [t.name for t in trials],
     }
+    if start is not None:
+        provenance['started_from'] = dict(start.provenance)
     shares = balance_trials(
         [t.category for t in trials], [t.subject for t in trials], [len(t.poses) for t in trials]
     )
@@ -107,6 +115,7 @@ def run(args: argparse.Namespace) -> int:
         shares,
         settings,
         provenance,
+        start=start,
         checkpoint=None if path is None or not path.exists() else _load_checkpoint(path),
         keep=None if path is None else lambda state: _save_checkpoint(state, path),
         progress=lambda steps: show_progress(steps, 'train'),

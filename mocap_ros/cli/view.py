@@ -32,8 +32,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'Shows skeletons in 3D beside the 2D input, and over time residual, cadence, kind of motion, undone swaps '
         'of left and right, predicted frames and dropped inputs. Skeletons in a result of `reconstruct` (.npz, '
         '.mcap) or in a bag are shown as they are; all people in any other input that `reconstruct` accepts are '
-        'reconstructed. Without -o a window of Rerun shows them, which `pip install "mocap_ros[view]"` installs; '
-        'OUT.html is one file that opens in any browser, offline.'
+        'reconstructed. Without -o a window of Rerun shows them (an optional part); OUT.html is one file that '
+        'opens in any browser, offline.'
     )
     add_input_options(parser, is_required=False)
     parser.add_argument(

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.detectors.detector import Image
-from mocap_ros.errors import ModelError
+from mocap_ros.errors import ModelError, tell_installation
 
 Array = NDArray[np.float64]
 
 KEYPOINTS = 33  # of BlazePose
 MS_PER_S = 1000.0  # the Tasks API takes whole milliseconds
-INSTALL = "pip install 'mocap_ros[mediapipe]'"
+INSTALL = tell_installation('mediapipe')
 BUNDLED_COMPLEXITY = 1  # of the model that comes with MediaPipe; 0 and 2 would be downloaded
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.detectors.detector import Image
-from mocap_ros.errors import ModelError
+from mocap_ros.errors import ModelError, tell_installation
 
 Outputs = list[NDArray[np.float32]]
 
@@ -39,7 +39,7 @@ class OnnxModel:
         try:
             import onnxruntime
         except ImportError:
-            raise ModelError(f"{path}: needs onnxruntime: pip install 'mocap_ros[video]'") from None
+            raise ModelError(f'{path}: needs onnxruntime: {tell_installation("video")}') from None
         self.path = path
         options = onnxruntime.SessionOptions()
         options.log_severity_level = ERRORS_ONLY

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import InputError, MocapError
+from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ class VideoReader:
         try:
             import av
         except ImportError:
-            raise MocapError(f"{path}: a video needs PyAV: pip install 'mocap_ros[video]'") from None
+            raise MocapError(f'{path}: a video needs PyAV: {tell_installation("video")}') from None
         self._path = path
         self._errors = (av.FFmpegError, ValueError)
         self.left_out = 0

@@ -7,9 +7,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from mocap_ros.bags.background import BackgroundRecorder
+from mocap_ros.bags.background import BackgroundRecorder, start_recorder
 from mocap_ros.bags.journal import Journal, Verdict
-from mocap_ros.bags.recorder import RecordedMessage, choose_bag_folder
+from mocap_ros.bags.recorder import RecordedMessage
 from mocap_ros.bags.rosbag2 import Topic, make_topic
 from mocap_ros.bags.topics import Source
 from mocap_ros.config import Config, values
@@ -94,15 +94,14 @@ class LiveRecording:
         if self._recorder is not None:
             raise RecordingError(f'a recording to {self._recorder.folder} is already running')
         config = pipeline.config
-        folder = choose_bag_folder(Path(config.recorder.folder), start_ns)
         attachments = provenance_attachments(config, pipeline.models)
         self._declared_inputs = set()
         self._journal = Journal(self._names['journal'])
         self._stalled_s = 0.0
         first_records = self._make_first_records(pipeline, start_ns)
-        self._recorder = BackgroundRecorder(folder, config.recorder, attachments, self._versions.definitions)
+        self._recorder = start_recorder(start_ns, config.recorder, attachments, self._versions.definitions)
         self._put(first_records)
-        return folder
+        return self._recorder.folder
 
     def detach(self) -> BackgroundRecorder | None:
         """End the recording and return its recorder, which is to be passed to `finish`; None if there is none."""

@@ -55,8 +55,8 @@ class FrameAssembler:
             topic: Name of the message's topic; the topic of a ROS4HRI body contains the body's id.
             node: Type of the keypoint messages, and limits on the content of a message.
             size: Width and height in px of images whose messages do not state them; 0 where unknown.
-            restart_after: s; a ROS4HRI body whose stamp is further than this before that of the current image
-                starts a new sequence.
+            restart_after: s; a ROS4HRI body, or a list of none, whose stamp is further than this before that of
+                the current image starts a new sequence.
 
         Returns:
             The keypoints of all people in each image that is complete now, oldest image first.
@@ -68,7 +68,7 @@ class FrameAssembler:
         if source is Source.KEYPOINTS:
             return [decode_frame(raw, node.input_type, node, size)]
         if source is Source.TRACKED_BODIES:
-            return self._bodies.set_tracked_ids(*decode_ids(raw, node), size)
+            return self._bodies.set_tracked_ids(*decode_ids(raw, node), size, restart_after)
         return self._bodies.add_body(*decode_body(raw, parse_body_id(topic), size, node), size, restart_after)
 
     def flush(self, size: tuple[int, int]) -> Frames:
@@ -89,13 +89,16 @@ class BodyAssembler:
         self._people: dict[str, Person2D] = {}
         self._newest_complete_ns = -1
 
-    def set_tracked_ids(self, header: Header, ids: Collection[str], size: tuple[int, int]) -> Frames:
+    def set_tracked_ids(
+        self, header: Header, ids: Collection[str], size: tuple[int, int], restart_after: float
+    ) -> Frames:
         """Set the bodies that an image needs to be complete.
 
         Args:
             header: Header of the message that lists the ids.
             ids: Ids of all tracked bodies.
             size: Width and height of the image, px.
+            restart_after: s; a stamp that is older than the current image by more starts a new sequence.
 
         Returns:
             The images that are complete now; if no body is tracked, the last of them is an image without people.
@@ -104,7 +107,7 @@ class BodyAssembler:
         if self._tracked_ids:
             return self._flush_if_complete(size)
         frames = self.flush(size)
-        if header.stamp_ns > self._newest_complete_ns:
+        if self._is_new(header.stamp_ns, self._newest_complete_ns, restart_after):
             self._newest_complete_ns = header.stamp_ns
             frames.append(KeypointsFrame(header, *size, ()))
         return frames
@@ -126,7 +129,7 @@ class BodyAssembler:
         """
         stamp, frames = header.stamp_ns, []
         current = self._newest_complete_ns if self._header is None else self._header.stamp_ns
-        if stamp > current or current - stamp > restart_after * NS_PER_S:
+        if self._is_new(stamp, current, restart_after):
             frames = self.flush(size)
             self._header = header
         elif self._header is None or stamp < current:
@@ -139,6 +142,11 @@ class BodyAssembler:
             )
         self._people[person.id] = person
         return frames + self._flush_if_complete(size)
+
+    @staticmethod
+    def _is_new(stamp_ns: int, current_ns: int, restart_after: float) -> bool:
+        """Return whether a stamp is later than that of the current image, or begins a new sequence."""
+        return stamp_ns > current_ns or current_ns - stamp_ns > restart_after * NS_PER_S
 
     def _flush_if_complete(self, size: tuple[int, int]) -> Frames:
         is_complete = self._header is not None and self._tracked_ids and self._tracked_ids <= self._people.keys()

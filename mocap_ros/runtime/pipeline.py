@@ -195,9 +195,10 @@ class Pipeline:
         people: People in the outputs of the last accepted image, in the camera's optical frame.
 
     Raises:
-        ConfigError: `node.camera_pose` is not a pose, `node.floor_height` no number or above the camera, or either
-            is given without `node.output_frame`; bodies of ROS4HRI are both input and output; or
-            `node.prediction_times` are no times up to a second, or people are to be predicted with `tracker.lag`.
+        ConfigError: `node.output_frame` begins with a slash; `node.camera_pose` is not a pose, `node.floor_height`
+            no number or above the camera, or either is given without `node.output_frame`; bodies of ROS4HRI are
+            both input and output; or `node.prediction_times` are no times up to a second, or people are to be
+            predicted with `tracker.lag`.
         ModelError: The base poses cannot be loaded.
     """
 
@@ -213,6 +214,8 @@ class Pipeline:
         self.transforms = TransformTree()
         if config.node.publish_bodies and config.node.input_type == HRI_SKELETON:
             raise ConfigError(f'node.publish_bodies: not with node.input_type {HRI_SKELETON}, of the same topics')
+        if config.node.output_frame.startswith('/'):
+            raise ConfigError(f'node.output_frame = {config.node.output_frame!r}: frames begin without a slash')
         self._fixed_pose = _read_fixed_pose(config)
         self._floor_height = _read_floor_height(config)
         if self._fixed_pose is not None and self._floor_height is not None:

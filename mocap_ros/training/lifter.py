@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 WARM_UP_SHARE = 0.02  # 1, share of the steps in which the learning rate rises
 DECAY_SHARE = 0.25  # 1, share of the steps in which the learning rate falls to zero
-BLOCK_BATCHES = 512  # batches of examples that are made at a time; 131,072 examples take 0.5 GB
+BLOCK_BATCHES = 256  # batches of examples that are made at a time; 131,072 examples take 0.5 GB
 CHECKPOINT_BLOCKS = 2  # blocks between two checkpoints, some two minutes
 MAX_GRADIENT_NORM = 1.0  # 1; a batch with gross outliers cannot throw the weights off
 LIKELIHOOD_UNIT_M = 0.1  # m; converts the likelihood, a pure number, to the unit of the mean distance
@@ -39,6 +39,7 @@ EXTREMITY_WEIGHT = (
 )
 MIN_SQUARED_DISTANCE = 1e-8  # squared unit of the features; keeps the gradient of the distance finite at zero
 ERROR_AVERAGE_RATE = 0.01  # 1 per step; the error in the provenance is averaged over about the last 100 steps
+CALIBRATION_BATCHES = 16  # batches of examples that tell mean and variance of each unit of a lifter that exists
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class TrainingSettings:
     """
 
     steps: int = 60000
-    batch: int = 256
+    batch: int = 512
     passes: int = 2
     width: int = 768
     blocks: int = 2
@@ -95,6 +96,48 @@ class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]
         for a, b in zip(rest[::2], rest[1::2], strict=True):
             x = x + b(a(x))
         return self.last(x)
+
+    def take_over(self, lifter: Lifter, features: Tensor) -> None:
+        """Take over the weights of a lifter, so that this network computes the same in evaluation mode.
+
+        A lifter's batch norms are folded into its layers. They are unfolded with the mean and the variance of each
+        unit on examples. The weights are brought to the size of those of a new network, since the effect of a step
+        of the optimiser depends on it.
+
+        Args:
+            lifter: lifter with as many and as large layers as this network.
+            features: (N, FEATURE_COUNT) features of examples.
+
+        Raises:
+            MocapError: the lifter has other layers.
+        """
+        layers = [
+            (torch.from_numpy(weight.T.copy()), torch.from_numpy(bias.copy())) for weight, bias in lifter.layers
+        ]
+        own = [*(linear for linear, *_ in self.hidden), self.last]
+        if [weight.shape for weight, _ in layers] != [linear.weight.shape for linear in own]:
+            raise MocapError('the layers of the lifter to start from have other sizes than those of the network')
+
+        def take_over_unit(unit: Any, layer: tuple[Tensor, Tensor], x: Tensor) -> Tensor:
+            (linear, norm, *_), (weight, bias) = unit, layer
+            scale = linear.weight.square().mean().sqrt() / weight.square().mean().sqrt()
+            linear.weight.copy_(scale * weight)
+            linear.bias.zero_()
+            out = linear(x)
+            norm.running_mean.copy_(out.mean(dim=0))
+            norm.running_var.copy_(out.var(dim=0))
+            norm.weight.copy_(torch.sqrt(norm.running_var + norm.eps) / scale)
+            norm.bias.copy_(bias + norm.running_mean / scale)
+            return torch.relu(out / scale + bias)
+
+        with torch.no_grad():
+            (first, *rest), (first_layer, *rest_layers) = self.hidden, layers[:-1]
+            x = take_over_unit(first, first_layer, features)
+            blocks = zip(rest[::2], rest[1::2], rest_layers[::2], rest_layers[1::2], strict=True)
+            for a, b, layer_a, layer_b in blocks:
+                x = x + take_over_unit(b, layer_b, take_over_unit(a, layer_a, x))
+            self.last.weight.copy_(layers[-1][0])
+            self.last.bias.copy_(layers[-1][1])
 
     def fold_batch_norms(self, provenance: Mapping[str, object]) -> Lifter:
         """Return the lifter that computes the same as this network in evaluation mode."""
@@ -157,6 +200,7 @@ def train_lifter(
     settings: TrainingSettings,
     provenance: Mapping[str, object],
     *,
+    start: Lifter | None = None,
     checkpoint: Mapping[str, Any] | None = None,
     keep: Callable[[Mapping[str, Any]], None] | None = None,
     progress: Callable[[Iterable[int]], Iterable[int]] = iter,
@@ -169,13 +213,15 @@ def train_lifter(
         shares: (N,) share of each trial in the examples, as from `balance.balance_trials`.
         settings: settings of the training.
         provenance: entries of the lifter's provenance; the settings and the last mean error on examples are added.
+        start: lifter whose weights are the initial ones; by default they are random.
         checkpoint: state of a training with the same arguments, which goes on from there; only the number of steps
             may differ.
         keep: function that is given a checkpoint every `CHECKPOINT_BLOCKS` blocks of examples.
         progress: function that wraps the iteration over the steps, for example to show a progress bar.
 
     Raises:
-        MocapError: the checkpoint is of a training with other settings or other trials.
+        MocapError: the checkpoint is of a training with other settings or other trials, or the lifter to start
+            from has other layers.
     """
     compile_kernels()
     torch.manual_seed(settings.seed)
@@ -186,6 +232,8 @@ def train_lifter(
         if checkpoint['fixed'] != fixed:
             raise MocapError('the checkpoint is of a training with other settings or other data')
         training.restore(checkpoint)
+    elif start is not None:
+        training.start_from(start)
     block_steps = BLOCK_BATCHES * settings.passes
     for step in progress(range(training.step, settings.steps)):
         training.step_once()
@@ -254,6 +302,12 @@ class _Training:
             'optimiser': self._optimiser.state_dict(),
             'random': self._synthesiser.random.to_state(),
         }
+
+    def start_from(self, lifter: Lifter) -> None:
+        """Take over the weights of a lifter."""
+        batches = [self._synthesiser.make_batch(self._settings.batch).features for _ in range(CALIBRATION_BATCHES)]
+        self._network.take_over(lifter, torch.from_numpy(np.concatenate(batches)))
+        self.averaged.load_state_dict(self._network.state_dict())
 
     def restore(self, checkpoint: Mapping[str, Any]) -> None:
         """Take over a state of `to_checkpoint`."""

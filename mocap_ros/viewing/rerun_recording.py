@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import MocapError
+from mocap_ros.errors import MocapError, tell_installation
 from mocap_ros.people import MotionKind
 from mocap_ros.skeleton import Skeleton
 from mocap_ros.viewing.plots import INFERRED_COLOUR, TRUTH_COLOUR
@@ -46,7 +46,7 @@ Array32 = NDArray[np.float32]
 
 APPLICATION = 'mocap_ros'  # name under which Rerun keeps the layout
 TIMELINE = 'time'  # name of the time line; s from the beginning of the scene
-INSTALL_HINT = "needs Rerun: pip install 'mocap_ros[view]' (Python 3.11 or later)"
+INSTALL_HINT = f'needs Rerun, with Python 3.11 or later: {tell_installation("view")}'
 JOINT_RADIUS_M = 0.03  # m; joints stand out from bones and hide nothing
 INFERRED_RADIUS_M = 0.038  # m; a little more, because they are drawn over the joints
 TRAIL_RADIUS_M = 0.01  # m; a dot a frame
@@ -90,7 +90,10 @@ def import_rerun() -> Any:
         import rerun
         import rerun.blueprint  # loaded on demand
     except ImportError:
-        raise MocapError(f'this view {INSTALL_HINT}; or write a page for any browser with -o page.html') from None
+        raise MocapError(
+            f'this view {INSTALL_HINT}; a page of a recording, for any browser, does without: '
+            'mocap-ros view IN -o page.html'
+        ) from None
     return rerun
 
 

@@ -32,7 +32,9 @@ def require_display() -> None:
         MocapError: there is no display; the error says what to do without one.
     """
     if sys.platform == 'linux' and not any(os.environ.get(name) for name in DISPLAY_VARIABLES):
-        raise MocapError('there is no display for a window; write a file with -o page.html or -o recording.rrd')
+        raise MocapError(
+            'there is no display for a window; a recording becomes a file with mocap-ros view IN -o page.html'
+        )
 
 
 @contextmanager

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
-from mocap_ros.bags.background import BackgroundRecorder
+from mocap_ros.bags.background import BackgroundRecorder, start_recorder
 from mocap_ros.bags.journal import Journal, Verdict, read_run
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import RecordedMessage, Recorder
@@ -45,3 +47,25 @@ def test_a_slow_disk_loses_inputs_without_delaying_the_caller(
     with Bag(tmp_path / 'bag') as bag:
         assert read_run(bag).lost_count == 20 - queued
         assert bag.count(['/keypoints']) == queued + 1
+
+
+def test_recorders_that_start_at_once_have_folders_of_their_own(tmp_path: Path) -> None:
+    config, together = RecorderConfig(folder=str(tmp_path)), threading.Barrier(8)
+
+    def start(_: int) -> str:
+        together.wait()
+        with closing(start_recorder(START_NS, config)) as recorder:
+            return recorder.folder.name
+
+    with ThreadPoolExecutor(8) as pool:
+        names = list(pool.map(start, range(8)))
+    assert sorted(names) == sorted(folder.name for folder in tmp_path.iterdir())
+    assert len(set(names)) == 8
+
+
+def test_a_link_to_nowhere_is_no_free_name(tmp_path: Path) -> None:
+    with closing(start_recorder(START_NS, RecorderConfig(folder=str(tmp_path)))) as first:
+        name = first.folder.name
+    (tmp_path / f'{name}_1').symlink_to(tmp_path / 'nowhere')
+    with closing(start_recorder(START_NS, RecorderConfig(folder=str(tmp_path)))) as third:
+        assert third.folder.name == f'{name}_2'

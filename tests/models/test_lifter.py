@@ -316,6 +316,38 @@ def test_an_interrupted_training_gives_the_same_lifter(
         training.train_lifter(data, EQUAL_SHARES, other, {}, checkpoint=checkpoints[1])
 
 
+def test_a_training_can_start_from_a_lifter(walk_model: BasePoses, rng: np.random.Generator) -> None:
+    torch = pytest.importorskip('torch', reason='training is optional: pip install mocap_ros[train]')
+    from mocap_ros.training import lifter as training
+
+    torch.set_num_threads(1)
+    data = make_trials(walk_model, rng)
+    settings = training.TrainingSettings(steps=30, batch=64, width=32)
+    trained = training.train_lifter(data, EQUAL_SHARES, settings, {})
+    features = ExampleSynthesiser(MotionLibrary.from_trials(data, EQUAL_SHARES), 1).make_batch(200).features
+    network = training.LifterNetwork(32, 2, 0.0)
+    network.take_over(trained, torch.from_numpy(features))
+    for (weight, bias), (same, same_bias) in zip(
+        trained.layers, network.eval().fold_batch_norms({}).layers, strict=True
+    ):
+        assert same == pytest.approx(weight, abs=1e-5)
+        assert same_bias == pytest.approx(bias, abs=1e-5)
+    with torch.no_grad():
+        moved = network.train()(torch.from_numpy(features)).numpy()
+    assert moved == pytest.approx(plain_lifter.evaluate(trained.layers, features), abs=0.01), (
+        'statistics of its own'
+    )
+    further = training.train_lifter(
+        data, EQUAL_SHARES, training.TrainingSettings(steps=5, batch=64, width=32, seed=1), {}, start=trained
+    )
+    anew = training.train_lifter(
+        data, EQUAL_SHARES, training.TrainingSettings(steps=5, batch=64, width=32, seed=1), {}
+    )
+    assert float(str(further.provenance['error_mm'])) < float(str(anew.provenance['error_mm']))
+    with pytest.raises(MocapError, match='other sizes'):
+        training.LifterNetwork(16, 2, 0.0).take_over(trained, torch.from_numpy(features))
+
+
 def test_initial_values_from_lifted_poses(walk: tuple[lifter.Array, ...]) -> None:
     walk_model = model_file.load_base_poses('walk')
     poses, _, _, times = walk

@@ -91,13 +91,23 @@ def test_images_are_complete_when_all_tracked_bodies_have_arrived() -> None:
 
 def test_a_late_body_is_dropped() -> None:
     assembler = BodyAssembler()
-    assembler.set_tracked_ids(make_header(0), ['a'], IMAGE_SIZE)
+    assembler.set_tracked_ids(make_header(0), ['a'], IMAGE_SIZE, 1.0)
     person = Person2D('a', COCO17, make_people(0)[0].points, make_people(0)[0].score)
     assert len(assembler.add_body(make_header(1), person, IMAGE_SIZE, 1.0)) == 1
     with pytest.raises(FrameDropped, match='after its image was complete'):
         assembler.add_body(make_header(1), person, IMAGE_SIZE, 1.0)
     assert assembler.add_body(Header(10 * 10**9, ''), person, IMAGE_SIZE, 1.0)
     assert len(assembler.add_body(make_header(1), person, IMAGE_SIZE, 1.0)) == 1  # a bag that loops
+
+
+def test_an_empty_list_after_time_went_back_is_an_image_without_people() -> None:
+    assembler = BodyAssembler()
+    late, early = Header(10 * 10**9, ''), make_header(1)
+    assert len(assembler.set_tracked_ids(late, [], IMAGE_SIZE, 1.0)) == 1
+    assert assembler.set_tracked_ids(Header(late.stamp_ns - 10**8, ''), [], IMAGE_SIZE, 1.0) == [], 'out of order'
+    (frame,) = assembler.set_tracked_ids(early, [], IMAGE_SIZE, 1.0)
+    assert frame.header.stamp_ns == early.stamp_ns
+    assert frame.people == ()
 
 
 def test_normalised_coordinates_without_an_image_size_are_invalid() -> None:

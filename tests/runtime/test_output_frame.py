@@ -182,6 +182,7 @@ def test_without_transforms_people_are_in_the_frame_of_the_camera_and_the_reason
 @pytest.mark.parametrize(
     ('values', 'message'),
     [
+        ({'node.output_frame': '/map'}, r'node\.output_frame = .*slash'),
         ({'node.camera_pose': '0 0 1 0 0 0'}, r'node\.camera_pose: needs node\.output_frame'),
         ({'node.camera_pose': '0 0 1', 'node.output_frame': 'map'}, r"node\.camera_pose = '0 0 1': expected six"),
         ({'node.camera_pose': '0 0 nan 0 0 0', 'node.output_frame': 'map'}, r'expected six numbers'),

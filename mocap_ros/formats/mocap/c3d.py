@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import InputError, MocapError
+from mocap_ros.errors import InputError, MocapError, tell_installation
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ def load_c3d(path: Path) -> tuple[dict[str, Array], float | None]:
     except ValueError:  # sys.modules says that there is none
         is_installed = False
     if not is_installed:
-        raise MocapError(f"{path}: C3D needs ezc3d: pip install 'mocap_ros[c3d]'")
+        raise MocapError(f'{path}: C3D needs ezc3d: {tell_installation("c3d")}')
     if not path.is_file():
         raise InputError(f'{path}: no such file')
     size = path.stat().st_size
