@@ -53,3 +53,43 @@ def test_too_few_or_repeated_joints_are_refused() -> None:
         build_joint_map(('nose', 'lear', 'rear'))
     with pytest.raises(SkeletonError, match='repeat'):
         build_joint_map(('lknee', 'left_knee', 'rknee', 'lhip', 'rhip', 'lankle'))
+
+
+def test_joints_of_mediapipe_are_moved_to_where_motion_capture_has_them() -> None:
+    joints = keypoint_layout('mediapipe33').joints
+    at = {n: joints.index(n) for n in joints}
+    points, score = np.zeros((len(joints), 2)), np.full(len(joints), 0.9)
+    points[at['lshoulder']], points[at['rshoulder']] = (40, 0), (-40, 0)  # px, seen from behind, y down
+    points[at['lhip']], points[at['rhip']] = (20, 120), (-20, 120)
+    points[at['lankle']], points[at['lelbow']] = (20, 300), (50, 60)
+    score[at['rshoulder']] = 0.1
+    joint_map = build_joint_map(joints)
+    mapped, mapped_score = joint_map.apply(points, score)
+    px_per_m = 120 / 0.51  # of the trunk
+    ankle = mapped[CMU15.index('lankle')] - points[at['lankle']]
+    assert ankle / px_per_m == pytest.approx([-0.006, 0.024], abs=0.001), (
+        'm: MediaPipe sees it higher and outwards'
+    )
+    elbow = mapped[CMU15.index('lelbow')] - points[at['lelbow']]
+    assert elbow / px_per_m == pytest.approx([0.013, 0.014], abs=0.001), 'm: MediaPipe sees it higher and inwards'
+    assert mapped_score[CMU15.index('lankle')] == 0.9, 'the trunk decides nothing about its score'
+    assert mapped[CMU15.index('lhip')] == pytest.approx(points[at['lhip']])
+    points[at['rhip']], score[at['rhip']] = np.nan, 0
+    mapped, mapped_score = joint_map.apply(points, score)
+    assert mapped[CMU15.index('lankle')] == pytest.approx(points[at['lankle']]), 'without the trunk as it is'
+    assert mapped_score[CMU15.index('lankle')] == 0.9
+
+
+def test_the_corrections_of_mediapipe_are_mirror_images_and_of_no_other_layout() -> None:
+    joints = keypoint_layout('mediapipe33').joints
+    points = np.random.default_rng(0).normal(size=(len(joints), 2))
+    joint_map, score = build_joint_map(joints), np.ones(len(joints))
+    swap = {'l': 'r', 'r': 'l'}
+    names = [swap.get(n[0], n[0]) + n[1:] for n in joints]
+    twins = [joints.index(n) if n in joints else i for i, n in enumerate(names)]
+    mapped, _ = joint_map.apply(points, score)
+    mirrored, _ = joint_map.apply(points[twins] * [-1, 1], score)
+    assert mirrored == pytest.approx(mapped[list(CMU15.mirror)] * [-1, 1])
+    limbs = keypoint_layout('coco17').joints
+    same, _ = build_joint_map(limbs).apply(points[: len(limbs)], np.ones(len(limbs)))
+    assert same[CMU15.index('lankle')] == pytest.approx(points[limbs.index('lankle')])
