@@ -4,10 +4,14 @@ For example:
 
 ros2 launch mocap_ros mocap.launch.py keypoints:=/yolo/detections \
     input_type:=yolo_msgs/msg/DetectionArray rviz:=true
+
+An argument that sets a parameter and is not given leaves it as the parameter file has it.
 """
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from __future__ import annotations
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
@@ -19,49 +23,54 @@ SHARE = FindPackageShare('mocap_ros')  # the installed folder of parameter file 
 ARGUMENTS = {
     'namespace': ('', 'namespace of the node; each camera needs its own'),
     'params_file': (PathJoinSubstitution([SHARE, 'config', 'mocap_ros.yaml']), 'parameter file'),
-    'input_type': ('mocap_ros_msgs/msg/Keypoints2DArray', 'message type of the keypoints'),
+    'input_type': ('', 'message type of the keypoints'),
     'keypoints': ('keypoints', 'topic of the keypoints'),
     'camera_info': ('camera_info', 'topic of the CameraInfo'),
-    'record': ('false', 'whether to record a bag in mocap_recordings/'),
-    'publish_tf': ('false', 'whether to publish the people as frames on /tf'),
+    'record': ('', 'whether to record a bag in mocap_recordings/'),
+    'publish_tf': ('', 'whether to publish the people as frames on /tf'),
     'frame_prefix': ('', 'prefix of the names of these frames; each camera needs its own'),
     'rviz': ('false', 'whether to start RViz'),
 }
+# The parameter that an argument sets, and its type.
+PARAMETERS = {
+    'input_type': ('node.input_type', str),
+    'publish_tf': ('node.publish_tf', bool),
+    'frame_prefix': ('node.frame_prefix', str),
+    'record': ('recorder.enabled', bool),
+}
 
 
-def generate_launch_description() -> LaunchDescription:
-    """Return the launch description with the node and RViz."""
+def create_node(context: LaunchContext) -> list[Node]:
+    """Return the node with the parameters of the file, and of those arguments that were given."""
     configurations = {name: LaunchConfiguration(name) for name in ARGUMENTS}
-
-    def typed_argument(name: str, kind: type) -> ParameterValue:
-        return ParameterValue(configurations[name], value_type=kind)
-
+    given = {
+        parameter: ParameterValue(configurations[name], value_type=kind)
+        for name, (parameter, kind) in PARAMETERS.items()
+        if configurations[name].perform(context)
+    }
     node = Node(
         package='mocap_ros',
         executable='mocap_node',
         name='mocap_node',
         namespace=configurations['namespace'],
         output='screen',
-        parameters=[
-            configurations['params_file'],
-            {
-                'node.input_type': typed_argument('input_type', str),
-                'node.publish_tf': typed_argument('publish_tf', bool),
-                'node.frame_prefix': typed_argument('frame_prefix', str),
-                'recorder.enabled': typed_argument('record', bool),
-            },
-        ],
+        parameters=[configurations['params_file'], *([given] if given else [])],
         remappings=[('keypoints', configurations['keypoints']), ('camera_info', configurations['camera_info'])],
     )
+    return [node]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the launch description with the node and RViz."""
     rviz = Node(
         package='rviz2',
         executable='rviz2',
-        namespace=configurations['namespace'],
+        namespace=LaunchConfiguration('namespace'),
         arguments=['-d', PathJoinSubstitution([SHARE, 'config', 'mocap_ros.rviz'])],
-        condition=IfCondition(configurations['rviz']),
+        condition=IfCondition(LaunchConfiguration('rviz')),
     )
     arguments = [
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
     ]
-    return LaunchDescription([*arguments, node, rviz])
+    return LaunchDescription([*arguments, OpaqueFunction(function=create_node), rviz])

@@ -29,8 +29,8 @@ def evaluate(
     Joints of the truth that are known in no frame are left out, then frames in which another joint is unknown.
 
     Args:
-        joints: a result of `mocap_ros.reconstruct`; or (F, 15, 3) m in the camera's optical frame, in the order of
-            the layout `cmu15`, NaN in frames without a person.
+        joints: a result of `mocap_ros.reconstruct`; or (F, J, 3) m in the camera's optical frame, in the order of
+            the layout `body26` or `cmu15`, NaN in frames without a person.
         truth: (F, J, 3) m in the camera's optical frame, NaN where unknown; or a `GroundTruth`; None for the truth
             that came with the keypoints of the result.
         truth_names: (J,) names of the joints of an array `truth`, or the name of a layout.

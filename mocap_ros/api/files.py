@@ -75,7 +75,7 @@ def write(path: str | Path, result: PoseSequence | KeypointSequence) -> None:
 
     The formats of results are those of `mocap-ros reconstruct`: `.npz` and `.csv` (m, optical frame), `.mcap` (a
     bag of messages), `.bvh` (cm, y up), `.trc` (mm, y up), `.angles.csv` (degrees), and OpenSim's `.mot` and
-    `.osim`. Keypoints are written as `.npz`, with the truth if there is one.
+    `.osim`. Keypoints are written as `.npz`, with the camera and the truth if there are any.
 
     Args:
         path: the file, which is overwritten if it exists.
@@ -98,6 +98,8 @@ def write(path: str | Path, result: PoseSequence | KeypointSequence) -> None:
             save_results.save(path, result._reconstruction)
         else:
             save_sequence(path, check_sequence(result))
+            if result.calibration is not None and result.camera_arrays[0] is None:
+                LOGGER.warning('%s: without the camera, because a sequence file holds no fisheye lens', path)
 
 
 def _name_arguments(text: str) -> str:

@@ -78,7 +78,7 @@ def reconstruct(
             action with outliers.
 
     Returns:
-        The poses, with joints (F, 15, 3) in m in the camera's optical frame.
+        The poses, with joints (F, J, 3) in m in the camera's optical frame, those of `tracker.skeleton`.
 
     Raises:
         InputError: an argument is not valid, or the keypoints do not suffice; the error names the argument.

@@ -16,14 +16,17 @@ is too slow to record it; the tracker received it nevertheless.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from enum import IntEnum
+from types import MappingProxyType
 from typing import NamedTuple
 
-from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import RecordedMessage
+from mocap_ros.bags.topics import find_latched_inputs
 from mocap_ros.config import Value
 from mocap_ros.errors import InputError
 from mocap_ros.messages.cdr import create_message, decode, encode
@@ -181,6 +184,8 @@ class RecordedRun(NamedTuple):
         events: Resets and changes of parameters, by the number of the input before them.
         lost_count: Number of inputs that reached the tracker but are not in the bag.
         input_topics: Topics of the inputs; empty where there is no journal.
+        repeated_inputs: How many messages at a topic and log time in ns were not received, because a further file
+            of a split bag repeats them; they have no number.
     """
 
     parameters: dict[str, Value]
@@ -188,38 +193,106 @@ class RecordedRun(NamedTuple):
     events: dict[int, list[Entry]]
     lost_count: int
     input_topics: AbstractSet[str] = frozenset()
+    repeated_inputs: Mapping[tuple[str, int], int] = MappingProxyType({})
+
+    def leave_out_repeated(self, inputs: Iterable[BagMessage]) -> Iterator[BagMessage]:
+        """Yield the inputs that have a number, in their order."""
+        repeated = Counter(self.repeated_inputs)
+        for message in inputs:
+            place = message.topic, message.time_ns
+            if repeated[place]:
+                repeated[place] -= 1
+            else:
+                yield message
 
 
 def read_run(bag: Bag) -> RecordedRun:
     """Read the journal of a bag; return an empty run where the bag has no journal.
 
+    A further file of a split bag begins with the last message of every latched topic and the parameters. Where it
+    is read with the files before it, these messages are left out; where it is read alone, they come before its
+    first input.
+
     Raises:
         InputError: The bag cannot be read, or a message on a journal topic is not a journal entry.
     """
     topics = [t for t in bag.topics_of_type([JOURNAL]) if t.endswith('/journal')]
-    run = RecordedRun({}, set(), {}, 0)
-    inputs_before = -1  # inputs in earlier files, where the bag is a later file of a split one; -1 until known
+    latched = find_latched_inputs(bag) if topics else set()
+    places = _InputPlaces()
+    lost_count = 0
+    skipped: list[int] = []
     events: list[Entry] = []
-    input_topics: set[str] = set()
-    for message in bag.messages(topics):
+    parameters: Entry | None = None  # the last ones
+    for message in bag.messages({*topics, *latched}):
+        if message.topic in latched:
+            places.add_message(message)
+            continue
         try:
             entry = decode_entry(message.raw)
         except InputError as error:
             raise InputError(f'{bag.path}: {message.topic}: {error}') from None
         if entry.kind == LOST:
-            run = run._replace(lost_count=run.lost_count + int(entry.parameters.get(LOST, 0)))
+            lost_count += int(entry.parameters.get(LOST, 0))
         elif entry.kind == INPUT:
-            input_topics.add(entry.topic)
-            if inputs_before < 0:
-                inputs_before = entry.number - 1
+            places.add_entry(entry, message.time_ns)
             if entry.verdict is Verdict.BACKLOG:
-                run.skipped_inputs.add(entry.number - inputs_before)
-        else:
+                skipped.append(entry.number)
+        elif entry != parameters:
             events.append(entry)
+            parameters = entry if entry.kind == PARAMETERS else parameters
+    inputs_before, first_count, repeated = places.find_first(bag)
+    run = RecordedRun({}, set(), {}, lost_count, places.topics, repeated)
+    run.skipped_inputs.update(n - inputs_before + first_count for n in skipped if n > inputs_before)
     for entry in events:
-        number = max(entry.number - max(inputs_before, 0), 0)
+        number = max(entry.number - inputs_before, 0)
         if entry.kind == PARAMETERS and not number and not run.parameters:
             run.parameters.update(entry.parameters)
         else:
-            run.events.setdefault(number, []).append(entry)
-    return run._replace(input_topics=input_topics)
+            run.events.setdefault(number + first_count, []).append(entry)
+    return run
+
+
+class _InputPlaces:
+    """Compares the messages on latched topics with the entries of the inputs, as both are read.
+
+    A message of an input that a further file repeats has no entry.
+
+    Attributes:
+        topics: Topics of the inputs.
+    """
+
+    def __init__(self) -> None:
+        self.topics: set[str] = set()
+        self._first_entry: tuple[Entry, int] | None = None  # and its log time in ns
+        self._first_ns: dict[str, int] = {}  # log times of the first messages of latched topics
+        self._repeated: Counter[tuple[str, int]] = Counter()  # messages without an entry, by topic and log time
+
+    def add_message(self, message: BagMessage) -> None:
+        """Add a message of a latched topic."""
+        self._first_ns.setdefault(message.topic, message.time_ns)
+        self._repeated[message.topic, message.time_ns] += 1
+
+    def add_entry(self, entry: Entry, time_ns: int) -> None:
+        """Add the entry of an input; it follows its input at the same log time."""
+        self.topics.add(entry.topic)
+        self._first_entry = self._first_entry or (entry, time_ns)
+        place = entry.topic, time_ns
+        if self._repeated[place] > 1:
+            self._repeated[place] -= 1
+        else:
+            del self._repeated[place]
+
+    def find_first(self, bag: Bag) -> tuple[int, int, Mapping[tuple[str, int], int]]:
+        """Find where the numbers of the inputs in a bag begin.
+
+        Returns:
+            Number of the inputs in earlier files that are not read, number of the repeated messages that stand for
+            them, and number of the other repeated messages by topic and log time.
+        """
+        if self._first_entry is None:
+            return 0, 0, self._repeated
+        entry, time_ns = self._first_entry
+        first = [(t, ns) for t, ns in self._first_ns.items() if ns <= time_ns and self._repeated[t, ns]]
+        self._repeated.subtract(first)
+        has_input = entry.number == 1 or any(bag.messages([entry.topic], time_ns, time_ns + 1))
+        return entry.number - has_input, len(first), self._repeated

@@ -14,7 +14,7 @@ from os import SEEK_END
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rosbags.interfaces import Connection, MessageDefinitionFormat, Qos
+from rosbags.interfaces import Connection, MessageDefinitionFormat, Qos, QosDurability
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.typesys.store import Typestore
@@ -109,6 +109,15 @@ class Bag:
     def qos(self) -> dict[str, list[Qos]]:
         """QoS profiles that the recorded publishers offered, by topic; empty where the bag does not hold them."""
         return {c.topic: getattr(c.ext, 'offered_qos_profiles', []) for c in self._connections()}
+
+    @property
+    def latched_topics(self) -> set[str]:
+        """Topics of which a late subscriber receives the last message (durability transient local)."""
+        return {
+            topic
+            for topic, profiles in self.qos.items()
+            if QosDurability.TRANSIENT_LOCAL in {q.durability for q in profiles}
+        }
 
     def count(self, topics: Collection[str]) -> int:
         """Return the number of messages on the topics."""
@@ -248,15 +257,16 @@ def is_bag(path: Path) -> bool:
 
 def list_bag_files(folder: Path) -> list[Path]:
     """Return the files of a bag in the order of their numbers; none where the path is not a folder."""
-
-    def number_and_name(path: Path) -> tuple[int, str]:
-        number = re.search(r'(\d+)$', path.stem)
-        return int(number[1]) if number else -1, path.name
-
     if not folder.is_dir():
         return []
     files = [f for f in folder.iterdir() if f.suffix in ROS2_SUFFIXES and (f.is_file() or f.is_symlink())]
-    return sorted(files, key=number_and_name)
+    return sorted(files, key=lambda file: find_number_and_name(file.name))
+
+
+def find_number_and_name(name: str) -> tuple[int, str]:
+    """Return the number at the end of the stem of a file's name, -1 where there is none, and the name."""
+    number = re.search(r'(\d+)$', PurePosixPath(name).stem)
+    return int(number[1]) if number else -1, name
 
 
 def _count_shared_namespaces(topic: str, reference: str) -> int:

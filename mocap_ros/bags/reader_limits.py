@@ -64,7 +64,7 @@ def _read_pieces(stream: IO[bytes], size: int) -> list[bytes]:
     return pieces
 
 
-class _LimitedFile(io.RawIOBase):
+class LimitedFile(io.RawIOBase):
     """A compressed file that is open for reading, and that raises ValueError once it has unpacked to too much."""
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -131,5 +131,5 @@ def limit_readers() -> None:
     for module in modules:
         module.parse_qos = parse_qos
     modules[-1].zstd = SimpleNamespace(
-        open=lambda file, _mode: _LimitedFile(file), decompress=partial(unpack, compression='zstd')
+        open=lambda file, _mode: LimitedFile(file), decompress=partial(unpack, compression='zstd')
     )

@@ -5,19 +5,21 @@ from __future__ import annotations
 import sqlite3
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import zstandard
 from mcap.records import Attachment as AttachmentRecord
 from mcap.records import Metadata as MetadataRecord
 from rosbags.rosbag2.metadata import dump_qos_v9
 
 from mocap_ros.bags.mcap_file import Attachment
 from mocap_ros.bags.mcap_scan import McapScan, ScannedMessage
-from mocap_ros.bags.reader import MAX_METADATA_BYTES, ROS2_SUFFIXES, list_bag_files
-from mocap_ros.bags.reader_limits import parse_qos
+from mocap_ros.bags.reader import MAX_METADATA_BYTES, ROS2_SUFFIXES, find_number_and_name, list_bag_files
+from mocap_ros.bags.reader_limits import PIECE_BYTES, LimitedFile, parse_qos, unpack
 from mocap_ros.bags.recorder import Recorder, choose_partial_path, remove_partial
 from mocap_ros.bags.rosbag2 import METADATA, ROSBAG2, Topic, make_topic
 from mocap_ros.bags.sqlite_scan import SQLITE_ERRORS, MessageRows
@@ -26,6 +28,9 @@ from mocap_ros.config import RecorderConfig, load_yaml
 from mocap_ros.errors import ConfigError, InputError, RecordingError
 from mocap_ros.messages.cdr import typestore
 from mocap_ros.messages.recorded_types import load_recorded_types
+
+PACKED_SUFFIX = '.zstd'  # that rosbag2 adds to the name of a file that it has compressed as a whole
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # first bytes of a compressed message; a message as CDR begins with 0
 
 # A function that receives the number of processed bytes and of all bytes.
 ReportProgress = Callable[[int, int], None]
@@ -60,8 +65,8 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
         InputError: There is no file of a bag, or no message could be read.
         RecordingError: The new bag cannot be written.
     """
-    files = list_bag_files(path) if path.is_dir() else [path]
-    if not files or not all(f.suffix in ROS2_SUFFIXES for f in files):
+    files = _list_files(path) if path.is_dir() else [path]
+    if not files or not all(f.suffix in (*ROS2_SUFFIXES, PACKED_SUFFIX) for f in files):
         raise InputError(f'{path}: no bag folder, .mcap or .db3 file (ROS 1: `rosbag reindex` repairs a .bag)')
     report = RecoveryReport()
     sizes = [_get_size(f) for f in files]
@@ -71,11 +76,12 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
         try:
             recorder.ros_distro = _read_ros_distro(path / METADATA)
             for number, file in enumerate(files):
-                recovery = _FileRecovery(file, recorder, report)
                 bytes_before = sum(sizes[:number])
-                steps = recovery.recover_mcap() if file.suffix == '.mcap' else recovery.recover_sqlite()
-                for processed_bytes in steps:
-                    report_progress(bytes_before + processed_bytes, sum(sizes))
+                with _provide_unpacked(file, out.parent, report) as unpacked:
+                    recovery = _FileRecovery(unpacked, recorder, report, name=file)
+                    steps = recovery.recover_mcap() if unpacked.suffix == '.mcap' else recovery.recover_sqlite()
+                    for processed_bytes in steps:
+                        report_progress(bytes_before + min(processed_bytes, sizes[number]), sum(sizes))
             if not report.messages:
                 reasons = '; '.join(report.losses) or 'the bag has no messages'
                 raise InputError(f'nothing can be recovered: {reasons}')
@@ -87,6 +93,33 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
                 raise RecordingError(f'{out}: {error.strerror}') from None
             raise
     return report
+
+
+def _list_files(folder: Path) -> list[Path]:
+    """Return the files of a bag in the order of their numbers, each one as it is or else compressed."""
+    packed = [
+        f for f in folder.iterdir() if f.suffix == PACKED_SUFFIX and f.with_suffix('').suffix in ROS2_SUFFIXES
+    ]
+    file_by_name = {f.with_suffix('').name: f for f in packed} | {f.name: f for f in list_bag_files(folder)}
+    return [file_by_name[name] for name in sorted(file_by_name, key=find_number_and_name)]
+
+
+@contextmanager
+def _provide_unpacked(file: Path, folder: Path, report: RecoveryReport) -> Iterator[Path]:
+    """Provide a file of a bag, unpacked into a temporary folder in `folder` if it is compressed as a whole."""
+    if file.suffix != PACKED_SUFFIX:
+        yield file
+        return
+    with TemporaryDirectory(dir=folder, prefix='.mocap_ros_') as temporary:
+        unpacked = Path(temporary) / file.stem
+        with file.open('rb') as packed, unpacked.open('wb') as stream:
+            source = LimitedFile(packed)
+            try:
+                while piece := source.read(PIECE_BYTES):
+                    stream.write(piece)
+            except (ValueError, zstandard.ZstdError) as error:
+                report.losses.append(f'{file}: the compressed file is damaged or too large: {error}')
+        yield unpacked
 
 
 def _read_ros_distro(metadata: Path) -> str:
@@ -133,10 +166,12 @@ class _FileRecovery:
         file: File to read.
         recorder: Recorder of the new bag.
         report: Report to which recovered messages and losses are added.
+        name: Path of the file in the bag, for the report.
     """
 
-    def __init__(self, file: Path, recorder: Recorder, report: RecoveryReport) -> None:
+    def __init__(self, file: Path, recorder: Recorder, report: RecoveryReport, name: Path) -> None:
         self._file = file
+        self._name = name
         self._recorder = recorder
         self._report = report
         self._rejected: Counter[tuple[str, str]] = Counter()  # messages by topic and reason for the rejection
@@ -163,7 +198,7 @@ class _FileRecovery:
                 self._copy_mcap_message(item)
             yield scan.scanned_bytes
         self._report_rejected()
-        self._report.losses += [f'{self._file}: {loss}' for loss in scan.losses]
+        self._report.losses += [f'{self._name}: {loss}' for loss in scan.losses]
 
     def _copy_mcap_message(self, item: ScannedMessage) -> None:
         """Copy a message, or count it as rejected where it is not a message of ROS 2."""
@@ -244,6 +279,12 @@ class _FileRecovery:
         return True
 
     def _write(self, topic: str, msgtype: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
+        if data.startswith(ZSTD_MAGIC):
+            try:
+                data = unpack(data, 'zstd')
+            except (ValueError, zstandard.ZstdError):
+                self._rejected[topic, 'they cannot be decompressed'] += 1
+                return
         self._recorder.write(topic, msgtype, data, log_time_ns, publish_time_ns)
         self._report.messages[topic] += 1
 
@@ -252,7 +293,7 @@ class _FileRecovery:
             self._report_loss(f'{number} messages of {topic} are lost, because {reason}')
 
     def _report_loss(self, loss: str) -> None:
-        self._report.losses.append(f'{self._file}: {loss}')
+        self._report.losses.append(f'{self._name}: {loss}')
 
 
 def _convert_topic(item: ScannedMessage) -> Topic:

@@ -70,6 +70,12 @@ def reads_transforms(node: NodeConfig) -> bool:
     return bool(node.output_frame and not node.camera_pose)
 
 
+def find_latched_inputs(bag: Bag) -> set[str]:
+    """Return the latched topics of input types, of which each further file of a bag repeats the last message."""
+    types = {CAMERA_INFO, TRANSFORMS, HRI_IDS, HRI_SKELETON, *KEYPOINT_TYPES}
+    return bag.latched_topics & set(bag.topics_of_type(types))
+
+
 def find_transform_topics(bag: Bag, node: NodeConfig, recorded: AbstractSet[str]) -> dict[str, Source]:
     """Return the sources of the topics of transforms in a bag that are inputs; their names end as in ROS.
 

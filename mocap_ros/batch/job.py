@@ -440,7 +440,7 @@ def _join(job: Job, outcomes: Sequence[Outcome]) -> Outcome:
             descriptions.append(description['rosbag2_bagfile_information'])
             for name in descriptions[-1]['relative_file_paths']:
                 if is_local(url):
-                    os.link(f'{path}/{name}', folder / name)
+                    _link_or_copy(f'{path}/{name}', folder / name)
                 else:
                     fs.get_file(f'{path}/{name}', str(folder / name))
         content = {'rosbag2_bagfile_information': join_descriptions(descriptions)}
@@ -450,6 +450,14 @@ def _join(job: Job, outcomes: Sequence[Outcome]) -> Outcome:
     _write_record(job, compute_content_key(job.recording), [job.result_url], rows, seconds)
     remove_result(join_url(settings.out, PARTS, job.recording.name))
     return Outcome(job, Status.DONE, '', tuple(rows), seconds)
+
+
+def _link_or_copy(file: str, place: Path) -> None:
+    """Give a file a second name or, on file systems without such, as memory sticks and some servers, copy it."""
+    try:
+        os.link(file, place)
+    except OSError:
+        shutil.copyfile(file, place)
 
 
 def _add_up(rows: Sequence[dict[str, Any]], seconds: float) -> list[dict[str, Any]]:

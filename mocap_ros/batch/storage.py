@@ -18,10 +18,11 @@ from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.batch.file_systems import find_file_system, is_local
 from mocap_ros.batch.recordings import Recording
 from mocap_ros.errors import DiskFull, InputError, RecordingError
+from mocap_ros.runtime.save_results import SUFFIXES
 
 FREE_BYTES = 200_000_000  # bytes that a temporary copy leaves free, as much as a recording (recorder.min_free_mb)
 # Ends of the names of files that a result may consist of; nothing else is ever removed.
-RESULT_SUFFIXES = (*ROS2_SUFFIXES, '.yaml', '.png', '.npz', '.csv', '.bvh', '.trc', '.json')
+RESULT_SUFFIXES = (*ROS2_SUFFIXES, '.yaml', '.png', '.json', *SUFFIXES)
 FULL = (errno.ENOSPC, errno.EDQUOT)  # error numbers of a disk, or a quota, that is used up
 
 

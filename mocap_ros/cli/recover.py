@@ -33,7 +33,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Recover a bag, and print what was recovered and what was not."""
     require_kind(args.bag, [InputKind.BAG], BAG_FORMATS)
-    out = args.output or args.bag.with_name(f'{args.bag.resolve().stem}_recovered')
+    place = args.bag if args.bag.name not in ('', '..') else args.bag.resolve()  # of the present folder as `.`
+    name = args.bag.resolve().name if args.bag.is_dir() else args.bag.resolve().stem
+    out = args.output or place.with_name(f'{name}_recovered')
     with tqdm(desc='recover', unit='B', unit_scale=True, disable=not sys.stderr.isatty(), leave=False) as bar:
 
         def watch(done: int, size: int) -> None:

@@ -92,7 +92,7 @@ def _choose_outputs(bags: list[Path], output: Path) -> list[tuple[Path, Path]]:
     """
     if len(bags) == 1:
         return [(bags[0], output)]
-    names = [bag.resolve().stem for bag in bags]
+    names = [bag.resolve().name if bag.is_dir() else bag.resolve().stem for bag in bags]
     if len(set(names)) < len(names):
         repeated = max(names, key=names.count)
         raise InputError(

@@ -33,6 +33,7 @@ MIN_JUDGED_FRAMES = 30  # frames; fewer at long intervals may be single pictures
 OTHER_TIME_UNITS = {'milliseconds': 1e3, 'microseconds': 1e6, 'nanoseconds': 1e9}
 MAX_IMAGE_SIDE_PX = 100_000  # px; guard against garbage, far above any real image
 MAX_COORDINATE_M = 1e6  # m; guard against garbage, far above any real distance
+FISHEYE = 'equidistant'  # the lens model of a CameraInfo whose coefficients a sequence file cannot tell
 MAX_PLUMB_BOB_COEFFICIENTS = 5  # OpenCV's k1, k2, p1, p2, k3; with more coefficients the model is rational
 
 # All keys of a sequence file; a file may have others, which are ignored.
@@ -116,6 +117,22 @@ class KeypointSequence:
         """Timestamps (F,) in ns."""
         return list(self.recorded_ns) or [round(float(t) * NS_PER_S) for t in self.timestamps]
 
+    @property
+    def camera_arrays(self) -> tuple[Array | None, Array | None]:
+        """Camera matrix (3, 3) in px and distortion coefficients, as a sequence file has them; None if unknown.
+
+        They are those of `calibration` where there is one, unless its lens is a fisheye, which no file can hold.
+        """
+        calibration = self.calibration
+        if calibration is None or not calibration.is_focal_known:
+            return self.camera_matrix, self.distortion
+        if calibration.distortion.model == FISHEYE:
+            return None, None
+        matrix = np.array([[0.0, 0.0, calibration.center[0]], [0.0, 0.0, calibration.center[1]], [0.0, 0.0, 1.0]])
+        matrix[[0, 1], [0, 1]] = calibration.focal_lengths
+        coefficients = calibration.distortion.coefficients
+        return matrix, np.array(coefficients) if coefficients else None
+
     def person(self, frame: int, person_id: str = '') -> Person2D:
         """Return the keypoints in one frame as a person with this id."""
         keypoints = self.keypoints[frame]
@@ -170,17 +187,18 @@ def create_intrinsics(
 
 
 def save_sequence(path: str | Path, sequence: KeypointSequence) -> None:
-    """Write a sequence file, without the ids and the calibration, which the format does not have."""
+    """Write a sequence file, without the ids and a fisheye lens, which the format does not have."""
+    camera_matrix, distortion = sequence.camera_arrays
     arrays: dict[str, NDArray[np.generic]] = {
         'keypoints': sequence.keypoints.astype(np.float32),
         'joint_names': np.array(sequence.joint_names),
         'timestamps': np.asarray(sequence.timestamps, np.float64),
         'image_size': np.array(sequence.image_size, np.int64),
     }
-    if sequence.camera_matrix is not None:
-        arrays['camera_matrix'] = np.asarray(sequence.camera_matrix, np.float64)
-    if sequence.distortion is not None:
-        arrays['distortion'] = np.asarray(sequence.distortion, np.float64)
+    if camera_matrix is not None:
+        arrays['camera_matrix'] = np.asarray(camera_matrix, np.float64)
+    if distortion is not None:
+        arrays['distortion'] = np.asarray(distortion, np.float64)
     if sequence.truth is not None:
         arrays['joints3d'] = sequence.truth.joints.astype(np.float32)
         arrays['joints3d_names'] = np.array(sequence.truth.joint_names)

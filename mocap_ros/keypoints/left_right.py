@@ -46,7 +46,8 @@ the decisions about earlier frames of the window.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -215,6 +216,19 @@ class SwapFilter:
             states = np.concatenate([old.states[predecessor, dropped:], _NEWEST_STATES], axis=1)
         is_swapped = SWAPPED_PARTS[states[cost.argmin()]]
         return SwapFilter(self.sides, True, is_swapped, ViterbiPaths(cost, states, *rest))
+
+    def convert_points(self, convert: Callable[[Array], Array]) -> SwapFilter:
+        """Return the filter with its points converted; the decisions stay the same.
+
+        Args:
+            convert: returns points (..., 2) in the units of the following frames, such as rays of another camera.
+        """
+        if self.paths is None:
+            return self
+        points, movement = self.paths.points, VELOCITY_TIME_S * self.paths.velocity
+        converted = np.ascontiguousarray(convert(points))
+        velocity = (convert(points + movement) - converted) / VELOCITY_TIME_S
+        return replace(self, paths=replace(self.paths, points=converted, velocity=velocity))
 
 
 def _describe(time_s: float, points: Array, weight: Array, body_size: float, sides: BodySides) -> _Frame:

@@ -66,6 +66,8 @@ def _demosaic(red: tuple[int, int], blue: tuple[int, int]) -> Callable[[Numbers]
     """Return a function that demosaics a pattern with red and blue in these rows and columns of each square."""
 
     def convert(values: Numbers) -> Numbers:
+        if min(values.shape[:2]) < 2:
+            raise InputError(f'width, height: {values.shape[1]} x {values.shape[0]} px, less than a Bayer pattern')
         plane = values[: len(values) // 2 * 2, : values.shape[1] // 2 * 2, 0].astype(np.uint16)
         part = {(row, column): plane[row::2, column::2] for row in (0, 1) for column in (0, 1)}
         greens = [part[place] for place in part if place not in (red, blue)]

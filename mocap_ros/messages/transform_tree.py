@@ -11,7 +11,6 @@ give the same transforms.
 
 from __future__ import annotations
 
-import re
 from bisect import bisect_left, insort
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -20,7 +19,7 @@ from typing import Any
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rigid_transform import RigidTransform, interpolate
 from mocap_ros.messages.cdr import Header, create_header, create_message, decode, encode, validate_stamp
-from mocap_ros.messages.transforms import CHILD_LINKS, ROOT_LINK, TRANSFORMS
+from mocap_ros.messages.transforms import CHILD_LINKS, ROOT_LINK, TORSO_LINK, TRANSFORMS
 from mocap_ros.units import NS_PER_S
 
 RESTART_S = 2.0  # s; transforms of one frame never arrive so much out of order, but a simulation starts anew
@@ -60,8 +59,14 @@ class _Link:
         oldest_kept = self.samples[-1][0] - history_ns
         del self.samples[: bisect_left(self.samples, oldest_kept, key=_get_stamp)]
 
-    def find(self, child: str, stamp_ns: int, tolerance_ns: int) -> RigidTransform:
-        """Return the transform at a time in ns.
+    def find(self, child: str, stamp_ns: int, tolerance_ns: int, earlier_ns: int = 0) -> RigidTransform:
+        """Return the transform at a time in ns, or at a time before it.
+
+        Args:
+            child: name of the frame, for the error message.
+            stamp_ns: ns, the time.
+            tolerance_ns: ns, by which it may be before the first or after the last transform, which then holds.
+            earlier_ns: ns before that time, or before the last transform where that holds; exact, if not 0.
 
         Raises:
             InputError: the time is before the first or after the last transform by more than the tolerance.
@@ -69,6 +74,9 @@ class _Link:
         samples = self.samples
         if self.is_static:
             return samples[0][1]
+        if earlier_ns:
+            is_newer = 0 < stamp_ns - samples[-1][0] <= tolerance_ns
+            stamp_ns, tolerance_ns = (samples[-1][0] if is_newer else stamp_ns) - earlier_ns, 0
         index = bisect_left(samples, stamp_ns, key=_get_stamp)
         if index == len(samples) or (index == 0 and samples[0][0] != stamp_ns):
             nearest_ns, transform = samples[min(index, len(samples) - 1)]
@@ -120,14 +128,18 @@ class TransformTree:
                 link = self._links[child] = _Link(parent, is_static)
             link.add(stamp_ns, transform)
 
-    def find(self, target: str, source: str, stamp_ns: int, tolerance_s: float) -> RigidTransform:
-        """Return the transform from one frame to another at a time.
+    def find(
+        self, target: str, source: str, stamp_ns: int, tolerance_s: float, earlier_s: float = 0.0
+    ) -> RigidTransform:
+        """Return the transform from one frame to another at a time, or a little before it.
 
         Args:
             target: name of the frame in which coordinates are wanted.
             source: name of the frame in which coordinates are given.
             stamp_ns: ns, the time.
             tolerance_s: s; how far the time may be outside the transforms that are known, where the nearest holds.
+            earlier_s: s; how long before that each frame is wanted, before the newest transform where that holds:
+                so the two places of a frame tell its motion, however late its transforms are.
 
         Raises:
             InputError: the frames are not connected, or not at this time.
@@ -139,10 +151,8 @@ class TransformTree:
             unknown = next((n for n in (source, target) if n not in self._links and not self._is_parent(n)), '')
             what = f'no transform names {unknown!r}' if unknown else 'they are not connected'
             raise InputError(f'no transform from {source!r} to {target!r}: {what}')
-        tolerance_ns = round(tolerance_s * NS_PER_S)
-        to_common, from_common = (
-            self._follow(names[: names.index(common)], stamp_ns, tolerance_ns) for names in (up, down)
-        )
+        when = stamp_ns, round(tolerance_s * NS_PER_S), round(earlier_s * NS_PER_S)
+        to_common, from_common = (self._follow(names[: names.index(common)], *when) for names in (up, down))
         return from_common.inverse().compose(to_common)
 
     def encode_all(self) -> tuple[list[bytes], list[bytes]]:
@@ -176,11 +186,11 @@ class TransformTree:
             names.append(self._links[names[-1]].parent)
         return names
 
-    def _follow(self, names: list[str], stamp_ns: int, tolerance_ns: int) -> RigidTransform:
-        """Return the transform from the first of these frames to the parent of the last."""
+    def _follow(self, names: list[str], stamp_ns: int, tolerance_ns: int, earlier_ns: int) -> RigidTransform:
+        """Return the transform from the first of these frames to the parent of the last, as `_Link.find` does."""
         result = RigidTransform.identity()
         for name in names:
-            result = self._links[name].find(name, stamp_ns, tolerance_ns).compose(result)
+            result = self._links[name].find(name, stamp_ns, tolerance_ns, earlier_ns).compose(result)
         return result
 
     def _forget_old_frames(self) -> None:
@@ -198,18 +208,23 @@ def is_of_people_only(raw: bytes, prefix: str) -> bool:
     """Return whether a TFMessage holds nothing but links of people, as this package publishes them.
 
     Such messages say nothing of the camera. A node that publishes people on /tf receives them itself, and a bag of
-    its run has them on the topic of the inputs.
+    its run has them on the topic of the inputs. Robots have frames with such names too, as `head_camera`, but no
+    body and torso of the same name above them.
 
     Args:
         raw: CDR bytes; bytes that are no TFMessage are not of people.
         prefix: text before the name of every link.
     """
     try:
-        transforms = _decode(raw)
+        parents = {t.child_frame_id: t.header.frame_id for t in _decode(raw)}
     except InputError:
         return False
-    pattern = re.compile(rf'{re.escape(prefix)}({"|".join((ROOT_LINK, *CHILD_LINKS))})_\w*', re.ASCII)
-    return all(pattern.fullmatch(t.child_frame_id) for t in transforms)
+    root, torso = (f'{prefix}{link}_' for link in (ROOT_LINK, TORSO_LINK))
+    suffixes = [c.removeprefix(root) for c in parents if c.startswith(root)]
+    people = [suffix for suffix in suffixes if torso + suffix in parents]
+    bodies = {root + suffix for suffix in people}
+    links = {f'{prefix}{link}_{suffix}': root + suffix for suffix in people for link in CHILD_LINKS}
+    return all(child in bodies or links.get(child) == parent for child, parent in parents.items())
 
 
 def _decode(raw: bytes) -> Sequence[Any]:

@@ -31,6 +31,7 @@ from mocap_ros.skeleton import BODY26, CMU15, Skeleton
 
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 ROOT_LINK = 'body'  # name of the root link in REP-155
+TORSO_LINK = 'torso'  # name of the link between the shoulders
 MIDDLE_LINKS = 'head', 'nose'  # joints of the middle of the body that are links
 MIN_AXIS_LENGTH = 1e-6  # m (up) and m^2 (forward); guards the divisions by them, far under any real size
 
@@ -56,7 +57,7 @@ def _list_links(skeleton: Skeleton) -> _Links:
     sided = sorted(joint for pair in pairs for joint in pair)
     middle = [skeleton.joints.index(n) for n in MIDDLE_LINKS if n in skeleton.joints]
     names = [skeleton.joints[j] for j in middle] + [f'{n[0]}_{n[1:]}' for n in (skeleton.joints[j] for j in sided)]
-    return _Links(('torso', *names), np.array([*middle, *sided]))
+    return _Links((TORSO_LINK, *names), np.array([*middle, *sided]))
 
 
 _TORSO_SEGMENT = CMU15.index('neck')  # joint about which the torso turns (`solvers.body_segments`)
@@ -121,9 +122,14 @@ def compute_links(joints: Array) -> tuple[Array, Array, Array]:
     return body, torso, axes
 
 
+def make_suffix(person_id: str) -> str:
+    """Return the id in characters that are valid in a frame's name: letters, digits and _."""
+    return re.sub(r'\W', '_', person_id, flags=re.ASCII)
+
+
 def _make_unique_suffix(person_id: str, used: set[str]) -> str:
     """Return the id in characters that are valid in a frame's name, unlike all in `used`, and add it to `used`."""
-    valid = unique = re.sub(r'\W', '_', person_id, flags=re.ASCII)
+    valid = unique = make_suffix(person_id)
     number = 1
     while unique in used:
         number += 1

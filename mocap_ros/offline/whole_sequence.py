@@ -172,7 +172,7 @@ def _reconstruct(
     joints = camera.to_real_camera(solution.joints) + root[:, None]
     joints *= body_height / estimate_stature(solution.joints, skeleton)
     if vertical is None:
-        vertical = _choose_vertical(observed.times, find_upward(joints), config.tracker)
+        vertical = choose_vertical(observed.times, find_upward(joints), config.tracker)
     result = SequenceResult(joints, observed.weight > 0, skeleton, category, solution, camera, *vertical)
     return result, observed
 
@@ -222,14 +222,14 @@ def find_frames_in_sight(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray((frames >= seen_frames.min(initial=len(seen))) & (frames <= seen_frames.max(initial=-1)))
 
 
-class _Verticals(NamedTuple):
+class Verticals(NamedTuple):
     """The vertical in each frame, as `SequenceResult` has it: (F, 3) and (F,) rad."""
 
     direction: Array
     std: Array
 
 
-def _choose_vertical(times: Array, upward: Array, config: TrackerConfig) -> _Verticals:
+def choose_vertical(times: Array, upward: Array, config: TrackerConfig) -> Verticals:
     """Return the vertical in each frame as `tracker.vertical` says: given, found, or NaN.
 
     Args:
@@ -238,21 +238,21 @@ def _choose_vertical(times: Array, upward: Array, config: TrackerConfig) -> _Ver
         config: parameters; `vertical` applies.
     """
     if config.vertical == AUTO:
-        return _Verticals(*find_vertical(times, upward))
+        return Verticals(*find_vertical(times, upward))
     given, frames = read_given_vertical(config), len(times)
     if given is None:
-        return _Verticals(np.full((frames, 3), np.nan), np.full(frames, np.nan))
+        return Verticals(np.full((frames, 3), np.nan), np.full(frames, np.nan))
     return _repeat_vertical(given, frames)
 
 
-def _repeat_vertical(given: Vertical, frames: int) -> _Verticals:
+def _repeat_vertical(given: Vertical, frames: int) -> Verticals:
     """Return a vertical that is given for each of some frames."""
-    return _Verticals(np.tile(given.direction, (frames, 1)), np.full(frames, given.std))
+    return Verticals(np.tile(given.direction, (frames, 1)), np.full(frames, given.std))
 
 
 def _lift(
-    observed: ObservedWindow, lifter: Lifter, config: TrackerConfig, known: _Verticals | None = None
-) -> tuple[LiftedPoses, _Verticals]:
+    observed: ObservedWindow, lifter: Lifter, config: TrackerConfig, known: Verticals | None = None
+) -> tuple[LiftedPoses, Verticals]:
     """Return lifted poses that are turned towards the vertical, in the virtual cameras' axes, and the vertical.
 
     The lifter is told a vertical that is given.
@@ -271,14 +271,14 @@ def _lift(
     lifted = lifter.lift(*observed.sample_unlifted_histories(), RAY_FOCAL, *told)
     upward = find_upward(lifted.joints)
     in_real_camera = camera.to_real_camera(upward[:, None])[:, 0]
-    vertical = known or _choose_vertical(observed.times, in_real_camera, config)
+    vertical = known or choose_vertical(observed.times, in_real_camera, config)
     direction = camera.to_virtual_camera(vertical.direction[:, None])[:, 0]
     return turn_towards_vertical(lifted, upward, direction, vertical.std), vertical
 
 
 def _solve_with_lifter(
     observed: ObservedWindow,
-    vertical: _Verticals,
+    vertical: Verticals,
     lifter: Lifter,
     models: Mapping[str, BasePoses],
     config: Config,

@@ -81,34 +81,35 @@ class DiagnosticsReporter:
 
     Args:
         name: Name of the node.
-        silence: Seconds without input after which the status is STALE.
+        pipeline: Pipeline of the run.
     """
 
-    def __init__(self, name: str, silence: float) -> None:
+    def __init__(self, name: str, pipeline: Pipeline) -> None:
         self._name = name
-        self._silence = silence
-        self._previous_counters = Counters()
+        self._pipeline = pipeline
+        self._previous_counters = copy_counters(pipeline.counters)  # an earlier run may have counted, too
 
     def encode_status(
-        self, pipeline: Pipeline, statistics: RunStatistics, recorder: str, now_ns: int, recorder_fault: str = ''
+        self, statistics: RunStatistics, recorder: str, now_ns: int, recorder_fault: str = ''
     ) -> bytes:
         """Encode the current status as a DiagnosticArray; its level depends on what happened since the last call.
 
         Args:
-            pipeline: Pipeline of the run.
             statistics: Statistics of the run.
             recorder: State of the recorder in words.
             now_ns: ROS time in ns.
             recorder_fault: What is wrong with the recorder, in words; empty if nothing is.
         """
-        counters, previous = pipeline.counters, self._previous_counters
+        pipeline = self._pipeline
+        counters, previous = copy_counters(pipeline.counters), self._previous_counters
         skipped = counters.dropped['backlog'] - previous.dropped['backlog']
         invalid = counters.invalid - previous.invalid
         errors = counters.dropped['internal error'] - previous.dropped['internal error']
-        self._previous_counters = Counters(counters.accepted, counters.invalid, counters.dropped.copy())
+        self._previous_counters = counters
         people = pipeline.people
         residuals = [p.residual for p in people if math.isfinite(p.residual)]
-        age_s = (now_ns - pipeline.header.stamp_ns) / NS_PER_S if counters.accepted else math.nan
+        newest_ns = pipeline.header.stamp_ns  # 0 before the first frame, and after a reset
+        age_s = (now_ns - newest_ns) / NS_PER_S if newest_ns else math.nan
         values = {
             'input rate (Hz)': f'{statistics.compute_input_rate():.1f}',
             'age of newest frame (s)': f'{age_s:.3f}',
@@ -127,7 +128,7 @@ class DiagnosticsReporter:
             'recorder': recorder,
         }
         level, message = Level.OK, f'{len(people)} people'
-        if statistics.seconds_since_input() > self._silence:
+        if statistics.seconds_since_input() > pipeline.config.node.silence_warning:
             level, message = Level.STALE, 'no input'
         elif errors:
             level, message = Level.ERROR, f'{errors} internal errors in the last second; see the log'
@@ -137,6 +138,11 @@ class DiagnosticsReporter:
         elif recorder_fault:
             level, message = Level.WARN, recorder_fault
         return encode_diagnostics(Header(now_ns, ''), self._name, (level, message), values)
+
+
+def copy_counters(counters: Counters) -> Counters:
+    """Return the counters as they are now."""
+    return Counters(counters.accepted, counters.invalid, counters.dropped.copy())
 
 
 def encode_diagnostics(

@@ -321,7 +321,7 @@ class LiveRun:
         if not self._has_accepted:
             self._logger.info(f'{topic}: the first message was accepted, and people are being published')
         self._has_accepted = True
-        if not self._pipeline.header.frame_id and not self._has_warned_of_frame_id:
+        if not self._pipeline.output_header.frame_id and not self._has_warned_of_frame_id:
             self._logger.warning(
                 f'{topic}: header.frame_id is empty, so viewers cannot place the people; '
                 "set it to the camera's optical frame where the keypoints are published"

@@ -193,13 +193,15 @@ class LiveRecording:
         """
         if self._recorder is None:
             return True
-        records: list[RecordedMessage | Topic] = [*self._declare_input(topic, msgtype)]
+        declared = self._declare_input(topic, msgtype)
+        records: list[RecordedMessage | Topic] = [*declared]
         records += self._journal.make_input_records(topic, msgtype, raw, times_ns, result.verdict, result.reason)
         records += [self._make_output_record(output, published_ns) for output in result.outputs]
         if self._put(records, even_if_full=False):
             return True
         self._journal.mark_last_input_lost()
-        self._declared_inputs.discard(topic)
+        if declared:
+            self._declared_inputs.discard(topic)
         return False
 
     def write_output(self, output: OutputMessage, published_ns: int) -> None:

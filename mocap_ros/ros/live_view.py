@@ -7,6 +7,7 @@ leaves frames out and stays up to date.
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from statistics import median
@@ -29,7 +30,8 @@ from mocap_ros.viewing.rerun_recording import LiveDrawing
 
 SKELETONS_TOPIC = 'skeletons'  # the node's output
 KEYPOINTS_TOPIC = 'keypoints'  # the node's input
-KEPT_IMAGES = 60  # images whose keypoints wait for their skeletons; 2 s, more than the largest tracker.lag
+KEPT_IMAGES = 600  # images whose keypoints wait for their skeletons: 5 s, the largest tracker.lag, at 120 Hz
+MEASURED_FRAMES = 10_000  # frames whose delays are known; bounds the memory of a view that is open for days
 DISCOVERY_S = 0.5  # s; pause between two looks for a publisher of keypoints, whose type is not known before
 SPIN_S = 0.1  # s; longest time after which an interrupt or a closed window ends the view
 
@@ -50,7 +52,8 @@ class LiveView:
 
     Attributes:
         frame_count: number of frames drawn so far.
-        delays_s: for each frame drawn, s from its publication by the node until it was handed to the viewer.
+        delays_s: for each of the last frames drawn, s from its publication by the node until it was handed to the
+            viewer.
     """
 
     def __init__(
@@ -61,7 +64,7 @@ class LiveView:
         context: Any = None,
     ) -> None:
         self.frame_count = 0
-        self.delays_s: list[float] = []
+        self.delays_s: deque[float] = deque(maxlen=MEASURED_FRAMES)
         self._drawing = drawing
         self._keypoints_topic = keypoints_topic
         self._limits = NodeConfig()

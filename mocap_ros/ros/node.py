@@ -180,7 +180,7 @@ class MocapNode(LifecycleNode):
             f'the node is active: it listens on {" and ".join(self._inputs.topics)}, publishes {published}, '
             f'and uses the model {self._config.tracker.model}'
         )
-        self._reporter = DiagnosticsReporter(self.get_fully_qualified_name(), self._config.node.silence_warning)
+        self._reporter = DiagnosticsReporter(self.get_fully_qualified_name(), self._pipeline)
         steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._run_timers = [
             self.create_timer(SILENCE_CHECK_PERIOD_S, self._check_silence, clock=steady_clock),
@@ -192,7 +192,7 @@ class MocapNode(LifecycleNode):
             self._inputs.unsubscribe()
         for timer in self._run_timers:
             self.destroy_timer(timer)
-        self._run_timers = []
+        self._run_timers, self._reporter = [], None
         run, self._run = self._run, None
         if run is not None:
             run.stop()
@@ -250,11 +250,11 @@ class MocapNode(LifecycleNode):
             self._inputs.check_silence(self._config.node.silence_warning)
 
     def _publish_diagnostics(self) -> None:
-        run, pipeline, reporter = self._run, self._pipeline, self._reporter
-        if run is None or pipeline is None or reporter is None:
+        run, reporter = self._run, self._reporter
+        if run is None or reporter is None:
             return
         now_ns = self.get_clock().now().nanoseconds
-        status = reporter.encode_status(pipeline, run.statistics, run.recorder_state, now_ns, run.recorder_fault)
+        status = reporter.encode_status(run.statistics, run.recorder_state, now_ns, run.recorder_fault)
         self._outputs.publish_diagnostics(self._versions.write(DIAGNOSTICS, status))
 
     def _find_offered_qos(self, topic: str) -> list[dict[str, Any]]:

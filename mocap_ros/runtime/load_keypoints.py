@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
 from math import inf
@@ -167,8 +168,8 @@ def load_sequence_file(path: str | Path) -> KeypointSequence:
 def load_bag(path: Path, limits: NodeConfig, topic: str | None = None) -> Detections:
     """Load all people from the keypoint messages of a bag; skip and count the messages that cannot be used.
 
-    The accepted messages are those that `replay` accepts, with two differences: the stamps may come in any order,
-    and the first CameraInfo applies to the whole bag.
+    The accepted messages are those that `replay` accepts, with three differences: the stamps may come in any
+    order, the first CameraInfo applies to the whole bag, and all images have the size that most of them state.
 
     Args:
         path: The bag.
@@ -188,6 +189,11 @@ def load_bag(path: Path, limits: NodeConfig, topic: str | None = None) -> Detect
         frames, skipped_count, first_reason = _decode_frames(bag, topics, node, camera, size)
     if not frames:
         raise InputError(f'{path}: {first_reason or "no keypoints"}')
+    if (other_count := _leave_out_other_sizes(frames)) > 0:
+        skipped_count += other_count
+        first_reason = (
+            first_reason or f'{next(iter(topics))}: {other_count} images have another size than the others'
+        )
     stamps = sorted(frames)
     last = frames[stamps[-1]]
     stated = (last.image_width, last.image_height)
@@ -199,6 +205,20 @@ def load_bag(path: Path, limits: NodeConfig, topic: str | None = None) -> Detect
         frame_id=next((f.header.frame_id for f in frames.values() if f.header.frame_id), ''),
         remarks=(f'{skipped_count} messages left out; {first_reason}',) if skipped_count else (),
     )
+
+
+def _leave_out_other_sizes(frames: dict[int, KeypointsFrame]) -> int:
+    """Remove the images that state another size in px than most of them, and return their number."""
+    size_by_stamp = {
+        s: (f.image_width, f.image_height) for s, f in frames.items() if f.image_width and f.image_height
+    }
+    if not size_by_stamp:
+        return 0
+    ((usual_size, _),) = Counter(size_by_stamp.values()).most_common(1)
+    others = [stamp for stamp, size in size_by_stamp.items() if size != usual_size]
+    for stamp in others:
+        del frames[stamp]
+    return len(others)
 
 
 def _decode_frames(

@@ -34,7 +34,7 @@ from mocap_ros.messages.skeletons import (
     encode_skeleton_definition,
     encode_skeletons,
 )
-from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
+from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms, make_suffix
 from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.skeleton import keypoint_layout
 
@@ -89,14 +89,14 @@ def list_switched_outputs(node: NodeConfig) -> dict[str, str]:
 class OutputEncoder:
     """Encoder of the outputs of successive images.
 
-    The markers and the collision objects of an image depend on those of the image before.
+    The markers, the collision objects and the names of bodies and frames depend on those of the image before.
     """
 
     def __init__(self) -> None:
         self._markers = MarkerEncoder()
         self._shapes = {topic: MarkerSeries() for topic in (CAPSULE_MARKERS, PREDICTION_MARKERS)}
         self._collision_objects = CollisionObjectEncoder()
-        self._bodies, self._body_names = BodiesEncoder(), BodyNames()
+        self._bodies, self._body_names, self._frame_names = BodiesEncoder(), BodyNames(), BodyNames(make_suffix)
 
     def encode(
         self,
@@ -129,7 +129,7 @@ class OutputEncoder:
         outputs = [OutputMessage(topic, OUTPUTS[topic], header.stamp_ns, raw) for topic, raw in data.items()]
         certain = [p for p in placed if not p.tentative]
         numbers, lifetime = self._markers.numbers, node.marker_lifetime
-        names = self._body_names.assign([p.id for p in certain]) if node.publish_bodies else {}
+        names = (self._body_names if node.publish_bodies else self._frame_names).assign([p.id for p in certain])
         for field, output in SWITCHED_OUTPUTS.items():
             if not getattr(node, field):
                 continue
@@ -164,17 +164,18 @@ class OutputEncoder:
             header: time of the image, and the frame in which the people are.
             people: the people.
             frame_prefix: text before the names of frames on /tf.
-            names: names of people as bodies by id, which are those of their frames; empty if there are no bodies.
+            names: names of people as frames by id, which are those of the bodies where these are published.
         """
         if output.encode is not None:
             return [output.encode(header, people)]
         if output.type == TRANSFORMS:
-            people = [replace(p, id=names.get(p.id, p.id)) for p in people]
+            people = [replace(p, id=names[p.id]) for p in people]
             return [encode_transforms(header, people, frame_prefix)]
         return self._collision_objects.encode_update(header, people)
 
     def encode_clear(self, header: Header) -> tuple[OutputMessage, ...]:
         """Encode the messages that delete all markers, collision objects and bodies, and forget all people."""
+        self._body_names, self._frame_names = BodyNames(), BodyNames(make_suffix)
         objects, objects_type, _ = SWITCHED_OUTPUTS['publish_collision_objects']
         cleared = [
             ('markers', MARKERS, self._markers.encode_clear(header)),

@@ -4,19 +4,21 @@ A tracker forgets everything about earlier people when nobody was there for `tra
 may be cut before an image without people, if before that image nobody had been there for as long. It is not cut
 
 - if its people come on several topics (ROS4HRI), whose messages are assembled to images across a cut,
-- if its journal holds resets or changes of parameters,
+- if its journal holds resets or changes of parameters, but for those of the recorder,
+- if its images are of several cameras, as the images of which one are used depends on those before,
 - or if transforms are among its inputs, as a part needs those before it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 
-from mocap_ros.bags.journal import read_run
+from mocap_ros.bags.journal import PARAMETERS, RecordedRun, read_run
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import Source, find_people_topics, find_people_type, find_transform_topics
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, Value, with_values
 from mocap_ros.errors import FrameDropped, InputError
 from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
 from mocap_ros.messages.input_types import decode_frame
@@ -66,7 +68,7 @@ def find_parts(
     inputs = find_people_topics(bag, topic)
     whole = [Part(0, None, None, 0, None)]
     run = read_run(bag)
-    if list(inputs.values()) != [Source.KEYPOINTS] or run.events or run.lost_count:
+    if list(inputs.values()) != [Source.KEYPOINTS] or _has_changes(run) or run.lost_count:
         return whole
     if find_transform_topics(bag, config.node, run.input_topics):
         return whole
@@ -74,13 +76,15 @@ def find_parts(
     camera_topic = bag.find_camera_info_topic(next(iter(inputs)), camera_info)
     topics = {*inputs} | ({camera_topic} if camera_topic else set())
     finder = _CutFinder(config, min_seconds)
-    for number, message in enumerate(bag.messages(topics), 1):
+    for number, message in enumerate(run.leave_out_repeated(bag.messages(topics)), 1):
         if message.topic == camera_topic:
             finder.add_camera_info(message.time_ns, message.raw)
         elif number in run.skipped_inputs:
             finder.add_other(message.time_ns)
         else:
             finder.add_people(number, message.time_ns, message.raw)
+    if len(finder.camera_names) > 1:
+        return whole
     starts = [*whole, *finder.parts]
     stops = [*(part.start_ns for part in finder.parts), None]
     return [
@@ -89,8 +93,27 @@ def find_parts(
     ]
 
 
+def _has_changes(run: RecordedRun) -> bool:
+    """Return whether a run was reset or had other parameters later; those of the recorder change no result."""
+    entries = [entry for at_input in run.events.values() for entry in at_input]
+    return any(
+        entry.kind != PARAMETERS or _drop_recorder(entry.parameters) != _drop_recorder(run.parameters)
+        for entry in entries
+    )
+
+
+def _drop_recorder(parameters: Mapping[str, Value]) -> dict[str, Value]:
+    """Return the parameters but for those of the recorder."""
+    return {name: value for name, value in parameters.items() if not name.startswith('recorder.')}
+
+
 class _CutFinder:
-    """Finds the inputs before which a bag may be cut; the attribute `parts` has the parts that begin there."""
+    """Finds the inputs before which a bag may be cut.
+
+    Attributes:
+        parts: The parts that begin there.
+        camera_names: Names of the optical frames of the images, but for empty ones.
+    """
 
     def __init__(self, config: Config, min_seconds: float) -> None:
         settings = config.tracker
@@ -105,6 +128,7 @@ class _CutFinder:
         self._part_start_ns: int | None = None  # log time of the first input of the current part
         self._shows_people = False  # whether the current part does
         self.parts: list[Part] = []
+        self.camera_names: set[str] = set()
 
     def add_camera_info(self, time_ns: int, raw: bytes) -> None:
         """Add a CameraInfo."""
@@ -125,6 +149,7 @@ class _CutFinder:
         self.add_other(time_ns)
         try:
             frame = decode_frame(raw, self._config.node.input_type, self._config.node, ANY_SIZE)
+            self.camera_names |= {frame.header.frame_id} - {''}
             if frame.header.stamp_ns == 0:
                 raise FrameDropped(MISSING_STAMP)
             if self._camera is not None:

@@ -43,6 +43,7 @@ from mocap_ros.tracking.vertical_check import VerticalCheck
 from mocap_ros.units import NS_PER_S
 
 CAMERA_MOTION_S = 0.1  # s; over which the motion of the camera is found: as long as velocities are smoothed over
+TRACKER_GROUPS = 'solver', 'classifier', 'tracker'  # fields of `Config` that a tracker reads when it is made
 OTHER_CAMERA_S = 1.0  # s; without images of one camera, before those of another are taken as a move of the input
 MAX_CONSECUTIVE_ERRORS = 3  # messages; after as many internal errors in a row the tracker's state is discarded
 BACKLOG_REASON = (
@@ -230,6 +231,7 @@ class Pipeline:
         self.models = models or load_base_pose_models(config.tracker.model)
         self._make_tracker = make_tracker
         self._tracker = make_tracker(self.models, config)
+        self._swapped_before = self._unusable_before = 0  # as the trackers of earlier parameters counted
         self._outputs = OutputEncoder()
         self._assembler = FrameAssembler()
         self._consecutive_errors = 0
@@ -241,13 +243,13 @@ class Pipeline:
 
     @property
     def swapped_frames(self) -> int:
-        """Number of detections so far whose swapped left and right labels the tracker corrected."""
-        return self._tracker.swapped_frames
+        """Number of detections so far whose swapped left and right labels were corrected."""
+        return self._swapped_before + self._tracker.swapped_frames
 
     @property
     def unusable_people(self) -> int:
-        """Number of detections so far with too few visible joints to be tracked."""
-        return self._tracker.unusable_people
+        """Number of detections so far that were no person of their own, as those with too few visible joints."""
+        return self._unusable_before + self._tracker.unusable_people
 
     def feed(self, source: Source, raw: bytes, topic: str = '') -> ProcessingResult:
         """Process an input message; the result reports invalid inputs and internal errors, and nothing is raised.
@@ -364,7 +366,7 @@ class Pipeline:
         except InputError as error:
             return header, own, f'{error}, so people are put out in the frame of the camera'
         try:
-            before = self.transforms.find(*frames, header.stamp_ns - round(CAMERA_MOTION_S * NS_PER_S), 0.0)
+            before = self.transforms.find(*frames, header.stamp_ns, node.transform_tolerance, CAMERA_MOTION_S)
         except InputError:  # the transforms begin later
             return placed, CameraPlacement(header.frame_id, pose), ''
         return placed, CameraPlacement(header.frame_id, pose, before, CAMERA_MOTION_S), ''
@@ -474,13 +476,14 @@ class Pipeline:
         self.config = config
         if tracker is None:
             return False
+        self._swapped_before, self._unusable_before = self.swapped_frames, self.unusable_people
         self._tracker = tracker
         return True
 
     def check(self, config: Config) -> FrameTracker | None:
         """Return the tracker that other parameters need, or None if they need none; errors as `reconfigure`."""
         read_prediction_times(config)
-        if (self.config.solver, self.config.tracker) == (config.solver, config.tracker):
+        if all(getattr(self.config, group) == getattr(config, group) for group in TRACKER_GROUPS):
             return None
         return self._make_tracker(self.models, config)
 

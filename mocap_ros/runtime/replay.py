@@ -32,6 +32,7 @@ from mocap_ros.runtime.provenance import provenance_attachments
 
 JOURNAL_TOPIC = '/mocap_replay/journal'  # ends as the journal of a live run, so that a replay can be replayed
 INPUT_TYPE_PARAMETER = 'node.input_type'  # set to the type of the bag's keypoints, whatever the parameters say
+PREFIX_PARAMETER = 'node.frame_prefix'  # by which the people of the recorded run are known on /tf
 
 # A function that shows progress while the messages it is given are iterated; its second argument is their number.
 ProgressWrapper = Callable[[Iterable[BagMessage], int], Iterable[BagMessage]]
@@ -134,7 +135,8 @@ class _Replay:
         config = with_values(config, {INPUT_TYPE_PARAMETER: keypoints_type})
         self._recorder_config = RecorderConfig() if self._repeats_parameters else config.recorder
         self._inputs |= find_transform_topics(bag, config.node, self._recorded_run.input_topics)
-        self._frame_prefix = config.node.frame_prefix
+        # that of the outputs in the bag, whatever the parameters of the replay say
+        self._frame_prefix = str(self._recorded_run.parameters.get(PREFIX_PARAMETER, config.node.frame_prefix))
         self._pipeline = Pipeline(config)
         if self._part.camera_info is not None:
             self._pipeline.set_camera_info(self._part.camera_info)
@@ -149,7 +151,8 @@ class _Replay:
         with Recorder(folder, self._recorder_config, attachments, name) as self._recorder:
             messages = progress(bag.messages(self._inputs, part.start_ns, part.stop_ns), bag.count(self._inputs))
             first = part.inputs_before + 1
-            for number, message in enumerate(filter(self._is_input, messages), first):
+            inputs = self._recorded_run.leave_out_repeated(messages)
+            for number, message in enumerate(filter(self._is_input, inputs), first):
                 if number == first:
                     self._write_start(message.time_ns)
                 self._repeat_events(number - 1, message.time_ns)

@@ -37,6 +37,7 @@ from mocap_ros.skeleton import CORE_COUNT
 
 Array = NDArray[np.float64]
 
+ONE_FILE = RecorderConfig(min_free_mb=0, split_seconds=0.0)  # of a bag that is written as a single file
 DEFAULT_PERSON_ID = 'person_1'  # id in the messages of a bag, if the sequence does not name its person
 MAX_RESAMPLED_FRAMES = 1_000_000  # frames; guards the memory against two frames that are years apart
 HALF_TURN = np.array([1.0, 0.0, 0.0, 0.0])  # quaternion x, y, z, w of `CAMERA_TO_Y_UP`, half a turn about x
@@ -134,7 +135,7 @@ def _record_file(path: Path) -> Iterator[Recorder]:
     with TemporaryDirectory(dir=path.parent, prefix='.mocap_ros_') as folder:
         bag = Path(folder) / 'bag'
         try:
-            with Recorder(bag, RecorderConfig(min_free_mb=0), name=path.stem) as recorder:
+            with Recorder(bag, ONE_FILE, name=path.stem) as recorder:
                 yield recorder
         except RecordingError as error:
             raise RecordingError(f'{path}: {str(error).rpartition(": ")[2]}') from None

@@ -126,6 +126,8 @@ class FloorContact:
         noise, floor_std = NOISE_M / height, math.hypot(GROUND_M, TILT_RAD * distance) / height
         if before is None:
             return FloorContact(found, 0.0, noise, floor_std, stamp_ns)
+        if stamp_ns <= before.stamp_ns:  # with a lag, this frame was put out before
+            return before
         step = min((stamp_ns - before.stamp_ns) / NS_PER_S, MAX_STEP_S)
         off = (found - before.mean) / (2 * math.hypot(noise, floor_std))
         weight = step / (1 + off * off)

@@ -6,7 +6,7 @@ frames. These frames are then corrected anew, and the lifted poses from the firs
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -95,14 +95,20 @@ class SeenFrames:
         """Whether left and right of the body or of a part of it were swapped in the newest frame."""
         return bool(self.swap_filter.is_swapped[-1].any())
 
-    def count_older_frames(self, stamp_ns: int, window_s: float) -> int:
+    def count_older_frames(self, stamp_ns: int, window_s: float, lag_s: float) -> int:
         """Return the number of frames that are too old for a window that ends at a stamp.
+
+        With a lag, the newest frame that is old enough to be put out stays, also in a shorter window.
 
         Args:
             stamp_ns: ns, end of the window.
             window_s: s, length of the window.
+            lag_s: s, delay of the output.
         """
-        return bisect_left(self.stamps_ns, stamp_ns - window_s * NS_PER_S)
+        older = bisect_left(self.stamps_ns, stamp_ns - window_s * NS_PER_S)
+        if lag_s == 0:
+            return older
+        return min(older, max(bisect_right(self.stamps_ns, stamp_ns - lag_s * NS_PER_S) - 1, 0))
 
     def add_frame(self, stamp_ns: int, detection: Detection, dropped: int) -> SeenFrames:
         """Return the window with one more frame and without the oldest ones.
@@ -152,17 +158,20 @@ class SeenFrames:
             intrinsics: intrinsics from now on.
             focal: px, focal length that the solvers assume from now on.
         """
-        rays, others = (
-            intrinsics.pixels_to_rays(
-                self.intrinsics.project(np.concatenate([r, np.ones_like(r[..., :1])], axis=-1))
-            )
-            for r in (self.rays, self.extremities.rays)
+
+        def convert(rays: Array) -> Array:
+            directions = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
+            return intrinsics.pixels_to_rays(self.intrinsics.project(directions))
+
+        rays, swap_filter = convert(self.rays), self.swap_filter.convert_points(convert)
+        extremities = Extremities(convert(self.extremities.rays), self.extremities.weight)
+        observed = _correct_sides(
+            self.stamps_ns, rays, self.weight, extremities, swap_filter, intrinsics, focal, None
         )
-        extremities = Extremities(others, self.extremities.weight)
-        seen = rays, self.weight, extremities
-        observed = _correct_sides(self.stamps_ns, *seen, self.swap_filter, intrinsics, focal, None)
         extents = tuple(measure_extent(*frame) for frame in zip(rays, self.weight, strict=True))
-        return replace(self, rays=rays, extremities=extremities, extents=extents, observed=observed)
+        return replace(
+            self, rays=rays, extremities=extremities, extents=extents, swap_filter=swap_filter, observed=observed
+        )
 
     def select_frames(self, step_s: float, span_s: float) -> NDArray[np.intp]:
         """Return the indices of the frames with the highest scores, one for each step of time, increasing.

@@ -23,15 +23,11 @@ from mocap_ros.copying import copy_with
 from mocap_ros.geometry.interpolation import interpolate_linearly
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
-from mocap_ros.keypoints.association import VELOCITY_SPAN_S
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.joint import JointReconstruction
 from mocap_ros.solvers.observed_window import ObservedWindow
-from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
-
-MIN_VELOCITY_FRAMES = 3  # frames; a line through two frames does not average the noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,22 +242,6 @@ class TrackSolution:
         """
         state = self.theta[frame], self.rotation[frame], self.roots[frame]
         return _locate_joints(*state, model.mean, model.components, 1 / self.stature_ratio)
-
-    def estimate_velocity(self, stamps_ns: tuple[int, ...]) -> Array:
-        """Return the velocity of the root, (3,) m/s: the slope of a line through the last `VELOCITY_SPAN_S`.
-
-        The velocity is 0 if there are too few frames for a line.
-
-        Args:
-            stamps_ns: (S,) ns, stamps of the frames.
-        """
-        stamps = np.array(stamps_ns)
-        is_recent = stamps >= stamps[-1] - VELOCITY_SPAN_S * NS_PER_S
-        t = (stamps[is_recent] - stamps[-1]) / NS_PER_S
-        if len(t) < MIN_VELOCITY_FRAMES or np.ptp(t) < VELOCITY_SPAN_S / 3:
-            return np.zeros(3)
-        t = t - t.mean()
-        return np.asarray(t @ self.roots[is_recent] / (t @ t))
 
 
 def _make_solution(

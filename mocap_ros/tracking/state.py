@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
+from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.solvers.vertical import Vertical
 from mocap_ros.tracking.body_size import FloorContact
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
@@ -55,6 +56,7 @@ class TrackerState:
             part of somebody who was detected besides.
         models: name and number of base poses of each of the tracker's models.
         is_lifted: whether the tracker has a lifter, so that the frames of the tracks hold lifted poses.
+        intrinsics: intrinsics of the camera in the newest accepted frame; None before the first.
         vertical: what is known of the camera's vertical; None if nothing is.
         contacts: ids, and what feet on the floor have told of the sizes of these people and of some who are gone.
     """
@@ -72,6 +74,7 @@ class TrackerState:
     unusable_people: int = 0
     models: tuple[tuple[str, int], ...] = ()
     is_lifted: bool = False
+    intrinsics: Intrinsics | None = None
     vertical: Vertical | None = None
     contacts: tuple[tuple[str, FloorContact], ...] = ()
 

@@ -40,6 +40,7 @@ class Track:
         is_tentative: whether the person has not been seen for long enough to be sure that there is somebody.
         motion_filter: filter of the output; None before the first output, or if nothing is filtered.
         first_ns: ns, stamp of the frame in which the person was first seen.
+        frames_seen: number of frames in which the person was seen, some of which the window may have left behind.
         extremities: face, feet and hands in the frame that was put out last; None before the first output.
         extremities_ns: ns, stamp of this frame.
     """
@@ -51,6 +52,7 @@ class Track:
     is_tentative: bool = False
     motion_filter: MotionFilter | None = None
     first_ns: int = 0
+    frames_seen: int = 1
     extremities: ExtremityState | None = None
     extremities_ns: int = 0
 
@@ -94,7 +96,7 @@ class Track:
         seen = SeenFrames.begin(stamp_ns, detection, swap_filter, intrinsics, focal)
         return Track(name, seen, is_tentative=is_tentative, first_ns=stamp_ns)
 
-    def add_frame(self, stamp_ns: int, detection: Detection, window_s: float) -> Track:
+    def add_frame(self, stamp_ns: int, detection: Detection, window_s: float, lag_s: float = 0.0) -> Track:
         """Return the track with one more frame and without the frames that are too old.
 
         If the frame changes the decision about swaps in earlier frames, a hypothesis check becomes due.
@@ -103,15 +105,23 @@ class Track:
             stamp_ns: ns, stamp of the frame.
             detection: the person in this frame.
             window_s: s, length of the window.
+            lag_s: s, delay of the output.
         """
-        dropped = self.seen.count_older_frames(stamp_ns, window_s)
+        dropped = self.seen.count_older_frames(stamp_ns, window_s, lag_s)
         seen = self.seen.add_frame(stamp_ns, detection, dropped)
         solution = None if self.solution is None else self.solution.drop_oldest(dropped)
         schedule = self.schedule
         if seen.is_relabelled:
             schedule = schedule.check_at(stamp_ns)
-        is_tentative = self.is_tentative and not _is_seen_for_long(seen)
-        return copy_with(self, seen=seen, solution=solution, schedule=schedule, is_tentative=is_tentative)
+        frames_seen = self.frames_seen + 1
+        return copy_with(
+            self,
+            seen=seen,
+            solution=solution,
+            schedule=schedule,
+            is_tentative=self.is_tentative and (frames_seen < MIN_FRAMES or seen.age_s <= MIN_AGE_S),
+            frames_seen=frames_seen,
+        )
 
     def append_lifted(self, lifted: LiftedPoses) -> Track:
         """Return the track with lifted poses of the frames that had none; see `ObservedWindow.append_lifted`."""
@@ -165,8 +175,3 @@ class Track:
         solution = None if self.solution is None else self.solution.change_camera(old, intrinsics)
         seen = self.seen.change_camera(intrinsics, focal)
         return copy_with(self, seen=seen, solution=solution, motion_filter=None)
-
-
-def _is_seen_for_long(seen: SeenFrames) -> bool:
-    """Return whether a new person has been seen in enough frames and for long enough to be somebody."""
-    return len(seen.stamps_ns) >= MIN_FRAMES and seen.age_s > MIN_AGE_S

@@ -238,6 +238,7 @@ class Tracker:
             newest_stamp_ns=stamp_ns,
             newest_person_ns=stamp_ns if detections else state.newest_person_ns,
             output_stamp_ns=output_stamp_ns,
+            intrinsics=intrinsics,
             is_work_pending=True,
             backward_jump_s=backward_jump_s,
             swapped_frames=state.swapped_frames + sum(t.seen.is_newest_swapped for t in tracks),
@@ -291,7 +292,7 @@ class Tracker:
 
     def _change_camera(self, state: TrackerState, intrinsics: Intrinsics) -> TrackerState:
         """Return the state with all tracks converted to the intrinsics of this frame, if these have changed."""
-        if all(t.seen.intrinsics == intrinsics for t in state.tracks):
+        if state.intrinsics in (None, intrinsics):
             return state
         focal = solver_focal(intrinsics, self.config.tracker.perspective)
         return replace(
@@ -359,7 +360,7 @@ class Tracker:
         tracks = []
         for detection, known in zip(matches.detections, matches.tracks, strict=True):
             if known is not None:
-                tracks.append(known.add_frame(stamp_ns, detection, settings.window))
+                tracks.append(known.add_frame(stamp_ns, detection, settings.window, settings.lag))
                 continue
             name = detection.given_id
             while not name or name in used_ids:
@@ -538,9 +539,8 @@ class Tracker:
             for person, (track, _) in zip(people, shown, strict=True):
                 if person.tentative or not person.scale_known:
                     continue
-                before = contacts.pop(person.id, None)
-                if before is not None and before.stamp_ns < track.first_ns:
-                    before = None  # the name has come back, but a detector may have given it to somebody else
+                before = _find_contact(contacts, track)
+                contacts.pop(person.id, None)
                 contact = FloorContact.advance(before, stamp_ns, person, floor, body_height)
                 if contact is not None:
                     contacts[person.id] = contact  # the newest come last
@@ -552,7 +552,7 @@ class Tracker:
         """Return what is known of a person's size."""
         is_focal_known = track.seen.intrinsics.is_focal_known
         assumed = assume_size(self.config.tracker, track.id, is_focal_known=is_focal_known)
-        contact = dict(state.contacts).get(track.id)
+        contact = _find_contact(dict(state.contacts), track)
         return assumed if contact is None else contact.find_size(assumed)
 
     def _predict_people(self, stamp_ns: int, state: TrackerState) -> list[Person3D]:
@@ -573,6 +573,12 @@ class Tracker:
             return []
         oldest_ns = stamp_ns - settings.predict_for * NS_PER_S
         return [t for t in state.tracks if not t.is_tentative and t.seen.stamps_ns[-1] >= oldest_ns]
+
+
+def _find_contact(contacts: Mapping[str, FloorContact], track: Track) -> FloorContact | None:
+    """Return what feet on the floor have told of a person's size; nothing of who had the same id before."""
+    contact = contacts.get(track.id)
+    return None if contact is None or contact.stamp_ns < track.first_ns else contact
 
 
 def _describe_models(state: TrackerState) -> str:

@@ -84,7 +84,7 @@ def build_page(scene: Scene) -> str:
     packer = _Packer()
     described = json.dumps(_describe_scene(scene, packer), separators=(',', ':'))
     parts = {
-        'TITLE': html.escape(scene.title),
+        'TITLE': html.escape(_make_printable(scene.title)),
         'STYLE': _read('page.css'),
         'SCENE': described.replace('<', '\\u003c'),  # so that no text can end the script element
         'DATA': packer.finish(),
@@ -92,6 +92,11 @@ def build_page(scene: Scene) -> str:
         'SCRIPT': _read('page.js'),
     }
     return re.sub('@([A-Z]+)@', lambda match: parts[match[1]], _read('page.html'))
+
+
+def _make_printable(name: str) -> str:
+    """Return the name of a file with bytes that are no UTF-8 written as escapes."""
+    return name.encode('utf-8', 'backslashreplace').decode()
 
 
 def _read(name: str) -> str:
@@ -110,7 +115,7 @@ def _describe_scene(scene: Scene, packer: _Packer) -> dict[str, Any]:
     if scene.truth is not None:
         truth = {'arrays': {'joints': packer.add(_round_to_int16(scene.truth, metre_step))}}
     return {
-        'title': scene.title.encode('utf-8', 'backslashreplace').decode(),
+        'title': _make_printable(scene.title),
         'tickS': tick_s,
         'times': packer.add(np.round(scene.times / tick_s).astype(np.int32)),
         'metrePerStep': metre_step,

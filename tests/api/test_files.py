@@ -13,6 +13,8 @@ import pytest
 
 import mocap_ros
 from mocap_ros.cli.main import main
+from mocap_ros.geometry.distortion import Distortion
+from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.runtime.save_results import SUFFIXES
 from tests.support import blob_people
 from tests.support.keypoint_files import flatten_keypoints
@@ -77,6 +79,32 @@ def test_keypoints_and_truth_are_written_as_a_sequence_file(
     np.testing.assert_allclose(again.keypoints, sequence.keypoints, atol=1e-4)
     np.testing.assert_allclose(again.truth.joints, sequence.truth.joints, atol=1e-6)
     assert repr(again.truth) == 'GroundTruth: 40 frames, 15 joints'
+
+
+@pytest.mark.parametrize('coefficients', [(), (0.1, -0.05, 0.001, 0.002, 0.01)])
+def test_the_camera_of_a_bag_is_written_with_its_keypoints(
+    sequence: mocap_ros.KeypointSequence, tmp_path: Path, coefficients: tuple[float, ...]
+) -> None:
+    lens = Distortion.from_coefficients('plumb_bob', coefficients)
+    camera = Intrinsics.from_matrix(np.array([[610.0, 0, 330], [0, 590, 235], [0, 0, 1]]), lens)
+    mocap_ros.write(
+        tmp_path / 'own.npz', replace(sequence, camera_matrix=None, distortion=None, calibration=camera)
+    )
+    read = mocap_ros.read(tmp_path / 'own.npz').intrinsics(1.0)
+    assert read.focal_lengths == pytest.approx([610, 590])
+    assert (read.center, read.is_focal_known, read.distortion) == ((330, 235), True, lens)
+
+
+def test_a_fisheye_lens_that_a_file_cannot_hold_is_told(
+    sequence: mocap_ros.KeypointSequence, tmp_path: Path, caplog: Any
+) -> None:
+    lens = Distortion.from_coefficients('equidistant', (0.1, 0.01, 0.001, 0.0001))
+    camera = Intrinsics.from_matrix(np.array([[610.0, 0, 330], [0, 590, 235], [0, 0, 1]]), lens)
+    mocap_ros.write(
+        tmp_path / 'own.npz', replace(sequence, camera_matrix=None, distortion=None, calibration=camera)
+    )
+    assert mocap_ros.read(tmp_path / 'own.npz').camera_matrix is None
+    assert 'without the camera, because a sequence file holds no fisheye lens' in caplog.text
 
 
 def test_json_needs_the_frame_rate_and_logs_what_is_assumed(openpose: Path, caplog: Any) -> None:

@@ -9,8 +9,9 @@ import sqlite3
 from pathlib import Path
 
 import pytest
+import zstandard
 from mcap.reader import make_reader
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from mocap_ros.bags.mcap_file import Attachment
 from mocap_ros.bags.reader import Bag
@@ -292,3 +293,51 @@ def test_paths_without_messages_are_refused_and_leave_no_bag(tmp_path: Path) -> 
         with pytest.raises(InputError, match=f'{name}.*{reason}'):
             recover(tmp_path / name, tmp_path / 'out')
         assert not list(tmp_path.glob('out*'))
+
+
+@pytest.mark.parametrize('storage', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+@pytest.mark.parametrize('mode', [CompressionMode.MESSAGE, CompressionMode.FILE])
+@pytest.mark.parametrize('is_killed', [False, True])
+def test_bags_that_rosbag2_compressed_are_recovered(
+    tmp_path: Path, storage: StoragePlugin, mode: CompressionMode, is_killed: bool
+) -> None:
+    writer = Writer(tmp_path / 'bag', version=9, storage_plugin=storage)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection('/keypoints', KEYPOINTS, typestore=typestore())
+        for i, raw in enumerate(MESSAGES):
+            writer.write(connection, i + 1, raw)
+    if is_killed:
+        (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    assert recover(tmp_path / 'bag', tmp_path / 'out').losses == []
+    assert read_frames(tmp_path / 'out') == list(range(FRAMES))
+    assert {f.name for f in tmp_path.iterdir()} == {'bag', 'out'}
+
+
+def test_compressed_files_are_recovered_in_their_order_and_as_far_as_they_reach(tmp_path: Path) -> None:
+    """A recorder that is killed leaves its last file as it was, and one that it was compressing twice."""
+    write_bag(tmp_path / 'bag')
+    (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    whole = tmp_path / 'bag' / 'bag_0.mcap'
+    data, compressor = whole.read_bytes(), zstandard.ZstdCompressor().compressobj()
+    packed = b''.join(
+        compressor.compress(data[i : i + 1000]) + compressor.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
+        for i in range(0, len(data), 1000)
+    )
+    (tmp_path / 'bag' / 'bag_0.mcap.zstd').write_bytes(packed[: len(packed) // 2])
+    assert recover(tmp_path / 'bag', tmp_path / 'whole').messages == {'/keypoints': FRAMES}
+    whole.rename(tmp_path / 'bag' / 'bag_1.mcap')
+    report = recover(tmp_path / 'bag', tmp_path / 'both')
+    frames = read_frames(tmp_path / 'both')
+    assert 0 < len(frames) - FRAMES < FRAMES
+    assert report.losses
+    assert all(loss.startswith(f'{tmp_path}/bag/bag_0.mcap.zstd: ') for loss in report.losses)
+
+
+def test_the_bag_in_the_present_folder_is_recovered_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_bag(tmp_path / 'bag.1')
+    monkeypatch.chdir(tmp_path / 'bag.1')
+    assert main(['recover', '.']) == 0
+    assert read_frames(tmp_path / 'bag.1_recovered') == list(range(FRAMES))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -156,6 +157,25 @@ def test_a_bag_that_is_cut_gives_the_messages_of_the_whole(client: Any, tmp_path
     assert found[0] == found[1]
     again = run(client, tmp_path / 'in', tmp_path / 'cut', config=config, cut_seconds=1.0)
     assert set(statuses(again).values()) == {'done before'}
+
+
+def test_parts_are_joined_on_a_file_system_without_hard_links(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    monkeypatch.setattr(os, 'link', refuse)
+    config = with_values(FAST_CONFIG, {'tracker.forget_all_after': 1.0})
+    write_demo_bag(tmp_path / 'in' / 'long', 90, range(20, 70))
+    settings = Settings(Work.REPLAY, str(tmp_path / 'out'), config=config, cut_seconds=0.5).seal()
+    (recording,) = find_recordings(str(tmp_path / 'in'), Work.REPLAY)
+    cut = job.process(Job(recording, settings))
+    parts = [job.process(replace(cut.job, part=part)) for part in cut.parts]
+    joined = job.join_parts(cut.job, parts)
+    assert (joined.reason, joined.status, len(parts)) == ('', Status.DONE, 2)
+    with Bag(tmp_path / 'out' / 'results' / 'long') as bag:
+        assert bag.count(['/keypoints']) == 90
 
 
 def test_remote_recordings_and_results(client: Any, corpus: Path, plain: dict[str, Any], tmp_path: Path) -> None:

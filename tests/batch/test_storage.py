@@ -10,6 +10,7 @@ import pytest
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.errors import DiskFull, InputError, RecordingError
+from mocap_ros.runtime.save_results import SUFFIXES
 from tests.support.bag_corpus import read_outputs, write_demo_bag
 
 fsspec = pytest.importorskip('fsspec')
@@ -97,6 +98,15 @@ def test_a_remote_bag_is_no_bag_before_it_is_whole(bag: Path, monkeypatch: pytes
         storage.publish(bag, f'{MEMORY}/out/bag')
     assert not fs.exists(f'{path}/metadata.yaml')
     assert sent[-1].endswith('metadata.yaml')
+
+
+@pytest.mark.parametrize('suffix', SUFFIXES)
+def test_a_result_of_every_format_is_replaced(tmp_path: Path, suffix: str) -> None:
+    place = tmp_path / f'walk{suffix}'
+    for content in ('first', 'second'):
+        (tmp_path / 'new').write_text(content)
+        storage.publish(tmp_path / 'new', str(place))
+    assert place.read_text() == 'second'
 
 
 def test_foreign_files_are_never_removed(bag: Path, tmp_path: Path) -> None:

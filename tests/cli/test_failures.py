@@ -267,3 +267,14 @@ def test_an_input_file_is_never_overwritten(
         message = capsys.readouterr().err.splitlines()[-1]
         assert message == f'mocap-ros: {out}: not written, because it is the input file'
         assert out.read_bytes() == before
+
+
+def test_folders_with_a_dot_in_their_names_have_results_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both are refused because they hold no bag, and not because they would be called the same."""
+    monkeypatch.chdir(tmp_path)
+    for day in ('2026.11.21', '2026.11.22'):
+        (tmp_path / day).mkdir()
+    assert main(['replay', '2026.11.21', '2026.11.22', '-o', 'out']) == 1
+    assert [line.split(': ')[1] for line in capsys.readouterr().err.splitlines()] == ['2026.11.21', '2026.11.22']

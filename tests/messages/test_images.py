@@ -77,6 +77,7 @@ def test_a_compressed_image_is_decoded() -> None:
         ({'height': 0}, 'width, height: 12 x 0 px'),
         ({'width': 2**20, 'height': 2**20}, 'width, height: 1048576 x 1048576 px'),
         ({'encoding': 'uyvy', 'width': 11}, 'width: 11 is odd'),
+        ({'encoding': 'bayer_rggb8', 'height': 1}, 'width, height: 12 x 1 px, less than a Bayer pattern'),
         ({'data': b''}, 'data: 0 bytes, expected 360'),
     ],
 )

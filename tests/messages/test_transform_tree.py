@@ -17,6 +17,7 @@ from mocap_ros.messages import transform_tree
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.transform_tree import HISTORY_S, MAX_FRAMES, TransformTree, is_of_people_only
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
+from mocap_ros.people import Person3D
 from tests.support.people import make_person_3d
 from tests.support.swinging_body import STANDING
 from tests.support.transforms import SECOND_NS, make_transforms
@@ -36,6 +37,10 @@ def make_tree() -> TransformTree:
     for tenth in range(11):
         tree.add(make_transforms(('odom', 'base', tenth * SECOND_NS // 10, (tenth / 10, 0, 0))), is_static=False)
     return tree
+
+
+def make_standing_person(person_id: str) -> Person3D:
+    return replace(make_person_3d(person_id), joints=STANDING + [0, 0, 4])
 
 
 @settings(deadline=None)  # the definitions of all messages are loaded at the first
@@ -166,7 +171,7 @@ def test_names_that_never_end_fill_no_memory() -> None:
 
 
 def test_transforms_of_people_are_known_by_their_names() -> None:
-    people = [replace(make_person_3d(i), joints=STANDING + [0, 0, 4]) for i in ('anna', 'b/ob')]
+    people = [make_standing_person(i) for i in ('anna', 'b/ob')]
     own = encode_transforms(Header(1, 'camera'), people, 'left_')
     assert is_of_people_only(own, 'left_')
     assert not is_of_people_only(own, '')
@@ -175,6 +180,28 @@ def test_transforms_of_people_are_known_by_their_names() -> None:
     message.transforms[3].child_frame_id = 'base'
     assert not is_of_people_only(encode(message, TRANSFORMS), 'left_')
     assert not is_of_people_only(b'no message', '')
+
+
+@pytest.mark.parametrize('child', ['head_camera', 'torso_lift_link', 'body_camera', 'l_hand_camera'])
+def test_frames_of_robots_are_none_of_people_though_their_names_begin_as_those_do(child: str) -> None:
+    robot = make_transforms(('base', child, 1, (0, 0, 1)))
+    assert not is_of_people_only(robot, '')
+    message = decode(encode_transforms(Header(1, 'camera'), [make_standing_person('anna')]), TRANSFORMS)
+    message.transforms += decode(robot, TRANSFORMS).transforms
+    assert not is_of_people_only(encode(message, TRANSFORMS), '')
+
+
+def test_a_time_before_a_late_transform_is_that_before_the_newest_of_each_frame() -> None:
+    tree = TransformTree()
+    for stamp_ns in range(0, SECOND_NS + 1, SECOND_NS // 10):
+        seconds = stamp_ns / SECOND_NS
+        tree.add(make_transforms(('map', 'odom', stamp_ns // 2, (seconds, 0, 0))), is_static=False)
+        tree.add(make_transforms(('odom', 'base', stamp_ns, (0, seconds, 0))), is_static=False)
+    image = 'map', 'base', SECOND_NS, 0.5
+    np.testing.assert_allclose(tree.find(*image).translation, [1, 1, 0])
+    np.testing.assert_allclose(tree.find(*image, 0.2).translation, [1 - 0.4, 1 - 0.2, 0])
+    with pytest.raises(InputError, match=r'oldest transform of odom is 0\.10 s newer'):
+        tree.find(*image, 0.6)
 
 
 def test_a_frame_that_becomes_the_child_of_another_begins_anew() -> None:

@@ -7,40 +7,41 @@ from typing import Any
 import pytest
 
 from mocap_ros.bags.topics import Source
+from mocap_ros.config import with_values
 from mocap_ros.messages.cdr import decode
 from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter, Level, RunStatistics
 from mocap_ros.runtime.pipeline import Pipeline
-from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, process
+from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, process, with_stamp
 
 
-def report(reporter: DiagnosticsReporter, pipeline: Pipeline, statistics: RunStatistics) -> Any:
-    message = decode(reporter.encode_status(pipeline, statistics, 'off', 10**9), DIAGNOSTICS)
+def report(reporter: DiagnosticsReporter, statistics: RunStatistics) -> Any:
+    message = decode(reporter.encode_status(statistics, 'off', 10**9), DIAGNOSTICS)
     (status,) = message.status
     return status
 
 
 def test_the_level_follows_what_happened_since_the_last_report() -> None:
     pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
-    reporter = DiagnosticsReporter('mocap_node', silence=60.0)
-    silent = report(reporter, pipeline, statistics)
+    reporter = DiagnosticsReporter('mocap_node', pipeline)
+    silent = report(reporter, statistics)
     assert (silent.level, silent.message, silent.name) == (Level.STALE, 'no input', 'mocap_node')
 
     statistics.record_receipt()
     first, second = encode_demo_frames(2)
     process(pipeline, first)
-    good = report(reporter, pipeline, statistics)
+    good = report(reporter, statistics)
     assert (good.level, good.message) == (Level.OK, '1 people')
 
     pipeline.feed(Source.KEYPOINTS, second[:50])
     pipeline.note_backlog()
-    bad = report(reporter, pipeline, statistics)
+    bad = report(reporter, statistics)
     assert bad.level == Level.WARN
     assert bad.message == '1 messages skipped because of a backlog, 1 invalid in the last second'
 
     pipeline.counters.dropped['internal error'] += 2
-    failed = report(reporter, pipeline, statistics)
+    failed = report(reporter, statistics)
     assert (failed.level, failed.message) == (Level.ERROR, '2 internal errors in the last second; see the log')
-    assert report(reporter, pipeline, statistics).level == Level.OK
+    assert report(reporter, statistics).level == Level.OK
 
 
 def test_the_values_are_those_of_the_run() -> None:
@@ -50,7 +51,7 @@ def test_the_values_are_those_of_the_run() -> None:
         statistics.record_receipt()
         statistics.record_solve(milliseconds / 1e3)
     statistics.record_lost(3)
-    status = report(DiagnosticsReporter('mocap_node', silence=60.0), pipeline, statistics)
+    status = report(DiagnosticsReporter('mocap_node', pipeline), statistics)
     values = {v.key: v.value for v in status.values}
     assert values['input rate (Hz)'] == '50.0'  # 100 messages in the last 2 s
     assert float(values['solve time p50 (ms)']) == pytest.approx(50.5)
@@ -64,7 +65,40 @@ def test_the_values_are_those_of_the_run() -> None:
 def test_a_disk_that_takes_nothing_is_a_warning() -> None:
     pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
     statistics.record_receipt()
-    reporter = DiagnosticsReporter('mocap_node', silence=60.0)
-    raw = reporter.encode_status(pipeline, statistics, 'recording to bag', 10**9, 'the disk takes nothing')
+    reporter = DiagnosticsReporter('mocap_node', pipeline)
+    raw = reporter.encode_status(statistics, 'recording to bag', 10**9, 'the disk takes nothing')
     (status,) = decode(raw, DIAGNOSTICS).status
     assert (status.level, status.message) == (Level.WARN, 'the disk takes nothing')
+
+
+def test_faults_of_an_earlier_run_are_none_of_this_one() -> None:
+    """A pipeline outlives the runs between activation and deactivation."""
+    pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
+    pipeline.feed(Source.KEYPOINTS, b'')
+    statistics.record_receipt()
+    status = report(DiagnosticsReporter('mocap_node', pipeline), statistics)
+    assert (status.level, status.message) == (Level.OK, '0 people')
+
+
+def test_the_age_of_the_newest_frame_is_unknown_until_there_is_one_since_a_reset() -> None:
+    pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
+    reporter = DiagnosticsReporter('mocap_node', pipeline)
+
+    def find_age() -> str:
+        return {v.key: v.value for v in report(reporter, statistics).values}['age of newest frame (s)']
+
+    assert find_age() == 'nan'
+    process(pipeline, with_stamp(encode_demo_frames(1)[0], 400_000_000))
+    assert find_age() == '0.600'
+    pipeline.reset()
+    assert find_age() == 'nan'
+
+
+def test_the_silence_that_makes_the_status_stale_may_change_at_any_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    pipeline, statistics = Pipeline(with_values(FAST_CONFIG, {'node.silence_warning': 60.0})), RunStatistics()
+    reporter = DiagnosticsReporter('mocap_node', pipeline)
+    statistics.record_receipt()
+    monkeypatch.setattr(statistics, 'seconds_since_input', lambda: 10.0)
+    assert report(reporter, statistics).level == Level.OK
+    pipeline.reconfigure(with_values(pipeline.config, {'node.silence_warning': 5.0}))
+    assert report(reporter, statistics).level == Level.STALE

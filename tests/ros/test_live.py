@@ -13,22 +13,24 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mocap_ros.bags.journal import JOURNAL, read_run
+from mocap_ros.bags.journal import JOURNAL, Verdict, read_run
 from mocap_ros.bags.mcap_file import McapFile
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
+from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.bags.topics import Source
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import OutputMessage, decode, typestore
-from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints
+from mocap_ros.messages.cdr import Header, OutputMessage, decode, typestore
+from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
 from mocap_ros.messages.marker_writer import MARKERS
 from mocap_ros.messages.versions import VersionConverter
 from mocap_ros.ros.live import LiveRun
+from mocap_ros.ros.live_recording import LiveRecording
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.runtime.outputs import OUTPUTS
-from mocap_ros.runtime.pipeline import Pipeline
+from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.replay import replay
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.camera_infos import camera_info
@@ -38,6 +40,7 @@ from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, with_
 
 FRAMES = 25
 TIMEOUT_S = 20
+START_NS = 1_700_000_000_000_000_000  # since the epoch
 NAMES = {t: f'/{t}' for t in ('keypoints', 'camera_info', *OUTPUTS, 'skeleton_definition')} | {
     'journal': '/mocap_node/journal'
 }
@@ -281,6 +284,34 @@ def test_a_disk_that_takes_nothing_is_reported_and_does_not_stop_the_run(
     assert read_messages(bag, '/keypoints') == stream[:2]
 
 
+def test_a_topic_keeps_its_qos_when_an_input_was_too_many_for_the_disk(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Publishers may have come and gone; a bag whose topic has two QoS profiles cannot be read."""
+    offered = [*make_topic('/keypoints', KEYPOINTS, latched=True).qos]
+    recording = LiveRecording(NAMES, LineLog(), lambda _: tuple(offered), MessageVersions())
+    recording.start(Pipeline(recording_to(tmp_path, **{'recorder.backlog': 1})), START_NS)
+    disk_is_ready, accepted = threading.Event(), ProcessingResult(Verdict.ACCEPTED)
+
+    def write(number: int) -> bool:
+        ns = START_NS + number
+        return recording.write_input('/keypoints', KEYPOINTS, stream[number], (ns, ns), accepted, ns)
+
+    while not write(0):
+        time.sleep(0.01)
+    recorded_write = Recorder.write
+    monkeypatch.setattr(Recorder, 'write', lambda *a: disk_is_ready.wait(TIMEOUT_S) and recorded_write(*a))
+    while write(1):
+        pass
+    offered.clear()
+    disk_is_ready.set()
+    while not write(2):
+        time.sleep(0.01)
+    folder = recording.finish(recording.detach())
+    assert folder is not None
+    assert read_messages(folder, '/keypoints')[-1] == stream[2]
+
+
 def test_a_recording_that_cannot_start_is_logged_once_and_the_run_continues(
     tmp_path: Path, stream: list[bytes]
 ) -> None:
@@ -379,3 +410,15 @@ def test_a_recording_that_cannot_be_finished_is_reported_as_a_failure(
     assert live.run.finish_recording() is None
     live.run.stop()
     assert sum('No space left' in line for line in live.log.lines) == 1
+
+
+@pytest.mark.parametrize(
+    ('values', 'is_warned'), [({}, True), ({'node.output_frame': 'map', 'node.camera_pose': '0 0 1 0 0 0'}, False)]
+)
+def test_a_camera_without_a_name_is_told_if_people_have_no_frame(values: dict[str, str], is_warned: bool) -> None:
+    live = CollectingRun(with_values(FAST_CONFIG, values))
+    nobody = [encode_keypoints(Header(START_NS + i, ''), (640, 480), []) for i in range(2)]
+    live.enqueue(*nobody)
+    live.wait_for_frames(2)
+    live.run.stop()
+    assert sum('header.frame_id is empty' in line for line in live.log.lines) == is_warned

@@ -52,6 +52,19 @@ def test_a_message_whose_stamp_was_not_set_is_left_out_of_a_bag_with_clock_stamp
     assert '1 messages left out; /k: header.stamp is not set' in lines[1]
 
 
+def test_images_of_another_size_are_left_out(tmp_path: Path) -> None:
+    """The camera was switched to half the resolution, in whose px no other keypoints are."""
+    walker = make_walker()
+    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
+        for frame in range(FRAMES):
+            stamp, size = NS_PER_S + frame * NS_PER_S // 25, (640, 480) if frame < FRAMES - 10 else (320, 240)
+            data = encode_keypoints(Header(stamp, 'cam'), size, [walker.person(frame, 'anna')])
+            recorder.write('/k', KEYPOINTS, data, stamp, stamp)
+    sequence, lines = load_input(tmp_path / 'bag', Video(), LIMITS)
+    assert (sequence.image_size, len(sequence)) == ((640, 480), FRAMES - 10)
+    assert '10 messages left out; /k: 10 images have another size than the others' in lines[1]
+
+
 def test_a_bag_is_refused_where_a_sequence_file_is_expected(tmp_path: Path) -> None:
     for bag in (tmp_path / 'bag', tmp_path / 'bag.mcap', tmp_path / 'bag.npz'):
         bag.mkdir()

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from mocap_ros.bags.journal import JOURNAL, Entry, encode_entry
+from mocap_ros.bags.journal import JOURNAL, Entry, Journal, Verdict, encode_entry
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
-from mocap_ros.config import Config, RecorderConfig, with_values
+from mocap_ros.config import Config, RecorderConfig, values, with_values
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
@@ -26,20 +26,24 @@ HZ, START_NS = 10, 1_700_000_000_000_000_000  # images per second; ns since the 
 LATCHED = ('/skeleton_definition',)  # topics of which each file of a bag repeats the last message
 
 
-def write_bag(folder: Path, visits: str, event: Entry | None = None) -> Path:
-    """Write a bag of which each second shows somebody (x) or nobody (.), or has images of another camera (?)."""
+def write_bag(folder: Path, visits: str, *events: Entry) -> Path:
+    """Write a bag of which each second shows somebody (x) or nobody (.).
+
+    Others have images of another camera, whose size (?) or name (!) tells it.
+    """
     seen = encode_demo_frames(60)
     with Recorder(folder, RecorderConfig(min_free_mb=0)) as recorder:
         recorder.write('/camera_info', CAMERA_INFO, camera_info(), START_NS, START_NS)
-        if event is not None:
+        for event in events:
             recorder.write('/node/journal', JOURNAL, encode_entry(event), START_NS, START_NS)
         for frame in range(len(visits) * HZ):
             stamp_ns = START_NS + frame * (1_000_000_000 // HZ)
             if visits[frame // HZ] == 'x':
                 raw = with_stamp(seen[3 * frame % 60], stamp_ns)
             else:
-                size = (640, 480) if visits[frame // HZ] == '.' else (1280, 960)
-                raw = encode_keypoints(Header(stamp_ns, 'camera'), size, [])
+                size = (1280, 960) if visits[frame // HZ] == '?' else (640, 480)
+                name = 'other' if visits[frame // HZ] == '!' else 'camera'
+                raw = encode_keypoints(Header(stamp_ns, name), size, [])
             recorder.write('/keypoints', KEYPOINTS, raw, stamp_ns + 1, stamp_ns)
     return folder
 
@@ -85,6 +89,7 @@ def test_the_parts_of_a_bag_give_the_messages_of_the_whole(tmp_path: Path) -> No
         ('......xx', 0),  # nobody was there before
         ('xx.......', 1),
         ('xxxxxx', 0),
+        ('xx.....!', 0),  # which camera's images are used depends on those before
         ('xx?????xx', 0),  # the tracker gets none of these images and does not know that nobody is there
     ],
 )
@@ -95,6 +100,30 @@ def test_cuts_fall_where_nobody_was_there_for_long(tmp_path: Path, visits: str, 
     assert len(find(bag, config=with_values(CONFIG, {'tracker.forget_all_after': 30.0}))) == 1
 
 
-def test_a_bag_whose_parameters_changed_is_not_cut(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / 'bag', 'xx.....xx', Entry('reset', 7))
-    assert len(find(bag)) == 1
+@pytest.mark.parametrize(
+    ('event', 'cuts'),
+    [
+        (Entry('reset', 7), 0),
+        (Entry('parameters', 7, parameters=values(with_values(CONFIG, {'tracker.min_score': 0.3}))), 0),
+        (Entry('parameters', 7, parameters=values(with_values(CONFIG, {'recorder.enabled': True}))), 1),
+    ],
+)
+def test_a_bag_is_cut_if_only_parameters_of_the_recorder_changed(tmp_path: Path, event: Entry, cuts: int) -> None:
+    """The service ~/record sets `recorder.enabled` in the recording that it has started."""
+    bag = write_bag(tmp_path / 'bag', 'xx.....xx', Entry('parameters', 0, parameters=values(CONFIG)), event)
+    assert len(find(bag)) == 1 + cuts
+
+
+def test_a_recorded_run_in_several_files_is_cut(tmp_path: Path) -> None:
+    """Each file repeats the parameters, which have not changed."""
+    journal, folder = Journal(JOURNAL_TOPIC), write_bag(tmp_path / 'plain', 'xx.....xx')
+    with Bag(folder) as bag:
+        messages = list(bag.messages(bag.topics))
+    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0, split_seconds=2.0)) as recorder:
+        recorder.write(*journal.make_parameters_record(values(CONFIG), START_NS))
+        for topic, msgtype, time_ns, raw in messages:
+            for record in journal.make_input_records(topic, msgtype, raw, (time_ns, time_ns), Verdict.ACCEPTED):
+                recorder.write(*record)
+    assert len(list((tmp_path / 'bag').glob('*.mcap'))) > 1
+    assert [p.inputs_before for p in find(tmp_path / 'bag')] == [p.inputs_before for p in find(folder)]
+    assert len(find(folder)) == 2

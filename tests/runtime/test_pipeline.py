@@ -195,9 +195,14 @@ def test_the_distortion_of_camera_info_is_removed(model: str, stream: list[bytes
 
 @pytest.mark.parametrize(
     ('change', 'restarts'),
-    [({'tracker.min_score': 0.5}, True), ({'solver.components': 5}, True), ({'node.marker_lifetime': 2.0}, False)],
+    [
+        ({'tracker.min_score': 0.5}, True),
+        ({'solver.components': 5}, True),
+        ({'classifier.walk_residual': 0.01}, True),
+        ({'node.marker_lifetime': 2.0}, False),
+    ],
 )
-def test_parameters_of_tracker_and_solver_restart_the_tracker(
+def test_parameters_of_tracker_solver_and_classifier_restart_the_tracker(
     stream: list[bytes], change: dict[str, object], restarts: bool
 ) -> None:
     changed_config = with_values(FAST_CONFIG, change)
@@ -209,6 +214,16 @@ def test_parameters_of_tracker_and_solver_restart_the_tracker(
     skeletons, expected = (process(p, stream[3])[0] for p in (pipeline, fresh if restarts else unchanged))
     assert skeletons.topic == 'skeletons'
     assert skeletons == expected
+
+
+def test_what_was_counted_stays_counted_when_the_tracker_restarts() -> None:
+    pipeline = Pipeline(FAST_CONFIG)
+    joints = keypoint_layout('cmu15').joints
+    hidden = Person2D('', joints, np.full((15, 2), np.nan), np.zeros(15))
+    for stamp_ns, threshold in ((1, 0.2), (2, 0.3), (3, 0.4)):
+        process(pipeline, encode_keypoints(Header(stamp_ns, 'camera'), (640, 480), [hidden]))
+        assert pipeline.reconfigure(with_values(FAST_CONFIG, {'tracker.min_score': threshold}))
+        assert pipeline.unusable_people == stamp_ns
 
 
 def test_an_unknown_distortion_model_is_reported() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.cli.main import main
+from mocap_ros.formats.detections import Detections
+from mocap_ros.formats.export.trc import save_trc
 from mocap_ros.formats.mocap.bvh import load_bvh
 from mocap_ros.formats.mocap.joint_maps import map_to_model
 from mocap_ros.formats.mocap.trials import load_trials
@@ -22,6 +25,7 @@ from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.point_cloud import POINT_DTYPE, POINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS
+from mocap_ros.runtime.save_results import save_detections
 from mocap_ros.skeleton import BODY26, CMU15
 from tests.support.keypoint_files import FRAMES, make_walker
 from tests.support.motion_files import Z_UP_TO_Y_UP
@@ -123,6 +127,19 @@ def test_trc_holds_the_joints(results: Path) -> None:
     assert table[:, 0].tolist() == list(range(1, FRAMES + 1))
     assert table[:, 1] == pytest.approx(np.arange(FRAMES) / 30, abs=1e-5)
     assert table[:, 2:].reshape(-1, 26, 3) / 1000 == pytest.approx(load_joints_y_up(results), abs=1e-6)
+
+
+def test_a_trc_may_have_a_name_that_is_no_utf_8(tmp_path: Path) -> None:
+    path = tmp_path / os.fsdecode(b'walk\xff.trc')
+    save_trc(path, ['head'], np.zeros((1, 1, 3)), 30.0)
+    assert path.read_text(encoding='utf-8').startswith('PathFileType\t4\t(X/Y/Z)\twalk\\udcff.trc\n')
+
+
+def test_keypoints_of_hours_are_one_file(tmp_path: Path) -> None:
+    stamps = [0, 2 * 3_600_000_000_000, 5 * 3_600_000_000_000]  # ns
+    save_detections(tmp_path / 'day.mcap', Detections([()] * len(stamps), stamps, (640, 480)))
+    with Bag(tmp_path / 'day.mcap') as bag:
+        assert [m.time_ns for m in bag.messages(['/keypoints'])] == stamps
 
 
 def test_uneven_times_are_resampled_at_a_constant_rate(tmp_path: Path, walker: KeypointSequence) -> None:

@@ -112,17 +112,28 @@ def test_what_is_no_foot_on_the_floor_tells_nothing(person: Person3D) -> None:
     assert FloorContact.advance(None, 0, person, LEVEL, HEIGHT_M) is None
 
 
+@pytest.mark.parametrize('frames', [1, 30])
+def test_a_frame_that_is_put_out_again_tells_nothing_more(frames: int) -> None:
+    """With a lag, the same frame is put out again while no newer one is old enough."""
+    known = contact_after(frames, make_standing(1.1))
+    assert known is not None
+    assert FloorContact.advance(known, known.stamp_ns, make_standing(1.1), LEVEL, HEIGHT_M) is known
+
+
 def test_a_name_that_comes_back_is_measured_anew() -> None:
     tracker, sequence = Tracker(load_base_pose_models('auto'), Config()), make_recording().sequence()
     floor = Floor(np.array([0.0, -1.0, 0.0]), 1.2)
-    seconds = []
+    seconds, depths = [], []
     for start_s in (0, 20):
         for frame in range(45):
             stamp_ns = start_s * 10**9 + sequence.stamps_ns[frame]
-            tracker.update(stamp_ns, [sequence.person(frame, 'anna')], CAMERA, floor)
+            (anna,) = tracker.update(stamp_ns, [sequence.person(frame, 'anna')], CAMERA, floor)
+            depths.append(anna.root[2])
         contacts = dict(tracker.snapshot().contacts)
         seconds.append(contacts['anna'].seconds)
     assert seconds[1] == pytest.approx(seconds[0], abs=0.05)
+    assert depths[45] == pytest.approx(depths[0], rel=0.02), 'somebody new has the assumed size at first'
+    assert depths[44] < 0.9 * depths[0]
 
 
 def test_a_foot_that_is_lifted_for_a_while_changes_little() -> None:

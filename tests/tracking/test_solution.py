@@ -217,17 +217,6 @@ def test_poses_of_another_model_approximate_the_same_joints(truth: TrackSolution
     assert changed.bone_lengths == pytest.approx(truth.bone_lengths, abs=1e-6)
 
 
-def test_the_velocity_is_that_of_the_newest_frames(truth: TrackSolution, track: Track) -> None:
-    velocity = np.array([0.02, 0.01, 0.05]) / (STEP_NS / 1e9)
-    assert truth.estimate_velocity(track.seen.stamps_ns) == pytest.approx(velocity)
-    stood_before = replace(truth, roots=np.where(ALL[:, None] < 1, 0.0, truth.roots))
-    assert stood_before.estimate_velocity(track.seen.stamps_ns) == pytest.approx(velocity), '0.25 s are 8 frames'
-    two = replace(truth, roots=truth.roots[:2])
-    assert two.estimate_velocity((0, 10**8)) == pytest.approx([0, 0, 0]), 'two frames are no line'
-    three = replace(truth, roots=truth.roots[:3])
-    assert three.estimate_velocity((0, 10**7, 2 * 10**7)) == pytest.approx([0, 0, 0]), 'too short a time'
-
-
 def test_a_new_frame_starts_where_the_last_movement_leads(
     truth: TrackSolution, model: BasePoses, track: Track
 ) -> None:

@@ -8,10 +8,13 @@ import pytest
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.association import measure_extent
+from mocap_ros.keypoints.left_right import BodySides, SwapFilter
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.solution import TrackSolution
+from mocap_ros.tracking.track import Track
 from tests.support.frozen_state import list_values
 from tests.support.synthetic_walk import make_walk
 from tests.support.tracks import CAMERA, MIRROR, STEP_NS, make_detection, make_track
@@ -160,6 +163,28 @@ def test_a_change_of_the_camera_keeps_the_image(points: Array, lens: Distortion)
     assert back.solved.roots == pytest.approx(track.solved.roots, abs=1e-7)
 
 
+def test_after_a_change_of_the_camera_left_and_right_are_where_they_were(points: Array) -> None:
+    aside = points + [180.0, 0.0]
+    other = Intrinsics(300.0, (320.0, 240.0), is_focal_known=True)
+    track = make_track(aside[:6])
+    known = track.seen.swap_filter.paths
+    assert known is not None
+    track = track.change_camera(other, focal=300.0)
+    changed = track.seen.swap_filter.paths
+    assert changed is not None
+    assert changed.points == pytest.approx(known.points * 500 / 300)
+    assert changed.velocity == pytest.approx(known.velocity * 500 / 300, abs=1e-9)
+    for frame in range(6, FRAMES):
+        track = track.add_frame(frame * STEP_NS, make_detection(aside[frame], camera=other), window_s=2.0)
+    assert not track.seen.swap_filter.is_swapped.any()
+
+
+def test_a_disabled_swap_filter_bears_a_change_of_the_camera(points: Array) -> None:
+    believing = SwapFilter(BodySides.of(CMU15), enabled=False)
+    track = Track.begin('person', 0, make_detection(points[0]), believing, CAMERA, CAMERA.focal)
+    assert track.change_camera(CAMERA, CAMERA.focal).seen.swap_filter is track.seen.swap_filter
+
+
 def test_the_best_seen_frame_of_each_step_is_selected(points: Array) -> None:
     track = make_track(points)
     weight = track.seen.weight.copy()
@@ -195,6 +220,10 @@ def test_a_new_track_is_tentative_until_it_has_been_seen_for_a_while(points: Arr
         tentative.append(track.is_tentative)
     assert tentative == [True] * (frames - 1) + [False] * (13 - frames)
     solution = make_solution(len(track.seen.stamps_ns))
+    short = make_track(points[:1])
+    for stamp_ns in stamps_ns[1:]:
+        short = short.add_frame(stamp_ns, make_detection(points[0]), window_s=0.1)
+    assert not short.is_tentative, 'also where fewer frames than that are in the window'
     assert not track.begin_solution(solution).change_camera(CAMERA, 1.0).refine(solution).is_tentative
     after_gap = track.add_frame(10**11, make_detection(points[0]), window_s=2.0)
     assert not after_gap.is_tentative, 'who was certain stays so, when all frames have left the window'

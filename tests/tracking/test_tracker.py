@@ -179,6 +179,16 @@ def test_the_output_is_delayed_by_the_lag(walk_model: BasePoses, walk: Walk) -> 
             assert tracker.output_stamp_ns == (frame - 3) * STEP_NS
 
 
+def test_a_lag_that_is_longer_than_the_window_puts_everybody_out(walk_model: BasePoses, walk: Walk) -> None:
+    _, _, points, _ = walk
+    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.3, 'tracker.window': 0.2}))
+    for frame in range(15):
+        out = tracker.update(frame * STEP_NS, people(points, frame), CAMERA)
+        assert len(out) == (1 if frame > 9 else 0)
+        if out:
+            assert tracker.output_stamp_ns == (frame - 10) * STEP_NS, 'ten intervals are a little less than 0.3 s'
+
+
 def test_a_detection_with_all_joints_in_one_place_is_unusable(walk_model: BasePoses) -> None:
     tracker = Tracker(walk_model, CONFIG)
     dot = Person2D('', CMU15.joints, np.full((15, 2), 100.0), np.ones(15))

@@ -6,6 +6,7 @@ import base64
 import gzip
 import hashlib
 import json
+import os
 import re
 import time
 from dataclasses import replace
@@ -99,6 +100,12 @@ def test_no_text_of_an_input_becomes_html(scene: Scene) -> None:
     assert '<b>en' not in page
     assert '<title>two &lt;/script&gt; people</title>' in page
     assert json.loads(read_element(page, 'scene'))['people'][1]['id'] == '<b>en'
+
+
+def test_a_file_whose_name_is_no_utf_8_has_a_page(scene: Scene) -> None:
+    page = build_page(replace(scene, title=os.fsdecode(b'walk\xff.npz')))
+    assert '<title>walk\\udcff.npz</title>' in page
+    assert page.encode('utf-8')
 
 
 def test_the_page_needs_no_other_file_and_no_network(scene: Scene) -> None:

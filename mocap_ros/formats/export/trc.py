@@ -39,4 +39,4 @@ def save_trc(path: Path, names: Sequence[str], joints: Array, fps: float) -> Non
         fields = ['' if np.isnan(value) else f'{value:.4f}' for value in row]
         end = '' if fields[-1] else '\t'  # without it, OpenSim does not count the last field, which is empty
         lines.append(f'{frame + 1}\t{frame / fps:.6f}\t' + '\t'.join(fields) + end)
-    path.write_text('\n'.join(lines) + '\n', encoding='utf-8')
+    path.write_text('\n'.join(lines) + '\n', encoding='utf-8', errors='backslashreplace')  # of the file's name

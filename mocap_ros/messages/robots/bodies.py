@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -117,9 +117,14 @@ def make_body_id(person_id: str) -> str:
 
 
 class BodyNames:
-    """Names of people as bodies, which two people never share and nobody changes while present."""
+    """Names of people as bodies or frames, which two people never share and nobody changes while present.
 
-    def __init__(self) -> None:
+    Args:
+        make_name: function that makes a valid name of an id.
+    """
+
+    def __init__(self, make_name: Callable[[str], str] = make_body_id) -> None:
+        self._make_name = make_name
         self._names: dict[str, str] = {}  # by id
 
     def assign(self, ids: Sequence[str]) -> dict[str, str]:
@@ -129,7 +134,7 @@ class BodyNames:
         for person_id in ids:
             if person_id in names:
                 continue
-            plain = name = make_body_id(person_id)
+            plain = name = self._make_name(person_id)
             number = 1
             while name in used:
                 number += 1

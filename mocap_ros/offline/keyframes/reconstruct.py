@@ -41,10 +41,9 @@ from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet, find_keyframe_
 from mocap_ros.offline.keyframes.outliers import find_jumping_points, find_outliers
 from mocap_ros.offline.keyframes.shots import observe_shots, split_into_sections
 from mocap_ros.offline.keyframes.taylor import DepthChoice
-from mocap_ros.offline.whole_sequence import SequenceResult, find_frames_in_sight
+from mocap_ros.offline.whole_sequence import SequenceResult, choose_vertical, find_frames_in_sight
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import ObservedWindow
-from mocap_ros.solvers.vertical import find_vertical
 from mocap_ros.solvers.window import Reconstruction
 
 Array = NDArray[np.float64]
@@ -170,7 +169,7 @@ def reconstruct(
         iterations=parameters.iterations,
     )
     in_sight = find_frames_in_sight(observed.weight > 0)
-    result = _build_result(fit, inliers, seen_points, in_sight, category, model)
+    result = _build_result(fit, inliers, seen_points, in_sight, category, model, config.tracker)
     return KeyframeResult(result, keyframes, motion, outliers)
 
 
@@ -308,6 +307,7 @@ def _build_result(
     in_sight: Mask,
     category: str,
     model: BasePoses,
+    config: TrackerConfig,
 ) -> SequenceResult:
     """Return the fitted motion as the result type of all solvers; outliers count as not seen in it.
 
@@ -319,6 +319,7 @@ def _build_result(
             other frames get no joints.
         category: name of the base poses used.
         model: base poses at the person's stature; their rotations and weights are those nearest to the joints.
+        config: parameters; `vertical` applies.
     """
     motion = fit.motion
     joints, translation = motion.joints, motion.translation
@@ -341,5 +342,5 @@ def _build_result(
     camera = observed.virtual_camera
     in_camera = camera.to_real_camera(joints) + camera.root_positions(cameras, translation)[:, None]
     in_camera[~in_sight] = np.nan
-    vertical = find_vertical(observed.times, find_upward(in_camera))
+    vertical = choose_vertical(observed.times, find_upward(in_camera), config)
     return SequenceResult(in_camera, seen, CMU15, category, solution, camera, *vertical)

@@ -28,6 +28,7 @@ from mocap_ros.messages.robots.bodies import (
     measure_lengths,
 )
 from mocap_ros.messages.transforms import TRANSFORMS, compute_links
+from mocap_ros.people import Person3D
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.skeleton import CMU15
 from tests.support.people import make_person_3d
@@ -187,6 +188,30 @@ def test_people_whose_ids_make_one_name_are_two_bodies_with_the_same_names_on_tf
         roots = [t.child_frame_id for t in frames.transforms if t.child_frame_id.startswith('body_')]
         assert roots == [f'body_{i}' for i in tracked.ids]
         assert tracked.ids[0] == ('a_b' if seen is people else 'a_b_2')
+
+
+@pytest.mark.parametrize('published', ['node.publish_tf', 'node.publish_bodies'])
+def test_people_keep_their_names_while_they_are_there_and_none_after_a_reset(published: str) -> None:
+    """The order of the people in a message is that of the detections, which changes from image to image."""
+    anna, ben = (replace(make_person_3d(i), joints=STANDING) for i in ('太郎', '花子'))
+    node = with_values(Config(), {published: True}).node
+
+    def find_names(encoder: OutputEncoder, people: list[Person3D]) -> dict[str, str]:
+        outputs = {o.type: o.data for o in encoder.encode(HEADER, people, node)}
+        if published == 'node.publish_bodies':
+            names = decode(outputs[HRI_IDS], HRI_IDS).ids
+        else:
+            frames = [t.child_frame_id for t in decode(outputs[TRANSFORMS], TRANSFORMS).transforms]
+            names = [f.removeprefix('body_') for f in frames if f.startswith('body_')]
+        return dict(zip((p.id for p in people), names, strict=True))
+
+    encoder = OutputEncoder()
+    first = find_names(encoder, [anna, ben])
+    assert first['太郎'] != first['花子']
+    assert find_names(encoder, [ben, anna]) == first
+    assert find_names(encoder, [ben]) == {'花子': first['花子']}
+    encoder.encode_clear(HEADER)
+    assert find_names(encoder, [ben]) == find_names(OutputEncoder(), [ben]) != {'花子': first['花子']}
 
 
 @pytest.mark.parametrize(('given_id', 'body_id'), [('anna', 'anna'), ('7', 'p7'), ('a-b c', 'a_b_c'), ('ä', 'p_')])

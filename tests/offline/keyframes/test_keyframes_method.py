@@ -88,6 +88,14 @@ def test_the_last_sight_may_be_an_outlier(case: str) -> None:
     assert np.isfinite(found.result.joints).all()
 
 
+def test_the_vertical_is_that_of_the_parameter() -> None:
+    keypoints, times, _ = make_walk(40)
+    for text, expected in (('0 -0.96 0.28', [0, -0.96, 0.28]), ('none', [np.nan] * 3)):
+        config = with_values(CONFIG, {'tracker.vertical': text})
+        found = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, config).result.vertical
+        np.testing.assert_allclose(found, np.tile(expected, (40, 1)), atol=1e-12)
+
+
 def test_points_in_one_place_are_refused() -> None:
     keypoints, times, _ = make_walk(40)
     with pytest.raises(InputError, match='keypoints: all seen points lie in one place'):
