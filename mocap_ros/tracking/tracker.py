@@ -226,7 +226,8 @@ class Tracker:
         tracks = self._initialise_tracks(tracks, state.pose_memory)
         tracks = self._refine_tracks(tracks)
         state = state.put_tracks(tracks)
-        output_stamp_ns, shown = self._choose_output(stamp_ns, state.tracks, tracks)
+        state = self._wait_for_lag(state, stamp_ns)
+        output_stamp_ns, shown = self._choose_output(stamp_ns, state, tracks)
         if settings.steady_output and settings.lag < MIN_ACCELERATION_LAG_S:
             shown = self._filter_motion(output_stamp_ns, shown)
         shown = self._follow_extremities(output_stamp_ns, shown)
@@ -468,28 +469,42 @@ class Tracker:
         fixed_frames = min(first, 2 if self._limits_accelerations else 1)
         return first - fixed_frames, fixed_frames
 
+    def _wait_for_lag(self, state: TrackerState, stamp_ns: int) -> TrackerState:
+        """Return the state with the frames that wait to be put out because of `tracker.lag`, stamp in ns.
+
+        The first of them is the newest that is old enough, or the first frame since anybody was there.
+        """
+        if self.config.tracker.lag == 0:
+            return state
+        stamps_ns = (*state.waiting_ns, stamp_ns) if state.newest_person_ns is not None else (stamp_ns,)
+        old_enough = bisect_right(stamps_ns, self._newest_allowed_ns(stamp_ns))
+        return replace(state, waiting_ns=stamps_ns[max(old_enough - 1, 0) :])
+
+    def _newest_allowed_ns(self, stamp_ns: int) -> float:
+        """Return the newest stamp that is put out after a frame with a stamp in ns."""
+        return stamp_ns - self.config.tracker.lag * NS_PER_S
+
     def _choose_output(
-        self, stamp_ns: int, tracks: Sequence[Track], detected: Sequence[Track]
+        self, stamp_ns: int, state: TrackerState, detected: Sequence[Track]
     ) -> tuple[int, list[tuple[Track, int]]]:
         """Return the stamp of the frame that is put out, and who was detected in it, each with its index.
 
-        It is this frame or, with `tracker.lag`, the newest that is old enough.
+        It is this frame or, with `tracker.lag`, the newest that is old enough; before there is one, the first frame,
+        without its people.
 
         Args:
             stamp_ns: ns, stamp of this frame.
-            tracks: all tracks.
-            detected: those of the people who were detected, in the order of the detections.
+            state: state with this frame.
+            detected: tracks of the people who were detected, in the order of the detections.
         """
         if self.config.tracker.lag == 0:
             return stamp_ns, [(t, len(t.seen.stamps_ns) - 1) for t in detected]
-        newest_allowed = stamp_ns - self.config.tracker.lag * NS_PER_S
-        shown_ns = max(
-            (t.seen.stamps_ns[i - 1] for t in tracks if (i := bisect_right(t.seen.stamps_ns, newest_allowed))),
-            default=None,
-        )
-        if shown_ns is None:
-            return stamp_ns, []
-        return shown_ns, [(t, t.seen.stamps_ns.index(shown_ns)) for t in tracks if shown_ns in t.seen.stamps_ns]
+        shown_ns = state.waiting_ns[0]
+        if shown_ns > self._newest_allowed_ns(stamp_ns):
+            return shown_ns, []
+        return shown_ns, [
+            (t, t.seen.stamps_ns.index(shown_ns)) for t in state.tracks if shown_ns in t.seen.stamps_ns
+        ]
 
     def _filter_motion(self, stamp_ns: int, shown: Sequence[tuple[Track, int]]) -> list[tuple[Track, int]]:
         """Return the tracks with their motion filtered up to the frame that is put out, stamp in ns."""

@@ -179,6 +179,23 @@ def test_the_output_is_delayed_by_the_lag(walk_model: BasePoses, walk: Walk) -> 
             assert tracker.output_stamp_ns == (frame - 3) * STEP_NS
 
 
+def test_with_a_lag_stamps_never_go_back_and_nobody_is_put_out_after_leaving(
+    walk_model: BasePoses, walk: Walk
+) -> None:
+    _, _, points, _ = walk
+    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.09}))
+    shown: dict[int, list[int]] = {}
+    stamps_ns = []
+    for frame in range(40):
+        is_there = 5 <= frame < 15 or frame >= 25
+        out = tracker.update(frame * STEP_NS, people(points, frame) if is_there else [], CAMERA)
+        stamps_ns.append(tracker.output_stamp_ns)
+        if out:
+            shown.setdefault(tracker.output_stamp_ns // STEP_NS, []).append(frame)
+    assert stamps_ns == sorted(stamps_ns)
+    assert shown == {frame: [frame + 3] for frame in (*range(5, 15), *range(25, 37))}
+
+
 def test_a_lag_that_is_longer_than_the_window_puts_everybody_out(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.3, 'tracker.window': 0.2}))
