@@ -489,8 +489,8 @@ class Tracker:
     ) -> tuple[int, list[tuple[Track, int]]]:
         """Return the stamp of the frame that is put out, and who was detected in it, each with its index.
 
-        It is this frame or, with `tracker.lag`, the newest that is old enough; before there is one, the first frame,
-        without its people.
+        It is this frame or, with `tracker.lag`, the newest that is old enough; before there is one, the first
+        frame, without its people.
 
         Args:
             stamp_ns: ns, stamp of this frame.
