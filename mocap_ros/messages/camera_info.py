@@ -1,10 +1,20 @@
-"""sensor_msgs/CameraInfo: the image size and the intrinsics of a camera."""
+"""sensor_msgs/CameraInfo: the image size and the intrinsics of a camera.
+
+Size and matrices are those of the full resolution. An image that the camera has cut out of it, at (x_0, y_0), and
+binned, b_x by b_y pixels in one, has
+
+    f_x' = f_x / b_x,   c_x' = (c_x - x_0) / b_x,   width' = width of the region / b_x
+
+and likewise f_y', c_y' and its height.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import Distortion
@@ -12,6 +22,8 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KeypointsFrame
+
+Array = NDArray[np.float64]
 
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 
@@ -21,7 +33,7 @@ class CameraInfo:
     """The parts of a sensor_msgs/CameraInfo that are used.
 
     Attributes:
-        size: (width, height) of the image in px, with 0 where unknown.
+        size: (width, height) in px of the image that the camera sends, with 0 where unknown.
         intrinsics: focal length, principal point and distortion.
     """
 
@@ -62,8 +74,26 @@ def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
     distortion = Distortion()
     if not rectified:
         distortion = Distortion.from_coefficients(message.distortion_model, tuple(map(float, message.d)))
+    size, matrix = _select_region(message, matrix)
     try:
         intrinsics = Intrinsics.from_matrix(matrix, distortion)
     except InputError as error:
         raise InputError(f'{field}: {error}; the camera is not calibrated') from None
-    return CameraInfo((message.width, message.height), intrinsics)
+    return CameraInfo(size, intrinsics)
+
+
+def _select_region(message: Any, matrix: Array) -> tuple[ImageSize, Array]:
+    """Return the size in px and the camera matrix (3, 3) of the image that the camera sends.
+
+    Args:
+        message: the CameraInfo.
+        matrix: (3, 3) camera matrix of the full resolution in px.
+    """
+    region = message.roi
+    binning = np.maximum([message.binning_x, message.binning_y], 1)
+    full = message.width, message.height
+    sides = np.array([region.width or full[0], region.height or full[1]]) // binning
+    out = matrix.copy()
+    out[:2, 2] -= region.x_offset, region.y_offset
+    out[:2] /= binning[:, None]
+    return (int(sides[0]), int(sides[1])), out

@@ -15,9 +15,17 @@ def camera_info(
     model: str = 'plumb_bob',
     d: tuple[float, ...] = (0.0,) * 5,
     p: tuple[float, ...] = (0.0,) * 12,
+    binning: tuple[int, int] = (0, 0),
+    region: tuple[int, int, int, int] = (0, 0, 0, 0),  # x, y, width and height in px
 ) -> bytes:
-    region = create_message(
-        'sensor_msgs/msg/RegionOfInterest', x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+    x, y, region_width, region_height = region
+    roi = create_message(
+        'sensor_msgs/msg/RegionOfInterest',
+        x_offset=x,
+        y_offset=y,
+        height=region_height,
+        width=region_width,
+        do_rectify=False,
     )
     stamp = create_message('builtin_interfaces/msg/Time', sec=0, nanosec=0)
     message = create_message(
@@ -30,8 +38,8 @@ def camera_info(
         k=np.array([focal, 0, width / 2, 0, focal, height / 2, 0, 0, 1]),
         r=np.eye(3).ravel(),
         p=np.array(p),
-        binning_x=0,
-        binning_y=0,
-        roi=region,
+        binning_x=binning[0],
+        binning_y=binning[1],
+        roi=roi,
     )
     return encode(message, CAMERA_INFO)

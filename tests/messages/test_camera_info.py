@@ -1,0 +1,31 @@
+"""CameraInfo of images that a camera has cut out of its full resolution, or binned."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mocap_ros.messages.camera_info import decode_camera_info
+from tests.support.camera_infos import camera_info
+
+
+@pytest.mark.parametrize('rectified', [False, True])
+@pytest.mark.parametrize('binning', [(1, 1), (2, 2), (4, 2)])
+@pytest.mark.parametrize('region', [(0, 0, 0, 0), (100, 40, 800, 600)])
+def test_a_binned_part_of_the_image_shows_the_same_rays(
+    rng: np.random.Generator, region: tuple[int, int, int, int], binning: tuple[int, int], rectified: bool
+) -> None:
+    p = (900.0, 0, 650, 0, 0, 900, 470, 0, 0, 0, 1, 0)
+    whole = decode_camera_info(camera_info(1280, 960, 900.0, p=p), rectified=rectified)
+    part = decode_camera_info(
+        camera_info(1280, 960, 900.0, p=p, binning=binning, region=region), rectified=rectified
+    )
+    width, height = region[2:] if region[2] else (1280, 960)
+    assert part.size == (width // binning[0], height // binning[1])
+    points = rng.uniform(-1, 1, (20, 3)) + [0, 0, 4]
+    expected = (whole.intrinsics.project(points) - region[:2]) / binning
+    assert part.intrinsics.project(points) == pytest.approx(expected)
+
+
+def test_an_unknown_size_stays_unknown() -> None:
+    assert decode_camera_info(camera_info(0, 0, binning=(2, 2))).size == (0, 0)
