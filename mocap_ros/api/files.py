@@ -11,7 +11,7 @@ from mocap_ros.api.poses import PoseSequence
 from mocap_ros.config import NodeConfig, format_value
 from mocap_ros.errors import InputError
 from mocap_ros.formats.detections import Video
-from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
+from mocap_ros.formats.sequence_file import KeypointSequence, make_camera_arrays, save_sequence
 from mocap_ros.formats.text_files import guard_output
 from mocap_ros.runtime import save_results
 from mocap_ros.runtime.load_keypoints import load_input
@@ -98,7 +98,7 @@ def write(path: str | Path, result: PoseSequence | KeypointSequence) -> None:
             save_results.save(path, result._reconstruction)
         else:
             save_sequence(path, check_sequence(result))
-            if result.calibration is not None and result.camera_arrays[0] is None:
+            if result.calibration is not None and make_camera_arrays(result)[0] is None:
                 LOGGER.warning('%s: without the camera, because a sequence file holds no fisheye lens', path)
 
 

@@ -117,22 +117,6 @@ class KeypointSequence:
         """Timestamps (F,) in ns."""
         return list(self.recorded_ns) or [round(float(t) * NS_PER_S) for t in self.timestamps]
 
-    @property
-    def camera_arrays(self) -> tuple[Array | None, Array | None]:
-        """Camera matrix (3, 3) in px and distortion coefficients, as a sequence file has them; None if unknown.
-
-        They are those of `calibration` where there is one, unless its lens is a fisheye, which no file can hold.
-        """
-        calibration = self.calibration
-        if calibration is None or not calibration.is_focal_known:
-            return self.camera_matrix, self.distortion
-        if calibration.distortion.model == FISHEYE:
-            return None, None
-        matrix = np.array([[0.0, 0.0, calibration.center[0]], [0.0, 0.0, calibration.center[1]], [0.0, 0.0, 1.0]])
-        matrix[[0, 1], [0, 1]] = calibration.focal_lengths
-        coefficients = calibration.distortion.coefficients
-        return matrix, np.array(coefficients) if coefficients else None
-
     def person(self, frame: int, person_id: str = '') -> Person2D:
         """Return the keypoints in one frame as a person with this id."""
         keypoints = self.keypoints[frame]
@@ -186,9 +170,25 @@ def create_intrinsics(
     return Intrinsics.from_image_size(*image_size, focal_in_widths)
 
 
+def make_camera_arrays(sequence: KeypointSequence) -> tuple[Array | None, Array | None]:
+    """Return the camera matrix (3, 3) in px and the distortion coefficients, as a file has them; None if unknown.
+
+    They are those of `calibration` where there is one, unless its lens is a fisheye, which no file can hold.
+    """
+    calibration = sequence.calibration
+    if calibration is None or not calibration.is_focal_known:
+        return sequence.camera_matrix, sequence.distortion
+    if calibration.distortion.model == FISHEYE:
+        return None, None
+    matrix = np.array([[0.0, 0.0, calibration.center[0]], [0.0, 0.0, calibration.center[1]], [0.0, 0.0, 1.0]])
+    matrix[[0, 1], [0, 1]] = calibration.focal_lengths
+    coefficients = calibration.distortion.coefficients
+    return matrix, np.array(coefficients) if coefficients else None
+
+
 def save_sequence(path: str | Path, sequence: KeypointSequence) -> None:
     """Write a sequence file, without the ids and a fisheye lens, which the format does not have."""
-    camera_matrix, distortion = sequence.camera_arrays
+    camera_matrix, distortion = make_camera_arrays(sequence)
     arrays: dict[str, NDArray[np.generic]] = {
         'keypoints': sequence.keypoints.astype(np.float32),
         'joint_names': np.array(sequence.joint_names),

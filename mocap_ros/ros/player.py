@@ -22,7 +22,7 @@ from mocap_ros.units import NS_PER_S
 
 CLOCK = 'rosgraph_msgs/msg/Clock'  # message type of /clock
 SETTLE_SECONDS = (
-    0.5  # s; a best-effort subscriber may discover the publisher later than the reverse, by less than this
+    1.0  # s; a best-effort subscriber may discover the publisher later than the reverse, by less than this
 )
 DISCOVERY_POLL_SECONDS = 0.02  # s; pause between two checks for a subscriber
 MAX_ACKNOWLEDGEMENT_SECONDS = 1  # s; guards against a subscriber that never acknowledges the last messages
