@@ -32,6 +32,10 @@ LOCAL_SETTINGS = {
     'distributed.scheduler.worker-saturation': 1.0,  # tasks that wait stay with the scheduler, and are not lost
     'distributed.worker.profile.enabled': False,  # takes 1 % of the time of a worker
     'distributed.admin.low-level-log-length': 0,  # memory of long runs
+    # How often each process of the cluster looks at itself, which by default takes 4 % of a core.
+    'distributed.admin.tick.interval': '1s',  # whether its event loop stands still
+    'distributed.admin.system-monitor.interval': '5s',  # what the dashboard shows of the machine
+    'distributed.worker.memory.monitor-interval': '500ms',  # whether it needs too much memory
 }
 CLIENT_SETTINGS = {'distributed.comm.timeouts.connect': CONNECT_SECONDS}
 
