@@ -1,4 +1,4 @@
-"""Exceptions of the package. Libraries raise them; programs print them as one line."""
+"""Exceptions of the package, and texts for them. Libraries raise them; programs print them as one line."""
 
 MAX_MESSAGE_CHARACTERS = 2000  # of an error; longer ones, which quote what a stranger wrote, lose their middle
 

@@ -34,6 +34,12 @@ def derive_output_stem(input_path: Path) -> str:
     return input_path.stem or input_path.resolve().stem
 
 
+def name_bag(bag: Path) -> str:
+    """Return the name of a bag: of its folder, which may hold dots, or of its file without the suffix."""
+    place = bag.resolve()
+    return place.name if bag.is_dir() else place.stem
+
+
 def parse_positive(text: str) -> float:
     """Parse a positive, finite number for argparse."""
     try:

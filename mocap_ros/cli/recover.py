@@ -9,6 +9,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from mocap_ros.bags.recovery import recover
+from mocap_ros.cli.options import name_bag
 from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
 
 
@@ -34,8 +35,7 @@ def run(args: argparse.Namespace) -> int:
     """Recover a bag, and print what was recovered and what was not."""
     require_kind(args.bag, [InputKind.BAG], BAG_FORMATS)
     place = args.bag if args.bag.name not in ('', '..') else args.bag.resolve()  # of the present folder as `.`
-    name = args.bag.resolve().name if args.bag.is_dir() else args.bag.resolve().stem
-    out = args.output or place.with_name(f'{name}_recovered')
+    out = args.output or place.with_name(f'{name_bag(args.bag)}_recovered')
     with tqdm(desc='recover', unit='B', unit_scale=True, disable=not sys.stderr.isatty(), leave=False) as bar:
 
         def watch(done: int, size: int) -> None:

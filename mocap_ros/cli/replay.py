@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import remove_partial
-from mocap_ros.cli.options import add_config_options, load_config
+from mocap_ros.cli.options import add_config_options, load_config, name_bag
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import InputError, MocapError, RecordingError
 from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
@@ -92,7 +92,7 @@ def _choose_outputs(bags: list[Path], output: Path) -> list[tuple[Path, Path]]:
     """
     if len(bags) == 1:
         return [(bags[0], output)]
-    names = [bag.resolve().name if bag.is_dir() else bag.resolve().stem for bag in bags]
+    names = [name_bag(bag) for bag in bags]
     if len(set(names)) < len(names):
         repeated = max(names, key=names.count)
         raise InputError(

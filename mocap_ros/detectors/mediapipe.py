@@ -21,7 +21,6 @@ Array = NDArray[np.float64]
 
 KEYPOINTS = 33  # of BlazePose
 MS_PER_S = 1000.0  # the Tasks API takes whole milliseconds
-INSTALL = tell_installation('mediapipe')
 BUNDLED_COMPLEXITY = 1  # of the model that comes with MediaPipe; 0 and 2 would be downloaded
 
 
@@ -38,7 +37,9 @@ def _import_mediapipe(place: str) -> Any:
         import mediapipe
     except ImportError as error:
         missing = isinstance(error, ModuleNotFoundError) and error.name == 'mediapipe'
-        raise ModelError(f'{place}needs MediaPipe: {INSTALL}' + ('' if missing else f' ({error})')) from None
+        raise ModelError(
+            f'{place}needs MediaPipe: {tell_installation("mediapipe")}' + ('' if missing else f' ({error})')
+        ) from None
     return mediapipe
 
 

@@ -46,7 +46,6 @@ Array32 = NDArray[np.float32]
 
 APPLICATION = 'mocap_ros'  # name under which Rerun keeps the layout
 TIMELINE = 'time'  # name of the time line; s from the beginning of the scene
-INSTALL_HINT = f'needs Rerun, with Python 3.11 or later: {tell_installation("view")}'
 JOINT_RADIUS_M = 0.03  # m; joints stand out from bones and hide nothing
 INFERRED_RADIUS_M = 0.038  # m; a little more, because they are drawn over the joints
 TRAIL_RADIUS_M = 0.01  # m; a dot a frame
@@ -91,8 +90,8 @@ def import_rerun() -> Any:
         import rerun.blueprint  # loaded on demand
     except ImportError:
         raise MocapError(
-            f'this view {INSTALL_HINT}; a page of a recording, for any browser, does without: '
-            'mocap-ros view IN -o page.html'
+            f'this view needs Rerun, with Python 3.11 or later: {tell_installation("view")}; a page of a '
+            'recording, for any browser, does without: mocap-ros view IN -o page.html'
         ) from None
     return rerun
 

@@ -37,16 +37,22 @@ def recover_frames(bag: Path) -> tuple[list[bytes], list[str]]:
     return found, [loss.partition('bag_0.mcap: ')[2] for loss in report.losses]
 
 
-@pytest.fixture
-def open_bag(tmp_path: Path) -> Path:
-    """A bag of one complete chunk and an open one, as a killed recorder leaves it; a folder called `bag`."""
-    recorder = Recorder(tmp_path / 'live' / 'bag', IN_ONE_CHUNK, has_log=True)
+def leave_open(folder: Path, config: RecorderConfig) -> Path:
+    """Make a bag of one complete chunk and an open one, as a killed recorder leaves it, called `bag`."""
+    recorder = Recorder(folder / 'live' / 'bag', config, has_log=True)
     record_keypoints(recorder, CHUNK_FRAMES)
     recorder.flush()
     record_keypoints(recorder, OPEN_FRAMES, CHUNK_FRAMES)
     recorder.write_ahead()
-    bag = shutil.copytree(tmp_path / 'live' / 'bag', tmp_path / 'bag')
+    bag = shutil.copytree(folder / 'live' / 'bag', folder / 'bag')
     recorder.close()
+    return bag
+
+
+@pytest.fixture
+def open_bag(tmp_path: Path) -> Path:
+    """The bag of `leave_open` with chunks of the usual compression."""
+    bag = leave_open(tmp_path, IN_ONE_CHUNK)
     assert [p.name for p in sorted((tmp_path / 'live' / 'bag').iterdir())] == ['bag_0.mcap', 'metadata.yaml']
     return bag
 
@@ -91,13 +97,7 @@ def test_a_log_that_is_cut_off_anywhere_loses_only_its_last_messages(open_bag: P
 
 
 def test_a_file_that_is_cut_before_its_log_gives_what_is_left_of_both(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / 'live' / 'bag', replace(IN_ONE_CHUNK, compression='none'), has_log=True)
-    record_keypoints(recorder, CHUNK_FRAMES)
-    recorder.flush()
-    record_keypoints(recorder, OPEN_FRAMES, CHUNK_FRAMES)
-    recorder.write_ahead()
-    open_bag = shutil.copytree(tmp_path / 'live' / 'bag', tmp_path / 'bag')
-    recorder.close()
+    open_bag = leave_open(tmp_path, replace(IN_ONE_CHUNK, compression='none'))
     file = open_bag / 'bag_0.mcap'
     log, content = find_log(file).read_bytes(), file.read_bytes()
     file.write_bytes(content[: 3 * len(content) // 4])  # within the only chunk
