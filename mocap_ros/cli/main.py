@@ -13,6 +13,7 @@ from collections.abc import Collection, Sequence
 from importlib import import_module
 from typing import Any
 
+from mocap_ros.cli.interrupts import is_interrupt
 from mocap_ros.errors import MocapError
 from mocap_ros.runtime.cpu_setup import configure_process
 
@@ -111,7 +112,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         place = f'{error.filename}: ' if error.filename else ''
         return _report_failure(f'{place}{error.strerror or error}')
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        if not is_interrupt(error):
+            raise
         return _report_failure('interrupted')
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import remove_partial
+from mocap_ros.cli.interrupts import interrupt_between_items
 from mocap_ros.cli.options import add_config_options, load_config, name_bag
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import InputError, MocapError, RecordingError
@@ -127,10 +129,12 @@ def _replay_one(job: _Job) -> None:
     """Replay a bag, and print the summary."""
     start = time.monotonic()
     require_kind(job.bag, [InputKind.BAG], BAG_FORMATS)
-    with Bag(job.bag) as bag:
-        result = replay(
-            bag, job.out, job.options, lambda messages, total: show_progress(messages, job.bag.name, total)
-        )
+    with Bag(job.bag) as bag, interrupt_between_items() as stop_at_interrupt:
+
+        def show(messages: Iterable[BagMessage], total: int) -> Iterable[BagMessage]:
+            return show_progress(stop_at_interrupt(messages), job.bag.name, total)
+
+        result = replay(bag, job.out, job.options, show)
     _print_summary(job, result, time.monotonic() - start)
 
 
