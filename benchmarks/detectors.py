@@ -9,6 +9,7 @@ lifter were not trained on the tested people; the program trains them if they ar
     live        the tracker's newest frame
     swaps       swaps of left and right undone, and joints exchanged wrongly, in trials of 10 s and more
     oracles     the same errors without some of the detectors' errors: what is left to gain
+    fixed       whole sequences by the defaults, and by the model that suits a person and a motion best
     own         base poses of the very person's other trials: given to the defaults, given alone, not given
     recordings  the recorded detections of `data/detections`, 12 joints of the limbs
     ghosts      people published who are not there
@@ -51,8 +52,10 @@ from experiments.detector_views import (
     ViewOptions,
     choose_trials,
     list_views,
+    load_motion,
     make_view,
 )
+from experiments.fixed_models import DEFAULTS, FIXED, WORSE, load_fixed_models, summarise_fixed
 from experiments.own_base_poses import ALONE, NOT_GIVEN, OWN, summarise_own, train_own_base_poses
 from reconstruction import WAYS, Models, reconstruct
 from report import Records, Report, cross, group, run
@@ -63,7 +66,7 @@ from mocap_ros.models.base_poses import ALL_MOTIONS
 from mocap_ros.models.model_file import AUTO, LEARNED, load_base_pose_models, load_prior_lifter
 from mocap_ros.skeleton import CMU15
 
-SECTIONS = (*WAYS, 'swaps', 'oracles', 'own', 'recordings', 'ghosts', 'extremities', 'pictures')
+SECTIONS = (*WAYS, 'swaps', 'oracles', 'fixed', 'own', 'recordings', 'ghosts', 'extremities', 'pictures')
 CALM_MOTIONS = ('walk', 'gesture', 'expression')  # categories for which targets of directions are set
 QUICK_SECTIONS = (*WAYS, 'swaps', 'recordings')
 QUICK_FRAMES = 150  # frames, 5 s
@@ -394,6 +397,30 @@ def run_oracles(run: Measurement, report: Report) -> Records:
     return errors
 
 
+def run_fixed(run: Measurement, report: Report) -> Records:
+    trials = choose_trials(run.persons, 1 if run.quick else 2)
+    options = list_views(trials, run.detectors, QUICK_FRAMES, run.seeds[:1])
+    fixed = load_fixed_models()
+    records: list[dict[str, Any]] = []
+    runs = {DEFAULTS: run}
+    for prior, name in FIXED:
+        config = run.config if prior == LEARNED else with_values(run.config, {'solver.prior': prior})
+        runs[f'{prior}, {name}'] = replace(run, models={name: fixed[name]}, config=config)
+    for model, chosen in runs.items():
+        errors = measure_errors(options, WAYS[:1], chosen)
+        persons = [load_motion()[2][o.trial]['subject'] for o in options]
+        records += [{**r, 'model': model, 'person': p} for r, p in zip(errors, persons, strict=True)]
+    rows = [[PAGE_NAMES.get(str(detector), detector), *cells] for detector, _, *cells in summarise_fixed(records)]
+    above = f'groups above {WORSE}'
+    report.table(
+        ['points', 'groups', 'defaults', 'best fixed model of each group', 'ratio', above, 'worst group'],
+        rows,
+        'Defaults against the best of eight models of each person and motion: MPJPE, mm; mean ratio',
+        page='detectors.fixed',
+    )
+    return [{k: r[k] for k in ('trial', 'detector', 'model', 'mpjpe_mm')} for r in records]
+
+
 def run_own(run: Measurement, report: Report) -> Records:
     options = list_short_views(run, run.detectors)
     by_trial = {o.trial: train_own_base_poses(o.trial) for o in options}
@@ -460,6 +487,7 @@ RUNS: Mapping[str, Callable[[Measurement, Report], Any]] = {
     'errors': run_errors,
     'swaps': run_swaps,
     'oracles': run_oracles,
+    'fixed': run_fixed,
     'own': run_own,
     'recordings': run_recordings,
     'ghosts': run_ghosts,
