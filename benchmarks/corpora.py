@@ -1,7 +1,8 @@
 """Batch runs: what Dask adds to the work, how two workers share it, killed workers, and 256 workers by simulation.
 
 Times are CPU seconds with one BLAS thread, so that they mean the same on a machine that does other work. Plain
-replays and batch runs take turns. The bags are those of the demo recording, in a circle.
+replays and Dask's workers take turns, a bag at a time, and the median of the ratios counts. The bags are those of
+the demo recording, in a circle.
 
 The simulation takes as many tasks as there are recordings, each of which sleeps for as long as a recording was
 worked on, in random order of the measured times. Its scheduler and client are those of a real run; its workers are
@@ -12,23 +13,26 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import json
 import logging
 import os
 import random
 import resource
 import signal
+import statistics
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
 import dask
 import numpy as np
+import psutil
 import recording
 from distributed import Client, SpecCluster, as_completed
 from distributed.scheduler import Scheduler
@@ -38,7 +42,10 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.batch.cluster import LOCAL_SETTINGS, connect, run_jobs
 from mocap_ros.batch.job import Job, Outcome, Settings, Status
 from mocap_ros.batch.recordings import Work, find_recordings
+from mocap_ros.runtime.cpu_setup import configure_process
+from mocap_ros.runtime.replay import replay
 
+SHORT_RUNS = 3  # whole commands, of which the median counts
 CORPUS_BAGS = 200  # recordings of a minute, for which the target of the overhead is
 KILL_SECONDS = 10  # s between two kills
 WORKERS, TASKS = 256, 20_000  # of the simulation
@@ -69,87 +76,145 @@ def write_bags(root: Path, count: int, seconds: float) -> list[Path]:
     return paths
 
 
-def measure_cpu(action: Callable[[], object]) -> tuple[float, float]:
-    """Return the CPU seconds of an action, with those of the processes that it starts, and the s that it took."""
+def read_cpu(processes: Sequence[psutil.Process]) -> float:
+    """Return the CPU seconds that running processes have used."""
+    times = [process.cpu_times() for process in processes]
+    return sum(t.user + t.system for t in times)
+
+
+def run_command(*arguments: object) -> float:
+    """Run `mocap-ros` in a process; return the CPU seconds that it used, with the processes that it started."""
 
     def total() -> float:
-        usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-        return sum(u.ru_utime + u.ru_stime for u in usages)
+        usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return usage.ru_utime + usage.ru_stime
 
-    start, used = time.monotonic(), total()
-    action()
-    return total() - used, time.monotonic() - start
-
-
-def run_command(*arguments: object) -> None:
-    """Run `mocap-ros` in a process."""
+    before = total()
     command = [sys.executable, '-m', 'mocap_ros.cli.main', *map(str, arguments)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    return total() - before
 
 
-def run_side_by_side(commands: Sequence[Sequence[object]]) -> None:
-    threads = [threading.Thread(target=run_command, args=command) for command in commands]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+class PlainReplays:
+    """Processes that replay bags side by side as `mocap-ros replay` does, whenever they are told to."""
+
+    def __init__(self, count: int) -> None:
+        self._started = [
+            subprocess.Popen(
+                [sys.executable, __file__, '--replay'], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            )
+            for _ in range(count)
+        ]
+        self.processes = [psutil.Process(p.pid) for p in self._started]
+
+    def replay(self, bags: Sequence[Path], folder: Path) -> None:
+        """Replay as many bags as there are processes into a folder, and wait for them."""
+        for process, bag in zip(self._started, bags, strict=True):
+            assert process.stdin is not None
+            process.stdin.write(json.dumps([str(bag), str(folder / bag.name)]) + '\n')
+            process.stdin.flush()
+        for process, bag in zip(self._started, bags, strict=True):
+            assert process.stdout is not None
+            if not process.stdout.readline():
+                raise RuntimeError(f'{bag}: the plain replay ended')
+
+    def close(self) -> None:
+        for process in self._started:
+            process.communicate()
+
+
+def replay_on_request() -> None:
+    """Replay the bags that standard input names, each into the folder beside it, until it ends."""
+    configure_process()
+    for line in sys.stdin:
+        bag, out = json.loads(line)
+        with Bag(Path(bag)) as opened:
+            replay(opened, Path(out))
+        print(out, flush=True)
+
+
+def take_turns(root: Path, paths: Sequence[Path], count: int) -> tuple[list[float], list[float], int]:
+    """Let plain processes and Dask's workers replay the same bags in turn, a bag for each of them at a time.
+
+    All processes of Dask count as long as its turn takes: client, scheduler, nannies and workers. The first turn,
+    in which modules are loaded, does not count.
+
+    Args:
+        root: folder for the results.
+        paths: the bags.
+        count: number of the plain processes, and of the workers.
+
+    Returns:
+        CPU seconds of each turn of the plain processes and of Dask, and how many results differ.
+    """
+    seconds: dict[str, list[float]] = {'plain': [], 'batch': []}
+    settings = Settings(Work.REPLAY, str(root / 'batch')).seal()
+    jobs = {
+        j.recording.name: j for j in (Job(f, settings) for f in find_recordings(str(paths[0].parent), Work.REPLAY))
+    }
+    plain = PlainReplays(count)
+    with closing(plain), connect(None, workers=count) as client:
+        own = psutil.Process()
+        dask_processes = [own, *(c for c in own.children(recursive=True) if c not in plain.processes)]
+        outcomes: list[Outcome] = []
+        for number in range(0, len(paths) - count + 1, count):
+            bags = paths[number : number + count]
+            for name in sorted(seconds, reverse=bool(number // count % 2)):
+                processes = plain.processes if name == 'plain' else dask_processes
+                before = read_cpu(processes)
+                if name == 'plain':
+                    plain.replay(bags, root / 'plain')
+                else:
+                    run_jobs(client, [jobs[b.name] for b in bags], outcomes.append)
+                seconds[name].append(read_cpu(processes) - before)
+            print(*(f'{n}: {s[-1]:.2f} CPU s' for n, s in seconds.items()), sep=', ', file=sys.stderr, flush=True)
+    done = [o.job.recording.name for o in outcomes if o.status is Status.DONE]
+    different = sum(read_bag(root / 'plain' / n) != read_bag(root / 'batch' / 'results' / n) for n in done)
+    return seconds['plain'][1:], seconds['batch'][1:], different + len(paths) // count * count - len(done)
+
+
+def measure_run(root: Path, name: str, paths: Sequence[Path]) -> tuple[float, float]:
+    """Return the CPU seconds of whole commands: `replay` of each bag, and `batch` with a worker for each."""
+    listed = root / f'{name}.txt'
+    listed.write_text('\n'.join(map(str, paths)))
+    plain = sum(run_command('replay', path, '-o', root / name / path.name) for path in paths)
+    return plain, run_command('batch', listed, '-o', root / f'{name}_batch', '--workers', len(paths))
 
 
 def measure_overhead(root: Path, bags: int, seconds: float) -> dict[str, float]:
     """Compare batch runs with plain replays of the same bags: one worker with one process, two with two.
 
-    What a run costs beside its bags, such as the start of its processes, is told from what a bag costs by runs of
-    two sizes: cost = fixed + bags x each.
+    What a bag costs is measured in turns, and what a run costs beside its bags, such as the start of its
+    processes, by whole commands on bags of a second.
     """
-    paths = write_bags(root / 'in', bags, seconds)
-    few = root / 'few.txt'
-    few.write_text('\n'.join(map(str, paths[: bags // 4])))
-    half = bags // 2
-    found: dict[str, tuple[float, float]] = {}
-    for name, action in {
-        'plain': lambda: run_command('replay', *paths, '-o', root / 'plain'),
-        'batch': lambda: run_command('batch', root / 'in', '-o', root / 'batch', '--workers', 1),
-        'plain_few': lambda: run_command('replay', *paths[: bags // 4], '-o', root / 'plain_few'),
-        'batch_few': lambda: run_command('batch', few, '-o', root / 'batch_few', '--workers', 1),
-        'two_processes': lambda: run_side_by_side(
-            [
-                ('replay', *paths[:half], '-o', root / 'plain_a'),
-                ('replay', *paths[half:], '-o', root / 'plain_b'),
-            ]
-        ),
-        'two_workers': lambda: run_command('batch', root / 'in', '-o', root / 'two', '--workers', 2),
-    }.items():
-        found[name] = measure_cpu(action)
-        print(f'{name}: {found[name][0]:.1f} CPU s, {found[name][1]:.1f} s', file=sys.stderr, flush=True)
-    different = sum(
-        read_bag(root / 'plain' / path.name) != read_bag(root / out / 'results' / path.name)
-        for path in paths
-        for out in ('batch', 'two')
-    )
-    cpu = {name: used for name, (used, _) in found.items()}
-    each = {n: (cpu[n] - cpu[f'{n}_few']) / (bags - bags // 4) for n in ('plain', 'batch')}
-    fixed = {n: cpu[n] - bags * each[n] for n in ('plain', 'batch')}
-    full = {n: fixed[n] + CORPUS_BAGS * each[n] for n in ('plain', 'batch')}
-    # what two workers need beyond one is a process that starts
-    two = {
-        'processes': cpu['two_processes'] - bags * each['plain'],
-        'workers': cpu['two_workers'] - bags * each['plain'],
-    }
-    full_two = {n: extra + CORPUS_BAGS * each['plain'] for n, extra in two.items()}
+    results: dict[str, float] = {'bags': bags, 'seconds_of_a_bag': seconds, 'different_bags': 0}
+    for count, name in ((1, 'one'), (2, 'two')):
+        folder = root / name
+        plain, batch, different = take_turns(folder, write_bags(folder / 'in', (bags + 1) * count, seconds), count)
+        runs = [
+            measure_run(folder, f'short{n}', write_bags(folder / f'short_in{n}', count, 1.0))
+            for n in range(SHORT_RUNS)
+        ]
+        ratios = np.array(batch) / np.array(plain)
+        each, ratio = statistics.median(plain) / count, float(np.median(ratios))
+        fixed = [statistics.median(run[k] for run in runs) for k in range(2)]
+        full = [fixed[0] + CORPUS_BAGS * each, fixed[1] + CORPUS_BAGS * each * ratio]
+        results |= {
+            f'{name}_plain_cpu_s_each_bag': each,
+            f'{name}_batch_over_plain_each_bag': ratio,
+            f'{name}_batch_over_plain_standard_error': float(ratios.std() / np.sqrt(len(ratios))),
+            f'{name}_plain_cpu_s_of_a_run': fixed[0],
+            f'{name}_batch_cpu_s_of_a_run': fixed[1],
+            f'{name}_batch_over_plain_200_bags': full[1] / full[0],
+        }
+        results['different_bags'] += different
+    each = results['one_plain_cpu_s_each_bag'] * results['one_batch_over_plain_each_bag']
     return {
-        'bags': bags,
-        'seconds_of_a_bag': seconds,
-        'plain_cpu_s_each_bag': each['plain'],
-        'batch_cpu_s_each_bag': each['batch'],
-        'plain_cpu_s_of_a_run': fixed['plain'],
-        'batch_cpu_s_of_a_run': fixed['batch'],
-        'overhead_percent_these_bags': 100 * (cpu['batch'] / cpu['plain'] - 1),
-        'overhead_percent_200_bags': 100 * (full['batch'] / full['plain'] - 1),
-        'two_workers_over_two_processes_these_bags': cpu['two_processes'] / cpu['two_workers'],
-        'two_workers_over_two_processes': full_two['processes'] / full_two['workers'],
-        'different_bags': different,
-        'core_s_for_an_hour': each['batch'] * 3600 / seconds,
-        'core_hours_for_1000_hours': each['batch'] * 3600 / seconds * 1000 / 3600,
+        **results,
+        'overhead_percent_200_bags': 100 * (results['one_batch_over_plain_200_bags'] - 1),
+        'two_workers_over_two_processes': 1 / results['two_batch_over_plain_200_bags'],
+        'core_s_for_an_hour': each * 3600 / seconds,
+        'core_hours_for_1000_hours': each * 3600 / seconds * 1000 / 3600,
     }
 
 
@@ -252,7 +317,9 @@ def serve(address: str, count: int) -> None:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     add_sections(parser, SECTIONS)
-    parser.add_argument('--bags', type=int, default=24, help='recordings of a minute that are replayed')
+    parser.add_argument(
+        '--bags', type=int, default=24, help='turns, in each of which each process replays a minute'
+    )
     parser.add_argument(
         '--task-seconds', type=float, nargs='+', help='times of work to simulate with (default: those measured)'
     )
@@ -269,14 +336,16 @@ def measure(args: argparse.Namespace, report: Report) -> None:
         if 'kills' in sections:
             results |= measure_kills(root, bags, seconds)
     if 'simulation' in sections:
-        times = args.task_seconds or [results.get('batch_cpu_s_each_bag', 5.0)]
+        times = args.task_seconds or [results.get('one_plain_cpu_s_each_bag', 5.0)]
         workers, tasks = (32, 320) if args.quick else (WORKERS, TASKS)
         results |= simulate(workers, tasks, [min(t, 1.0) for t in times] if args.quick else times)
     report.quantities(results, TARGETS, page='corpora.cost', digits=4)
 
 
 def main() -> None:
-    if sys.argv[1:2] == ['--serve']:
+    if sys.argv[1:2] == ['--replay']:
+        replay_on_request()
+    elif sys.argv[1:2] == ['--serve']:
         serve(sys.argv[2], int(sys.argv[3]))
     else:
         run(__doc__, 'Corpora', measure, add_options, one_core=False)

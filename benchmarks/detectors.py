@@ -70,6 +70,7 @@ SECTIONS = (*WAYS, 'swaps', 'oracles', 'fixed', 'own', 'recordings', 'ghosts', '
 CALM_MOTIONS = ('walk', 'gesture', 'expression')  # categories for which targets of directions are set
 QUICK_SECTIONS = (*WAYS, 'swaps', 'recordings')
 QUICK_FRAMES = 150  # frames, 5 s
+QUICK_TRIALS = 5  # of the fixed models, of which there are eight
 MAX_FRAMES = 600  # frames, 20 s
 MIN_LONG_FRAMES = 300  # frames, 10 s; a filter of swaps that goes wrong may take a while to do so
 SEEDS = (0, 1, 2)
@@ -398,7 +399,7 @@ def run_oracles(run: Measurement, report: Report) -> Records:
 
 
 def run_fixed(run: Measurement, report: Report) -> Records:
-    trials = choose_trials(run.persons, 1 if run.quick else 2)
+    trials = choose_trials(run.persons, 1 if run.quick else 2)[: QUICK_TRIALS if run.quick else None]
     options = list_views(trials, run.detectors, QUICK_FRAMES, run.seeds[:1])
     fixed = load_fixed_models()
     records: list[dict[str, Any]] = []

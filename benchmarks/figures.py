@@ -73,6 +73,11 @@ PAPER_SECTIONS = {
     'weights': 'stability',
     'targets': 'targets',
 }
+# Sections of `detectors.py`, which take an hour and more together, by the names of their entries.
+DETECTOR_SECTIONS = {
+    'points': ('whole', 'live'),
+    **{s: (s,) for s in ('swaps', 'oracles', 'fixed', 'own', 'recordings', 'ghosts', 'extremities', 'pictures')},
+}
 
 BENCHMARKS = (
     Benchmark('table1', 'table1.py', SOLVERS, CMU),
@@ -92,12 +97,16 @@ BENCHMARKS = (
     Benchmark('lifter', 'lifter.py', SOLVERS, (*MOTION, *DETECTIONS)),
     Benchmark('tracker', 'tracker.py', TRACKER, MOTION),
     Benchmark('keyframes', 'keyframes.py', TRACKER, (*CMU, *DETECTIONS)),
-    Benchmark(
-        'detectors',
-        'detectors.py',
-        TRACKER,
-        (*MOTION, *DETECTIONS),
-        quick_options=('--only', 'live', 'recordings', '--seeds', '0', '--detectors', 'mediapipe'),
+    *(
+        Benchmark(
+            f'detectors.{name}',
+            'detectors.py',
+            TRACKER,
+            (*MOTION, *DETECTIONS) if name == 'recordings' else MOTION,
+            ('--only', *sections),
+            ('--seeds', '0', '--detectors', 'mediapipe'),
+        )
+        for name, sections in DETECTOR_SECTIONS.items()
     ),
     Benchmark('vertical', 'vertical.py', TRACKER, MOTION),
     Benchmark('engine', 'engine.py', (*TRACKER, *BAGS, 'mocap_ros/ros'), MOTION),

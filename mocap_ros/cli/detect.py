@@ -11,14 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
+from mocap_ros.cli.interrupts import interrupt_between_items
 from mocap_ros.cli.options import derive_output_stem, parse_count, parse_positive
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import InputError, tell_installation
-from mocap_ros.formats.detections import select_person
+from mocap_ros.formats.detections import Detections, select_person
 from mocap_ros.formats.sequence_file import describe_frames, save_sequence
 from mocap_ros.formats.text_files import check_output, guard_output
 from mocap_ros.formats.video import VideoImage, find_camera
-from mocap_ros.runtime.detection import detect_in_video
+from mocap_ros.runtime.detection import ShowProgress, detect_in_video
 from mocap_ros.runtime.input_kind import InputKind, require_kind
 from mocap_ros.runtime.save_results import save_detections
 from mocap_ros.units import NS_PER_S
@@ -83,14 +84,16 @@ def run(args: argparse.Namespace) -> int:
     if camera is None:
         require_kind(path, [InputKind.VIDEO], 'a video, or the number or the device of a camera')
 
-    def limit_and_show(images: Iterable[VideoImage], count: int | None) -> Iterator[VideoImage]:
+    def limit_and_show(images: Iterable[VideoImage], count: int | None) -> Iterable[VideoImage]:
         images = show_progress(images, 'detect', count)
-        if args.duration is not None:
-            images = itertools.takewhile(lambda item: item.time_s < args.duration, images)
-        with suppress(*([KeyboardInterrupt] if camera else [])):  # the only way to end a camera without a duration
-            yield from images
+        if args.duration is None:
+            return images
+        return itertools.takewhile(lambda item: item.time_s < args.duration, images)
 
-    detections = detect_in_video(path, args.model, args.max_people, limit_and_show, is_camera=camera is not None)
+    if camera is None:
+        detections = detect_in_video(path, args.model, args.max_people, limit_and_show)
+    else:
+        detections = _detect_until_interrupted(camera, args, limit_and_show)
     if output.suffix == BAG_SUFFIX:
         lines, times = list(detections.remarks), np.array([stamp / NS_PER_S for stamp in detections.stamps_ns])
         with guard_output(output):
@@ -109,3 +112,24 @@ def run(args: argparse.Namespace) -> int:
         print(f'mocap-ros: {path}: {line}', file=sys.stderr)
     print(f'{output}: {what}, {describe_frames(times)}')
     return 0
+
+
+def _detect_until_interrupted(camera: Path, args: argparse.Namespace, limit_and_show: ShowProgress) -> Detections:
+    """Return what is detected in the images of a camera until it is interrupted, its only end without a duration.
+
+    The detector finishes the image in hand, so that nothing is lost.
+
+    Raises:
+        KeyboardInterrupt: the detector was interrupted a second time.
+    """
+    found: list[Detections] = []
+    with suppress(KeyboardInterrupt), interrupt_between_items() as stop_at_interrupt:
+
+        def show_until_interrupted(images: Iterable[VideoImage], count: int | None) -> Iterator[VideoImage]:
+            with suppress(KeyboardInterrupt):
+                yield from limit_and_show(stop_at_interrupt(images), count)
+
+        found.append(detect_in_video(camera, args.model, args.max_people, show_until_interrupted, is_camera=True))
+    if not found:
+        raise KeyboardInterrupt
+    return found[0]

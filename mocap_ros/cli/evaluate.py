@@ -108,8 +108,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate every input, and print a table of the errors."""
+    sources = [*args.input, *([] if args.truth is None else [args.truth])]
     if args.json is not None:
-        check_output(args.json, *args.input)
+        check_output(args.json, *sources)
     config = load_config(args)
     models = load_models(args, config)
     given_truth = None if args.truth is None else _load_truth(args.truth)
@@ -140,7 +141,7 @@ def run(args: argparse.Namespace) -> int:
             print(f'mocap-ros: {path}: {warning}', file=sys.stderr)
         records.append({'file': path.name, **evaluation.as_dict(), **coverage, **timing})
     if args.json is not None:
-        with guard_output(args.json, *args.input):
+        with guard_output(args.json, *sources):
             args.json.write_text(_format_json(records), encoding='utf-8')
     print_table(records)
     print_coverage(records)

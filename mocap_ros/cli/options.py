@@ -30,8 +30,10 @@ def add_config_options(parser: argparse.ArgumentParser) -> None:
 
 
 def derive_output_stem(input_path: Path) -> str:
-    """Return the stem of the names of files that are made from this input."""
-    return input_path.stem or input_path.resolve().stem
+    """Return the stem of the names of files that are made from this input; a folder may hold dots in its name."""
+    if input_path.is_dir():
+        return input_path.name if input_path.name not in ('', '..') else input_path.resolve().name
+    return input_path.stem
 
 
 def name_bag(bag: Path) -> str:

@@ -11,12 +11,13 @@ from typing import Any
 
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import MocapError, tell_installation
-from mocap_ros.formats.mocap.trials import DEFAULT_OPTIONS, load_trials, select_trials
+from mocap_ros.formats.mocap.trials import DEFAULT_OPTIONS, list_files, load_trials, select_trials
 from mocap_ros.formats.text_files import check_output, guard_output
 from mocap_ros.models import model_file
 from mocap_ros.training.balance import balance_trials
 
 DEFAULT_STEPS = 60000  # optimiser steps; more gain more (docs/lifter.md)
+MAX_SEED = 2**63 - 1  # the largest that PyTorch takes for sure
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -75,6 +76,12 @@ def run(args: argparse.Namespace) -> int:
     """Train and save a lifter, and print its error."""
     if min(args.steps, args.threads) < 1:
         raise MocapError('--steps and --threads must be positive')
+    if not 0 <= args.seed <= MAX_SEED:
+        raise MocapError(f'--seed {args.seed}: expected 0 to {MAX_SEED}')
+    sources = [file for path in args.data for file in list_files(path)]
+    for path in (args.output, args.checkpoint):
+        if path is not None:
+            check_output(path, *sources)
     try:
         import torch
 
@@ -82,9 +89,6 @@ def run(args: argparse.Namespace) -> int:
     except ImportError as error:
         raise MocapError(f'{error}: training needs PyTorch: {tell_installation("train")}') from None
     torch.set_num_threads(args.threads)
-    for path in (args.output, args.checkpoint):
-        if path is not None:
-            check_output(path)
     trials = select_trials(
         [
             t
@@ -120,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
         keep=None if path is None else lambda state: _save_checkpoint(state, path),
         progress=lambda steps: show_progress(steps, 'train'),
     )
-    with guard_output(args.output):
+    with guard_output(args.output, *sources):
         model_file.save_lifter(lifter, args.output)
     frames = sum(len(t.poses) for t in trials)
     print(

@@ -7,8 +7,8 @@ People with an id are identified by it. People without an id are associated by p
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import count, pairwise
 from math import gcd
 from pathlib import Path
@@ -147,6 +147,9 @@ def create_person(
 def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Video) -> Detections:
     """Arrange numbered frames in time; frames whose number is missing show nobody.
 
+    An id that two people of one frame have tells nobody from anybody, as the 0 that AlphaPose gives to all people
+    if it does not track. It is left out wherever it occurs, and a remark says so.
+
     Args:
         people_by_number: the people in each frame, by the number of the frame.
         video: the frame rate, which is required, and the size of the images.
@@ -165,8 +168,23 @@ def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Vi
     if (numbers[-1] - numbers[0]) // step >= MAX_FRAMES or duration_s >= MAX_TIMESTAMP_S:
         raise InputError(f'frames are numbered {numbers[0]} to {numbers[-1]}: not those of one video')
     stamps = [round((number - numbers[0]) / video.fps * NS_PER_S) for number in all_numbers]
-    people = [people_by_number.get(number, ()) for number in all_numbers]
-    return Detections(people, stamps, resolve_image_size(configured=video.image_size))
+    repeated = _find_repeated_ids(people_by_number.values())
+    people = [
+        [replace(person, id='') if person.id in repeated else person for person in people_by_number.get(number, ())]
+        for number in all_numbers
+    ]
+    remarks = (
+        (f'ids left out, because two people of one frame have the same: {_list_some(sorted(repeated))}',)
+        if repeated
+        else ()
+    )
+    return Detections(people, stamps, resolve_image_size(configured=video.image_size), remarks=remarks)
+
+
+def _find_repeated_ids(frames: Iterable[Sequence[Person2D]]) -> frozenset[str]:
+    """Return the ids that two people of one frame have."""
+    counts = (Counter(person.id for person in people if person.id) for people in frames)
+    return frozenset(person_id for count_by_id in counts for person_id, n in count_by_id.items() if n > 1)
 
 
 def associate_people(detections: Detections) -> list[PersonTrack]:
@@ -281,5 +299,9 @@ def _select_track(tracks: Sequence[PersonTrack], person_id: str | None) -> Perso
 def _list_people(tracks: Sequence[PersonTrack]) -> str:
     """Return the ids of the people who are seen most, each with the number of frames."""
     frame_counts = Counter({track.id: len(track.detection_by_frame) for track in tracks})
-    listed = ', '.join(f'{person_id} ({n})' for person_id, n in frame_counts.most_common(MAX_LISTED_PEOPLE))
-    return listed + (', ...' if len(tracks) > MAX_LISTED_PEOPLE else '')
+    return _list_some([f'{person_id} ({n})' for person_id, n in frame_counts.most_common()])
+
+
+def _list_some(people: Sequence[str]) -> str:
+    """Return the first people of a list, with commas."""
+    return ', '.join(people[:MAX_LISTED_PEOPLE]) + (', ...' if len(people) > MAX_LISTED_PEOPLE else '')

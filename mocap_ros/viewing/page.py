@@ -12,6 +12,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+import math
 import re
 import zlib
 from collections.abc import Mapping
@@ -58,8 +59,8 @@ class _Packer:
         self._size = 0
 
     def add(self, array: NDArray[np.integer[Any]]) -> dict[str, int]:
-        """Add an array (N, ...) of integers of 1, 2 or 4 bytes; return its description for the script."""
-        rows = array.reshape(len(array), -1)
+        """Add an array (N, ...) of integers of 1, 2 or 4 bytes, N from 0; return its description for the script."""
+        rows = array.reshape(len(array), math.prod(array.shape[1:]))
         unsigned = rows.astype(f'<u{rows.itemsize}')
         steps = np.diff(unsigned, axis=0, prepend=np.zeros((1, rows.shape[1]), unsigned.dtype))
         columns = np.ascontiguousarray(steps.T.astype(unsigned.dtype))

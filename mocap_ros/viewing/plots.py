@@ -29,6 +29,7 @@ INFERRED_COLOUR = '#ff9f1c'  # orange; joints that were not seen
 MIN_RADIUS_M = 0.5  # m; half the width of a panel at least, so that a curled-up body is not magnified
 RADIUS_MARGIN = 1.03  # factor; keeps the outermost joints inside the panel
 IMAGE_MARGIN = 0.6  # half the width of an input panel divided by the size of the body's image
+FORMATS_OF_OTHERS = frozenset(('pgf',))  # picture formats for which matplotlib runs a program, here TeX
 MIN_IMAGE_SIZE_PX = 1.0  # px; guards the panel's limits if all keypoints are in one place
 
 
@@ -246,7 +247,7 @@ def check_picture_format(path: Path) -> None:
     Raises:
         InputError: It does not; the message lists the formats.
     """
-    formats = sorted(FigureCanvasAgg.get_supported_filetypes())
+    formats = sorted(FigureCanvasAgg.get_supported_filetypes().keys() - FORMATS_OF_OTHERS)
     if path.suffix.removeprefix('.').lower() not in formats:
         known = ', '.join(f'.{name}' for name in formats)
         raise InputError(f'{path}: unknown picture format; can write {known}')

@@ -387,6 +387,7 @@ class LiveDrawing:
         self._writers: dict[str, _PersonWriter] = {}
         self._states: dict[tuple[str, str], str] = {}  # last state by id and lane
         self._inputs: set[str] = set()  # entities of the 2D input so far
+        self._shown_inputs: set[str] = set()  # those that the last frame had
         self._layouts: dict[str, SceneKeypoints] = {}  # all keypoint layouts so far, as they were first seen
 
     def draw(self, scene: Scene, time_s: float) -> None:
@@ -406,9 +407,14 @@ class LiveDrawing:
                 self._change_state(person.id, lane, time_s, states[0])
         for person_id in {known for known, _ in self._states} - {person.id for person in scene.people}:
             self._remove(person_id, time_s)
+        shown: set[str] = set()
         for keypoints in scene.keypoints:
             number = list(self._layouts).index(keypoints.skeleton.name)
-            _send_keypoints(self._rr, self._recording, times, keypoints, number, self._inputs)
+            shown |= _send_keypoints(self._rr, self._recording, times, keypoints, number, self._inputs)
+        self._recording.set_time(TIMELINE, duration=time_s)
+        for entity in sorted(self._shown_inputs - shown):
+            self._recording.log(entity, self._rr.Clear(recursive=False))
+        self._shown_inputs = shown
 
     def _send_static(self, scene: Scene) -> None:
         """Send what does not change as long as nobody new is seen; a second person changes the colours."""
@@ -554,7 +560,7 @@ def _list_curves(scene: Scene) -> list[str]:
 
 def _send_keypoints(
     rr: Any, recording: Any, times: Array, keypoints: SceneKeypoints, layout: int, known: set[str]
-) -> None:
+) -> set[str]:
     """Send the 2D input; the first detections of all frames are an entity, so are the second ones, and so on.
 
     Args:
@@ -564,11 +570,16 @@ def _send_keypoints(
         keypoints: the detections of one layout.
         layout: number of the layout.
         known: entities whose looks were sent; those of others are sent and added.
+
+    Returns:
+        The entities that were sent.
     """
+    sent: set[str] = set()
     slots = np.arange(len(keypoints.frames)) - np.searchsorted(keypoints.frames, keypoints.frames)
     for slot in range(int(slots.max(initial=-1)) + 1):
         of_slot = np.flatnonzero(slots == slot)
         entity = f'world/camera/input/{layout}_{slot}'
+        sent.add(entity)
         for first in range(0, len(of_slot), PIECE_ROWS):
             rows, following = of_slot[first : first + PIECE_ROWS], of_slot[first + PIECE_ROWS :][:1].tolist()
             counts, columns = _make_point_columns(rr.Points2D, keypoints.points[rows], is_whole=False)
@@ -579,6 +590,7 @@ def _send_keypoints(
             known.add(entity)
             looks = _make_looks(rr.Points2D, FIRST_INPUT_CLASS + layout, INPUT_RADIUS_PX, 0)
             recording.log(entity, looks, static=True)
+    return sent
 
 
 def _describe_class(

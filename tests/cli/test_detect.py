@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,14 @@ from mocap_ros.api.evaluate import evaluate
 from mocap_ros.bags.reader import Bag
 from mocap_ros.cli.main import main
 from mocap_ros.demo.scene import make_recording
+from mocap_ros.detectors.detector import Detector, Image
 from mocap_ros.formats.sequence_file import GroundTruth, load_sequence
+from mocap_ros.formats.video import VideoReader
+from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.runtime import detection
+from mocap_ros.runtime.detection import detect_people
 from mocap_ros.skeleton import CMU15
 from tests.support.blob_people import draw, save_movenet, save_multi_pose_movenet, walk, write_video
 from tests.support.mediapipe_models import load_portrait, require_mediapipe, save_task
@@ -69,6 +75,33 @@ def test_detect_writes_the_keypoints_of_one_person_or_a_bag_of_all(
         messages = [decode(message.raw, KEYPOINTS) for message in bag.messages(['/keypoints'])]
     assert [[person.id for person in message.people] for message in messages] == [['person_1', 'person_2']] * 6
     assert {(m.image_width, m.image_height) for m in messages} == {(640, 480)}
+
+
+def test_an_interrupt_of_a_camera_keeps_what_was_detected(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A video takes the place of the camera; the interrupt comes while the detector works, as it mostly does."""
+    seen = 0
+
+    def detect_and_interrupt(detector: Detector, image: Image, time_s: float) -> list[Person2D]:
+        nonlocal seen
+        seen += 1
+        if seen == 20:
+            signal.raise_signal(signal.SIGINT)
+        return detect_people(detector, image, time_s)
+
+    monkeypatch.setattr(detection, 'detect_people', detect_and_interrupt)
+    monkeypatch.setattr(detection, 'VideoReader', lambda path, is_camera: VideoReader(path))  # noqa: ARG005
+    monkeypatch.setattr('mocap_ros.cli.detect.find_camera', Path)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    out = tmp_path / 'me.npz'
+    try:
+        command = ['detect', str(folder / 'walk.mp4'), '--model', str(folder / 'movenet.onnx'), '-o', str(out)]
+        assert main(command) == 0
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert '17 keypoints of person_1, 16 frames' in capsys.readouterr().out
+    assert len(load_sequence(out)) == 20 - 4
 
 
 def test_a_model_that_is_not_there_is_named_in_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

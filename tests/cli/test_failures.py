@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,15 @@ import pytest
 
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.cli.main import main
+from mocap_ros.cli.options import derive_output_stem
 from mocap_ros.config import RecorderConfig
+from mocap_ros.formats.export.armature import build_armature
+from mocap_ros.formats.export.bvh import save_bvh
 from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.runtime.sequence_messages import encode_sequence
 from mocap_ros.skeleton import CMU15
+from tests.support.motion_files import Z_UP_TO_Y_UP, make_poses
 from tests.support.quick_options import QUICK_OPTIONS
 
 
@@ -70,9 +75,11 @@ from tests.support.quick_options import QUICK_OPTIONS
         (['reconstruct', r'C:\walk.npz'], 'No such file or directory; folders are separated by /'),
         (['train', 'FOLDER', '-o', 'x.npz'], 'folder: no .amc, .bvh, .c3d in it'),
         (['plot', 'RECORDING', '-o', 'x.xyz'], 'x.xyz: unknown picture format; can write'),
+        (['plot', 'RECORDING', '-o', 'x.pgf'], 'x.pgf: unknown picture format; can write'),
         (['plot', 'RECORDING', '-o', 'picture'], 'picture: unknown picture format; can write'),
         (['train', 'TRIALS', '--manifest', 'LATIN', '-o', 'x.npz'], 'latin.csv: not UTF-8 at byte 14'),
         (['train', 'TRIALS', '-o', 'x.npz'], 'trial 1_1: a body 0 m tall'),
+        (['train-lifter', 'TRIALS', '-o', 'x.npz', '--seed', '-1'], '--seed -1: expected 0 to'),
         (['view', 'nowhere.npz', '-o', 'x.html'], 'nowhere.npz: No such file'),
         (['view', 'RECORDING', '-o', 'x.pdf'], 'x.pdf: unknown file type; expected .html'),
         (['view', 'RECORDING', '-o', 'nowhere/x.html'], 'x.html: cannot be written: there is no folder nowhere'),
@@ -255,18 +262,46 @@ def test_an_input_file_is_never_overwritten(
         for due_ns, raw in encode_sequence(load_sequence(short_recording)):
             recorder.write('/keypoints', KEYPOINTS, raw, due_ns, due_ns)
     (tmp_path / 'link.npz').symlink_to(short_recording)
+    capture = tmp_path / 'walk' / 'anna_1.bvh'
+    capture.parent.mkdir()
+    save_bvh(capture, build_armature(make_poses() @ Z_UP_TO_Y_UP.T, 30.0))
     for command, source, out in (
         ('reconstruct', short_recording, tmp_path / 'link.npz'),
         ('reconstruct', bag, bag / 'bag_0.mcap'),
         ('reconstruct', bag / 'bag_0.mcap', bag / 'bag_0.mcap'),
         ('evaluate', short_recording, short_recording),
+        ('train', capture.parent, capture),
+        ('train-lifter', capture.parent, capture),
     ):
         before = out.read_bytes()
         option = '--json' if command == 'evaluate' else '-o'
-        assert main([command, str(source), option, str(out), *QUICK_OPTIONS]) == 1
+        quick = [] if command.startswith('train') else QUICK_OPTIONS
+        assert main([command, str(source), option, str(out), *quick]) == 1
         message = capsys.readouterr().err.splitlines()[-1]
         assert message == f'mocap-ros: {out}: not written, because it is the input file'
         assert out.read_bytes() == before
+
+
+def test_the_truth_is_never_overwritten(
+    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / 'other.npz'
+    shutil.copy(short_recording, other)
+    before = short_recording.read_bytes()
+    truth = ['--truth', str(short_recording), '--json', str(short_recording)]
+    assert main(['evaluate', str(other), *truth, *QUICK_OPTIONS]) == 1
+    assert 'not written, because it is the input file' in capsys.readouterr().err
+    assert short_recording.read_bytes() == before
+
+
+def test_results_of_folders_are_called_as_the_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for day in ('2026.11.21', '2026.11.22'):
+        (tmp_path / day).mkdir()
+        assert derive_output_stem(tmp_path / day) == day
+    monkeypatch.chdir(tmp_path / '2026.11.21')
+    assert derive_output_stem(Path()) == derive_output_stem(Path('../2026.11.21')) == '2026.11.21'
+    assert derive_output_stem(Path('..')) == tmp_path.name
+    assert derive_output_stem(Path('walk.1.npz')) == 'walk.1'
 
 
 def test_folders_with_a_dot_in_their_names_have_results_of_their_own(

@@ -12,7 +12,7 @@ import pytest
 
 from mocap_ros.errors import InputError
 from mocap_ros.formats.coco_json import MIN_PERSON_SCORE, load_coco
-from mocap_ros.formats.detections import Video, select_person
+from mocap_ros.formats.detections import Video, associate_people, select_person
 from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.runtime.load_keypoints import load_input
 from mocap_ros.skeleton import keypoint_layout
@@ -82,6 +82,27 @@ def test_every_form_gives_the_same_keypoints(tmp_path: Path, walker: KeypointSeq
     path = tmp_path / 'people.json'
     path.write_text(json.dumps(FORMS[form](flatten_keypoints(walker))))
     check_same_keypoints(load_coco(path, VIDEO), walker)
+
+
+def test_an_id_that_two_people_of_one_frame_have_is_none(tmp_path: Path) -> None:
+    """AlphaPose gives all people the id 0 if it does not track; the ids of a tracker are kept."""
+    path = tmp_path / 'people.json'
+    shape = np.stack([np.linspace(0, 30, 17), np.linspace(100, 200, 17), np.ones(17)], axis=1)
+    people = [
+        {'image_id': f'{f}.jpg', 'keypoints': (shape + [x, 0, 0]).ravel().tolist(), 'score': 2.9, 'idx': [idx]}
+        for f in range(10)
+        for x, idx in ((300, 0.0), (100 + f, 7.0), (500, 0.0))[: 3 if f < 9 else 1]
+    ]
+    path.write_text(json.dumps(people))
+    detections = load_coco(path, VIDEO)
+    tracks = {track.id: track for track in associate_people(detections)}
+    assert {name: len(track.detection_by_frame) for name, track in tracks.items()} == {
+        'person_1': 10,
+        'person_2': 9,
+        '7': 9,
+    }
+    assert {p.points[0, 0] for p in tracks['person_1'].detection_by_frame.values()} == {300}
+    assert detections.remarks == ('ids left out, because two people of one frame have the same: 0',)
 
 
 def test_people_with_a_low_score_are_left_out(tmp_path: Path) -> None:

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from mocap_ros.errors import MocapError
+from mocap_ros.skeleton import CMU15
 from mocap_ros.viewing.rerun_recording import (
+    LiveDrawing,
     end_runs,
     find_changes,
     make_entity_name,
@@ -22,7 +24,7 @@ from mocap_ros.viewing.rerun_recording import (
     write_recording,
 )
 from mocap_ros.viewing.rerun_viewer import disable_telemetry, require_display, start_viewer
-from mocap_ros.viewing.scene import Scene
+from mocap_ros.viewing.scene import Scene, SceneKeypoints
 from tests.support.browser import count_colours
 from tests.support.recording_of_rerun import count_rows, run_rerun
 from tests.support.scenes import make_scene, make_scene_person
@@ -97,6 +99,23 @@ def test_rerun_reads_what_was_written(scene: Scene, tmp_path: Path) -> None:
     assert rows['states/anna/motion'] == 1 + static
     assert rows['states/_b_en/detection'] == 2 + static
     assert rows['marks'] == len(scene.marks)
+
+
+def test_a_live_drawing_shows_no_detection_longer_than_its_frame(scene: Scene, tmp_path: Path) -> None:
+    rerun = pytest.importorskip('rerun', reason='rerun-sdk is not installed')
+    recording = rerun.RecordingStream('test', send_properties=False)
+    recording.save(tmp_path / 'live.rrd')
+    drawing = LiveDrawing(recording)
+    for frame, detections in enumerate((2, 2, 1, 1, 0, 0)):
+        points = np.full((detections, 15, 2), 100, np.float32)
+        keypoints = SceneKeypoints(CMU15, np.zeros(detections, int), points)
+        drawing.draw(replace(scene, people=(), keypoints=(keypoints,) if detections else ()), frame / 30)
+    recording.flush()
+    recording.disconnect()
+    rows = count_rows(tmp_path, tmp_path / 'live.rrd')
+    static, end = 1, 1  # the row of what does not change, and the one that ends the last detection
+    assert rows['world/camera/input/0_0'] == 4 + static + end
+    assert rows['world/camera/input/0_1'] == 2 + static + end
 
 
 def test_telemetry_is_off_in_settings_of_our_own(tmp_path: Path) -> None:

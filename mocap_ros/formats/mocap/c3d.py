@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections import Counter
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -30,8 +31,8 @@ def load_c3d(path: Path) -> tuple[dict[str, Array], float | None]:
 
     Returns:
         The positions (F, 3) of each marker by its label, in the file's frame and unit, NaN where the marker was
-        not seen; the label is without the subject's name, which ends with a colon. And the unit in m, or None
-        where the file does not name it.
+        not seen; the label is without the subject's name, which ends with a colon, unless several subjects have
+        such a marker. And the unit in m, or None where the file does not name it.
 
     Raises:
         InputError: the file cannot be read; the error names the file.
@@ -61,7 +62,9 @@ def load_c3d(path: Path) -> tuple[dict[str, Array], float | None]:
         raise InputError(f'{path}: not a C3D file ({reason})')
     with np.load(io.BytesIO(result.stdout), allow_pickle=False) as archive:
         points, labels, unit = archive['points'], archive['labels'].tolist(), str(archive['unit'])
-    names = [label.rpartition(':')[2].strip() for label in labels]
+    bare = {label: label.rpartition(':')[2].strip() for label in labels}
+    subjects = Counter(bare.values())
+    names = [bare[label] if subjects[bare[label]] == 1 else label.strip() for label in labels]
     positions = np.moveaxis(points, 0, -1)
     metres = METRES_BY_UNIT.get(unit.strip().lower())
     return {name: positions[i] for i, name in enumerate(names) if i < len(positions)}, metres

@@ -10,9 +10,20 @@ from __future__ import annotations
 import os
 import resource
 import sys
+from collections.abc import Mapping
+from typing import Any
 
 import ezc3d
 import numpy as np
+
+
+MAX_LABEL_LISTS = 258  # lists of 255 labels each, enough for the 65,535 points that a file may have
+
+
+def list_labels(parameters: Mapping[str, Any]) -> list[Any]:
+    """Return the labels of all points: a list holds 255, and the others follow in LABELS2, LABELS3 and so on."""
+    names = ['LABELS', *(f'LABELS{number}' for number in range(2, MAX_LABEL_LISTS))]
+    return [label for name in names if name in parameters for label in parameters[name]['value']]
 
 
 def main(path: str, memory: int, seconds: int) -> None:
@@ -34,7 +45,7 @@ def main(path: str, memory: int, seconds: int) -> None:
         np.savez(
             stream,
             points=np.asarray(content['data']['points'], np.float64)[:3],
-            labels=np.array([str(label) for label in parameters['LABELS']['value']], np.str_),
+            labels=np.array([str(label) for label in list_labels(parameters)], np.str_),
             unit=np.array(''.join(parameters.get('UNITS', {}).get('value', [])[:1])),
         )
 

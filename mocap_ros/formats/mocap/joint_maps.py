@@ -6,6 +6,7 @@ meet.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -98,8 +99,14 @@ def map_to_model(positions: Mapping[str, Array], markers: MarkerMap | None = Non
 
 
 def _recognise_rig(positions: Mapping[str, Array]) -> MarkerMap:
-    """Return the map of the known rig that has the fewest names missing; InputError where names are missing."""
+    """Return the map of the known rig that has the fewest names missing; InputError where names are missing.
+
+    A name that several subjects have, such as `anna:head` and `ben:head`, is none of a rig: which of them is meant
+    must be told.
+    """
     names = list(positions)
+    subjects = Counter(name.rpartition(':')[2] for name in names)
+    names = [name for name in names if subjects[name.rpartition(':')[2]] == 1]
     name_by_spelling = dict(zip(_simplify_names(names), names, strict=True))
     name_by_spelling |= {
         joint: name

@@ -109,15 +109,9 @@ def load_trials(
     Raises:
         InputError: there is nothing to read, or a file is not valid; the error names the file and the place.
     """
-    if path.is_dir():
-        files = sorted(f for f in path.rglob('*') if f.suffix.lower() in MOTION_SUFFIXES)
-        if not files:
-            raise InputError(f'{path}: no {", ".join(MOTION_SUFFIXES)} in it')
-    else:
-        files = [path]
     manifests: dict[Path, Manifest] = {}
     trials: list[Trial] = []
-    for file in report_progress(files):
+    for file in report_progress(list_files(path)):
         manifest_path = options.manifest or file.with_name(MANIFEST_NAME)
         if manifest_path not in manifests:
             manifests[manifest_path] = _read_manifest(manifest_path, required=options.manifest is not None)
@@ -128,6 +122,20 @@ def load_trials(
         else:
             trials += _read_archive(file, manifest)
     return [trial.take_every(options.every) for trial in trials]
+
+
+def list_files(path: Path) -> list[Path]:
+    """Return the files that `load_trials` reads: the path, or the files of trials in a folder and the folders below.
+
+    Raises:
+        InputError: there is no such file in the folder.
+    """
+    if not path.is_dir():
+        return [path]
+    files = sorted(f for f in path.rglob('*') if f.suffix.lower() in MOTION_SUFFIXES)
+    if not files:
+        raise InputError(f'{path}: no {", ".join(MOTION_SUFFIXES)} in it')
+    return files
 
 
 def _create_trial(name: str, poses: Array, manifest: Manifest, category: str) -> Trial:

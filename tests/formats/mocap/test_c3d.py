@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,18 +16,46 @@ from mocap_ros.skeleton import CMU15
 from tests.support.motion_files import FRAMES, check_refusal
 
 
-def test_markers_give_the_poses(tmp_path: Path, poses: np.ndarray) -> None:
+def write_c3d(path: Path, labels: Sequence[str], positions: np.ndarray) -> None:
+    """Write markers (F, M, 3) in m as a C3D file in mm."""
     ezc3d = pytest.importorskip('ezc3d')
     content = ezc3d.c3d()
     content['parameters']['POINT']['RATE']['value'] = [100]
     content['parameters']['POINT']['UNITS']['value'] = ['mm']
-    content['parameters']['POINT']['LABELS']['value'] = [f'anna:{j}' for j in CMU15.joints]
-    points = np.ones((4, 15, FRAMES))
-    points[:3] = np.moveaxis(poses, 0, -1).transpose(1, 0, 2) * 1000
-    points[:3, 4, 7] = np.nan
+    content['parameters']['POINT']['LABELS']['value'] = list(labels)
+    points = np.ones((4, len(labels), len(positions)))
+    points[:3] = positions.transpose(2, 1, 0) * 1000
     content['data']['points'] = points
-    path = tmp_path / 'anna_1.c3d'
     content.write(str(path))
+
+
+def test_the_markers_of_two_people_make_no_body(tmp_path: Path, poses: np.ndarray) -> None:
+    path = tmp_path / 'two_1.c3d'
+    labels = [f'{name}:{joint}' for name in ('anna', 'ben') for joint in CMU15.joints]
+    write_c3d(path, labels[:-1], np.concatenate([poses, poses[:, :-1] + [3, 0, 0]], axis=1))
+    with pytest.raises(InputError, match=r'two_1\.c3d: joints of no known rig; .*anna:head.* by --markers'):
+        load_trials(path)
+    marker_map = tmp_path / 'markers.yaml'
+    names = {joint: f'anna:{joint}' for joint in CMU15.joints[:-1]} | {CMU15.joints[-1]: CMU15.joints[-1]}
+    marker_map.write_text('\n'.join(f'{joint}: "{name}"' for joint, name in names.items()))
+    (trial,) = load_trials(path, TrialOptions(markers=load_marker_map(marker_map)))
+    assert trial.poses == pytest.approx(poses, abs=1e-4)
+
+
+def test_labels_are_read_beyond_the_first_list(tmp_path: Path, poses: np.ndarray) -> None:
+    """A list of labels holds 255."""
+    path = tmp_path / 'a_1.c3d'
+    others = [f'other{i}' for i in range(260)]
+    write_c3d(path, [*others, *CMU15.joints], np.concatenate([np.zeros((FRAMES, 260, 3)), poses], axis=1))
+    (trial,) = load_trials(path)
+    assert trial.poses == pytest.approx(poses, abs=1e-4)
+
+
+def test_markers_give_the_poses(tmp_path: Path, poses: np.ndarray) -> None:
+    path = tmp_path / 'anna_1.c3d'
+    positions = poses.copy()
+    positions[7, 4] = np.nan
+    write_c3d(path, [f'anna:{j}' for j in CMU15.joints], positions)
     (trial,) = load_trials(path)
     assert trial.subject == 'anna'
     assert trial.poses == pytest.approx(np.delete(poses, 7, axis=0), abs=1e-4)
