@@ -318,7 +318,7 @@ def serve(address: str, count: int) -> None:
 def add_options(parser: argparse.ArgumentParser) -> None:
     add_sections(parser, SECTIONS)
     parser.add_argument(
-        '--bags', type=int, default=24, help='turns, in each of which each process replays a minute'
+        '--bags', type=int, default=12, help='turns, in each of which each process replays a minute'
     )
     parser.add_argument(
         '--task-seconds', type=float, nargs='+', help='times of work to simulate with (default: those measured)'

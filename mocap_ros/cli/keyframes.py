@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.cli.keypoint_input import (
     add_input_options,
     load_input_sequence,
@@ -51,7 +52,8 @@ def run(args: argparse.Namespace) -> int:
     output = args.output or Path(f'{derive_output_stem(args.input)}_keyframes.yaml')
     if output.suffix not in ('.yaml', '.yml'):
         raise InputError(f'{output}: unknown file type; expected .yaml')
-    check_output(output, args.input)
+    sources = (args.input, args.input / METADATA, *([] if args.config is None else [args.config]))
+    check_output(output, *sources)
     config = load_config(args)
     sequence = load_input_sequence(args, config)
     with name_file_in_errors(args.input), StageDisplay() as set_stage:
@@ -63,8 +65,10 @@ def run(args: argparse.Namespace) -> int:
         poses = draw_keyframes_figure(observed, keyframes, args.input.name)
         distances = draw_distances_figure(observed, keyframes, config.keyframes.beta, args.input.name)
     pictures = {output.with_suffix('.png'): poses, output.with_name(f'{output.stem}_distances.png'): distances}
-    with guard_output(output):
-        output.write_text(format_yaml(observed, keyframes, args.input.name), encoding='utf-8')
+    with guard_output(output, *sources):
+        output.write_text(
+            format_yaml(observed, keyframes, plots.make_printable(args.input.name)), encoding='utf-8'
+        )
     for path, figure in pictures.items():
         with guard_output(path):
             plots.save_figure(figure, path)

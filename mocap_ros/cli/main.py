@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import io
 import os
 import sys
 from collections.abc import Collection, Sequence
@@ -97,6 +98,8 @@ def explain_missing_command(arguments: Sequence[str]) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one subcommand and return the exit code."""
     configure_process()
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == 'strict':
+        sys.stdout.reconfigure(errors='backslashreplace')  # names of files may hold what a terminal cannot show
     try:
         arguments = sys.argv[1:] if argv is None else list(argv)
         parser = build_parser(arguments[:1])

@@ -15,6 +15,7 @@ from mocap_ros.cli.options import add_config_options, load_config
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.detections import Video
+from mocap_ros.formats.result_file import is_result_file
 from mocap_ros.formats.text_files import check_output, guard_output
 from mocap_ros.runtime.bag_images import read_images
 from mocap_ros.runtime.load_scene import SceneOptions, load_keyframe_marks, load_scene
@@ -71,6 +72,12 @@ def run(args: argparse.Namespace) -> int:
         return _show_live(args)
     if args.input is None:
         raise InputError('give an input to show, or --live to show what a running node publishes')
+    given = any((args.topic, args.model, args.config, args.set))
+    if given and args.input.is_file() and is_result_file(args.input):
+        raise InputError(
+            f'{args.input}: holds a result, which is shown as it is; --topic, --model, --config and --set apply '
+            'to keypoints only'
+        )
     if output is None:
         return _show(args)
     if output.suffix not in SUFFIXES:

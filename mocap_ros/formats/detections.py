@@ -170,7 +170,10 @@ def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Vi
     stamps = [round((number - numbers[0]) / video.fps * NS_PER_S) for number in all_numbers]
     repeated = _find_repeated_ids(people_by_number.values())
     people = [
-        [replace(person, id='') if person.id in repeated else person for person in people_by_number.get(number, ())]
+        [
+            replace(person, id='') if person.id in repeated else person
+            for person in people_by_number.get(number, ())
+        ]
         for number in all_numbers
     ]
     remarks = (
@@ -263,8 +266,9 @@ def select_person(detections: Detections, person_id: str | None = None) -> tuple
         + (f'; {len(tracks) - 1} more, choose by --person: {_list_people(tracks)}' if len(tracks) > 1 else ''),
         *detections.remarks,
     ]
-    size = resolve_image_size(stated=detections.image_size, keypoints=keypoints)
-    if not all(detections.image_size):
+    size = detections.image_size
+    if not all(size):
+        size = resolve_image_size(keypoints=_stack_keypoints(detections))  # one camera has one size for all people
         lines.append(f'image size not known, {size[0]}x{size[1]} px assumed; give it by --image-size')
     if looks_normalised(keypoints[..., :2], keypoints[..., 2], size[0]):
         raise InputError('keypoints look normalised; px expected')
@@ -280,6 +284,13 @@ def select_person(detections: Detections, person_id: str | None = None) -> tuple
         calibration=detections.intrinsics,
     )
     return sequence, lines
+
+
+def _stack_keypoints(detections: Detections) -> Array:
+    """Return x and y in px and the score (N, 3) of all keypoints of all people."""
+    everybody = [person for people in detections.people for person in people]
+    points = np.concatenate([person.points for person in everybody])
+    return np.column_stack([points, np.concatenate([person.score for person in everybody])])
 
 
 def _select_track(tracks: Sequence[PersonTrack], person_id: str | None) -> PersonTrack:

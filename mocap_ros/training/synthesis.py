@@ -197,7 +197,8 @@ class ExampleSynthesiser:
             lengths = np.linalg.norm(vectors[:, :1, joints], axis=-1, keepdims=True)
             donor_lengths = np.linalg.norm(donor[:, :1, joints], axis=-1, keepdims=True)
             borrowed = donor[:, :, joints] * lengths / np.maximum(donor_lengths, MIN_BONE_LENGTH_M)
-            is_borrowed = random.chance(count, share, axes=3)
+            has_bone = donor_lengths > MIN_BONE_LENGTH_M  # of a trial that lacks it there is nothing to borrow
+            is_borrowed = random.chance(count, share, axes=3) & has_bone
             vectors[:, :, joints] = np.where(is_borrowed, borrowed, vectors[:, :, joints])
         vectors = take_postures(vectors, random)
         for limb in LIMBS:

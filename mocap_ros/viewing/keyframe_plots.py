@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import ObservedWindow
-from mocap_ros.viewing.plots import TRUTH_COLOUR, choose_side_colour
+from mocap_ros.viewing.plots import TRUTH_COLOUR, choose_side_colour, make_printable
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ def draw_keyframes_figure(
     for half, numbers, upper, lower in zip(keyframes, drawn, panels[::2], panels[1::2], strict=True):
         _draw_skeletons(upper, observed, half, numbers)
         _draw_occurrence(lower.subplots(), observed.times, half)
-    figure.suptitle(title, fontsize=11, parse_math=False)
+    figure.suptitle(make_printable(title), fontsize=11, parse_math=False)
     return figure
 
 
@@ -153,5 +153,5 @@ def draw_distances_figure(
         bar = figure.colorbar(mesh, ax=axes, shrink=0.8)
         bar.set_label('distance, torso lengths', fontsize=9)
         bar.ax.axhline(beta, color=BETA_COLOUR)
-    figure.suptitle(title, fontsize=11, parse_math=False)
+    figure.suptitle(make_printable(title), fontsize=11, parse_math=False)
     return figure

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.skeleton import Skeleton
-from mocap_ros.viewing.plots import INFERRED_COLOUR, TRUTH_COLOUR
+from mocap_ros.viewing.plots import INFERRED_COLOUR, TRUTH_COLOUR, make_printable
 from mocap_ros.viewing.scene import (
     MARK_COLOURS,
     PALE_COLOUR,
@@ -59,7 +59,7 @@ class _Packer:
         self._size = 0
 
     def add(self, array: NDArray[np.integer[Any]]) -> dict[str, int]:
-        """Add an array (N, ...) of integers of 1, 2 or 4 bytes, N from 0; return its description for the script."""
+        """Add an array (N, ...), N from 0, of integers of 1, 2 or 4 bytes; return its description."""
         rows = array.reshape(len(array), math.prod(array.shape[1:]))
         unsigned = rows.astype(f'<u{rows.itemsize}')
         steps = np.diff(unsigned, axis=0, prepend=np.zeros((1, rows.shape[1]), unsigned.dtype))
@@ -85,7 +85,7 @@ def build_page(scene: Scene) -> str:
     packer = _Packer()
     described = json.dumps(_describe_scene(scene, packer), separators=(',', ':'))
     parts = {
-        'TITLE': html.escape(_make_printable(scene.title)),
+        'TITLE': html.escape(make_printable(scene.title)),
         'STYLE': _read('page.css'),
         'SCENE': described.replace('<', '\\u003c'),  # so that no text can end the script element
         'DATA': packer.finish(),
@@ -93,11 +93,6 @@ def build_page(scene: Scene) -> str:
         'SCRIPT': _read('page.js'),
     }
     return re.sub('@([A-Z]+)@', lambda match: parts[match[1]], _read('page.html'))
-
-
-def _make_printable(name: str) -> str:
-    """Return the name of a file with bytes that are no UTF-8 written as escapes."""
-    return name.encode('utf-8', 'backslashreplace').decode()
 
 
 def _read(name: str) -> str:
@@ -116,7 +111,7 @@ def _describe_scene(scene: Scene, packer: _Packer) -> dict[str, Any]:
     if scene.truth is not None:
         truth = {'arrays': {'joints': packer.add(_round_to_int16(scene.truth, metre_step))}}
     return {
-        'title': _make_printable(scene.title),
+        'title': make_printable(scene.title),
         'tickS': tick_s,
         'times': packer.add(np.round(scene.times / tick_s).astype(np.int32)),
         'metrePerStep': metre_step,

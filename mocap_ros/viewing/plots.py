@@ -56,6 +56,11 @@ class PlotData:
     keypoint_skeleton: Skeleton = CMU15
 
 
+def make_printable(name: str) -> str:
+    """Return the name of a file with bytes that are no UTF-8 written as escapes."""
+    return name.encode('utf-8', 'backslashreplace').decode()
+
+
 def choose_side_colour(joint: str) -> str:
     """Return the colour of a joint's side by its name: blue for left, red for right, grey for the middle."""
     return {'l': LEFT_COLOUR, 'r': RIGHT_COLOUR}.get(joint[0], MIDDLE_COLOUR)
@@ -121,7 +126,7 @@ def draw_poses_figure(data: PlotData, frames: Sequence[int], title: str, labels:
                 axes.set_ylabel(name, fontsize=9)
     if error_mm is not None:
         _draw_error(figure.add_subplot(grid[-1, :]), data, error_mm, frames)
-    figure.suptitle(title, fontsize=11, y=0.97, parse_math=False)
+    figure.suptitle(make_printable(title), fontsize=11, y=0.97, parse_math=False)
     figure.legend(
         handles=_make_legend_handles(data),
         loc='upper center',

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from mocap_ros.errors import MocapError, tell_installation
 from mocap_ros.people import MotionKind
 from mocap_ros.skeleton import Skeleton
-from mocap_ros.viewing.plots import INFERRED_COLOUR, TRUTH_COLOUR
+from mocap_ros.viewing.plots import INFERRED_COLOUR, TRUTH_COLOUR, make_printable
 from mocap_ros.viewing.scene import (
     INPUT_COLOUR,
     MARK_COLOURS,
@@ -116,9 +116,10 @@ def write_recording(
         MocapError: Rerun is not installed.
     """
     rr = import_rerun()
-    recording = rr.RecordingStream(APPLICATION, recording_id=scene.title, send_properties=False)
+    title = make_printable(scene.title)
+    recording = rr.RecordingStream(APPLICATION, recording_id=title, send_properties=False)
     recording.save(path, default_blueprint=build_blueprint(scene, play_state))
-    recording.send_recording_name(scene.title)
+    recording.send_recording_name(title)
     send_scene(recording, scene)
     for image in images:
         recording.set_time(TIMELINE, duration=image.time_s)

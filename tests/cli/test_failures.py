@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -270,16 +272,29 @@ def test_an_input_file_is_never_overwritten(
         ('reconstruct', bag, bag / 'bag_0.mcap'),
         ('reconstruct', bag / 'bag_0.mcap', bag / 'bag_0.mcap'),
         ('evaluate', short_recording, short_recording),
+        ('keyframes', bag, bag / 'metadata.yaml'),
         ('train', capture.parent, capture),
         ('train-lifter', capture.parent, capture),
     ):
         before = out.read_bytes()
         option = '--json' if command == 'evaluate' else '-o'
-        quick = [] if command.startswith('train') else QUICK_OPTIONS
+        quick = [] if command in ('keyframes', 'train', 'train-lifter') else QUICK_OPTIONS
         assert main([command, str(source), option, str(out), *quick]) == 1
         message = capsys.readouterr().err.splitlines()[-1]
         assert message == f'mocap-ros: {out}: not written, because it is the input file'
         assert out.read_bytes() == before
+
+
+def test_a_name_that_the_terminal_cannot_show_is_no_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_bvh(tmp_path / 'anna_1.bvh', build_armature(make_poses() @ Z_UP_TO_Y_UP.T, 30.0))
+    written = io.BytesIO()
+    monkeypatch.setattr(sys, 'stdout', io.TextIOWrapper(written, 'ascii'))
+    monkeypatch.chdir(tmp_path)
+    assert main(['train', 'anna_1.bvh', '-o', 'gehen_ä.npz']) == 0
+    sys.stdout.flush()
+    assert written.getvalue().startswith(b'gehen_\\xe4.npz: ')
 
 
 def test_the_truth_is_never_overwritten(

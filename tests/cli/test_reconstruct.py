@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import os
+import shutil
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -145,6 +147,15 @@ def test_any_file_name_is_a_valid_title_of_a_picture(
     monkeypatch.chdir(tmp_path)
     assert main(['plot', str(short_recording), '--poses', '2', *QUICK_OPTIONS]) == 0
     assert (tmp_path / '$x^{_$.png').stat().st_size > 1000
+
+
+def test_a_file_whose_name_is_no_utf_8_has_pictures(short_recording: Path, tmp_path: Path) -> None:
+    path = tmp_path / os.fsdecode(b'walk\xff.npz')
+    shutil.copy(short_recording, path)
+    assert main(['plot', str(path), '--poses', '2', '-o', str(tmp_path / 'a.png'), *QUICK_OPTIONS]) == 0
+    assert main(['keyframes', str(path), '-o', str(tmp_path / 'k.yaml')]) == 0
+    assert (tmp_path / 'k.yaml').read_text(encoding='utf-8').startswith('# Keyframes of walk\\udcff.npz. ')
+    assert all((tmp_path / name).stat().st_size > 1000 for name in ('a.png', 'k.png', 'k_distances.png'))
 
 
 def test_a_result_is_drawn_as_it_is(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,16 @@ def test_people_without_ids_are_associated_by_position() -> None:
     assert f'{left.id} (30), {right.id} (25)' in lines[0]
     sequence, _ = select_person(make_detections(people), right.id)
     assert sequence.keypoints[0, 0, 0] == 400
+
+
+def test_the_size_that_is_assumed_holds_all_people() -> None:
+    """Otherwise people before one camera would have several focal lengths."""
+    people = [[make_standing_person(100, 'a'), make_standing_person(1500, 'b')] for _ in range(10)]
+    unsized = replace(make_detections(people), image_size=(0, 0))
+    for person_id in ('a', 'b'):
+        sequence, lines = select_person(unsized, person_id)
+        assert sequence.image_size == (1920, 1080)
+        assert lines[-1] == 'image size not known, 1920x1080 px assumed; give it by --image-size'
 
 
 def test_a_person_alone_stays_the_same_through_any_gap() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import sys
@@ -84,7 +85,7 @@ def scene() -> Scene:
 def test_rerun_reads_what_was_written(scene: Scene, tmp_path: Path) -> None:
     pytest.importorskip('rerun', reason='rerun-sdk is not installed')
     path = tmp_path / 'scene.rrd'
-    write_recording(scene, path)
+    write_recording(replace(scene, title=os.fsdecode(b'walk\xff.npz')), path)
     run_rerun(tmp_path, 'rrd', 'verify', str(path))
     rows = count_rows(tmp_path, path)
     frames = len(scene.stamps_ns)

@@ -16,7 +16,6 @@ from typing import Any
 import ezc3d
 import numpy as np
 
-
 MAX_LABEL_LISTS = 258  # lists of 255 labels each, enough for the 65,535 points that a file may have
 
 

@@ -125,7 +125,7 @@ def load_trials(
 
 
 def list_files(path: Path) -> list[Path]:
-    """Return the files that `load_trials` reads: the path, or the files of trials in a folder and the folders below.
+    """Return the files that `load_trials` reads: the path, or all files of trials in a folder and those below.
 
     Raises:
         InputError: there is no such file in the folder.
