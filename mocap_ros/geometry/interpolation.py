@@ -1,4 +1,4 @@
-"""Linear interpolation of vectors over time."""
+"""Linear interpolation of vectors over time, and the nearest of some times."""
 
 from __future__ import annotations
 
@@ -6,6 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+def find_nearest(times: Array, known: Array) -> NDArray[np.intp]:
+    """Return for each of some times (N,) the index of the nearest of others (n,), n >= 1, increasing.
+
+    Of two that are equally near it is the earlier one.
+    """
+    after = np.minimum(np.searchsorted(known, times), len(known) - 1)
+    before = np.maximum(after - 1, 0)
+    is_after_nearer = np.abs(times - known[after]) < np.abs(times - known[before])
+    return np.where(is_after_nearer, after, before)
 
 
 def interpolate_linearly(times: Array, sample_times: Array, samples: Array) -> Array:

@@ -115,6 +115,10 @@ class VirtualCamera:
             np.ascontiguousarray(translation),
         )
 
+    def measure_depth(self, places: Array) -> Array:
+        """Return the depths (F,) in m of places (F, 3) m of the real camera's frame, along the virtual axes."""
+        return np.asarray((self._rotations[:, 2] * places).sum(axis=-1))
+
     def to_real_camera(self, vectors: Array) -> Array:
         """Rotate vectors (F, J, 3) from the virtual cameras' frames into the real camera's frame."""
         return np.asarray(vectors @ self.rotation)

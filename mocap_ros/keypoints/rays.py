@@ -7,7 +7,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.kernel import FLOAT, FLOATS_2D, FLOATS_3D, INPUT_1D, INPUT_2D, INPUT_3D, kernel
-from mocap_ros.geometry.distortion import undistort_point
+from mocap_ros.geometry.distortion import MAX_RAY, undistort_point
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map, map_joints
 from mocap_ros.skeleton import CMU15, Skeleton
@@ -38,7 +38,7 @@ def convert_to_rays(
 
     Returns:
         (..., Jt, 2) rays, each as x / z and y / z, and (..., Jt) scores in [0, 1] of the joints of `target`; both
-        are 0 for joints not seen.
+        are 0 for joints not seen, and for those farther from the optical axis than any camera shows (`MAX_RAY`).
 
     Raises:
         SkeletonError: A name repeats, or the names cover too few of the model's joints.
@@ -87,6 +87,8 @@ def _convert_frames(
                 x = (joints[n, t, 0] - center[0]) / focal_lengths[0]
                 y = (joints[n, t, 1] - center[1]) / focal_lengths[1]
                 joints[n, t, 0], joints[n, t, 1] = undistort_point(x, y, lens)
-            else:
-                joints[n, t] = 0.0
+            # farther from the optical axis no camera of this kind shows anything, and a mean of rays means nothing
+            is_shown = abs(joints[n, t, 0]) <= MAX_RAY and abs(joints[n, t, 1]) <= MAX_RAY
+            if not (weight[n, t] > 0 and is_shown):
+                joints[n, t], weight[n, t] = 0.0, 0.0
     return joints, weight

@@ -66,9 +66,9 @@ _FLOATS32_3D = types.Array(float32, 3, 'C')  # types of kernels' arguments
 def sample_histories(points: Array, weight: Array, times: Array, frames: NDArray[np.intp]) -> tuple[Array, Array]:
     """Sample a sequence at T slots for each of N frames: at the frame's time minus `HISTORY_SLOTS_S`.
 
-    A frame within `TIME_TOLERANCE_S` of a slot is taken as it is. At other slots, the point and the score of a
-    joint are interpolated between the frames before and after the slot if the joint was seen in both and they are
-    at most `MAX_INTERPOLATION_GAP_S` apart. Otherwise the joint counts as not seen.
+    The frame nearest to a slot is taken as it is if it is within `TIME_TOLERANCE_S`. At other slots, the point and
+    the score of a joint are interpolated between the frames before and after the slot if the joint was seen in
+    both and they are at most `MAX_INTERPOLATION_GAP_S` apart. Otherwise the joint counts as not seen.
 
     Args:
         points: (F, J, 2) image points in any unit; ignored where the weight is 0.
@@ -112,10 +112,11 @@ def _sample(
             before = max(after - 1, 0)
             to_after, to_before = times[after] - time, time - times[before]
             share = 0.0  # of the frame after the slot
-            if abs(to_before) <= TIME_TOLERANCE_S:
-                older, newer = before, before
-            elif to_after <= TIME_TOLERANCE_S:
-                older, newer = after, after
+            nearest = after
+            while nearest < frames[n] and abs(times[nearest + 1] - time) < abs(times[nearest] - time):
+                nearest += 1
+            if abs(times[nearest] - time) <= TIME_TOLERANCE_S:
+                older, newer = nearest, nearest
             elif to_before > 0 and to_after + to_before <= MAX_INTERPOLATION_GAP_S:
                 older, newer, share = before, after, to_before / (to_after + to_before)
             else:

@@ -24,7 +24,7 @@ weighted centroids. The paper's box, and where each of its lines is found here:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,7 @@ from mocap_ros.solvers.window import (
     SolverStatus,
     Window,
     choose_initial_values,
+    interpolate_unseen,
 )
 
 Array = NDArray[np.float64]
@@ -69,7 +70,8 @@ def reconstruct(window: Window, model: BasePoses, config: SolverConfig) -> Recon
     """
     model = model.truncate(config.components)  # Q <- base shapes
     start, s0 = choose_initial_values(window, model, config.start_window)  # theta = 0; M_t from eq. 10 and 11
-    return alternate(AlternationProblem.build(model, window, s0, config), start, s0, config)
+    result = alternate(AlternationProblem.build(model, window, s0, config), start, s0, config)
+    return replace(result, translation=interpolate_unseen(result.translation, window))
 
 
 def alternate(

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
+from mocap_ros.geometry.interpolation import find_nearest
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras, fit_cameras_closed_form
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
@@ -155,7 +156,7 @@ class Reconstruction:
             centred on the mean of its joints.
         theta: (F, K) m, weights of the base poses.
         cameras: scale (F,) in px/m and rotation (F, 3, 3) from the body frame to the camera frame.
-        translation: (F, 2) px, image of the origin of the body frame.
+        translation: (F, 2) px, image of the origin of the body frame; interpolated in frames without a seen joint.
         residual: (F,) px, RMS reprojection error over the seen joints; NaN for a frame without any.
         status: why the solver stopped.
         history: m^2, values of the objective at the initial values and after the steps. A solver that estimates
@@ -214,6 +215,24 @@ def reverse_depth(start: InitialValues) -> InitialValues:
     return InitialValues(start.theta, WeakPerspectiveCameras(start.cameras.scale, rotation))
 
 
+def interpolate_unseen(translation: Array, window: Window) -> Array:
+    """Return translations (F, 2) in px, those of frames without a seen joint interpolated in time from the others.
+
+    Nothing tells a solver where the body is in such a frame. Before the first and after the last frame with a seen
+    joint they are those of that frame.
+
+    Args:
+        translation: (F, 2) px, images of the body's origin, arbitrary in frames without a seen joint.
+        window: image points of the frames.
+    """
+    seen = np.asarray((window.weight > 0).any(axis=1))
+    if seen.all():
+        return translation
+    times, known = window.times, window.times[seen]
+    interpolated = np.stack([np.interp(times, known, translation[seen, d]) for d in (0, 1)], axis=-1)
+    return np.where(seen[:, None], translation, interpolated)
+
+
 def initialise_from_mean_pose(window: Window, model: BasePoses, camera_window_s: float) -> InitialValues:
     """Return the mean pose for every frame, seen by closed-form cameras (TPAMI 2016, section 3.5).
 
@@ -231,5 +250,5 @@ def initialise_from_mean_pose(window: Window, model: BasePoses, camera_window_s:
         model.poses(theta), window.points, window.weight, window.times, camera_window_s
     )
     has_camera = np.flatnonzero((window.weight > 0).sum(axis=1) >= MIN_JOINTS_FOR_CAMERA)
-    nearest = has_camera[np.abs(window.times[:, None] - window.times[has_camera]).argmin(axis=1)]
+    nearest = has_camera[find_nearest(window.times, window.times[has_camera])]
     return InitialValues(theta, WeakPerspectiveCameras(cameras.scale[nearest], cameras.rotation[nearest]))

@@ -25,21 +25,20 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
     found = find_motion(track, frame, model)
     inferred = observed.weight[frame] == 0
     motion, category = classification.motion, classification.periodic_model_name or solution.model_name
-    depth = float(found.root[2])
     std = estimate_joint_std(
         solution.joint_std,
         inferred,
         None if lifted is None else lifted.std[frame],
         solution.noise,
         size=1 / solution.stature_ratio,
-        depth=depth,
+        depth=float(observed.virtual_camera.measure_depth(found.root[None])[0]),
     )
     return Person3D(
         id=track.id,
         joints=found.joints,
         std=std,
         inferred=inferred,
-        scale=intrinsics.focal / depth,
+        scale=float(intrinsics.focal / found.root[2]),
         rotation=solution.rotation[frame],
         translation=intrinsics.project(found.root),
         motion=Motion(motion.kind, category, solution.residual, motion.cadence),

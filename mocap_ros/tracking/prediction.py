@@ -43,8 +43,10 @@ def predict_person(
     """
     age_s = (stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S
     times = np.array([[age_s, age_s + VELOCITY_SPAN_S]])
-    ((last, ahead),) = _predict([track], times, [model], upward, [size])
+    ((last, ahead, is_left_out),) = _predict([track], times, [model], upward, [size])
     velocity = (ahead.joints[1] - ahead.joints[0]) / VELOCITY_SPAN_S
+    if is_left_out.any():  # then the difference is no movement within this time
+        velocity = np.zeros_like(velocity)
     joints, root = last.joints + ahead.joints[0], (last.joints + ahead.joints[0]).mean(axis=0)
     intrinsics = track.seen.intrinsics
     return replace(
@@ -93,7 +95,7 @@ def predict_ahead(
             PredictedPerson(last.id, last.joints + movement, std, last.root_covariance + covariance)
             for movement, std, covariance in zip(*ahead, strict=True)
         ]
-        for last, ahead in _predict(tracks, times, models, upward, sizes)
+        for last, ahead, _ in _predict(tracks, times, models, upward, sizes)
     ]
 
 
@@ -135,11 +137,11 @@ def _predict(
     models: Sequence[BasePoses],
     upward: Array | None,
     sizes: Sequence[BodySize],
-) -> list[tuple[Person3D, Displacements]]:
+) -> list[tuple[Person3D, Displacements, NDArray[np.bool_]]]:
     """Return the person of each of N tracks in its newest frame, and the prediction at times (N, T) in s after it.
 
-    The prediction is that of a person of the assumed size, whose image is the same. It has no movements behind the
-    camera.
+    The prediction is that of a person of the assumed size, whose image is the same. Movements behind the camera
+    are left out, and a mask (T,) says which these are.
     """
     people = [make_person(t, len(t.seen.stamps_ns) - 1, model) for t, model in zip(tracks, models, strict=True)]
     pasts = [sample_past(t, p, model, upward) for t, p, model in zip(tracks, people, models, strict=True)]
@@ -151,5 +153,5 @@ def _predict(
         is_behind = depth < joints[..., 2].max(axis=1) - depth + MIN_CLEARANCE_M
         moved = np.where(is_behind[:, None, None], 0.0, ahead.joints)
         displaced = Displacements(moved * ratio, ahead.std * ratio, ahead.root_covariance * ratio**2)
-        out.append((resize(last, size), displaced))
+        out.append((resize(last, size), displaced, is_behind))
     return out

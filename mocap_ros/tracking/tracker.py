@@ -564,9 +564,10 @@ class Tracker:
         return [resize(person, self._find_size(track, state)) for person, (track, _) in sized], state
 
     def _find_size(self, track: Track, state: TrackerState) -> BodySize:
-        """Return what is known of a person's size."""
-        is_focal_known = track.seen.intrinsics.is_focal_known
-        assumed = assume_size(self.config.tracker, track.id, is_focal_known=is_focal_known)
+        """Return what is known of a person's size; the detector may tell who it is when the track has a name."""
+        settings, given_id = self.config.tracker, track.seen.given_id
+        person_id = given_id if given_id in read_body_heights(settings.body_heights) else track.id
+        assumed = assume_size(settings, person_id, is_focal_known=track.seen.intrinsics.is_focal_known)
         contact = _find_contact(dict(state.contacts), track)
         return assumed if contact is None else contact.find_size(assumed)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -274,13 +275,26 @@ def test_a_sequence_brings_its_own_arguments(sequence: mocap_ros.KeypointSequenc
         mocap_ros.reconstruct(sequence, **given)
 
 
-@pytest.mark.parametrize(('size', 'factor'), [((1, 1), 1), ((640, 480), 1000)])
+@pytest.mark.parametrize(
+    ('size', 'factor', 'is_shown'), [((64, 48), 1, True), ((1, 1), 1, False), ((640, 480), 1000, False)]
+)
 def test_keypoints_outside_the_image_are_logged(
-    sequence: mocap_ros.KeypointSequence, caplog: pytest.LogCaptureFixture, size: tuple[int, int], factor: int
+    sequence: mocap_ros.KeypointSequence,
+    caplog: pytest.LogCaptureFixture,
+    size: tuple[int, int],
+    factor: int,
+    is_shown: bool,
 ) -> None:
     keypoints = sequence.keypoints * [factor, factor, 1]
-    mocap_ros.reconstruct(**{**arguments_of(sequence), 'keypoints': keypoints, 'image_size': size})
+    given = {**arguments_of(sequence), 'keypoints': keypoints, 'image_size': size}
+    if is_shown:
+        mocap_ros.reconstruct(**given)
+    else:
+        with pytest.raises(mocap_ros.InputError, match='no frame has four seen joints'):
+            mocap_ros.reconstruct(**given)
     assert any(
-        record.getMessage() == f'keypoints: 100% of the seen keypoints lie outside {size[0]} x {size[1]} px'
-        for record in caplog.records
+        re.fullmatch(
+            f'keypoints: [0-9]+% of the seen keypoints lie outside {size[0]} x {size[1]} px', r.getMessage()
+        )
+        for r in caplog.records
     )

@@ -1,13 +1,15 @@
-"""Linear interpolation against numpy's, column by column."""
+"""Linear interpolation against numpy's, column by column, and the nearest of some times."""
 
 from __future__ import annotations
+
+import tracemalloc
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocap_ros.geometry.interpolation import interpolate_linearly
+from mocap_ros.geometry.interpolation import find_nearest, interpolate_linearly
 
 
 @given(
@@ -20,3 +22,19 @@ def test_each_column_is_interpolated_and_kept_beyond_the_ends(steps: list[float]
     found = interpolate_linearly(np.array(times), sample_times, samples)
     expected = np.stack([np.interp(times, sample_times, column) for column in samples.T], axis=-1)
     assert found == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_nearest_time_is_that_of_a_comparison_with_all(rng: np.random.Generator) -> None:
+    times = np.arange(400) / 8  # multiples of a power of two, so that many are equally near
+    for share in (0.003, 0.1, 0.5, 1.0):
+        known = times[(rng.random(400) < share) | (np.arange(400) == 77)]
+        np.testing.assert_array_equal(find_nearest(times, known), np.abs(times[:, None] - known).argmin(axis=1))
+
+
+def test_the_memory_does_not_grow_with_the_square_of_the_frames() -> None:
+    times = np.arange(20_000) / 30
+    tracemalloc.start()
+    find_nearest(times, times[::2])
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak_bytes < 100 * len(times)

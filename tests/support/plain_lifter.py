@@ -26,10 +26,9 @@ def sample_history(points: Array, weight: Array, times: Array, newest: int) -> t
     for slot, time in enumerate(times[newest] - lifter_input.HISTORY_SLOTS_S):
         (late,) = np.nonzero(times[: newest + 1] >= time - lifter_input.TIME_TOLERANCE_S)
         before, after = max(late[0] - 1, 0), late[0]
-        if abs(times[before] - time) <= lifter_input.TIME_TOLERANCE_S:
-            shares = {before: 1.0}
-        elif abs(times[after] - time) <= lifter_input.TIME_TOLERANCE_S:
-            shares = {after: 1.0}
+        nearest = int(np.abs(times[: newest + 1] - time).argmin())
+        if abs(times[nearest] - time) <= lifter_input.TIME_TOLERANCE_S:
+            shares = {nearest: 1.0}
         elif after == 0 or times[after] - times[before] > lifter_input.MAX_INTERPOLATION_GAP_S:
             continue
         else:

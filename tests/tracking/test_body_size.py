@@ -244,6 +244,21 @@ def test_the_tracker_puts_out_persons_of_known_heights_where_they_are() -> None:
     np.testing.assert_allclose(roots[1], 0.8 * roots[0], rtol=1e-6)
 
 
+def test_a_height_counts_from_when_the_detector_tells_who_it_is() -> None:
+    sequence = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
+    places = []
+    for text in ('', 'ann=1.36'):
+        tracker = Tracker(load_base_pose_models('all'), with_values(Config(), {'tracker.body_heights': text}))
+        for frame, name in enumerate(('', '', 'ann', '', 'ann_again')):
+            points = np.nan_to_num(sequence.keypoints[frame])
+            seen = [Person2D(name, sequence.joint_names, points[:, :2], points[:, 2])]
+            (person,) = tracker.update(frame * STEP_NS, seen, sequence.intrinsics(1.0))
+            assert person.id == 'person_1', 'the name of a person is stable'
+            places.append(person.root)
+    before, after = np.split(np.array(places), 2)
+    np.testing.assert_allclose(after, before * np.array([1, 1, 0.8, 0.8, 1])[:, None], rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ('text', 'message'),
     [

@@ -107,6 +107,22 @@ def test_a_person_who_comes_towards_the_camera_is_not_predicted_behind_it(walk_m
     assert stopped.scale == pytest.approx(before.scale)
 
 
+def test_a_person_whose_movement_ends_before_the_camera_does_not_shoot_back(walk_model: BasePoses) -> None:
+    tracker = track_walk(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, -2.5])
+    (track,) = tracker.snapshot().tracks
+    solution, model = track.solved, tracker.models[track.solved.model_name]
+    depth = make_person(track, FRAMES - 1, model).joints[:, 2]
+    nearer = [0.0, 0.0, depth.max() - 2 * depth.mean() + 0.6]  # m; then some of the way is left
+    near = replace(track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=None)
+    predicted = [predict_person(near, (FRAMES + gap) * STEP_NS, model) for gap in range(20)]
+    is_moving = [bool(person.velocity.any()) for person in predicted]
+    assert is_moving[0]
+    assert not is_moving[-1]
+    assert is_moving == sorted(is_moving, reverse=True), 'who has stopped stays there'
+    walking = predicted[0].root_velocity[2]
+    assert all(walking - 1 < person.root_velocity[2] <= 0 for person in predicted), 'never backwards'
+
+
 def test_ahead_of_the_newest_image_and_through_a_gap_are_one_prediction(walk_model: BasePoses) -> None:
     tracker = track_walk(walk_model, [-0.6, 0.0, 4.0], [0.9, 0.0, 0.0])
     (half_way,), (end,) = tracker.predict((GAP / 2 / 30, GAP / 30))

@@ -113,6 +113,7 @@ def propose_solved_poses(
     rays, weight = map_to_model_joints(observed.rays, observed.weight, CMU15.joints, min_score=0.0)
     out = np.full((*observed.points.shape[:2], 3), np.nan)
     grid = np.searchsorted(times, np.arange(times[0], times[-1], SOLVER_STEP_S))
+    grid = np.minimum(grid, len(times) - 1)  # for the last step may be rounded to after the end
     is_solved = np.zeros(len(times), bool)
     is_solved[grid], is_solved[keyframes] = True, True
     categories = []

@@ -8,7 +8,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOATS_2D, FLOATS_3D, INPUT_2D, INPUT_3D, kernel
+from mocap_ros.compiled.kernel import FLOATS_2D, FLOATS_3D, INPUT_1D, INPUT_2D, INPUT_3D, kernel
 from mocap_ros.keypoints.extremities import Extremities
 from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
 from mocap_ros.solvers.observed_window import ObservedWindow
@@ -78,22 +78,23 @@ def collect_evidence(
         others = Extremities(np.zeros((len(core), EXTREMITY_COUNT, 2)), np.zeros((len(core), EXTREMITY_COUNT)))
     else:
         others = seen.select_frames(frames)
-    given = core, joints, std, observed.rays[frames], observed.weight[frames], *others
+    depth = observed.virtual_camera.select_frames(frames).measure_depth(core.mean(axis=1))
+    given = depth, joints, std, observed.rays[frames], observed.weight[frames], *others
     return ExtremityEvidence(core, *_join_evidence(*map(np.ascontiguousarray, given)), noise)
 
 
 @kernel(
     types.Tuple((FLOATS_3D, FLOATS_3D, FLOATS_3D, FLOATS_2D))(
-        INPUT_3D, INPUT_3D, INPUT_3D, INPUT_3D, INPUT_2D, INPUT_3D, INPUT_2D
+        INPUT_1D, INPUT_3D, INPUT_3D, INPUT_3D, INPUT_2D, INPUT_3D, INPUT_2D
     )
 )
 def _join_evidence(
-    core: Array, lifted: Array, lifted_std: Array, rays: Array, weight: Array, others: Array, others_weight: Array
+    depth: Array, lifted: Array, lifted_std: Array, rays: Array, weight: Array, others: Array, others_weight: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Return lifted joints and their deviations in m, rays and scores of all joints in F frames.
 
     Args:
-        core: (F, 15, 3) m.
+        depth: (F,) m, of the body along the axes of the virtual cameras, at which a ray's unit is so long.
         lifted: (F, 26, 3) in the units of rays.
         lifted_std: (F, 26, 3) likewise.
         rays: (F, 15, 2) of the core.
@@ -105,12 +106,9 @@ def _join_evidence(
     joints_m, std_m = np.empty(lifted.shape), np.empty(lifted.shape)
     all_rays, all_weight = np.empty((frames, joints, 2)), np.empty((frames, joints))
     for f in range(frames):
-        depth = 0.0
-        for j in range(CORE_COUNT):
-            depth += core[f, j, 2] / CORE_COUNT
         for j in range(joints):
             for i in range(3):
-                joints_m[f, j, i], std_m[f, j, i] = depth * lifted[f, j, i], depth * lifted_std[f, j, i]
+                joints_m[f, j, i], std_m[f, j, i] = depth[f] * lifted[f, j, i], depth[f] * lifted_std[f, j, i]
             for i in range(2):
                 all_rays[f, j, i] = rays[f, j, i] if j < CORE_COUNT else others[f, j - CORE_COUNT, i]
             all_weight[f, j] = weight[f, j] if j < CORE_COUNT else others_weight[f, j - CORE_COUNT]

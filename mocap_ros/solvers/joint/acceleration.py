@@ -3,15 +3,16 @@
 Both terms of acceleration (`pose_acceleration`, `camera_acceleration`) have the form
 
     sum_t alpha_t |v_(t+1) - v_t|^2 / h_t,    v_t = (x_(t+1) - x_t) / dt_t,    h_t = (dt_t + dt_(t+1)) / 2
-    alpha_t = alpha / (1 + a_t^2 / (A r^2)^2)
+    alpha_t = alpha / (1 + a_t^4 / (A min(r, R))^4)
 
 of some values x_t, with dt_t the time from frame t to the next. The sum of squares is the integral of the squared
 acceleration over time, so it does not depend on the frame rate.
 
 a_t is the RMS acceleration of the values within `ACTIVITY_SPAN_S` of frame t, as far as it shows in frames a tenth
 of a second apart, where the tremble that a detector causes is small. r is the image noise over its reference of
-10 mm, and A the acceleration at which the weight is halved under that noise. So the accelerations of a runner with
-exact points are left alone, and those of people at rest with points as detectors give them are limited most.
+10 mm, and A the acceleration at which the weight is halved under that noise. More noise than R times the reference
+makes people seem no faster, since most of it lasts (R is `MAX_NOISE_RATIO`). So the accelerations of a runner are
+left alone, and those of people at rest with points as detectors give them are limited most.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+MAX_NOISE_RATIO = 1.9  # R; with it the weight of a run is 0.1 to 0.4 of that of rest, whatever the detector
 ACTIVITY_SPAN_S = 0.5  # s; a step of a run takes 0.35 s, and a motion that begins or ends should show soon
 
 
@@ -60,8 +62,8 @@ class Acceleration:
     @cached_property
     def factors(self) -> Array:
         """(N, 3) factors of the values of three neighbours that give what is squared."""
-        limit = self.typical * self.noise_ratio**2
-        weight = self.weight / (1 + self.mean_square / limit**2)
+        limit = self.typical * np.minimum(self.noise_ratio, MAX_NOISE_RATIO)
+        weight = self.weight / (1 + (self.mean_square / limit**2) ** 2)
         return np.asarray(np.sqrt(weight)[:, None] * self.velocity_change)
 
     def with_noise_ratio(self, noise_ratio: Array) -> Self:

@@ -22,7 +22,7 @@ from mocap_ros.solvers.joint.state import Fit
 
 Array = NDArray[np.float64]
 
-TYPICAL_PER_S2 = 3.0  # 1/s^2; A, the acceleration of a body that sways by 3 degrees once a second, and a half more
+TYPICAL_PER_S2 = 4.2  # 1/s^2; A, the acceleration of a body that sways by 4 degrees once a second, and a half more
 ELEMENTS = 6  # of M
 
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.compiled.blas import add_product, add_transposed_product
 from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, INPUT_1D, INPUT_2D, INPUT_3D, kernel
+from mocap_ros.geometry.interpolation import find_nearest
 from mocap_ros.geometry.rotations import write_best_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
@@ -76,7 +77,7 @@ def fit_initial_values(lifted: LiftedPoses, times: Array, model: BasePoses) -> I
     if not len(known):
         return None
     fitted = fit_lifted_poses(lifted.select_frames(known), model)
-    nearest = np.abs(times[:, None] - times[known]).argmin(axis=1)
+    nearest = find_nearest(times, times[known])
     cameras = WeakPerspectiveCameras(fitted.scale[nearest], fitted.rotation[nearest])
     return InitialValues(fitted.theta[nearest], cameras)
 

@@ -23,7 +23,7 @@ from mocap_ros.solvers.joint.state import Fit
 
 Array = NDArray[np.float64]
 
-TYPICAL_M_S2 = 10.0  # m/s^2; A, over the root of the 15 joints 2.6 m/s^2, that of the joints of a slow walker
+TYPICAL_M_S2 = 14.0  # m/s^2; A, over the root of the 15 joints 3.6 m/s^2, that of the joints of a walker
 
 
 @dataclass(frozen=True, eq=False)

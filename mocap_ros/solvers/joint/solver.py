@@ -32,6 +32,7 @@ from mocap_ros.solvers.window import (
     SolverStatus,
     Window,
     choose_initial_values,
+    interpolate_unseen,
     reverse_depth,
 )
 
@@ -226,7 +227,7 @@ def _make_reconstructions(
                 joints=values.joints[own],
                 theta=fit.state.theta[own],
                 cameras=WeakPerspectiveCameras(values.scale[own], fit.state.rotation[own]),
-                translation=values.translation[own],
+                translation=interpolate_unseen(values.translation[own], windows[i]),
                 residual=values.residual[own],
                 status=SolverStatus(descent.status[i]),
                 history=tuple(history[i][: iterations + 1]),
@@ -256,7 +257,7 @@ def make_reconstruction(
         joints=values.joints,
         theta=fit.state.theta,
         cameras=WeakPerspectiveCameras(values.scale, fit.state.rotation),
-        translation=values.translation,
+        translation=interpolate_unseen(values.translation, window),
         residual=values.residual,
         status=status,
         history=tuple(history),

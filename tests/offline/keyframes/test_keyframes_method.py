@@ -14,6 +14,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence, save_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.model_file import load_base_pose_models
+from mocap_ros.offline.keyframes.key_poses import SOLVER_STEP_S
 from mocap_ros.offline.keyframes.reconstruct import reconstruct
 from mocap_ros.skeleton import CMU15
 from tests.support.evaluation_data import shared
@@ -86,6 +87,14 @@ def test_the_last_sight_may_be_an_outlier(case: str) -> None:
     found = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, CONFIG)
     assert found.outliers[59].all(), 'the case is that the whole last sight is dropped'
     assert np.isfinite(found.result.joints).all()
+
+
+def test_times_may_begin_at_any_time() -> None:
+    keypoints, _, _ = make_walk(37)
+    times = 1 + np.arange(37) / 30
+    assert np.arange(times[0], times[-1], SOLVER_STEP_S)[-1] > times[-1], 'a step is rounded to after the end'
+    config = with_values(Config(), {'keyframes.poses': 'solver', 'solver.prior': 'pca'})
+    assert np.isfinite(reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, config).result.joints).all()
 
 
 def test_the_vertical_is_that_of_the_parameter() -> None:

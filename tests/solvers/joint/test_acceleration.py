@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mocap_ros.solvers.joint.acceleration import ACTIVITY_SPAN_S, Acceleration, measure_activity
+from mocap_ros.solvers.joint.acceleration import (
+    ACTIVITY_SPAN_S,
+    MAX_NOISE_RATIO,
+    Acceleration,
+    measure_activity,
+)
 from mocap_ros.solvers.joint.batch import Batch
 
 
@@ -16,10 +21,12 @@ def test_the_limit_gives_way_to_fast_motion_and_holds_under_noise() -> None:
     np.testing.assert_allclose(term.factors, unlimited, rtol=1e-12)
     active = term.with_activity(np.array([0.0, 9.0, 81.0, 0.0, 0.0]))
     share = (active.factors[:3] / unlimited[:3]) ** 2
-    np.testing.assert_allclose(share[:, 0], [1.0, 1 / 2, 1 / 10], rtol=1e-12)
-    noisy = active.with_noise_ratio(np.full(5, 2.0))  # A becomes 3 * 2^2 = 12
-    share = (noisy.factors[:3] / unlimited[:3]) ** 2
-    np.testing.assert_allclose(share[:, 0], [1.0, 1 / (1 + 9 / 144), 1 / (1 + 81 / 144)], rtol=1e-12)
+    np.testing.assert_allclose(share[:, 0], [1.0, 1 / 2, 1 / 82], rtol=1e-12)
+    for noise_ratio, limit in ((0.5, 3 * 0.5), (1.5, 3 * 1.5), (20.0, 3 * MAX_NOISE_RATIO)):
+        noisy = active.with_noise_ratio(np.full(5, noise_ratio))
+        share = (noisy.factors[:3] / unlimited[:3]) ** 2
+        expected = [1.0, 1 / (1 + (3 / limit) ** 4), 1 / (1 + (9 / limit) ** 4)]
+        np.testing.assert_allclose(share[:, 0], expected, rtol=1e-12)
 
 
 def test_activity_is_the_mean_square_acceleration_nearby(rng: np.random.Generator) -> None:
