@@ -106,11 +106,20 @@ lock: setup  ## write versions and hashes of what is installed, for `make setup 
 	@$(BIN)/python config/env/lock.py > build/locked.txt
 	@mv build/locked.txt config/env/locked-$$($(BIN)/python config/env/lock.py --tag).txt
 
+# numpy is on PyPI: where the database does not know it, pip-audit has audited nothing and reports success all the same.
 audit: setup  ## look for known holes in what is installed (wants the extra audit and a network)
-	@$(BIN)/pip-audit --local --skip-editable
+	@mkdir -p build
+	@$(BIN)/pip-audit --local --skip-editable >build/audit.txt 2>build/audit.log; status=$$?; \
+	if grep -q '^numpy .*could not be audited' build/audit.txt || grep -q '^Traceback' build/audit.log; then \
+	    echo 'make audit: nothing was audited, as the database of known holes cannot be reached (build/audit.log)' >&2; \
+	    exit 2; fi; \
+	cat build/audit.log build/audit.txt; exit $$status
 
 sbom: setup  ## write the list of what is installed, build/sbom.json (wants the extra audit)
-	@$(BIN)/cyclonedx-py environment --output-reproducible --output-file build/sbom.json $(BIN)/python
+	@mkdir -p build
+	@trap 'rm -f build/sbom.part' EXIT; trap 'exit 130' INT TERM; \
+	$(BIN)/cyclonedx-py environment --output-reproducible --output-file build/sbom.part $(BIN)/python \
+	    && mv build/sbom.part build/sbom.json
 
 colcon: setup  ## build both packages with colcon, into install/
 	@PATH='$(VENV)/bin':"$$PATH" colcon --log-level error build

@@ -3,8 +3,10 @@
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+import time
 import xml.etree.ElementTree as ET
 from importlib.util import find_spec
 from itertools import pairwise
@@ -82,6 +84,61 @@ def test_the_hooks_before_a_commit_are_the_checks_of_make_lint() -> None:
     checks = [line.strip().removeprefix('@').replace('$(BIN)', '.venv/bin') for line in recipe[1].splitlines()]
     (repository,) = yaml.safe_load((ROOT / '.pre-commit-config.yaml').read_text(encoding='utf-8'))['repos']
     assert [hook['entry'] for hook in repository['hooks']] == checks
+
+
+# What pip-audit 2.10 prints, its exit status, and whether that is an audit: its database knows all packages but
+# those of other indexes; it answers that it knows none; it does not answer.
+AUDITS = {
+    'known': ('No known vulnerabilities found', 'rclpy Dependency not found on PyPI and could not be audited', 0),
+    'holes': ('Found 1 known vulnerability in 1 package', 'numpy 1.0 PYSEC-2018-33 1.16.3', 1),
+    'none': ('No known vulnerabilities found', 'numpy  Dependency not found on PyPI and could not be audited', 0),
+    'unreachable': ('Traceback (most recent call last):\nrequests.exceptions.ProxyError: pypi.org', '', 1),
+}
+
+
+def write_tool(folder: Path, name: str, script: str) -> list[str]:
+    """Write a program that stands for a tool of .venv/bin; return the command of make that takes it."""
+    if not shutil.which('make'):
+        pytest.skip('make is not installed')
+    tool = folder / 'bin' / name
+    tool.parent.mkdir()
+    (folder / 'msg_defs').mkdir()  # in which the Makefile looks for messages
+    tool.write_text(f'#!/bin/sh\n{script}\n')
+    tool.chmod(0o755)
+    return ['make', '-f', str(ROOT / 'Makefile'), '-C', str(folder), '-s', '--assume-old=setup', 'BIN=bin']
+
+
+@pytest.mark.parametrize('audit', AUDITS)
+def test_an_audit_without_its_database_fails_in_one_line(tmp_path: Path, audit: str) -> None:
+    summary, table, status = AUDITS[audit]
+    make = write_tool(tmp_path, 'pip-audit', f"echo '{summary}' >&2\necho '{table}'\nexit {status}")
+    result = subprocess.run([*make, 'audit'], capture_output=True, text=True, check=False)
+    if audit in ('none', 'unreachable'):
+        line, of_make = result.stderr.splitlines()
+        assert line.startswith('make audit: nothing was audited, ')
+        assert 'Error 2' in of_make
+        assert (result.returncode, result.stdout) == (2, '')
+    else:
+        assert result.stdout == f'{summary}\n{table}\n'
+        assert (result.returncode == 0) == (status == 0)
+
+
+def test_an_interrupted_list_of_what_is_installed_leaves_no_file(tmp_path: Path) -> None:
+    """Its tool creates the file first, and fills it at the end."""
+    make = write_tool(
+        tmp_path, 'cyclonedx-py', ': > "$4"\nif [ -e wait ]; then touch waits; exec sleep 60; fi\necho {} > "$4"'
+    )
+    subprocess.run([*make, 'sbom'], check=True)
+    assert {path.name: path.read_text() for path in (tmp_path / 'build').iterdir()} == {'sbom.json': '{}\n'}
+    (tmp_path / 'build' / 'sbom.json').unlink()
+    (tmp_path / 'wait').touch()
+    process = subprocess.Popen([*make, 'sbom'], stderr=subprocess.DEVNULL, start_new_session=True)
+    while not (tmp_path / 'waits').exists():
+        assert process.poll() is None
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.wait(timeout=30) != 0
+    assert not list((tmp_path / 'build').iterdir())
 
 
 @pytest.mark.ros

@@ -118,7 +118,8 @@ class Recorder:
         folder: Folder of the new bag; missing parent folders are created.
         config: Compression, limits of chunks and files, and the disk space to leave free.
         attachments: Files to attach to each file of the bag.
-        name: Beginning of the file names; by default the name of the folder.
+        name: Beginning of the file names; by default the name of the folder. Bytes that are no UTF-8, which
+            the description of a bag cannot hold, are replaced.
         definitions: Definitions of message types, by name, that differ from this package's.
         has_log: Whether `write_ahead` keeps a write-ahead log.
 
@@ -145,7 +146,7 @@ class Recorder:
         self._has_log = has_log
         self.ros_distro = find_ros_distro()
         self._definitions = definitions
-        self._name = name or folder.name
+        self._name = _make_utf8(name or folder.name)
         self._config = config
         self._attachments = attachments
         self._topics: dict[str, Topic] = {}
@@ -393,3 +394,8 @@ class Recorder:
         except OSError:
             return False
         return True
+
+
+def _make_utf8(name: str) -> str:
+    """Return the name of a file with the replacement character in the place of bytes that are no UTF-8."""
+    return name.encode('utf-8', 'surrogateescape').decode('utf-8', 'replace')

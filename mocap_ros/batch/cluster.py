@@ -10,9 +10,10 @@ import logging
 import os
 import uuid
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from typing import Any
 
 import dask
 from distributed import Client, Future, LocalCluster, as_completed
@@ -37,6 +38,7 @@ LOCAL_SETTINGS = {
     'distributed.admin.system-monitor.interval': '5s',  # what the dashboard shows of the machine
     'distributed.worker.memory.monitor-interval': '500ms',  # whether it needs too much memory
 }
+EVENTS = 'all'  # topic of the scheduler on which it tells of all workers
 CLIENT_SETTINGS = {'distributed.comm.timeouts.connect': CONNECT_SECONDS}
 
 
@@ -79,7 +81,7 @@ def connect(scheduler: str | None, workers: int | None = None, memory: str = 'au
             yield client
 
 
-def run_jobs(client: Client, jobs: Sequence[Job], report: Callable[[Outcome], None]) -> None:
+def run_jobs(client: Client, jobs: Sequence[Job], report: Callable[[Outcome], None]) -> int:
     """Do all jobs, and report each outcome as it comes.
 
     A bag that is cut becomes tasks of its parts and one that joins them. A worker whose disk is full gets no more
@@ -90,29 +92,54 @@ def run_jobs(client: Client, jobs: Sequence[Job], report: Callable[[Outcome], No
         jobs: the jobs; those that come first begin first.
         report: called with the outcome of each job.
 
+    Returns:
+        Number of the workers that were lost with unfinished work, or with results that they had not told yet.
+
     Raises:
         MocapError: the scheduler has gone, or no worker has space on its disk.
     """
     run = uuid.uuid4().hex[:8]  # so that another run on the same scheduler has tasks of its own
+    jobs = [replace(job, run=run) for job in jobs]
     keys = [(f'recording-{run}', number) for number in range(len(jobs))]
     futures = client.map(process, jobs, key=keys, pure=False)
     job_of = dict(zip(futures, jobs, strict=True))
     waiting = as_completed(futures)
-    for future in waiting:
-        job = job_of.pop(future)
-        outcome = _read_outcome(client, future, job)
-        future.release()
-        if outcome.status is Status.CUT:
-            joined = _submit_parts(client, outcome)
-            job_of[joined] = job
-            waiting.add(joined)
-        elif outcome.status is Status.DISK_FULL:
-            _retire(client, outcome)
-            again = client.submit(process, job, pure=False)
-            job_of[again] = job
-            waiting.add(again)
-        else:
-            report(outcome)
+    with _note_lost_workers(client) as lost_workers:
+        for future in waiting:
+            job = job_of.pop(future)
+            outcome = _read_outcome(client, future, job)
+            future.release()
+            if outcome.status is Status.CUT:
+                joined = _submit_parts(client, outcome)
+                job_of[joined] = job
+                waiting.add(joined)
+            elif outcome.status is Status.DISK_FULL:
+                _retire(client, outcome)
+                again = client.submit(process, job, pure=False)
+                job_of[again] = job
+                waiting.add(again)
+            else:
+                report(outcome)
+    return len(lost_workers)
+
+
+@contextmanager
+def _note_lost_workers(client: Client) -> Iterator[list[str]]:
+    """Provide a list to which the address of every worker is added that the scheduler loses with its work."""
+    lost: list[str] = []
+
+    def note(event: tuple[float, Mapping[str, Any]]) -> None:
+        _, content = event
+        is_lost = content.get('action') == 'remove-worker' and not content.get('expected')
+        if is_lost and (content.get('processing-tasks') or content.get('lost-computed-tasks')):
+            lost.append(str(content.get('worker')))
+
+    client.subscribe_topic(EVENTS, note)
+    try:
+        yield lost
+    finally:
+        if client.status == 'running':
+            client.unsubscribe_topic(EVENTS)
 
 
 def _submit_parts(client: Client, outcome: Outcome) -> Future:

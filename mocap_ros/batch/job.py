@@ -8,9 +8,9 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from enum import Enum
 from importlib.metadata import version
 from pathlib import Path, PurePosixPath
@@ -36,7 +36,7 @@ from mocap_ros.batch.storage import (
     remove_result,
     write_whole,
 )
-from mocap_ros.config import Config, to_yaml
+from mocap_ros.config import Config, Value, to_yaml, with_values
 from mocap_ros.errors import MocapError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
@@ -91,6 +91,7 @@ class Settings:
         work: what is done.
         out: path or URL of the folder of the run.
         config: parameters; None for those of the recorded runs, or the defaults.
+        changes: values of single parameters by name, which replace those of `config` or of the recorded runs.
         topic: topic of the keypoints; needed only for bags with several.
         camera_info: topic of the CameraInfo; needed only for bags with several.
         video: what JSON files do not state.
@@ -104,6 +105,7 @@ class Settings:
     work: Work
     out: str
     config: Config | None = None
+    changes: Mapping[str, Value] = field(default_factory=dict)
     topic: str | None = None
     camera_info: str | None = None
     video: Video = Video()  # noqa: RUF009 # is frozen
@@ -113,19 +115,26 @@ class Settings:
     version: str = ''
     key: str = ''
 
+    @property
+    def parameters(self) -> Config:
+        """Parameters of all work but the replay of a bag that has its own."""
+        return with_values(self.config or Config(), self.changes)
+
     def seal(self) -> Settings:
         """Return the settings with the version of this package and the checksum.
 
         Raises:
             ModelError: the models that the parameters name cannot be loaded.
+            ConfigError: a parameter of `changes` is unknown, or its value is wrong.
         """
-        config = self.config or Config()
+        config = self.parameters
         _, provenance = provenance_attachments(config, load_base_pose_models(config.tracker.model))
         models = json.loads(provenance.data)
         content = {
             'work': self.work.value,
             'version': version('mocap_ros'),
             'parameters': to_yaml(self.config) if self.config else '',
+            'changes': dict(self.changes),
             'models': [models['models'], models.get('lifter')],
             'input': [self.topic, self.camera_info, asdict(self.video)],
             'suffix': self.suffix,
@@ -152,11 +161,13 @@ class Job:
         recording: the recording.
         settings: what is done, sealed.
         part: the part; None for the whole recording.
+        run: id of the run, by which it knows what it has done itself; empty where it does not matter.
     """
 
     recording: Recording
     settings: Settings
     part: Part | None = None
+    run: str = ''
 
     @property
     def result_url(self) -> str:
@@ -287,13 +298,17 @@ def _process(job: Job) -> Outcome:
 
 
 def _find_known_outcome(job: Job, content: str) -> Outcome | None:
-    """Return the outcome of the same work on the same content, done before, if its result is still there."""
+    """Return the outcome of the same work on the same content, done before, if its result is still there.
+
+    Where this run has done it, its worker was lost before it could tell.
+    """
     record = read_json_file(job.record_url)
     if (record.get('content'), record.get('settings')) != (content, job.settings.key):
         return None
     if any(list_sizes(url) != sizes for url, sizes in record['results'].items()):
         return None
-    return Outcome(job, Status.DONE_BEFORE, '', tuple(record['rows']), record['seconds'])
+    status = Status.DONE if job.run and record.get('run') == job.run else Status.DONE_BEFORE
+    return Outcome(job, status, '', tuple(record['rows']), record['seconds'])
 
 
 def _write_record(
@@ -303,6 +318,7 @@ def _write_record(
     record = {
         'content': content,
         'settings': job.settings.key,
+        'run': job.run,
         'results': {url: list_sizes(url) for url in urls},
         'rows': list(rows),
         'seconds': seconds,
@@ -344,7 +360,9 @@ def _find_parts(path: Path, settings: Settings) -> list[Part]:
     with Bag(path) as bag:
         if bag.duration_s < settings.cut_seconds:
             return []
-        config = read_recorded_config(bag) if settings.config is None else settings.config
+        config = settings.parameters
+        if settings.config is None:
+            config = read_recorded_config(bag, settings.changes)
         return find_parts(bag, config, settings.topic, settings.camera_info, min_seconds=settings.cut_seconds)
 
 
@@ -355,7 +373,8 @@ def _replay(path: Path, job: Job, scratch: Path) -> _Result:
     stem = PurePosixPath(job.recording.name).name
     out = scratch / (stem if part is None else f'{stem}_part{part.number}')
     with Bag(path) as bag:
-        found = replay(bag, out, ReplayOptions(settings.config, settings.topic, settings.camera_info, part))
+        options = ReplayOptions(settings.config, settings.topic, settings.camera_info, part, settings.changes)
+        found = replay(bag, out, options)
     bag_values = {
         'bag_frames': found.counters.accepted,
         'bag_dropped': found.counters.dropped.total(),
@@ -382,7 +401,7 @@ def _describe_appearance(appearance: Appearance) -> dict[str, Any]:
 
 def _load_sequence(path: Path, job: Job) -> tuple[KeypointSequence, dict[str, Any]]:
     """Load the keypoints of the person who is seen most; return them, and the columns that describe them."""
-    settings, config = job.settings, job.settings.config or Config()
+    settings, config = job.settings, job.settings.parameters
     sequence, lines = load_input(path, settings.video, config.node, None, settings.topic)
     stamps = sequence.stamps_ns
     appearance = Appearance(sequence.person_id or '', int(stamps[0]), int(stamps[-1]))
@@ -399,7 +418,7 @@ def _load_sequence(path: Path, job: Job) -> tuple[KeypointSequence, dict[str, An
 def _reconstruct(path: Path, job: Job, scratch: Path) -> _Result:
     """Reconstruct a person over the whole recording."""
     sequence, columns = _load_sequence(path, job)
-    poses = reconstruct(sequence, parameters=job.settings.config)
+    poses = reconstruct(sequence, parameters=job.settings.parameters)
     out = scratch / f'result{job.settings.suffix}'
     write(out, poses)
     residual = float(np.nanmean(poses.residual))
@@ -408,13 +427,14 @@ def _reconstruct(path: Path, job: Job, scratch: Path) -> _Result:
 
 def _find_keyframes(path: Path, job: Job, scratch: Path) -> _Result:
     """Find the keyframes of a recording and draw them."""
-    config, name = job.settings.config or Config(), PurePosixPath(job.recording.name).name
+    config, name = job.settings.parameters, PurePosixPath(job.recording.name).name
     sequence, columns = _load_sequence(path, job)
     observations = extract_observations(sequence, config.tracker.nominal_focal_length)
     observed = observe_plausible_points(*observations, config.tracker)
     keyframes = find_keyframes(observed, config.keyframes)
     files = {suffix: scratch / f'result{suffix}' for suffix in ('.yaml', '.png', '_distances.png')}
-    files['.yaml'].write_text(format_yaml(observed, keyframes, name), encoding='utf-8')
+    text = format_yaml(observed, keyframes, plots.make_printable(name), sequence.stamps_ns[0])
+    files['.yaml'].write_text(text, encoding='utf-8')
     plots.save_figure(draw_keyframes_figure(observed, keyframes, name), files['.png'])
     plots.save_figure(
         draw_distances_figure(observed, keyframes, config.keyframes.beta, name), files['_distances.png']

@@ -9,9 +9,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import pyarrow as pa
+import yaml
 from pyarrow import parquet
 
 from mocap_ros.batch.job import COLUMNS, Outcome, Settings, Status
+from mocap_ros.batch.recordings import Work
 from mocap_ros.batch.storage import join_url, write_whole
 from mocap_ros.config import to_yaml
 from mocap_ros.people import MotionKind
@@ -29,7 +31,7 @@ def save_report(outcomes: Sequence[Outcome], settings: Settings) -> list[str]:
         OSError: a file cannot be written.
     """
     table, picture = join_url(settings.out, TABLE), join_url(settings.out, PICTURE)
-    write_whole(table, encode_table(outcomes, to_yaml(settings.config) if settings.config else ''))
+    write_whole(table, encode_table(outcomes, _describe_parameters(settings)))
     rows = _list_appearances(outcomes)
     figure = draw_corpus_figure(
         {kind.replace('_', ' '): sum(row[f'{kind}_s'] for row in rows) for kind in MOTIONS},
@@ -43,6 +45,16 @@ def save_report(outcomes: Sequence[Outcome], settings: Settings) -> list[str]:
     return [table, picture]
 
 
+def _describe_parameters(settings: Settings) -> str:
+    """Return the parameter file that gives what is the same for all recordings of a run.
+
+    Where bags are replayed with the parameters of their recorded runs, it gives only those that replace them.
+    """
+    if settings.config is not None or settings.work is not Work.REPLAY:
+        return to_yaml(settings.parameters)
+    return yaml.safe_dump(dict(settings.changes)) if settings.changes else ''
+
+
 def _list_appearances(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Return the rows of the table that describe an appearance."""
     return [row for outcome in outcomes for row in outcome.rows if row['from_ns'] is not None]
@@ -53,7 +65,7 @@ def encode_table(outcomes: Sequence[Outcome], parameters: str) -> bytes:
 
     Args:
         outcomes: what became of the recordings.
-        parameters: the parameter file of the run, which the file holds as metadata.
+        parameters: the parameters of the run as YAML, which the file holds as metadata.
     """
     schema = pa.schema([(name, pa.type_for_alias(kind)) for name, kind in COLUMNS.items()])
     rows = [row for outcome in sorted(outcomes, key=lambda o: o.job.recording.name) for row in outcome.rows]
@@ -69,12 +81,13 @@ def _make_printable(value: Any) -> Any:
     return os.fsencode(value).decode('utf-8', 'backslashreplace') if isinstance(value, str) else value
 
 
-def summarise(outcomes: Sequence[Outcome], wall_seconds: float) -> list[str]:
+def summarise(outcomes: Sequence[Outcome], wall_seconds: float, lost_workers: int = 0) -> list[str]:
     """Return the lines of the summary: what became of the recordings, who was seen, and what it cost.
 
     Args:
         outcomes: what became of the recordings.
         wall_seconds: s that the run took.
+        lost_workers: number of the workers that were lost with work.
     """
     counts = Counter(outcome.status for outcome in outcomes)
     rows = _list_appearances(outcomes)
@@ -84,8 +97,12 @@ def summarise(outcomes: Sequence[Outcome], wall_seconds: float) -> list[str]:
         f'{len(rows)} appearances of people: {shown["periodic"]:.0f} s walking or running, '
         f'{shown["non_periodic"]:.0f} s in other motion, {shown["unknown"]:.0f} s not classified'
     )
+    lost = 'a worker was lost; its work was given to another'
+    if lost_workers > 1:
+        lost = f'{lost_workers} workers were lost; their work was given to others'
     return [
         ', '.join(f'{count} {status.value}' for status, count in sorted(counts.items())),
         people,
         f'{work:.0f} CPU seconds of work in {wall_seconds:.0f} s',
+        *([lost] if lost_workers else []),
     ]

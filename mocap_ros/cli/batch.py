@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from tqdm import tqdm
 
 from mocap_ros.cli.keypoint_input import add_video_options
-from mocap_ros.cli.options import add_config_options, load_config, parse_positive
+from mocap_ros.cli.options import add_config_options, load_config_file, parse_changes, parse_positive
 from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.formats.detections import Video
 from mocap_ros.runtime.save_results import SUFFIXES
@@ -29,7 +29,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'Replays every bag, or reconstructs or summarises every recording, that a folder, a pattern or a list '
         'names. Each is a task of Dask, which uses the cores of this machine or the workers of a running '
         'scheduler. Inputs and outputs may be URLs, such as s3://bucket/folder. What was done before is not done '
-        'again, so a run that was stopped goes on. Needs: ' + tell_installation('cluster')
+        'again, so a run that was stopped goes on. A bag that the node recorded is replayed with the parameters '
+        'of the recording: --set changes single ones of them, and --config replaces all. Needs: '
+        + tell_installation('cluster')
     )
     parser.add_argument(
         'source', metavar='FOLDER|GLOB|LIST', help='folder to search, pattern, or text file (.txt) of these'
@@ -105,11 +107,11 @@ def run(args: argparse.Namespace) -> int:
             outcomes.append(outcome)
             bar.update()
 
-        run_jobs(client, [Job(recording, settings) for recording in recordings], report)
+        lost_workers = run_jobs(client, [Job(recording, settings) for recording in recordings], report)
     remove_unfinished(settings)
     for path in save_report(outcomes, settings):
         print(path)
-    for line in summarise(outcomes, time.monotonic() - start):
+    for line in summarise(outcomes, time.monotonic() - start, lost_workers):
         print(line)
     failed = [outcome for outcome in outcomes if outcome.status is Status.FAILED]
     for outcome in failed:
@@ -125,13 +127,14 @@ def _make_settings(args: argparse.Namespace) -> Settings:
     settings = Settings(
         Work(args.work),
         args.output if '://' in args.output else str(Path(args.output).resolve()),
-        load_config(args) if args.config is not None or args.set else None,
-        args.topic,
-        args.camera_info,
-        Video(args.fps, args.image_size, args.layout or '', args.detector),
-        args.suffix,
-        (args.cut or 0.0) * MINUTE_S,
-        round(args.copy_limit * GB),
+        config=load_config_file(args),
+        changes=parse_changes(args),
+        topic=args.topic,
+        camera_info=args.camera_info,
+        video=Video(args.fps, args.image_size, args.layout or '', args.detector),
+        suffix=args.suffix,
+        cut_seconds=(args.cut or 0.0) * MINUTE_S,
+        copy_limit_bytes=round(args.copy_limit * GB),
     )
     return settings.seal()
 

@@ -66,9 +66,8 @@ def run(args: argparse.Namespace) -> int:
         distances = draw_distances_figure(observed, keyframes, config.keyframes.beta, args.input.name)
     pictures = {output.with_suffix('.png'): poses, output.with_name(f'{output.stem}_distances.png'): distances}
     with guard_output(output, *sources):
-        output.write_text(
-            format_yaml(observed, keyframes, plots.make_printable(args.input.name)), encoding='utf-8'
-        )
+        name, start_ns = plots.make_printable(args.input.name), sequence.stamps_ns[0]
+        output.write_text(format_yaml(observed, keyframes, name, start_ns), encoding='utf-8')
     for path, figure in pictures.items():
         with guard_output(path):
             plots.save_figure(figure, path)

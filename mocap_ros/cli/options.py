@@ -9,7 +9,7 @@ import argparse
 import math
 from pathlib import Path
 
-from mocap_ros.config import Config, format_value, from_yaml, load_yaml, with_values
+from mocap_ros.config import Config, Value, format_value, from_yaml, load_yaml, values, with_values
 from mocap_ros.errors import ConfigError
 from mocap_ros.formats.text_files import read_text
 
@@ -61,18 +61,38 @@ def parse_count(text: str) -> int:
 
 
 def load_config(args: argparse.Namespace) -> Config:
-    """Load the configuration that the options of `add_config_options` describe.
+    """Load the configuration that the options of `add_config_options` describe: `--set` on top of `--config`.
 
     Raises:
         InputError: the parameter file cannot be read.
         ConfigError: a parameter is unknown, or its value is wrong.
     """
-    config = Config()
-    if args.config is not None:
-        config = from_yaml(read_text(args.config, max_bytes=MAX_CONFIG_BYTES), str(args.config))
+    return with_values(load_config_file(args) or Config(), parse_changes(args))
+
+
+def load_config_file(args: argparse.Namespace) -> Config | None:
+    """Load the parameter file of the option `--config`; None if it is not given.
+
+    Raises:
+        InputError: the parameter file cannot be read.
+        ConfigError: a parameter in it is unknown, or its value is wrong.
+    """
+    if args.config is None:
+        return None
+    return from_yaml(read_text(args.config, max_bytes=MAX_CONFIG_BYTES), str(args.config))
+
+
+def parse_changes(args: argparse.Namespace) -> dict[str, Value]:
+    """Return the values that the options `--set` give, by the names of the parameters.
+
+    Raises:
+        ConfigError: a parameter is unknown, or its value is wrong.
+    """
+    changes: dict[str, Value] = {}
     for assignment in args.set:
         name, equals, value = assignment.partition('=')
         if not equals:
             raise ConfigError(f'--set {format_value(assignment)}: expected NAME=VALUE')
-        config = with_values(config, {name: load_yaml(value, f'--set {name}')})
-    return config
+        config = with_values(Config(), {name: load_yaml(value, f'--set {name}')})
+        changes[name] = values(config)[name]
+    return changes

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import remove_partial
 from mocap_ros.cli.interrupts import interrupt_between_items
-from mocap_ros.cli.options import add_config_options, load_config, name_bag
+from mocap_ros.cli.options import add_config_options, load_config_file, name_bag, parse_changes
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import InputError, MocapError, RecordingError
 from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
@@ -38,8 +38,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         'Runs the keypoints of a bag through the pipeline of the live node, as fast as the machine '
         'allows, and writes a new bag with the keypoints and the outputs. A bag that the node recorded is '
-        'replayed with the parameters of the recording, unless --config or --set is given, and gives the same '
-        'skeletons. A new bag is called NAME.partial until it is complete.'
+        'replayed with the parameters of the recording and gives the same skeletons: --set changes single ones of '
+        'them, and --config replaces all. A new bag is called NAME.partial until it is complete.'
     )
     parser.add_argument(
         'bags', type=Path, nargs='+', metavar='BAG', help='bag to replay: folder, .mcap, .db3, or .bag of ROS 1'
@@ -72,8 +72,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Replay the bags, and print the number of messages by verdict."""
-    config = load_config(args) if args.config is not None or args.set else None
-    options = ReplayOptions(config, args.topic, args.camera_info)
+    options = ReplayOptions(load_config_file(args), args.topic, args.camera_info, changes=parse_changes(args))
     jobs = [_Job(bag, out, options) for bag, out in _choose_outputs(args.bags, args.output)]
     if args.resume:
         jobs = [job for job in jobs if _prepare_to_resume(job)]

@@ -10,7 +10,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from mocap_ros.bags.reader import is_bag, list_bag_files
-from mocap_ros.cli.keypoint_input import add_input_options, add_model_option, load_models, show_detection_progress
+from mocap_ros.cli.keypoint_input import (
+    add_input_options,
+    add_model_option,
+    load_models,
+    name_file_in_errors,
+    show_detection_progress,
+)
 from mocap_ros.cli.options import add_config_options, load_config
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import InputError, MocapError
@@ -18,7 +24,7 @@ from mocap_ros.formats.detections import Video
 from mocap_ros.formats.result_file import is_result_file
 from mocap_ros.formats.text_files import check_output, guard_output
 from mocap_ros.runtime.bag_images import read_images
-from mocap_ros.runtime.load_scene import SceneOptions, load_keyframe_marks, load_scene
+from mocap_ros.runtime.load_scene import SceneOptions, load_keyframe_marks, load_scene, place_marks
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.rerun_recording import APPLICATION, LiveDrawing, import_rerun, write_recording
 from mocap_ros.viewing.rerun_viewer import require_display, start_viewer
@@ -142,7 +148,7 @@ def _read_images(args: argparse.Namespace, scene: Scene) -> Iterable[SceneImage]
 
 def _load(args: argparse.Namespace) -> Scene:
     """Load the scene that the options describe, and print on stderr what was left out."""
-    marks = [] if args.keyframes is None else load_keyframe_marks(args.keyframes)
+    marks, marks_start_ns = ([], None) if args.keyframes is None else load_keyframe_marks(args.keyframes)
     config = load_config(args)
     options = SceneOptions(
         config=config,
@@ -155,4 +161,7 @@ def _load(args: argparse.Namespace) -> Scene:
     scene, lines = load_scene(args.input, options, lambda items, total: show_progress(items, 'view', total))
     for line in lines:
         print(f'mocap-ros: {line}', file=sys.stderr)
+    if marks_start_ns is not None:
+        with name_file_in_errors(args.keyframes):
+            marks = place_marks(marks, marks_start_ns, scene.stamps_ns)
     return replace(scene, marks=tuple(sorted((*scene.marks, *marks), key=lambda mark: mark.time_s)))

@@ -20,12 +20,14 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import ImageSize
-from mocap_ros.messages.cdr import decode
+from mocap_ros.messages.cdr import Header, create_header, create_message, decode, encode
 from mocap_ros.messages.keypoints import KeypointsFrame
 
 Array = NDArray[np.float64]
 
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
+REGION = 'sensor_msgs/msg/RegionOfInterest'  # message type of the field `roi`
+NO_DISTORTION_COEFFICIENTS = (0.0,) * 5  # with which drivers of cameras say that a lens does not distort
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,36 @@ def check_image_size(frame: KeypointsFrame, camera: CameraInfo) -> None:
                 *frame_size, *camera.size
             )
         )
+
+
+def encode_camera_info(header: Header, camera: CameraInfo) -> bytes:
+    """Encode the image size and the intrinsics of a camera as a sensor_msgs/CameraInfo.
+
+    Args:
+        header: stamp of the image and name of the camera's optical frame.
+        camera: the camera, whose whole image is sent as it is.
+
+    Returns:
+        CDR bytes, of which `decode_camera_info` gives the same camera.
+    """
+    (fx, fy), (cx, cy) = camera.intrinsics.focal_lengths, camera.intrinsics.center
+    distortion = camera.intrinsics.distortion
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    message = create_message(
+        CAMERA_INFO,
+        header=create_header(header),
+        height=camera.size[1],
+        width=camera.size[0],
+        distortion_model=distortion.model,
+        d=np.array(distortion.coefficients or NO_DISTORTION_COEFFICIENTS),
+        k=matrix.ravel(),
+        r=np.eye(3).ravel(),
+        p=np.column_stack([matrix, np.zeros(3)]).ravel(),
+        binning_x=0,  # not binned
+        binning_y=0,
+        roi=create_message(REGION, x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),  # the whole image
+    )
+    return encode(message, CAMERA_INFO)
 
 
 def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:

@@ -7,13 +7,13 @@ whole sequence.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.config import Config, load_yaml
+from mocap_ros.config import Config, format_value, load_yaml
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.formats.detections import Detections, Video, associate_people, select_person
 from mocap_ros.formats.npz_arrays import ArrayReader, read_arrays
@@ -32,6 +32,7 @@ from mocap_ros.runtime.load_keypoints import load_detections, load_input
 from mocap_ros.runtime.load_results import holds_result
 from mocap_ros.runtime.scene_rows import recover_intrinsics
 from mocap_ros.skeleton import CMU15, Skeleton, skeleton_from_joints
+from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.scene import Mark, MarkKind, Scene, SceneKeypoints, ScenePerson
 
 Array = NDArray[np.float64]
@@ -43,6 +44,8 @@ MIN_PERSON_FRAMES = (
 MAX_PEOPLE = 16  # people who are reconstructed; those who are seen most, since each one takes seconds
 VIEWED_FORMATS = f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)'
 VIEWED_KINDS = (*KEYPOINT_KINDS, InputKind.RESULT)
+MAX_STAMP_NS = 2**63 - 1  # ns; stamps are int64
+STAMP_TOLERANCE_S = 1e-3  # s; times that are written in s since the epoch are exact to 1e-6 s
 MAX_KEYFRAMES_BYTES = 16 << 20  # bytes; guards against parsing a huge file as keyframes
 RESULT_CAMERA_KEYS = (
     'scale',
@@ -242,8 +245,12 @@ def _make_plain_person(
     )
 
 
-def load_keyframe_marks(path: Path) -> list[Mark]:
+def load_keyframe_marks(path: Path) -> tuple[list[Mark], int | None]:
     """Load the times of keyframes from the file that `mocap-ros keyframes` writes.
+
+    Returns:
+        Marks, whose times in s count from the first frame of the person, and the stamp of that frame in ns; None
+        where the file does not tell it, as files of version 0.1.
 
     Raises:
         InputError: the file cannot be read or holds something else; the error names the place.
@@ -258,7 +265,39 @@ def load_keyframe_marks(path: Path) -> list[Mark]:
         if isinstance(time, bool) or not isinstance(time, (int, float)) or not 0 <= time < np.inf:
             raise InputError(f'{path}: keyframe {number}: time: {time!r}, expected s from the beginning')
         marks.append(Mark(float(time), MarkKind.KEYFRAME, f'{entry.get("half", "whole")} body'))
-    return marks
+    start_ns = content.get('start_ns')
+    if start_ns is None:
+        return marks, None
+    if isinstance(start_ns, bool) or not isinstance(start_ns, int) or not 0 <= start_ns <= MAX_STAMP_NS:
+        raise InputError(f'{path}: start_ns: {format_value(start_ns)}, expected a whole number of ns')
+    return marks, start_ns
+
+
+def place_marks(marks: Sequence[Mark], start_ns: int, stamps_ns: Sequence[int]) -> list[Mark]:
+    """Return marks with times from the beginning of a scene, without those that are not within the scene.
+
+    Args:
+        marks: marks, whose times in s count from a stamp.
+        start_ns: the stamp in ns.
+        stamps_ns: (F,) stamps of the frames of the scene in ns.
+
+    Raises:
+        InputError: no mark is within the scene.
+    """
+    duration_s = (stamps_ns[-1] - stamps_ns[0]) / NS_PER_S
+    shift_s = (start_ns - stamps_ns[0]) / NS_PER_S
+    shifted = [replace(mark, time_s=mark.time_s + shift_s) for mark in marks]
+    within = [
+        replace(mark, time_s=min(max(mark.time_s, 0.0), duration_s))
+        for mark in shifted
+        if -STAMP_TOLERANCE_S <= mark.time_s <= duration_s + STAMP_TOLERANCE_S
+    ]
+    if marks and not within:
+        raise InputError(
+            f'start_ns: no keyframe is within the recording, which begins at {stamps_ns[0]} ns and ends after '
+            f'{duration_s:.1f} s; the keyframes are those of another recording'
+        )
+    return within
 
 
 def _load_result_scene(path: Path, options: SceneOptions) -> Scene:

@@ -19,7 +19,7 @@ from mocap_ros.bags.topics import (
     find_people_type,
     find_transform_topics,
 )
-from mocap_ros.config import Config, RecorderConfig, Value, current_names, values, with_values
+from mocap_ros.config import Config, Value, current_names, values, with_values
 from mocap_ros.errors import ConfigError, InputError, RecordingError
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transform_tree import is_of_people_only
@@ -43,7 +43,8 @@ class ReplayOptions:
     """Options of a replay.
 
     Attributes:
-        config: Parameters; None for the parameters of the recorded run.
+        config: Parameters; None for the parameters of the recorded run, or the defaults where the bag has none.
+        changes: Values of single parameters by name, which replace those of `config` or of the recorded run.
         topic: Topic of the keypoints, or for ROS4HRI of the tracked bodies; needed only for a bag with several.
         camera_info: Topic of the CameraInfo; needed only for a bag with several.
         part: Part of the bag to replay; None for the whole bag.
@@ -53,6 +54,7 @@ class ReplayOptions:
     topic: str | None = None
     camera_info: str | None = None
     part: Part | None = None
+    changes: Mapping[str, Value] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -88,9 +90,9 @@ def replay(
     """Run a bag's inputs through a new pipeline and record the inputs and the outputs in another bag.
 
     Inputs keep their log times. An output has the log time of the input that caused it. If the bag holds the
-    journal of a recorded run, the replay repeats its resets and parameter changes after the same inputs, and it
-    does not process the inputs that the run skipped. The same bag and parameters always give the same outputs. The
-    new bag is called `<out>.partial` until it is complete.
+    journal of a recorded run, the replay repeats its resets and parameter changes after the same inputs, but for
+    the parameters that the options give, and it does not process the inputs that the run skipped. The same bag and
+    parameters always give the same outputs. The new bag is called `<out>.partial` until it is complete.
 
     Args:
         bag: Bag of ROS 2 or ROS 1.
@@ -100,6 +102,7 @@ def replay(
 
     Raises:
         InputError: The bag cannot be used.
+        ConfigError: A parameter of the options is unknown, or its value is wrong.
         RecordingError: The new bag already exists or cannot be written.
     """
     partial = choose_partial_path(out)
@@ -129,11 +132,12 @@ class _Replay:
             self._inputs[camera_info] = Source.CAMERA_INFO
         self._recorded_run = read_run(bag)
         self._repeats_parameters = options.config is None
-        config = options.config
-        if config is None:
-            config = _apply_recorded_parameters(Config(), self._recorded_run.parameters, bag)
+        self._changes = options.changes
+        config = with_values(options.config or Config(), self._changes)
+        self._recorder_config = config.recorder  # never that of the recorded run, whose disk was another
+        if self._repeats_parameters:
+            config = self._apply_parameters(config, self._recorded_run.parameters)
         config = with_values(config, {INPUT_TYPE_PARAMETER: keypoints_type})
-        self._recorder_config = RecorderConfig() if self._repeats_parameters else config.recorder
         self._inputs |= find_transform_topics(bag, config.node, self._recorded_run.input_topics)
         # that of the outputs in the bag, whatever the parameters of the replay say
         self._frame_prefix = str(self._recorded_run.parameters.get(PREFIX_PARAMETER, config.node.frame_prefix))
@@ -194,9 +198,12 @@ class _Replay:
                 for output in self._pipeline.reset():
                     self._write(output, now_ns)
             elif self._repeats_parameters:
-                config = _apply_recorded_parameters(self._pipeline.config, entry.parameters, self._bag)
-                self._pipeline.reconfigure(config)
+                self._pipeline.reconfigure(self._apply_parameters(self._pipeline.config, entry.parameters))
                 self._recorder.write(*self._journal.make_parameters_record(values(self._pipeline.config), now_ns))
+
+    def _apply_parameters(self, config: Config, recorded: Mapping[str, Value]) -> Config:
+        """Return the parameters of a recorded run, but for those that the options of the replay give."""
+        return _apply_recorded_parameters(config, recorded, self._changes, self._bag)
 
     def _write_result(self, number: int, message: BagMessage, result: ProcessingResult) -> None:
         """Write an input, its journal entry and its outputs."""
@@ -219,19 +226,27 @@ class _Replay:
         self._recorder.write('/' + output.topic.lstrip('/'), output.type, output.data, now_ns, now_ns)
 
 
-def read_recorded_config(bag: Bag) -> Config:
+def read_recorded_config(bag: Bag, changes: Mapping[str, Value]) -> Config:
     """Return the parameters at the start of a recorded run; the defaults if the bag has no journal.
+
+    Args:
+        bag: The bag.
+        changes: Values by the names of parameters, which replace those of the recorded run.
 
     Raises:
         InputError: The journal cannot be read, or the run used models that do not come with the package.
+        ConfigError: A parameter of `changes` is unknown, or its value is wrong.
     """
-    return _apply_recorded_parameters(Config(), read_run(bag).parameters, bag)
+    return _apply_recorded_parameters(Config(), read_run(bag).parameters, changes, bag)
 
 
-def _apply_recorded_parameters(config: Config, recorded: Mapping[str, Value], bag: Bag) -> Config:
-    """Return the parameters of a recorded run.
+def _apply_recorded_parameters(
+    config: Config, recorded: Mapping[str, Value], changes: Mapping[str, Value], bag: Bag
+) -> Config:
+    """Return the parameters of a recorded run, but for those in `changes`, which have the values given there.
 
-    Model and prior must be shipped ones, so that a bag cannot make the replay read a file of its choice.
+    Model and prior of the run must be shipped ones, so that a bag cannot make the replay read a file of its
+    choice; the user, who gives `changes`, may choose any.
     """
     shipped = {
         'tracker.model': (config.tracker.model, (AUTO, *list_shipped_base_poses())),
@@ -239,15 +254,16 @@ def _apply_recorded_parameters(config: Config, recorded: Mapping[str, Value], ba
     }
     for name, (default, allowed) in shipped.items():
         value = recorded.get(name, default)
-        if value not in allowed:
+        if name not in changes and value not in allowed:
             raise InputError(
                 f'{bag.path}: the run was recorded with {name} {value!r}, which does not come with the package; '
-                'give the parameters by --config or --set'
+                f'give another by --set {name}=VALUE, or all parameters by --config'
             )
     try:
-        return with_values(config, current_names(recorded))
+        kept = {name: value for name, value in current_names(recorded).items() if name not in changes}
+        config = with_values(config, kept)
     except ConfigError as error:
         raise InputError(
-            f'{bag.path}: the run was recorded by another version ({error}); '
-            'give the parameters by --config or --set'
+            f'{bag.path}: the run was recorded by another version ({error}); give all parameters by --config'
         ) from None
+    return with_values(config, changes)

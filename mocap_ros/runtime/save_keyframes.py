@@ -11,8 +11,8 @@ from mocap_ros.solvers.observed_window import ObservedWindow
 
 # The comment above the keyframes in the YAML file.
 HEADER = """\
-# Keyframes of {name}. time: s from the beginning of the sequence; represents: number of frames that the
-# keyframe represents; spans: first and last time of every run of these frames, s.
+# Keyframes of {name}. start_ns: stamp of the first frame of the person, ns; time: s from then on; represents:
+# number of frames that the keyframe represents; spans: first and last time of every run of these frames, s.
 # To compute the 3D pose of a keyframe by Taylor's method, add to it the outer joints of the limbs that point
 # towards the camera (the other limbs point away), and optionally the scale in px per m, for example:
 #     forward: [lelbow, lwrist]
@@ -46,9 +46,17 @@ def list_keyframe_entries(
     ]
 
 
-def format_yaml(observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet], name: str) -> str:
-    """Return the text of the YAML file of keyframes, which `reconstruct --choices` reads."""
-    content = yaml.safe_dump(
-        {'keyframes': list_keyframe_entries(observed, keyframes)}, sort_keys=False, default_flow_style=None
-    )
+def format_yaml(
+    observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet], name: str, start_ns: int
+) -> str:
+    """Return the text of the YAML file of keyframes, which `reconstruct --choices` and `view --keyframes` read.
+
+    Args:
+        observed: The keypoints in which the keyframes were found.
+        keyframes: Keyframes of the upper and the lower half of the body.
+        name: Name of the recording, for the comment.
+        start_ns: Stamp of the first frame in ns, from which on the times of the keyframes count.
+    """
+    tree = {'start_ns': start_ns, 'keyframes': list_keyframe_entries(observed, keyframes)}
+    content = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
     return HEADER.format(name=' '.join(name.split())) + content

@@ -26,6 +26,7 @@ from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.geometry.differences import central_velocity
 from mocap_ros.geometry.level import average_vertical, rotation_to_level
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
+from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, encode_camera_info
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.npz_file import write_npz
@@ -120,7 +121,7 @@ def save_detections(path: Path, detections: Detections) -> None:
 
 
 def _save_bag(path: Path, reconstruction: ReconstructedSequence) -> None:
-    """Write the keypoints and the outputs in the same way as `replay`, but into a single .mcap file."""
+    """Write the inputs and the outputs in the same way as `replay`, but into a single .mcap file."""
     with _record_file(path) as recorder:
         _record(recorder, reconstruction)
 
@@ -153,10 +154,14 @@ def _record(recorder: Recorder, reconstruction: ReconstructedSequence) -> None:
     recorder.write('/' + definition.topic, definition.type, definition.data, stamps[0], stamps[0])
     person_id = sequence.person_id or DEFAULT_PERSON_ID
     result = reconstruction.result
+    intrinsics = result.virtual_camera.intrinsics
     for frame, (stamp, person) in enumerate(zip(stamps, _iterate_people(reconstruction), strict=True)):
         vertical = CameraVertical(result.vertical[frame], float(result.vertical_std[frame]))
         header = Header(stamp, sequence.frame_id or DEFAULT_FRAME_ID)
         keypoints = [sequence.person(frame, person_id)]
+        if intrinsics.is_focal_known:
+            camera = encode_camera_info(header, CameraInfo(sequence.image_size, intrinsics))
+            recorder.write('/camera_info', CAMERA_INFO, camera, stamp, stamp)
         recorder.write(
             '/keypoints',
             KEYPOINTS,

@@ -17,7 +17,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mocap_ros.bags.journal import Journal, read_run
 from mocap_ros.bags.reader import Bag
+from mocap_ros.bags.recorder import Recorder
 from mocap_ros.cli.main import main
 from mocap_ros.errors import MocapError
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence
@@ -33,7 +35,8 @@ from mocap_ros.batch import cluster, job, storage  # noqa: E402
 from mocap_ros.batch.cluster import run_jobs  # noqa: E402
 from mocap_ros.batch.job import Job, Outcome, Settings, Status  # noqa: E402
 from mocap_ros.batch.recordings import Work, find_recordings  # noqa: E402
-from mocap_ros.config import with_values  # noqa: E402
+from mocap_ros.batch.report import save_report, summarise  # noqa: E402
+from mocap_ros.config import Config, from_yaml, to_yaml, values, with_values  # noqa: E402
 
 FRAMES = {'a': 40, 'sub/b': 25, 'c': 10}
 
@@ -104,7 +107,7 @@ def test_the_command_gives_the_bags_of_plain_replays_and_goes_on_where_it_stoppe
     table = parquet.read_table(tmp_path / 'out' / 'table.parquet')
     assert (tmp_path / 'out' / 'summary.png').read_bytes().startswith(b'\x89PNG')
     assert 'tracker.model' in FAST_ARGUMENTS[1]
-    assert b'model: walk' in table.schema.metadata[b'mocap_ros.yaml']
+    assert from_yaml(table.schema.metadata[b'mocap_ros.yaml'].decode(), 'metadata') == FAST_CONFIG
     assert not (tmp_path / 'out' / '.unfinished').exists()
     rows = {row['bag'].rpartition('/')[2]: row for row in table.to_pylist()}
     assert rows['bad']['error'] in line
@@ -227,11 +230,61 @@ def test_a_worker_that_is_killed_costs_its_bags_one_more_try(tmp_path: Path) -> 
     with cluster.connect(None, workers=1) as connected:
         killer = threading.Thread(target=kill, args=(connected,))
         killer.start()
-        outcomes = run(connected, tmp_path / 'in', tmp_path / 'out')
+        settings = Settings(Work.REPLAY, str(tmp_path / 'out'), FAST_CONFIG).seal()
+        jobs = [Job(recording, settings) for recording in find_recordings(str(tmp_path / 'in'), Work.REPLAY)]
+        outcomes: list[Outcome] = []
+        lost_workers = run_jobs(connected, jobs, outcomes.append)
         killer.join()
         assert list(connected.run(os.getpid).values()) != pids
-    assert set(statuses(outcomes).values()) == {'done'}
+    assert [outcome.status for outcome in outcomes] == [Status.DONE] * 3
+    assert lost_workers == 1
     assert len({tuple(read_outputs(tmp_path / 'out' / 'results' / name)) for name in 'abc'}) == 1
+
+
+def test_what_a_lost_worker_had_done_in_the_same_run_was_not_done_before_it(tmp_path: Path) -> None:
+    """The worker had finished a bag, but was lost before it could tell; another one finds the result."""
+    write_corpus(tmp_path / 'in', {'a': 5})
+    settings = Settings(Work.REPLAY, str(tmp_path / 'out'), FAST_CONFIG).seal()
+    (recording,) = find_recordings(str(tmp_path / 'in'), Work.REPLAY)
+    first = job.process(Job(recording, settings, run='first run'))
+    told_again = job.process(Job(recording, settings, run='first run'))
+    assert (told_again.status, told_again.rows, told_again.seconds) == (Status.DONE, first.rows, first.seconds)
+    for later in (Job(recording, settings, run='second run'), Job(recording, settings)):
+        assert job.process(later).status is Status.DONE_BEFORE
+
+
+def test_the_summary_tells_of_lost_workers() -> None:
+    assert not [line for line in summarise([], 1.0) if 'lost' in line]
+    assert summarise([], 1.0, 1)[-1] == 'a worker was lost; its work was given to another'
+    assert summarise([], 1.0, 2)[-1] == '2 workers were lost; their work was given to others'
+
+
+def test_set_changes_single_parameters_of_the_recorded_runs(client: Any, tmp_path: Path) -> None:
+    recorded = with_values(FAST_CONFIG, {'tracker.window': 1.2})
+    write_demo_bag(tmp_path / 'plain', 5)
+    with Bag(tmp_path / 'plain') as bag, Recorder(tmp_path / 'in' / 'a', recorded.recorder) as recorder:
+        messages = list(bag.messages(bag.topics))
+        journal = Journal('/mocap_node/journal')
+        recorder.write(*journal.make_parameters_record(values(recorded), messages[0].time_ns))
+        for topic, msgtype, time_ns, raw in messages:
+            recorder.write(topic, msgtype, raw, time_ns, time_ns)
+    for changes in ({}, {'tracker.lag': 0.2}, {'tracker.lag': 0.1}):
+        outcomes = run(client, tmp_path / 'in', tmp_path / 'out', config=None, changes=changes)
+        assert statuses(outcomes) == {'a': 'done'}, 'the record of other parameters counts'
+        with Bag(tmp_path / 'out' / 'results' / 'a') as bag:
+            assert read_run(bag).parameters == values(with_values(recorded, changes))
+        table, _ = save_report(list(outcomes.values()), outcomes['a'].job.settings)
+        metadata = parquet.read_table(table).schema.metadata[b'mocap_ros.yaml'].decode()
+        assert from_yaml(metadata, 'metadata') == with_values(Config(), changes)
+        assert metadata.count('\n') == len(changes)
+
+
+def test_the_table_holds_all_parameters_where_recordings_have_none_of_their_own(tmp_path: Path) -> None:
+    for work, config in ((Work.RECONSTRUCT, None), (Work.REPLAY, FAST_CONFIG)):
+        settings = Settings(work, str(tmp_path), config, {'tracker.lag': 0.2}).seal()
+        table, _ = save_report([], settings)
+        expected = to_yaml(with_values(config or Config(), {'tracker.lag': 0.2}))
+        assert parquet.read_table(table).schema.metadata[b'mocap_ros.yaml'].decode() == expected
 
 
 def die(work: Job) -> Outcome:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.skeletons import SKELETONS
 from tests.support.paths import ROOT
-from tests.support.ros_node import Peer, StartNode, stop_node
+from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, stop_node
 
 pytest.importorskip('rclpy')
 pytest.importorskip('mocap_ros_msgs')
@@ -30,7 +31,9 @@ def test_the_recipe_of_the_documentation_runs(
     assert (ROOT / tested_by).samefile(__file__)
     (tmp_path / 'detector.py').write_text(recipe)
     node = start_node()
-    detector = subprocess.Popen([sys.executable, str(tmp_path / 'detector.py')], env=env)
+    detector = subprocess.Popen(
+        [sys.executable, str(tmp_path / 'detector.py')], env=env, stderr=subprocess.PIPE, text=True
+    )
     try:
         peer.wait_for_node()
         images = peer.node.create_publisher(Image, 'image', 10)
@@ -42,6 +45,9 @@ def test_the_recipe_of_the_documentation_runs(
             images.publish(image)
             peer.executor.spin_once(timeout_sec=0.2)
             assert image.header.stamp.sec < 100
+        detector.send_signal(signal.SIGINT)
+        _, complaints = detector.communicate(timeout=TIMEOUT_S)
+        assert (detector.returncode, complaints) == (0, ''), 'Ctrl-C does not end it in peace'
     finally:
         detector.kill()
         detector.wait()

@@ -29,7 +29,7 @@ from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.runtime import save_results
 from mocap_ros.runtime.bag_images import read_images
-from mocap_ros.runtime.load_scene import SceneOptions, load_keyframe_marks, load_scene
+from mocap_ros.runtime.load_scene import SceneOptions, load_keyframe_marks, load_scene, place_marks
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.runtime.scene_rows import SceneRows
 from mocap_ros.runtime.sequence_messages import DEFAULT_FRAME_ID
@@ -188,14 +188,29 @@ def test_what_shows_nobody_is_refused(sequence: KeypointSequence, tmp_path: Path
 def test_keyframes_become_marks(tmp_path: Path) -> None:
     path = tmp_path / 'k.yaml'
     path.write_text('keyframes:\n- {half: upper, time: 0.5, represents: 3}\n- {time: 2}\n', encoding='utf-8')
-    assert load_keyframe_marks(path) == [
-        Mark(0.5, MarkKind.KEYFRAME, 'upper body'),
-        Mark(2.0, MarkKind.KEYFRAME, 'whole body'),
-    ]
-    for text, reason in (('[]', 'no list of keyframes'), ('keyframes: [{time: -1}]', 'keyframe 1: time: -1')):
+    marks = [Mark(0.5, MarkKind.KEYFRAME, 'upper body'), Mark(2.0, MarkKind.KEYFRAME, 'whole body')]
+    assert load_keyframe_marks(path) == (marks, None)
+    path.write_text('start_ns: 1700000000000000001\n' + path.read_text(), encoding='utf-8')
+    assert load_keyframe_marks(path) == (marks, 1_700_000_000_000_000_001)
+    for text, reason in (
+        ('[]', 'no list of keyframes'),
+        ('keyframes: [{time: -1}]', 'keyframe 1: time: -1'),
+        ('start_ns: 1.5\nkeyframes: []', 'start_ns: 1.5, expected a whole number of ns'),
+        (f'start_ns: 1{"0" * 400}\nkeyframes: []', 'start_ns: 10*[.]{3}, expected a whole number of ns'),
+    ):
         path.write_text(text, encoding='utf-8')
         with pytest.raises(InputError, match=f'k.yaml: {reason}'):
             load_keyframe_marks(path)
+
+
+def test_keyframes_are_placed_by_their_stamps() -> None:
+    """Those before and after the scene are left out, but for errors of rounding at its ends."""
+    start_ns, stamps_ns = 1_700_000_003_000_000_000, [1_700_000_000_000_000_000, 1_700_000_010_000_000_000]
+    marks = [Mark(t, MarkKind.KEYFRAME, 'upper body') for t in (-3.5, -3.0000002, 0.0, 2.5, 7.0000004, 7.5)]
+    assert [mark.time_s for mark in place_marks(marks, start_ns, stamps_ns)] == [0.0, 3.0, 5.5, 10.0]
+    assert place_marks([], start_ns, stamps_ns) == []
+    with pytest.raises(InputError, match='the keyframes are those of another recording'):
+        place_marks(marks, 5_000_000_000, stamps_ns)
 
 
 def test_messages_that_cannot_be_drawn_are_counted(bag: Path, tmp_path: Path) -> None:

@@ -17,18 +17,19 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mocap_ros.bags.journal import JOURNAL, KEY_VALUE
+from mocap_ros.bags.journal import JOURNAL, KEY_VALUE, Journal, Verdict, read_run
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.cli.main import main
-from mocap_ros.config import RecorderConfig, with_values
-from mocap_ros.errors import InputError, RecordingError
+from mocap_ros.config import Config, RecorderConfig, Value, values, with_values
+from mocap_ros.errors import ConfigError, InputError, RecordingError
 from mocap_ros.messages import cdr
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import create_message, decode, encode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.camera_infos import camera_info
+from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import FAST_CONFIG, FAST_VALUES, encode_demo_frames, with_stamp
 
 OPTIONS = ReplayOptions(FAST_CONFIG)
@@ -277,3 +278,70 @@ def test_an_interrupt_leaves_a_readable_bag(tmp_path: Path, stream: list[bytes])
     assert (process.returncode, out, err) == (1, '', 'mocap-ros: interrupted\n')
     with Bag(tmp_path / 'out.partial') as bag:
         assert bag.count(['/keypoints']) > 0
+
+
+RECORDED = {**FAST_VALUES, 'tracker.window': 1.2, 'tracker.lag': 0.1}  # parameters of a recorded run
+CHANGED_AFTER = 6  # inputs after which it was given others
+CHANGED = {**RECORDED, 'tracker.lag': 0.0, 'tracker.min_score': 0.2}
+
+
+def write_recorded_run(folder: Path, stream: list[bytes], recorded: dict[str, object]) -> Path:
+    """Write a bag with the journal of a run that began with some parameters and went on with `CHANGED`."""
+    journal = Journal('/mocap_node/journal')
+    with Recorder(folder, RecorderConfig()) as recorder:
+        recorder.write(*journal.make_parameters_record(values(with_values(Config(), recorded)), START_NS))
+        for number, raw in enumerate(stream, 1):
+            times_ns = (START_NS + number * STEP_NS,) * 2
+            for record in journal.make_input_records('/keypoints', KEYPOINTS, raw, times_ns, Verdict.ACCEPTED):
+                recorder.write(*record)
+            if number == CHANGED_AFTER:
+                changed = values(with_values(Config(), {**recorded, **CHANGED}))
+                recorder.write(*journal.make_parameters_record(changed, times_ns[0]))
+    return folder
+
+
+def read_parameters(path: Path) -> list[dict[str, Value]]:
+    """Return the parameters at the start of a run, and those after each change."""
+    with Bag(path) as bag:
+        recorded_run = read_run(bag)
+    return [recorded_run.parameters, *(dict(e.parameters) for e in recorded_run.events.get(CHANGED_AFTER, ()))]
+
+
+@pytest.mark.parametrize('with_file', [False, True])
+def test_set_changes_single_parameters_of_the_recorded_run(
+    tmp_path: Path, stream: list[bytes], with_file: bool
+) -> None:
+    """They stay where the recorded run changed its parameters; a parameter file replaces all of the run."""
+    write_recorded_run(tmp_path / 'bag', stream, RECORDED)
+    arguments = ['--set', 'tracker.lag=0.3', '--set', 'recorder.split_seconds=0.1']
+    expected = [{**RECORDED, 'tracker.lag': 0.3}, {**CHANGED, 'tracker.lag': 0.3}]
+    if with_file:
+        (tmp_path / 'file.yaml').write_text('tracker: {model: walk, components: 8, iterations: 2, lag: 0.2}')
+        arguments += ['--config', str(tmp_path / 'file.yaml')]
+        expected = [{**FAST_VALUES, 'tracker.iterations': 2, 'tracker.lag': 0.3}]
+    assert main(['replay', str(tmp_path / 'bag'), '-o', str(tmp_path / 'out'), *arguments]) == 0
+    found = read_parameters(tmp_path / 'out')
+    split = {'recorder.split_seconds': 0.1}
+    assert found == [values(with_values(Config(), {**each, **split})) for each in expected]
+    assert len(list((tmp_path / 'out').glob('*.mcap'))) > 1
+
+
+def test_set_on_a_bag_without_a_run_changes_the_defaults(tmp_path: Path, stream: list[bytes]) -> None:
+    write_bag(tmp_path / 'bag', stream)
+    assert main(['replay', str(tmp_path / 'bag'), '-o', str(tmp_path / 'out'), *FAST_ARGUMENTS]) == 0
+    assert read_parameters(tmp_path / 'out') == [values(FAST_CONFIG)]
+
+
+def test_only_the_user_chooses_files_of_models(tmp_path: Path, stream: list[bytes]) -> None:
+    model = str(ROOT / 'mocap_ros' / 'models' / 'shipped' / 'walk.npz')
+    write_recorded_run(tmp_path / 'bag', stream, {**RECORDED, 'tracker.model': model})
+    with Bag(tmp_path / 'bag') as bag:
+        no_model: tuple[dict[str, Value], ...] = ({}, {'tracker.lag': 0.0})
+        for changes in no_model:
+            with pytest.raises(InputError, match=r'recorded with tracker.model .* --set tracker.model=VALUE'):
+                replay(bag, tmp_path / 'out', ReplayOptions(changes=changes))
+        replay(bag, tmp_path / 'out', ReplayOptions(changes={'tracker.model': model}))
+        with pytest.raises(ConfigError, match=r'tracker\.windo'):
+            replay(bag, tmp_path / 'wrong', ReplayOptions(changes={'tracker.windo': 1.0}))
+    start, changed = read_parameters(tmp_path / 'out')
+    assert start['tracker.model'] == changed['tracker.model'] == model

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mocap_ros.api.files import read
 from mocap_ros.bags.reader import Bag
 from mocap_ros.cli.main import main
 from mocap_ros.formats.detections import Detections
@@ -20,8 +21,10 @@ from mocap_ros.formats.mocap.joint_maps import map_to_model
 from mocap_ros.formats.mocap.trials import load_trials
 from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
 from mocap_ros.keypoints.joint_map import build_joint_map
+from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cameras import CAMERAS
 from mocap_ros.messages.cdr import decode
+from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.point_cloud import POINT_DTYPE, POINTS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS
@@ -133,6 +136,63 @@ def test_a_trc_may_have_a_name_that_is_no_utf_8(tmp_path: Path) -> None:
     path = tmp_path / os.fsdecode(b'walk\xff.trc')
     save_trc(path, ['head'], np.zeros((1, 1, 3)), 30.0)
     assert path.read_text(encoding='utf-8').startswith('PathFileType\t4\t(X/Y/Z)\twalk\\udcff.trc\n')
+
+
+def test_a_bag_may_have_a_name_that_is_no_utf_8(tmp_path: Path, walker: KeypointSequence) -> None:
+    save_sequence(tmp_path / 'walk.npz', walker)
+    single = tmp_path / os.fsdecode(b'walk\xff.mcap')
+    quick = ['--model', 'walk', '--set', 'solver.max_iterations=2']
+    assert main(['reconstruct', str(tmp_path / 'walk.npz'), '-o', str(single), *quick]) == 0
+    folder = tmp_path / os.fsdecode(b'replayed\xff')
+    quick = ['--set', 'tracker.model=walk', '--set', 'tracker.iterations=1']
+    assert main(['replay', str(single), '-o', str(folder), *quick]) == 0
+    for path in (single, folder):
+        with Bag(path) as bag:
+            assert bag.count(['/keypoints']) == bag.count(['/skeletons']) == FRAMES
+    assert sorted(tmp_path.iterdir()) == sorted([tmp_path / 'walk.npz', single, folder])
+
+
+SCALE_KNOWN = 1  # the value of Skeleton3D
+LENSES = {  # distortion coefficients of sequence files, by the name of their model in a CameraInfo
+    'plumb_bob': (0.1, -0.05, 0.001, -0.002),
+    'rational_polynomial': (0.1, -0.05, 0.001, -0.002, 0.01, 0.02, -0.01, 0.005),
+    '': (),
+}
+
+
+@pytest.mark.parametrize('lens', LENSES)
+def test_a_bag_holds_the_camera_of_the_sequence(tmp_path: Path, walker: KeypointSequence, lens: str) -> None:
+    """The bag is an input again, with the same focal length, principal point and lens."""
+    matrix = np.array([[910.0, 0.0, 331.0], [0.0, 905.0, 236.0], [0.0, 0.0, 1.0]])
+    known = replace(walker, camera_matrix=matrix, distortion=np.array(LENSES[lens]) if lens else None)
+    save_sequence(tmp_path / 'cam.npz', known)
+    quick = ['--model', 'walk', '--set', 'solver.max_iterations=2']
+    assert main(['reconstruct', str(tmp_path / 'cam.npz'), '-o', str(tmp_path / 'cam.mcap'), *quick]) == 0
+    with Bag(tmp_path / 'cam.mcap') as bag:
+        messages = list(bag.messages(['/camera_info', '/keypoints']))
+    assert [m.type for m in messages] == [CAMERA_INFO, KEYPOINTS] * FRAMES
+    headers = [decode(m.raw, m.type).header for m in messages]
+    assert headers[::2] == headers[1::2]
+    camera = decode_camera_info(messages[0].raw)
+    assert camera.size == walker.image_size
+    assert camera.intrinsics.focal_lengths == pytest.approx([910.0, 905.0])
+    assert camera.intrinsics.center == (331.0, 236.0)
+    assert camera.intrinsics.distortion.coefficients == LENSES[lens]
+    assert camera.intrinsics.distortion.model == (lens or 'plumb_bob')
+    rectified = decode_camera_info(messages[0].raw, rectified=True).intrinsics
+    assert rectified.focal_lengths == pytest.approx([910.0, 905.0])
+    again = read(tmp_path / 'cam.mcap').intrinsics(1.0)
+    assert (again.focal, again.center, again.is_focal_known) == (camera.intrinsics.focal, (331.0, 236.0), True)
+    quick = ['--set', 'tracker.model=walk', '--set', 'tracker.iterations=1']
+    assert main(['replay', str(tmp_path / 'cam.mcap'), '-o', str(tmp_path / 'replayed'), *quick]) == 0
+    with Bag(tmp_path / 'replayed') as bag:
+        skeletons = [decode(m.raw, SKELETONS) for m in bag.messages(['/skeletons'])]
+    assert {person.scale_source for message in skeletons for person in message.people} == {SCALE_KNOWN}
+
+
+def test_a_bag_of_a_sequence_without_a_camera_claims_none(results: Path) -> None:
+    with Bag(results / 'r.mcap') as bag:
+        assert '/camera_info' not in bag.topics
 
 
 def test_keypoints_of_hours_are_one_file(tmp_path: Path) -> None:

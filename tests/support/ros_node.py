@@ -22,7 +22,7 @@ from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.skeleton import keypoint_layout
 
-TIMEOUT_S = 20.0  # s; far above what anything here takes on a busy machine
+TIMEOUT_S = 60.0  # s; far above what anything here takes on a busy machine
 # s; an answer that takes longer is lost, because the server had not discovered the client when it answered
 ANSWER_S = 5.0
 FAST_PARAMETERS = ('tracker.model:=walk', 'tracker.iterations:=1', 'tracker.components:=8')
