@@ -274,7 +274,7 @@ def test_an_interrupt_leaves_a_readable_bag(tmp_path: Path, stream: list[bytes])
         assert time.monotonic() < deadline
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=20)
+    out, err = process.communicate(timeout=60)
     assert (process.returncode, out, err) == (1, '', 'mocap-ros: interrupted\n')
     with Bag(tmp_path / 'out.partial') as bag:
         assert bag.count(['/keypoints']) > 0

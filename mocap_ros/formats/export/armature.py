@@ -18,6 +18,7 @@ of the lengths l, as they are defined here, of the bones between it and the pelv
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import replace
 from typing import NamedTuple
@@ -93,7 +94,8 @@ BONES = (
 )
 
 # The bones that reach to hands and toes, where these are known.
-_TOE_REST: Direction = (0.0, -0.26, 0.97)  # from the ankle to the toe of a foot that stands flat
+TOE_DROP_RAD = 0.262  # rad, 15 degrees; by so much the line from ankle to toe drops where a foot stands flat
+_TOE_REST: Direction = (0.0, -math.sin(TOE_DROP_RAD), math.cos(TOE_DROP_RAD))
 _OUTER_BONES = {
     bone.name: bone
     for bone in (

@@ -11,7 +11,7 @@ from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.bvh import save_bvh
 from mocap_ros.formats.mocap.bvh import load_bvh
 from mocap_ros.formats.mocap.joint_maps import map_to_model
-from mocap_ros.skeleton import CMU15
+from mocap_ros.skeleton import BODY26, CMU15
 from tests.support.motion_files import Z_UP_TO_Y_UP
 
 PELVIS = CMU15.joints.index('pelvis')
@@ -79,3 +79,15 @@ def test_degenerate_bodies_give_finite_angles_and_bones() -> None:
         bvh = build_armature(joints, 30.0)
         assert np.isfinite(bvh.motion).all()
         assert (np.linalg.norm(bvh.offsets[1:], axis=1) > 0.99).all()
+
+
+def test_a_foot_is_as_long_as_in_the_motion(poses: np.ndarray) -> None:
+    body = np.full((len(poses), len(BODY26.joints), 3), np.nan)
+    body[:, : len(CMU15.joints)] = poses @ Z_UP_TO_Y_UP.T
+    for side in 'lr':
+        ankle, toe, hand, wrist = (BODY26.index(side + name) for name in ('ankle', 'toe', 'hand', 'wrist'))
+        body[:, toe] = body[:, ankle] + [0.0, -0.12, 0.16]  # 20 cm
+        body[:, hand] = body[:, wrist] + [0.0, -0.08, 0.0]
+    bvh = build_armature(body, 30.0)
+    ends = [bvh.parents.index(bvh.names.index(name)) for name in ('LeftFoot', 'RightFoot')]
+    np.testing.assert_allclose(np.linalg.norm(bvh.offsets[ends], axis=1), 20.0, rtol=1e-6)
