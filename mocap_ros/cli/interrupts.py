@@ -23,12 +23,11 @@ def interrupt_between_items() -> Iterator[Callable[[Iterable[T]], Iterator[T]]]:
     KeyboardInterrupt in place of the item that follows the signal. Where SIGINT is ignored, it stays ignored.
     """
     is_requested = False
-    handler = signal.getsignal(signal.SIGINT)
 
     def request(_number: int, _frame: FrameType | None) -> None:
         nonlocal is_requested
         is_requested = True
-        signal.signal(signal.SIGINT, handler)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def wrap(items: Iterable[T]) -> Iterator[T]:
         for item in items:
@@ -36,12 +35,14 @@ def interrupt_between_items() -> Iterator[Callable[[Iterable[T]], Iterator[T]]]:
                 raise KeyboardInterrupt
             yield item
 
-    if handler is signal.default_int_handler:
-        signal.signal(signal.SIGINT, request)
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:  # ignored, or handled by somebody else
+        yield wrap
+        return
+    signal.signal(signal.SIGINT, request)
     try:
         yield wrap
     finally:
-        signal.signal(signal.SIGINT, handler)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if is_requested:
         raise KeyboardInterrupt
 
