@@ -411,7 +411,7 @@ def run_fixed(run: Measurement, report: Report) -> Records:
         errors = measure_errors(options, WAYS[:1], chosen)
         persons = [load_motion()[2][o.trial]['subject'] for o in options]
         records += [{**r, 'model': model, 'person': p} for r, p in zip(errors, persons, strict=True)]
-    rows = [[PAGE_NAMES.get(str(detector), detector), *cells] for detector, _, *cells in summarise_fixed(records)]
+    rows = [[PAGE_NAMES.get(str(detector), detector), *cells] for detector, *cells in summarise_fixed(records)]
     above = f'groups above {WORSE}'
     report.table(
         ['points', 'groups', 'defaults', 'best fixed model of each group', 'ratio', above, 'worst group'],

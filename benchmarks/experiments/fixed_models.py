@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
 import common
+from report import Records, group
 
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.model_file import LEARNED, PCA
@@ -28,32 +28,32 @@ def load_fixed_models() -> Mapping[str, BasePoses]:
     }
 
 
-def summarise_fixed(records: Sequence[Mapping[str, Any]]) -> list[list[object]]:
-    """Return the rows of a table, one for each detector and way.
+def summarise_fixed(records: Records) -> list[list[object]]:
+    """Return the rows of a table, one for each detector.
 
     A group is one person and one category of motion. Its best fixed model, which may be that of the defaults,
     is the one with the smallest mean error over its views.
 
     Returns:
-        Detector; way; groups; mean errors of the defaults and of the best fixed models; geometric mean of the
-        ratios; number of groups with a ratio above `WORSE`; the worst group.
+        Detector; groups; mean errors of the defaults and of the best fixed models; geometric mean of the ratios;
+        number of groups with a ratio above `WORSE`; the worst group.
     """
     rows: list[list[object]] = []
-    for detector, way in dict.fromkeys((r['detector'], r['way']) for r in records):
-        groups: dict[str, dict[str, list[float]]] = {}
-        for r in records:
-            if (r['detector'], r['way']) == (detector, way):
-                by_model = groups.setdefault(f'{r["person"]}, {r["category"]}', {})
-                by_model.setdefault(r['model'], []).append(r['mpjpe_mm'])
-        means = {g: {m: statistics.mean(e) for m, e in found.items()} for g, found in groups.items()}
+    for (detector,), mine in group(records, 'detector').items():
+        means = {
+            f'{person}, {category}': {
+                model: statistics.mean(r['mpjpe_mm'] for r in of_model)
+                for (model,), of_model in group(views, 'model').items()
+            }
+            for (person, category), views in group(mine, 'person', 'category').items()
+        }
         best = {g: min(found.values()) for g, found in means.items()}
         ratios = {g: found[DEFAULTS] / best[g] for g, found in means.items()}
         worst = max(ratios, key=ratios.__getitem__)
         rows.append(
             [
                 detector,
-                way,
-                len(groups),
+                len(means),
                 f'{statistics.mean(m[DEFAULTS] for m in means.values()):.1f}',
                 f'{statistics.mean(best.values()):.1f}',
                 f'{math.exp(statistics.mean(map(math.log, ratios.values()))):.2f}',
