@@ -35,7 +35,7 @@ from mocap_ros.models.lifter_input import (
     encode_histories,
     sample_histories,
 )
-from mocap_ros.models.network import HalfPrecisionNetwork
+from mocap_ros.models.network import RoundedNetwork
 from mocap_ros.skeleton import CMU15, CORE_COUNT
 
 Array = NDArray[np.float64]
@@ -91,15 +91,15 @@ class Lifter:
         layers: (in, out) weights and (out,) biases of each layer: the first layer, then the two layers of each
             residual block, then the last layer.
         provenance: training data and settings.
-        network: the layers, with the weights in half precision as in a lifter's file.
+        network: the layers, with the weights rounded to integers.
     """
 
     layers: tuple[tuple[Array32, Array32], ...]
     provenance: Mapping[str, object]
-    network: HalfPrecisionNetwork = field(init=False, repr=False)
+    network: RoundedNetwork = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, 'network', HalfPrecisionNetwork.from_layers(self.layers))
+        object.__setattr__(self, 'network', RoundedNetwork.from_layers(self.layers))
 
     def lift(
         self,

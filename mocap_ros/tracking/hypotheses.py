@@ -50,7 +50,7 @@ from mocap_ros.solvers.leading_prior import (
     explains_as_well,
     let_base_poses_lead,
 )
-from mocap_ros.solvers.periodic.repetition import measure_repetition
+from mocap_ros.solvers.periodic.repetition import measure_best_repetition, measure_repetition
 from mocap_ros.solvers.periodic.solver import EstimatedPoses
 from mocap_ros.solvers.window import InitialValues, Window, choose_initial_values
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
@@ -68,8 +68,10 @@ COMPARISON_MAX_ITERATIONS = 4  # steps that each hypothesis gets before its evid
 SETTLING_ROUNDS = 3  # rounds of `COMPARISON_MAX_ITERATIONS` steps, each under the noise that the last one left
 MIN_LEAD_FRAMES = 6  # frames, one each `CHECK_STEP_S`; the noise of fewer says too little about the lead
 LEAD_SLACK = 1.1  # factor on the limits of base poses that lead already; keeps the lead from chattering
-ADOPTION_MAX_ITERATIONS = 3  # steps on all frames after a hypothesis of some of them was adopted; limits the time
-ADOPTION_STEP_S = 0.025  # s; of a faster stream one frame of each step is solved then, which limits a slice
+# Steps on the whole window after a hypothesis of its newest part was adopted, and the time in s from one frame of
+# these steps to the next. More steps or frames make an adoption come later, which costs the newest frame more.
+ADOPTION_MAX_ITERATIONS = 2
+ADOPTION_STEP_S = 0.05
 INITIAL_MAX_ITERATIONS = (
     6  # steps of a first solution, which the first checks improve; limits the time of the frame
 )
@@ -367,7 +369,8 @@ class HypothesisChecker:
             track: a solved track.
 
         Returns:
-            The kind of motion; None if a section is not almost full yet, or no model is periodic.
+            The kind of motion; None if a section is not almost full yet, or no model is periodic. Motion that
+            does not repeat itself at any cadence is not periodic, whatever a model would say.
         """
         section_s, stamps_ns = self._choose_section(track), track.seen.stamps_ns
         duration_s = (stamps_ns[-1] - stamps_ns[0]) / NS_PER_S
@@ -376,6 +379,8 @@ class HypothesisChecker:
             return None
         if duration_s < MIN_SECTION_SHARE * min(section_s, self.config.tracker.window):
             return None
+        if measure_best_repetition(track.seen.times_s, track.solved.theta) < MIN_REPETITION:
+            return classify_as_other(track)
         for name in self._order_periodic_models(track, periodic_names):
             motion = yield from self._fit_periodic_motion(track, name)
             if motion is not None:

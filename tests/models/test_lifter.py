@@ -141,9 +141,10 @@ def test_lifted_poses_agree_with_the_formula(
     weight[1, 0, lifter.MIN_SEEN_JOINTS - 1 : CORE_COUNT] = 0
     vertical, vertical_std = np.array([[0.0, -1, 0], [0, -0.8, -0.6], [np.nan] * 3]), np.array([0.1, 0.0, 0.1])
     lifted = shipped.lift(points, weight, focal, vertical, vertical_std)
+    layers = plain_lifter.round_layers(shipped.layers)
     for n in range(3):
         known = (vertical[n], vertical_std[n]) if np.isfinite(vertical[n]).all() else None
-        joints, std = plain_lifter.lift(shipped.layers, points[n], weight[n], focal, known)
+        joints, std = plain_lifter.lift(layers, points[n], weight[n], focal, known)
         tolerance = 1e-5 * PX_PER_M  # px; the network computes in single precision
         assert lifted.joints[n] == pytest.approx(joints, abs=tolerance, nan_ok=True)
         assert lifted.std[n] == pytest.approx(std, abs=tolerance, nan_ok=True)
@@ -153,7 +154,7 @@ def test_lifted_poses_agree_with_the_formula(
 def test_a_network_that_overflows_lifts_nothing(walk: tuple[lifter.Array, ...]) -> None:
     _, points, weight, times = walk
     sizes = [(FEATURE_COUNT, 64), (64, 64), (64, 64), (64, OUTPUT_COUNT)]
-    large = Lifter(tuple((np.full(s, 1e3, 'f4'), np.full(s[1], 1e3, 'f4')) for s in sizes), {})
+    large = Lifter(tuple((np.full(s, 1e15, 'f4'), np.full(s[1], 1e3, 'f4')) for s in sizes), {})
     lifted = large.lift_sequence(points, weight, times)
     assert np.isnan(lifted.joints).all()
     assert np.isnan(lifted.std).all()
@@ -272,7 +273,7 @@ def test_numpy_and_pytorch_agree(walk_model: BasePoses, rng: np.random.Generator
     folded = network.fold_batch_norms({})
     assert plain_lifter.evaluate(folded.layers, batch.features) == pytest.approx(expected, abs=1e-4)
     found = folded.network.evaluate(batch.features.reshape(100, 2, -1)).reshape(expected.shape)
-    assert found == pytest.approx(expected, abs=1e-3), 'weights are rounded to half precision'
+    assert found == pytest.approx(expected, abs=0.02), 'weights are rounded to integers'
 
 
 def test_training_is_repeatable_and_reduces_the_error(

@@ -79,6 +79,16 @@ def face_newest_points(points: Array, weight: Array, focal: float) -> tuple[Arra
     return np.where(seen[..., None], focal * rotate_rays(clean, rotation), np.nan), rotation
 
 
+def round_layers(layers: Sequence[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
+    """Return layers with the weights of each input rounded to multiples: of 1/127 of the largest, or 1/32767."""
+    rounded = []
+    for number, (weights, bias) in enumerate(layers):
+        largest = 127 if 0 < number < len(layers) - 1 else 32767
+        step = np.abs(weights).max(axis=1, keepdims=True) / largest
+        rounded.append((np.where(step > 0, step * np.round(weights / np.maximum(step, 1e-30)), 0), bias))
+    return rounded
+
+
 def evaluate(layers: Sequence[tuple[Any, Any]], features: NDArray[Any]) -> Array:
     """Return the outputs (..., O) of the network for features (..., I)."""
     (first, bias), *hidden, (last, last_bias) = [(w.astype(float), b.astype(float)) for w, b in layers]

@@ -6,6 +6,8 @@ With theta(t) the base-pose weights at a time, n the newest 0.4 s, and c these a
 
 where T is any length near that of the cycle. This is a coefficient of correlation: 1 if the motion repeats itself,
 0 if the newest poses have nothing to do with those before, as after a walk has ended in a jump.
+
+The largest r over all cadences says cheaply that a motion cannot be periodic.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.geometry.interpolation import interpolate_linearly
+from mocap_ros.solvers.periodic.fourier import MAX_CADENCE_HZ
 
 Array = NDArray[np.float64]
 
@@ -46,3 +49,18 @@ def measure_repetition(times: Array, theta: Array, cadence: float) -> float:
     changes = poses[newest] - before.reshape(STRETCHES, -1, theta.shape[1])
     change = (changes**2).sum(axis=2).mean(axis=1).min()
     return float(1 - change / (2 * spread)) if spread > 0 else math.nan
+
+
+def measure_best_repetition(times: Array, theta: Array) -> float:
+    """Return the largest r over all cadences of which the motion is known for long enough; NaN if there is none.
+
+    Args:
+        times: (F,) s, increasing.
+        theta: (F, K) m, base-pose weights at these times.
+    """
+    longest_s = times[-1] - times[0] - NEWEST_S
+    best, cycle_s = math.nan, 1 / MAX_CADENCE_HZ
+    while cycle_s <= longest_s:
+        best = float(np.fmax(best, measure_repetition(times, theta, 1 / cycle_s)))
+        cycle_s *= (1 + MAX_STRETCH) / (1 - MAX_STRETCH)  # the lengths tried for this cadence end there
+    return best

@@ -7,7 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from mocap_ros.solvers.periodic.repetition import MAX_STRETCH, NEWEST_S, measure_repetition
+from mocap_ros.solvers.periodic.repetition import (
+    MAX_STRETCH,
+    NEWEST_S,
+    measure_best_repetition,
+    measure_repetition,
+)
 
 CADENCE = 0.9  # Hz
 
@@ -60,3 +65,14 @@ def test_what_is_too_short_or_does_not_move_is_not_known() -> None:
     assert math.isnan(measure_repetition(times, swing(times), 0.6))
     assert math.isnan(measure_repetition(times[-5:], swing(times[-5:]), CADENCE))
     assert math.isnan(measure_repetition(times, np.ones((60, 3)), CADENCE))
+
+
+@pytest.mark.parametrize('cadence', [0.65, 0.9, 1.4, 2.1])
+def test_the_best_repetition_needs_no_cadence(rng: np.random.Generator, cadence: float) -> None:
+    times = np.arange(66) / 30
+    assert measure_best_repetition(times, swing(times, cadence)) > 0.95
+    noise = np.cumsum(rng.normal(size=(66, 3)), axis=0)
+    drift = np.linspace(0, 50, 66)[:, None] + noise
+    assert measure_best_repetition(times, drift) < 0.2
+    assert measure_best_repetition(times, swing(times)) >= measure_repetition(times, swing(times), 1.0) - 0.01
+    assert math.isnan(measure_best_repetition(times[-15:], swing(times[-15:])))
