@@ -94,7 +94,26 @@ def report_lags(report: Report, quick: bool) -> None:
     ratios = {p: {c or 'all': compute_ratio(rows, p, c) for c in ('', *CATEGORIES)} for p in list_priors(quick)}
     named = [{'prior': p, **r} for p, r in ratios.items()]
     report.rows('Error at lag 0 / error of the whole-sequence solver', named, page='tracker.ratios')
-    report.add(lag=rows, ratios=ratios, windowed_over_whole=ratios['learned']['all'])
+    as_before = measure_newest_as_version_01(quick)
+    report.rows("Newest frame under pca with CMU's wrists, mm", as_before, page='tracker.as_version_01')
+    report.add(lag=rows, ratios=ratios, windowed_over_whole=ratios['learned']['all'], as_version_01=as_before)
+
+
+def measure_newest_as_version_01(quick: bool) -> list[dict[str, Any]]:
+    """Measure the newest frame under `pca` on the capture with which version 0.1 was measured."""
+    before, headings = {'walk': 26.0, 'run': 24.0, 'jump': 30.0}, (45,) if quick else common.HEADINGS_DEG
+    errors: dict[str, list[float]] = {}
+    common.choose_capture('cmu')
+    models, config = train_models(), make_tracker_config('pca')
+    for trial, category in common.show_progress(UNSEEN_TRIALS, 'lag, pca, CMU'):
+        views = common.make_views(trial, headings)
+        found = [track(v, models, config).joints for v in views]
+        errors.setdefault(category, []).append(mean_error(views, found))
+    common.choose_capture('motion')
+    return [
+        {'motion': category, 'version 0.1': before[category], 'now': float(np.mean(found))}
+        for category, found in errors.items()
+    ]
 
 
 def compute_ratio(rows: Sequence[Mapping[str, Any]], prior: str, category: str = '') -> float:

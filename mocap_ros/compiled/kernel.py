@@ -73,6 +73,8 @@ def is_compiling() -> bool:
 def kernel(signature: Any) -> Callable[[Function], Function]:
     """Declare a function as a kernel; kernels that it calls must have been declared before.
 
+    A function may be declared for several signatures, each of which gives a kernel of its own.
+
     Args:
         signature: Numba's signature, for example `void(FLOATS_2D, INTS_1D)`.
     """

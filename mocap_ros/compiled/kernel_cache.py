@@ -4,7 +4,8 @@ Numba has a cache of its own, which knows of one source file for each function. 
 called function in another file has changed, or where an earlier run was ended while it wrote; it fails at damaged
 files; and it does not read a folder that it cannot write. Here, the name of a file holds
 
-- a hash of the processor, the versions of Python, Numba and LLVM, and Numba's options that change the code, and
+- a hash of the processor, the versions of Python, Numba and LLVM, and Numba's options that change the code,
+- a hash of the signature, for one function may be compiled for several, and
 - a hash of the source texts of the kernel, of all functions that it calls, and of the constants that it uses,
 
 so what has changed is compiled anew, and a file's content never changes. The file begins with the hash of its
@@ -114,7 +115,7 @@ class KernelCache:
         self._source_hash = self._source_hash or _hash(_describe_sources(self._function))
         environment = _hash(_describe_environment(target))
         kernel = f'{self._function.__module__}.{self._function.__qualname__}'
-        name = f'{kernel}-{environment}-{_hash([str(signature), self._source_hash])}{SUFFIX}'
+        name = f'{kernel}-{environment}-{_hash([str(signature)])}-{self._source_hash}{SUFFIX}'
         return (folder / name for folder in _list_folders())
 
 
@@ -149,7 +150,7 @@ def _write_at_once(path: Path, content: bytes) -> None:
 
 
 def _remove_outdated(path: Path) -> None:
-    """Remove the files of the same kernel for the same environment whose sources have changed since."""
+    """Remove the files of the same kernel, environment and signature whose sources have changed since."""
     stem = path.name.rpartition('-')[0]
     for other in path.parent.glob(f'{stem}-*{SUFFIX}'):
         if other != path:

@@ -213,7 +213,7 @@ class TrackerConfig:
         40, 'maximum number of base poses of the live tracker, at most solver.components', low=1, high=60
     )
     refine_seconds: float = define_parameter(
-        0.07,
+        0.1,
         's, newest part of the window, which is solved again at every frame; with a longer tracker.lag, that part',
         low=0.0,
         high=20.0,

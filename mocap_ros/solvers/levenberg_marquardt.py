@@ -108,7 +108,7 @@ def minimise_stepwise(
     tolerance: float,
     first_damping: float,
 ) -> Stepwise[Descent[Point, Equations, Step]]:
-    """Minimise as `minimise` does, one step at a time."""
+    """Minimise as `minimise` does, in pieces: a step is one, and the normal equations at its end are the next."""
     cost = problem.cost(point).copy()
     sequences = len(cost)
     history = [cost.copy()]
@@ -123,6 +123,7 @@ def minimise_stepwise(
         yield
         if is_outdated:
             equations = problem.normal_equations(point, equations, is_done)
+            yield
         step = problem.step(equations, damping)
         trial, trial_cost = point, cost
         if step is not None:

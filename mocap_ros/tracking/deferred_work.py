@@ -27,10 +27,10 @@ from mocap_ros.tracking.state import BegunWork, TrackerState, WorkKind
 from mocap_ros.tracking.take_over import is_outdated, take_over
 from mocap_ros.tracking.track import Track
 
-FRAME_BUDGET = 100_000  # elements; 2 to 3 ms of a core, so that the next frame does not wait (docs/tracker.md)
+FRAME_BUDGET = 75_000  # elements; 2 to 3 ms of a core, so that the next frame does not wait (docs/tracker.md)
 # The same without a lifter, up to 11 ms. Only the checks then find the model and the heading, and with a smaller
 # budget they come too late: with half of it the error of the newest frame rises by 5 to 15 %.
-FRAME_BUDGET_WITHOUT_LIFTER = 400_000
+FRAME_BUDGET_WITHOUT_LIFTER = 300_000
 WINDOW_COST = 20_000  # elements; building the windows of a piece of work, its first slice, takes as long
 
 # What a piece of work has found: a function that takes it over into the track as it is now.

@@ -55,7 +55,7 @@ from mocap_ros.solvers.periodic.solver import EstimatedPoses
 from mocap_ros.solvers.window import InitialValues, Window, choose_initial_values
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.schedule import Classification
-from mocap_ros.tracking.slices import Slices, do_in_slices, step_cost
+from mocap_ros.tracking.slices import Slices, compute_piece_cost, do_in_slices
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.solver_input import build_solver_window
 from mocap_ros.tracking.track import Track
@@ -90,7 +90,7 @@ OTHER_MODEL_TURNS = 4  # classifications; one of so many tries the model that is
 # 1; smallest repetition of periodic motion. Walks have 0.74 and more with clean points, 0.6 as MediaPipe gives
 # them and 0.25 as MoveNet does (training persons); other motion about 0.
 MIN_REPETITION = 0.2
-PERIODIC_COST = 1.5  # cost of a step of the periodic solver over one of the joint solver with as many base poses
+PERIODIC_COST = 2.4  # cost of a piece of the periodic solver over one of the joint solver with as many base poses
 MIN_SECTION_SHARE = 0.9  # share of a section that must be filled before it is classified; stamps vary
 KEY_POSE_STEP_S = 0.25  # s; poses nearer in time look the same to the memory of key poses
 NOISE_RATIO = 0.88  # estimated noise over true image noise, of the base poses alone (CMU walks, docs/solvers.md)
@@ -230,7 +230,7 @@ class HypothesisChecker:
             model = self.models[name]
             solution = solve_hypotheses_stepwise([window_without_start], model, solver)
             starts = MAX_STARTS if window.lifted is None else 1
-            cost = step_cost(starts * len(frames), min(REINIT_COMPONENTS, len(model.std)))
+            cost = compute_piece_cost(starts * len(frames), min(REINIT_COMPONENTS, len(model.std)))
             (fit,) = yield from do_in_slices(solution, cost)
             unsolved = len(model.std) - fit.theta.shape[1]
             theta = np.pad(fit.theta, [(0, 0), (0, max(unsolved, 0))])
@@ -282,7 +282,7 @@ class HypothesisChecker:
     def _settle(self, window: Window, model_name: str, solver: SolverConfig) -> Slices[JointReconstruction]:
         """Return the solution of a window with initial values, after some rounds in which its noise settles."""
         model, solver = self.models[model_name], replace(solver, max_iterations=COMPARISON_MAX_ITERATIONS)
-        cost = step_cost(len(window.times), len(model.std))
+        cost = compute_piece_cost(len(window.times), len(model.std))
         for _ in range(SETTLING_ROUNDS):
             (fit,) = yield from do_in_slices(solve_stepwise([window], model, solver), cost)
             window = replace(window, start=InitialValues(fit.theta, fit.cameras), noise=fit.noise)
@@ -326,7 +326,7 @@ class HypothesisChecker:
         for h in hypotheses:
             model, started = self.models[h.model_name], replace(window, start=h.start)
             comparison = minus_twice_log_evidence_stepwise(started, model, noise, solver)
-            fit = yield from do_in_slices(comparison, step_cost(len(frames), len(model.std)))
+            fit = yield from do_in_slices(comparison, compute_piece_cost(len(frames), len(model.std)))
             fits.append(fit)
         names = tuple(h.model_name for h in hypotheses)
         evidence = tuple(value for value, _ in fits)
@@ -359,7 +359,7 @@ class HypothesisChecker:
         frames = seen.select_frames(ADOPTION_STEP_S, self.config.tracker.window)
         window = build_solver_window(seen, solution, frames)
         refinement = solve_stepwise([window], model, solver)
-        (refined,) = yield from do_in_slices(refinement, step_cost(len(frames), len(model.std)))
+        (refined,) = yield from do_in_slices(refinement, compute_piece_cost(len(frames), len(model.std)))
         return interpolate(refined, seen.observed, frames, model_name, model, solution)
 
     def classify_motion(self, track: Track) -> Slices[Classification | None]:
@@ -433,7 +433,9 @@ class HypothesisChecker:
         poses = self._current_poses(track, window.start)
         try:
             fitting = fit_periodic_stepwise(window_without_start, {name: self.models[name]}, solver, poses)
-            fit = yield from do_in_slices(fitting, PERIODIC_COST * step_cost(len(frames), settings.components))
+            fit = yield from do_in_slices(
+                fitting, PERIODIC_COST * compute_piece_cost(len(frames), settings.components)
+            )
         except InputError:
             return None
         if not PeriodicSwitch(settings, track.schedule.is_periodic).update(fit):

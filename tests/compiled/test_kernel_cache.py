@@ -121,6 +121,15 @@ def test_what_has_changed_is_compiled_anew(
     assert len(sources.files()) == 3  # outdated files are removed
 
 
+def test_kernels_of_one_function_for_two_signatures_are_kept_side_by_side(sources: Sources) -> None:
+    signatures = 'kernel(INT(INT))(halve)', 'kernel(FLOAT(FLOAT))(halve)'
+    halves = f'def halve(value):\n    return value / 2\n\nin_ints, in_floats = {", ".join(signatures)}\n'
+    sources.write(callee='from mocap_ros.compiled.kernel import INT\n' + CALLEE + '\n' + halves)
+    sources.compile()
+    _, report = sources.compile()
+    assert (report.kernels, report.compiled) == (5, 0)
+
+
 def test_a_changed_function_that_is_no_kernel_is_noticed(sources: Sources) -> None:
     caller = CALLER.replace('+ LIMITS[0]', '+ inner_limit()').replace('STEP = 1.0', 'STEP = 1.0\n' + INLINED)
     sources.write(caller)

@@ -4,7 +4,7 @@ from collections.abc import Generator
 
 import pytest
 
-from mocap_ros.tracking.slices import SLICE_BASE, do_in_slices, finish_slices, step_cost
+from mocap_ros.tracking.slices import PIECES_OF_STEP, STEP_BASE, compute_piece_cost, do_in_slices, finish_slices
 
 
 def count_steps(done: list[int]) -> Generator[None, None, str]:
@@ -25,4 +25,4 @@ def test_each_piece_of_stepwise_work_is_a_slice_that_tells_its_cost_before() -> 
 
 
 def test_the_cost_grows_with_frames_and_base_poses() -> None:
-    assert step_cost(11, 40) == SLICE_BASE + 11 * 44**2
+    assert compute_piece_cost(11, 40) == (STEP_BASE + 11 * 44**2) / PIECES_OF_STEP
