@@ -8,7 +8,6 @@ remembered after its last message.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 from mocap_ros.config import NodeConfig
@@ -34,6 +33,7 @@ from mocap_ros.messages.skeletons import (
     encode_skeleton_definition,
     encode_skeletons,
 )
+from mocap_ros.messages.stacked_people import stack_people
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms, make_suffix
 from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.skeleton import keypoint_layout
@@ -119,7 +119,7 @@ class OutputEncoder:
         """
         node = node or NodeConfig()
         camera = camera or CameraPlacement(header.frame_id)
-        placed = camera.place(people)
+        placed = stack_people(camera.place(people))
         data = {
             'skeletons': encode_skeletons(header, placed, camera.place_vertical(vertical), camera),
             'cameras': encode_cameras(Header(header.stamp_ns, camera.frame_id), people),
@@ -127,7 +127,9 @@ class OutputEncoder:
             'points': encode_points(header, placed),
         }
         outputs = [OutputMessage(topic, OUTPUTS[topic], header.stamp_ns, raw) for topic, raw in data.items()]
-        certain = [p for p in placed if not p.tentative]
+        certain = placed
+        if any(p.tentative for p in placed):
+            certain = stack_people([p for p in placed if not p.tentative])
         numbers, lifetime = self._markers.numbers, node.marker_lifetime
         names = (self._body_names if node.publish_bodies else self._frame_names).assign([p.id for p in certain])
         for field, output in SWITCHED_OUTPUTS.items():
@@ -169,8 +171,7 @@ class OutputEncoder:
         if output.encode is not None:
             return [output.encode(header, people)]
         if output.type == TRANSFORMS:
-            people = [replace(p, id=names[p.id]) for p in people]
-            return [encode_transforms(header, people, frame_prefix)]
+            return [encode_transforms(header, people, frame_prefix, names)]
         return self._collision_objects.encode_update(header, people)
 
     def encode_clear(self, header: Header) -> tuple[OutputMessage, ...]:
