@@ -83,7 +83,7 @@ class Displacements(NamedTuple):
 
     Attributes:
         joints: (..., T, J, 3) m, by which each joint moves.
-        std: (..., T, J) m, standard deviation of each joint about the root then, that at the newest frame included.
+        std: (..., T, J) m, standard deviation of each joint about the root then, with that at the newest frame.
         root_covariance: (..., T, 3, 3) m^2, what the prediction adds to the covariance of the root.
     """
 

@@ -132,6 +132,8 @@ class OutputEncoder:
             certain = stack_people([p for p in placed if not p.tentative])
         numbers, lifetime = self._markers.numbers, node.marker_lifetime
         names = (self._body_names if node.publish_bodies else self._frame_names).assign([p.id for p in certain])
+        ahead = [PredictedFrame(time_s, camera.place_predicted(then, time_s)) for time_s, then in predicted]
+        here = CameraPlacement(header.frame_id)  # of those, who are placed already
         for field, output in SWITCHED_OUTPUTS.items():
             if not getattr(node, field):
                 continue
@@ -143,9 +145,9 @@ class OutputEncoder:
                 messages = [encode_capsule_markers(series, header, certain, numbers, lifetime)]
             elif output.topic == PREDICTION_MARKERS:
                 series = self._shapes[output.topic]
-                messages = [encode_prediction_markers(series, header, predicted, camera, numbers, lifetime)]
+                messages = [encode_prediction_markers(series, header, ahead, here, numbers, lifetime)]
             elif output.type == PREDICTIONS:
-                messages = [encode_predictions(header, predicted, camera)]
+                messages = [encode_predictions(header, ahead, here)]
             else:
                 messages = self._encode_switched(output, header, certain, node.frame_prefix, names)
             outputs += [OutputMessage(output.topic, output.type, header.stamp_ns, raw) for raw in messages]

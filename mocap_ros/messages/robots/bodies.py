@@ -151,6 +151,7 @@ _ENDS = np.array(
         for arm, leg in zip(ARMS, LEGS, strict=True)
     ]
 )
+_NO_LENGTHS = np.full(len(LENGTHS), np.nan)  # of a body that was not described
 _SHARES = np.array([0.5 if name in ('shoulder', 'hip') else 1.0 for name in LENGTHS])
 
 
@@ -334,16 +335,17 @@ class BodiesEncoder:
         stamp_ns = header.stamp_ns
         states, descriptions, ids = [], [], []
         joints = stack_people(people).joints[:, :CORE]
-        rows = zip(people, *compute_joint_states(joints), measure_lengths(joints), strict=True)
-        for person, angles, is_known, lengths in rows:
+        all_ids, all_lengths = [names[p.id] for p in people], measure_lengths(joints)
+        described = np.array([self._lengths.get(i, _NO_LENGTHS) for i in all_ids]).reshape(-1, len(LENGTHS))
+        is_alike = (np.abs(all_lengths - described) <= MAX_LENGTH_CHANGE * described).all(axis=1)
+        rows = zip(all_ids, *compute_joint_states(joints), all_lengths, is_alike.tolist(), strict=True)
+        for body_id, angles, is_known, lengths, is_described in rows:
             if not is_known:
                 continue
-            body_id = names[person.id]
             ids.append(body_id)
             raw = _lay_out_joint_states(body_id).fill(stamp_ns, position=angles)
             states.append(OutputMessage(f'{BODIES}{body_id}/joint_states', JOINT_STATES, stamp_ns, raw))
-            known = self._lengths.get(body_id)
-            if known is None or (np.abs(lengths - known) > MAX_LENGTH_CHANGE * known).any():
+            if not is_described:
                 self._lengths[body_id] = lengths
                 raw = encode_description(body_id, lengths)
                 descriptions.append(OutputMessage(f'{BODIES}{body_id}/urdf', DESCRIPTION, stamp_ns, raw))

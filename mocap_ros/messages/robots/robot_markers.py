@@ -31,7 +31,9 @@ from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
 
 CAPSULE_STYLE = MarkerStyle(0.75, 0.3)  # chosen for the look: the bones within can be seen
-GHOST_WIDTH_M = 0.02  # chosen for the look: thinner than the bones of people
+GHOST_SCALE = np.array(
+    [0.02, 0.0, 0.0]
+)  # m; width of lines, chosen for the look: thinner than the bones of people
 GHOST_SATURATION = 0.4  # chosen for the look
 GHOST_OPACITY = 0.2, 0.7  # chosen for the look: of the latest, and what the earliest have more
 NO_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # of points that are in the frame of the header
@@ -60,7 +62,7 @@ def encode_capsule_markers(
     balls = np.repeat(2 * capsules.radius.reshape(-1, 1), 3, axis=1)
     rods = np.column_stack([balls[:, :2], length.ravel()])
     ends = np.stack([capsules.start, capsules.end], axis=2).reshape(-1, 2, 3)
-    resting = np.tile(NO_POSE, (len(ends), 1))
+    resting = np.broadcast_to(NO_POSE, (len(ends), len(NO_POSE)))
     groups = [
         AlikeMarkers(
             'cylinders', CYLINDER, number, poses.reshape(-1, 7), rods, colors, np.zeros((len(ends), 0, 3))
@@ -98,7 +100,7 @@ def encode_prediction_markers(
         style = MarkerStyle(GHOST_SATURATION, opacity)
         colors: Colors = np.array([choose_color(n, style) for n in own.tolist()])
         points = np.array([p.joints[_BONE_ENDS] for p in people])
-        scales = np.tile([GHOST_WIDTH_M, 0.0, 0.0], (len(people), 1))
-        resting = np.tile(NO_POSE, (len(people), 1))
+        scales = np.broadcast_to(GHOST_SCALE, (len(people), 3))
+        resting = np.broadcast_to(NO_POSE, (len(people), len(NO_POSE)))
         groups.append(AlikeMarkers(f'{ahead:g} s', LINE_LIST, own, resting, scales, colors, points))
     return series.encode_update(header, groups, lifetime_s)
