@@ -158,12 +158,12 @@ class MotionPredictor:
         """Return the predictions of N >= 1 people at times (N, T) in s after their newest frames, not negative."""
         features = compute_features(pasts)
         inputs = np.concatenate([self.build_inputs(features), self.build_inputs(mirror(features))])
-        own, mirrored = np.split(self._run(inputs).reshape(2 * len(pasts), len(self.times), -1, 3), 2)
+        own, mirrored = self._run(inputs).reshape(2, len(pasts), len(self.times), -1, 3)
         moved = (own + mirrored[:, :, [*CMU15.mirror, -1]] * MIRRORED) / 2
         axes, to_optical = features.line_of_sight, features.body.swapaxes(1, 2)
         joints = moved[:, :, :-1] @ to_optical[:, None] + (moved[:, :, -1] @ axes.swapaxes(1, 2))[:, :, None]
-        root_variance = np.tensordot(features.root_squares, self.root_variance, (1, 2))  # (N, K, 3)
-        limb_variance = (self.limb_variance * features.limb_squares[:, None]).sum(axis=3)  # (N, K, J)
+        root_variance = (self.root_variance @ features.root_squares[:, None, :, None])[..., 0]  # (N, K, 3)
+        limb_variance = np.einsum('kji,nji->nkj', self.limb_variance, features.limb_squares)
         knots = (0.0, *self.times.tolist())
         weights = [_interpolate(knots, tuple(own)) for own in times.tolist()]
         displaced, varied = (np.array(parts) for parts in zip(*weights, strict=True))  # (N, T, K)

@@ -181,7 +181,6 @@ def assume_size(config: TrackerConfig, person_id: str = '', *, is_focal_known: b
 def resize(person: Person3D, size: BodySize) -> Person3D:
     """Return a person of the assumed size with another size, which has the same image."""
     ratio = size.ratio
-    covariance = estimate_root_covariance(person.root, person.std, size.share)
     return copy_with(
         person,
         joints=person.joints * ratio,
@@ -189,6 +188,11 @@ def resize(person: Person3D, size: BodySize) -> Person3D:
         scale=person.scale / ratio,
         velocity=person.velocity * ratio,
         velocity_std=person.velocity_std * ratio,
-        root_covariance=covariance * ratio**2,
+        root_covariance=find_root_covariance(person, size),
         root_velocity_covariance=person.root_velocity_covariance * ratio**2,
     )
+
+
+def find_root_covariance(person: Person3D, size: BodySize) -> Array:
+    """Return the covariance (3, 3) m^2 of the root of a person of the assumed size, enlarged to another size."""
+    return estimate_root_covariance(person.root, person.std, size.share) * size.ratio**2

@@ -16,7 +16,7 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past, load_motion_predictor
 from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.skeleton import CORE_COUNT
-from mocap_ros.tracking.body_size import ASSUMED, BodySize, resize
+from mocap_ros.tracking.body_size import ASSUMED, BodySize, find_root_covariance, resize
 from mocap_ros.tracking.person_in_frame import make_person
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
@@ -44,8 +44,8 @@ def predict_person(
     """
     age_s = (stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S
     times = np.array([[age_s, age_s + VELOCITY_SPAN_S]])
-    (last,), of_people, is_left_out = _predict([track], times, [model], upward, [size])
-    ahead = Displacements(*(values[0] for values in of_people))
+    (person,), of_people, is_left_out = _predict([track], times, [model], upward, [size])
+    last, ahead = resize(person, size), Displacements(*(values[0] for values in of_people))
     velocity = (ahead.joints[1] - ahead.joints[0]) / VELOCITY_SPAN_S
     if is_left_out.any():  # then the difference is no movement within this time
         velocity = np.zeros_like(velocity)
@@ -95,11 +95,12 @@ def predict_ahead(
     ages = [(stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S for track in tracks]
     times = np.array(ages)[:, None] + np.array(times_s)
     people, ahead, _ = _predict(tracks, times, models, upward, sizes)
-    joints = np.array([p.joints for p in people])[:, None] + ahead.joints
-    covariances = np.array([p.root_covariance for p in people])[:, None] + ahead.root_covariance
+    joints = np.array([p.joints * size.ratio for p, size in zip(people, sizes, strict=True)])
+    covariances = np.array([find_root_covariance(p, size) for p, size in zip(people, sizes, strict=True)])
+    predicted = joints[:, None] + ahead.joints, ahead.std, covariances[:, None] + ahead.root_covariance
     return [
         [PredictedPerson(last.id, *then) for then in zip(*of_person, strict=True)]
-        for last, *of_person in zip(people, joints, ahead.std, covariances, strict=True)
+        for last, *of_person in zip(people, *predicted, strict=True)
     ]
 
 
@@ -135,8 +136,8 @@ def _predict(
 ) -> tuple[list[Person3D], Displacements, NDArray[np.bool_]]:
     """Return the persons of N >= 1 tracks in their newest frames, and the predictions at times (N, T) in s after.
 
-    The prediction is that of a person of the assumed size, whose image is the same. Movements behind the camera
-    are left out, and a mask (N, T) says which these are.
+    The persons are of the assumed size. Their predictions, which have the same image, are enlarged to the sizes.
+    Movements behind the camera are left out, and a mask (N, T) says which these are.
     """
     people = [make_person(t, len(t.seen.stamps_ns) - 1, model) for t, model in zip(tracks, models, strict=True)]
     pasts = [sample_past(t, p, model, upward) for t, p, model in zip(tracks, people, models, strict=True)]
@@ -149,4 +150,4 @@ def _predict(
     displaced = Displacements(
         moved * ratio[..., None], ahead.std * ratio, ahead.root_covariance * ratio[..., None] ** 2
     )
-    return [resize(p, size) for p, size in zip(people, sizes, strict=True)], displaced, is_behind
+    return people, displaced, is_behind
