@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past, load_motion_predictor
 from mocap_ros.people import Person3D, PredictedPerson
-from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.tracking.body_size import ASSUMED, BodySize, find_root_covariance, resize
-from mocap_ros.tracking.person_in_frame import make_person
+from mocap_ros.tracking.core_motion import find_motion
+from mocap_ros.tracking.person_in_frame import find_joint_std, make_person
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
@@ -44,8 +44,9 @@ def predict_person(
     """
     age_s = (stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S
     times = np.array([[age_s, age_s + VELOCITY_SPAN_S]])
-    (person,), of_people, is_left_out = _predict([track], times, [model], upward, [size])
-    last, ahead = resize(person, size), Displacements(*(values[0] for values in of_people))
+    _, of_people, is_left_out = _predict([track], times, [model], upward, [size])
+    last = resize(make_person(track, len(track.seen.stamps_ns) - 1, model), size)
+    ahead = Displacements(*(values[0] for values in of_people))
     velocity = (ahead.joints[1] - ahead.joints[0]) / VELOCITY_SPAN_S
     if is_left_out.any():  # then the difference is no movement within this time
         velocity = np.zeros_like(velocity)
@@ -94,36 +95,36 @@ def predict_ahead(
         return []
     ages = [(stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S for track in tracks]
     times = np.array(ages)[:, None] + np.array(times_s)
-    people, ahead, _ = _predict(tracks, times, models, upward, sizes)
-    joints = np.array([p.joints * size.ratio for p, size in zip(people, sizes, strict=True)])
-    covariances = np.array([find_root_covariance(p, size) for p, size in zip(people, sizes, strict=True)])
+    pasts, ahead, _ = _predict(tracks, times, models, upward, sizes)
+    people = [*zip(pasts, sizes, strict=True)]
+    joints = np.array([past.joints * size.ratio for past, size in people])
+    covariances = np.array([find_root_covariance(past.joints, past.std, size) for past, size in people])
     predicted = joints[:, None] + ahead.joints, ahead.std, covariances[:, None] + ahead.root_covariance
     return [
-        [PredictedPerson(last.id, *then) for then in zip(*of_person, strict=True)]
-        for last, *of_person in zip(people, *predicted, strict=True)
+        [PredictedPerson(track.id, *then) for then in zip(*of_person, strict=True)]
+        for track, *of_person in zip(tracks, *predicted, strict=True)
     ]
 
 
-def sample_past(track: Track, last: Person3D, model: BasePoses, upward: Array | None = None) -> Past:
-    """Return what is known of the motion of a person's core up to the newest frame.
+def sample_past(track: Track, model: BasePoses, upward: Array | None = None) -> Past:
+    """Return what is known of the motion of the core of a person of the assumed size up to the newest frame.
 
     Before the first frame of the window, the person moves as at the newest.
 
     Args:
         track: a solved track.
-        last: its person in the newest frame.
         model: base poses of the track's solution.
         upward: (3,) unit vector upwards in the optical frame; None for that of a level camera.
     """
-    newest = last.core
+    frame = len(track.seen.stamps_ns) - 1
+    last = find_motion(track, frame, model)
+    newest, velocity = last.joints, last.velocity
     places = track.solved.sample_joints(model, track.seen.times_s, -_AGO)
     is_known = ~np.isnan(places[:, 0, 0])
-    velocity = last.velocity[:CORE_COUNT]
     if not np.isfinite(velocity).all():  # without a filter, or in the first frame
         velocity = (newest - places[0]) / _AGO[0] if is_known[0] else np.zeros_like(newest)
     earlier = np.where(is_known[:, None, None], places, newest - _AGO[:, None, None] * velocity)
-    heading = last.rotation[:, 0]
-    std = last.std[:CORE_COUNT]
+    heading, std = track.solved.rotation[frame, :, 0], find_joint_std(track, frame, last.root)
     return Past(newest, velocity, std, earlier, heading, UPRIGHT_CAMERA if upward is None else upward)
 
 
@@ -133,16 +134,15 @@ def _predict(
     models: Sequence[BasePoses],
     upward: Array | None,
     sizes: Sequence[BodySize],
-) -> tuple[list[Person3D], Displacements, NDArray[np.bool_]]:
-    """Return the persons of N >= 1 tracks in their newest frames, and the predictions at times (N, T) in s after.
+) -> tuple[list[Past], Displacements, NDArray[np.bool_]]:
+    """Return what is known of the persons of N >= 1 tracks, and predictions at times (N, T) in s after their frames.
 
     The persons are of the assumed size. Their predictions, which have the same image, are enlarged to the sizes.
     Movements behind the camera are left out, and a mask (N, T) says which these are.
     """
-    people = [make_person(t, len(t.seen.stamps_ns) - 1, model) for t, model in zip(tracks, models, strict=True)]
-    pasts = [sample_past(t, p, model, upward) for t, p, model in zip(tracks, people, models, strict=True)]
+    pasts = [sample_past(t, model, upward) for t, model in zip(tracks, models, strict=True)]
     ahead = load_motion_predictor().predict_all(pasts, times)
-    depths = np.array([p.joints[:, 2] for p in people])[:, None] + ahead.joints[..., 2]
+    depths = np.array([past.joints[:, 2] for past in pasts])[:, None] + ahead.joints[..., 2]
     depth = depths.mean(axis=2)
     is_behind = depth < depths.max(axis=2) - depth + MIN_CLEARANCE_M
     ratio = np.array([size.ratio for size in sizes])[:, None, None]
@@ -150,4 +150,4 @@ def _predict(
     displaced = Displacements(
         moved * ratio[..., None], ahead.std * ratio, ahead.root_covariance * ratio[..., None] ** 2
     )
-    return people, displaced, is_behind
+    return pasts, displaced, is_behind

@@ -252,8 +252,9 @@ class TrackSolution:
             times: (S,) s, times of the frames.
             wanted: (T,) s, times of the joints, not after the last frame; NaN is returned before the first.
         """
-        states = (np.ascontiguousarray(values) for values in (self.theta, self.rotation, self.roots))
-        return _sample_joints(wanted, times, *states, model.mean, model.components, 1 / self.stature_ratio)
+        theta, rotation, roots = (np.ascontiguousarray(v) for v in (self.theta, self.rotation, self.roots))
+        size = 1 / self.stature_ratio
+        return _sample_joints(wanted, times, theta, rotation, roots, model.mean, model.components, size)
 
 
 def _make_solution(
