@@ -135,7 +135,7 @@ def _predict(
     upward: Array | None,
     sizes: Sequence[BodySize],
 ) -> tuple[list[Past], Displacements, NDArray[np.bool_]]:
-    """Return what is known of the persons of N >= 1 tracks, and predictions at times (N, T) in s after their frames.
+    """Return what is known of the persons of N >= 1 tracks, and predictions at times (N, T) in s after that.
 
     The persons are of the assumed size. Their predictions, which have the same image, are enlarged to the sizes.
     Movements behind the camera are left out, and a mask (N, T) says which these are.
