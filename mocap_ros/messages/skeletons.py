@@ -74,7 +74,7 @@ def _collect_numbers(people: StackedPeople) -> dict[str, ArrayLike]:
         'joints': people.joints,
         'std': people.std,
         'inferred': np.array([p.inferred for p in people]),
-        'camera': compute_camera_numbers(people),
+        'camera': people.share(compute_camera_numbers),
         'kind': [motion.kind for motion in motions],
         'fit': [(m.residual, m.cadence, p.residual) for p, m in zip(people, motions, strict=True)],
         'flags': [(p.scale_known, p.predicted, p.tentative) for p in people],

@@ -7,13 +7,13 @@ numbers of each image are put, one assignment for each field of all people.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mocap_ros.messages.cdr import ENCAPSULATION, CdrWriter, encode_text
+from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES, ENCAPSULATION, CdrWriter, encode_text
 from mocap_ros.units import NS_PER_S
 
 KEPT_TEMPLATES = (
@@ -66,11 +66,30 @@ class MessageTemplate:
         return ENCAPSULATION + body[: self._bytes].tobytes()
 
 
+class SeriesTemplate(NamedTuple):
+    """Several messages without their numbers, which are filled in the time of one.
+
+    Attributes:
+        template: the messages behind one another, as one.
+        spans: where each begins and ends in it, in bytes.
+    """
+
+    template: MessageTemplate
+    spans: Sequence[tuple[int, int]]
+
+    def fill(self, stamp_ns: int, **numbers: ArrayLike) -> list[bytes]:
+        """Return the messages; the arguments are those of `MessageTemplate.fill`."""
+        raw = self.template.fill(stamp_ns, **numbers)
+        return [ENCAPSULATION + raw[begin:end] for begin, end in self.spans]
+
+
 class TemplateWriter(CdrWriter):
     """Writer of a template, which appends the fields of the message in their order."""
 
     def __init__(self) -> None:
         super().__init__()
+        self._spans: list[tuple[int, int]] = []
+        self._begun = len(self._data)  # where the message begins
         self._places: dict[str, tuple[np.dtype[Any], list[int]]] = {}
 
     def add_numbers(self, field: str, dtype: np.dtype[Any], count: int) -> None:
@@ -91,6 +110,17 @@ class TemplateWriter(CdrWriter):
         """Append a std_msgs/Header."""
         self.add_numbers(_STAMP, INT, _STAMP_NUMBERS)
         self.add(4, encode_text(frame_id))
+
+    def end_message(self) -> None:
+        """End a message of a series; what is appended then belongs to the next."""
+        self.add(CDR_ALIGNMENT_BYTES, b'')
+        self._spans.append((self._begun, len(self._data)))
+        self.add(DOUBLE.itemsize, b'')
+        self._begun = len(self._data)
+
+    def finish_series(self) -> SeriesTemplate:
+        """Return the template of the messages that were ended."""
+        return SeriesTemplate(self.finish_template(), self._spans)
 
     def finish_template(self) -> MessageTemplate:
         """Return the template."""

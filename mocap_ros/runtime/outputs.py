@@ -122,7 +122,7 @@ class OutputEncoder:
         placed = stack_people(camera.place(people))
         data = {
             'skeletons': encode_skeletons(header, placed, camera.place_vertical(vertical), camera),
-            'cameras': encode_cameras(Header(header.stamp_ns, camera.frame_id), people),
+            'cameras': encode_cameras(Header(header.stamp_ns, camera.frame_id), placed),
             'markers': self._markers.encode_update(header, placed, node.marker_lifetime),
             'points': encode_points(header, placed),
         }

@@ -49,6 +49,22 @@ def test_the_bytes_are_those_of_a_writer(header: Header, people: list[tuple[str,
         assert raw == write(header._replace(stamp_ns=stamp_ns), people, factor * numbers)
 
 
+@given(HEADERS, PEOPLE)
+def test_a_series_is_each_message_alone(header: Header, people: list[tuple[str, int]]) -> None:
+    series, alone, numbers = TemplateWriter(), [], np.random.default_rng(0).normal(size=30)
+    for number, (text, count) in enumerate(people):
+        single = TemplateWriter()
+        for writer in (series, single):
+            writer.add_stamped(text)
+            writer.add_numbers('flag', BYTE, count)
+            writer.add_numbers('place', DOUBLE, 1)
+            writer.add_text(text)
+        series.end_message()
+        alone.append(single.finish_template().fill(header.stamp_ns, place=numbers[number], flag=[7] * count))
+    flags = [7] * sum(count for _, count in people)
+    assert series.finish_series().fill(header.stamp_ns, place=numbers[: len(people)], flag=flags) == alone
+
+
 def test_numbers_that_are_too_many_are_refused() -> None:
     writer = TemplateWriter()
     writer.add_numbers('pair', DOUBLE, 2)

@@ -49,7 +49,7 @@ from mocap_ros.messages.cdr import (
 )
 from mocap_ros.messages.foreign.definitions import HRI_IDS
 from mocap_ros.messages.stacked_people import stack_people
-from mocap_ros.messages.template import DOUBLE, MessageTemplate, TemplateWriter
+from mocap_ros.messages.template import DOUBLE, KEPT_TEMPLATES, SeriesTemplate, TemplateWriter
 from mocap_ros.messages.transforms import compute_links
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
@@ -332,24 +332,23 @@ class BodiesEncoder:
             people: the people.
             names: name of each person as a body, by id.
         """
-        stamp_ns = header.stamp_ns
-        states, descriptions, ids = [], [], []
+        stamp_ns, descriptions = header.stamp_ns, []
         joints = stack_people(people).joints[:, :CORE]
-        all_ids, all_lengths = [names[p.id] for p in people], measure_lengths(joints)
-        described = np.array([self._lengths.get(i, _NO_LENGTHS) for i in all_ids]).reshape(-1, len(LENGTHS))
-        is_alike = (np.abs(all_lengths - described) <= MAX_LENGTH_CHANGE * described).all(axis=1)
-        rows = zip(all_ids, *compute_joint_states(joints), all_lengths, is_alike.tolist(), strict=True)
-        for body_id, angles, is_known, lengths, is_described in rows:
-            if not is_known:
-                continue
-            ids.append(body_id)
-            raw = _lay_out_joint_states(body_id).fill(stamp_ns, position=angles)
-            states.append(OutputMessage(f'{BODIES}{body_id}/joint_states', JOINT_STATES, stamp_ns, raw))
-            if not is_described:
-                self._lengths[body_id] = lengths
-                raw = encode_description(body_id, lengths)
-                descriptions.append(OutputMessage(f'{BODIES}{body_id}/urdf', DESCRIPTION, stamp_ns, raw))
+        angles, is_known = compute_joint_states(joints)
+        ids = [names[p.id] for p, known in zip(people, is_known, strict=True) if known]
+        all_lengths = measure_lengths(joints[is_known])
+        described = np.array([self._lengths.get(i, _NO_LENGTHS) for i in ids]).reshape(-1, len(LENGTHS))
+        is_described = (np.abs(all_lengths - described) <= MAX_LENGTH_CHANGE * described).all(axis=1)
+        for i in np.flatnonzero(~is_described).tolist():
+            self._lengths[ids[i]] = all_lengths[i]
+            raw = encode_description(ids[i], all_lengths[i])
+            descriptions.append(OutputMessage(f'{BODIES}{ids[i]}/urdf', DESCRIPTION, stamp_ns, raw))
         self._lengths = {body_id: self._lengths[body_id] for body_id in ids}
+        raws = _lay_out_joint_states(tuple(ids)).fill(stamp_ns, position=angles[is_known])
+        states = [
+            OutputMessage(f'{BODIES}{body_id}/joint_states', JOINT_STATES, stamp_ns, raw)
+            for body_id, raw in zip(ids, raws, strict=True)
+        ]
         return [OutputMessage(TRACKED, HRI_IDS, stamp_ns, encode_tracked(header, ids)), *descriptions, *states]
 
     def encode_clear(self, header: Header) -> list[OutputMessage]:
@@ -367,18 +366,20 @@ def encode_tracked(header: Header, ids: Sequence[str]) -> bytes:
     return writer.finish()
 
 
-@lru_cache(maxsize=100)  # more bodies than are tracked at once
-def _lay_out_joint_states(body_id: str) -> MessageTemplate:
-    """Return the template of a body's JointState; the frame of its header is the body's."""
+@lru_cache(maxsize=KEPT_TEMPLATES)
+def _lay_out_joint_states(ids: tuple[str, ...]) -> SeriesTemplate:
+    """Return the template of the JointState of each body; the frame of its header is the body's."""
     writer = TemplateWriter()
-    writer.add_stamped(f'body_{body_id}')
-    writer.add_count(ANGLES)
-    for name in MOVED_JOINTS:
-        writer.add_text(f'{name}_{body_id}')
-    writer.add_number_sequence('position', DOUBLE, ANGLES)
-    for _ in ('velocity', 'effort'):
-        writer.add_count(0)
-    return writer.finish_template()
+    for body_id in ids:
+        writer.add_stamped(f'body_{body_id}')
+        writer.add_count(ANGLES)
+        for name in MOVED_JOINTS:
+            writer.add_text(f'{name}_{body_id}')
+        writer.add_number_sequence('position', DOUBLE, ANGLES)
+        for _ in ('velocity', 'effort'):
+            writer.add_count(0)
+        writer.end_message()
+    return writer.finish_series()
 
 
 def encode_description(body_id: str, lengths: Array) -> bytes:

@@ -16,7 +16,7 @@ from mocap_ros.geometry.rigid_transform import SAME_POSE
 from mocap_ros.messages.cdr import Array, Header
 from mocap_ros.messages.robots.capsules import compute_all_capsules
 from mocap_ros.messages.stacked_people import StackedPeople, stack_people
-from mocap_ros.messages.template import DOUBLE, MessageTemplate, TemplateWriter
+from mocap_ros.messages.template import DOUBLE, KEPT_TEMPLATES, SeriesTemplate, TemplateWriter
 from mocap_ros.people import Person3D
 
 ID_PREFIX = 'person_'  # of the names of the objects in the planning scene
@@ -32,7 +32,6 @@ EMPTY_SEQUENCES = (
 )
 MIN_LENGTH_M = 1e-6  # m; between places that are nearer to each other there is no axis
 MIN_QUATERNION = 1e-6  # 1; length of the quaternion before it is made 1, of an axis that points down
-KEPT_TEMPLATES = 100  # of an object each; more people than are tracked at once
 _POSE = struct.Struct('<7d')
 
 
@@ -52,18 +51,13 @@ class CollisionObjectEncoder:
         ids = {person.id: None for person in people}
         gone = [person_id for person_id in self._present if person_id not in ids]
         self._present = ids
-        removed = [_lay_out(header.frame_id, i, REMOVE).fill(header.stamp_ns) for i in gone]
+        removed = _lay_out(header.frame_id, tuple(gone), REMOVE).fill(header.stamp_ns)
         if not people:
             return removed
         stacked = stack_people(people)
         _, poses = stacked.share(find_capsule_poses)
-        added = [
-            _lay_out(header.frame_id, person_id, ADD, len(sizes)).fill(
-                header.stamp_ns, dimensions=sizes, poses=of_person
-            )
-            for person_id, sizes, of_person in zip(stacked.ids, _measure_cylinders(stacked), poses, strict=True)
-        ]
-        return removed + added
+        template = _lay_out(header.frame_id, stacked.ids, ADD, poses.shape[1])
+        return removed + template.fill(header.stamp_ns, dimensions=_measure_cylinders(stacked), poses=poses)
 
     def encode_clear(self, header: Header) -> list[bytes]:
         """Encode a message for each person who was there, which removes them, and forget all people."""
@@ -71,23 +65,25 @@ class CollisionObjectEncoder:
 
 
 @lru_cache(maxsize=KEPT_TEMPLATES)
-def _lay_out(frame_id: str, person_id: str, operation: int, shapes: int = 0) -> MessageTemplate:
-    """Return the template of a person's object."""
+def _lay_out(frame_id: str, ids: tuple[str, ...], operation: int, shapes: int = 0) -> SeriesTemplate:
+    """Return the template of the object of each person."""
     writer = TemplateWriter()
-    writer.add_stamped(frame_id)
-    writer.add(8, _POSE.pack(*SAME_POSE))
-    for text in (ID_PREFIX + person_id, TYPE_KEY, ''):
-        writer.add_text(text)
-    writer.add_count(shapes)
-    for _ in range(shapes):
-        writer.add(1, bytes([CYLINDER]))
-        writer.add_number_sequence('dimensions', DOUBLE, 2)
-        writer.add_count(0)  # points of the polygon of a prism
-    writer.add_number_sequence('poses', DOUBLE, shapes, len(SAME_POSE))
-    for _ in range(EMPTY_SEQUENCES):
-        writer.add_count(0)
-    writer.add(1, bytes([operation]))
-    return writer.finish_template()
+    for person_id in ids:
+        writer.add_stamped(frame_id)
+        writer.add(8, _POSE.pack(*SAME_POSE))
+        for text in (ID_PREFIX + person_id, TYPE_KEY, ''):
+            writer.add_text(text)
+        writer.add_count(shapes)
+        for _ in range(shapes):
+            writer.add(1, bytes([CYLINDER]))
+            writer.add_number_sequence('dimensions', DOUBLE, 2)
+            writer.add_count(0)  # points of the polygon of a prism
+        writer.add_number_sequence('poses', DOUBLE, shapes, len(SAME_POSE))
+        for _ in range(EMPTY_SEQUENCES):
+            writer.add_count(0)
+        writer.add(1, bytes([operation]))
+        writer.end_message()
+    return writer.finish_series()
 
 
 def find_axis_poses(start: Array, end: Array) -> tuple[Array, Array]:
