@@ -16,9 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES, ENCAPSULATION, CdrWriter, encode_text
 from mocap_ros.units import NS_PER_S
 
-KEPT_TEMPLATES = (
-    16  # of each kind of message: the people of an image, and of some before in which others were seen
-)
+KEPT_TEMPLATES = 16  # of each kind of message: one for the people who are seen, and those of others before
 
 # Types of numbers in messages.
 DOUBLE, SINGLE, INT, BYTE = (np.dtype(name) for name in ('<f8', '<f4', '<i4', 'u1'))
@@ -94,12 +92,12 @@ class TemplateWriter(CdrWriter):
 
     def add_numbers(self, field: str, dtype: np.dtype[Any], count: int) -> None:
         """Append some numbers of a field, which may have others elsewhere."""
-        dtype_and_places = self._places.setdefault(field, (dtype, []))
+        _, places = self._places.setdefault(field, (dtype, []))
         if count:
             size = count * dtype.itemsize
             self.add(dtype.itemsize, bytes(size))
             first = (len(self._data) - len(ENCAPSULATION) - size) // dtype.itemsize
-            dtype_and_places[1].extend(range(first, first + count))
+            places.extend(range(first, first + count))
 
     def add_number_sequence(self, field: str, dtype: np.dtype[Any], count: int, width: int = 1) -> None:
         """Append a sequence of numbers, or of messages of some numbers each."""

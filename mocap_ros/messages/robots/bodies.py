@@ -122,11 +122,10 @@ LENGTHS = ('trunk', 'head', 'shoulder', 'hip', 'upper_arm', 'forearm', 'thigh', 
 MOVED_JOINTS = tuple(j.name for j in JOINTS if j.axis)  # in the order of the joint states
 ANGLES = len(MOVED_JOINTS)
 HEAD_ANGLES = np.array([MOVED_JOINTS.index(name) for name in ('r_head', 'p_head')])
-FIRST_LIMB_ANGLE = MOVED_JOINTS.index(
-    'l_y_shoulder'
-)  # of a side: y, p, r of the shoulder, elbow, the same of the leg
-LIMB_ANGLES = MOVED_JOINTS.index('r_y_shoulder') - FIRST_LIMB_ANGLE
+# The angles of each side are y, p, r of the shoulder and the elbow, then y, p, r of the hip and the knee.
+FIRST_LIMB_ANGLE = MOVED_JOINTS.index('l_y_shoulder')
 ARM_ANGLES = MOVED_JOINTS.index('l_y_hip') - FIRST_LIMB_ANGLE
+LIMB_ANGLES = MOVED_JOINTS.index('r_y_shoulder') - FIRST_LIMB_ANGLE
 
 
 def _find(*names: str) -> NDArray[np.int64]:
@@ -134,25 +133,21 @@ def _find(*names: str) -> NDArray[np.int64]:
     return np.array([[CMU15.index(side + name) for name in names] for side in SIDES])
 
 
+# Joints of the model: a row for each side.
 HEAD = CMU15.index('head')
-SHOULDERS, ARMS, LEGS = (
-    _find('shoulder').ravel(),
-    _find('shoulder', 'elbow', 'wrist'),
-    _find('hip', 'knee', 'ankle'),
-)
-_MIDDLES = np.array(
-    [SHOULDERS, LEGS[:, 0]]
-)  # joints between which further places are, shoulders' and hips' middle
-_MIDDLE = CORE  # index of the first of these places, behind the joints
-# indices (2, 8, 2) of the two places between which each of the `LENGTHS` is on each side, and its share of that
+ARMS, LEGS = _find('shoulder', 'elbow', 'wrist'), _find('hip', 'knee', 'ankle')
+SHOULDERS, _HIPS = ARMS[:, 0], LEGS[:, 0]
+_MIDDLES = np.array([SHOULDERS, _HIPS])  # joints between which two further places are
+_CHEST, _PELVIS = CORE, CORE + 1  # indices of these places, behind the joints
+# Indices (2, 8, 2) of the two places between which each of the `LENGTHS` is on each side.
 _ENDS = np.array(
     [
-        [(_MIDDLE, _MIDDLE + 1), (HEAD, _MIDDLE), SHOULDERS, LEGS[:, 0], arm[:2], arm[1:], leg[:2], leg[1:]]
+        [(_CHEST, _PELVIS), (HEAD, _CHEST), SHOULDERS, _HIPS, arm[:2], arm[1:], leg[:2], leg[1:]]
         for arm, leg in zip(ARMS, LEGS, strict=True)
     ]
 )
+_SHARES = np.array([0.5 if name in ('shoulder', 'hip') else 1.0 for name in LENGTHS])  # of what is between them
 _NO_LENGTHS = np.full(len(LENGTHS), np.nan)  # of a body that was not described
-_SHARES = np.array([0.5 if name in ('shoulder', 'hip') else 1.0 for name in LENGTHS])
 
 
 def make_body_id(person_id: str) -> str:
