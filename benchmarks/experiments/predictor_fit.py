@@ -73,7 +73,7 @@ def fit_predictor(pasts: Sequence[Past], future: Array, persons: NDArray[np.str_
         draft = _fit_network(*_add_others(pasts, features, future - now[:, None], np.flatnonzero(~is_out)))
         rows = np.flatnonzero(is_out)
         ahead = draft.predict_all([pasts[i] for i in rows.tolist()], np.tile(TIMES_S, (len(rows), 1)))
-        predicted[rows] = [now[i] + a.joints for i, a in zip(rows, ahead, strict=True)]
+        predicted[rows] = now[rows, None] + ahead.joints
     root_variance, limb_variance = _fit_variances(
         predicted,
         future,

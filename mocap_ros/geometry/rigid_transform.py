@@ -96,7 +96,7 @@ class RigidTransform:
         return np.asarray(vectors @ self.rotation.T)
 
     def rotate_covariance(self, covariance: Array) -> Array:
-        """Return the covariance (3, 3) of a vector of the child frame in the parent frame."""
+        """Return the covariances (..., 3, 3) of vectors of the child frame in the parent frame."""
         rotation = self.rotation
         return np.asarray(rotation @ covariance @ rotation.T)
 

@@ -11,12 +11,12 @@ where the second term is the motion of the camera. Covariances of velocities do 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.copying import copy_with
 from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.geometry.rotations import multiply_quaternions
 from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
@@ -47,20 +47,34 @@ class CameraPlacement(NamedTuple):
         pose = self.pose
         if pose is None:
             return people
+        if not people:
+            return []
+        joints, velocity, orientation = (
+            np.array([getattr(p, name) for p in people]) for name in ('joints', 'velocity', 'orientation')
+        )
+        placed = zip(
+            people,
+            pose.apply(joints),
+            pose.rotate(velocity) + self._find_own_motion(joints),
+            multiply_quaternions(np.array(pose.quaternion), orientation),
+            pose.rotate_covariance(np.array([p.root_covariance for p in people])),
+            pose.rotate_covariance(np.array([p.root_velocity_covariance for p in people])),
+            strict=True,
+        )
         return [
-            replace(
-                p,
-                joints=pose.apply(p.joints),
-                velocity=pose.rotate(p.velocity) + self._find_own_motion(p.joints),
-                orientation=multiply_quaternions(np.array(pose.quaternion), p.orientation),
-                root_covariance=pose.rotate_covariance(p.root_covariance),
-                root_velocity_covariance=pose.rotate_covariance(p.root_velocity_covariance),
+            copy_with(
+                person,
+                joints=places,
+                velocity=speeds,
+                orientation=turns,
+                root_covariance=covariance,
+                root_velocity_covariance=velocity_covariance,
             )
-            for p in people
+            for person, places, speeds, turns, covariance, velocity_covariance in placed
         ]
 
     def _find_own_motion(self, joints: Array) -> Array | float:
-        """Return the velocity (J, 3) m/s in the output frame of places (J, 3) m that move with the camera."""
+        """Return the velocity (..., 3) m/s in the output frame of places (..., 3) m that move with the camera."""
         if self.pose is None or self.before is None:
             return 0.0
         return np.asarray((self.pose.apply(joints) - self.before.apply(joints)) / self.step_s)
@@ -73,14 +87,13 @@ class CameraPlacement(NamedTuple):
         pose = self.pose
         if pose is None:
             return people
-        return [
-            replace(
-                p,
-                joints=pose.apply(p.joints) + ahead_s * self._find_own_motion(p.joints),
-                root_covariance=pose.rotate_covariance(p.root_covariance),
-            )
-            for p in people
-        ]
+        if not people:
+            return []
+        joints = np.array([p.joints for p in people])
+        places = pose.apply(joints) + ahead_s * self._find_own_motion(joints)
+        covariances = pose.rotate_covariance(np.array([p.root_covariance for p in people]))
+        placed = zip(people, places, covariances, strict=True)
+        return [PredictedPerson(p.id, place, p.std, covariance) for p, place, covariance in placed]
 
     def place_vertical(self, vertical: CameraVertical | None) -> CameraVertical | None:
         """Return the vertical in the frame of the outputs."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Array, CdrWriter, Header
+from mocap_ros.messages.stacked_people import stack_people
 from mocap_ros.people import Person3D
 
 CAMERAS = MOCAP_ROS_MSGS + 'WeakPerspectiveCameraArray'
@@ -25,7 +26,7 @@ def encode_cameras(header: Header, people: Sequence[Person3D]) -> bytes:
     writer.add_count(len(people))
     for person in people:
         writer.add_text(person.id)
-    writer.add_sequence(compute_camera_numbers(people))
+    writer.add_sequence(stack_people(people).share(compute_camera_numbers))
     return writer.finish()
 
 

@@ -1,7 +1,8 @@
 """Conversion between message objects and CDR bytes, and the parts that all messages share.
 
-The messages that are published for every image are written field by field (`CdrWriter`), because a message object
-for each of some hundred points would take ten times as long. All others are encoded from message objects.
+The messages that are published for every image are written field by field (`CdrWriter`) or filled into a template
+(`template.py`), because a message object for each of some hundred points would take ten times as long. All others
+are encoded from message objects.
 """
 
 from __future__ import annotations

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.geometry.rigid_transform import SAME_POSE
-from mocap_ros.messages.cdr import ENCAPSULATION, CdrWriter, Header, encode_header, encode_text, pad
+from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.template import DOUBLE, KEPT_TEMPLATES, SINGLE, MessageTemplate, TemplateWriter
 from mocap_ros.units import NS_PER_S
 
 MARKERS = 'visualization_msgs/msg/MarkerArray'
@@ -36,8 +37,9 @@ Colors = NDArray[np.float32]  # (..., 4) red, green, blue and alpha in [0, 1]
 
 # Groups of fields of a visualization_msgs/Marker.
 _NUMBERS = struct.Struct('<iii')  # id, type, action
-# pose, scale, color, lifetime, frame_locked, number of points; then the points follow without a gap
-_LOOK = struct.Struct('<7d3d4fiI?3xI')
+_LOOK = struct.Struct('<7d3d4f')  # pose, scale, color
+_NO_LOOK = _LOOK.pack(*SAME_POSE, *[0.0] * (3 + 4))
+_LIFE = struct.Struct('<iI?3x')  # lifetime, frame_locked
 _NO_TEXT = b'\1\0\0\0\0\0\0\0'  # an empty string, padded
 _NO_ELEMENTS = bytes(4)  # an empty sequence
 # The fields after texture.header: texture.format and .data, uv_coordinates, text, mesh_resource,
@@ -55,26 +57,6 @@ class MarkerStyle(NamedTuple):
 
     saturation: float
     opacity: float
-
-
-class MarkerContent(NamedTuple):
-    """What a marker shows; by default nothing. Nobody writes into the arrays.
-
-    Attributes:
-        type: value of visualization_msgs/Marker.type.
-        scale: m, value of visualization_msgs/Marker.scale.
-        color: (4,) colour of the whole.
-        lifetime_ns: ns, time after which a viewer removes the marker by itself, 0 for never.
-        points: (N, 3) m.
-        colors: (N, 4) colours of the points.
-    """
-
-    type: int = 0
-    scale: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    color: Colors = np.zeros(4, np.float32)
-    lifetime_ns: int = 0
-    points: Array = np.zeros((0, 3))
-    colors: Colors = np.zeros((0, 4), np.float32)
 
 
 class AlikeMarkers(NamedTuple):
@@ -99,75 +81,87 @@ class AlikeMarkers(NamedTuple):
     points: Array
 
 
-_NOTHING = MarkerContent()
+class MarkerWriter(TemplateWriter):
+    """Writer of the template of a MarkerArray, all markers of which have one header.
 
-
-class MarkerWriter(CdrWriter):
-    """Writer of a MarkerArray, all markers of which have one header.
+    The fields of the template are `look` (pose and scale), `color`, `points` and `colors` (of the points) of all
+    markers that are shown, in their order.
 
     Args:
-        header: time and frame of the markers.
+        frame_id: frame of the markers.
         number_of_markers: the number of markers that will follow.
+        lifetime_ns: ns, time after which a viewer removes the markers by itself, 0 for never.
     """
 
-    def __init__(self, header: Header, number_of_markers: int) -> None:
+    def __init__(self, frame_id: str, number_of_markers: int, lifetime_ns: int = 0) -> None:
         super().__init__()
         self.add_count(number_of_markers)
-        self._header = pad(encode_header(header))
-        self._end = _NO_TEXT + self._header + _NO_MESH  # from texture_resource on
+        self._frame_id, self._life = frame_id, _LIFE.pack(*divmod(lifetime_ns, NS_PER_S), False)
 
-    def add_marker(self, namespace: str, number: int, action: int, content: MarkerContent = _NOTHING) -> None:
-        """Append a marker; all fields that have no argument are zero or empty."""
-        type_, scale, color, lifetime_ns, points, colors = content
-        self.add(4, self._header + pad(encode_text(namespace)) + _NUMBERS.pack(number, type_, action))
-        lifetime = divmod(lifetime_ns, NS_PER_S)
-        self.add(8, _LOOK.pack(*SAME_POSE, *scale, *color.tolist(), *lifetime, False, len(points)))
-        self.add(1, points.tobytes())
-        self.add_sequence(colors)
-        self.add(4, self._end)
-
-    def add_alike(self, markers: AlikeMarkers, lifetime_ns: int) -> None:
-        """Append many markers at once, which takes a tenth of the time; the points have the colour of the whole.
-
-        The numbers from the pose on begin at a multiple of 8 bytes, and what precedes them at a multiple of 4,
-        so the gap before them is the same in all markers but the first, which begins where others end.
-        """
-        head = self._header + pad(encode_text(markers.namespace))
-        for rows in (slice(0, 1), slice(1, None)):
-            if len(markers.numbers[rows]):
-                self.add(4, self._fill(markers, rows, head, self._find_gap(len(head)), lifetime_ns))
-
-    def _find_gap(self, head_bytes: int) -> int:
-        """Return the bytes between the numbers of the next marker and its pose."""
-        begun = len(self._data) - len(ENCAPSULATION)
-        return -(begun + -begun % 4 + head_bytes + _NUMBERS.size) % 8
-
-    def _fill(self, markers: AlikeMarkers, rows: slice, head: bytes, gap: int, lifetime_ns: int) -> bytes:
-        """Return some of the markers as CDR.
+    def add_shape(self, namespace: str, number: int, type_: int, points: int, *, is_colored: bool = False) -> None:
+        """Append a marker that is shown.
 
         Args:
-            markers: the markers.
-            rows: which of them.
-            head: header and namespace.
-            gap: bytes before the pose.
-            lifetime_ns: ns, time after which a viewer removes them.
+            namespace: namespace of the marker.
+            number: value of visualization_msgs/Marker.id.
+            type_: value of visualization_msgs/Marker.type.
+            points: number of its points.
+            is_colored: whether each point has a colour of its own.
         """
-        points = markers.points.shape[1]
-        end = pad(self._end)  # the next marker begins at a multiple of 4 bytes
-        record = np.dtype(
-            [
-                ('head', 'V', len(head)), ('number', '<i4'), ('type', '<i4'), ('action', '<i4'), ('gap', 'V', gap),
-                ('pose', '<f8', 7), ('scale', '<f8', 3), ('color', '<f4', 4), ('lifetime', '<i4', 2),
-                ('locked', '<u4'), ('count', '<u4'), ('points', '<f8', (points, 3)), ('colors', '<u4'),
-                ('end', 'V', len(end)),
-            ]
-        )  # fmt: skip
-        out = np.zeros(len(markers.numbers[rows]), record)
-        out['head'], out['number'], out['type'] = np.void(head), markers.numbers[rows], markers.type
-        out['pose'], out['scale'], out['color'] = markers.poses[rows], markers.scales[rows], markers.colors[rows]
-        out['lifetime'], out['count'] = divmod(lifetime_ns, NS_PER_S), points
-        out['points'], out['end'] = markers.points[rows], np.void(end)
-        return out.tobytes()
+        self._begin(namespace, number, type_, ADD)
+        self.add_numbers('look', DOUBLE, 7 + 3)
+        self.add_numbers('color', SINGLE, 4)
+        self.add(4, self._life)
+        self.add_number_sequence('points', DOUBLE, points, 3)
+        self.add_number_sequence('colors', SINGLE, points if is_colored else 0, 4)
+        self._end()
+
+    def add_removal(self, namespace: str, number: int, action: int = DELETE) -> None:
+        """Append a marker that removes one, or all with `DELETE_ALL`; its other fields are zero or empty."""
+        self._begin(namespace, number, 0, action)
+        self.add(8, _NO_LOOK + _LIFE.pack(0, 0, False) + 2 * _NO_ELEMENTS)
+        self._end()
+
+    def _begin(self, namespace: str, number: int, type_: int, action: int) -> None:
+        self.add_stamped(self._frame_id)
+        self.add_text(namespace)
+        self.add(4, _NUMBERS.pack(number, type_, action))
+
+    def _end(self) -> None:
+        self.add(4, _NO_TEXT)  # texture_resource
+        self.add_stamped(self._frame_id)
+        self.add(4, _NO_MESH)
+
+
+@lru_cache(maxsize=KEPT_TEMPLATES)
+def _lay_out(
+    frame_id: str,
+    gone: tuple[tuple[str, int], ...],
+    groups: tuple[tuple[str, int, tuple[int, ...], int], ...],
+    lifetime_ns: int,
+) -> MessageTemplate:
+    """Return the template of markers.
+
+    Args:
+        frame_id: frame of the markers.
+        gone: namespaces and numbers of those that are deleted.
+        groups: namespace, type, numbers, and points of each, of some that are alike.
+        lifetime_ns: ns, time after which a viewer removes them.
+    """
+    writer = MarkerWriter(frame_id, len(gone) + sum(len(numbers) for _, _, numbers, _ in groups), lifetime_ns)
+    for namespace, number in gone:
+        writer.add_removal(namespace, number)
+    for namespace, type_, numbers, points in groups:
+        for number in numbers:
+            writer.add_shape(namespace, number, type_, points)
+    return writer.finish_template()
+
+
+def encode_removal_of_all(header: Header) -> bytes:
+    """Encode a MarkerArray that deletes all markers of a topic."""
+    writer = MarkerWriter(header.frame_id, 1)
+    writer.add_removal('', 0, DELETE_ALL)
+    return writer.finish_template().fill(header.stamp_ns)
 
 
 class MarkerSeries:
@@ -189,21 +183,23 @@ class MarkerSeries:
             shown.setdefault(group.namespace, set()).update(group.numbers.tolist())
         gone = [(ns, n) for ns, numbers in self._shown.items() for n in sorted(numbers - shown.get(ns, set()))]
         self._shown = shown
-        writer = MarkerWriter(header, len(gone) + sum(map(len, shown.values())))
-        for namespace, number in gone:
-            writer.add_marker(namespace, number, DELETE)
-        for group in groups:
-            writer.add_alike(group, round(lifetime_s * NS_PER_S))
-        return writer.finish()
+        kept = [(g.namespace, g.type, tuple(g.numbers.tolist()), g.points.shape[1]) for g in groups]
+        template = _lay_out(header.frame_id, tuple(gone), tuple(kept), round(lifetime_s * NS_PER_S))
+        if not groups:
+            return template.fill(header.stamp_ns)
+        return template.fill(
+            header.stamp_ns,
+            look=np.concatenate([np.concatenate([g.poses, g.scales], axis=1) for g in groups]),
+            color=np.concatenate([g.colors for g in groups]),
+            points=np.concatenate([g.points.ravel() for g in groups]),
+        )
 
     def encode_clear(self, header: Header) -> list[bytes]:
         """Encode a MarkerArray that deletes all markers, if there are some, and forget them."""
         if not any(self._shown.values()):
             return []
         self._shown = {}
-        writer = MarkerWriter(header, 1)
-        writer.add_marker('', 0, DELETE_ALL)
-        return [writer.finish()]
+        return [encode_removal_of_all(header)]
 
 
 @lru_cache(maxsize=1000)  # more people than are ever seen at once, in a few styles

@@ -8,25 +8,27 @@ person who was not detected in the image and is predicted, or who is tentative, 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from itertools import count
 from typing import NamedTuple
 
 import numpy as np
 
+from mocap_ros.geometry.rigid_transform import SAME_POSE
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.marker_writer import (
-    ADD,
-    DELETE,
-    DELETE_ALL,
     LINE_LIST,
     SPHERE_LIST,
     Colors,
-    MarkerContent,
     MarkerStyle,
     MarkerWriter,
     choose_color,
+    encode_removal_of_all,
 )
+from mocap_ros.messages.stacked_people import stack_people
+from mocap_ros.messages.template import KEPT_TEMPLATES, MessageTemplate
 from mocap_ros.people import Person3D
+from mocap_ros.skeleton import Skeleton
 from mocap_ros.units import NS_PER_S
 
 JOINT_DIAMETER_M = 0.06  # chosen for the look: about a wrist
@@ -82,20 +84,29 @@ class MarkerEncoder:
         present = {p.id for p in people}
         gone = [n for person_id, n in self._number_by_id.items() if person_id not in present]
         self._number_by_id = {person_id: n for person_id, n in self._number_by_id.items() if person_id in present}
-        writer = MarkerWriter(header, 2 * (len(gone) + len(people)))
-        for number in gone:
-            for shape in (JOINTS, BONES):
-                writer.add_marker(shape.namespace, number, DELETE)
-        for person in people:
-            _add_person(writer, person, self._assign_number(person.id), round(lifetime_s * NS_PER_S))
-        return writer.finish()
+        numbers = [self._assign_number(p.id) for p in people]
+        stacked, lifetime_ns = stack_people(people), round(lifetime_s * NS_PER_S)
+        template = _lay_out(header.frame_id, tuple(gone), tuple(numbers), stacked.skeleton, lifetime_ns)
+        if not people:
+            return template.fill(header.stamp_ns)
+        colors = [_choose_colors(n, p.predicted, p.tentative) for n, p in zip(numbers, people, strict=True)]
+        seen, inferred = np.array(colors).swapaxes(0, 1)
+        bone_ends = np.array(stacked.skeleton.bone_ends).T
+        is_inferred = np.array([p.inferred for p in people])
+        is_bone_inferred = is_inferred[:, bone_ends].any(axis=2).repeat(2, axis=1)
+        is_pale = np.concatenate([is_inferred, is_bone_inferred], axis=1)
+        return template.fill(
+            header.stamp_ns,
+            look=np.tile([*SAME_POSE, *JOINTS.scale, *SAME_POSE, *BONES.scale], len(people)),
+            color=seen.repeat(2, axis=0),
+            points=np.concatenate([stacked.joints, stacked.joints[:, bone_ends.ravel()]], axis=1),
+            colors=np.where(is_pale[..., None], inferred[:, None], seen[:, None]),
+        )
 
     def encode_clear(self, header: Header) -> bytes:
         """Encode a MarkerArray that deletes all markers, and forget all people."""
         self._number_by_id = {}
-        writer = MarkerWriter(header, 1)
-        writer.add_marker('', 0, DELETE_ALL)
-        return writer.finish()
+        return encode_removal_of_all(header)
 
     def _assign_number(self, person_id: str) -> int:
         """Return the number of a person; a new person gets the smallest free number."""
@@ -105,18 +116,27 @@ class MarkerEncoder:
         return self._number_by_id[person_id]
 
 
-def _add_person(writer: MarkerWriter, person: Person3D, number: int, lifetime_ns: int) -> None:
-    """Append the two markers of a person."""
-    seen_color, inferred_color = _choose_colors(number, person.predicted, person.tentative)
-    bone_ends = np.array(person.skeleton.bone_ends).T.ravel()
-    is_bone_inferred = person.inferred[bone_ends].reshape(-1, 2).any(axis=1).repeat(2)
-    for shape, points, is_inferred in (
-        (JOINTS, person.joints, person.inferred),
-        (BONES, person.joints[bone_ends], is_bone_inferred),
-    ):
-        colors = np.where(is_inferred[:, None], inferred_color, seen_color)
-        content = MarkerContent(shape.type, shape.scale, seen_color, lifetime_ns, points, colors)
-        writer.add_marker(shape.namespace, number, ADD, content)
+@lru_cache(maxsize=KEPT_TEMPLATES)
+def _lay_out(
+    frame_id: str, gone: tuple[int, ...], numbers: tuple[int, ...], skeleton: Skeleton, lifetime_ns: int
+) -> MessageTemplate:
+    """Return the template of the two markers of each person.
+
+    Args:
+        frame_id: frame of the markers.
+        gone: numbers of people whose markers are deleted.
+        numbers: numbers of people who are shown.
+        skeleton: names and order of their joints, and the bones between them.
+        lifetime_ns: ns, time after which a viewer removes the markers by itself.
+    """
+    writer = MarkerWriter(frame_id, 2 * (len(gone) + len(numbers)), lifetime_ns)
+    for number in gone:
+        for shape in (JOINTS, BONES):
+            writer.add_removal(shape.namespace, number)
+    for number in numbers:
+        for shape, points in ((JOINTS, len(skeleton.joints)), (BONES, 2 * len(skeleton.bones))):
+            writer.add_shape(shape.namespace, number, shape.type, points, is_colored=True)
+    return writer.finish_template()
 
 
 def _choose_colors(number: int, is_predicted: bool, is_tentative: bool) -> tuple[Colors, Colors]:

@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rigid_transform import SAME_POSE, RigidTransform
 from mocap_ros.messages.camera_placement import CameraPlacement
-from mocap_ros.messages.cameras import compute_camera_numbers
-from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, CdrWriter, Header, create_message, decode, encode
-from mocap_ros.people import CameraVertical, Person3D
+from mocap_ros.messages.cameras import CAMERA_NUMBERS, compute_camera_numbers
+from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, create_message, decode, encode
+from mocap_ros.messages.stacked_people import StackedPeople, stack_people
+from mocap_ros.messages.template import (
+    BYTE,
+    DOUBLE,
+    KEPT_TEMPLATES,
+    SINGLE,
+    MessageTemplate,
+    TemplateWriter,
+)
+from mocap_ros.people import HIPS, CameraVertical, Person3D
 from mocap_ros.skeleton import Skeleton
 
 SKELETONS = MOCAP_ROS_MSGS + 'Skeleton3DArray'
 SKELETON_DEFINITION = MOCAP_ROS_MSGS + 'SkeletonDefinition'
 
-# Fields of Skeleton3D from motion.residual on: it, motion.cadence, reprojection_residual, scale_source, predicted
-# and tentative.
-_IMAGE_FIELDS = struct.Struct('<fffB??')
 _ROOT_NUMBERS = 3 + 9 + 3 + 9  # numbers of root, root_covariance, root_velocity and root_velocity_covariance
-_TIMES = struct.Struct('<ff')  # age, unseen_for
-_VERTICAL_STD = struct.Struct('<f')
-_POSE = struct.Struct('<7d')  # Skeleton3DArray.camera_pose: position and quaternion
 
 
 def encode_skeletons(
@@ -43,39 +47,83 @@ def encode_skeletons(
         vertical: what is known of the camera's vertical; None if nothing is.
         camera: the camera in that frame; None where the frame is the camera's.
     """
-    writer = CdrWriter()
-    writer.add_header(header)
-    writer.add_count(len(people))
-    for person, image_camera in zip(people, compute_camera_numbers(people), strict=True):
-        motion = person.motion
-        writer.add_text(person.id)
-        writer.add_text(person.skeleton.name)
-        writer.add_sequence(np.asarray(person.joints, np.float64))
-        writer.add_sequence(person.std.astype(np.float32))
-        writer.add_sequence(np.asarray(person.inferred, np.bool_))
-        writer.add(8, image_camera.tobytes())
-        writer.add(1, bytes([motion.kind]))
-        writer.add_text(motion.category)
-        numbers = motion.residual, motion.cadence, person.residual
-        writer.add(4, _IMAGE_FIELDS.pack(*numbers, person.scale_known, person.predicted, person.tentative))
-        writer.add_sequence(np.asarray(person.velocity, np.float64))
-        writer.add_sequence(person.velocity_std.astype(np.float32))
-        root = np.empty(_ROOT_NUMBERS)
-        root[:3], root[3:12] = person.root, person.root_covariance.ravel()
-        root[12:15], root[15:] = person.root_velocity, person.root_velocity_covariance.ravel()
-        writer.add(8, root.tobytes())
-        writer.add(4, _TIMES.pack(person.age, person.unseen_for))
-        writer.add_sequence(np.asarray(person.orientation, np.float64))
-        writer.add_sequence(np.asarray(person.turn_inferred, np.bool_))
+    stacked, placement = stack_people(people), camera or CameraPlacement(header.frame_id)
     direction, std = (np.zeros(3), math.nan) if vertical is None else vertical
-    writer.add(8, np.asarray(direction, np.float64).tobytes())
-    writer.add(4, _VERTICAL_STD.pack(std))
-    placement = camera or CameraPlacement(header.frame_id)
-    writer.add_text(placement.frame_id)
     pose = placement.pose
-    pose_numbers = SAME_POSE if pose is None else (*pose.translation.tolist(), *pose.quaternion)
-    writer.add(8, _POSE.pack(*pose_numbers))
-    return writer.finish()
+    numbers: dict[str, ArrayLike] = {
+        'vertical': direction,
+        'vertical_std': std,
+        'camera_pose': SAME_POSE if pose is None else (*pose.translation.tolist(), *pose.quaternion),
+    }
+    if stacked:
+        numbers |= _collect_numbers(stacked)
+    texts = tuple([(p.id, p.motion.category) for p in stacked])
+    return _lay_out(header.frame_id, texts, stacked.skeleton, placement.frame_id).fill(header.stamp_ns, **numbers)
+
+
+def _collect_numbers(people: StackedPeople) -> dict[str, ArrayLike]:
+    """Return the numbers of the Skeleton3D of people, by the fields of `_lay_out`."""
+    motions = [p.motion for p in people]
+    velocity = np.array([p.velocity for p in people])
+    covariances, velocity_covariances = (
+        np.array([getattr(p, name) for p in people]).reshape(-1, 9)
+        for name in ('root_covariance', 'root_velocity_covariance')
+    )
+    root_velocity = (velocity[:, HIPS[0]] + velocity[:, HIPS[1]]) / 2
+    return {
+        'joints': people.joints,
+        'std': people.std,
+        'inferred': np.array([p.inferred for p in people]),
+        'camera': people.share(compute_camera_numbers),
+        'kind': [motion.kind for motion in motions],
+        'fit': [(m.residual, m.cadence, p.residual) for p, m in zip(people, motions, strict=True)],
+        'flags': [(p.scale_known, p.predicted, p.tentative) for p in people],
+        'velocity': velocity,
+        'velocity_std': np.array([p.velocity_std for p in people]),
+        'root': np.concatenate([people.roots, covariances, root_velocity, velocity_covariances], axis=1),
+        'times': [(p.age, p.unseen_for) for p in people],
+        'orientation': np.array([p.orientation for p in people]),
+        'turn_inferred': np.array([p.turn_inferred for p in people]),
+    }
+
+
+@lru_cache(maxsize=KEPT_TEMPLATES)
+def _lay_out(
+    frame_id: str, people: tuple[tuple[str, str], ...], skeleton: Skeleton, camera_frame_id: str
+) -> MessageTemplate:
+    """Return the template for people of whom the id and the category of the motion are given.
+
+    Args:
+        frame_id: frame of the people.
+        people: their texts.
+        skeleton: names and order of their joints.
+        camera_frame_id: the camera's optical frame.
+    """
+    writer, joints = TemplateWriter(), len(skeleton.joints)
+    writer.add_stamped(frame_id)
+    writer.add_count(len(people))
+    for person_id, category in people:
+        writer.add_text(person_id)
+        writer.add_text(skeleton.name)
+        writer.add_number_sequence('joints', DOUBLE, joints, 3)
+        writer.add_number_sequence('std', SINGLE, joints)
+        writer.add_number_sequence('inferred', BYTE, joints)
+        writer.add_numbers('camera', DOUBLE, CAMERA_NUMBERS)
+        writer.add_numbers('kind', BYTE, 1)
+        writer.add_text(category)
+        writer.add_numbers('fit', SINGLE, 3)  # motion.residual, motion.cadence and reprojection_residual
+        writer.add_numbers('flags', BYTE, 3)  # scale_source, predicted and tentative
+        writer.add_number_sequence('velocity', DOUBLE, joints, 3)
+        writer.add_number_sequence('velocity_std', SINGLE, joints)
+        writer.add_numbers('root', DOUBLE, _ROOT_NUMBERS)
+        writer.add_numbers('times', SINGLE, 2)  # age and unseen_for
+        writer.add_number_sequence('orientation', DOUBLE, joints, 4)
+        writer.add_number_sequence('turn_inferred', BYTE, joints)
+    writer.add_numbers('vertical', DOUBLE, 3)
+    writer.add_numbers('vertical_std', SINGLE, 1)
+    writer.add_text(camera_frame_id)
+    writer.add_numbers('camera_pose', DOUBLE, len(SAME_POSE))
+    return writer.finish_template()
 
 
 def decode_skeletons(raw: bytes) -> Any:

@@ -14,20 +14,24 @@ the left upper arm. Of somebody who stands upright with hanging arms, all have t
 
 from __future__ import annotations
 
+import math
 import re
-import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numba import void
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.kernel import FLOATS_2D, FLOATS_3D, INPUT_3D, kernel
 from mocap_ros.geometry.rigid_transform import NO_ROTATION
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
-from mocap_ros.messages.cdr import Array, CdrWriter, Header, encode_header
-from mocap_ros.people import Person3D
-from mocap_ros.skeleton import BODY26, CMU15, Skeleton
+from mocap_ros.messages.cdr import Array, Header
+from mocap_ros.messages.stacked_people import StackedPeople, stack_people
+from mocap_ros.messages.template import DOUBLE, KEPT_TEMPLATES, MessageTemplate, TemplateWriter
+from mocap_ros.people import HIPS, Person3D
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton
 
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 ROOT_LINK = 'body'  # name of the root link in REP-155
@@ -35,7 +39,7 @@ TORSO_LINK = 'torso'  # name of the link between the shoulders
 MIDDLE_LINKS = 'head', 'nose'  # joints of the middle of the body that are links
 MIN_AXIS_LENGTH = 1e-6  # m (up) and m^2 (forward); guards the divisions by them, far under any real size
 
-_SHOULDERS, _HIPS = (np.array([CMU15.index(side + joint) for side in 'lr']) for joint in ('shoulder', 'hip'))
+_SHOULDERS = CMU15.index('lshoulder'), CMU15.index('rshoulder')
 
 
 class _Links(NamedTuple):
@@ -61,45 +65,93 @@ def _list_links(skeleton: Skeleton) -> _Links:
 
 
 _TORSO_SEGMENT = CMU15.index('neck')  # joint about which the torso turns (`solvers.body_segments`)
-_TRANSFORM = struct.Struct('<7d')  # translation, and the quaternion x, y, z, w
+_TRANSFORM_NUMBERS = 3 + 4  # translation, and the quaternion x, y, z, w
+_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])  # factors of a quaternion's components for the opposite rotation
 
 
 CHILD_LINKS = _list_links(BODY26).names  # all links besides `body` that any skeleton has
 
 
-def encode_transforms(header: Header, people: Sequence[Person3D], prefix: str = '') -> bytes:
+class BodyLinks(NamedTuple):
+    """The main links of N people, as of `compute_links`."""
+
+    roots: Array
+    torsos: Array
+    axes: Array
+
+    @property
+    def is_known(self) -> NDArray[np.bool_]:
+        """(N,) True for people who have axes."""
+        return np.asarray(np.isfinite(self.axes).all(axis=(1, 2)))
+
+
+def encode_transforms(
+    header: Header, people: Sequence[Person3D], prefix: str = '', names: Mapping[str, str] | None = None
+) -> bytes:
     """Encode a TFMessage of all people who are reconstructed in metres.
 
     Args:
         header: time and frame of the image; its frame_id is the parent of every `body_<id>`.
         people: all people in the image; people who are reconstructed without a focal length are left out.
         prefix: text before the name of every link.
+        names: what stands for `<id>` of each person, by id; None for the id.
     """
-    placed = _place_bodies([p for p in people if p.scale_known and header.frame_id])
-    writer = CdrWriter()
-    writer.add_count(sum(1 + len(_list_links(person.skeleton).names) for person, _ in placed))
-    camera_header, used_ids = encode_header(header), set[str]()
-    for person, (root, torso, axes) in placed:
-        suffix = _make_unique_suffix(person.id, used_ids)
-        name, rotation = f'{prefix}{ROOT_LINK}_{suffix}', quaternion_from_rotation(axes)
-        _add_transform(writer, camera_header, name, root.tolist(), rotation)
-        body_header = encode_header(Header(header.stamp_ns, name))
-        links = _list_links(person.skeleton)
-        positions = (np.concatenate([torso[None], person.joints[links.joints]]) - root) @ axes
-        to_body = np.array([*np.negative(rotation[:3]), rotation[3]])
-        turned = multiply_quaternions(to_body, person.orientation[[_TORSO_SEGMENT, *links.joints]])
-        turned[~np.isfinite(turned).all(axis=1)] = NO_ROTATION
-        for link, position, turn in zip(links.names, positions.tolist(), turned.tolist(), strict=True):
-            _add_transform(writer, body_header, f'{prefix}{link}_{suffix}', position, turn)
-    return writer.finish()
+    stacked = _choose_placed(people) if header.frame_id else stack_people([])
+    ids = stacked.ids if names is None else tuple([names[i] for i in stacked.ids])
+    template = _lay_out(header.frame_id, ids, stacked.skeleton, prefix)
+    if not stacked:
+        return template.fill(header.stamp_ns)
+    roots, torsos, axes = stacked.share(find_links)
+    rotations, joints = stacked.share(compute_orientations), _list_links(stacked.skeleton).joints
+    numbers = np.empty((len(stacked), 2 + len(joints), _TRANSFORM_NUMBERS))
+    numbers[:, 0, :3], numbers[:, 0, 3:] = roots, rotations
+    places = np.concatenate([torsos[:, None], stacked.joints[:, joints]], axis=1)
+    numbers[:, 1:, :3] = (places - roots[:, None]) @ axes
+    segments = np.array([p.orientation for p in stacked])[:, [_TORSO_SEGMENT, *joints]]
+    turned = multiply_quaternions(rotations[:, None] * _CONJUGATE, segments)
+    turned[~np.isfinite(turned).all(axis=2)] = NO_ROTATION
+    numbers[:, 1:, 3:] = turned
+    return template.fill(header.stamp_ns, transforms=numbers)
 
 
-def _place_bodies(people: Sequence[Person3D]) -> list[tuple[Person3D, tuple[Array, Array, Array]]]:
-    """Return people who have axes, with root (3,) m, torso (3,) m and axes (3, 3), as of `compute_links`."""
-    if not people:
-        return []
-    found = zip(*compute_links(np.array([p.joints for p in people])), strict=True)
-    return [(person, body) for person, body in zip(people, found, strict=True) if np.isfinite(body[2]).all()]
+def _choose_placed(people: Sequence[Person3D]) -> StackedPeople:
+    """Return the people who are reconstructed in metres and have axes."""
+    stacked = stack_people(people)
+    if not all(p.scale_known for p in stacked):
+        stacked = stack_people([p for p in stacked if p.scale_known])
+    is_placed = stacked.share(find_links).is_known
+    return stacked if is_placed.all() else stack_people([p for p, i in zip(stacked, is_placed, strict=True) if i])
+
+
+@lru_cache(maxsize=KEPT_TEMPLATES)
+def _lay_out(frame_id: str, ids: tuple[str, ...], skeleton: Skeleton, prefix: str) -> MessageTemplate:
+    """Return the template for people with some ids."""
+    writer, links, used_ids = TemplateWriter(), _list_links(skeleton).names, set[str]()
+    writer.add_count(len(ids) * (1 + len(links)))
+    for person_id in ids:
+        suffix = _make_unique_suffix(person_id, used_ids)
+        body = f'{prefix}{ROOT_LINK}_{suffix}'
+        for parent, child in ((frame_id, body), *((body, f'{prefix}{link}_{suffix}') for link in links)):
+            writer.add_stamped(parent)
+            writer.add_text(child)
+            writer.add_numbers('transforms', DOUBLE, _TRANSFORM_NUMBERS)
+    return writer.finish_template()
+
+
+def find_links(people: StackedPeople) -> BodyLinks:
+    """Return the main links of people."""
+    return BodyLinks(*compute_links(people.joints))
+
+
+def compute_orientations(people: StackedPeople) -> Array:
+    """Return the quaternions x, y, z, w (N, 4) of bodies: x forward, y left, z up along the trunk.
+
+    They are those of the links on /tf; that of a body whose axes are not known is no rotation.
+    """
+    links = people.share(find_links)
+    rows = zip(links.axes, links.is_known, strict=True)
+    found = [quaternion_from_rotation(axes) if is_known else NO_ROTATION for axes, is_known in rows]
+    return np.array(found).reshape(-1, 4)
 
 
 def compute_links(joints: Array) -> tuple[Array, Array, Array]:
@@ -112,14 +164,35 @@ def compute_links(joints: Array) -> tuple[Array, Array, Array]:
         Origins (N, 3) of `body` in m, origins (N, 3) of `torso` in m, and the axes (N, 3, 3) of `body` as unit
         vectors forward, left and up in columns. The axes of a person whose trunk or hips have no extent are NaN.
     """
-    torso, body = (joints[:, pair].mean(axis=1) for pair in (_SHOULDERS, _HIPS))
-    up, left = torso - body, joints[:, _HIPS[0]] - joints[:, _HIPS[1]]
-    forward = np.cross(left, up)
-    lengths = np.stack([np.linalg.norm(up, axis=1), np.linalg.norm(forward, axis=1)], axis=1)
-    lengths[~(lengths.min(axis=1) > MIN_AXIS_LENGTH)] = np.nan
-    up, forward = up / lengths[:, :1], forward / lengths[:, 1:]
-    axes = np.stack([forward, np.cross(up, forward), up], axis=-1)
-    return body, torso, axes
+    joints = np.ascontiguousarray(joints[:, :CORE_COUNT], np.float64)
+    roots, torsos, axes = (np.empty((len(joints), *shape)) for shape in ((3,), (3,), (3, 3)))
+    _write_links(roots, torsos, axes, joints)
+    return roots, torsos, axes
+
+
+@kernel(void(FLOATS_2D, FLOATS_2D, FLOATS_3D, INPUT_3D))
+def _write_links(roots: Array, torsos: Array, axes: Array, joints: Array) -> None:
+    """Write the main links of bodies with joints (N, 15, 3) m; the others are the results of `compute_links`."""
+    for n in range(len(joints)):
+        body, root, torso = joints[n], roots[n], torsos[n]
+        for i in range(3):
+            root[i] = (body[HIPS[0], i] + body[HIPS[1], i]) / 2
+            torso[i] = (body[_SHOULDERS[0], i] + body[_SHOULDERS[1], i]) / 2
+        z0, z1, z2 = torso[0] - root[0], torso[1] - root[1], torso[2] - root[2]
+        l0, l1, l2 = (
+            body[HIPS[0], 0] - body[HIPS[1], 0],
+            body[HIPS[0], 1] - body[HIPS[1], 1],
+            body[HIPS[0], 2] - body[HIPS[1], 2],
+        )
+        x0, x1, x2 = l1 * z2 - l2 * z1, l2 * z0 - l0 * z2, l0 * z1 - l1 * z0
+        height, forward = math.sqrt(z0 * z0 + z1 * z1 + z2 * z2), math.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
+        if not min(height, forward) > MIN_AXIS_LENGTH:
+            axes[n] = np.nan
+            continue
+        x0, x1, x2, z0, z1, z2 = x0 / forward, x1 / forward, x2 / forward, z0 / height, z1 / height, z2 / height
+        axes[n, 0, 0], axes[n, 1, 0], axes[n, 2, 0] = x0, x1, x2
+        axes[n, 0, 1], axes[n, 1, 1], axes[n, 2, 1] = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
+        axes[n, 0, 2], axes[n, 1, 2], axes[n, 2, 2] = z0, z1, z2
 
 
 def make_suffix(person_id: str) -> str:
@@ -136,12 +209,3 @@ def _make_unique_suffix(person_id: str, used: set[str]) -> str:
         unique = f'{valid}_{number}'
     used.add(unique)
     return unique
-
-
-def _add_transform(
-    writer: CdrWriter, header: bytes, child: str, translation: Sequence[float], rotation: Sequence[float]
-) -> None:
-    """Append the TransformStamped from the frame of the header to `child`."""
-    writer.add(4, header)
-    writer.add_text(child)
-    writer.add(8, _TRANSFORM.pack(*translation, *rotation))

@@ -79,12 +79,12 @@ class Past(NamedTuple):
 
 
 class Displacements(NamedTuple):
-    """Prediction of a person at N times ahead.
+    """Prediction of a person, or of each of N people, at T times ahead.
 
     Attributes:
-        joints: (N, J, 3) m, by which each joint moves.
-        std: (N, J) m, standard deviation of each joint about the root then, that at the newest frame included.
-        root_covariance: (N, 3, 3) m^2, what the prediction adds to the covariance of the root.
+        joints: (..., T, J, 3) m, by which each joint moves.
+        std: (..., T, J) m, standard deviation of each joint about the root then, with that at the newest frame.
+        root_covariance: (..., T, 3, 3) m^2, what the prediction adds to the covariance of the root.
     """
 
     joints: Array
@@ -152,32 +152,28 @@ class MotionPredictor:
 
     def predict(self, past: Past, times: Array) -> Displacements:
         """Return the prediction at times (T,) in s after the newest frame, not negative."""
-        (displacements,) = self.predict_all([past], times[None])
-        return displacements
+        return Displacements(*(values[0] for values in self.predict_all([past], times[None])))
 
-    def predict_all(self, pasts: Sequence[Past], times: Array) -> list[Displacements]:
-        """Return the predictions of N people at times (N, T) in s after the newest frame of each, not negative."""
-        if not pasts:
-            return []
+    def predict_all(self, pasts: Sequence[Past], times: Array) -> Displacements:
+        """Return the predictions of N >= 1 people at times (N, T) in s after their newest frames, not negative."""
         features = compute_features(pasts)
         inputs = np.concatenate([self.build_inputs(features), self.build_inputs(mirror(features))])
-        own, mirrored = np.split(self._run(inputs).reshape(2 * len(pasts), len(self.times), -1, 3), 2)
+        own, mirrored = self._run(inputs).reshape(2, len(pasts), len(self.times), -1, 3)
         moved = (own + mirrored[:, :, [*CMU15.mirror, -1]] * MIRRORED) / 2
         axes, to_optical = features.line_of_sight, features.body.swapaxes(1, 2)
         joints = moved[:, :, :-1] @ to_optical[:, None] + (moved[:, :, -1] @ axes.swapaxes(1, 2))[:, :, None]
-        root_variance = np.tensordot(features.root_squares, self.root_variance, (1, 2))  # (N, K, 3)
-        limb_variance = (self.limb_variance * features.limb_squares[:, None]).sum(axis=3)  # (N, K, J)
-        out = []
-        for n, past in enumerate(pasts):
-            displaced, varied = _interpolate((0.0, *self.times.tolist()), tuple(times[n].tolist()))
-            out.append(
-                Displacements(
-                    np.tensordot(displaced, joints[n], 1),
-                    np.sqrt(past.std**2 + varied @ limb_variance[n]),
-                    (axes[n] * (varied @ root_variance[n])[:, None]) @ axes[n].T,
-                )
-            )
-        return out
+        root_variance = (self.root_variance @ features.root_squares[:, None, :, None])[..., 0]  # (N, K, 3)
+        limb_variance = np.einsum('kji,nji->nkj', self.limb_variance, features.limb_squares)
+        knots = (0.0, *self.times.tolist())
+        weights = [_interpolate(knots, tuple(own)) for own in times.tolist()]
+        displaced, varied = (np.array(parts) for parts in zip(*weights, strict=True))  # (N, T, K)
+        now = np.array([past.std for past in pasts])[:, None]
+        lengthened = axes[:, None] * (varied @ root_variance)[:, :, None]
+        return Displacements(
+            (displaced @ joints.reshape(*joints.shape[:2], -1)).reshape(*times.shape, *joints.shape[2:]),
+            np.sqrt(now**2 + varied @ limb_variance),
+            lengthened @ axes[:, None].swapaxes(2, 3),
+        )
 
     def build_inputs(self, features: Features) -> Array:
         """Return the inputs x' (N, I) of the network."""

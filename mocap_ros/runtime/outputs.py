@@ -8,7 +8,6 @@ remembered after its last message.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 from mocap_ros.config import NodeConfig
@@ -34,6 +33,7 @@ from mocap_ros.messages.skeletons import (
     encode_skeleton_definition,
     encode_skeletons,
 )
+from mocap_ros.messages.stacked_people import stack_people
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms, make_suffix
 from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.skeleton import keypoint_layout
@@ -119,17 +119,21 @@ class OutputEncoder:
         """
         node = node or NodeConfig()
         camera = camera or CameraPlacement(header.frame_id)
-        placed = camera.place(people)
+        placed = stack_people(camera.place(people))
         data = {
             'skeletons': encode_skeletons(header, placed, camera.place_vertical(vertical), camera),
-            'cameras': encode_cameras(Header(header.stamp_ns, camera.frame_id), people),
+            'cameras': encode_cameras(Header(header.stamp_ns, camera.frame_id), placed),
             'markers': self._markers.encode_update(header, placed, node.marker_lifetime),
             'points': encode_points(header, placed),
         }
         outputs = [OutputMessage(topic, OUTPUTS[topic], header.stamp_ns, raw) for topic, raw in data.items()]
-        certain = [p for p in placed if not p.tentative]
+        certain = placed
+        if any(p.tentative for p in placed):
+            certain = stack_people([p for p in placed if not p.tentative])
         numbers, lifetime = self._markers.numbers, node.marker_lifetime
         names = (self._body_names if node.publish_bodies else self._frame_names).assign([p.id for p in certain])
+        ahead = [PredictedFrame(time_s, camera.place_predicted(then, time_s)) for time_s, then in predicted]
+        here = CameraPlacement(header.frame_id)  # of those, who are placed already
         for field, output in SWITCHED_OUTPUTS.items():
             if not getattr(node, field):
                 continue
@@ -141,9 +145,9 @@ class OutputEncoder:
                 messages = [encode_capsule_markers(series, header, certain, numbers, lifetime)]
             elif output.topic == PREDICTION_MARKERS:
                 series = self._shapes[output.topic]
-                messages = [encode_prediction_markers(series, header, predicted, camera, numbers, lifetime)]
+                messages = [encode_prediction_markers(series, header, ahead, here, numbers, lifetime)]
             elif output.type == PREDICTIONS:
-                messages = [encode_predictions(header, predicted, camera)]
+                messages = [encode_predictions(header, ahead, here)]
             else:
                 messages = self._encode_switched(output, header, certain, node.frame_prefix, names)
             outputs += [OutputMessage(output.topic, output.type, header.stamp_ns, raw) for raw in messages]
@@ -169,8 +173,7 @@ class OutputEncoder:
         if output.encode is not None:
             return [output.encode(header, people)]
         if output.type == TRANSFORMS:
-            people = [replace(p, id=names[p.id]) for p in people]
-            return [encode_transforms(header, people, frame_prefix)]
+            return [encode_transforms(header, people, frame_prefix, names)]
         return self._collision_objects.encode_update(header, people)
 
     def encode_clear(self, header: Header) -> tuple[OutputMessage, ...]:

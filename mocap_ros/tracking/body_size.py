@@ -39,7 +39,7 @@ from mocap_ros.config import TrackerConfig
 from mocap_ros.copying import copy_with
 from mocap_ros.errors import ConfigError
 from mocap_ros.geometry.floor import Floor
-from mocap_ros.people import Person3D
+from mocap_ros.people import HIPS, Person3D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.core_motion import estimate_root_covariance
 from mocap_ros.units import NS_PER_S
@@ -181,7 +181,6 @@ def assume_size(config: TrackerConfig, person_id: str = '', *, is_focal_known: b
 def resize(person: Person3D, size: BodySize) -> Person3D:
     """Return a person of the assumed size with another size, which has the same image."""
     ratio = size.ratio
-    covariance = estimate_root_covariance(person.root, person.std, size.share)
     return copy_with(
         person,
         joints=person.joints * ratio,
@@ -189,6 +188,18 @@ def resize(person: Person3D, size: BodySize) -> Person3D:
         scale=person.scale / ratio,
         velocity=person.velocity * ratio,
         velocity_std=person.velocity_std * ratio,
-        root_covariance=covariance * ratio**2,
+        root_covariance=find_root_covariance(person.joints, person.std, size),
         root_velocity_covariance=person.root_velocity_covariance * ratio**2,
     )
+
+
+def find_root_covariance(joints: Array, std: Array, size: BodySize) -> Array:
+    """Return the covariance (3, 3) m^2 of the root of a person of some size.
+
+    Args:
+        joints: (J, 3) m, those of the person of the assumed size.
+        std: (J,) m, their standard deviations.
+        size: what is known of the person's size.
+    """
+    root = (joints[HIPS[0]] + joints[HIPS[1]]) / 2
+    return estimate_root_covariance(root, std, size.share) * size.ratio**2

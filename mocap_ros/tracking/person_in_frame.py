@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.joint_std import estimate_joint_std
 from mocap_ros.people import Motion, Person3D
 from mocap_ros.tracking.core_motion import find_motion
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
+
+Array = NDArray[np.float64]
 
 
 def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
@@ -20,24 +25,14 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
         frame: index of the frame.
         model: base poses of the track's solution.
     """
-    solution, observed, classification = track.solved, track.seen.observed, track.schedule.classification
-    intrinsics, lifted = track.seen.intrinsics, observed.lifted
+    solution, classification, intrinsics = track.solved, track.schedule.classification, track.seen.intrinsics
     found = find_motion(track, frame, model)
-    inferred = observed.weight[frame] == 0
     motion, category = classification.motion, classification.periodic_model_name or solution.model_name
-    std = estimate_joint_std(
-        solution.joint_std,
-        inferred,
-        None if lifted is None else lifted.std[frame],
-        solution.noise,
-        size=1 / solution.stature_ratio,
-        depth=float(observed.virtual_camera.measure_depth(found.root[None])[0]),
-    )
     return Person3D(
         id=track.id,
         joints=found.joints,
-        std=std,
-        inferred=inferred,
+        std=find_joint_std(track, frame, found.root),
+        inferred=_find_inferred(track, frame),
         scale=float(intrinsics.focal / found.root[2]),
         rotation=solution.rotation[frame],
         translation=intrinsics.project(found.root),
@@ -51,3 +46,27 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
         root_velocity_covariance=found.root_velocity_covariance,
         age=(track.seen.stamps_ns[frame] - track.first_ns) / NS_PER_S,
     )
+
+
+def find_joint_std(track: Track, frame: int, root: Array) -> Array:
+    """Return the standard deviations (J,) m of the joints of a person of the assumed size in one solved frame.
+
+    Args:
+        track: a solved track.
+        frame: index of the frame.
+        root: (3,) m, origin of the person's body.
+    """
+    solution, observed = track.solved, track.seen.observed
+    return estimate_joint_std(
+        solution.joint_std,
+        _find_inferred(track, frame),
+        None if observed.lifted is None else observed.lifted.std[frame],
+        solution.noise,
+        size=1 / solution.stature_ratio,
+        depth=float(observed.virtual_camera.measure_depth(root[None])[0]),
+    )
+
+
+def _find_inferred(track: Track, frame: int) -> NDArray[np.bool_]:
+    """Return a mask (J,) of the joints that are not seen in a frame."""
+    return np.asarray(track.seen.observed.weight[frame] == 0)

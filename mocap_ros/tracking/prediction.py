@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past, load_motion_predictor
 from mocap_ros.people import Person3D, PredictedPerson
-from mocap_ros.skeleton import CORE_COUNT
-from mocap_ros.tracking.body_size import ASSUMED, BodySize, resize
-from mocap_ros.tracking.person_in_frame import make_person
+from mocap_ros.tracking.body_size import ASSUMED, BodySize, find_root_covariance, resize
+from mocap_ros.tracking.core_motion import find_motion
+from mocap_ros.tracking.person_in_frame import find_joint_std, make_person
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
@@ -27,6 +27,7 @@ VELOCITY_SPAN_S = 0.05  # s; over which the velocity in a gap is a difference: s
 VELOCITY_STD_M_S = 0.5  # m/s; what the velocity may have changed by in a gap
 MIN_CLEARANCE_M = 0.1  # m; a predicted body must stay this far in front of the camera, or its image is meaningless
 UPRIGHT_CAMERA = np.array([0.0, -1.0, 0.0])  # direction upwards in the optical frame of a level camera
+_AGO = np.array(PAST_S)
 
 
 def predict_person(
@@ -43,7 +44,9 @@ def predict_person(
     """
     age_s = (stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S
     times = np.array([[age_s, age_s + VELOCITY_SPAN_S]])
-    ((last, ahead, is_left_out),) = _predict([track], times, [model], upward, [size])
+    _, of_people, is_left_out = _predict([track], times, [model], upward, [size])
+    last = resize(make_person(track, len(track.seen.stamps_ns) - 1, model), size)
+    ahead = Displacements(*(values[0] for values in of_people))
     velocity = (ahead.joints[1] - ahead.joints[0]) / VELOCITY_SPAN_S
     if is_left_out.any():  # then the difference is no movement within this time
         velocity = np.zeros_like(velocity)
@@ -88,46 +91,40 @@ def predict_ahead(
     Returns:
         T predictions for each of the N persons.
     """
+    if not tracks:
+        return []
     ages = [(stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S for track in tracks]
     times = np.array(ages)[:, None] + np.array(times_s)
+    pasts, ahead, _ = _predict(tracks, times, models, upward, sizes)
+    people = [*zip(pasts, sizes, strict=True)]
+    joints = np.array([past.joints * size.ratio for past, size in people])
+    covariances = np.array([find_root_covariance(past.joints, past.std, size) for past, size in people])
+    predicted = joints[:, None] + ahead.joints, ahead.std, covariances[:, None] + ahead.root_covariance
     return [
-        [
-            PredictedPerson(last.id, last.joints + movement, std, last.root_covariance + covariance)
-            for movement, std, covariance in zip(*ahead, strict=True)
-        ]
-        for last, ahead, _ in _predict(tracks, times, models, upward, sizes)
+        [PredictedPerson(track.id, *then) for then in zip(*of_person, strict=True)]
+        for track, *of_person in zip(tracks, *predicted, strict=True)
     ]
 
 
-def sample_past(track: Track, last: Person3D, model: BasePoses, upward: Array | None = None) -> Past:
-    """Return what is known of the motion of a person's core up to the newest frame.
+def sample_past(track: Track, model: BasePoses, upward: Array | None = None) -> Past:
+    """Return what is known of the motion of the core of a person of the assumed size up to the newest frame.
 
     Before the first frame of the window, the person moves as at the newest.
 
     Args:
         track: a solved track.
-        last: its person in the newest frame.
         model: base poses of the track's solution.
         upward: (3,) unit vector upwards in the optical frame; None for that of a level camera.
     """
-    solution, times = track.solved, track.seen.times_s
-    ago = np.array(PAST_S)
-    known = -ago >= times[0]
-    newest = last.core
-    places = np.zeros((len(ago), *newest.shape))
-    if known.any():
-        after = np.searchsorted(times, -ago[known]).clip(min=1)
-        frames = np.concatenate([after - 1, after])
-        joints = solution.compute_joints(model, frames) + solution.roots[frames, None]
-        before, behind = np.split(joints / solution.stature_ratio, 2)
-        share = ((-ago[known] - times[after - 1]) / (times[after] - times[after - 1]))[:, None, None]
-        places[known] = before + share * (behind - before)
-    velocity = last.velocity[:CORE_COUNT]
+    frame = len(track.seen.stamps_ns) - 1
+    last = find_motion(track, frame, model)
+    newest, velocity = last.joints, last.velocity
+    places = track.solved.sample_joints(model, track.seen.times_s, -_AGO)
+    is_known = ~np.isnan(places[:, 0, 0])
     if not np.isfinite(velocity).all():  # without a filter, or in the first frame
-        velocity = (newest - places[0]) / ago[0] if known[0] else np.zeros_like(newest)
-    earlier = np.where(known[:, None, None], places, newest - ago[:, None, None] * velocity)
-    heading = last.rotation[:, 0]
-    std = last.std[:CORE_COUNT]
+        velocity = (newest - places[0]) / _AGO[0] if is_known[0] else np.zeros_like(newest)
+    earlier = np.where(is_known[:, None, None], places, newest - _AGO[:, None, None] * velocity)
+    heading, std = track.solved.rotation[frame, :, 0], find_joint_std(track, frame, last.root)
     return Past(newest, velocity, std, earlier, heading, UPRIGHT_CAMERA if upward is None else upward)
 
 
@@ -137,21 +134,20 @@ def _predict(
     models: Sequence[BasePoses],
     upward: Array | None,
     sizes: Sequence[BodySize],
-) -> list[tuple[Person3D, Displacements, NDArray[np.bool_]]]:
-    """Return the person of each of N tracks in its newest frame, and the prediction at times (N, T) in s after it.
+) -> tuple[list[Past], Displacements, NDArray[np.bool_]]:
+    """Return what is known of the persons of N >= 1 tracks, and predictions at times (N, T) in s after that.
 
-    The prediction is that of a person of the assumed size, whose image is the same. Movements behind the camera
-    are left out, and a mask (T,) says which these are.
+    The persons are of the assumed size. Their predictions, which have the same image, are enlarged to the sizes.
+    Movements behind the camera are left out, and a mask (N, T) says which these are.
     """
-    people = [make_person(t, len(t.seen.stamps_ns) - 1, model) for t, model in zip(tracks, models, strict=True)]
-    pasts = [sample_past(t, p, model, upward) for t, p, model in zip(tracks, people, models, strict=True)]
-    predicted = load_motion_predictor().predict_all(pasts, times)
-    out = []
-    for last, ahead, size in zip(people, predicted, sizes, strict=True):
-        joints, ratio = last.joints + ahead.joints, size.ratio
-        depth = joints[..., 2].mean(axis=1)
-        is_behind = depth < joints[..., 2].max(axis=1) - depth + MIN_CLEARANCE_M
-        moved = np.where(is_behind[:, None, None], 0.0, ahead.joints)
-        displaced = Displacements(moved * ratio, ahead.std * ratio, ahead.root_covariance * ratio**2)
-        out.append((resize(last, size), displaced, is_behind))
-    return out
+    pasts = [sample_past(t, model, upward) for t, model in zip(tracks, models, strict=True)]
+    ahead = load_motion_predictor().predict_all(pasts, times)
+    depths = np.array([past.joints[:, 2] for past in pasts])[:, None] + ahead.joints[..., 2]
+    depth = depths.mean(axis=2)
+    is_behind = depth < depths.max(axis=2) - depth + MIN_CLEARANCE_M
+    ratio = np.array([size.ratio for size in sizes])[:, None, None]
+    moved = np.where(is_behind[..., None, None], 0.0, ahead.joints)
+    displaced = Displacements(
+        moved * ratio[..., None], ahead.std * ratio, ahead.root_covariance * ratio[..., None] ** 2
+    )
+    return pasts, displaced, is_behind

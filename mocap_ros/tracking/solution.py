@@ -13,6 +13,7 @@ from mocap_ros.compiled.kernel import (
     FLOAT,
     FLOATS_1D,
     FLOATS_2D,
+    FLOATS_3D,
     INPUT_1D,
     INPUT_2D,
     INPUT_3D,
@@ -243,6 +244,18 @@ class TrackSolution:
         state = self.theta[frame], self.rotation[frame], self.roots[frame]
         return _locate_joints(*state, model.mean, model.components, 1 / self.stature_ratio)
 
+    def sample_joints(self, model: BasePoses, times: Array, wanted: Array) -> Array:
+        """Return the joints (T, J, 3) m of a person of the assumed size, interpolated between frames.
+
+        Args:
+            model: base poses of the solution.
+            times: (S,) s, times of the frames.
+            wanted: (T,) s, times of the joints, not after the last frame; NaN is returned before the first.
+        """
+        theta, rotation, roots = (np.ascontiguousarray(v) for v in (self.theta, self.rotation, self.roots))
+        size = 1 / self.stature_ratio
+        return _sample_joints(wanted, times, theta, rotation, roots, model.mean, model.components, size)
+
 
 def _make_solution(
     reconstruction: JointReconstruction,
@@ -303,6 +316,31 @@ def _locate_joints(
         for i in range(3):
             turned = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z
             out[j, i] = size * (turned + root[i])
+    return out
+
+
+@kernel(FLOATS_3D(INPUT_1D, INPUT_1D, INPUT_2D, INPUT_3D, INPUT_2D, INPUT_2D, INPUT_3D, FLOAT))
+def _sample_joints(
+    wanted: Array,
+    times: Array,
+    theta: Array,
+    rotation: Array,
+    roots: Array,
+    mean: Array,
+    components: Array,
+    size: float,
+) -> Array:
+    """Return what `TrackSolution.sample_joints` does; the arguments are its own and those of `_locate_joints`."""
+    out = np.full((len(wanted), *mean.shape), np.nan)
+    for n in range(len(wanted)):
+        if not wanted[n] >= times[0]:
+            continue
+        last = max(np.searchsorted(times, wanted[n]), 1)
+        first = last - 1
+        share = (wanted[n] - times[first]) / (times[last] - times[first])
+        before = _locate_joints(theta[first], rotation[first], roots[first], mean, components, size)
+        after = _locate_joints(theta[last], rotation[last], roots[last], mean, components, size)
+        out[n] = before + share * (after - before)
     return out
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,20 +12,32 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from mocap_ros.config import Config, with_values
 from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cameras import encode_cameras
-from mocap_ros.messages.cdr import Header, decode
+from mocap_ros.messages.cdr import Header, decode, encode
+from mocap_ros.messages.foreign.definitions import DETECTIONS_3D, OBSTACLES, PEOPLE
 from mocap_ros.messages.markers import MarkerEncoder
 from mocap_ros.messages.point_cloud import encode_points
+from mocap_ros.messages.robots.detections import encode_detections
+from mocap_ros.messages.robots.obstacles import encode_obstacles
+from mocap_ros.messages.robots.people import encode_people
+from mocap_ros.messages.robots.poses import POSES, encode_poses
+from mocap_ros.messages.robots.predictions import PredictedFrame
 from mocap_ros.messages.skeletons import encode_skeletons
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
-from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D
+from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D, PredictedPerson
+from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS, OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton
 from tests.support.message_objects import (
     encode_cameras_slowly,
+    encode_detections_slowly,
     encode_markers_slowly,
+    encode_obstacles_slowly,
+    encode_people_slowly,
     encode_points_slowly,
+    encode_poses_slowly,
     encode_skeletons_slowly,
     encode_transforms_slowly,
 )
@@ -116,3 +129,67 @@ def align(numbers: dict[str, float], reference: dict[str, float]) -> dict[str, f
     keys = [key for key in 'xyzw' if key in numbers]
     is_far = 'w' in numbers and sum(numbers[k] * reference[k] for k in keys) < 0
     return {k: (-v if is_far and k in keys else v) for k, v in numbers.items()}
+
+
+ROBOT_ENCODERS = {
+    PEOPLE: (encode_people, encode_people_slowly),
+    POSES: (encode_poses, encode_poses_slowly),
+    OBSTACLES: (encode_obstacles, encode_obstacles_slowly),
+    DETECTIONS_3D: (encode_detections, encode_detections_slowly),
+}
+
+
+@pytest.mark.parametrize('msgtype', ROBOT_ENCODERS)
+@given(header=HEADERS, people=make_people())
+def test_messages_for_robots(msgtype: str, header: Header, people: list[Person3D]) -> None:
+    ours, theirs = (encoder(header, people) for encoder in ROBOT_ENCODERS[msgtype])
+    assert len(ours) == len(theirs)
+    numbers, expected = (list_numbers(decode(raw, msgtype)) for raw in (ours, theirs))
+    np.testing.assert_allclose(numbers, expected, rtol=1e-13, atol=1e-15)
+
+
+def list_numbers(value: Any) -> list[float]:
+    """Return all numbers of a decoded message, and the bytes of its texts."""
+    if isinstance(value, str):
+        return [*map(float, value.encode())]
+    if isinstance(value, list | np.ndarray):
+        return [number for element in value for number in list_numbers(element)]
+    if isinstance(value, bool | int | float | np.generic):
+        return [float(value)]
+    return [n for name, element in vars(value).items() if name != '__msgtype__' for n in list_numbers(element)]
+
+
+@given(header=HEADERS, people=make_people(), later_ns=st.integers(0, 2**31 * 10**9 - 1))
+def test_all_outputs_are_as_the_library_writes_them(header: Header, people: list[Person3D], later_ns: int) -> None:
+    people = [replace(p, orientation=p.orientation * np.nan) if n else p for n, p in enumerate(people)]
+    node = with_values(Config(), {f'node.{field}': True for field in SWITCHED_OUTPUTS}).node
+    ahead = [PredictedPerson(p.id, p.joints[:15], p.std[:15], p.root_covariance) for p in people]
+    encoder = OutputEncoder()
+    for stamp_ns, shown in ((header.stamp_ns, people), (later_ns, people), (later_ns, people[1:])):
+        frames = [PredictedFrame(0.2, ahead[: len(shown)]), PredictedFrame(0.5, [])]
+        known = frames if shown == people else []
+        for message in encoder.encode(header._replace(stamp_ns=stamp_ns), shown, node, predicted=known):
+            assert encode(decode(message.data, message.type), message.type) == message.data, message.topic
+
+
+@given(people=make_people(), step_s=st.sampled_from([0.0, 0.1]))
+def test_people_are_placed_together_as_alone(people: list[Person3D], step_s: float) -> None:
+    pose, before = (RigidTransform.from_numbers((x, -2.0, 0.25, 0.6, 0.0, -0.8, 0.0)) for x in (1.5, 1.4))
+    camera = CameraPlacement('optical', pose, before if step_s else None, step_s)
+    for person, placed in zip(people, camera.place(people), strict=True):
+        motion = np.array([0.1, 0.0, 0.0]) / step_s if step_s else np.zeros(3)
+        expected = replace(
+            person,
+            joints=pose.apply(person.joints),
+            velocity=pose.rotate(person.velocity) + motion,
+            orientation=(Rotation.from_quat(pose.quaternion) * Rotation.from_quat(person.orientation)).as_quat(),
+            root_covariance=pose.rotation @ person.root_covariance @ pose.rotation.T,
+            root_velocity_covariance=pose.rotation @ person.root_velocity_covariance @ pose.rotation.T,
+        )
+        signs = np.sign((placed.orientation * expected.orientation).sum(axis=1, keepdims=True))
+        expected = replace(expected, orientation=expected.orientation * signs)
+        for name, value in vars(expected).items():
+            if isinstance(value, np.ndarray) and value.dtype == np.float64:
+                np.testing.assert_allclose(getattr(placed, name), value, atol=1e-12)
+            elif not isinstance(value, np.ndarray):
+                assert getattr(placed, name) is value

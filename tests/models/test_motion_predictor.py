@@ -77,6 +77,16 @@ def test_a_body_that_faces_upwards_and_unknown_deviations_give_finite_prediction
     assert np.isnan(ahead.std).all()
 
 
+def test_people_are_predicted_together_as_alone() -> None:
+    pasts = [make_past(0.0), make_past(1.3, 0.05, (4.0, -2.0, 0.1)), make_past(0.7, np.nan)]
+    times = np.array([TIMES, TIMES + 0.05, TIMES / 3])
+    together = load_motion_predictor().predict_all(pasts, times)
+    for n, past in enumerate(pasts):
+        alone = load_motion_predictor().predict(past, times[n])
+        for ours, own in zip(together, alone, strict=True):
+            np.testing.assert_allclose(ours[n], own, atol=1e-12)
+
+
 def test_who_moves_is_less_certain_than_who_stands() -> None:
     standing, running = (load_motion_predictor().predict(make_past(speed), TIMES) for speed in (0.0, 3.0))
     assert (np.linalg.eigvalsh(running.root_covariance - standing.root_covariance) > 0).all()

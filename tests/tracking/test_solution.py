@@ -205,6 +205,16 @@ def test_states_are_appended(truth: TrackSolution, model: BasePoses) -> None:
     assert longer.noise == truth.noise
 
 
+def test_joints_between_frames_are_interpolated(truth: TrackSolution, model: BasePoses) -> None:
+    solution, times = replace(truth, stature_ratio=1.1), -np.cumsum(np.linspace(0.02, 0.05, FRAMES))[::-1]
+    joints = (solution.compute_joints(model, ALL) + solution.roots[:, None]) / 1.1
+    wanted = np.array([times[0] - 0.01, times[0], -0.17, -0.1, times[4], times[-1]])
+    found = solution.sample_joints(model, times, wanted)
+    assert np.isnan(found[0]).all()
+    expected = [np.interp(wanted[1:], times, column) for column in joints.reshape(FRAMES, -1).T]
+    np.testing.assert_allclose(found[1:].reshape(5, -1).T, expected, atol=1e-12)
+
+
 def test_poses_of_another_model_approximate_the_same_joints(truth: TrackSolution, walk_model: BasePoses) -> None:
     """A model with all base poses represents the poses of one with some of them; its body frame may be turned."""
     model, turn = walk_model.truncate(COMPONENTS), Rotation.from_rotvec([0, 0, 0.5]).as_matrix()

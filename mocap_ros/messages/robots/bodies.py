@@ -18,6 +18,7 @@ dancers.
 
 from __future__ import annotations
 
+import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
@@ -25,8 +26,19 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numba import void
 from numpy.typing import NDArray
 
+from mocap_ros.compiled.kernel import (
+    FLOAT,
+    FLOATS_1D,
+    FLOATS_2D,
+    INPUT_1D,
+    INPUT_2D,
+    INPUT_3D,
+    INPUT_INTS_1D,
+    kernel,
+)
 from mocap_ros.messages.cdr import (
     Array,
     CdrWriter,
@@ -34,10 +46,10 @@ from mocap_ros.messages.cdr import (
     OutputMessage,
     create_message,
     encode,
-    encode_text,
-    pad,
 )
 from mocap_ros.messages.foreign.definitions import HRI_IDS
+from mocap_ros.messages.stacked_people import stack_people
+from mocap_ros.messages.template import DOUBLE, KEPT_TEMPLATES, SeriesTemplate, TemplateWriter
 from mocap_ros.messages.transforms import compute_links
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
@@ -108,6 +120,34 @@ JOINTS = _list_joints()
 # lengths of the model
 LENGTHS = ('trunk', 'head', 'shoulder', 'hip', 'upper_arm', 'forearm', 'thigh', 'shin')
 MOVED_JOINTS = tuple(j.name for j in JOINTS if j.axis)  # in the order of the joint states
+ANGLES = len(MOVED_JOINTS)
+HEAD_ANGLES = np.array([MOVED_JOINTS.index(name) for name in ('r_head', 'p_head')])
+# The angles of each side are y, p, r of the shoulder and the elbow, then y, p, r of the hip and the knee.
+FIRST_LIMB_ANGLE = MOVED_JOINTS.index('l_y_shoulder')
+ARM_ANGLES = MOVED_JOINTS.index('l_y_hip') - FIRST_LIMB_ANGLE
+LIMB_ANGLES = MOVED_JOINTS.index('r_y_shoulder') - FIRST_LIMB_ANGLE
+
+
+def _find(*names: str) -> NDArray[np.int64]:
+    """Return the indices of joints of both sides (2, n), left first."""
+    return np.array([[CMU15.index(side + name) for name in names] for side in SIDES])
+
+
+# Joints of the model: a row for each side.
+HEAD = CMU15.index('head')
+ARMS, LEGS = _find('shoulder', 'elbow', 'wrist'), _find('hip', 'knee', 'ankle')
+SHOULDERS, _HIPS = ARMS[:, 0], LEGS[:, 0]
+_MIDDLES = np.array([SHOULDERS, _HIPS])  # joints between which two further places are
+_CHEST, _PELVIS = CORE, CORE + 1  # indices of these places, behind the joints
+# Indices (2, 8, 2) of the two places between which each of the `LENGTHS` is on each side.
+_ENDS = np.array(
+    [
+        [(_CHEST, _PELVIS), (HEAD, _CHEST), SHOULDERS, _HIPS, arm[:2], arm[1:], leg[:2], leg[1:]]
+        for arm, leg in zip(ARMS, LEGS, strict=True)
+    ]
+)
+_SHARES = np.array([0.5 if name in ('shoulder', 'hip') else 1.0 for name in LENGTHS])  # of what is between them
+_NO_LENGTHS = np.full(len(LENGTHS), np.nan)  # of a body that was not described
 
 
 def make_body_id(person_id: str) -> str:
@@ -145,6 +185,67 @@ class BodyNames:
         return names
 
 
+@kernel(FLOAT(FLOAT))
+def _limit(value: float) -> float:
+    """Return a sine or cosine without what rounding puts beyond 1."""
+    return min(max(value, -1.0), 1.0)
+
+
+@kernel(void(FLOATS_1D, INPUT_1D, INPUT_1D))
+def _write_direction(out: Array, start: Array, end: Array) -> None:
+    """Write the unit vector (3,) from one place to another; downwards where they are one."""
+    length = math.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2 + (end[2] - start[2]) ** 2)
+    out[0], out[1], out[2] = 0.0, 0.0, -1.0
+    if length > 0:
+        for i in range(3):
+            out[i] = (end[i] - start[i]) / length
+
+
+@kernel(void(FLOATS_1D, INPUT_2D, INPUT_INTS_1D, FLOAT))
+def _write_arm(out: Array, joints: Array, limb: NDArray[np.intp], sign: float) -> None:
+    """Write the angles (4,) y, p, r of a shoulder and that of its elbow.
+
+    Args:
+        out: the angles in rad.
+        joints: (15, 3) m, in the trunk's axes.
+        limb: indices of shoulder, elbow and wrist.
+        sign: s of the module.
+    """
+    upper, fore = np.empty(3), np.empty(3)
+    _write_direction(upper, joints[limb[0]], joints[limb[1]])
+    _write_direction(fore, joints[limb[1]], joints[limb[2]])
+    pitch, yaw, roll = math.acos(_limit(-upper[2])), 0.0, 0.0
+    if math.hypot(upper[0], upper[1]) > STRAIGHT_SINE:  # it neither hangs nor is held straight up
+        yaw = math.atan2(upper[0], sign * upper[1])
+    cosine, sine = math.cos(sign * yaw), math.sin(sign * yaw)
+    x, y = cosine * fore[0] - sine * fore[1], sine * fore[0] + cosine * fore[1]
+    cosine, sine = math.cos(-sign * pitch), math.sin(-sign * pitch)
+    y, z = cosine * y - sine * fore[2], sine * y + cosine * fore[2]
+    if math.hypot(x, y) > STRAIGHT_SINE:
+        roll = math.atan2(sign * y, x)
+    out[0], out[1], out[2], out[3] = yaw, pitch, roll, math.acos(_limit(-z))
+
+
+@kernel(void(FLOATS_1D, INPUT_2D, INPUT_INTS_1D, FLOAT))
+def _write_leg(out: Array, joints: Array, limb: NDArray[np.intp], sign: float) -> None:
+    """Write the angles (4,) y, p, r of a hip and that of its knee; the arguments are those of `_write_arm`."""
+    thigh, shin, axis = np.empty(3), np.empty(3), np.empty(3)
+    _write_direction(thigh, joints[limb[0]], joints[limb[1]])
+    _write_direction(shin, joints[limb[1]], joints[limb[2]])
+    axis[0] = thigh[1] * shin[2] - thigh[2] * shin[1]
+    axis[1] = thigh[2] * shin[0] - thigh[0] * shin[2]
+    axis[2] = thigh[0] * shin[1] - thigh[1] * shin[0]
+    if math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2) < STRAIGHT_SINE:
+        axis[0], axis[1], axis[2] = -thigh[1] * thigh[0], 1 - thigh[1] * thigh[1], -thigh[1] * thigh[2]
+    y = np.empty(3)  # with x and z the columns of R_z(-yaw) R_x(s pitch) R_y(-roll)
+    _write_direction(y, np.zeros(3), axis)
+    x2 = -(y[0] * thigh[1] - y[1] * thigh[0])
+    out[0] = -math.atan2(-y[0], y[1])
+    out[1] = sign * math.asin(_limit(y[2]))
+    out[2] = -math.atan2(-x2, -thigh[2])
+    out[3] = -math.acos(_limit(thigh[0] * shin[0] + thigh[1] * shin[1] + thigh[2] * shin[2]))
+
+
 def compute_joint_states(joints: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the angles (N, A) in rad of the `MOVED_JOINTS` of bodies, and which bodies (N,) have a direction.
 
@@ -152,57 +253,35 @@ def compute_joint_states(joints: Array) -> tuple[Array, NDArray[np.bool_]]:
         joints: (N, 15, 3) m, in the order of `skeleton.CMU15`, in any right-handed frame.
     """
     origin, _, axes = compute_links(joints)
-    local = (joints - origin[:, None]) @ axes
-    angles = np.zeros((len(joints), len(MOVED_JOINTS)))
-    at = {name: angles[:, i] for i, name in enumerate(MOVED_JOINTS)}
-    shoulders = (_at(local, 'lshoulder') + _at(local, 'rshoulder')) / 2
-    head = _unit(_at(local, 'head') - shoulders)
-    at['p_head'][:] = -np.arcsin(head[:, 0].clip(-1, 1))
-    at['r_head'][:] = np.arctan2(-head[:, 1], head[:, 2])
-    for side, s in SIDES.items():
-        upper, fore = _limb(local, side, 'shoulder', 'elbow'), _limb(local, side, 'elbow', 'wrist')
-        thigh, shin = _limb(local, side, 'hip', 'knee'), _limb(local, side, 'knee', 'ankle')
-        pitch = np.arccos((-upper[:, 2]).clip(-1, 1))
-        hangs = np.hypot(upper[:, 0], upper[:, 1]) <= STRAIGHT_SINE  # or is held straight up
-        yaw = np.where(hangs, 0.0, np.arctan2(upper[:, 0], s * upper[:, 1]))
-        bent = _turn(_turn(fore, 2, s * yaw), 0, -s * pitch)
-        straight = np.hypot(bent[:, 0], bent[:, 1]) <= STRAIGHT_SINE
-        at[f'{side}_y_shoulder'][:], at[f'{side}_p_shoulder'][:] = yaw, pitch
-        at[f'{side}_r_shoulder'][:] = np.where(straight, 0.0, np.arctan2(s * bent[:, 1], bent[:, 0]))
-        at[f'{side}_elbow'][:] = np.arccos((-bent[:, 2]).clip(-1, 1))
-        axis = _cross(thigh, shin)
-        is_straight = np.linalg.norm(axis, axis=1, keepdims=True) < STRAIGHT_SINE
-        y, z = _unit(np.where(is_straight, np.array([0.0, 1.0, 0.0]) - thigh[:, 1:2] * thigh, axis)), -thigh
-        x = _cross(y, z)  # the columns of R_z(-yaw) R_x(s pitch) R_y(-roll)
-        at[f'{side}_y_hip'][:] = -np.arctan2(-y[:, 0], y[:, 1])
-        at[f'{side}_p_hip'][:] = s * np.arcsin(y[:, 2].clip(-1, 1))
-        at[f'{side}_r_hip'][:] = -np.arctan2(-x[:, 2], z[:, 2])
-        at[f'{side}_knee'][:] = -np.arccos((thigh * shin).sum(axis=1).clip(-1, 1))
-    return angles, np.asarray(np.isfinite(axes).all(axis=(1, 2)))
+    return _compute_angles((joints - origin[:, None]) @ axes), np.asarray(np.isfinite(axes).all(axis=(1, 2)))
+
+
+@kernel(FLOATS_2D(INPUT_3D))
+def _compute_angles(local: Array) -> Array:
+    """Return the angles (N, A) in rad of bodies with joints (N, 15, 3) m in the axes of their trunks."""
+    angles = np.zeros((len(local), ANGLES))
+    shoulders, direction = np.empty(3), np.empty(3)
+    for body in range(len(local)):
+        joints, out = local[body], angles[body]
+        for i in range(3):
+            shoulders[i] = (joints[SHOULDERS[0], i] + joints[SHOULDERS[1], i]) / 2
+        _write_direction(direction, shoulders, joints[HEAD])
+        out[HEAD_ANGLES[0]] = math.atan2(-direction[1], direction[2])
+        out[HEAD_ANGLES[1]] = -math.asin(_limit(direction[0]))
+        for side in range(2):
+            sign = 1.0 - 2.0 * side
+            first = FIRST_LIMB_ANGLE + side * LIMB_ANGLES
+            _write_arm(out[first : first + ARM_ANGLES], joints, ARMS[side], sign)
+            _write_leg(out[first + ARM_ANGLES : first + LIMB_ANGLES], joints, LEGS[side], sign)
+    return angles
 
 
 def measure_lengths(joints: Array) -> Array:
     """Return the `LENGTHS` (N, 8) in m of bodies with joints (N, 15, 3) m; of limbs the means of both sides."""
-
-    def between(start: Array, end: Array) -> Array:
-        return np.asarray(np.linalg.norm(start - end, axis=1))
-
-    def of_sides(start: str, end: str) -> Array:
-        return np.asarray(sum(between(_at(joints, s + start), _at(joints, s + end)) for s in SIDES) / len(SIDES))
-
-    shoulders = (_at(joints, 'lshoulder') + _at(joints, 'rshoulder')) / 2
-    hips = (_at(joints, 'lhip') + _at(joints, 'rhip')) / 2
-    lengths = {
-        'trunk': between(shoulders, hips),
-        'head': between(_at(joints, 'head'), shoulders),
-        'shoulder': between(_at(joints, 'lshoulder'), _at(joints, 'rshoulder')) / 2,
-        'hip': between(_at(joints, 'lhip'), _at(joints, 'rhip')) / 2,
-        'upper_arm': of_sides('shoulder', 'elbow'),
-        'forearm': of_sides('elbow', 'wrist'),
-        'thigh': of_sides('hip', 'knee'),
-        'shin': of_sides('knee', 'ankle'),
-    }
-    return np.stack([lengths[name] for name in LENGTHS], axis=1)
+    middles = (joints[:, _MIDDLES[:, 0]] + joints[:, _MIDDLES[:, 1]]) / 2
+    places = np.concatenate([joints, middles], axis=1)
+    left, right = np.linalg.norm(places[:, _ENDS[..., 0]] - places[:, _ENDS[..., 1]], axis=-1).swapaxes(0, 1)
+    return np.asarray((left + right) / 2 * _SHARES)
 
 
 def describe_body(body_id: str, measured: Array) -> str:
@@ -248,23 +327,23 @@ class BodiesEncoder:
             people: the people.
             names: name of each person as a body, by id.
         """
-        stamp_ns = header.stamp_ns
-        states, descriptions, ids = [], [], []
-        joints = np.array([p.joints[:CORE] for p in people]).reshape(-1, CORE, 3)
-        rows = zip(people, *compute_joint_states(joints), measure_lengths(joints), strict=True)
-        for person, angles, is_known, lengths in rows:
-            if not is_known:
-                continue
-            body_id = names[person.id]
-            ids.append(body_id)
-            raw = encode_joint_states(header, body_id, angles)
-            states.append(OutputMessage(f'{BODIES}{body_id}/joint_states', JOINT_STATES, stamp_ns, raw))
-            known = self._lengths.get(body_id)
-            if known is None or (np.abs(lengths - known) > MAX_LENGTH_CHANGE * known).any():
-                self._lengths[body_id] = lengths
-                raw = encode_description(body_id, lengths)
-                descriptions.append(OutputMessage(f'{BODIES}{body_id}/urdf', DESCRIPTION, stamp_ns, raw))
+        stamp_ns, descriptions = header.stamp_ns, []
+        joints = stack_people(people).joints[:, :CORE]
+        angles, is_known = compute_joint_states(joints)
+        ids = [names[p.id] for p, known in zip(people, is_known, strict=True) if known]
+        all_lengths = measure_lengths(joints[is_known])
+        described = np.array([self._lengths.get(i, _NO_LENGTHS) for i in ids]).reshape(-1, len(LENGTHS))
+        is_described = (np.abs(all_lengths - described) <= MAX_LENGTH_CHANGE * described).all(axis=1)
+        for i in np.flatnonzero(~is_described).tolist():
+            self._lengths[ids[i]] = all_lengths[i]
+            raw = encode_description(ids[i], all_lengths[i])
+            descriptions.append(OutputMessage(f'{BODIES}{ids[i]}/urdf', DESCRIPTION, stamp_ns, raw))
         self._lengths = {body_id: self._lengths[body_id] for body_id in ids}
+        raws = _lay_out_joint_states(tuple(ids)).fill(stamp_ns, position=angles[is_known])
+        states = [
+            OutputMessage(f'{BODIES}{body_id}/joint_states', JOINT_STATES, stamp_ns, raw)
+            for body_id, raw in zip(ids, raws, strict=True)
+        ]
         return [OutputMessage(TRACKED, HRI_IDS, stamp_ns, encode_tracked(header, ids)), *descriptions, *states]
 
     def encode_clear(self, header: Header) -> list[OutputMessage]:
@@ -282,55 +361,22 @@ def encode_tracked(header: Header, ids: Sequence[str]) -> bytes:
     return writer.finish()
 
 
-def encode_joint_states(header: Header, body_id: str, angles: Array) -> bytes:
-    """Encode the angles (A,) of a body's `MOVED_JOINTS` as a JointState; the frame of its header is the body's."""
-    writer = CdrWriter()
-    writer.add_header(Header(header.stamp_ns, f'body_{body_id}'))
-    writer.add_count(len(angles))
-    writer.add(4, _encode_names(body_id))
-    writer.add_sequence(angles)
-    for _ in ('velocity', 'effort'):
-        writer.add_count(0)
-    return writer.finish()
-
-
-@lru_cache(maxsize=100)  # more bodies than are tracked at once
-def _encode_names(body_id: str) -> bytes:
-    """Return the names of the moved joints of a body as CDR, to be added at a multiple of 4 bytes."""
-    return b''.join(pad(encode_text(f'{name}_{body_id}')) for name in MOVED_JOINTS)
+@lru_cache(maxsize=KEPT_TEMPLATES)
+def _lay_out_joint_states(ids: tuple[str, ...]) -> SeriesTemplate:
+    """Return the template of the JointState of each body; the frame of its header is the body's."""
+    writer = TemplateWriter()
+    for body_id in ids:
+        writer.add_stamped(f'body_{body_id}')
+        writer.add_count(ANGLES)
+        for name in MOVED_JOINTS:
+            writer.add_text(f'{name}_{body_id}')
+        writer.add_number_sequence('position', DOUBLE, ANGLES)
+        for _ in ('velocity', 'effort'):
+            writer.add_count(0)
+        writer.end_message()
+    return writer.finish_series()
 
 
 def encode_description(body_id: str, lengths: Array) -> bytes:
     """Encode the URDF of a body with some `LENGTHS` (8,) in m as a String."""
     return encode(create_message(DESCRIPTION, data=describe_body(body_id, lengths)), DESCRIPTION)
-
-
-def _at(joints: Array, name: str) -> Array:
-    return np.asarray(joints[:, CMU15.index(name)])
-
-
-def _limb(joints: Array, side: str, start: str, end: str) -> Array:
-    """Return the directions (N, 3) from one joint to another of a side."""
-    return _unit(_at(joints, side + end) - _at(joints, side + start))
-
-
-def _unit(vectors: Array) -> Array:
-    """Return vectors (N, 3) at unit length; downwards those that have none."""
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.where(length > 0, vectors / np.where(length > 0, length, 1.0), np.array([0.0, 0.0, -1.0]))
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return the cross products (N, 3); `numpy.cross` takes five times as long for a few."""
-    x, y, z = a.T
-    u, v, w = b.T
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
-
-
-def _turn(vectors: Array, axis: int, angles: Array) -> Array:
-    """Return vectors (N, 3) turned about a coordinate axis by angles (N,)."""
-    first, second = (axis + 1) % 3, (axis + 2) % 3
-    cosine, sine, out = np.cos(angles), np.sin(angles), vectors.copy()
-    out[:, first] = cosine * vectors[:, first] - sine * vectors[:, second]
-    out[:, second] = sine * vectors[:, first] + cosine * vectors[:, second]
-    return out

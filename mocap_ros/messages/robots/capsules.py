@@ -22,7 +22,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Array, CdrWriter, Header
+from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Array, Header
+from mocap_ros.messages.stacked_people import StackedPeople, stack_people
+from mocap_ros.messages.template import BYTE, DOUBLE, KEPT_TEMPLATES, SINGLE, MessageTemplate, TemplateWriter
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton
 
@@ -125,12 +127,12 @@ MAX_PARTS = max(len(list_body_parts(skeleton)) for skeleton in (CMU15, BODY26))
 
 
 class Capsules(NamedTuple):
-    """The P capsules of a body, in the order of `list_body_parts`.
+    """The P capsules of a body, or of each of N bodies, in the order of `list_body_parts`.
 
     Attributes:
-        start: (P, 3) m, one end of each segment.
-        end: (P, 3) m, the other end.
-        radius: (P,) m.
+        start: (..., P, 3) m, one end of each segment.
+        end: (..., P, 3) m, the other end.
+        radius: (..., P) m.
     """
 
     start: Array
@@ -140,26 +142,49 @@ class Capsules(NamedTuple):
 
 def compute_capsules(person: Person3D) -> Capsules:
     """Return the capsules of a person (formula of the module); unknown standard deviations count as 0."""
-    parts = arrange_body_parts(person.skeleton)
-    start, end = person.joints[parts.start], person.joints[parts.end]
-    std = np.fmax(person.std[parts.start], person.std[parts.end])
-    std[np.isnan(std)] = 0.0
-    return Capsules(start, end + parts.beyond * (end - start), parts.girth + parts.spread * std)
+    return _place_capsules(person.joints, person.std, person.skeleton)
+
+
+def compute_all_capsules(people: StackedPeople) -> Capsules:
+    """Return the capsules of people, as of `compute_capsules`."""
+    return _place_capsules(people.joints, people.std, people.skeleton)
+
+
+def _place_capsules(joints: Array, std: Array, skeleton: Skeleton) -> Capsules:
+    """Return the capsules about joints (..., J, 3) in m with standard deviations (..., J) in m."""
+    parts = arrange_body_parts(skeleton)
+    start, end = joints[..., parts.start, :], joints[..., parts.end, :]
+    larger = np.fmax(std[..., parts.start], std[..., parts.end])
+    larger[np.isnan(larger)] = 0.0
+    return Capsules(start, end + parts.beyond * (end - start), parts.girth + parts.spread * larger)
 
 
 def encode_capsules(header: Header, people: Sequence[Person3D]) -> bytes:
     """Encode the capsules of people; the arguments are those of `people.encode_people`."""
-    writer = CdrWriter()
-    writer.add_header(header)
-    writer.add_count(len(people))
-    for person in people:
-        capsules, names = compute_capsules(person), arrange_body_parts(person.skeleton).names
-        writer.add_text(person.id)
+    stacked = stack_people(people)
+    capsules = stacked.share(compute_all_capsules)
+    return _lay_out(header.frame_id, stacked.ids, stacked.skeleton).fill(
+        header.stamp_ns,
+        start=capsules.start,
+        end=capsules.end,
+        radius=capsules.radius,
+        predicted=[p.predicted for p in stacked],
+    )
+
+
+@lru_cache(maxsize=KEPT_TEMPLATES)
+def _lay_out(frame_id: str, ids: tuple[str, ...], skeleton: Skeleton) -> MessageTemplate:
+    """Return the template for people with some ids."""
+    writer, names = TemplateWriter(), arrange_body_parts(skeleton).names
+    writer.add_stamped(frame_id)
+    writer.add_count(len(ids))
+    for person_id in ids:
+        writer.add_text(person_id)
         writer.add_count(len(names))
         for name in names:
             writer.add_text(name)
-        writer.add_sequence(capsules.start)
-        writer.add_sequence(capsules.end)
-        writer.add_sequence(capsules.radius.astype(np.float32))
-        writer.add(1, bytes([person.predicted]))
-    return writer.finish()
+        writer.add_number_sequence('start', DOUBLE, len(names), 3)
+        writer.add_number_sequence('end', DOUBLE, len(names), 3)
+        writer.add_number_sequence('radius', SINGLE, len(names))
+        writer.add_numbers('predicted', BYTE, 1)
+    return writer.finish_template()

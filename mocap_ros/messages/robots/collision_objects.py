@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from mocap_ros.geometry.rigid_transform import SAME_POSE
-from mocap_ros.messages.cdr import Array, CdrWriter, Header
-from mocap_ros.messages.robots.capsules import compute_capsules
+from mocap_ros.messages.cdr import Array, Header
+from mocap_ros.messages.robots.capsules import compute_all_capsules
+from mocap_ros.messages.stacked_people import StackedPeople, stack_people
+from mocap_ros.messages.template import DOUBLE, KEPT_TEMPLATES, SeriesTemplate, TemplateWriter
 from mocap_ros.people import Person3D
 
 ID_PREFIX = 'person_'  # of the names of the objects in the planning scene
@@ -48,54 +51,68 @@ class CollisionObjectEncoder:
         ids = {person.id: None for person in people}
         gone = [person_id for person_id in self._present if person_id not in ids]
         self._present = ids
-        return [_encode(header, i, REMOVE) for i in gone] + [_encode(header, p.id, ADD, p) for p in people]
+        removed = _lay_out(header.frame_id, tuple(gone), REMOVE).fill(header.stamp_ns)
+        if not people:
+            return removed
+        stacked = stack_people(people)
+        _, poses = stacked.share(find_capsule_poses)
+        template = _lay_out(header.frame_id, stacked.ids, ADD, poses.shape[1])
+        return removed + template.fill(header.stamp_ns, dimensions=_measure_cylinders(stacked), poses=poses)
 
     def encode_clear(self, header: Header) -> list[bytes]:
         """Encode a message for each person who was there, which removes them, and forget all people."""
         return self.encode_update(header, [])
 
 
-def _encode(header: Header, person_id: str, operation: int, person: Person3D | None = None) -> bytes:
-    """Encode the message of a person, field by field; without a person the object has no shapes."""
-    dimensions, poses = (np.zeros((0, 2)), np.zeros((0, 7))) if person is None else _compute_cylinders(person)
-    writer = CdrWriter()
-    writer.add_header(header)
-    writer.add(8, _POSE.pack(*SAME_POSE))
-    for text in (ID_PREFIX + person_id, TYPE_KEY, ''):
-        writer.add_text(text)
-    writer.add_count(len(dimensions))
-    for numbers in dimensions:
-        writer.add(1, bytes([CYLINDER]))
-        writer.add_sequence(numbers)
-        writer.add_count(0)  # points of the polygon of a prism
-    writer.add_sequence(poses)
-    for _ in range(EMPTY_SEQUENCES):
-        writer.add_count(0)
-    writer.add(1, bytes([operation]))
-    return writer.finish()
+@lru_cache(maxsize=KEPT_TEMPLATES)
+def _lay_out(frame_id: str, ids: tuple[str, ...], operation: int, shapes: int = 0) -> SeriesTemplate:
+    """Return the template of the object of each person."""
+    writer = TemplateWriter()
+    for person_id in ids:
+        writer.add_stamped(frame_id)
+        writer.add(8, _POSE.pack(*SAME_POSE))
+        for text in (ID_PREFIX + person_id, TYPE_KEY, ''):
+            writer.add_text(text)
+        writer.add_count(shapes)
+        for _ in range(shapes):
+            writer.add(1, bytes([CYLINDER]))
+            writer.add_number_sequence('dimensions', DOUBLE, 2)
+            writer.add_count(0)  # points of the polygon of a prism
+        writer.add_number_sequence('poses', DOUBLE, shapes, len(SAME_POSE))
+        for _ in range(EMPTY_SEQUENCES):
+            writer.add_count(0)
+        writer.add(1, bytes([operation]))
+        writer.end_message()
+    return writer.finish_series()
 
 
 def find_axis_poses(start: Array, end: Array) -> tuple[Array, Array]:
-    """Return the lengths (P,) in m of the segments between places (P, 3), and their poses (P, 7).
+    """Return the lengths (..., P) in m of the segments between places (..., P, 3), and their poses (..., P, 7).
 
     A pose is the position of the middle in m and the quaternion x, y, z, w that turns the z axis to the axis a of
     the segment by the shortest way: (-a_y, a_x, 0, 1 + a_z), of unit length; half a turn about x where the axis
     points down.
     """
-    length = np.linalg.norm(end - start, axis=1)
-    axis = (end - start) / np.maximum(length, MIN_LENGTH_M)[:, None]
+    length = np.linalg.norm(end - start, axis=-1)
+    axis = (end - start) / np.maximum(length, MIN_LENGTH_M)[..., None]
     axis[length < MIN_LENGTH_M] = 0, 0, 1
-    poses = np.zeros((len(length), 7))
-    poses[:, :3] = (start + end) / 2
-    poses[:, 3], poses[:, 4], poses[:, 6] = -axis[:, 1], axis[:, 0], 1 + axis[:, 2]
-    norm = np.linalg.norm(poses[:, 3:], axis=1)
+    poses = np.zeros((*length.shape, 7))
+    poses[..., :3] = (start + end) / 2
+    poses[..., 3], poses[..., 4], poses[..., 6] = -axis[..., 1], axis[..., 0], 1 + axis[..., 2]
+    norm = np.linalg.norm(poses[..., 3:], axis=-1)
     poses[norm < MIN_QUATERNION, 3:] = 1, 0, 0, 0
-    poses[:, 3:] /= np.where(norm < MIN_QUATERNION, 1, norm)[:, None]
+    poses[..., 3:] /= np.where(norm < MIN_QUATERNION, 1, norm)[..., None]
     return length, poses
 
 
-def _compute_cylinders(person: Person3D) -> tuple[Array, Array]:
-    """Return the length and the radius (P, 2) in m of the cylinder about each capsule, and its pose (P, 7)."""
-    start, end, radius = compute_capsules(person)
-    length, poses = find_axis_poses(start, end)
-    return np.column_stack([length + 2 * radius, radius]), poses
+def find_capsule_poses(people: StackedPeople) -> tuple[Array, Array]:
+    """Return the lengths (N, P) in m and the poses (N, P, 7) of people's capsules, as of `find_axis_poses`."""
+    start, end, _ = people.share(compute_all_capsules)
+    return find_axis_poses(start, end)
+
+
+def _measure_cylinders(people: StackedPeople) -> Array:
+    """Return the length and the radius (N, P, 2) in m of the cylinder about each capsule of people."""
+    length, _ = people.share(find_capsule_poses)
+    radius = people.share(compute_all_capsules).radius
+    return np.stack([length + 2 * radius, radius], axis=-1)

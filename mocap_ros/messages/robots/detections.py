@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from mocap_ros.geometry.rigid_transform import NO_ROTATION
-from mocap_ros.messages.cdr import Array, Header, create_header, create_message, encode
-from mocap_ros.messages.foreign.definitions import DETECTIONS_3D
-from mocap_ros.messages.robots.shared import (
-    compute_extent,
-    compute_heading_std,
-    compute_orientations,
-    compute_reliability,
-    create_pose,
-    create_vector,
-)
+from mocap_ros.messages.cdr import Array, Header
+from mocap_ros.messages.robots.shared import compute_boxes, compute_heading_stds, compute_reliability
+from mocap_ros.messages.stacked_people import StackedPeople, stack_people
+from mocap_ros.messages.template import DOUBLE, KEPT_TEMPLATES, MessageTemplate, TemplateWriter
+from mocap_ros.messages.transforms import compute_orientations
 from mocap_ros.people import Person3D
 
 CLASS_ID = 'person'  # ObjectHypothesis.class_id
+SCORE_POSE_COVARIANCE_BOX = 1 + 7 + 36 + 7 + 3  # numbers of a detection
 
 
 def encode_detections(header: Header, people: Sequence[Person3D]) -> bytes:
@@ -28,38 +25,40 @@ def encode_detections(header: Header, people: Sequence[Person3D]) -> bytes:
     The pose is that of the place between the hips, with the axes of the body (x forward, z up along the trunk).
     The covariance is of x, y, z and of the rotations about x, y, z.
     """
-    stamped, detections = create_header(header), []
-    for person, orientation in zip(people, compute_orientations(people), strict=True):
-        extent = compute_extent(person)
-        pose = create_message(
-            'geometry_msgs/msg/PoseWithCovariance',
-            pose=create_pose(person.root, orientation),
-            covariance=_build_covariance(person).ravel(),
-        )
-        hypothesis = create_message(
-            'vision_msgs/msg/ObjectHypothesis', class_id=CLASS_ID, score=compute_reliability(person)
-        )
-        detections.append(
-            create_message(
-                'vision_msgs/msg/Detection3D',
-                header=stamped,
-                results=[
-                    create_message('vision_msgs/msg/ObjectHypothesisWithPose', hypothesis=hypothesis, pose=pose)
-                ],
-                bbox=create_message(
-                    'vision_msgs/msg/BoundingBox3D',
-                    center=create_pose(extent.centre, NO_ROTATION),
-                    size=create_vector(extent.size),
-                ),
-                id=person.id,
-            )
-        )
-    return encode(create_message(DETECTIONS_3D, header=stamped, detections=detections), DETECTIONS_3D)
+    stacked = stack_people(people)
+    boxes = stacked.share(compute_boxes)
+    numbers = np.column_stack(
+        [
+            [compute_reliability(p) for p in stacked],
+            stacked.roots,
+            stacked.share(compute_orientations),
+            _build_covariances(stacked).reshape(-1, 36),
+            boxes.centre,
+            np.tile(NO_ROTATION, (len(stacked), 1)),
+            boxes.size,
+        ]
+    )
+    return _lay_out(header.frame_id, stacked.ids).fill(header.stamp_ns, numbers=numbers)
 
 
-def _build_covariance(person: Person3D) -> Array:
-    """Return the covariance (6, 6) of a person's pose, in m and rad."""
-    covariance = np.zeros((6, 6))
-    covariance[:3, :3] = person.root_covariance
-    covariance[3:, 3:] = compute_heading_std(person) ** 2 * np.eye(3)
+@lru_cache(maxsize=KEPT_TEMPLATES)
+def _lay_out(frame_id: str, ids: tuple[str, ...]) -> MessageTemplate:
+    """Return the template for people with some ids."""
+    writer = TemplateWriter()
+    writer.add_stamped(frame_id)
+    writer.add_count(len(ids))
+    for person_id in ids:
+        writer.add_stamped(frame_id)
+        writer.add_count(1)  # results
+        writer.add_text(CLASS_ID)
+        writer.add_numbers('numbers', DOUBLE, SCORE_POSE_COVARIANCE_BOX)
+        writer.add_text(person_id)
+    return writer.finish_template()
+
+
+def _build_covariances(people: StackedPeople) -> Array:
+    """Return the covariances (N, 6, 6) of people's poses, in m and rad."""
+    covariance = np.zeros((len(people), 6, 6))
+    covariance[:, :3, :3] = np.array([p.root_covariance for p in people]).reshape(-1, 3, 3)
+    covariance[:, 3:, 3:] = (compute_heading_stds(people) ** 2)[:, None, None] * np.eye(3)
     return covariance

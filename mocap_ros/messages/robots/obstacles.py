@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 
-from mocap_ros.messages.cdr import Header, create_header, create_message, encode
-from mocap_ros.messages.foreign.definitions import OBSTACLES
-from mocap_ros.messages.robots.shared import (
-    compute_extent,
-    compute_reliability,
-    create_point,
-    create_vector,
-    known_velocity,
-)
+from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.robots.shared import compute_boxes, compute_reliability
+from mocap_ros.messages.stacked_people import stack_people
+from mocap_ros.messages.template import DOUBLE, KEPT_TEMPLATES, SINGLE, MessageTemplate, TemplateWriter
 from mocap_ros.people import Person3D
+
+POSITION_VELOCITY_SIZE = 3 + 3 + 3  # numbers of an obstacle
 
 
 def encode_obstacles(header: Header, people: Sequence[Person3D]) -> bytes:
@@ -24,18 +22,23 @@ def encode_obstacles(header: Header, people: Sequence[Person3D]) -> bytes:
 
     The position is the middle of the box around the person. The UUID follows from the person's id alone.
     """
-    obstacles = []
-    for person in people:
-        extent = compute_extent(person)
-        number = np.frombuffer(uuid5(NAMESPACE_URL, f'mocap_ros:{person.id}').bytes, np.uint8)
-        obstacles.append(
-            create_message(
-                'nav2_dynamic_msgs/msg/Obstacle',
-                uuid=create_message('unique_identifier_msgs/msg/UUID', uuid=number),
-                score=compute_reliability(person),
-                position=create_point(extent.centre),
-                velocity=create_vector(known_velocity(person)),
-                size=create_vector(extent.size),
-            )
-        )
-    return encode(create_message(OBSTACLES, header=create_header(header), obstacles=obstacles), OBSTACLES)
+    stacked = stack_people(people)
+    boxes = stacked.share(compute_boxes)
+    return _lay_out(header.frame_id, stacked.ids).fill(
+        header.stamp_ns,
+        score=[compute_reliability(p) for p in stacked],
+        numbers=np.column_stack([boxes.centre, stacked.known_velocities, boxes.size]),
+    )
+
+
+@lru_cache(maxsize=KEPT_TEMPLATES)
+def _lay_out(frame_id: str, ids: tuple[str, ...]) -> MessageTemplate:
+    """Return the template for people with some ids."""
+    writer = TemplateWriter()
+    writer.add_stamped(frame_id)
+    writer.add_count(len(ids))
+    for person_id in ids:
+        writer.add(1, uuid5(NAMESPACE_URL, f'mocap_ros:{person_id}').bytes)
+        writer.add_numbers('score', SINGLE, 1)
+        writer.add_numbers('numbers', DOUBLE, POSITION_VELOCITY_SIZE)
+    return writer.finish_template()

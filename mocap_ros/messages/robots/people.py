@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
-from mocap_ros.messages.cdr import Header, create_header, create_message, encode
-from mocap_ros.messages.foreign.definitions import PEOPLE
-from mocap_ros.messages.robots.shared import compute_reliability, create_point, known_velocity
+import numpy as np
+
+from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.robots.shared import compute_reliability
+from mocap_ros.messages.stacked_people import stack_people
+from mocap_ros.messages.template import DOUBLE, KEPT_TEMPLATES, MessageTemplate, TemplateWriter
 from mocap_ros.people import Person3D
 
 TAGS = ('predicted',)  # names of the tags of each person; their values are true or false
+POSITION_VELOCITY_RELIABILITY = 3 + 3 + 1  # numbers of a person
 
 
 def encode_people(header: Header, people: Sequence[Person3D]) -> bytes:
@@ -19,16 +24,24 @@ def encode_people(header: Header, people: Sequence[Person3D]) -> bytes:
         header: time of the image, and the frame in which the people are.
         people: the people.
     """
-    entries = [
-        create_message(
-            'people_msgs/msg/Person',
-            name=person.id,
-            position=create_point(person.root),
-            velocity=create_point(known_velocity(person)),
-            reliability=compute_reliability(person),
-            tagnames=list(TAGS),
-            tags=[str(person.predicted).lower()],
-        )
-        for person in people
-    ]
-    return encode(create_message(PEOPLE, header=create_header(header), people=entries), PEOPLE)
+    stacked = stack_people(people)
+    template = _lay_out(header.frame_id, tuple([(p.id, p.predicted) for p in stacked]))
+    reliability = np.array([compute_reliability(p) for p in stacked])
+    numbers = np.column_stack([stacked.roots, stacked.known_velocities, reliability])
+    return template.fill(header.stamp_ns, numbers=numbers)
+
+
+@lru_cache(maxsize=KEPT_TEMPLATES)
+def _lay_out(frame_id: str, people: tuple[tuple[str, bool], ...]) -> MessageTemplate:
+    """Return the template for people of whom id and `predicted` are given."""
+    writer = TemplateWriter()
+    writer.add_stamped(frame_id)
+    writer.add_count(len(people))
+    for person_id, is_predicted in people:
+        writer.add_text(person_id)
+        writer.add_numbers('numbers', DOUBLE, POSITION_VELOCITY_RELIABILITY)
+        for texts in (TAGS, (str(is_predicted).lower(),)):
+            writer.add_count(len(texts))
+            for text in texts:
+                writer.add_text(text)
+    return writer.finish_template()

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mocap_ros.config import Config
 from mocap_ros.errors import ConfigError
 from mocap_ros.messages.camera_placement import CameraPlacement
-from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, CdrWriter, Header
-from mocap_ros.people import PredictedPerson
+from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header
+from mocap_ros.messages.template import DOUBLE, KEPT_TEMPLATES, SINGLE, MessageTemplate, TemplateWriter
+from mocap_ros.people import HIPS, PredictedPerson
 from mocap_ros.skeleton import CMU15
 
 PREDICTIONS = MOCAP_ROS_MSGS + 'Predictions'
 MAX_TIME_S = 1.0  # s; so far the motion predictor was trained
 PREDICTING = 'publish_predictions', 'publish_prediction_markers'  # fields of `NodeConfig`
 MAX_TIMES = 20  # more than a planner has use for; bounds what a message costs
-_AHEAD = struct.Struct('<f')
+_ROOT_NUMBERS = 3 + 9  # place and covariance
 
 
 class PredictedFrame(NamedTuple):
@@ -66,16 +68,39 @@ def encode_predictions(header: Header, frames: Sequence[PredictedFrame], camera:
         frames: the people at each time, in the camera's optical frame.
         camera: the camera in the frame of the header.
     """
-    writer = CdrWriter()
-    writer.add_header(header)
+    placed = [camera.place_predicted(people, ahead) for ahead, people in frames]
+    everybody = [person for people in placed for person in people]
+    template = _lay_out(header.frame_id, tuple([tuple([p.id for p in people]) for people in placed]))
+    numbers: dict[str, ArrayLike] = {'ahead': [ahead for ahead, _ in frames]}
+    if everybody:
+        joints = np.array([p.joints for p in everybody])
+        numbers |= {
+            'joints': joints,
+            'std': np.array([p.std for p in everybody]),
+            'roots': np.concatenate(
+                [
+                    (joints[:, HIPS[0]] + joints[:, HIPS[1]]) / 2,
+                    np.array([p.root_covariance for p in everybody]).reshape(-1, 9),
+                ],
+                axis=1,
+            ),
+        }
+    return template.fill(header.stamp_ns, **numbers)
+
+
+@lru_cache(maxsize=KEPT_TEMPLATES)
+def _lay_out(frame_id: str, ids: tuple[tuple[str, ...], ...]) -> MessageTemplate:
+    """Return the template for people with some ids at each time."""
+    writer, joints = TemplateWriter(), len(CMU15.joints)
+    writer.add_stamped(frame_id)
     writer.add_text(CMU15.name)
-    writer.add_count(len(frames))
-    for ahead, people in frames:
-        writer.add(4, _AHEAD.pack(ahead))
-        writer.add_count(len(people))
-        for person in camera.place_predicted(people, ahead):
-            writer.add_text(person.id)
-            writer.add_sequence(np.asarray(person.joints, np.float64))
-            writer.add_sequence(person.std.astype(np.float32))
-            writer.add(8, np.concatenate([person.root, person.root_covariance.ravel()]).tobytes())
-    return writer.finish()
+    writer.add_count(len(ids))
+    for of_time in ids:
+        writer.add_numbers('ahead', SINGLE, 1)
+        writer.add_count(len(of_time))
+        for person_id in of_time:
+            writer.add_text(person_id)
+            writer.add_number_sequence('joints', DOUBLE, joints, 3)
+            writer.add_number_sequence('std', SINGLE, joints)
+            writer.add_numbers('roots', DOUBLE, _ROOT_NUMBERS)
+    return writer.finish_template()

@@ -23,14 +23,17 @@ from mocap_ros.messages.marker_writer import (
     MarkerStyle,
     choose_color,
 )
-from mocap_ros.messages.robots.capsules import MAX_PARTS, compute_capsules
-from mocap_ros.messages.robots.collision_objects import find_axis_poses
+from mocap_ros.messages.robots.capsules import MAX_PARTS, compute_all_capsules
+from mocap_ros.messages.robots.collision_objects import find_capsule_poses
 from mocap_ros.messages.robots.predictions import PredictedFrame
+from mocap_ros.messages.stacked_people import stack_people
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15
 
 CAPSULE_STYLE = MarkerStyle(0.75, 0.3)  # chosen for the look: the bones within can be seen
-GHOST_WIDTH_M = 0.02  # chosen for the look: thinner than the bones of people
+GHOST_SCALE = np.array(
+    [0.02, 0.0, 0.0]
+)  # m; width of lines, chosen for the look: thinner than the bones of people
 GHOST_SATURATION = 0.4  # chosen for the look
 GHOST_OPACITY = 0.2, 0.7  # chosen for the look: of the latest, and what the earliest have more
 NO_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # of points that are in the frame of the header
@@ -51,18 +54,19 @@ def encode_capsule_markers(
     """
     if not people:
         return series.encode_update(header, [], lifetime_s)
-    bodies = [compute_capsules(person) for person in people]
-    start, end, radius = (np.concatenate(parts) for parts in zip(*bodies, strict=True))
-    own = [numbers[p.id] * MAX_PARTS + np.arange(len(b.radius)) for p, b in zip(people, bodies, strict=True)]
-    number = np.concatenate(own)
-    colors = np.array([choose_color(n, CAPSULE_STYLE) for n in (number // MAX_PARTS).tolist()])
-    length, poses = find_axis_poses(start, end)
-    balls = np.tile(2 * radius[:, None], 3)
-    rods = np.column_stack([balls[:, :2], length])
-    ends = np.stack([start, end], axis=1)
-    resting = np.tile(NO_POSE, (len(ends), 1))
+    stacked = stack_people(people)
+    capsules, (length, poses) = stacked.share(compute_all_capsules), stacked.share(find_capsule_poses)
+    own, parts = [numbers[i] for i in stacked.ids], capsules.radius.shape[1]
+    number = (np.array(own)[:, None] * MAX_PARTS + np.arange(parts)).ravel()
+    colors = np.repeat([choose_color(n, CAPSULE_STYLE) for n in own], parts, axis=0)
+    balls = np.repeat(2 * capsules.radius.reshape(-1, 1), 3, axis=1)
+    rods = np.column_stack([balls[:, :2], length.ravel()])
+    ends = np.stack([capsules.start, capsules.end], axis=2).reshape(-1, 2, 3)
+    resting = np.broadcast_to(NO_POSE, (len(ends), len(NO_POSE)))
     groups = [
-        AlikeMarkers('cylinders', CYLINDER, number, poses, rods, colors, np.zeros((len(ends), 0, 3))),
+        AlikeMarkers(
+            'cylinders', CYLINDER, number, poses.reshape(-1, 7), rods, colors, np.zeros((len(ends), 0, 3))
+        ),
         AlikeMarkers('ends', SPHERE_LIST, number, resting, balls, colors, ends),
     ]
     return series.encode_update(header, groups, lifetime_s)
@@ -96,7 +100,7 @@ def encode_prediction_markers(
         style = MarkerStyle(GHOST_SATURATION, opacity)
         colors: Colors = np.array([choose_color(n, style) for n in own.tolist()])
         points = np.array([p.joints[_BONE_ENDS] for p in people])
-        scales = np.tile([GHOST_WIDTH_M, 0.0, 0.0], (len(people), 1))
-        resting = np.tile(NO_POSE, (len(people), 1))
+        scales = np.broadcast_to(GHOST_SCALE, (len(people), 3))
+        resting = np.broadcast_to(NO_POSE, (len(people), len(NO_POSE)))
         groups.append(AlikeMarkers(f'{ahead:g} s', LINE_LIST, own, resting, scales, colors, points))
     return series.encode_update(header, groups, lifetime_s)

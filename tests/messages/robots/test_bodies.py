@@ -19,6 +19,7 @@ from mocap_ros.messages.robots.bodies import (
     JOINT_STATES,
     JOINTS,
     MOVED_JOINTS,
+    STRAIGHT_SINE,
     TRACKED,
     BodiesEncoder,
     BodyNames,
@@ -217,3 +218,43 @@ def test_people_keep_their_names_while_they_are_there_and_none_after_a_reset(pub
 @pytest.mark.parametrize(('given_id', 'body_id'), [('anna', 'anna'), ('7', 'p7'), ('a-b c', 'a_b_c'), ('ä', 'p_')])
 def test_ids_are_made_names_of_topics(given_id: str, body_id: str) -> None:
     assert make_body_id(given_id) == body_id
+
+
+def compute_limb_angles_slowly(places: dict[str, np.ndarray], side: str) -> list[float]:
+    """Return the angles of an arm and a leg by the formulas of `messages.robots.bodies` as rotations."""
+    s = {'l': 1.0, 'r': -1.0}[side]
+
+    def point(start: str, end: str) -> np.ndarray:
+        vector = places[side + end] - places[side + start]
+        return vector / np.linalg.norm(vector)
+
+    upper, fore = point('shoulder', 'elbow'), point('elbow', 'wrist')
+    thigh, shin = point('hip', 'knee'), point('knee', 'ankle')
+    yaw = 0.0 if np.hypot(*upper[:2]) <= STRAIGHT_SINE else np.arctan2(upper[0], s * upper[1])
+    pitch = np.arccos(-upper[2])
+    bent = Rotation.from_euler('zx', [s * yaw, -s * pitch]).apply(fore)
+    roll = 0.0 if np.hypot(*bent[:2]) <= STRAIGHT_SINE else np.arctan2(s * bent[1], bent[0])
+    axis = np.cross(thigh, shin)
+    if np.linalg.norm(axis) < STRAIGHT_SINE:
+        axis = np.array([0.0, 1.0, 0.0]) - thigh[1] * thigh
+    y = axis / np.linalg.norm(axis)
+    turn = Rotation.from_matrix(np.stack([np.cross(y, -thigh), y, -thigh], axis=1))
+    hip_yaw, hip_pitch, hip_roll = turn.as_euler('ZXY')  # R_z(-y) R_x(s p) R_y(-r)
+    knee = -np.arccos(np.clip(thigh @ shin, -1, 1))
+    return [yaw, pitch, roll, np.arccos(-bent[2]), -hip_yaw, s * hip_pitch, -hip_roll, knee]
+
+
+@given(st.integers(0, 2**31), st.floats(0.01, 0.3))
+@settings(deadline=None, max_examples=50)
+def test_the_angles_are_those_of_the_formulas(seed: int, spread: float) -> None:
+    rng = np.random.default_rng(seed)
+    bodies = STANDING + rng.normal(scale=spread, size=(3, *STANDING.shape))
+    origins, _, axes = compute_links(bodies)
+    angles, is_known = compute_joint_states(bodies)
+    assert is_known.all()
+    for body, origin, turn, found in zip(bodies, origins, axes, angles, strict=True):
+        places = dict(zip(CMU15.joints, (body - origin) @ turn, strict=True))
+        for side in 'lr':
+            first = MOVED_JOINTS.index(f'{side}_y_shoulder')
+            expected = compute_limb_angles_slowly(places, side)
+            np.testing.assert_allclose(found[first : first + 8], expected, atol=1e-7)
