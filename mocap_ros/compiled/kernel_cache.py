@@ -96,7 +96,7 @@ class KernelCache:
             ValueError: The machine code refers to addresses of this process, as it does for large constant arrays.
         """
         if result.library.has_dynamic_globals:
-            raise ValueError(f'{self._function.__qualname__} cannot be cached: pass its large arrays as arguments')
+            raise ValueError(f'{self._function.__qualname__} cannot be cached: its constant arrays must be contiguous, and large ones arguments')
         payload = dumps(result._reduce())
         content = self._compute_digest(payload) + payload
         errors = []

@@ -136,7 +136,7 @@ def _find(*names: str) -> NDArray[np.int64]:
 # Joints of the model: a row for each side.
 HEAD = CMU15.index('head')
 ARMS, LEGS = _find('shoulder', 'elbow', 'wrist'), _find('hip', 'knee', 'ankle')
-SHOULDERS, _HIPS = ARMS[:, 0], LEGS[:, 0]
+SHOULDERS, _HIPS = ARMS[:, 0].copy(), LEGS[:, 0].copy()  # contiguous, as constants of kernels must be
 _MIDDLES = np.array([SHOULDERS, _HIPS])  # joints between which two further places are
 _CHEST, _PELVIS = CORE, CORE + 1  # indices of these places, behind the joints
 # Indices (2, 8, 2) of the two places between which each of the `LENGTHS` is on each side.
