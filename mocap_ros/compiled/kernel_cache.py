@@ -96,7 +96,8 @@ class KernelCache:
             ValueError: The machine code refers to addresses of this process, as it does for large constant arrays.
         """
         if result.library.has_dynamic_globals:
-            raise ValueError(f'{self._function.__qualname__} cannot be cached: its constant arrays must be contiguous, and large ones arguments')
+            name = self._function.__qualname__
+            raise ValueError(f'{name} cannot be cached: pass arrays that are large or not contiguous as arguments')
         payload = dumps(result._reduce())
         content = self._compute_digest(payload) + payload
         errors = []
