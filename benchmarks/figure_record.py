@@ -10,7 +10,8 @@ between two markers,
 
 and nobody edits what is between them: `write_pages` writes it, and `find_differences` finds it edited.
 
-An entry is stale when the files that its benchmark measures, `Benchmark.sources`, have changed since. The tables
+An entry is stale when the code that its benchmark measures, `Benchmark.sources`, has changed since; comments,
+docstrings and blank lines are no code. The tables
 that its last run did not measure, and those that somebody entered by hand, are `kept` with the command, the commit
 and the time of their own measurement; they are stale as well, unless they say `once`: measured to choose a
 setting, and not to be repeated. Where only files of `benchmarks` have changed, and no result by that, somebody may
@@ -21,8 +22,10 @@ from __future__ import annotations
 
 import ast
 import hashlib
+import io
 import json
 import re
+import tokenize
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -85,7 +88,7 @@ class Benchmark:
         total = hashlib.sha256()
         for file in self.list_sources(root):
             if not (only_package and file.is_relative_to(root / 'benchmarks')):
-                total.update(f'{file.relative_to(root).as_posix()} {hash_file(file)}\n'.encode())
+                total.update(f'{file.relative_to(root).as_posix()} {_hash_code(file)}\n'.encode())
         return total.hexdigest()
 
 
@@ -112,6 +115,27 @@ def _list_imports(text: str) -> frozenset[str]:
         elif isinstance(node, ast.ImportFrom) and node.module:
             names |= {node.module, *(f'{node.module}.{alias.name}' for alias in node.names)}
     return frozenset(names)
+
+
+def _hash_code(path: Path) -> str:
+    """Return the checksum of a source file: of a Python program without comments, docstrings and blank lines."""
+    if path.suffix != '.py':
+        return hash_file(path)
+    lines = path.read_text(encoding='utf-8').splitlines()
+    for token in tokenize.generate_tokens(io.StringIO('\n'.join(lines)).readline):
+        if token.type == tokenize.COMMENT:
+            line, column = token.start
+            lines[line - 1] = lines[line - 1][:column]
+    for node in ast.walk(ast.parse('\n'.join(lines))):
+        if (
+            isinstance(node, ast.Expr)
+            and isinstance(node.value, ast.Constant)
+            and isinstance(node.value.value, str)
+        ):
+            for line in range(node.lineno, (node.end_lineno or node.lineno) + 1):
+                lines[line - 1] = ''
+    code = [line.rstrip() for line in lines if line.strip()]
+    return hashlib.sha256('\n'.join(code).encode()).hexdigest()
 
 
 def hash_file(path: Path) -> str:

@@ -9,7 +9,11 @@ from importlib import import_module
 from mocap_ros.compiled.kernel import CompilationReport, compile_kernels
 
 # Modules that, together with what they import, declare all kernels.
-DECLARING_MODULES = ('mocap_ros.tracking.tracker', 'mocap_ros.offline.keyframes.reconstruct')
+DECLARING_MODULES = (
+    'mocap_ros.tracking.tracker',
+    'mocap_ros.offline.keyframes.reconstruct',
+    'mocap_ros.messages.robots.bodies',
+)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -68,10 +68,10 @@ COMPARISON_MAX_ITERATIONS = 4  # steps that each hypothesis gets before its evid
 SETTLING_ROUNDS = 3  # rounds of `COMPARISON_MAX_ITERATIONS` steps, each under the noise that the last one left
 MIN_LEAD_FRAMES = 6  # frames, one each `CHECK_STEP_S`; the noise of fewer says too little about the lead
 LEAD_SLACK = 1.1  # factor on the limits of base poses that lead already; keeps the lead from chattering
-# Steps on the whole window after a hypothesis of its newest part was adopted, and the time in s from one frame of
-# these steps to the next. More steps or frames make an adoption come later, which costs the newest frame more.
+# Steps on the whole window after a hypothesis of its newest part was adopted. More steps or frames make the
+# adoption come later, which costs the newest frame more than it gains.
 ADOPTION_MAX_ITERATIONS = 2
-ADOPTION_STEP_S = 0.05
+ADOPTION_STEP_S = 0.05  # s; one frame of each step is solved then
 INITIAL_MAX_ITERATIONS = (
     6  # steps of a first solution, which the first checks improve; limits the time of the frame
 )

@@ -141,7 +141,7 @@ def test_only_what_is_missing_or_stale_is_measured(root: Path, capsys: pytest.Ca
     figures.run_benchmarks([ONE], root, quick=False)  # as if it had been interrupted before the second
     figures.run_benchmarks([ONE, TWO], root, quick=False)
     assert runs(root) == ['one', 'two']
-    (root / 'benchmarks' / 'two.py').write_text(SCRIPT + '# changed')
+    (root / 'benchmarks' / 'two.py').write_text(SCRIPT + '\nchanged = True\n')
     figures.run_benchmarks([ONE, TWO], root, quick=False)
     assert runs(root) == ['one', 'two', 'two']
     (root.parent / 'shared' / 'data.txt').write_text('other data')
@@ -288,7 +288,7 @@ def test_results_are_confirmed_when_only_their_benchmark_changed(root: Path) -> 
     (root / 'docs' / 'page.md').write_text(PAGE + PAGE.replace('one', 'one.other'))
     write_page_table(root, 'one.other')
     figures.keep(['one.other'], 'by hand', [ONE], root)
-    (root / 'benchmarks' / 'one.py').write_text(SCRIPT + '# another name')
+    (root / 'benchmarks' / 'one.py').write_text(SCRIPT + '\nanother_name = True\n')
     assert list_stale(load_record(root / RECORD), [ONE], root) == ['one', 'one.other']
     figures.confirm([ONE], 'the same results of a short run', root)
     assert list_stale(load_record(root / RECORD), [ONE], root) == []
@@ -363,6 +363,24 @@ def test_what_a_benchmark_imports_is_a_source_but_for_the_layout(root: Path) -> 
     part = replace(ONE, part='parts/third.py')
     names = {f.relative_to(folder).as_posix() for f in part.list_sources(root) if f.is_relative_to(folder)}
     assert names == {'one.py', 'parts/third.py'}
+
+
+@pytest.mark.parametrize(
+    ('text', 'is_same'),
+    [
+        ('"""Other."""\n\n\ndef f(x):\n    """New\n    text."""\n    return x + "# 1"\n', True),
+        ('def f(x):\n    # why\n    return x + "# 1"', True),
+        ('def f(x):\n    return x + "# 2"', False),
+        ('def f(x):\n    return x', False),
+    ],
+    ids=['docstrings', 'comments', 'text', 'code'],
+)
+def test_comments_and_docstrings_make_no_figure_stale(root: Path, text: str, is_same: bool) -> None:
+    file = root / 'benchmarks' / 'one.py'
+    file.write_text('"""One."""\ndef f(x):  # what\n    return x + "# 1"\n')
+    before = ONE.hash_sources(root)
+    file.write_text(text)
+    assert (ONE.hash_sources(root) == before) is is_same
 
 
 def test_a_source_that_does_not_exist_is_named(root: Path) -> None:
