@@ -297,14 +297,14 @@ def show_extremities(report: Report, records: Records) -> None:
     )
 
 
-def load_models(shipped: bool, quick: bool, config: Config) -> tuple[Models, Config]:
+def load_models(shipped: bool, config: Config) -> tuple[Models, Config]:
     """Return base poses by name and the configuration with a lifter; where it names models, it has precedence."""
     common.choose_capture('motion')
     models: Models = {ALL_MOTIONS: common.train_base_poses(without_subjects=common.HELD_OUT_SUBJECTS)}
     if shipped or config.tracker.model != AUTO:
         models = load_base_pose_models(ALL_MOTIONS if config.tracker.model == AUTO else config.tracker.model)
     if not shipped and config.solver.prior == LEARNED:
-        config = with_values(config, {'solver.prior': common.choose_held_out_prior(quick)})
+        config = with_values(config, {'solver.prior': str(common.HELD_OUT_LIFTER)})
     return models, config
 
 
@@ -344,9 +344,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def choose_measurement(args: argparse.Namespace) -> Measurement:
     """Return what is measured, by the command line."""
-    models, config = load_models(
-        args.models == 'shipped', args.quick, with_values(Config(), parse_values(args.set))
-    )
+    models, config = load_models(args.models == 'shipped', with_values(Config(), parse_values(args.set)))
     sections = args.only or (QUICK_SECTIONS if args.quick else SECTIONS)
     return Measurement(
         models,

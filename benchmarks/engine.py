@@ -357,7 +357,7 @@ def measure_starts(_report: Report, quick: bool) -> dict[str, Any]:
 
 
 def report_past(report: Report, quick: bool) -> dict[str, Any]:
-    found = past_only.compare_all(*provide_held_out(quick), quick)
+    found = past_only.compare_all(*provide_held_out(), quick)
     out: dict[str, Any] = {'live_over_past_only': past_only.compute_ratio(found)}
     for attribute in ('detector', 'category', 'camera'):
         rows = [

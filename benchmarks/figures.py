@@ -63,6 +63,7 @@ MOTION = (PROTOCOL, 'data/motion/body26_30fps.npz', 'data/motion/manifest.csv')
 DETECTIONS = tuple(f'data/detections/balance_{d}_cam{c}.npz' for d in ('mediapipe', 'openpose') for c in (1, 2, 3))
 SOLVERS = tuple(f'mocap_ros/{f}' for f in ('config', 'geometry', 'models', 'solvers', 'training/base_poses.py'))
 TRACKER = (*SOLVERS, 'mocap_ros/compiled', 'mocap_ros/keypoints', 'mocap_ros/offline', 'mocap_ros/tracking')
+HELD_OUT = 'benchmarks/models/lifter_heldout.npz'
 BAGS = ('mocap_ros/bags', 'mocap_ros/messages', 'mocap_ros/runtime')
 # Sections of `paper.py`, which are measured one by one, with their modules.
 PAPER_SECTIONS = {
@@ -94,27 +95,27 @@ BENCHMARKS = (
     ),
     Benchmark('classification', 'classification.py', ('benchmarks/periodic_labels.csv', *SOLVERS), CMU),
     Benchmark('solvers', 'solvers.py', SOLVERS, CMU),
-    Benchmark('lifter', 'lifter.py', SOLVERS, (*MOTION, *DETECTIONS)),
-    Benchmark('tracker', 'tracker.py', TRACKER, MOTION),
-    Benchmark('keyframes', 'keyframes.py', TRACKER, (*CMU, *DETECTIONS)),
+    Benchmark('lifter', 'lifter.py', (*SOLVERS, HELD_OUT), (*MOTION, *DETECTIONS)),
+    Benchmark('tracker', 'tracker.py', (*TRACKER, HELD_OUT), MOTION),
+    Benchmark('keyframes', 'keyframes.py', (*TRACKER, HELD_OUT), (*CMU, *DETECTIONS)),
     *(
         Benchmark(
             f'detectors.{name}',
             'detectors.py',
-            TRACKER,
+            (*TRACKER, HELD_OUT),
             (*MOTION, *DETECTIONS) if name == 'recordings' else MOTION,
             ('--only', *sections),
             ('--seeds', '0', '--detectors', 'mediapipe'),
         )
         for name, sections in DETECTOR_SECTIONS.items()
     ),
-    Benchmark('vertical', 'vertical.py', TRACKER, MOTION),
-    Benchmark('engine', 'engine.py', (*TRACKER, *BAGS, 'mocap_ros/ros'), MOTION),
+    Benchmark('vertical', 'vertical.py', (*TRACKER, HELD_OUT), MOTION),
+    Benchmark('engine', 'engine.py', (*TRACKER, HELD_OUT, *BAGS, 'mocap_ros/ros'), MOTION),
     Benchmark('faults', 'faults.py', (*BAGS, 'mocap_ros/ros'), (PROTOCOL,)),
     Benchmark('overload', 'overload.py', ('mocap_ros/ros', 'mocap_ros/runtime/pipeline.py'), (PROTOCOL,)),
     Benchmark('soak', 'soak.py', ('mocap_ros/bags', 'mocap_ros/ros'), (PROTOCOL,)),
     Benchmark('corpora', 'corpora.py', (*BAGS, 'mocap_ros/batch'), (PROTOCOL,)),
-    Benchmark('robots', 'robots.py', ('mocap_ros/messages', *TRACKER), MOTION),
+    Benchmark('robots', 'robots.py', ('mocap_ros/messages', *TRACKER, HELD_OUT), MOTION),
     Benchmark('recording', 'recording.py', (*BAGS, 'mocap_ros/ros/live.py'), (PROTOCOL,)),
 )
 # What the picture of the history shows: title, table, beginnings of the row in any release, and column in any.

@@ -134,7 +134,7 @@ def train_test_base_poses() -> dict[str, BasePoses]:
 
 
 def make_config(**values: Any) -> Config:
-    prior = {'solver.prior': str(common.HELD_OUT_LIFTER)} if common.HELD_OUT_LIFTER.is_file() else {}
+    prior = {'solver.prior': str(common.HELD_OUT_LIFTER)}
     return with_values(Config(), {**prior, **{k.replace('__', '.'): v for k, v in values.items()}})
 
 
@@ -159,8 +159,6 @@ def compute_frame_errors(view: View, joints: Array) -> Array:
 def report_methods(report: Report, quick: bool) -> dict[str, Any]:
     """Compare the keyframe method, the tracker and the whole-sequence solver on clean and corrupted views."""
     config = make_config()
-    lifter = 'held out' if common.HELD_OUT_LIFTER.is_file() else 'as shipped'
-    report.text(f'Lifter: {lifter}')
     rows: list[dict[str, Any]] = []
     figures: dict[str, float] = {}
     kinds = {'mixed': MIXED_TRIALS, 'unseen by the lifter': UNSEEN_TRIALS}
@@ -204,7 +202,7 @@ def report_methods(report: Report, quick: bool) -> dict[str, Any]:
     report.rows(title, rows, page='keyframes.methods')
     shown = [{'figure': k, 'value': f'{v:.4g}'} for k, v in figures.items()]
     report.rows('Targets', shown, page='keyframes.targets')
-    return {'lifter': lifter, **figures, 'side_by_side': rows}
+    return {**figures, 'side_by_side': rows}
 
 
 def report_counts(report: Report, quick: bool) -> dict[str, Any]:

@@ -262,14 +262,11 @@ def measure(args: argparse.Namespace, report: Report) -> None:
     show_cost(report, found)
     report.add(detections=(detections := evaluate_detections(shipped, cameras)))
     show_detections(report, detections, cameras)
-    if args.quick and not args.lifter.is_file():
-        report.text(f'skipped: motion capture, which needs {args.lifter}; run without --quick to train it')
-    else:
-        unseen = model_file.load_lifter(common.provide_held_out_lifter(args.lifter))
-        report.add(capture=(captured := evaluate_capture(unseen, args.quick)))
-        show_capture(report, captured)
-        report.add(solver=(solved := evaluate_with_solver(unseen, args.quick)))
-        show_with_solver(report, solved)
+    unseen = model_file.load_lifter(args.lifter)
+    report.add(capture=(captured := evaluate_capture(unseen, args.quick)))
+    show_capture(report, captured)
+    report.add(solver=(solved := evaluate_with_solver(unseen, args.quick)))
+    show_with_solver(report, solved)
     if args.pictures:
         draw_pictures(shipped, args.pictures)
 

@@ -95,10 +95,7 @@ def reconstruct(way: str, view: View, models: Models, config: Config) -> Array:
     return reconstruct_whole(view, models, config) if way == 'whole' else track(view, models, config).joints
 
 
-def provide_held_out(quick: bool = False, config: Config | None = None) -> tuple[Models, Config]:
-    """Return base poses of all motions and a configuration with a lifter that saw none of the tested people.
-
-    In a short run the shipped lifter stands in where that one is missing.
-    """
+def provide_held_out(config: Config | None = None) -> tuple[Models, Config]:
+    """Return base poses of all motions and a configuration with a lifter that saw none of the tested people."""
     models = {ALL_MOTIONS: common.train_base_poses(without_subjects=common.HELD_OUT_SUBJECTS)}
-    return models, with_values(config or Config(), {'solver.prior': common.choose_held_out_prior(quick)})
+    return models, with_values(config or Config(), {'solver.prior': str(common.HELD_OUT_LIFTER)})

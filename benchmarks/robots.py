@@ -279,7 +279,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def measure(args: argparse.Namespace, report: Report) -> None:
     common.choose_capture('motion')
     compile_kernels()
-    models, config = provide_held_out(args.quick)
+    models, config = provide_held_out()
     trials, frames = choose_trials('held-out', args.trials, MIN_FRAMES), args.frames
     if args.quick:
         trials, frames = trials[::6], 90

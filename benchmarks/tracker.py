@@ -8,7 +8,6 @@ base poses are trained on the other trials of the tested subject.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
 from typing import Any
 
 import common
@@ -55,9 +54,7 @@ def make_tracker_config(prior: str, **values: Any) -> Config:
     return with_values(Config(), {'solver.prior': prior, **{k.replace('__', '.'): v for k, v in values.items()}})
 
 
-@cache
-def list_priors(quick: bool) -> dict[str, str]:
-    return {'learned': common.choose_held_out_prior(quick), 'pca': 'pca'}
+PRIORS = {'learned': str(common.HELD_OUT_LIFTER), 'pca': 'pca'}
 
 
 def measure_lags(quick: bool) -> list[dict[str, Any]]:
@@ -65,7 +62,7 @@ def measure_lags(quick: bool) -> list[dict[str, Any]]:
     rows = []
     trials, headings = (UNSEEN_TRIALS[::2], (45,)) if quick else (UNSEEN_TRIALS, common.HEADINGS_DEG)
     auto = train_models()
-    for prior, value in list_priors(quick).items():
+    for prior, value in PRIORS.items():
         for trial, category in common.show_progress(trials, f'lag, {prior}'):
             views, known = common.make_views(trial, headings), train_models((category,))
             config = make_tracker_config(value)
@@ -91,7 +88,7 @@ def measure_lags(quick: bool) -> list[dict[str, Any]]:
 def report_lags(report: Report, quick: bool) -> None:
     rows = measure_lags(quick)
     report.rows('MPJPE of the tracker and of the whole-sequence solver, mm', rows, page='tracker.lags')
-    ratios = {p: {c or 'all': compute_ratio(rows, p, c) for c in ('', *CATEGORIES)} for p in list_priors(quick)}
+    ratios = {p: {c or 'all': compute_ratio(rows, p, c) for c in ('', *CATEGORIES)} for p in PRIORS}
     named = [{'prior': p, **r} for p, r in ratios.items()]
     report.rows('Error at lag 0 / error of the whole-sequence solver', named, page='tracker.ratios')
     as_before = measure_newest_as_version_01(quick)
@@ -151,7 +148,7 @@ def report_perspective(report: Report, quick: bool) -> None:
         for options in common.show_progress(cases, 'perspective'):
             views = common.make_views(trial, headings, **options)
             record: dict[str, Any] = {'case': f'{trial} {options or "orthographic"}'}
-            for prior, value in list_priors(quick).items():
+            for prior, value in PRIORS.items():
                 for label, on in (('weak', False), ('perspective', True)):
                     config = make_tracker_config(value, tracker__perspective=on)
                     found = [reconstruct_whole(v, {'m': model}, config) for v in views]
@@ -172,7 +169,7 @@ def report_metric(report: Report, quick: bool) -> None:
             if quick
             else {'unknown': train_models(), 'known': train_models((category,))}
         )
-        for prior, value in list_priors(quick).items():
+        for prior, value in PRIORS.items():
             config = make_tracker_config(value, tracker__body_height=truth)
             for label, models in given.items():
                 ways = {'whole': [reconstruct_whole(v, models, config) for v in views]}
@@ -239,13 +236,13 @@ def draw_reliability(found: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def report_switching(report: Report, quick: bool) -> None:
+def report_switching(report: Report, _quick: bool) -> None:
     """Track a walk, a jump and a walk in sequence, and measure when the live classification changes."""
     motion, _ = common.load_capture()
     parts = [motion['35_29'][:120], motion['UJ_01'][:150], motion['35_29'][:120]]
     parts = [p - p.mean(axis=(0, 1)) for p in parts]
     (view,) = common.make_views(np.concatenate(parts), (60,), frames=390)
-    found = track(view, train_models(), make_tracker_config(list_priors(quick)['learned']))
+    found = track(view, train_models(), make_tracker_config(PRIORS['learned']))
     periodic = np.array([k is MotionKind.PERIODIC for k in found.kinds])
     seams = np.cumsum([len(p) for p in parts])[:-1]
     live = {
@@ -258,7 +255,7 @@ def report_switching(report: Report, quick: bool) -> None:
 
 
 def report_reliability(report: Report, quick: bool) -> None:
-    found = {'learned': measure_reliability(quick, list_priors(quick)['learned'], (20,) if quick else (20, 200))}
+    found = {'learned': measure_reliability(quick, PRIORS['learned'], (20,) if quick else (20, 200))}
     if not quick:
         found['pca'] = measure_reliability(quick, 'pca', (20,))
         report.picture(draw_reliability(found['learned']), 'docs/img/tracker/reliability.png')

@@ -165,7 +165,7 @@ def measure(args: argparse.Namespace, report: Report) -> None:
     common.choose_capture('motion')
     compile_kernels()
     if args.persons == 'held-out':
-        models, config = provide_held_out(args.quick)
+        models, config = provide_held_out()
     else:
         models, config = load_base_pose_models(ALL_MOTIONS), Config()
     trials = choose_trials(args.persons, args.trials, MIN_FRAMES)

@@ -12,8 +12,6 @@ import report as reporting
 from matplotlib.figure import Figure
 from report import Report, cross, group, run, select
 
-from mocap_ros.models.model_file import LEARNED
-
 RECORDS = [
     {'detector': 'a', 'way': 'live', 'error': 1.0},
     {'detector': 'b', 'way': 'whole', 'error': 2.0},
@@ -99,11 +97,3 @@ def test_the_chosen_sections_are_run_and_their_results_written(
     assert found['command'] == 'benchmarks/y.py --quick --only two none'
     assert found['second'] is True
     assert 'first' not in found
-
-
-def test_nothing_is_trained_in_a_short_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = tmp_path / 'lifter.npz'
-    monkeypatch.setattr(common, 'HELD_OUT_LIFTER', file)
-    assert common.choose_held_out_prior(quick=True) == LEARNED
-    file.write_text('')
-    assert common.choose_held_out_prior(quick=True) == str(file)
