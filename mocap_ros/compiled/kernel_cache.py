@@ -151,10 +151,14 @@ def _write_at_once(path: Path, content: bytes) -> None:
 
 
 def _remove_outdated(path: Path) -> None:
-    """Remove the files of the same kernel, environment and signature whose sources have changed since."""
-    stem = path.name.rpartition('-')[0]
-    for other in path.parent.glob(f'{stem}-*{SUFFIX}'):
-        if other != path:
+    """Remove the files of the same kernel, environment and signature whose sources have changed since.
+
+    Files that do not name a signature are of an earlier version.
+    """
+    same_signature, _, _ = path.name.rpartition('-')
+    same_environment, _, _ = same_signature.rpartition('-')
+    for other in path.parent.glob(f'{same_environment}-*{SUFFIX}'):
+        if other != path and other.name.rpartition('-')[0] in (same_signature, same_environment):
             with suppress(OSError):
                 other.unlink()
 

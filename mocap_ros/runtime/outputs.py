@@ -97,6 +97,7 @@ class OutputEncoder:
         self._shapes = {topic: MarkerSeries() for topic in (CAPSULE_MARKERS, PREDICTION_MARKERS)}
         self._collision_objects = CollisionObjectEncoder()
         self._bodies, self._body_names, self._frame_names = BodiesEncoder(), BodyNames(), BodyNames(make_suffix)
+        self._order: dict[str, int] = {}  # places of the people of the image before, by id
 
     def encode(
         self,
@@ -111,7 +112,7 @@ class OutputEncoder:
 
         Args:
             header: Time of the image, and the frame in which the people are put out.
-            people: All people in the image, in the camera's optical frame.
+            people: All people in the image, in the camera's optical frame, in any order.
             node: Parameters of the outputs; None for the defaults.
             camera: The camera in the frame of the header; None where the header names the optical frame.
             vertical: What is known of the camera's vertical, in its optical frame; None if nothing is.
@@ -119,7 +120,7 @@ class OutputEncoder:
         """
         node = node or NodeConfig()
         camera = camera or CameraPlacement(header.frame_id)
-        placed = stack_people(camera.place(people))
+        placed = stack_people(camera.place(self._keep_order(people)))
         data = {
             'skeletons': encode_skeletons(header, placed, camera.place_vertical(vertical), camera),
             'cameras': encode_cameras(Header(header.stamp_ns, camera.frame_id), placed),
@@ -153,6 +154,15 @@ class OutputEncoder:
             outputs += [OutputMessage(output.topic, output.type, header.stamp_ns, raw) for raw in messages]
         return tuple(outputs)
 
+    def _keep_order(self, people: Sequence[Person3D]) -> list[Person3D]:
+        """Return the people in the order of the image before, new ones last.
+
+        Detectors change the order from image to image; a message whose order stays is encoded faster.
+        """
+        ordered = sorted(people, key=lambda p: self._order.get(p.id, len(self._order)))
+        self._order = {person.id: place for place, person in enumerate(ordered)}
+        return ordered
+
     def _encode_switched(
         self,
         output: SwitchedOutput,
@@ -178,7 +188,7 @@ class OutputEncoder:
 
     def encode_clear(self, header: Header) -> tuple[OutputMessage, ...]:
         """Encode the messages that delete all markers, collision objects and bodies, and forget all people."""
-        self._body_names, self._frame_names = BodyNames(), BodyNames(make_suffix)
+        self._body_names, self._frame_names, self._order = BodyNames(), BodyNames(make_suffix), {}
         objects, objects_type, _ = SWITCHED_OUTPUTS['publish_collision_objects']
         cleared = [
             ('markers', MARKERS, self._markers.encode_clear(header)),

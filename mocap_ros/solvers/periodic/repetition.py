@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.geometry.interpolation import interpolate_linearly
-from mocap_ros.solvers.periodic.fourier import MAX_CADENCE_HZ
+from mocap_ros.solvers.periodic.fourier import MAX_CADENCE_HZ, MIN_CADENCE_HZ, MIN_CYCLES
 
 Array = NDArray[np.float64]
 
@@ -26,6 +26,9 @@ NEWEST_S = 0.4  # s; most of a step of a walk: half of it tells that something e
 SAMPLE_STEP_S = 1 / 15  # s; at which a motion is compared, often enough for a run
 MAX_STRETCH = 0.1  # of the cycle; by so much two cycles of a person differ, and a cadence is wrong
 STRETCHES = 9  # lengths of a cycle that are tried
+EPSILON = 1e-9  # of the longest cycle that is known; keeps rounding from making it longer
+# of the longest cycle that may be fitted; motion that is known for less than that may repeat itself later
+MIN_SHARE_OF_CYCLE = 0.75
 
 
 def measure_repetition(times: Array, theta: Array, cadence: float) -> float:
@@ -52,15 +55,18 @@ def measure_repetition(times: Array, theta: Array, cadence: float) -> float:
 
 
 def measure_best_repetition(times: Array, theta: Array) -> float:
-    """Return the largest r over all cadences of which the motion is known for long enough; NaN if there is none.
+    """Return the largest r over all cadences; NaN if the motion is not known for long enough to tell.
 
     Args:
         times: (F,) s, increasing.
         theta: (F, K) m, base-pose weights at these times.
     """
-    longest_s = times[-1] - times[0] - NEWEST_S
-    best, cycle_s = math.nan, 1 / MAX_CADENCE_HZ
-    while cycle_s <= longest_s:
-        best = float(np.fmax(best, measure_repetition(times, theta, 1 / cycle_s)))
-        cycle_s *= (1 + MAX_STRETCH) / (1 - MAX_STRETCH)  # the lengths tried for this cadence end there
-    return best
+    span_s = times[-1] - times[0]
+    longest_s = span_s - NEWEST_S
+    if longest_s < MIN_SHARE_OF_CYCLE / max(MIN_CADENCE_HZ, MIN_CYCLES / max(span_s, NEWEST_S)):
+        return math.nan
+    # the lengths of cycles that `measure_repetition` tries for one cadence end where those of the next begin
+    step = (1 + MAX_STRETCH) / (1 - MAX_STRETCH)
+    count = math.ceil(math.log(longest_s * MAX_CADENCE_HZ, step))
+    cycles_s = [*(step**i / MAX_CADENCE_HZ for i in range(count)), longest_s * (1 - EPSILON)]
+    return float(np.nanmax([measure_repetition(times, theta, 1 / cycle_s) for cycle_s in cycles_s]))
