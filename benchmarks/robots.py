@@ -35,6 +35,7 @@ from mocap_ros.config import Config, NodeConfig, with_values
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.robots.capsules import arrange_body_parts, compute_capsules
 from mocap_ros.messages.robots.predictions import PredictedFrame
+from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.people import HIPS, Person3D
 from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS, OutputEncoder
 from mocap_ros.skeleton import BODY26
@@ -92,6 +93,7 @@ def follow(scene: RobotScene, way: str, models: Models, config: Config) -> list[
             'category': scene.category,
             'detector': scene.detector,
             'joints': joints - truth[frame],
+            'place': person.root,
             'root': person.root - roots[frame],
             'distance': float(np.linalg.norm(roots[frame])),
             'depth_share': float(np.linalg.norm(person.root) / np.linalg.norm(roots[frame])) - 1,
@@ -187,11 +189,6 @@ def compare_with_constant(error: Array, covariance: Array) -> float:
     return float((other - own).mean() / 2)
 
 
-def add_std(root_covariance: Array, std: Array) -> Array:
-    """Return the covariances (..., J, 3, 3) of joints from those of the root and deviations (..., J)."""
-    return np.asarray(root_covariance[..., None, :, :] + (std**2 / 3)[..., None, None] * np.eye(3))
-
-
 def score_places(records: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, float]:
     """Return what is measured of places and velocities."""
     known = records['height']
@@ -202,7 +199,9 @@ def score_places(records: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str
             out[f'velocity_rms_{name}'] = float(np.sqrt((velocity[chosen] ** 2).sum(axis=-1).mean()))
     difference = np.sqrt((stack(known, 'difference') ** 2).sum(axis=-1).mean())
     out['velocity_over_differences'] = float(np.sqrt((velocity**2).sum(axis=-1).mean()) / difference)
-    joints = add_std(stack(known, 'root_covariance'), stack(known, 'std'))
+    std, place = stack(known, 'std'), stack(known, 'place')
+    own = compute_joint_covariance(std, np.broadcast_to(place[:, None], (*std.shape, 3)))
+    joints = stack(known, 'root_covariance')[:, None] + own
     out['coverage95_joints'] = compute_coverage(stack(known, 'joints'), joints)
     for way, key in (('height', ''), ('floor', '_floor'), ('nothing', '_nothing')):
         covariance = stack(records[way], 'root_covariance')
@@ -227,7 +226,9 @@ def score_predictions(records: Sequence[Mapping[str, Any]]) -> tuple[dict[str, f
             rows.append([name.replace('_', ', '), time_s, *(f'{m:.0f}' for m in mean.values()), f'{ratio:.2f}'])
             if time_s == 0.4:
                 out[f'prediction_ratio_{name}'] = ratio
-    covariance = add_std(stack(records, 'predicted_covariance'), stack(records, 'predicted_std'))
+    std = stack(records, 'predicted_std')
+    about = (std**2 / 3)[..., None, None] * np.eye(3)
+    covariance = stack(records, 'predicted_covariance')[..., None, :, :] + about
     for k, time_s in enumerate(TIMES_S):
         if time_s in (0.4, 1.0) and known[:, k].any():
             use = known[:, k]

@@ -4,8 +4,8 @@ An error e with the covariance C is within the ellipsoid that holds the share p 
 
     e^T C^-1 e <= q(p),    q = quantile of the chi-squared distribution with 3 degrees of freedom
 
-The covariance of a joint is that of the root and std^2 / 3 I, with std the standard deviation of the joint in the
-body. Shares below p say that the covariances are too small, shares above that they are too large.
+The covariance of a joint is the sum of that of the root and that of the joint in the body (`models/joint_std.py`).
+Shares below p say that the covariances are too small, shares above that they are too large.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 from mocap_ros.errors import InputError
 from mocap_ros.evaluation import metrics
+from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.skeleton import Skeleton
 
 Array = NDArray[np.float64]
@@ -53,7 +54,8 @@ def compute_coverage(
     except InputError:
         return {}
     error = joints[:, own] - truth[:, others]
-    covariance = root_covariance[:, None] + (std[:, own] ** 2 / 3)[..., None, None] * np.eye(3)
+    place = np.broadcast_to(joints.mean(axis=1, keepdims=True), joints.shape)[:, own]
+    covariance = root_covariance[:, None] + compute_joint_covariance(std[:, own], place)
     out = _compute_shares('joints', error, covariance)
     names = [skeleton.joints[i] for i in own]
     if set(HIPS) <= set(names):

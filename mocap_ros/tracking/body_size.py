@@ -53,7 +53,7 @@ HEIGHT_RANGE_M = 0.3, 2.6  # of body heights, as of `tracker.body_height`
 ANKLE_SHARE = 0.042  # of the body height; f, 0.03 to 0.055 in motion capture, more in a walk
 NOISE_M = 0.04  # m; F, of an ankle's height over the floor from image noise and heels that rise
 GROUND_M = 0.04  # m; G, by which ankles, shoes and carpets differ, and detectors put ankles elsewhere
-FLOOR_FACTOR = 1.35  # 1; Q, so that 95 of 100 roots of training persons are within the ellipsoids
+FLOOR_FACTOR = 1.7  # 1; Q, so that 95 of 100 roots of training persons are within the ellipsoids
 TILT_RAD = 0.005  # rad; T, 0.3 degrees: of a camera that was calibrated to its robot
 CORRELATION_S = 0.5  # s; C, as long as a step lasts
 MAX_RISE_M_S = 0.3  # m/s; of a foot that stands; depth trembles, and lets standing feet rise and sink a little
@@ -76,7 +76,7 @@ class BodySize(NamedTuple):
     share: float
 
 
-ASSUMED = BodySize(1.0, math.hypot(0.1 / 1.7, POSE_SHARE))  # of adults, before anything is seen
+ASSUMED = BodySize(1.0, math.hypot(0.12 / 1.7, POSE_SHARE))  # of adults, before anything is seen
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,9 @@ TRUTH = np.random.default_rng(1).normal(size=(15, 3)) + [0, 0, 4]
 def draw(rng: np.random.Generator) -> np.ndarray:
     """Return joints (F, 15, 3) with errors of the covariances above; those of the hips are the root's alone."""
     root = rng.multivariate_normal(np.zeros(3), ROOT_COVARIANCE, FRAMES)
-    own = rng.normal(scale=STD_M / np.sqrt(3), size=(FRAMES, 15, 3))
+    sight = TRUTH.mean(axis=0) / np.linalg.norm(TRUTH.mean(axis=0))
+    own = rng.normal(scale=STD_M / np.sqrt(6), size=(FRAMES, 15, 3))
+    own += (own @ sight)[..., None] * sight  # twice as much along the line of sight
     own[:, [CMU15.index('lhip'), CMU15.index('rhip')]] = 0
     return np.asarray(TRUTH + root[:, None] + own)
 

@@ -31,6 +31,7 @@ from mocap_ros.tracking.body_size import (
     assume_size,
     resize,
 )
+from mocap_ros.tracking.core_motion import ROOT_FACTOR
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.paths import ROOT
 from tests.support.people import make_person_3d
@@ -159,7 +160,7 @@ def test_a_resized_person_has_the_same_image(ratio: float) -> None:
     variances, axes = np.linalg.eigh(resized.root_covariance)
     root = resized.root
     assert abs(axes[:, 2] @ root) == pytest.approx(np.linalg.norm(root))
-    assert variances[2] == pytest.approx((0.03 * ratio) ** 2 / 3 + 0.03**2 * root @ root)
+    assert variances[2] == pytest.approx((ROOT_FACTOR * 0.03 * ratio) ** 2 * 2 / 3 + 0.03**2 * root @ root)
 
 
 def test_a_known_height_or_focal_length_makes_the_distance_surer() -> None:

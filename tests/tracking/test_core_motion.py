@@ -14,7 +14,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import HIPS, Person3D
 from mocap_ros.skeleton import CORE_COUNT
-from mocap_ros.tracking.core_motion import estimate_root_covariance
+from mocap_ros.tracking.core_motion import ROOT_FACTOR, estimate_root_covariance
 from mocap_ros.tracking.motion_filter import MotionFilter
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.swinging_body import STANDING
@@ -105,7 +105,7 @@ def test_the_place_of_a_body_is_least_sure_along_the_line_of_sight() -> None:
     share = 0.06
     covariance = estimate_root_covariance(root, np.full(15, 0.06), share)
     variances, axes = np.linalg.eigh(covariance)
-    across = 0.06**2 / 3
-    np.testing.assert_allclose(variances, [across, across, across + share**2 * root @ root], rtol=1e-9)
+    own = (ROOT_FACTOR * 0.06) ** 2
+    np.testing.assert_allclose(variances, [own / 6, own / 6, own * 2 / 3 + share**2 * root @ root], rtol=1e-9)
     assert abs(axes[:, 2] @ root) == pytest.approx(np.linalg.norm(root))
     assert len(HIPS) == 2

@@ -54,13 +54,13 @@ class BodyPart(NamedTuple):
 # The parts of a body. Half girths: a trunk is 0.3 m deep at most, a thigh 0.2 m, a shin and an upper arm 0.14 m, a
 # forearm with a sleeve and a shoe 0.12 m, a hand 0.1 m, a head 0.24 m long.
 _TRUNK = (
-    BodyPart('head', 'neck', 'head', 0.12, 0.7),
+    BodyPart('head', 'neck', 'head', 0.12, 0.63),
     BodyPart('trunk', 'neck', 'pelvis', 0.15, 0.2),
     BodyPart('shoulders', 'lshoulder', 'rshoulder', 0.1, 0.2),
     BodyPart('pelvis', 'lhip', 'rhip', 0.14, 0.2),
 )
 _HALF_LIMBS = (
-    BodyPart('upper_arm', 'shoulder', 'elbow', 0.07, 0.9),
+    BodyPart('upper_arm', 'shoulder', 'elbow', 0.07, 0.78),
     BodyPart('thigh', 'hip', 'knee', 0.1, 0.25),
 )
 # Without hands and feet, the forearm reaches beyond the wrist as far as a hand with half-bent fingers, and the
@@ -71,10 +71,10 @@ _ENDS_OF_CORE = (
 )
 # `lhand` is at the knuckles and `ltoe` at the ball of the foot: fingers and toes reach beyond.
 _ENDS = (
-    BodyPart('forearm', 'elbow', 'wrist', 0.06, 1.0),
+    BodyPart('forearm', 'elbow', 'wrist', 0.06, 0.92),
     BodyPart('hand', 'wrist', 'hand', 0.05, 1.7, 0.6),
-    BodyPart('shin', 'knee', 'ankle', 0.07, 0.8),
-    BodyPart('foot', 'heel', 'toe', 0.06, 1.0, 0.25),
+    BodyPart('shin', 'knee', 'ankle', 0.07, 0.65),
+    BodyPart('foot', 'heel', 'toe', 0.06, 0.92, 0.25),
 )
 
 
