@@ -12,8 +12,8 @@ of training persons, with clean points and under three models of detectors, all 
 hidden; the factors h_j, which are larger for inferred joints than for seen ones, on CMU trials of subject 35
 (walk), UJ, UB and 05, with the subject left out of training.
 
-One camera sees depth worst: of the squared errors of 65 trials of training persons, 0.70 lie along the line of sight.
-C_j has 2/3 there, that is, a standard deviation twice as large as in a direction across.
+One camera sees depth worst: of the squared errors in 65 trials of training persons, 0.70 lie along the line of
+sight. C_j has 2/3 there, that is, a standard deviation twice as large as in a direction across.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.interpolation import find_nearest
+from mocap_ros.geometry.interpolation import find_nearest, interpolate_linearly
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras, fit_cameras_closed_form
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
@@ -228,8 +228,7 @@ def interpolate_unseen(translation: Array, window: Window) -> Array:
     seen = np.asarray((window.weight > 0).any(axis=1))
     if seen.all():
         return translation
-    times, known = window.times, window.times[seen]
-    interpolated = np.stack([np.interp(times, known, translation[seen, d]) for d in (0, 1)], axis=-1)
+    interpolated = interpolate_linearly(window.times, window.times[seen], translation[seen])
     return np.where(seen[:, None], translation, interpolated)
 
 

@@ -31,7 +31,7 @@ from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
-ROOT_FACTOR = 1.1  # 1; detectors put both hips off the same way. So that 0.95 of training persons' roots are within
+ROOT_FACTOR = 1.1  # 1; detectors put both hips off the same way; chosen by the errors of training persons' roots
 
 
 class CoreMotion(NamedTuple):

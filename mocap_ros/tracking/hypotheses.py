@@ -379,8 +379,10 @@ class HypothesisChecker:
             return None
         if duration_s < MIN_SECTION_SHARE * min(section_s, self.config.tracker.window):
             return None
-        if measure_best_repetition(track.seen.times_s, track.solved.theta) < MIN_REPETITION:
-            return classify_as_other(track)
+        if not track.schedule.may_resume:  # a walk that has just gone on has hardly a cycle to repeat
+            repetition = measure_best_repetition(track.seen.times_s, track.solved.theta)
+            if repetition < MIN_REPETITION:
+                return classify_as_other(track)
         for name in self._order_periodic_models(track, periodic_names):
             motion = yield from self._fit_periodic_motion(track, name)
             if motion is not None:

@@ -69,4 +69,4 @@ def measure_best_repetition(times: Array, theta: Array) -> float:
     step = (1 + MAX_STRETCH) / (1 - MAX_STRETCH)
     count = math.ceil(math.log(longest_s * MAX_CADENCE_HZ, step))
     cycles_s = [*(step**i / MAX_CADENCE_HZ for i in range(count)), longest_s * (1 - EPSILON)]
-    return float(np.nanmax([measure_repetition(times, theta, 1 / cycle_s) for cycle_s in cycles_s]))
+    return float(np.fmax.reduce([measure_repetition(times, theta, 1 / cycle_s) for cycle_s in cycles_s]))
