@@ -61,8 +61,12 @@ PROTOCOL = 'bench/protocol.py'
 CMU = (PROTOCOL, 'data/cmu/cmu15_30fps.npz', 'data/cmu/manifest.csv')
 MOTION = (PROTOCOL, 'data/motion/body26_30fps.npz', 'data/motion/manifest.csv')
 DETECTIONS = tuple(f'data/detections/balance_{d}_cam{c}.npz' for d in ('mediapipe', 'openpose') for c in (1, 2, 3))
-SOLVERS = tuple(f'mocap_ros/{f}' for f in ('config', 'geometry', 'models', 'solvers', 'training/base_poses.py'))
-TRACKER = (*SOLVERS, 'mocap_ros/compiled', 'mocap_ros/keypoints', 'mocap_ros/offline', 'mocap_ros/tracking')
+MODELS = 'base_poses', 'lifter', 'lifter_input', 'model_arrays', 'network', 'upward_direction'  # that solvers use
+SOLVERS = (
+    *(f'mocap_ros/{f}' for f in ('config', 'geometry', 'solvers', 'training/base_poses.py')),
+    *(f'mocap_ros/models/{f}.py' for f in MODELS),
+)
+TRACKER = (*SOLVERS, *(f'mocap_ros/{f}' for f in ('compiled', 'keypoints', 'models', 'offline', 'tracking')))
 HELD_OUT = 'benchmarks/models/lifter_heldout.npz'
 BAGS = ('mocap_ros/bags', 'mocap_ros/messages', 'mocap_ros/runtime')
 # Sections of `paper.py`, which are measured one by one, with their modules.
