@@ -1,7 +1,7 @@
 """Prediction of a person after the last detection: through a gap, and ahead of the newest image.
 
 Both come from what the window holds of the last 0.8 s, by the learned motion predictor
-(`models/motion_predictor.py`). A movement that would bring the body behind the camera is left out.
+(`models/motion_predictor.py`). A body that would come behind the camera stops before it.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 VELOCITY_SPAN_S = 0.05  # s; over which the velocity in a gap is a difference: short, and far above rounding
 VELOCITY_STD_M_S = 0.5  # m/s; what the velocity may have changed by in a gap
 MIN_CLEARANCE_M = 0.1  # m; a predicted body must stay this far in front of the camera, or its image is meaningless
+OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])
 UPRIGHT_CAMERA = np.array([0.0, -1.0, 0.0])  # direction upwards in the optical frame of a level camera
 _AGO = np.array(PAST_S)
 
@@ -44,12 +45,10 @@ def predict_person(
     """
     age_s = (stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S
     times = np.array([[age_s, age_s + VELOCITY_SPAN_S]])
-    _, of_people, is_left_out = _predict([track], times, [model], upward, [size])
+    _, of_people = _predict([track], times, [model], upward, [size])
     last = resize(make_person(track, len(track.seen.stamps_ns) - 1, model), size)
     ahead = Displacements(*(values[0] for values in of_people))
     velocity = (ahead.joints[1] - ahead.joints[0]) / VELOCITY_SPAN_S
-    if is_left_out.any():  # then the difference is no movement within this time
-        velocity = np.zeros_like(velocity)
     joints, root = last.joints + ahead.joints[0], (last.joints + ahead.joints[0]).mean(axis=0)
     intrinsics = track.seen.intrinsics
     return replace(
@@ -95,7 +94,7 @@ def predict_ahead(
         return []
     ages = [(stamp_ns - track.seen.stamps_ns[-1]) / NS_PER_S for track in tracks]
     times = np.array(ages)[:, None] + np.array(times_s)
-    pasts, ahead, _ = _predict(tracks, times, models, upward, sizes)
+    pasts, ahead = _predict(tracks, times, models, upward, sizes)
     people = [*zip(pasts, sizes, strict=True)]
     joints = np.array([past.joints * size.ratio for past, size in people])
     covariances = np.array([find_root_covariance(past.joints, past.std, size) for past, size in people])
@@ -134,20 +133,26 @@ def _predict(
     models: Sequence[BasePoses],
     upward: Array | None,
     sizes: Sequence[BodySize],
-) -> tuple[list[Past], Displacements, NDArray[np.bool_]]:
+) -> tuple[list[Past], Displacements]:
     """Return what is known of the persons of N >= 1 tracks, and predictions at times (N, T) in s after that.
 
     The persons are of the assumed size. Their predictions, which have the same image, are enlarged to the sizes.
-    Movements behind the camera are left out, and a mask (N, T) says which these are.
+    Nobody comes nearer to the plane of the camera than `MIN_CLEARANCE_M`, unless they are there already.
     """
     pasts = [sample_past(t, model, upward) for t, model in zip(tracks, models, strict=True)]
     ahead = load_motion_predictor().predict_all(pasts, times)
-    depths = np.array([past.joints[:, 2] for past in pasts])[:, None] + ahead.joints[..., 2]
-    depth = depths.mean(axis=2)
-    is_behind = depth < depths.max(axis=2) - depth + MIN_CLEARANCE_M
+    depths = np.array([past.joints[:, 2] for past in pasts])[:, None]
+    least = np.minimum(_measure_clearance(depths), MIN_CLEARANCE_M)
+    too_near = np.maximum(least - _measure_clearance(depths + ahead.joints[..., 2]), 0.0)
+    moved = ahead.joints + too_near[..., None, None] * OPTICAL_AXIS
     ratio = np.array([size.ratio for size in sizes])[:, None, None]
-    moved = np.where(is_behind[..., None, None], 0.0, ahead.joints)
     displaced = Displacements(
         moved * ratio[..., None], ahead.std * ratio, ahead.root_covariance * ratio[..., None] ** 2
     )
-    return pasts, displaced, is_behind
+    return pasts, displaced
+
+
+def _measure_clearance(depths: Array) -> Array:
+    """Return how far before the camera bodies (..., J) are in m: their mean depth less what a part is behind it."""
+    mean = depths.mean(axis=-1)
+    return np.asarray(2 * mean - depths.max(axis=-1))

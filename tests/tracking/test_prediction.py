@@ -17,7 +17,7 @@ from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15, CORE_COUNT
 from mocap_ros.tracking.body_size import ASSUMED, resize
 from mocap_ros.tracking.person_in_frame import make_person
-from mocap_ros.tracking.prediction import predict_person
+from mocap_ros.tracking.prediction import MIN_CLEARANCE_M, predict_person
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.synthetic_walk import make_walk
 
@@ -102,12 +102,13 @@ def test_a_person_who_comes_towards_the_camera_is_not_predicted_behind_it(walk_m
     nearer = [0.0, 0.0, depth.max() - 2 * depth.mean() + 0.15]  # m; then the body nearly touches the camera
     near = replace(track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=None)
     stopped, before = predict_person(near, stamp_ns, model), make_person(near, FRAMES - 1, model)
-    np.testing.assert_allclose(stopped.joints, before.joints)
+    depth = stopped.joints[:CORE_COUNT, 2]
+    assert 2 * depth.mean() - depth.max() == pytest.approx(MIN_CLEARANCE_M)
     assert stopped.joints[:, 2].min() > 0
-    assert stopped.scale == pytest.approx(before.scale)
+    assert abs(stopped.joints[:, 2].mean() - before.joints[:, 2].mean()) < 0.2
 
 
-def test_a_person_whose_movement_ends_before_the_camera_does_not_shoot_back(walk_model: BasePoses) -> None:
+def test_a_person_who_reaches_the_camera_stays_there(walk_model: BasePoses) -> None:
     tracker = track_walk(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, -2.5])
     (track,) = tracker.snapshot().tracks
     solution, model = track.solved, tracker.models[track.solved.model_name]
@@ -115,12 +116,13 @@ def test_a_person_whose_movement_ends_before_the_camera_does_not_shoot_back(walk
     nearer = [0.0, 0.0, depth.max() - 2 * depth.mean() + 0.6]  # m; then some of the way is left
     near = replace(track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=None)
     predicted = [predict_person(near, (FRAMES + gap) * STEP_NS, model) for gap in range(20)]
-    is_moving = [bool(person.velocity.any()) for person in predicted]
-    assert is_moving[0]
-    assert not is_moving[-1]
-    assert is_moving == sorted(is_moving, reverse=True), 'who has stopped stays there'
-    walking = predicted[0].root_velocity[2]
-    assert all(walking - 1 < person.root_velocity[2] <= 0 for person in predicted), 'never backwards'
+    speeds = np.array([person.root_velocity[2] for person in predicted])
+    assert speeds[0] < -1
+    assert abs(speeds[-1]) < 0.5
+    assert speeds.max() < 0.5, 'no jump back to where the person was'
+    places = np.array([person.root[2] for person in predicted])
+    assert np.diff(places).max() < 0.02
+    assert places[-1] < places[0] - 0.3
 
 
 def test_ahead_of_the_newest_image_and_through_a_gap_are_one_prediction(walk_model: BasePoses) -> None:
