@@ -31,7 +31,7 @@ class Motion:
     Attributes:
         kind: periodic, non-periodic or unknown.
         category: name of the base-pose model in use, e.g. `walk`; empty if unknown.
-        residual: RMS 2D residual of the category's model as a fraction of body size; NaN if unknown.
+        residual: RMS 2D residual of the category's model, divided by the body radius; NaN if unknown.
         cadence: Hz, full cycles; NaN for motion that is not periodic.
     """
 

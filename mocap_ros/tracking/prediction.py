@@ -153,6 +153,6 @@ def _predict(
 
 
 def _measure_clearance(depths: Array) -> Array:
-    """Return how far before the camera bodies (..., J) are in m: their mean depth less what a part is behind it."""
+    """Return how far bodies (..., J) are before the camera, in m: mean depth less what a part is behind that."""
     mean = depths.mean(axis=-1)
     return np.asarray(2 * mean - depths.max(axis=-1))
