@@ -16,9 +16,9 @@ the body (forward, left, up), the corrected velocities are
     d_j          largest distance of v_j from the mean velocities of the joint
 
 The correction is the mean of what the network says of the person and of the mirror image. Where the mean
-velocities agree with the filter's, as of somebody who stands, or is moved without moving, nothing is corrected. And
-the network was shown people who are moved otherwise than they move (`benchmarks/velocity_correction.py`, which
-trains it).
+velocities agree with the filter's, as of somebody who stands, or is moved without moving, nothing is corrected.
+The network was also shown people who are moved otherwise than they move (`benchmarks/velocity_correction.py`,
+which trains it).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import float32, types
+from numba import float32, types, void
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.kernel import FLOATS_2D, FLOATS_3D, INPUT_1D, INPUT_2D, INPUT_3D, INPUT_INTS_1D, kernel
@@ -152,6 +152,13 @@ def _build_inputs(
     return out
 
 
+@kernel(void(float32, _INPUT32_1D, types.Array(float32, 1, 'C')))
+def _add(factor: np.float32, values: Array32, out: Array32) -> None:
+    """Add a factor times values (N,) to a vector (N,); whole arrays would be copied at each step."""
+    for n in range(len(out)):
+        out[n] += factor * values[n]
+
+
 @kernel(
     FLOATS_2D(
         *(INPUT_2D, INPUT_INTS_1D, _INPUT32_1D, _INPUT32_1D),
@@ -174,9 +181,9 @@ def _evaluate(
         hidden, found = bias_0.copy(), bias_1.copy()
         for i in range(len(centre)):
             limited = min(max((inputs[n, i] - centre[i]) / scale[i], -INPUT_LIMIT), INPUT_LIMIT)
-            hidden += np.float32(limited) * weight_0[i]
+            _add(np.float32(limited), weight_0[i], hidden)
         for h in range(len(hidden)):
-            found += hidden[h] / (np.float32(1) + np.exp(-hidden[h])) * weight_1[h]
+            _add(hidden[h] / (np.float32(1) + np.exp(-hidden[h])), weight_1[h], found)
         for j in range(len(mirror)):
             other = mirror[j] if n == 1 else j
             for i in range(3):
@@ -197,8 +204,10 @@ def _apply(
                 out[j, i] += axes[i, a] * (found[j, a] + found[len(out), a])
         length, distance = math.sqrt((out[j] ** 2).sum()), 0.0
         for k in range(len(spans)):
-            other = (joints[j] - earlier[k, j]) / spans[k] - velocity[j]
-            distance = max(distance, math.sqrt((other**2).sum()))  # not with NaN, for which nothing is larger
+            squared = 0.0
+            for i in range(3):
+                squared += ((joints[j, i] - earlier[k, j, i]) / spans[k] - velocity[j, i]) ** 2
+            distance = max(distance, math.sqrt(squared))  # not with NaN, which is not larger
         most = min(MAX_CORRECTION * std[j], distance)
         if not (math.isfinite(length) and math.isfinite(most)):
             out[j] = 0.0
