@@ -25,7 +25,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INPUT_2D, kernel
+from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INPUT_1D, INPUT_2D, kernel
 from mocap_ros.geometry.differences import central_velocity
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.velocity_correction import SPANS_S, VelocityPast, load_velocity_correction
@@ -108,14 +108,8 @@ def find_published_motion(track: Track, frame: int, model: BasePoses) -> CoreMot
     correction = load_velocity_correction().correct(past)
     if not correction.any():
         return found
-    at_root = (correction[HIPS[0]] + correction[HIPS[1]]) / 2
-    length = np.sqrt((correction * correction).sum(axis=1))
-    return found._replace(
-        velocity=found.velocity + correction,
-        velocity_std=np.hypot(CORRECTED_STD * found.velocity_std, CORRECTION_STD * length),
-        root_velocity_covariance=CORRECTED_STD**2 * found.root_velocity_covariance
-        + CORRECTION_STD**2 * at_root[:, None] * at_root,
-    )
+    uncertainty = _correct_uncertainty(found.velocity_std, found.root_velocity_covariance, correction)
+    return CoreMotion(found.joints, found.root, found.velocity + correction, *uncertainty)
 
 
 def sample_velocity_past(track: Track, model: BasePoses) -> VelocityPast | None:
@@ -138,6 +132,20 @@ def sample_velocity_past(track: Track, model: BasePoses) -> VelocityPast | None:
         solution.sample_joints(model, track.seen.times_s, _AGO),
         solution.rotation[frame],
     )
+
+
+@kernel(types.Tuple((FLOATS_1D, FLOATS_2D))(INPUT_1D, INPUT_2D, INPUT_2D))
+def _correct_uncertainty(std: Array, covariance: Array, correction: Array) -> tuple[Array, Array]:
+    """Return the last two attributes of `CoreMotion` from those of the filter and corrections (J, 3) m/s."""
+    out, root = np.empty(len(std)), CORRECTED_STD**2 * covariance
+    for j in range(len(std)):
+        squared = correction[j, 0] ** 2 + correction[j, 1] ** 2 + correction[j, 2] ** 2
+        out[j] = math.sqrt((CORRECTED_STD * std[j]) ** 2 + CORRECTION_STD**2 * squared)
+    at_root = (correction[HIPS[0]] + correction[HIPS[1]]) / 2
+    for i in range(3):
+        for k in range(3):
+            root[i, k] += CORRECTION_STD**2 * at_root[i] * at_root[k]
+    return out, root
 
 
 @kernel(types.Tuple((FLOATS_1D, FLOATS_2D))(INPUT_2D))
