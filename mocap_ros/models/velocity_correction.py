@@ -52,9 +52,9 @@ INPUT_LIMIT = 4.0  # standard deviations; there is next to nothing beyond in tra
 MAX_CORRECTION = 1.5  # standard deviations of the filter's velocity; one in 40 corrections would be larger
 MAX_BYTES = 1 << 20  # bytes, also unpacked; guards against zip bombs, the shipped file has a fifth
 
-_SPANS, _MIRROR = np.array(SPANS_S), np.array([*CMU15.mirror, len(CMU15.mirror)])  # the root is its own image
-_NEEDED = SPANS_S.index(LEAST_PAST_S)
 _LEFT = 1  # index of the axis of the body whose sign a mirror changes
+_NEEDED = SPANS_S.index(LEAST_PAST_S)
+_SPANS, _MIRROR = np.array(SPANS_S), np.array([*CMU15.mirror, len(CMU15.mirror)])  # the root is its own image
 _INPUT32_1D, _INPUT32_2D = (types.Array(float32, n, 'C', readonly=True) for n in (1, 2))
 
 
