@@ -55,6 +55,7 @@ MAX_BYTES = 1 << 20  # bytes, also unpacked; guards against zip bombs, the shipp
 _LEFT = 1  # index of the axis of the body whose sign a mirror changes
 _NEEDED = SPANS_S.index(LEAST_PAST_S)
 _SPANS, _MIRROR = np.array(SPANS_S), np.array([*CMU15.mirror, len(CMU15.mirror)])  # the root is its own image
+# types of kernels' arguments that they only read
 _INPUT32_1D, _INPUT32_2D = (types.Array(float32, n, 'C', readonly=True) for n in (1, 2))
 
 
