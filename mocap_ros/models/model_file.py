@@ -22,6 +22,7 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import OUTPUT_COUNT, Lifter
 from mocap_ros.models.lifter_input import FEATURE_COUNT, HISTORY_SLOTS_S
 from mocap_ros.models.motion_predictor import PREDICTOR_NAME
+from mocap_ros.models.velocity_correction import VELOCITY_NAME
 from mocap_ros.npz_file import open_npz, write_npz
 from mocap_ros.skeleton import CMU15, Skeleton, keypoint_layout
 
@@ -34,7 +35,7 @@ PCA = 'pca'  # value of `solver.prior` that selects the base poses alone, as in 
 PRIORS = (LEARNED, PCA)  # values of `solver.prior` that are not the path of a lifter
 
 LIFTER_NAME = 'lifter'  # name of the shipped lifter's file
-NO_BASE_POSES = (LIFTER_NAME, PREDICTOR_NAME)  # names of shipped files that are no base-pose models
+NO_BASE_POSES = (LIFTER_NAME, PREDICTOR_NAME, VELOCITY_NAME)  # names of shipped files that are no base-pose models
 BASE_POSES_FORMAT = 'mocap_ros base poses 1'  # identifier in every base-pose file; changes with the format
 LIFTER_FORMAT = 'mocap_ros lifter 2'  # identifier in every lifter file; changes with the format
 

@@ -3,6 +3,12 @@
 With a motion filter they are of its state. Without one, as with a lag, the solution before and after a frame is
 smooth, and the velocity is the central difference of the frames beside it (`geometry.differences`).
 
+What is published of the newest frame has the filter's velocity with a learned correction, if the pose was lifted
+(`models/velocity_correction.py`). With the filter's standard deviation s_j and the correction c_j of a joint, and
+likewise with the filter's covariance S of the root's velocity and the correction c_0 of that, these become
+
+    sqrt((f s_j)^2 + (g |c_j|)^2)        f^2 S + g^2 c_0 c_0^T
+
 The covariance of the root's position has two parts: that of its joints, and that of the person's size, which has
 the relative standard deviation s (`tracking/body_size.py`) and moves the body along the line of sight u at the
 distance d:
@@ -21,17 +27,25 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INPUT_2D, kernel
+from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INPUT_1D, INPUT_2D, kernel
 from mocap_ros.geometry.differences import central_velocity
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.joint_std import compute_joint_covariance
+from mocap_ros.models.velocity_correction import SPANS_S, VelocityPast, load_velocity_correction
 from mocap_ros.people import HIPS
+from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
 ROOT_FACTOR = 1.1  # 1; detectors put both hips off the same way; chosen by the errors of training persons' roots
+# 1; f and g, chosen so that two thirds of the errors of training persons who were left out of the fit are within
+# the standard deviation, and 95 % within two (docs/tracker.md).
+CORRECTED_STD = 0.6
+CORRECTION_STD = 0.7
+
+_AGO = -np.array(SPANS_S)
 
 
 class CoreMotion(NamedTuple):
@@ -83,6 +97,58 @@ def find_motion(track: Track, frame: int, model: BasePoses) -> CoreMotion:
         velocity = central_velocity(times, places / solution.stature_ratio)[1]
     joints, root = solution.locate_joints(frame, model), solution.roots[frame] / solution.stature_ratio
     return CoreMotion(joints, root, velocity, np.full(len(velocity), np.nan), np.full((3, 3), np.nan))
+
+
+def find_published_motion(track: Track, frame: int, model: BasePoses) -> CoreMotion:
+    """Return what `find_motion` does, with the velocity corrected where that is learned (module).
+
+    The arguments are those of `find_motion`.
+    """
+    found = find_motion(track, frame, model)
+    past = sample_velocity_past(track, model, found) if frame == len(track.seen.stamps_ns) - 1 else None
+    if past is None:
+        return found
+    correction = load_velocity_correction().correct(past)
+    if not correction.any():
+        return found
+    uncertainty = _correct_uncertainty(found.velocity_std, found.root_velocity_covariance, correction)
+    return CoreMotion(found.joints, found.root, found.velocity + correction, *uncertainty)
+
+
+def sample_velocity_past(track: Track, model: BasePoses, filtered: CoreMotion) -> VelocityPast | None:
+    """Return what the correction of the velocities in the newest frame rests on; None where it is not trained for.
+
+    Args:
+        track: a solved track.
+        model: base poses of the track's solution.
+        filtered: what the filter says of the newest frame.
+    """
+    lifted, motion_filter, stamps_ns = track.seen.observed.lifted, track.motion_filter, track.seen.stamps_ns
+    is_filtered = motion_filter is not None and motion_filter.stamps_ns[-1] == stamps_ns[-1]
+    if lifted is None or not is_filtered or model.skeleton.joints != CMU15.joints:
+        return None
+    frame, solution = len(stamps_ns) - 1, track.solved
+    return VelocityPast(
+        filtered.velocity,
+        filtered.velocity_std,
+        solution.locate_joints(frame, model),
+        solution.sample_joints(model, track.seen.times_s, _AGO),
+        solution.rotation[frame],
+    )
+
+
+@kernel(types.Tuple((FLOATS_1D, FLOATS_2D))(INPUT_1D, INPUT_2D, INPUT_2D))
+def _correct_uncertainty(std: Array, covariance: Array, correction: Array) -> tuple[Array, Array]:
+    """Return the last two attributes of `CoreMotion` from those of the filter and corrections (J, 3) m/s."""
+    out, root = np.empty(len(std)), CORRECTED_STD**2 * covariance
+    for j in range(len(std)):
+        squared = correction[j, 0] ** 2 + correction[j, 1] ** 2 + correction[j, 2] ** 2
+        out[j] = math.sqrt((CORRECTED_STD * std[j]) ** 2 + CORRECTION_STD**2 * squared)
+    at_root = (correction[HIPS[0]] + correction[HIPS[1]]) / 2
+    for i in range(3):
+        for k in range(3):
+            root[i, k] += CORRECTION_STD**2 * at_root[i] * at_root[k]
+    return out, root
 
 
 @kernel(types.Tuple((FLOATS_1D, FLOATS_2D))(INPUT_2D))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.joint_std import estimate_joint_std
 from mocap_ros.people import Motion, Person3D
-from mocap_ros.tracking.core_motion import find_motion
+from mocap_ros.tracking.core_motion import find_published_motion
 from mocap_ros.tracking.track import Track
 from mocap_ros.units import NS_PER_S
 
@@ -26,7 +26,7 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
         model: base poses of the track's solution.
     """
     solution, classification, intrinsics = track.solved, track.schedule.classification, track.seen.intrinsics
-    found = find_motion(track, frame, model)
+    found = find_published_motion(track, frame, model)
     motion, category = classification.motion, classification.periodic_model_name or solution.model_name
     return Person3D(
         id=track.id,

@@ -1,0 +1,185 @@
+"""Trains the correction of velocities that ships (`models/velocity_correction.py`): tracks people, and fits.
+
+It is no benchmark. The people are those of `motion_predictor.py`, seen at 30, 15 and 10 Hz; those of
+`common.HELD_OUT_SUBJECTS` are left out, also by the lifter, so `robots.py` tests what ships. It wants PyTorch (the
+extra `train`).
+
+The least mean distances along and across the line of sight are fitted, each rounded off near 0: along it errors
+are larger, and alone they would cost the others. Some people are shown again as if they were moved otherwise than
+their limbs move, as by a robot that drives, by wheels or a treadmill: training has none of these. At last it tells
+how large errors of persons who were left out are, and how many are within their deviations.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+
+import common
+import numpy as np
+from experiments.detector_views import load_motion
+from experiments.robot_scenes import make_robot_scene
+from motion_predictor import WARM_UP, list_views
+from numpy.typing import NDArray
+from reconstruction import list_people, provide_held_out
+
+from mocap_ros.compiled.kernel import compile_kernels
+from mocap_ros.config import with_values
+from mocap_ros.models.velocity_correction import (
+    INPUT_LIMIT,
+    SPANS_S,
+    VELOCITY_NAME,
+    VelocityCorrection,
+    VelocityPast,
+    build_inputs,
+)
+from mocap_ros.npz_file import write_npz
+from mocap_ros.people import HIPS
+from mocap_ros.skeleton import CMU15
+from mocap_ros.tracking.core_motion import CORRECTED_STD, CORRECTION_STD, find_motion, sample_velocity_past
+from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.units import NS_PER_S
+
+Array = NDArray[np.float64]
+
+STEPS = (1, 1, 2, 3, 1, 1, 2, 1)  # frames of 1/30 s between two that are tracked, of groups of four views in turn
+MOVED_SHARE = 0.15  # of the samples, that are shown again with another velocity of the whole body
+MOVED_RANGE_M_S = 0.3, 2.0  # m/s; of that
+HIDDEN = 128  # units; two such layers are hardly better on persons who were left out
+ROUNDED_M_S = 0.5, 0.25  # m/s; of errors along and across the line of sight, below which their squares count
+ACROSS_WEIGHT = 1.5  # of the latter; more of it costs more along the line of sight than it gains
+EPOCHS = 16  # rounds over all samples
+BATCH = 512  # samples of a step
+LEARNING_RATE = 2e-3  # largest
+WEIGHT_DECAY = 0.05
+LEAST_SCALE = 1e-3  # of an input, which is divided by it
+FOLDS = 3  # groups of persons, each left out once
+MIRRORED = np.array([1.0, -1.0, 1.0])  # of the axes of the body
+FILE = common.ROOT / 'mocap_ros' / 'models' / 'shipped' / f'{VELOCITY_NAME}.npz'
+
+
+def collect(frames: int) -> tuple[list[VelocityPast], Array, NDArray[np.str_]]:
+    """Track people until so many frames are tracked.
+
+    Returns:
+        What the correction of N samples rests on, the true velocities (N, 15, 3) m/s, and who it is.
+    """
+    (models, held_out), rows = provide_held_out(), load_motion()[2]
+    pasts: list[VelocityPast] = []
+    velocities, persons, done = [], [], 0
+    for view, (trial, number, most) in enumerate(common.show_progress(list_views(), 'trials')):
+        if done >= frames:
+            break
+        scene, step = make_robot_scene(trial, number, most), STEPS[view // 4 % len(STEPS)]
+        tracker = Tracker(models, with_values(held_out, {'tracker.body_height': scene.stature}))
+        truth = np.gradient(scene.view.true_poses, 1 / common.FPS, axis=0)
+        times = scene.view.sequence['timestamps']
+        for frame, seen in list(enumerate(list_people(scene.view)))[:-1:step]:
+            stamp_ns = round(times[frame] * NS_PER_S) + 1
+            people = tracker.update(stamp_ns, [seen], scene.view.intrinsics)
+            done += 1
+            if people and not people[0].tentative and not people[0].predicted and frame >= WARM_UP:
+                (track,) = tracker.snapshot().tracks
+                model, newest = tracker.models[track.solved.model_name], len(track.seen.stamps_ns) - 1
+                past = sample_velocity_past(track, model, find_motion(track, newest, model))
+                if past is not None and np.isfinite(past.std).all():
+                    pasts.append(past)
+                    velocities.append(truth[frame])
+                    persons.append(rows[trial]['subject'])
+            tracker.run_deferred_work()
+    return pasts, np.array(velocities), np.array(persons)
+
+
+def fit(pasts: list[VelocityPast], velocity: Array, seed: int = 0) -> VelocityCorrection:
+    """Return the network that is fitted to N samples and their true velocities (N, 15, 3) m/s."""
+    rng = np.random.default_rng(seed)
+    pasts, missing = list(pasts), [true - past.velocity for past, true in zip(pasts, velocity, strict=True)]
+    for n in rng.choice(len(pasts), round(MOVED_SHARE * len(pasts)), replace=False):
+        pasts.append(_move(pasts[n], rng))
+        missing.append(missing[n])
+    inputs = np.concatenate(np.stack([build_inputs(past) for past in pasts], axis=1))
+    targets = np.array([own @ past.axes for past, own in zip(pasts, missing, strict=True)])
+    targets = np.concatenate([targets, targets[:, list(CMU15.mirror)] * MIRRORED])
+    centre, scale = inputs.mean(axis=0), inputs.std(axis=0) + LEAST_SCALE
+    layers = _train(((inputs - centre) / scale).clip(-INPUT_LIMIT, INPUT_LIMIT), inputs[:, -3:], targets, seed)
+    return VelocityCorrection(centre.astype('f4'), scale.astype('f4'), *layers)
+
+
+def _move(past: VelocityPast, rng: np.random.Generator) -> VelocityPast:
+    """Return the past of somebody who is moved besides, horizontally, at a speed of `MOVED_RANGE_M_S`."""
+    drawn = np.cross(past.axes[:, 2], rng.standard_normal(3))
+    moved = rng.uniform(*MOVED_RANGE_M_S) * drawn / np.linalg.norm(drawn)
+    earlier = past.earlier - np.array(SPANS_S)[:, None, None] * moved
+    return past._replace(velocity=past.velocity + moved, earlier=earlier)
+
+
+def _train(inputs: Array, sights: Array, targets: Array, seed: int) -> list[NDArray[np.float32]]:
+    """Return weights and biases of a network.
+
+    Args:
+        inputs: (N, I) centred and scaled.
+        sights: (N, 3) unit vectors along the line of sight, in the axes of the body.
+        targets: (N, J, 3) m/s, corrections in these axes.
+        seed: of the first weights, and of the order of the samples.
+    """
+    import torch
+
+    torch.manual_seed(seed)
+    rng, joints = np.random.default_rng(seed), targets.shape[1]
+    first, last = torch.nn.Linear(inputs.shape[1], HIDDEN), torch.nn.Linear(HIDDEN, 3 * (joints + 1))
+    network = torch.nn.Sequential(first, torch.nn.SiLU(), last)
+    x, y, sight = (torch.tensor(values, dtype=torch.float32) for values in (inputs, targets, sights))
+    batches = max(len(x) // BATCH, 1)
+    optimiser = torch.optim.AdamW(network.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, LEARNING_RATE, total_steps=EPOCHS * batches + 1)
+    for _ in range(EPOCHS):
+        for rows in np.array_split(rng.permutation(len(x)), batches):
+            found = network(x[rows]).view(-1, joints + 1, 3)
+            error = found[:, :-1] + found[:, -1:] - y[rows]
+            along = (error * sight[rows, None]).sum(dim=-1) ** 2
+            across = ((error**2).sum(dim=-1) - along).clamp(min=0)
+            loss = torch.sqrt(along + ROUNDED_M_S[0] ** 2).mean()
+            loss += ACROSS_WEIGHT * torch.sqrt(across + ROUNDED_M_S[1] ** 2).mean()
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            schedule.step()
+    return [a.detach().numpy().T.copy() for layer in (first, last) for a in (layer.weight, layer.bias)]
+
+
+def test_on_others(pasts: list[VelocityPast], velocity: Array, persons: NDArray[np.str_]) -> None:
+    """Print errors and calibration on persons who were left out."""
+    before = np.array([past.velocity for past in pasts])
+    correction = np.empty_like(before)
+    for left_out in np.array_split(np.random.default_rng(0).permutation(np.unique(persons)), FOLDS):
+        is_out = np.isin(persons, left_out)
+        network = fit([pasts[n] for n in np.flatnonzero(~is_out)], velocity[~is_out])
+        correction[is_out] = [network.correct(pasts[n]) for n in np.flatnonzero(is_out)]
+    after = before + correction
+    rms = [float(np.sqrt(((v - velocity) ** 2).sum(axis=-1).mean())) for v in (before, after)]
+    print(f'on persons who were left out: {rms[0]:.3f} m/s RMS before, {rms[1]:.3f} after')
+    length = np.linalg.norm(correction, axis=-1)
+    std = np.hypot(CORRECTED_STD * np.array([past.std for past in pasts]), CORRECTION_STD * length)
+    ratio = np.linalg.norm(after - velocity, axis=-1) / std
+    print(f'joints within one and two deviations: {(ratio < 1).mean():.2f}, {(ratio < 2).mean():.2f}')
+    at_root = [(v[:, HIPS[0]] + v[:, HIPS[1]]) / 2 for v in (after - velocity, correction)]
+    print(f'root: {np.sqrt((at_root[0] ** 2).mean(axis=0))} m/s RMS')
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('-o', '--output', type=Path, default=FILE, metavar='FILE')
+    parser.add_argument('--frames', type=int, default=64_000, metavar='N', help='to track (five minutes)')
+    args = parser.parse_args()
+    common.choose_capture('motion')
+    compile_kernels()
+    samples = collect(args.frames)
+    network = fit(*samples[:2])
+    write_npz(args.output, asdict(network))
+    print(f'{args.output}: fitted to {len(samples[0])} samples')
+    test_on_others(*samples)
+
+
+if __name__ == '__main__':
+    main()
