@@ -23,7 +23,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, INPUT_1D, INPUT_2D, INPUT_BOOLS_1D, kernel
+from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, INPUT_1D, INPUT_2D, INPUT_BOOLS_1D, kernel
 
 Array = NDArray[np.float64]
 
@@ -35,8 +35,6 @@ POSTERIOR_FACTOR_INFERRED = 5.6  # 1, the same for inferred joints
 POSTERIOR_FLOOR_M = 0.011  # m; the posterior does not know the poses that the base poses cannot represent
 VARIANCE_ACROSS = 1 / 6  # of the whole variance, in each direction across the line of sight
 VARIANCE_ALONG = 2 / 3  # of the whole variance, along the line of sight
-
-_IDENTITY = np.eye(3)  # made once, since it is used for every person and frame
 
 
 def estimate_joint_std(
@@ -96,6 +94,18 @@ def compute_joint_covariance(std: Array, place: Array) -> Array:
         std: (...) m, standard deviations of the points.
         place: (..., 3) m in the camera's optical frame, where the body is; its direction is the line of sight.
     """
-    sight = place[..., :, None] * place[..., None, :] / (place * place).sum(axis=-1)[..., None, None]
-    shape = VARIANCE_ACROSS * _IDENTITY + (VARIANCE_ALONG - VARIANCE_ACROSS) * sight
-    return np.asarray(std[..., None, None] ** 2 * shape)
+    places = np.broadcast_to(place, (*std.shape, 3)).reshape(-1, 3)
+    found = [spread_along_sight(s, p) for s, p in zip(std.ravel(), np.ascontiguousarray(places), strict=True)]
+    return np.array(found).reshape(*std.shape, 3, 3)
+
+
+@kernel(FLOATS_2D(FLOAT, INPUT_1D))
+def spread_along_sight(std: float, place: Array) -> Array:
+    """Return the covariance (3, 3) m^2 of one point; the arguments are those of `compute_joint_covariance`."""
+    squared = place[0] ** 2 + place[1] ** 2 + place[2] ** 2
+    out = np.empty((3, 3))
+    for i in range(3):
+        for k in range(3):
+            across = VARIANCE_ACROSS if i == k else 0.0
+            out[i, k] = std**2 * (across + (VARIANCE_ALONG - VARIANCE_ACROSS) * place[i] * place[k] / squared)
+    return out

@@ -27,10 +27,10 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INPUT_1D, INPUT_2D, kernel
+from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, INPUT_1D, INPUT_2D, kernel
 from mocap_ros.geometry.differences import central_velocity
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.joint_std import compute_joint_covariance
+from mocap_ros.models.joint_std import spread_along_sight
 from mocap_ros.models.velocity_correction import SPANS_S, VelocityPast, load_velocity_correction
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
@@ -165,6 +165,7 @@ def _find_velocity_std(variance: Array) -> tuple[Array, Array]:
     return std, covariance
 
 
+@kernel(FLOATS_2D(INPUT_1D, INPUT_1D, FLOAT))
 def estimate_root_covariance(root: Array, std: Array, share: float) -> Array:
     """Return the covariance (3, 3) m^2 of the place of a person (formula of the module).
 
@@ -173,5 +174,8 @@ def estimate_root_covariance(root: Array, std: Array, share: float) -> Array:
         std: (J,) m, standard deviations of the person's joints; NaN if unknown.
         share: s, standard deviation of the size as a share of it.
     """
-    own = ROOT_FACTOR * (std[HIPS[0]] + std[HIPS[1]]) / 2
-    return np.asarray(compute_joint_covariance(own, root) + share**2 * root[:, None] * root)
+    out = spread_along_sight(ROOT_FACTOR * (std[HIPS[0]] + std[HIPS[1]]) / 2, root)
+    for i in range(3):
+        for k in range(3):
+            out[i, k] += share**2 * root[i] * root[k]
+    return out
