@@ -81,7 +81,11 @@ class KernelCache:
                 content = path.read_bytes()
                 digest, payload = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
                 if self._compute_digest(payload) == digest:
-                    return CompileResult._rebuild(target, *pickle.loads(payload))  # noqa: S301, written by this user
+                    state = pickle.loads(payload)  # noqa: S301, written by this user
+                    kernel = CompileResult._rebuild(target, *state)
+                    _, _, (_, bitcode) = state[0]
+                    _defer_parsing(kernel.library, bitcode)
+                    return kernel
         return None
 
     def _compute_digest(self, payload: bytes) -> bytes:
@@ -118,6 +122,24 @@ class KernelCache:
         kernel = f'{self._function.__module__}.{self._function.__qualname__}'
         name = f'{kernel}-{environment}-{_hash([str(signature)])}-{self._source_hash}{SUFFIX}'
         return (folder / name for folder in _list_folders())
+
+
+def _defer_parsing(library: Any, bitcode: bytes) -> None:
+    """Forget the parsed form of a kernel that was loaded, until another kernel that calls it must be compiled.
+
+    The machine code does not need it, and it takes half a megabyte for each kernel, ten times as much as its text.
+
+    Args:
+        library: the code of a kernel, as Numba has loaded it.
+        bitcode: the text in LLVM's intermediate language that it was parsed from.
+    """
+
+    def parse() -> Any:
+        if library._shared_module is None:
+            library._shared_module = llvmlite.binding.parse_bitcode(bitcode)
+        return library._shared_module
+
+    library._shared_module, library._get_module_for_linking = None, parse
 
 
 def _list_folders() -> list[Path]:
