@@ -3,7 +3,7 @@
 With v_j and v_0 the filter's velocities of joint j and of the root, the place between the hips, and B the axes of
 the body (forward, left, up), the corrected velocities are
 
-    v_j + l_j B (c_0 + c_j),        l_j = min(1, L s_j / |c_0 + c_j|, d_j / |c_0 + c_j|)
+    v_j + l_j limit(B (c_0 + c_j)),        l_j = min(1, L s_j / |limit(B (c_0 + c_j))|)
     (c_1, ..., c_J, c_0) = W_1 a(W_0 x' + b_0) + b_1,        a(t) = t / (1 + e^-t)
     x = (u_j, m_kj - u_j, q_j, u_0, m_k0 - u_0, B^T e),      x' = (x - c) / s, within +-4
 
@@ -13,7 +13,8 @@ the body (forward, left, up), the corrected velocities are
     q_j          joint about the root, in these axes
     e            direction in which the root is seen, along which errors are largest
     s_j          the filter's standard deviation of v_j
-    d_j          largest distance of v_j from the mean velocities of the joint
+    limit        shortens the parts of a vector along and across the line of sight to those of the differences
+                 of the mean velocities from v_j, the largest of each
 
 The correction is the mean of what the network says of the person and of the mirror image. Where the mean
 velocities agree with the filter's, as of somebody who stands, or is moved without moving, nothing is corrected.
@@ -198,18 +199,24 @@ def _apply(
     found: Array, velocity: Array, std: Array, joints: Array, earlier: Array, axes: Array, spans: Array
 ) -> Array:
     """Return the corrections (J, 3) m/s for what the network says (J + 1, 3) of a past, limited (the l_j)."""
-    out = np.zeros(velocity.shape)
+    out, sight = np.zeros(velocity.shape), joints[HIPS[0]] + joints[HIPS[1]]
+    sight /= math.sqrt((sight**2).sum())
     for j in range(len(out)):
         for i in range(3):
             for a in range(3):
                 out[j, i] += axes[i, a] * (found[j, a] + found[len(out), a])
-        length, distance = math.sqrt((out[j] ** 2).sum()), 0.0
+        along, most_along, most_across = (out[j] * sight).sum(), 0.0, 0.0
         for k in range(len(spans)):
-            squared = 0.0
-            for i in range(3):
-                squared += ((joints[j, i] - earlier[k, j, i]) / spans[k] - velocity[j, i]) ** 2
-            distance = max(distance, math.sqrt(squared))  # not with NaN, which is not larger
-        most = min(MAX_CORRECTION * std[j], distance)
+            apart = (joints[j] - earlier[k, j]) / spans[k] - velocity[j]
+            apart_along = (apart * sight).sum()
+            most_along = max(most_along, abs(apart_along))  # not with NaN, which is not larger
+            most_across = max(most_across, math.sqrt(((apart - apart_along * sight) ** 2).sum()))
+        across = out[j] - along * sight
+        squared = (across**2).sum()
+        if squared > most_across**2:
+            across *= most_across / math.sqrt(squared)
+        out[j] = across + min(max(along, -most_along), most_along) * sight
+        length, most = math.sqrt((out[j] ** 2).sum()), MAX_CORRECTION * std[j]
         if not (math.isfinite(length) and math.isfinite(most)):
             out[j] = 0.0
         elif length > most:

@@ -21,6 +21,7 @@ from mocap_ros.models.velocity_correction import (
     decode_velocity_correction,
     load_velocity_correction,
 )
+from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
 from tests.support.swinging_body import STANDING
 
@@ -86,6 +87,18 @@ def test_a_correction_is_limited_by_what_the_filter_does_not_know(tremble: float
         past = make_past(seed, tremble)
         correction = np.linalg.norm(load_velocity_correction().correct(past), axis=1)
         assert (correction <= MAX_CORRECTION * past.std * (1 + 1e-9)).all()
+
+
+def test_what_trembles_in_depth_is_corrected_in_depth() -> None:
+    """As of somebody far away, whose image tells the velocity across the line of sight."""
+    for seed in range(20):
+        past = make_past(seed, 0.0)
+        sight = past.joints[list(HIPS)].sum(axis=0)
+        sight /= np.linalg.norm(sight)
+        depth = np.random.default_rng(seed).normal(0, 0.2, (len(SPANS), 15, 1))
+        correction = load_velocity_correction().correct(past._replace(earlier=past.earlier + depth * sight))
+        assert np.abs(correction @ sight).max() > 0.01
+        np.testing.assert_allclose(correction - (correction @ sight)[:, None] * sight, 0, atol=1e-9)
 
 
 @pytest.mark.parametrize('speed', [0.0, 0.5, 1.3])
