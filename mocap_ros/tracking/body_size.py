@@ -3,7 +3,7 @@
 One camera sees the same image of a large person far away and of a small one near by. The tracker assumes a body
 height; the true body is r times as large and r times as far away. Before anything is seen, ln r has the variance
 
-    s_0^2 = s_height^2 + s_pose^2 (+ s_focal^2 without a CameraInfo)
+    s_0^2 = s_height^2 + s_pose^2
 
 of body heights, and of the reconstruction, whose bones may be too long. Where the robot knows the floor, by the
 direction upwards u and the height c of the camera over it, a foot on the floor tells r: the lower ankle, found at
@@ -70,10 +70,12 @@ class BodySize(NamedTuple):
     Attributes:
         ratio: r, of the true size to the assumed.
         share: standard deviation of the size and of the distance, as a share of them.
+        focal_share: that of the focal length and so of the depth.
     """
 
     ratio: float
     share: float
+    focal_share: float = 0.0
 
 
 ASSUMED = BodySize(1.0, math.hypot(0.12 / 1.7, POSE_SHARE))  # of adults, before anything is seen
@@ -141,7 +143,7 @@ class FloorContact:
         gain = prior.share**2 / (prior.share**2 + own)
         before = math.log(prior.ratio)
         share = min(FLOOR_FACTOR * math.sqrt(gain * own), prior.share)
-        return BodySize(math.exp(before + gain * (self.mean - before)), share)
+        return BodySize(math.exp(before + gain * (self.mean - before)), share, prior.focal_share)
 
 
 @lru_cache(maxsize=10)
@@ -175,7 +177,7 @@ def assume_size(config: TrackerConfig, person_id: str = '', *, is_focal_known: b
     if height is None:
         height, std = config.body_height, config.body_height_std
     share = math.hypot(std / height, POSE_SHARE)
-    return BodySize(height / config.body_height, share if is_focal_known else math.hypot(share, FOCAL_SHARE))
+    return BodySize(height / config.body_height, share, 0.0 if is_focal_known else FOCAL_SHARE)
 
 
 def resize(person: Person3D, size: BodySize) -> Person3D:
@@ -202,4 +204,4 @@ def find_root_covariance(joints: Array, std: Array, size: BodySize) -> Array:
         size: what is known of the person's size.
     """
     root = (joints[HIPS[0]] + joints[HIPS[1]]) / 2
-    return estimate_root_covariance(root, std, size.share) * size.ratio**2
+    return estimate_root_covariance(root, std, size.share, size.focal_share) * size.ratio**2

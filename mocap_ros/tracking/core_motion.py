@@ -7,13 +7,14 @@ What is published of the newest frame has the filter's velocity with a learned c
 (`models/velocity_correction.py`). With the filter's standard deviation s_j and the correction c_j of a joint, and
 likewise with the filter's covariance S of the root's velocity and the correction c_0 of that, these become
 
-    sqrt((f s_j)^2 + (g |c_j|)^2)        f^2 S + g^2 c_0 c_0^T
+    sqrt((f s_j)^2 + (g |c_j|)^2)        h^2 (f^2 S + g^2 c_0 c_0^T)
 
-The covariance of the root's position has two parts: that of its joints, and that of the person's size, which has
+The covariance of the root's position has three parts: that of its joints, that of the person's size, which has
 the relative standard deviation s (`tracking/body_size.py`) and moves the body along the line of sight u at the
-distance d:
+distance d, and that of the focal length, which has the relative standard deviation t and moves the body along the
+optical axis e at the depth z:
 
-    C = (F std)^2 (I / 6 + u u^T / 2) + (s d)^2 u u^T    (the first term: `models/joint_std.py`)
+    C = (F std)^2 (I / 6 + u u^T / 2) + (s d)^2 u u^T + (t z)^2 e e^T    (the first term: `models/joint_std.py`)
 
 with std that of the hips, and F = `ROOT_FACTOR`.
 """
@@ -44,6 +45,7 @@ ROOT_FACTOR = 1.1  # 1; detectors put both hips off the same way; chosen by the 
 # the standard deviation, and 95 % within two (docs/tracker.md).
 CORRECTED_STD = 0.6
 CORRECTION_STD = 0.7
+ROOT_SPREAD = 1.3  # 1; h, for errors of the root's velocity are often small and at times large: 95 % are within
 
 _AGO = -np.array(SPANS_S)
 
@@ -140,14 +142,14 @@ def sample_velocity_past(track: Track, model: BasePoses, filtered: CoreMotion) -
 @kernel(types.Tuple((FLOATS_1D, FLOATS_2D))(INPUT_1D, INPUT_2D, INPUT_2D))
 def _correct_uncertainty(std: Array, covariance: Array, correction: Array) -> tuple[Array, Array]:
     """Return the last two attributes of `CoreMotion` from those of the filter and corrections (J, 3) m/s."""
-    out, root = np.empty(len(std)), CORRECTED_STD**2 * covariance
+    out, root = np.empty(len(std)), (ROOT_SPREAD * CORRECTED_STD) ** 2 * covariance
     for j in range(len(std)):
         squared = correction[j, 0] ** 2 + correction[j, 1] ** 2 + correction[j, 2] ** 2
         out[j] = math.sqrt((CORRECTED_STD * std[j]) ** 2 + CORRECTION_STD**2 * squared)
     at_root = (correction[HIPS[0]] + correction[HIPS[1]]) / 2
     for i in range(3):
         for k in range(3):
-            root[i, k] += CORRECTION_STD**2 * at_root[i] * at_root[k]
+            root[i, k] += (ROOT_SPREAD * CORRECTION_STD) ** 2 * at_root[i] * at_root[k]
     return out, root
 
 
@@ -165,17 +167,19 @@ def _find_velocity_std(variance: Array) -> tuple[Array, Array]:
     return std, covariance
 
 
-@kernel(FLOATS_2D(INPUT_1D, INPUT_1D, FLOAT))
-def estimate_root_covariance(root: Array, std: Array, share: float) -> Array:
+@kernel(FLOATS_2D(INPUT_1D, INPUT_1D, FLOAT, FLOAT))
+def estimate_root_covariance(root: Array, std: Array, share: float, focal_share: float) -> Array:
     """Return the covariance (3, 3) m^2 of the place of a person (formula of the module).
 
     Args:
         root: (3,) m, the place in the camera's optical frame.
         std: (J,) m, standard deviations of the person's joints; NaN if unknown.
         share: s, standard deviation of the size as a share of it.
+        focal_share: t, that of the focal length as a share of it.
     """
     out = spread_along_sight(ROOT_FACTOR * (std[HIPS[0]] + std[HIPS[1]]) / 2, root)
     for i in range(3):
         for k in range(3):
             out[i, k] += share**2 * root[i] * root[k]
+    out[2, 2] += (focal_share * root[2]) ** 2
     return out

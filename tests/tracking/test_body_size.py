@@ -167,7 +167,8 @@ def test_a_known_height_or_focal_length_makes_the_distance_surer() -> None:
     config = Config().tracker
     assert assume_size(config, is_focal_known=True) == pytest.approx(ASSUMED)
     known = with_values(Config(), {'tracker.body_height_std': 0.02}).tracker
-    shares = [assume_size(c, is_focal_known=f).share for c, f in ((known, True), (config, True), (config, False))]
+    sizes = [assume_size(c, is_focal_known=f) for c, f in ((known, True), (config, True), (config, False))]
+    shares = [math.hypot(size.share, size.focal_share) for size in sizes]
     assert shares == sorted(shares)
     assert shares[0] < 0.7 * shares[1] < 0.3 * shares[2]
 

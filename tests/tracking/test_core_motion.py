@@ -12,7 +12,7 @@ from mocap_ros.demo.scene import FOCAL_LENGTH_PX, IMAGE_SIZE, make_recording
 from mocap_ros.geometry.differences import MAX_STEP_S, central_velocity
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.people import HIPS, Person3D
+from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.tracking.core_motion import ROOT_FACTOR, estimate_root_covariance
 from mocap_ros.tracking.motion_filter import MotionFilter
@@ -103,9 +103,10 @@ def test_differences_are_unknown_at_both_ends_and_beside_gaps() -> None:
 def test_the_place_of_a_body_is_least_sure_along_the_line_of_sight() -> None:
     root = np.array([1.0, -0.5, 4.0])
     share = 0.06
-    covariance = estimate_root_covariance(root, np.full(15, 0.06), share)
+    covariance = estimate_root_covariance(root, np.full(15, 0.06), share, 0.0)
     variances, axes = np.linalg.eigh(covariance)
     own = (ROOT_FACTOR * 0.06) ** 2
     np.testing.assert_allclose(variances, [own / 6, own / 6, own * 2 / 3 + share**2 * root @ root], rtol=1e-9)
     assert abs(axes[:, 2] @ root) == pytest.approx(np.linalg.norm(root))
-    assert len(HIPS) == 2
+    wider = estimate_root_covariance(root, np.full(15, 0.06), share, 0.2) - covariance
+    np.testing.assert_allclose(wider, np.diag([0, 0, (0.2 * root[2]) ** 2]), atol=1e-12)
