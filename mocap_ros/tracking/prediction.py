@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 VELOCITY_SPAN_S = 0.05  # s; over which the velocity in a gap is a difference: short, and far above rounding
 VELOCITY_STD_M_S = 0.5  # m/s; what the velocity may have changed by in a gap
 MIN_CLEARANCE_M = 0.1  # m; a predicted body must stay this far in front of the camera, or its image is meaningless
-OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])
+OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])  # direction away from the camera, in its optical frame
 UPRIGHT_CAMERA = np.array([0.0, -1.0, 0.0])  # direction upwards in the optical frame of a level camera
 _AGO = np.array(PAST_S)
 
