@@ -14,10 +14,11 @@ the body (forward, left, up), the corrected velocities are
     e            direction in which the root is seen, along which errors are largest
     s_j          the filter's standard deviation of v_j
     limit        shortens the parts of a vector along and across the line of sight to those of the differences
-                 of the mean velocities from v_j, the largest of each
+                 from v_j of the mean velocities over 0.1 to 0.4 s, the largest of each
 
 The correction is the mean of what the network says of the person and of the mirror image. Where the mean
-velocities agree with the filter's, as of somebody who stands, or is moved without moving, nothing is corrected.
+velocities agree with the filter's, as of exact points of somebody who stands, or is moved without moving, nothing
+is corrected; with noise it is little.
 The network was also shown people who are moved otherwise than they move (`benchmarks/velocity_correction.py`,
 which trains it).
 """
@@ -51,6 +52,7 @@ LEAST_PAST_S = (
 )
 INPUT_LIMIT = 4.0  # standard deviations; there is next to nothing beyond in training
 MAX_CORRECTION = 1.5  # standard deviations of the filter's velocity; one in 40 corrections would be larger
+LIMIT_FIRST, LIMIT_LAST = 1, 4  # of the `SPANS_S`, 0.1 to 0.4 s; less trembles, more remembers what has ended
 MAX_BYTES = 1 << 20  # bytes, also unpacked; guards against zip bombs, the shipped file has a fifth
 
 _LEFT = 1  # index of the axis of the body whose sign a mirror changes
@@ -206,7 +208,7 @@ def _apply(
             for a in range(3):
                 out[j, i] += axes[i, a] * (found[j, a] + found[len(out), a])
         along, most_along, most_across = (out[j] * sight).sum(), 0.0, 0.0
-        for k in range(len(spans)):
+        for k in range(LIMIT_FIRST, LIMIT_LAST):
             apart = (joints[j] - earlier[k, j]) / spans[k] - velocity[j]
             apart_along = (apart * sight).sum()
             most_along = max(most_along, abs(apart_along))  # not with NaN, which is not larger
@@ -227,9 +229,11 @@ def _apply(
 @cache
 def load_velocity_correction() -> VelocityCorrection:
     """Return the shipped network; its file is read once in the life of a process."""
-    return decode_velocity_correction(
-        (files('mocap_ros') / 'models' / 'shipped' / f'{VELOCITY_NAME}.npz').read_bytes()
-    )
+    file = files('mocap_ros') / 'models' / 'shipped' / f'{VELOCITY_NAME}.npz'
+    try:
+        return decode_velocity_correction(file.read_bytes())
+    except OSError as error:
+        raise ModelError(f'{VELOCITY_NAME}: no correction of velocities ({error})') from None
 
 
 def decode_velocity_correction(data: bytes) -> VelocityCorrection:

@@ -142,10 +142,10 @@ def _predict(
     pasts = [sample_past(t, model, upward) for t, model in zip(tracks, models, strict=True)]
     ahead = load_motion_predictor().predict_all(pasts, times)
     depths = np.array([past.joints[:, 2] for past in pasts])[:, None]
-    least = np.minimum(_measure_clearance(depths), MIN_CLEARANCE_M)
+    ratio = np.array([size.ratio for size in sizes])[:, None, None]
+    least = np.minimum(_measure_clearance(depths), MIN_CLEARANCE_M / ratio[..., 0])
     too_near = np.maximum(least - _measure_clearance(depths + ahead.joints[..., 2]), 0.0)
     moved = ahead.joints + too_near[..., None, None] * OPTICAL_AXIS
-    ratio = np.array([size.ratio for size in sizes])[:, None, None]
     displaced = Displacements(
         moved * ratio[..., None], ahead.std * ratio, ahead.root_covariance * ratio[..., None] ** 2
     )

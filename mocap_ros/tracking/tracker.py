@@ -30,6 +30,7 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.model_file import load_prior_lifter
 from mocap_ros.models.upward_direction import find_upward
+from mocap_ros.models.velocity_correction import load_velocity_correction
 from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
 from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.solvers.joint.solver import solve
@@ -107,6 +108,8 @@ class Tracker:
         self._skeleton = keypoint_layout(settings.skeleton)
         self._lifter = load_prior_lifter(config.solver.prior, skeleton)
         has_lifter = self._lifter is not None
+        if has_lifter:
+            load_velocity_correction()  # so that a file that is missing is told before the first frame
         is_all_enough = has_lifter and ALL_MOTIONS in self.models
         self._candidate_models = (ALL_MOTIONS,) if is_all_enough else tuple(self.models)
         checked = replace(config, solver=replace(config.solver, pose_acceleration_weight=0.0))

@@ -323,7 +323,7 @@ def encode_obstacles_slowly(header: Header, people: Sequence[Person3D]) -> bytes
 def create_detection(header: Header, person: Person3D) -> Any:
     centre, size = find_box(person)
     breadth = float(np.linalg.norm(person.joints[HIPS[0]] - person.joints[HIPS[1]]))
-    std = math.sqrt(2 / 3) * float(person.std[HIPS[0]] + person.std[HIPS[1]]) / 2 / max(breadth, 0.1)
+    std = math.sqrt(4 / 3) * float(person.std[HIPS[0]] + person.std[HIPS[1]]) / 2 / max(breadth, 0.1)
     unknown = math.pi / math.sqrt(3)
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = person.root_covariance

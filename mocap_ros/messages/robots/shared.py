@@ -41,11 +41,12 @@ def compute_boxes(people: StackedPeople) -> Boxes:
 def compute_heading_stds(people: StackedPeople) -> Array:
     """Return the standard deviations (N,) in rad of bodies' directions: hips that are off turn the line between.
 
-    With the standard deviation std / sqrt(3) of each coordinate, the line of length b turns by sqrt(2/3) std / b.
-    It is that of a direction of which nothing is known where nothing is known of the joints.
+    Across the line of sight, the line of length b turns by sqrt(4/3) std / b, as two thirds of the variances lie
+    along it (`models/joint_std.py`); otherwise placed it turns less. Where nothing is known of the joints, it is
+    the deviation of a direction of which nothing is known.
     """
     left, right = HIPS
     breadth = np.linalg.norm(people.joints[:, left] - people.joints[:, right], axis=1)
-    std = math.sqrt(2 / 3) * (people.std[:, left] + people.std[:, right]) / 2 / np.maximum(breadth, FLESH_M)
+    std = math.sqrt(4 / 3) * (people.std[:, left] + people.std[:, right]) / 2 / np.maximum(breadth, FLESH_M)
     unknown = math.pi / math.sqrt(3)
     return np.where(np.isfinite(std), np.minimum(std, unknown), unknown)

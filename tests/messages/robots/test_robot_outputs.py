@@ -104,7 +104,7 @@ def test_detections_hold_pose_covariance_and_box() -> None:
     np.testing.assert_array_equal(covariance[:3, :3], person.root_covariance)
     hips = person.joints[[CMU15.index('lhip'), CMU15.index('rhip')]]
     breadth = np.linalg.norm(hips[0] - hips[1])
-    np.testing.assert_allclose(covariance[3:, 3:], np.eye(3) * 2 / 3 * (0.03 / breadth) ** 2)
+    np.testing.assert_allclose(covariance[3:, 3:], np.eye(3) * 4 / 3 * (0.03 / breadth) ** 2)
     low, high = (
         np.array(xyz(found.bbox.center.position)) + s * np.array(xyz(found.bbox.size)) / 2 for s in (-1, 1)
     )
