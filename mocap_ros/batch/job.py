@@ -382,7 +382,7 @@ def _replay(path: Path, job: Job, scratch: Path) -> _Result:
         'bag_swaps': found.swapped_frames,
         'configuration': _name_parameters(found.config),
     }
-    remark = ' '.join((found.first_rejection or ' '.join(found.tracebacks)).split())
+    remark = ' '.join((found.first_rejection or ' '.join(found.tracebacks) or ' '.join(found.remarks)).split())
     rows = [{**bag_values, **_describe_appearance(a)} for a in found.appearances] or [dict(bag_values)]
     return _Result({job.result_url: out}, [{**row, 'remark': remark} for row in rows])
 

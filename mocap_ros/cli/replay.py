@@ -144,6 +144,8 @@ def _print_summary(job: _Job, result: ReplayResult, seconds: float) -> None:
         print(traceback, file=sys.stderr)
     if result.first_rejection:
         print(f'first message that was not accepted: {result.first_rejection}', file=sys.stderr)
+    for remark in result.remarks:
+        print(remark, file=sys.stderr)
     if result.unrecorded_inputs:
         print(
             f'{job.bag}: {result.unrecorded_inputs} inputs are missing because the disk was too slow for the '

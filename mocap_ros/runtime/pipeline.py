@@ -70,6 +70,11 @@ class ProcessingResult:
     error_traceback: str = ''
 
 
+def leave_out_numbers(remark: str) -> str:
+    """Return what remarks that differ in their numbers alone have in common."""
+    return re.sub(r'[\d.]+', '#', remark)
+
+
 def _reject(error: Exception) -> ProcessingResult:
     """Return the result of a message or an image whose processing raised this error."""
     if isinstance(error, InputError):
@@ -422,7 +427,7 @@ class Pipeline:
 
     def _note_once(self, remark: str) -> str:
         """Return a remark if it is a new one since the last reset, whatever its numbers."""
-        kind = re.sub(r'[\d.]+', '#', remark)
+        kind = leave_out_numbers(remark)
         is_known = kind in self._noted
         self._noted.add(kind)
         return '' if is_known else remark

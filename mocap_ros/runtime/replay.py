@@ -27,7 +27,7 @@ from mocap_ros.models.model_file import AUTO, PRIORS, list_shipped_base_poses
 from mocap_ros.runtime.appearances import Appearance, AppearanceLog
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, build_skeleton_definition
 from mocap_ros.runtime.parts import Part
-from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult
+from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult, leave_out_numbers
 from mocap_ros.runtime.provenance import provenance_attachments
 
 JOURNAL_TOPIC = '/mocap_replay/journal'  # ends as the journal of a live run, so that a replay can be replayed
@@ -70,6 +70,8 @@ class ReplayResult:
         config: Parameters at the end.
         appearances: Who was seen, from when to when; tentative people are left out.
         swapped_frames: Number of detections whose left and right were swapped back.
+        remarks: What was remarked on accepted messages, in order of occurrence; of remarks that differ in their
+            numbers alone the first.
     """
 
     counters: Counters
@@ -79,6 +81,7 @@ class ReplayResult:
     config: Config = field(default_factory=Config)
     appearances: tuple[Appearance, ...] = ()
     swapped_frames: int = 0
+    remarks: tuple[str, ...] = ()
 
 
 def replay(
@@ -147,6 +150,7 @@ class _Replay:
         self._journal = Journal(JOURNAL_TOPIC)
         self._appearances = AppearanceLog(self._pipeline.config.tracker.forget_all_after)
         self._first_rejection = ''
+        self._remarks: dict[str, str] = {}  # by what is left of them without numbers
         self._tracebacks: dict[str, str] = {}  # by what identifies the error, in order of occurrence
 
     def run(self, folder: Path, name: str, progress: ProgressWrapper) -> ReplayResult:
@@ -175,6 +179,7 @@ class _Replay:
             pipeline.config,
             self._appearances.finish(),
             pipeline.swapped_frames,
+            tuple(self._remarks.values()),
         )
 
     def _is_input(self, message: BagMessage) -> bool:
@@ -217,8 +222,11 @@ class _Replay:
             self._write(output, now_ns)
         if result.outputs:
             self._appearances.add(result.outputs[-1].stamp_ns, self._pipeline.people)
-        if result.verdict is not Verdict.ACCEPTED and not self._first_rejection:
-            self._first_rejection = f'{self._bag.path}: {message.topic}: message {number}: {reason}'
+        place = f'{self._bag.path}: {message.topic}: message {number}: {reason}'
+        if verdict is not Verdict.ACCEPTED:
+            self._first_rejection = self._first_rejection or place
+        elif reason:
+            self._remarks.setdefault(leave_out_numbers(reason), place)
         if result.error_traceback:
             self._tracebacks.setdefault(reason, result.error_traceback)
 

@@ -231,6 +231,20 @@ def test_a_replay_reads_the_transforms_of_the_bag(
     np.testing.assert_allclose(in_optical_frame.joints, [stack(own)[0] for own in in_camera], atol=1e-9)
 
 
+def test_a_replay_tells_once_what_the_node_remarks(
+    tmp_path: Path, stream: list[bytes], in_camera: list[Any]
+) -> None:
+    write_bag(tmp_path / 'bag', stream, in_camera)
+    nowhere = with_values(MAP_CONFIG, {'node.output_frame': 'nowhere'})
+    with Bag(tmp_path / 'bag') as bag:
+        result = replay(bag, tmp_path / 'out', ReplayOptions(nowhere))
+    assert (result.counters.accepted, result.first_rejection) == (FRAMES, '')
+    (remark,) = result.remarks
+    assert remark.startswith(f'{tmp_path / "bag"}: /keypoints: message ')
+    assert "'nowhere'" in remark
+    assert remark.endswith('so people are put out in the frame of the camera')
+
+
 def test_a_live_run_and_its_replay_agree_also_where_people_are_on_tf(
     tmp_path: Path, stream: list[bytes], in_camera: list[Any]
 ) -> None:
