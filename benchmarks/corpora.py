@@ -25,7 +25,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
@@ -315,6 +315,41 @@ def serve(address: str, count: int) -> None:
     asyncio.run(run())
 
 
+def describe(found: Mapping[str, float]) -> list[list[str]]:
+    """Return the rows of the page's table from the results of all sections."""
+    hours = found['core_hours_for_1000_hours']
+    ratio, error = (found[f'one_batch_over_plain_{k}'] for k in ('each_bag', 'standard_error'))
+    batch_s, replay_s = (found[f'one_{way}_cpu_s_of_a_run'] for way in ('batch', 'plain'))
+    compared = 3 * (found['bags'] + 1)  # of a process, and of two
+    kills = (
+        f'a worker killed every {KILL_SECONDS} s: {found["kills_bags"]:.0f} recordings of a minute, '
+        f'run of {found["kills_run_s"]:.0f} s, {found["kills"]:.0f} kills'
+    )
+    simulation = (
+        f'simulation of {found["simulated_workers"]:.0f} workers, {found["simulated_tasks"]:,.0f} recordings of '
+        f'{found["simulated_mean_task_s"]:.0f} s, longest first'
+    )
+    whole = f'{hours:.0f} core hours; {60 * hours / WORKERS:.0f} minutes of {WORKERS} cores'
+    beside = 'a run beside its recordings: `batch` with one worker, and `replay`'
+    overhead = f'hence, for {CORPUS_BAGS} recordings: overhead against a plain replay'
+    two = f'two workers over two plain processes, for {CORPUS_BAGS} recordings'
+    lost = f'{found["kills_lost_bags"]:.0f} lost, {found["kills_different_bags"]:.0f} different'
+    each_ms = found['scheduler_and_client_cpu_ms_a_task']
+    different = f'{found["different_bags"]:.0f} of {compared:.0f}'
+    return [
+        ['work on an hour of recording', f'{found["core_s_for_an_hour"]:.0f} core s', ''],
+        ['a thousand hours, extrapolated', whole, ''],
+        ['a recording of a minute: Dask with one worker over a plain process', f'{ratio:.3f} ± {error:.3f}', ''],
+        [beside, f'{batch_s:.1f} and {replay_s:.1f} s', ''],
+        [overhead, f'{found["overhead_percent_200_bags"]:.1f} %', 'under 3 %'],
+        [two, f'{found["two_workers_over_two_processes"]:.3f}', '0.95'],
+        ['scheduler and client, for each recording', f'{each_ms:.1f} ms', ''],
+        ['results that differ from those of the plain process', different, '0'],
+        [kills, lost, '0 lost'],
+        [simulation, f'{found["simulated_efficiency"]:.3f} of the ideal', '0.9'],
+    ]
+
+
 def add_options(parser: argparse.ArgumentParser) -> None:
     add_sections(parser, SECTIONS)
     parser.add_argument(
@@ -339,7 +374,9 @@ def measure(args: argparse.Namespace, report: Report) -> None:
         times = args.task_seconds or [results.get('one_plain_cpu_s_each_bag', 5.0)]
         workers, tasks = (32, 320) if args.quick else (WORKERS, TASKS)
         results |= simulate(workers, tasks, [min(t, 1.0) for t in times] if args.quick else times)
-    report.quantities(results, TARGETS, page='corpora.cost', digits=4)
+    report.quantities(results, TARGETS, page='', digits=4)
+    if set(sections) == set(SECTIONS):
+        report.keep('corpora.cost', ['quantity', 'measured', 'target'], describe(results))
 
 
 def main() -> None:

@@ -255,6 +255,26 @@ def read_table(name: str, root: Path) -> str:
     raise ValueError(f'no page shows a table between the markers of {name}')
 
 
+def find_cell(record: Mapping[str, Entry], table: str, rows: Sequence[str], column: str) -> str:
+    """Return a cell of a table in the record; empty where there is none.
+
+    Args:
+        record: entries by the names of their benchmarks.
+        table: name of the table.
+        rows: beginnings of the row, in small letters, of which one is enough.
+        column: header of the column.
+    """
+    for entry in record.values():
+        text = entry.get('tables', {}).get(table) or entry.get('kept', {}).get(table, {}).get('text', '')
+        header: list[str] = []
+        for line in text.splitlines():
+            cells = [c.strip() for c in line.strip('| ').split(' | ')]
+            header = cells if column in cells else header
+            if header and line.strip('| ').casefold().startswith(tuple(rows)):
+                return cells[header.index(column)]
+    return ''
+
+
 def find_differences(record: Mapping[str, Entry], root: Path) -> list[str]:
     """Find what the pages show otherwise than the record says: tables by name, and pictures by checksum."""
     texts = dict(_list_tables(record, []))

@@ -22,7 +22,7 @@ from common import View
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from reconstruction import reconstruct_whole, track
-from report import Report, Section, run
+from report import Report, Section, group, run
 
 from mocap_ros.config import Config, with_values
 from mocap_ros.evaluation.metrics import LIMB_JOINTS
@@ -70,7 +70,8 @@ MAX_BLUR_S = 0.3  # s, longest burst of motion blur
 BLUR_INTERVAL_S = 5.0  # s, mean time between bursts
 BETAS = (0.14, 0.18, 0.22)  # values of keyframes.beta that are compared
 HOUR_S = 3600.0  # s, an hour
-DETECTORS = ('openpose', 'mediapipe')
+DETECTORS = {'openpose': 'OpenPose', 'mediapipe': 'MediaPipe'}  # of the recordings, and what the page calls them
+ERROR_COLUMNS = ('clean', 'corrupted', 'corrupted frames only')
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +183,7 @@ def report_methods(report: Report, quick: bool) -> dict[str, Any]:
                     'method': name,
                     'clean': float(np.nanmean(one)),
                     'corrupted': float(np.nanmean(two)),
-                    'its corrupted frames': float(np.nanmean(two[there])),
+                    'corrupted frames only': float(np.nanmean(two[there])),
                     'ratio to clean': float(np.nanmean(two[there]) / np.nanmean(one[there])),
                     'no answer': f'{np.isnan(two).mean():.1%}',
                     'CPU s': took,
@@ -199,10 +200,50 @@ def report_methods(report: Report, quick: bool) -> dict[str, Any]:
             for half in result.keyframes:
                 figures[f'{key}{half.body_half.name}_keyframes_per_s_{label}'] = len(half.frames) / seconds
     title = 'Keyframe method, whole-sequence solver and tracker: MPJPE, mm'
-    report.rows(title, rows, page='keyframes.methods')
-    shown = [{'figure': k, 'value': f'{v:.4g}'} for k, v in figures.items()]
-    report.rows('Targets', shown, page='keyframes.targets')
+    report.rows(title, rows)
+    report.keep(
+        'keyframes.methods',
+        ['sequence and method', *ERROR_COLUMNS, 'corrupted frames / clean', 'CPU s'],
+        (
+            [
+                f'{row["sequence"].split()[0].rstrip(",")}: {row["method"]}',
+                *(f'{row[k]:.0f}' for k in ERROR_COLUMNS),
+                f'{row["ratio to clean"]:.2f}',
+                f'{row["CPU s"]:.1f}',
+            ]
+            for row in rows
+        ),
+    )
+    report.rows('Targets', [{'figure': k, 'value': f'{v:.4g}'} for k, v in figures.items()])
     return {**figures, 'side_by_side': rows}
+
+
+def keep_targets(report: Report, seconds: Mapping[str, float]) -> None:
+    """Keep the table of the targets, with what `report_methods` found and the times of the paper's length."""
+    found = report.results
+
+    def rate(label: str) -> list[str]:
+        return [
+            ', '.join(f'{found[f"{key}{half}_keyframes_per_s_{label}"]:.2f}' for half in ('upper', 'lower'))
+            for key in ('', 'unseen_')
+        ]
+
+    def both(name: str, form: str) -> list[str]:
+        return [form.format(found[key + name]) for key in ('', 'unseen_')]
+
+    rows = [
+        ['2 minutes from 2D to 3D in under 20 s', *both('two_minutes_s', '{:.1f} s')],
+        ['90 % of injected outliers found', *both('outliers_found', '{:.1%}')],
+        ['at most 2 % of correct points called outliers', *both('outliers_false', '{:.1%}')],
+        ['corrupted frames at most 1.5 times the clean error', *both('corrupted_error_ratio', '{:.2f}')],
+        *([f'at most one keyframe a second: upper, lower body, {k}', *rate(k)] for k in ('clean', 'corrupted')),
+        [
+            '1,800 frames at 50 fps: matrices of both halves in under 2 s',
+            f'{seconds["matrices_1800_s"]:.2f} s, and {seconds["selection_1800_s"]:.2f} s for the selection',
+            '',
+        ],
+    ]
+    report.keep('keyframes.targets', ['target (alpha 0.95, T 0.2 s, beta 0.18)', 'mixed', 'unseen'], rows)
 
 
 def report_counts(report: Report, quick: bool) -> dict[str, Any]:
@@ -317,7 +358,7 @@ def report_second_camera(report: Report, quick: bool) -> dict[str, Any]:
     """Reconstruct from one camera and compare with the detections of another camera (figures 11 to 13)."""
     rows = []
     models, config = load_base_pose_models('all'), Config()
-    for detector in DETECTORS[:1] if quick else DETECTORS:
+    for detector in list(DETECTORS)[: 1 if quick else None]:
         recorded = {
             c: load_sequence(common.data_path('data', 'detections', f'balance_{detector}_cam{c}.npz'))
             for c in (1, 2, 3)
@@ -333,7 +374,22 @@ def report_second_camera(report: Report, quick: bool) -> dict[str, Any]:
                 if detector == 'openpose' and (one, two) == (1, 3) and name == 'keyframes':
                     report.picture(_draw_second_camera(a, b, seen_from_two), f'{PICTURES}/second_camera.png')
     title = 'Real detections, seen from a second camera (figures 11 to 13)'
-    report.rows(title, rows, page='keyframes.second_camera')
+    report.rows(title, rows)
+    by_case = group(rows, 'detector', 'from', 'seen by')
+    report.keep(
+        'keyframes.second_camera',
+        [
+            'detector, input camera, second camera',
+            *(f'{r["method"]}: MPJPE, image error' for r in next(iter(by_case.values()))),
+        ],
+        (
+            [
+                f'{DETECTORS[detector]}, {one}, {two}',
+                *(f'{r["MPJPE mm"]:.0f} mm, {r["image error, % of height"]:.1f} %' for r in mine),
+            ]
+            for (detector, one, two), mine in by_case.items()
+        ),
+    )
     return {'second_camera': rows}
 
 
@@ -427,6 +483,8 @@ def report_paper_length(report: Report, _quick: bool) -> dict[str, Any]:
         lambda: [select_keyframes(d < rules.beta, p.times, rules.alpha, rules.gap) for p, d in made]
     )
     report.rows("The paper's 1,800 frames", [out])
+    if 'unseen_two_minutes_s' in report.results:
+        keep_targets(report, out)
     return out
 
 
@@ -471,7 +529,20 @@ def report_long(report: Report, quick: bool) -> dict[str, Any]:
     for seconds in () if quick else (HOUR_S / 6, HOUR_S):
         found, peak = common.run_in_process(find_long_keyframes, seconds, fresh=True)
         rows.append({**found, 'MB at most': peak})
-    report.rows('Ten minutes and an hour', rows, page='' if quick else 'keyframes.long')
+    report.rows('Ten minutes and an hour', rows)
+    if rows:
+        header = ['keyframes of', 'CPU s', 'peak memory of the process, MB', 'memory of one whole matrix, MB']
+        cells = (
+            [
+                f'{r["frames"] / common.FPS / 60:.0f} minutes at {common.FPS:.0f} fps',
+                f'{r["CPU s"]:.0f}',
+                f'{r["MB at most"]:,.0f} ({r["MB before"]:.0f} before)',
+                f'{r["one whole matrix, MB"]:,.0f}',
+                f'{r["keyframes, upper"]} and {r["keyframes, lower"]}, {r["covered"]:.0%} covered',
+            ]
+            for r in rows
+        )
+        report.keep('keyframes.long', [*header, 'keyframes of upper and lower body'], cells)
     return {'long': rows}
 
 

@@ -23,7 +23,7 @@ from common import View
 from experiments.detector_views import CLEAN, DETECTORS, HEADING_STEP_DEG, choose_trials, load_middle, load_motion
 from numpy.typing import NDArray
 from reconstruction import WAYS, Models, provide_held_out, reconstruct_whole, track_people
-from report import Records, Report, group, run
+from report import Records, Report, cross, group, run
 
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import Config, with_values
@@ -39,6 +39,8 @@ Array = NDArray[np.float64]
 CHOICES = ('none', 'auto', 'given')
 ELEVATIONS_DEG = (0.0, 10.0, 20.0, 32.0)  # degrees by which the camera looks down
 PEOPLE = 3  # people before a camera
+DISTURBED = 'mediapipe'  # detector whose errors the page shows
+PAGE_NAMES = {'whole': 'whole, each person alone', 'live': 'live, three people together'}
 MIN_FRAMES = 150  # frames of the shortest trial
 MAX_LEAN_DEG = 60.0  # degrees; true leans of which the slope is measured
 UPRIGHT_DEG = 20.0  # degrees; true leans of which the error is measured
@@ -149,7 +151,17 @@ def show_results(report: Report, records: Records) -> None:
                 'its error, degrees': f'{np.nanmean([r["lean_error_deg"] for r in mine]):.1f}',
             }
         )
-    report.rows('', rows, page='vertical.errors')
+    report.rows('', rows)
+    names = {'none': 'not used', 'auto': 'found', **PAGE_NAMES}
+    for (detector,), mine in group(records, 'detector').items():
+        page = 'vertical.errors' if detector == DISTURBED else ''
+        report.table(*cross(mine, 'way', 'choice', format_errors, names), detector, page=page)
+
+
+def format_errors(records: Records) -> str:
+    """Return MPJPE in mm, slope of the lean, and its error in degrees."""
+    slope, lean = fit_slope([r['line'] for r in records]), np.nanmean([r['lean_error_deg'] for r in records])
+    return f'{common.mean_error(records):.1f} / {slope:.2f} / {lean:.1f}'
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
