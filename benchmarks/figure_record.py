@@ -35,6 +35,7 @@ from typing import Any
 RECORD = Path('benchmarks', 'figures.json')  # from the root of the repository, as all paths in it
 STALE_MARK = re.compile(r'\*Measured on \S+ at \S+, before the last change of what it measures\.\*\n\n')
 MARKER = re.compile(r'(?<=<!-- table: )(?P<name>\S+) -->\n(?P<text>.*?)(?=<!-- end of table -->)', re.DOTALL)
+BEGIN, END = re.compile(r'<!--\s*table\s*:'), re.compile(r'<!--\s*end of table\s*-->')
 NUMBER = re.compile(r'[\s*<±+-]*\d')  # how a cell with a figure begins
 LAYOUT = ('report.py', 'panels.py')  # files of `benchmarks` that say how results look, and not what they are
 CHUNK_BYTES = 1 << 20  # bytes that are read at once for a checksum
@@ -261,36 +262,63 @@ def find_cell(record: Mapping[str, Entry], table: str, rows: Sequence[str], colu
     Args:
         record: entries by the names of their benchmarks.
         table: name of the table.
-        rows: beginnings of the row, in small letters, of which one is enough.
+        rows: beginnings of the row, in small letters, of which one is enough. A row whose first cell is one of
+            them comes before rows that begin with them.
         column: header of the column.
+
+    Raises:
+        ValueError: several rows begin so.
     """
+    found: dict[bool, list[str]] = {True: [], False: []}  # by whether the first cell is what was asked for
     for entry in record.values():
         text = entry.get('tables', {}).get(table) or entry.get('kept', {}).get(table, {}).get('text', '')
         header: list[str] = []
         for line in text.splitlines():
-            cells = [c.strip() for c in line.strip('| ').split(' | ')]
+            cells = [c.strip() for c in line.strip().removeprefix('|').removesuffix('|').split('|')]
             header = cells if column in cells else header
-            if header and line.strip('| ').casefold().startswith(tuple(rows)):
-                return cells[header.index(column)]
-    return ''
+            if header and ' | '.join(cells).casefold().startswith(tuple(rows)):
+                found[cells[0].casefold() in rows].append(cells[header.index(column)])
+    best = found[True] or found[False]
+    if len(best) > 1:
+        raise ValueError(f'{table} has several rows that begin with {" or ".join(rows)}')
+    return best[0] if best else ''
 
 
 def find_differences(record: Mapping[str, Entry], root: Path) -> list[str]:
-    """Find what the pages show otherwise than the record says: tables by name, and pictures by checksum."""
-    texts = dict(_list_tables(record, []))
+    """Find what the pages show otherwise than the record says: tables by name, and pictures by checksum.
+
+    Whether a table is marked as stale makes no difference: each change of the code would make one.
+    """
+    return [*_find_other_tables(record, root), *_find_other_pictures(record, root)]
+
+
+def _find_other_tables(record: Mapping[str, Entry], root: Path) -> list[str]:
+    texts, places = dict[str, str](), dict[str, str]()
     found = []
+    for name, text in _list_tables(record, []):
+        if name in texts:
+            found.append(f'table {name} is in the record twice')
+        texts[name] = text
     for page in list_pages(root):
         text = page.read_text(encoding='utf-8')
         place = page.relative_to(root).as_posix()
         shown = list(MARKER.finditer(text))
-        if len(shown) != text.count('<!-- table: ') or len(shown) != text.count('<!-- end of table -->'):
-            found.append(f'{place}: a marker of a table has no partner')
+        if not len(shown) == len(BEGIN.findall(text)) == len(END.findall(text)):
+            found.append(f'{place}: a marker of a table has no partner, or is not written as it should be')
         for table in shown:
-            name, text_now = table['name'], STALE_MARK.sub('', table['text'])
+            name = table['name']
+            if name in places:
+                found.append(f'{place}: table {name} is also in {places[name]}')
+            places[name] = place
             if name not in texts:
                 found.append(f'{place}: table {name} is not in the record')
-            elif text_now != texts[name]:
+            elif STALE_MARK.sub('', table['text']) != texts[name]:
                 found.append(f'{place}: table {name} differs from the record')
+    return [*found, *(f'table {name} is in the record and on no page' for name in texts if name not in places)]
+
+
+def _find_other_pictures(record: Mapping[str, Entry], root: Path) -> list[str]:
+    found = []
     for entry in record.values():
         for picture, checksum in entry.get('pictures', {}).items():
             path = root / picture

@@ -192,7 +192,7 @@ def measure_solver(
     return {'ms': seconds * 1e3, 'iterations': float(np.mean([r.iterations for r in found]))}
 
 
-def show_scipy(report: Report, records: Records) -> None:
+def show_scipy(report: Report, records: Records, page: str = '') -> None:
     rows = [
         {
             'case': f'{r["case"]}, {r["frames"]} frames',
@@ -211,7 +211,7 @@ def show_scipy(report: Report, records: Records) -> None:
     ]
     title = 'Joint solver and scipy.optimize.least_squares (trf, lsmr): same objective, same initial state'
     fixed = 'all terms on, image noise fixed at 10 mm, since adapting it changes the objective.'
-    report.rows(title, rows, f'K = {TARGET_COMPONENTS}, {fixed}', page='solvers.scipy')
+    report.rows(title, rows, f'K = {TARGET_COMPONENTS}, {fixed}', page=page)
     report.text(
         f'A solver has reached an optimum when its objective is within {CLOSE_TO_OPTIMUM:g} of it; each time is '
         "that to the own optimum, but in the last column both are times to SciPy's. SciPy also solves for "
@@ -252,7 +252,7 @@ def measure(args: argparse.Namespace, report: Report) -> None:
     names = list(SCIPY_OPTIONS)[:1] if args.quick else list(SCIPY_OPTIONS)
     scipy_cases = CASES[:3:2] if args.quick else CASES
     by_scipy = [compare_with_scipy(c, names, repeats) for c in common.show_progress(scipy_cases, 'SciPy')]
-    show_scipy(report, by_scipy)
+    show_scipy(report, by_scipy, 'solvers.scipy')
     variants = [(6, False)] if args.quick else [(6, False), (30, True)]
     todo = [(c, k, prior) for c in (CASES[:1] if args.quick else CASES) for k, prior in variants]
     by_alternation = [compare_with_alternation(*t, repeats) for t in common.show_progress(todo, 'alternation')]

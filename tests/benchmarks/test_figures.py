@@ -17,6 +17,7 @@ from figure_record import (
     RECORD,
     STALE_MARK,
     Benchmark,
+    find_cell,
     find_differences,
     list_stale,
     list_unmarked,
@@ -31,7 +32,7 @@ from tests.support.paths import ROOT
 
 TABLE = '| a | b |\n| --- | --- |\n| 1 | 2 |'
 PAGE = 'Before.\n\n<!-- table: one -->\n<!-- end of table -->\n\nAfter.\n'
-# A benchmark that measures the number in `measured.txt` and counts its runs.
+# A benchmark that measures the number in `measured.txt` and counts its runs; the page shows that of `one.py`.
 SCRIPT = """
 import json, pathlib, sys
 root = pathlib.Path(__file__).parent.parent
@@ -41,7 +42,8 @@ if value == 'bad':
 runs = root / 'runs.txt'
 runs.write_text(runs.read_text() + sys.argv[0][-6:-3] + ' ' if runs.is_file() else sys.argv[0][-6:-3] + ' ')
 (root / 'picture.png').write_text('--quick' if '--quick' in sys.argv else value)
-record = {'machine': 'm', 'pictures': ['picture.png'], 'tables': {'one': '| ' + value + ' |'}, 'number': value}
+tables = {'one': '| ' + value + ' |'} if sys.argv[0].endswith('one.py') else {}
+record = {'machine': 'm', 'pictures': ['picture.png'], 'tables': tables, 'number': value}
 pathlib.Path(sys.argv[sys.argv.index('--json') + 1]).write_text(json.dumps(record))
 """
 ONE, TWO = (Benchmark(name, f'{name}.py', ('measured.txt',), ('data.txt',)) for name in ('one', 'two'))
@@ -109,18 +111,45 @@ def test_any_table_comes_back_from_its_page(tmp_path_factory: pytest.TempPathFac
     assert find_differences(other, root)
 
 
+SHOWN = f'<!-- table: one -->\n\n{TABLE}\n\n<!-- end of table -->\n'
+NO_PARTNER = 'docs/page.md: a marker of a table has no partner, or is not written as it should be'
+
+
 @pytest.mark.parametrize(
-    ('text', 'complaint'),
+    ('text', 'complaints'),
     [
-        ('<!-- table: two -->\n<!-- end of table -->', 'table two is not in the record'),
-        ('<!-- table: one -->\n', 'a marker of a table has no partner'),
-        ('<!-- end of table -->', 'a marker of a table has no partner'),
-        ('<!-- table: one -->\n<!-- table: one -->\n<!-- end of table -->', 'a marker of a table has no partner'),
+        (f'{SHOWN}<!-- table: two -->\n<!-- end of table -->', {'docs/page.md: table two is not in the record'}),
+        (f'{SHOWN}<!-- table: one -->\n', {NO_PARTNER}),
+        (f'{SHOWN}<!-- end of table -->', {NO_PARTNER}),
+        (SHOWN.replace('<!-- table', '<!--table'), {NO_PARTNER, 'table one is in the record and on no page'}),
+        (f'<!-- table: one -->\n{SHOWN}', {NO_PARTNER, 'docs/page.md: table one differs from the record'}),
+        (f'{SHOWN}\n{SHOWN}', {'docs/page.md: table one is also in docs/page.md'}),
+        (TABLE, {'table one is in the record and on no page'}),
     ],
 )
-def test_markers_without_a_table_or_a_partner_are_found(root: Path, text: str, complaint: str) -> None:
-    (root / 'docs' / 'page.md').write_text(text)
-    assert f'docs/page.md: {complaint}' in find_differences({'x': make_entry(one=TABLE)}, root)
+def test_markers_that_show_no_table_or_a_wrong_one_are_found(root: Path, text: str, complaints: set[str]) -> None:
+    page, record = root / 'docs' / 'page.md', {'x': make_entry(one=TABLE)}
+    page.write_text(SHOWN)
+    assert find_differences(record, root) == []
+    page.write_text(text)
+    assert set(find_differences(record, root)) == complaints
+
+
+def test_a_table_of_two_benchmarks_is_found(root: Path) -> None:
+    (root / 'docs' / 'page.md').write_text(SHOWN)
+    record = {'x': make_entry(one=TABLE), 'y': make_entry(one=TABLE)}
+    assert find_differences(record, root) == ['table one is in the record twice']
+
+
+def test_cells_are_found_by_the_whole_first_cell_or_by_a_beginning_that_is_unique() -> None:
+    rows = '| | a | b |\n| --- | --- | --- |\n| smooth, true | 1 | |\n| smooth | 2 | 3 |\n| other, x | 4 | 5 |'
+    record = {'x': make_entry(one=rows)}
+    assert find_cell(record, 'one', ('smooth',), 'a') == '2'
+    assert find_cell(record, 'one', ('smooth, true',), 'b') == ''
+    assert find_cell(record, 'one', ('other', 'absent'), 'b') == '5'
+    assert find_cell(record, 'one', ('absent',), 'a') == find_cell(record, 'one', ('other',), 'c') == ''
+    with pytest.raises(ValueError, match='one has several rows that begin with smoo'):
+        find_cell(record, 'one', ('smoo',), 'a')
 
 
 def test_a_record_is_measured_written_and_found_unchanged(root: Path) -> None:
