@@ -397,7 +397,7 @@ def draw(samples: Samples) -> Any:
         times.plot(middle, values, color=colour, label=f'{percent} % of the images')
     times.plot(hours[1:], compute_cpu_ms(node), color=NEUTRAL, linewidth=0.8, label='CPU time for an image')
     times.set_ylim(0)
-    times.legend(loc='upper left')
+    times.legend(loc='lower left')
     label_axes(times, 'hours of the stream', 'ms', 'latency and CPU time, each five minutes of stream')
     total = np.array([sum(t <= h * HOUR_S for t in samples.lost) for h in hours])
     lost.plot(hours, total, color=NEUTRAL)
