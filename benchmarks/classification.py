@@ -22,13 +22,13 @@ import common
 import numpy as np
 from report import Report, run
 
-from mocap_ros.config import ClassifierConfig, TrackerConfig
+from mocap_ros.config import ClassifierConfig
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.solvers.classification import PeriodicFit, fit_periodic, is_periodic
 from mocap_ros.solvers.window import Window
 
 LABELS = Path(__file__).with_name('periodic_labels.csv')
-SOLVER = common.make_config(components=TrackerConfig().components)
+SOLVER = common.make_config(components=ClassifierConfig().components)  # as the tracker fits the periodic model
 HEADINGS_DEG = (45, 250)  # degrees, two directions that are not symmetric to each other
 NOISE = 0.01  # option `noise` of the protocol, as of a good detector
 # Trials of --quick, from each category.

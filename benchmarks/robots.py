@@ -10,7 +10,7 @@ the velocities that are published.
 
 Bodies are put about the true joints, by stated girths (`experiments/body_volume.py`): of their volume, shares are
 in the capsules, as these are published, and when the place of the root counts as right, as the error of that is in
-no radius. Inflation is by how much a radius is larger than the half girth of a heavy adult.
+no radius. Inflation is by how much a radius is larger than half the thickness of a heavy adult.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def measure_inflation(trials: Sequence[str], frames: int, models: Models, config
         for frame, _, person in track_scene(scene, models, configure(scene, 'height', config)):
             if frame >= WARM_UP and not person.predicted:
                 parts = arrange_body_parts(person.skeleton)
-                found.append((compute_capsules(person).radius - parts.girth) * 1e3)
+                found.append((compute_capsules(person).radius - parts.half_thickness) * 1e3)
     return np.array(found)
 
 

@@ -25,6 +25,7 @@ def read(
     *,
     person: str | None = None,
     topic: str | None = None,
+    camera_info: str | None = None,
     fps: float | None = None,
     image_size: tuple[int, int] | None = None,
     layout: str = '',
@@ -40,6 +41,7 @@ def read(
             (`.json`), or video. A sequence file takes none of the other arguments.
         person: id of the person; by default the person who is seen in most frames.
         topic: topic of the keypoints; needed only for a bag with several.
+        camera_info: topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
         fps: Hz, frame rate; needed for JSON, which has no times.
         image_size: (width, height) in px, where JSON does not state it.
         layout: name of the keypoint layout of JSON; by default the one with that number of keypoints.
@@ -62,7 +64,7 @@ def read(
     model = None if detector is None else read_path('detector', detector)
     try:
         video = Video(fps, image_size, layout, model)
-        sequence, lines = load_input(path, video, NodeConfig(), person, topic)
+        sequence, lines = load_input(path, video, NodeConfig(), person, topic, camera_info)
     except InputError as error:
         raise InputError(_name_arguments(str(error))) from None
     for line in lines:
@@ -104,4 +106,4 @@ def write(path: str | Path, result: PoseSequence | KeypointSequence) -> None:
 
 def _name_arguments(text: str) -> str:
     """Return a text about options of the command line as one about the arguments of the same meaning."""
-    return re.sub(r'--([a-z-]+)', lambda option: option[1].replace('-', '_'), text)
+    return re.sub(r'(?<![\w./-])--([a-z-]+)', lambda option: option[1].replace('-', '_'), text)

@@ -1,4 +1,4 @@
-"""A recorder with its own thread, so that its caller never waits for the disk."""
+"""A recorder with its own thread, so that its caller waits for the disk at the start and at the end only."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import FolderTaken, RecordingError
 
 CHECK_PERIOD_S = 0.25  # s; how soon a removed folder and a disk that is nearly full are noticed
-MAX_UNSAVED_S = 0.02  # s; how long messages may be with the process alone while more are arriving
+MAX_UNSAVED_S = 0.02  # s; how long messages may be in the memory of the process only, while more are arriving
 
 
 def start_recorder(
@@ -157,7 +157,10 @@ class BackgroundRecorder:
             self._error = error
         except Exception:
             self._error = RecordingError(f'{self.folder}: {traceback.format_exc()}')
-        self._busy_since_s = None
+        finally:
+            with suppress(Exception):  # the first error is told; without one the bag is closed already
+                self._recorder.close()
+            self._busy_since_s = None
 
     def _write_until_closed(self) -> None:
         """Write batches as they arrive, and check the disk and close chunks when it is time."""
@@ -171,6 +174,7 @@ class BackgroundRecorder:
                     self._busy_since_s = None
                 self._wake.wait_for(lambda: self._batches or self._closing, timeout_s)
                 batch = self._batches.popleft() if self._batches else None
+                is_finished = batch is None and self._closing  # while the lock is held: another may come later
             now_s = self._busy_since_s = time.monotonic()
             for record in batch or ():
                 if isinstance(record, Topic):
@@ -186,5 +190,5 @@ class BackgroundRecorder:
             if now_s >= check_due_s:
                 recorder.check_disk()
                 check_due_s = now_s + CHECK_PERIOD_S
-            if batch is None and self._closing:
+            if is_finished:
                 return

@@ -65,7 +65,7 @@ class Entry:
         kind: `input`, `reset`, `parameters` or `lost`.
         number: Number of the input; for other kinds, number of the last input before the event.
         verdict: What became of the input.
-        reason: Why the input was not accepted; empty if it was.
+        reason: Why the input was not accepted, or a remark on an accepted one; usually empty.
         topic: Topic of the input; empty for other kinds.
         parameters: Values of the parameters by name; for `lost`, the number of lost inputs under `lost`.
     """
@@ -139,7 +139,7 @@ class Journal:
             raw: The message as it was received.
             times_ns: Times of receipt and of sending, in ns.
             verdict: What became of the input.
-            reason: Why the input was not accepted.
+            reason: Why the input was not accepted, or a remark on an accepted one.
 
         Returns:
             A `lost` entry where inputs were lost before, the input itself, and its journal entry.

@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
 ROS2_SUFFIXES = ('.mcap', '.db3')  # of the files of ROS 2 bags
 ROS1_SUFFIX = '.bag'  # of ROS 1 bags
-MAX_METADATA_BYTES = 1 << 20  # of a metadata.yaml, which takes half a minute to parse; 100 topics have 100 kB
+# bytes of a metadata.yaml; one of this size takes half a minute to parse, and 100 topics need 100 kB
+MAX_METADATA_BYTES = 1 << 20
 
 limit_readers()
 
@@ -146,7 +147,10 @@ class Bag:
         shared = {topic: _count_shared_namespaces(topic, keypoints_topic) for topic in candidates}
         best = [topic for topic in candidates if shared[topic] == max(shared.values())]
         if len(best) > 1:
-            raise InputError(f'{self.path}: the bag has several CameraInfo topics, choose one: {", ".join(best)}')
+            raise InputError(
+                f'{self.path}: the bag has several CameraInfo topics, choose one with --camera-info: '
+                f'{", ".join(best)}'
+            )
         return best[0] if best else None
 
     @property

@@ -59,6 +59,7 @@ class RecordedMessage(NamedTuple):
     repeat_key: str = ''
 
 
+RECOVERY_HINT = '; `mocap-ros recover'  # begins what an error says of a bag that could not be finished
 _ERRORS = {errno.ENOSPC: DiskFull, errno.EDQUOT: DiskFull, errno.EEXIST: FolderTaken}  # by `OSError.errno`
 
 
@@ -78,6 +79,20 @@ def choose_bag_folder(root: Path, time_ns: int) -> Path:
         return next(path for path in candidates if not (path.exists() or path.is_symlink()))
     except OSError as error:
         raise RecordingError(f'{root}: {error.strerror}') from None
+
+
+def _make_parent(folder: Path) -> None:
+    """Create the folders above that of a bag.
+
+    Raises:
+        RecordingError: They cannot be created; where one is a file or a link to nothing, this is no `FolderTaken`.
+    """
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise RecordingError(f'{error.filename}: is no folder, or a link to one that is missing') from None
+    except OSError as error:
+        raise _ERRORS.get(error.errno or 0, RecordingError)(f'{folder.parent}: {error.strerror}') from None
 
 
 def remove_partial(out: Path) -> None:
@@ -154,8 +169,9 @@ class Recorder:
         self._finished_files: dict[str, MessageStatistics] = {}  # by file name
         self._chunk_start_ns = -1  # log time of the first message since the last flush; -1 where there is none
         self._file: McapFile | None = None
+        _make_parent(folder)
         with self._finish_on_disk_error():
-            folder.mkdir(parents=True)
+            folder.mkdir()
             try:
                 self._check_space()
                 self._file = self._create_file()
@@ -377,7 +393,7 @@ class Recorder:
             )
             is_unfinished = self._file is not None and not self._finish_after_failure()
             if is_unfinished and not was_removed:
-                reason = f'{reason}; `mocap-ros recover {self.folder}` restores what was written'
+                reason = f'{reason}{RECOVERY_HINT} {self.folder}` restores what was written'
             raise _ERRORS.get(error.errno or 0, RecordingError)(
                 f'{error.filename or self.folder}: {reason}'
             ) from None

@@ -65,8 +65,8 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
         InputError: There is no file of a bag, or no message could be read.
         RecordingError: The new bag cannot be written.
     """
-    files = _list_files(path) if path.is_dir() else [path]
-    if not files or not all(f.suffix in (*ROS2_SUFFIXES, PACKED_SUFFIX) for f in files):
+    files = list_recoverable_files(path)
+    if not files:
         raise InputError(f'{path}: no bag folder, .mcap or .db3 file (ROS 1: `rosbag reindex` repairs a .bag)')
     report = RecoveryReport()
     sizes = [_get_size(f) for f in files]
@@ -95,12 +95,16 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
     return report
 
 
-def _list_files(folder: Path) -> list[Path]:
-    """Return the files of a bag in the order of their numbers, each one as it is or else compressed."""
-    packed = [
-        f for f in folder.iterdir() if f.suffix == PACKED_SUFFIX and f.with_suffix('').suffix in ROS2_SUFFIXES
-    ]
-    file_by_name = {f.with_suffix('').name: f for f in packed} | {f.name: f for f in list_bag_files(folder)}
+def list_recoverable_files(path: Path) -> list[Path]:
+    """Return the files of a bag in the order of their numbers, each one as it is or else compressed.
+
+    Args:
+        path: Bag folder, or a file of a bag; there are no files if it is anything else.
+    """
+    if not path.is_dir():
+        return [path] if path.suffix in (*ROS2_SUFFIXES, PACKED_SUFFIX) else []
+    packed = [f for f in path.iterdir() if f.suffix == PACKED_SUFFIX and f.with_suffix('').suffix in ROS2_SUFFIXES]
+    file_by_name = {f.with_suffix('').name: f for f in packed} | {f.name: f for f in list_bag_files(path)}
     return [file_by_name[name] for name in sorted(file_by_name, key=find_number_and_name)]
 
 

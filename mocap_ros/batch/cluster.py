@@ -24,8 +24,8 @@ from mocap_ros.errors import MocapError
 
 SILENT = logging.CRITICAL  # level of Dask's own messages
 CONNECT_SECONDS = 10  # s without an answer after which a scheduler has gone; busy ones need a few seconds
-# Times that the worker may be lost under a recording, before the recording is taken for the cause. With a loss
-# every 10 s, recordings of 6 s of work would be given up by chance if it were less.
+# Number of workers that may be lost while they do one recording before the recording is taken for the cause. With
+# fewer, recordings of 6 s of work would be given up by chance where a worker is lost every 10 s.
 LOST_WORKERS = 9
 LOCAL_SETTINGS = {
     'distributed.scheduler.allowed-failures': LOST_WORKERS,

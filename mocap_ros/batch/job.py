@@ -402,7 +402,8 @@ def _describe_appearance(appearance: Appearance) -> dict[str, Any]:
 def _load_sequence(path: Path, job: Job) -> tuple[KeypointSequence, dict[str, Any]]:
     """Load the keypoints of the person who is seen most; return them, and the columns that describe them."""
     settings, config = job.settings, job.settings.parameters
-    sequence, lines = load_input(path, settings.video, config.node, None, settings.topic)
+    topics = settings.topic, settings.camera_info
+    sequence, lines = load_input(path, settings.video, config.node, None, *topics)
     stamps = sequence.stamps_ns
     appearance = Appearance(sequence.person_id or '', int(stamps[0]), int(stamps[-1]))
     appearance.seconds['unknown'] = (stamps[-1] - stamps[0]) / NS_PER_S

@@ -184,12 +184,12 @@ def _group_files(files: Iterable[str], work: Work) -> dict[str, list[str]]:
     folders = {_parent(url) for url in files if _name(url) == METADATA}
     if work is not Work.REPLAY:
         folders |= {_parent(url) for url in files if url.endswith(OPENPOSE_SUFFIX)}
-    suffixes = BAG_SUFFIXES if work is Work.REPLAY else (*BAG_SUFFIXES, *OTHER_SUFFIXES)
+    others = () if work is Work.REPLAY else OTHER_SUFFIXES
     groups: dict[str, list[str]] = {}
     for url in files:
         if _parent(url) in folders:
             groups.setdefault(_parent(url), []).append(url)
-        elif url.endswith(suffixes):
+        elif url.endswith(BAG_SUFFIXES) or url.lower().endswith(others):
             groups[url] = [url]
     return groups
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import os
 import shutil
 import uuid
 from pathlib import Path
@@ -120,7 +119,7 @@ def write_whole(url: str, data: bytes) -> None:
         return
     temporary = f'{path}.{uuid.uuid4().hex}.tmp'
     Path(temporary).write_bytes(data)
-    os.replace(temporary, path)  # noqa: PTH105 # no other call of this function is on a Path
+    Path(temporary).replace(path)
 
 
 def list_sizes(url: str) -> dict[str, int]:
@@ -146,5 +145,10 @@ def read_json_file(url: str) -> dict[str, Any]:
 
 
 def is_disk_full(error: BaseException) -> bool:
-    """Return whether an error says that a disk is used up."""
-    return isinstance(error, DiskFull) or (isinstance(error, OSError) and error.errno in FULL)
+    """Return whether an error, or one of those that it was raised for, says that a disk is used up."""
+    found: BaseException | None = error
+    while found is not None:
+        if isinstance(found, DiskFull) or (isinstance(found, OSError) and found.errno in FULL):
+            return True
+        found = found.__cause__ or found.__context__
+    return False

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
-from mocap_ros.cli.keypoint_input import add_video_options
+from mocap_ros.cli.keypoint_input import add_camera_info_option, add_video_options
 from mocap_ros.cli.options import add_config_options, load_config_file, parse_changes, parse_positive
 from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.formats.detections import Video
@@ -74,7 +74,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--topic', metavar='NAME', help='topic of the keypoints (default: the only one in the bag)'
     )
-    parser.add_argument('--camera-info', metavar='NAME', help='topic of the CameraInfo (default: see replay)')
+    add_camera_info_option(parser)
     add_video_options(parser)
     add_config_options(parser)
     parser.set_defaults(run=run)

@@ -34,7 +34,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'Finds the keypoints of people in a video or in the images of a camera and writes them to a file that '
         '`mocap-ros reconstruct` and the other commands read: a sequence file (.npz) of one person, or a bag '
         '(.mcap) of all people, which `mocap-ros play` publishes. The times are those of the images. Needs '
-        f'{tell_installation("video")}, and MediaPipe the extra mediapipe instead.'
+        f'PyAV: {tell_installation("video")}; for models of MediaPipe: {tell_installation("mediapipe")}.'
     )
     parser.add_argument(
         'input',

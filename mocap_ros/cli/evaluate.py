@@ -244,7 +244,7 @@ def check_covariances(result: StoredResult, reference: KeypointSequence) -> dict
 
 
 def describe_few_matches(result: StoredResult, reference: KeypointSequence) -> str:
-    """Return a warning if fewer than half of the frames of both have a time of the other, or an empty string."""
+    """Return a warning if the matched frames are fewer than half of the shorter recording, or an empty string."""
     matched = len(_match_times(result.stamps_ns, reference.stamps_ns)[0])
     if not _are_few(matched, result, reference):
         return ''

@@ -61,7 +61,18 @@ def add_input_options(parser: argparse.ArgumentParser, is_required: bool = True)
     parser.add_argument(
         '--topic', metavar='NAME', help='topic of the keypoints in a bag (default: the only one in the bag)'
     )
+    add_camera_info_option(parser)
     add_video_options(parser)
+
+
+def add_camera_info_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option `--camera-info`."""
+    parser.add_argument(
+        '--camera-info',
+        metavar='NAME',
+        help='topic of the CameraInfo in a bag (default: the one that shares most of the namespace of the '
+        'keypoints)',
+    )
 
 
 def add_video_options(parser: argparse.ArgumentParser) -> None:
@@ -101,7 +112,8 @@ def load_input_sequence(args: argparse.Namespace, config: Config) -> KeypointSeq
         InputError: the input cannot be used; the message names the place.
     """
     video = Video(args.fps, args.image_size, args.layout or '', args.detector)
-    sequence, lines = load_input(args.input, video, config.node, args.person, args.topic, show_detection_progress)
+    topics = args.topic, args.camera_info
+    sequence, lines = load_input(args.input, video, config.node, args.person, *topics, show_detection_progress)
     for line in lines:
         print(f'mocap-ros: {line}', file=sys.stderr)
     return sequence
@@ -110,7 +122,8 @@ def load_input_sequence(args: argparse.Namespace, config: Config) -> KeypointSeq
 def load_input_people(args: argparse.Namespace, config: Config) -> list[KeypointSequence]:
     """Load the sequences of all people in the input, as `load_input_sequence` loads that of one."""
     video = Video(args.fps, args.image_size, args.layout or '', args.detector)
-    sequences, lines = load_people(args.input, video, config.node, args.topic, show_detection_progress)
+    topics = args.topic, args.camera_info
+    sequences, lines = load_people(args.input, video, config.node, *topics, show_detection_progress)
     for line in lines:
         print(f'mocap-ros: {line}', file=sys.stderr)
     return sequences

@@ -7,6 +7,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+from mocap_ros.cli.keypoint_input import add_camera_info_option
 from mocap_ros.cli.options import parse_positive
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import MocapError
@@ -19,9 +20,9 @@ CLOCK_HZ = 40.0  # Hz, the default rate of /clock, that of `ros2 bag play --cloc
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Describe the subcommand and add its options."""
     parser.description = (
-        'Publishes the Keypoints2DArray messages of a bag, or the frames of a sequence file, on the '
-        'topic `keypoints`, and the CameraInfo messages of a bag on `camera_info`. The messages keep their stamps '
-        'and the QoS with which they were recorded. Needs ROS 2.'
+        'Publishes the keypoints of a bag, of any type that the node takes, or the frames of a sequence file, on '
+        'the topic `keypoints`, and the CameraInfo messages of a bag on `camera_info`. The messages keep their '
+        'stamps and the QoS with which they were recorded. Needs ROS 2.'
     )
     parser.add_argument(
         'input', type=Path, metavar='IN', help='bag (folder, .mcap, .db3 or .bag) or sequence file (.npz)'
@@ -36,6 +37,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--topic', metavar='NAME', help='topic of the keypoints in the bag (default: the only one in the bag)'
     )
+    add_camera_info_option(parser)
     parser.add_argument('--to', default='keypoints', metavar='NAME', help='topic to publish the keypoints on')
     parser.add_argument(
         '--all',
@@ -69,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
             f'play needs ROS 2, which this Python does not have ({error}); `make setup` installs it'
         ) from None
     require_kind(args.input, [InputKind.BAG, InputKind.SEQUENCE], f'{BAG_FORMATS} or a sequence file (.npz)')
-    playback = Playback(args.input, args.topic, args.to, args.all)
+    playback = Playback(args.input, args.topic, args.to, args.all, args.camera_info)
     player = Player(playback, PlaybackOptions(args.rate, args.wait, args.loop, args.clock or 0.0))
     with suppress(*([KeyboardInterrupt] if args.loop else [])):  # an interrupt is the only way to end a loop
         player.play(
@@ -78,6 +80,5 @@ def run(args: argparse.Namespace) -> int:
         )
     for reason in player.skipped_topics:
         print(f'not played: {reason}', file=sys.stderr)
-    topics = ', '.join(topic.name for topic in playback.topics)
-    print(f'{args.input}: {player.published_count} messages published on {topics}')
+    print(f'{args.input}: {player.published_count} messages published on {", ".join(player.published_topics)}')
     return 0

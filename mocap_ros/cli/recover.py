@@ -8,9 +8,9 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from mocap_ros.bags.recovery import recover
+from mocap_ros.bags.recovery import list_recoverable_files, recover
 from mocap_ros.cli.options import name_bag
-from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
+from mocap_ros.runtime.input_kind import InputKind, require_kind
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +33,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Recover a bag, and print what was recovered and what was not."""
-    require_kind(args.bag, [InputKind.BAG], BAG_FORMATS)
+    if not (args.bag.exists() and list_recoverable_files(args.bag)):
+        require_kind(args.bag, [InputKind.BAG], 'a bag of ROS 2 (folder, .mcap or .db3)')
     place = args.bag if args.bag.name not in ('', '..') else args.bag.resolve()  # of the present folder as `.`
     out = args.output or place.with_name(f'{name_bag(args.bag)}_recovered')
     with tqdm(desc='recover', unit='B', unit_scale=True, disable=not sys.stderr.isatty(), leave=False) as bar:

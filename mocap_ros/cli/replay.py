@@ -12,6 +12,7 @@ from typing import NamedTuple
 from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import remove_partial
 from mocap_ros.cli.interrupts import interrupt_between_items
+from mocap_ros.cli.keypoint_input import add_camera_info_option
 from mocap_ros.cli.options import add_config_options, load_config_file, name_bag, parse_changes
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import InputError, MocapError, RecordingError
@@ -55,11 +56,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--topic', metavar='NAME', help='topic of the keypoints (default: the only one in the bag)'
     )
-    parser.add_argument(
-        '--camera-info',
-        metavar='NAME',
-        help='topic of the CameraInfo (default: the topic camera_info beside the keypoints, if it exists)',
-    )
+    add_camera_info_option(parser)
     parser.add_argument(
         '--resume',
         action='store_true',

@@ -31,6 +31,11 @@ from mocap_ros.viewing.rerun_viewer import require_display, start_viewer
 from mocap_ros.viewing.scene import Scene, SceneImage
 
 SUFFIXES = ('.html', '.rrd')  # of the files that this command writes
+# Options that say how an input is read and reconstructed.
+OPTIONS_OF_INPUTS = (
+    *('--person', '--camera-info', '--fps', '--image-size', '--layout', '--detector', '--keyframes'),
+    *('--model', '--config', '--set'),
+)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -78,11 +83,11 @@ def run(args: argparse.Namespace) -> int:
         return _show_live(args)
     if args.input is None:
         raise InputError('give an input to show, or --live to show what a running node publishes')
-    given = any((args.topic, args.model, args.config, args.set))
+    given = any((args.topic, args.camera_info, args.model, args.config, args.set))
     if given and args.input.is_file() and is_result_file(args.input):
         raise InputError(
-            f'{args.input}: holds a result, which is shown as it is; --topic, --model, --config and --set apply '
-            'to keypoints only'
+            f'{args.input}: holds a result, which is shown as it is; --topic, --camera-info, --model, --config '
+            'and --set apply to keypoints only'
         )
     if output is None:
         return _show(args)
@@ -119,6 +124,9 @@ def _show_live(args: argparse.Namespace) -> int:
     """Show what a node publishes in a window of Rerun until the window is closed."""
     if args.input is not None or args.output is not None:
         raise InputError('--live shows what a node publishes; it takes no input and no -o')
+    for option in OPTIONS_OF_INPUTS:
+        if getattr(args, option.removeprefix('--').replace('-', '_')):
+            raise InputError(f'--live shows what a node publishes; {option} applies to an input only')
     rr = import_rerun()
     require_display()
     try:
@@ -156,6 +164,7 @@ def _load(args: argparse.Namespace) -> Scene:
         video=Video(args.fps, args.image_size, args.layout or '', args.detector),
         person=args.person,
         topic=args.topic,
+        camera_info=args.camera_info,
         show_detection=show_detection_progress,
     )
     scene, lines = load_scene(args.input, options, lambda items, total: show_progress(items, 'view', total))

@@ -133,7 +133,9 @@ def suggest_parameter(unknown_name: str, names: Iterable[str]) -> str:
         return f'it is {RENAMED_SINCE_0_1[unknown_name]!r} since version 0.2'
     if unknown_name in REMOVED_SINCE_0_1:
         return describe_removal(unknown_name)
-    name_of_field = {name.rpartition('.')[2]: name for name in names}
+    group = unknown_name.partition('.')[0]
+    those_of_group_last = sorted(names, key=lambda name: name.partition('.')[0] == group)  # the last one counts
+    name_of_field = {name.rpartition('.')[2]: name for name in those_of_group_last}
     close = difflib.get_close_matches(unknown_name.rpartition('.')[2], name_of_field, n=1)
     return f'did you mean {name_of_field[close[0]]!r}?' if close else '`mocap-ros config` lists all parameters'
 

@@ -20,7 +20,7 @@ MAX_NODES = 200_000  # keys and values of a YAML text; they take some seconds an
 TEXT_TAG = 'tag:yaml.org,2002:str'  # tag of texts in YAML, written as !!str
 
 HEADER = """\
-# Every parameter of the node with its default. Made by `mocap-ros config`.
+# Every parameter of the node with its value. Made by `mocap-ros config`.
 # The comment of a parameter gives its unit first, if it has one, and its range or choices last, in brackets.
 """
 

@@ -20,7 +20,7 @@ def find_nearest(times: Array, known: Array) -> NDArray[np.intp]:
 
 
 def interpolate_linearly(times: Array, sample_times: Array, samples: Array) -> Array:
-    """Return samples at other times, (N, D); before the first and after the last sample, these.
+    """Return samples (N, D) interpolated at other times; the first and the last one hold beyond the ends.
 
     Args:
         times: (N,) times.

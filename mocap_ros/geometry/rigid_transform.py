@@ -63,7 +63,8 @@ class RigidTransform:
         """Return the transform of the translation x, y, z in m and of the quaternion x, y, z, w, normalised.
 
         Raises:
-            InputError: a number is not finite, or the quaternion is not of unit length.
+            InputError: a number is not finite or beyond `MAX_DISTANCE_M`, or the length of the quaternion differs
+                from 1 by `QUATERNION_TOLERANCE` or more.
         """
         length = math.sqrt(sum(q * q for q in numbers[3:7]))
         if not all(abs(n) <= MAX_DISTANCE_M for n in numbers) or not abs(length - 1) < QUATERNION_TOLERANCE:

@@ -32,7 +32,7 @@ def nearest_rotation(affine: Array) -> Array:
 
 
 def rotation_from_vector(vector: Array) -> Array:
-    """R = I + sin(a) / a K + (1 - cos(a)) / a^2 K^2 (Rodrigues), where K x = v x x and a = |v|.
+    """R = I + sin(a) / a K + (1 - cos(a)) / a^2 K^2 (Rodrigues), where K p = v x p and a = |v|.
 
     Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3) in rad.
     """

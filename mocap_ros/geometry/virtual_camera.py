@@ -1,9 +1,13 @@
 """Virtual cameras that face a person.
 
-A virtual camera has the centre of the real camera and is rotated so that its optical axis points at the person.
-Weak perspective approximates a real camera well only near the optical axis. The solvers start from weak
-perspective, so they work in the image of a virtual camera, and their solution is rotated back into the real
-camera's frame.
+    R = I + [v]x + [v]x^2 / (1 + c),    v = u x e,    c = u . e        rotation from the real to the virtual camera
+    X = R^T (t_x, t_y, f) / s                                          the body's origin in the real camera, m
+
+u is the unit vector to the person, e = (0, 0, 1), f the focal length (px), s the scale (px/m) and t the image
+point of the origin (px). A virtual camera has the centre of the real camera and is rotated so that its optical
+axis points at the person. Weak perspective approximates a real camera well only near the optical axis. The solvers
+start from weak perspective, so they work in the image of a virtual camera, and their solution is rotated back into
+the real camera's frame.
 """
 
 from __future__ import annotations
@@ -52,7 +56,8 @@ class VirtualCamera:
         """Return virtual cameras that look at the weighted centroid of the seen joints.
 
         Args:
-            rays: (F, J, 2) rays from `Intrinsics.pixels_to_rays`; ignored where the weight is 0.
+            rays: (F, J, 2) rays from `Intrinsics.pixels_to_rays`; finite, but otherwise ignored where the weight
+                is 0.
             weight: (F, J) confidence scores.
             times: (F,) s, increasing.
             smoothing_s: s over which the direction is averaged, so that it does not jump when joints appear or
@@ -191,7 +196,7 @@ def solver_focal(intrinsics: Intrinsics, use_perspective: bool) -> float:
 
 
 def rotate_rays(rays: Array, rotation: Array) -> Array:
-    """Convert rays (..., J, 2) of a camera to rays of a camera rotated by `rotation` (..., 3, 3).
+    """Convert rays (..., J, 2) of a camera by `rotation` (..., 3, 3) from its frame to that of a rotated camera.
 
     Rays that point backwards after the rotation are mapped to finite rays far from the optical axis.
     """

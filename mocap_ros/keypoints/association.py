@@ -235,7 +235,8 @@ def measure_distances(
 
     Args:
         expected: where the P people are expected.
-        detected: points (J, 2) and weight (J,) of the D detections, in the same units; of each a joint is seen.
+        detected: points (J, 2) and weight (J,) of D detections, in the same units, each with at least one seen
+            joint.
         mirror: (J,) for each joint its counterpart on the other side of the body.
         min_shared: number of joints that must be both expected and detected; with fewer the distance is infinite.
 

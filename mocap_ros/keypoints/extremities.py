@@ -1,6 +1,6 @@
 """Image points of face, feet and hands, which go beside those of the core.
 
-A body are the joints of `skeleton.BODY26`: its core, the J_c joints of `skeleton.CMU15`, which the solvers
+A body has the joints of `skeleton.BODY26`: its core, the J_c joints of `skeleton.CMU15`, which the solvers
 reconstruct, and then its J_e extremities. The lifter sees both.
 """
 

@@ -29,7 +29,8 @@ MIN_SCORED_WEIGHT = 0.08  # 1; a keypoint of a smaller weight in the sum decides
 MAX_CACHED_MAPS = 64  # maps; bounds the memory when messages name ever new joints, far above detectors in use
 
 
-_EXTREMITIES = frozenset(BODY26.joints) - frozenset(CMU15.joints)  # joints that tell no camera
+# Joints that do not count among those that determine the camera.
+_EXTREMITIES = frozenset(BODY26.joints) - frozenset(CMU15.joints)
 
 
 @dataclass(frozen=True)
@@ -219,8 +220,8 @@ def build_joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointM
         target: skeleton to map to.
 
     Raises:
-        SkeletonError: A name repeats, or fewer than `MIN_TARGET_JOINTS` joints of `target` can be mapped; the
-            message then lists the names that can be used.
+        SkeletonError: A name repeats, or fewer than `MIN_TARGET_JOINTS` joints of `target` can be mapped, those of
+            face, feet and hands not counted; the message then lists the names that can be used.
     """
     source = canonical_joint_names(source)
     if len(set(source)) != len(source):
@@ -258,7 +259,7 @@ def _list_derivations(joint: str, corrections: Mapping[str, _Derivation]) -> lis
 
 
 def _list_usable_names(target: Skeleton) -> list[str]:
-    """Return the joint names of `target`, then the other keypoints from which its joints can be derived."""
+    """Return the names of `target`'s joints without face, feet and hands, and of keypoints that give them."""
     core = [joint for joint in target.joints if joint not in _EXTREMITIES]
     derived = [j for joint in core for d in _DERIVATIONS.get(joint, ()) for j in d.weights]
     return list(dict.fromkeys([*core, *derived]))

@@ -68,8 +68,8 @@ class OutputMessage:
 def typestore() -> Typestore:
     """Return the definitions of all messages that are read or written.
 
-    They are the standard messages of ROS 2, the messages of mocap_ros_msgs, and the foreign messages that are
-    accepted as input.
+    They are the standard messages of ROS 2, the messages of mocap_ros_msgs, and the messages of other packages
+    that are accepted as input or put out for robots.
     """
     store = get_typestore(Stores.ROS2_KILTED)
     types: dict[str, Any] = {}

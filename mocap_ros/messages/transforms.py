@@ -1,6 +1,7 @@
 """tf2_msgs/TFMessage: the people as coordinate frames, the main links of REP-155 under its names.
 
-The parent of `body_<id>` is the camera's optical frame. Its origin lies between the hips. Its axes are
+The parent of `body_<id>` is the frame of the outputs. The origin of `body_<id>` lies between the hips; its axes
+are
 
     z = unit(m - o)           up along the trunk, from the hips' midpoint o to the shoulders' midpoint m,
     x = unit((l - r) x z)     forward, where l and r are the left and the right hip,

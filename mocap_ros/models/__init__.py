@@ -1,1 +1,1 @@
-"""Trained models and their files: base poses, the lifter, and the standard deviations of joint positions."""
+"""Trained models and their files: base poses, lifter, motion predictor, velocity correction; joint deviations."""

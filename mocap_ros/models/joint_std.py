@@ -5,12 +5,12 @@
     without a lifter:         std_j = sqrt((h_j posterior_std_j)^2 + floor^2)
     covariance about the body's origin:  C_j = std_j^2 (I / 6 + u u^T / 2)       u: direction of the line of sight
 
-The lifter knows which poses an image leaves uncertain, and the image noise, which the solver estimates, how well
-this detector sees this person. The factors were chosen so that two thirds of the true errors are within the
-standard deviation and 95 % within two (docs/tracker.md, "Standard deviations"): those with a lifter on trials
-of training persons, with clean points and under three models of detectors, all limbs seen or an arm or a leg
-hidden; the factors h_j, which are larger for inferred joints than for seen ones, on CMU trials of subject 35
-(walk), UJ, UB and 05, with the subject left out of training.
+The lifter's standard deviations say which poses an image leaves uncertain. The image noise, which the solver
+estimates, says how well this detector sees this person. The factors were chosen so that two thirds of the true
+errors are within the standard deviation and 95 % within two (docs/tracker.md, "Standard deviations"): those with a
+lifter on trials of training persons, with clean points and under three models of detectors, all limbs seen or an
+arm or a leg hidden; the factors h_j, which are larger for inferred joints than for seen ones, on CMU trials of
+subject 35 (walk), UJ, UB and 05, with the subject left out of training.
 
 One camera sees depth worst: of the squared errors in 65 trials of training persons, 0.70 lie along the line of
 sight. C_j has 2/3 there, that is, a standard deviation twice as large as in a direction across.
@@ -74,7 +74,7 @@ def _estimate_joint_std(
     size: float,
     depth: float,
 ) -> Array:
-    """Compute `estimate_joint_std`, with NaN for joints that the lifter did not estimate."""
+    """Compute `estimate_joint_std`; `lifter_std` is NaN for joints that the lifter did not estimate."""
     out = np.empty(len(posterior_std))
     for j in range(len(out)):
         length = depth * math.sqrt(lifter_std[j, 0] ** 2 + lifter_std[j, 1] ** 2 + lifter_std[j, 2] ** 2)

@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 LOG_STD_RANGE = -7.0, 1.0  # log of the output unit; bounds standard deviations to 0.001 and 2.7 mean distances
-MIN_SEEN_JOINTS = 3  # joints of the newest frame; with fewer the pose is NaN
+MIN_SEEN_JOINTS = 3  # core joints of the newest frame; fewer tell hardly anything of a pose, which is NaN then
 EPSILON = 1e-9  # guards divisions by sums of weights and logarithms of bone lengths
 SIZE_SMOOTHING_S = 0.25  # s, standard deviation of the Gaussian that averages the size of the bones over time
 BONE_SUM_PER_STATURE = 2.42  # 1, sum of all bone lengths over stature; mean of 46 people (2.33 to 2.49)
@@ -59,7 +59,8 @@ class LiftedPoses:
     Attributes:
         joints: (N, J, 3) joint positions relative to the mean of each pose's core, in the unit of the image
             points; NaN for frames with too few seen joints.
-        std: (N, J, 3) standard deviations of the coordinates in the same unit; x and y share one value.
+        std: (N, J, 3) standard deviations in the same unit, across the axis of the virtual camera that faces the
+            person (x and y, one value) and along it (z); they are not turned into the camera's axes.
     """
 
     joints: Array

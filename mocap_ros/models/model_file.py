@@ -203,8 +203,8 @@ def load_prior_lifter(name: str, skeleton: Skeleton) -> Lifter | None:
 
     Args:
         name: `learned` for the shipped lifter, `pca` for none, otherwise the path of a lifter.
-        skeleton: skeleton of the base poses. A lifter knows the joints of `skeleton.CMU15` only, so None is
-            returned for any other skeleton.
+        skeleton: skeleton of the base poses. The core of a lifter's poses are the joints of `skeleton.CMU15`, so
+            None is returned for base poses of any other skeleton.
 
     Raises:
         ModelError: The file cannot be read, or it is not a lifter.

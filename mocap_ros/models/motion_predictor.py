@@ -3,14 +3,16 @@
 At the times h_k ahead, the displacement d_0 of the root in the axes S of the line of sight, and those d_j of the
 joints about the root in the axes B of the body, come from a network of two hidden layers:
 
-    x = (V^T (q - m), f / 2, ln std, g, S^T B),    x' = (x - c) / s, within +-4
+    x = (V^T (q - m), f / 2, ln std, g, S^T B),    x' = (x - x_0) / x_s, within +-4
     (d_1, ..., d_J, d_0)(h_k) = W_2 a(W_1 a(W_0 x' + b_0) + b_1) + b_2,    a(t) = t / (1 + e^-t)
 
-    q     joints about the root in the axes of the body (forward, left, up), their velocities, and how they have
-          changed since each of the `PAST_S`; V and m are principal directions and mean
-    f     along each axis of the line of sight: velocity of the root, the ways that it has come within each of
-          the `PAST_S`, both also along the heading, mean velocity of the joints about the root, and the direction
-          of the heading; upwards the height of the joints over the root and a constant instead
+    q     joints about the root in the axes of the body (forward, left, up), their velocities times
+          `VELOCITY_WEIGHT`, and where they were at each of the `PAST_S` less where they are; V and m are principal
+          directions and mean
+    f     along each axis of the line of sight: velocity of the root, where it was at each of the `PAST_S` less
+          where it is, the velocity and the ways of `HEADING_PAST` along the heading, mean velocity of the joints
+          about the root, and the direction of the heading; the axis upwards has a constant in place of that
+          direction, and the mean height of the joints over the root besides
     g     what tells signal from tremble: accuracy of the pose, speed of the limbs, speed of the root
 
 The axes of the line of sight are horizontally away from the camera, to the left and up: depth trembles most, so a
@@ -45,17 +47,17 @@ from mocap_ros.skeleton import CMU15
 Array = NDArray[np.float64]
 
 PAST_S = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)  # s; times ago at which the motion is sampled
-HEADING_PAST = [1, 3, 5]  # of `PAST_S`: ways along the heading, which change slowly
+HEADING_PAST = [1, 3, 5]  # indices of `PAST_S`; ways along the heading, which change slowly
 PREDICTOR_NAME = 'predictor'  # name of the shipped file among the models
 VELOCITY_WEIGHT = 0.2  # s; of the joints' velocities among the features, so that they vary about as much as places
 ACCURACY_M = 0.04  # m; the first of the g is 0 for such a mean deviation of the joints; training has hardly better
 MAX_SPEED_M_S = 3.0  # m/s; speeds of the g are limited to that of a slow run, of which there is enough in training
 MEAN_SPEED_M_S = 0.5  # m/s; speed for which the second and third of the g are 0
-STD_RANGE_M = 0.005, 0.5  # m; of standard deviations of joints
+STD_RANGE_M = 0.005, 0.5  # m; range of the standard deviations of joints in training, to which they are limited
 ROOT_WEIGHT = 0.5  # s; of the features of the root among the inputs, so that they vary about as much as the others
 INPUT_LIMIT = 4.0  # standard deviations; there is next to nothing beyond in training
 MIRRORED = np.array([1.0, -1.0, 1.0])  # of axes ahead or away, to the left, and up
-LEAST_LENGTH = 1e-6  # 1; of a direction that is normalised
+LEAST_LENGTH = 1e-6  # 1 or m; guards the division by the length of a direction that is nearly vertical
 
 
 class Past(NamedTuple):
@@ -101,7 +103,7 @@ class Features(NamedTuple):
         root: (N, 3, F) of the root, along each axis of the line of sight.
         limbs: (N, D) of the joints about the root.
         gates: (N, 3) the g of the module.
-        std: (N, J) m, deviations of the joints, limited to what training has; unknown ones are usual.
+        std: (N, J) m, standard deviations of the joints, limited to `STD_RANGE_M`; `ACCURACY_M` where unknown.
         root_squares: (N, 4) 1 and the squares on which the variances of the root depend.
         limb_squares: (N, J, 4) the same of each joint.
     """
@@ -124,8 +126,8 @@ class MotionPredictor:
         times: (K,) s, the h_k, increasing.
         mean: (D,) m.
         directions: (D, Z) the V.
-        centre: (I,) the c.
-        scale: (I,) the s.
+        centre: (I,) the x_0.
+        scale: (I,) the x_s.
         weight_0: (I, H).
         bias_0: (H,).
         weight_1: (H, H).

@@ -114,7 +114,7 @@ def _round_weights(weights: Array32, kind: type[np.signedinteger[Any]]) -> tuple
 
 @kernel(INT(_INPUT32_2D, _INPUT32_1D, INTS_1D, _FLOATS32_2D))
 def _collect_used(inputs: Array32, scales: Array32, used: NDArray[np.int64], factors: Array32) -> int:
-    """Collect the inputs that are not 0 in both of two rows.
+    """Collect the inputs that are not 0 in at least one of two rows.
 
     Args:
         inputs: (2, I) inputs of a layer.

@@ -5,7 +5,7 @@ the body (forward, left, up), the corrected velocities are
 
     v_j + l_j limit(B (c_0 + c_j)),        l_j = min(1, L s_j / |limit(B (c_0 + c_j))|)
     (c_1, ..., c_J, c_0) = W_1 a(W_0 x' + b_0) + b_1,        a(t) = t / (1 + e^-t)
-    x = (u_j, m_kj - u_j, q_j, u_0, m_k0 - u_0, B^T e),      x' = (x - c) / s, within +-4
+    x = (u_j, m_kj - u_j, q_j, u_0, m_k0 - u_0, B^T e),      x' = (x - x_0) / x_s, within +-4
 
     u_0, u_j     B^T v_0, and B^T (v_j - v_0)
     m_k0, m_kj   mean velocities over each of the `SPANS_S` up to now, by the solution, of the root and of the
@@ -13,14 +13,14 @@ the body (forward, left, up), the corrected velocities are
     q_j          joint about the root, in these axes
     e            direction in which the root is seen, along which errors are largest
     s_j          the filter's standard deviation of v_j
+    L            `MAX_CORRECTION`
     limit        shortens the parts of a vector along and across the line of sight to those of the differences
                  from v_j of the mean velocities over 0.1 to 0.4 s, the largest of each
 
 The correction is the mean of what the network says of the person and of the mirror image. Where the mean
-velocities agree with the filter's, as of exact points of somebody who stands, or is moved without moving, nothing
-is corrected; with noise it is little.
-The network was also shown people who are moved otherwise than they move (`benchmarks/velocity_correction.py`,
-which trains it).
+velocities agree with the filter's, nothing is corrected, as with exact points of somebody who stands still or is
+carried without stepping; with noise, little is. The network was also shown people whose whole body moves otherwise
+than their limbs do, as on wheels or a treadmill (`benchmarks/velocity_correction.py`, which trains it).
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ class VelocityCorrection:
     """A network that was trained for this (formulas of the module); I inputs, H hidden units, J joints.
 
     Attributes:
-        centre: (I,) the c.
-        scale: (I,) the s.
+        centre: (I,) the x_0.
+        scale: (I,) the x_s.
         weight_0: (I, H).
         bias_0: (H,).
         weight_1: (H, 3 (J + 1)); the joints, then the root.

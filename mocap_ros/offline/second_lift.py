@@ -14,8 +14,9 @@ all frames. So the points are drawn to where the solution has them,
 
     r_tj <- SEEN_SHARE r_tj + (1 - SEEN_SHARE) r'_tj
 
-with the rays r of seen joints and r' of the solution's, in perspective, also of a solution in weak perspective.
-How the body is turned, the solution knows better, too. The new lifted poses P_t are turned as its poses Q_t are,
+with r the rays of the seen joints and r' those of the solution's joints, in perspective even where the solution is
+in weak perspective. The solution also knows better how the body is turned. So the new lifted poses P_t are turned
+as its poses Q_t are,
 
     P_tj <- R_t P_tj,    R_t = argmin_R sum_j |R P_tj - Q_tj|^2
 """
@@ -35,7 +36,7 @@ from mocap_ros.solvers.window import Reconstruction, Window
 
 Array = NDArray[np.float64]
 
-SEEN_SHARE = 0.3  # 1; with less, rare poses become too common, with more the noise of detectors stays
+SEEN_SHARE = 0.3  # 1; with less, unusual poses are drawn to usual ones; with more, the noise of detectors stays
 MIN_DEPTH_M = 0.1  # m; guards divisions, nobody is nearer to a camera
 UNEXPLAINED_MEDIANS = 4.0  # median errors; 4.7 standard deviations of a coordinate, if errors are Gaussian
 # m at the body; a smaller median error counts as this much, so that precise points are believed even where the

@@ -112,12 +112,13 @@ def reconstruct_sequence(
         intrinsics: intrinsics of the camera.
         model: base poses, or several by name. Of several, the most probable are chosen (`solvers.classification`);
             with a learned prior, those of all motions are used if present.
-        config: parameters of the solver; `min_score`, `undo_swaps`, `perspective`, `vertical` and `body_height` of
-            `tracker` apply.
+        config: parameters of the solver; `min_score`, `undo_swaps`, `perspective`, `vertical`, `body_height` and
+            `skeleton` of `tracker` apply.
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
-        InputError: No frame has four seen joints, or all seen points lie in one place.
+        InputError: No frame has four seen joints, all seen points lie in one place, or the times span more than
+            `observed_window.MAX_SPAN_S`.
         ModelError: The lifter that `solver.prior` names cannot be loaded.
         ConfigError: The vertical that `tracker.vertical` gives is no unit vector.
     """

@@ -13,7 +13,6 @@ import time
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -130,8 +129,7 @@ class LiveRun:
             while self._queue:
                 self._publish_result(self._queue.popleft(), self._pipeline.note_backlog())
             self._publish_and_record(self._reset_pipeline())
-            with suppress(RecordingError):  # it has been logged
-                self._recording.finish(self._recording.detach())
+            self._recording.close(MAX_FINISH_SECONDS)
 
     @property
     def recorder_state(self) -> str:

@@ -19,7 +19,7 @@ from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.throttled_log import Logger
-from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, build_skeleton_definition
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, LATCHED_TYPES, build_skeleton_definition
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
 
@@ -55,7 +55,7 @@ class LiveRecording:
         self._find_offered_qos = find_offered_qos
         self._recorder: BackgroundRecorder | None = None
         self._journal = Journal(names['journal'])
-        self._declared_inputs: set[str] = set()
+        self._declared_topics: set[str] = set()  # those that need more than a name and a type
         self._stalled_s = 0.0  # of the stall that has been logged
         self._finishing: list[BackgroundRecorder] = []  # of recordings that have ended, but are not finished yet
 
@@ -95,7 +95,7 @@ class LiveRecording:
             raise RecordingError(f'a recording to {self._recorder.folder} is already running')
         config = pipeline.config
         attachments = provenance_attachments(config, pipeline.models)
-        self._declared_inputs = set()
+        self._declared_topics = {self._names[topic] for topic in LATCHED_OUTPUTS}
         self._journal = Journal(self._names['journal'])
         self._stalled_s = 0.0
         first_records = self._make_first_records(pipeline, start_ns)
@@ -142,6 +142,18 @@ class LiveRecording:
         else:
             self._logger.info(f'the recording to {recorder.folder} is finished')
         return recorder.folder
+
+    def close(self, timeout_s: float) -> None:
+        """End the recording, and wait for it and for those before it to be finished; log how each of them ends.
+
+        Args:
+            timeout_s: Time after which the log says that the disk is slow; the waiting goes on.
+        """
+        with suppress(RecordingError):  # it has been logged
+            self.finish(self.detach(), timeout_s)
+        while self._finishing:
+            with suppress(RecordingError):  # likewise
+                self.finish(self._finishing.pop(0))
 
     def check(self) -> None:
         """Log what has become of the recording, and of those being finished, since the last call."""
@@ -193,20 +205,19 @@ class LiveRecording:
         """
         if self._recorder is None:
             return True
-        declared = self._declare_input(topic, msgtype)
-        records: list[RecordedMessage | Topic] = [*declared]
+        records: list[RecordedMessage | Topic] = [*self._declare_input(topic, msgtype)]
         records += self._journal.make_input_records(topic, msgtype, raw, times_ns, result.verdict, result.reason)
-        records += [self._make_output_record(output, published_ns) for output in result.outputs]
+        for output in result.outputs:
+            records += self._make_output_records(output, published_ns)
         if self._put(records, even_if_full=False):
             return True
         self._journal.mark_last_input_lost()
-        if declared:
-            self._declared_inputs.discard(topic)
+        self._declared_topics.difference_update(r.name for r in records if isinstance(r, Topic))
         return False
 
     def write_output(self, output: OutputMessage, published_ns: int) -> None:
         """Write an output that no input caused."""
-        self._put([self._make_output_record(output, published_ns)])
+        self._put(self._make_output_records(output, published_ns))
 
     def write_reset(self, now_ns: int) -> None:
         """Write that the tracker is reset."""
@@ -222,7 +233,7 @@ class LiveRecording:
         records: list[RecordedMessage | Topic] = [
             *(self._make_topic(self._names[t], msgtype, latched=True) for t, msgtype in LATCHED_OUTPUTS.items()),
             self._journal.make_parameters_record(values(pipeline.config), start_ns),
-            self._make_output_record(definition, start_ns),
+            *self._make_output_records(definition, start_ns),
         ]
         known: list[tuple[Source, str, bytes]] = []
         if pipeline.camera_info is not None:
@@ -241,9 +252,9 @@ class LiveRecording:
 
     def _declare_input(self, topic: str, msgtype: str) -> list[Topic]:
         """Return the topic of an input, with the QoS that its publishers offer, before its first message."""
-        if topic in self._declared_inputs:
+        if topic in self._declared_topics:
             return []
-        self._declared_inputs.add(topic)
+        self._declared_topics.add(topic)
         return [self._make_topic(topic, msgtype, qos=self._find_offered_qos(topic))]
 
     def _make_topic(
@@ -253,9 +264,14 @@ class LiveRecording:
         definition = self._versions.definitions.get(msgtype)
         return make_topic(name, msgtype, latched=latched, qos=qos, definition=definition)
 
-    def _make_output_record(self, output: OutputMessage, published_ns: int) -> RecordedMessage:
+    def _make_output_records(self, output: OutputMessage, published_ns: int) -> list[RecordedMessage | Topic]:
+        """Return the record of an output, after its topic if that is a latched one that has not been declared."""
         name = self._names.get(output.topic, output.topic)  # those of single bodies are not known beforehand
-        return RecordedMessage(name, output.type, output.data, published_ns, published_ns)
+        record = RecordedMessage(name, output.type, output.data, published_ns, published_ns)
+        if output.type not in LATCHED_TYPES or name in self._declared_topics:
+            return [record]
+        self._declared_topics.add(name)
+        return [self._make_topic(name, output.type, latched=True), record]
 
     def _put(self, records: Iterable[RecordedMessage | Topic], *, even_if_full: bool = True) -> bool:
         """Hand records to the recorder; if the recording has failed, log it and end the recording.

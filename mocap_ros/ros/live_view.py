@@ -19,7 +19,7 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from mocap_ros.config import NodeConfig
-from mocap_ros.errors import InputError
+from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.messages.input_types import KEYPOINT_TYPES, decode_frame
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.messages.skeletons import SKELETONS
@@ -104,9 +104,14 @@ class LiveView:
         types = {info.topic_type for info in self._node.get_publishers_info_by_topic(topic)}
         for kind in types & set(KEYPOINT_TYPES):
             self._has_keypoints = True
-            self._versions.add_input(kind)
+            try:
+                self._versions.add_input(kind)
+                message_class = load_interface_class(kind)
+            except ConfigError as error:
+                self._node.get_logger().warning(f'{topic}: {error}; skeletons are shown without the keypoints')
+                continue
             self._node.create_subscription(
-                load_interface_class(kind),
+                message_class,
                 topic,
                 lambda raw, kind=kind: self._take_keypoints(kind, raw),
                 KEYPOINTS_QOS,
@@ -124,16 +129,22 @@ class LiveView:
             del self._images[next(iter(self._images))]
 
     def _take_skeletons(self, raw: bytes, sent_ns: int) -> None:
-        """Draw the people of an image."""
+        """Draw the people of an image; leave out a message that cannot be read."""
         rows = SceneRows()
         rows.add_skeletons(self._versions.read(SKELETONS, raw))
         stamp_ns = rows.newest_ns
         frame = self._images.get(stamp_ns)
         if frame is not None:
             rows.add_keypoints_frame(frame)
+        try:
+            scene_frame = rows.build_frame()
+        except InputError:
+            return
+        if rows.faults:
+            return
         if self._first_ns is None:
             self._first_ns = stamp_ns
-        self._drawing.draw(rows.build_frame(), (stamp_ns - self._first_ns) / NS_PER_S)
+        self._drawing.draw(scene_frame, (stamp_ns - self._first_ns) / NS_PER_S)
         self.frame_count += 1
         self.delays_s.append((time.time_ns() - sent_ns) / NS_PER_S)
 

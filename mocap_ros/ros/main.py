@@ -33,7 +33,7 @@ def run_node(name: str, help_module: str, node_module: str, args: Sequence[str] 
     """
     try:
         return _run(name, help_module, node_module, sys.argv[1:] if args is None else args)
-    except KeyboardInterrupt:  # SIGINT arrived before the node had installed its signal handler
+    except KeyboardInterrupt:  # SIGINT before the node has its handler, or a signal during the compilation
         return 0
 
 

@@ -12,10 +12,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from mocap_ros.bags.rosbag2 import TypeDefinition
+from mocap_ros.config import format_value
 from mocap_ros.errors import ConfigError
 from mocap_ros.messages.cdr import OutputMessage, typestore
 from mocap_ros.messages.versions import Convert, VersionConverter, convert_or_keep
 
+TYPE_NAME = re.compile(r'[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*', re.ASCII)
 # Names of basic types in .msg files, where rclpy's names of the same types differ.
 MSG_FILE_NAMES = {'boolean': 'bool', 'octet': 'byte', 'float': 'float32', 'double': 'float64'}
 
@@ -26,6 +28,8 @@ def load_interface_class(kind: str) -> Any:
     Raises:
         ConfigError: The package of the type is not installed or does not contain the type.
     """
+    if not TYPE_NAME.fullmatch(kind):  # names in bags are anybody's, and the import below runs a module
+        raise ConfigError(f'{format_value(kind)} is not the name of a type')
     module, _, name = kind.rpartition('/')
     try:
         return getattr(import_module(module.replace('/', '.')), name)

@@ -238,6 +238,8 @@ class MocapNode(LifecycleNode):
         except RecordingError as error:
             if request.data:
                 self.get_logger().error(f'{error}; the service ~/record did not start a recording')
+            else:  # the recording has ended nevertheless, and the next activation must not start another one
+                self.set_parameters([RosParameter(RECORDING_PARAMETER, value=False)])
             response.message = str(error)
             return response
         response.success = folder is not None

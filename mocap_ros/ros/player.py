@@ -75,6 +75,11 @@ class Player:
         self.published_count = 0
         self.skipped_topics: list[str] = []
 
+    @property
+    def published_topics(self) -> list[str]:
+        """Names of the topics on which messages are published, once `play` has begun."""
+        return [self._playback.topics[index].name for index in self._publishers]
+
     def play(
         self,
         progress: ProgressWrapper = lambda messages, _: messages,

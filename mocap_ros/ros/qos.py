@@ -18,7 +18,7 @@ from rosbags.interfaces import Qos
 
 QUEUE_DEPTH = 10  # messages; the default of ROS 2; waiting messages are queued in the node, not in the middleware
 # Messages of an input that may wait in the middleware while the thread that takes them has no turn: 0.25 s at
-# 200 Hz, by which they age. The node takes all of them at once, and counts those that did not fit.
+# 200 Hz, the greatest delay that this adds. The node takes all at once, and counts those that did not fit.
 INPUT_QUEUE_DEPTH = 50
 TF_QUEUE_DEPTH = 100  # messages; the depth that tf2_ros uses on /tf
 PLAYBACK_QUEUE_DEPTH = 1000  # messages; lets a slow reliable subscriber catch up when a bag is played fast

@@ -31,7 +31,9 @@ ProgressWrapper = Callable[[Iterable[Any], int], Iterable[Any]]
 class _BagReader:
     """Collects skeletons, keypoints and drops of a bag."""
 
-    def __init__(self, bag: Bag, limits: NodeConfig, person: str | None, topic: str | None) -> None:
+    def __init__(
+        self, bag: Bag, limits: NodeConfig, person: str | None, topic: str | None, camera_info: str | None
+    ) -> None:
         self._bag = bag
         skeletons = bag.topics_of_type([SKELETONS])
         if len(skeletons) != 1:
@@ -44,9 +46,11 @@ class _BagReader:
         with suppress(InputError):  # without keypoints the skeletons are drawn nevertheless
             self._sources = find_people_topics(bag, topic)
             self._node = replace(self._node, input_type=find_people_type(bag, self._sources))
-            self.camera = find_camera(bag, next(iter(self._sources)), self._node)
+            self.camera = find_camera(bag, next(iter(self._sources)), self._node, camera_info)
         if topic is not None and not self._sources:
             find_people_topics(bag, topic)  # raises the error
+        if camera_info is not None and self.camera is None:
+            bag.find_camera_info_topic('', camera_info)  # likewise
         self._size = resolve_image_size(
             camera=self.camera.size if self.camera else None,
             configured=(self._node.image_width, self._node.image_height),
@@ -63,6 +67,8 @@ class _BagReader:
                 self._read_journal(message)
             else:
                 self.rows.add_skeletons(message.raw)
+        for frame in self._assembler.flush(self._size):
+            self.rows.add_keypoints_frame(frame)
 
     def _read_keypoints(self, message: BagMessage) -> None:
         if message.type == KEYPOINTS:
@@ -87,7 +93,12 @@ class _BagReader:
 
 
 def load_bag_scene(
-    path: Path, limits: NodeConfig, person: str | None, topic: str | None, progress: ProgressWrapper
+    path: Path,
+    limits: NodeConfig,
+    person: str | None,
+    topic: str | None,
+    camera_info: str | None,
+    progress: ProgressWrapper,
 ) -> tuple[Scene, list[str]]:
     """Load the scene of a bag that holds skeletons.
 
@@ -96,6 +107,7 @@ def load_bag_scene(
         limits: limits on the content of a message of keypoints.
         person: id of the only person to show; None for all.
         topic: topic of the keypoints; None for the only one.
+        camera_info: topic of the CameraInfo; None for the one that belongs to the keypoints.
         progress: function that shows progress.
 
     Returns:
@@ -106,7 +118,7 @@ def load_bag_scene(
     """
     with Bag(path) as bag:
         try:
-            reader = _BagReader(bag, limits, person, topic)
+            reader = _BagReader(bag, limits, person, topic, camera_info)
             reader.read(progress)
         except InputError as error:
             prefix = '' if str(error).startswith(str(path)) else f'{path}: '

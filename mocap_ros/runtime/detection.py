@@ -76,7 +76,7 @@ def detect_in_video(
                 people.append(detect_people(detector, image, time_s))
                 stamps_ns.append(round(time_s * NS_PER_S))
         except ModelError as error:
-            raise ModelError(f'{model}: {error}') from None
+            raise ModelError(f'{model or detector.name}: {error}') from None
         finally:
             images.close()
             detector.close()

@@ -38,6 +38,7 @@ def load_input(
     limits: NodeConfig,
     person: str | None = None,
     topic: str | None = None,
+    camera_info: str | None = None,
     show_progress: ShowProgress = lambda images, _: images,
 ) -> tuple[KeypointSequence, list[str]]:
     """Load one person from a sequence file, a bag, OpenPose files, a JSON file of COCO keypoints or a video.
@@ -48,6 +49,7 @@ def load_input(
         limits: Limits on people, joints and text in a message of a bag, and the image size of a bag without one.
         person: Id of the person; by default the person who is seen in most frames.
         topic: Topic of the keypoints; needed only for a bag with several.
+        camera_info: Topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
         show_progress: Function that shows the progress of a detector on a video.
 
     Returns:
@@ -58,15 +60,15 @@ def load_input(
     """
     kind = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS)
     if kind is InputKind.SEQUENCE:
-        if person or topic or video != Video():
+        if person or topic or camera_info or video != Video():
             raise InputError(
-                f'{path}: --person, --topic, --fps, --image-size, --layout and --detector do not apply to a '
-                'sequence file'
+                f'{path}: --person, --topic, --camera-info, --fps, --image-size, --layout and --detector do not '
+                'apply to a sequence file'
             )
         sequence = load_sequence(path)
         lines: list[str] = []
     else:
-        detections = load_detections(path, kind, video, limits, topic, show_progress)
+        detections = load_detections(path, kind, video, limits, topic, camera_info, show_progress)
         try:
             sequence, lines = select_person(detections, person)
             _check_image_size(sequence, video.image_size)
@@ -82,6 +84,7 @@ def load_people(
     video: Video,
     limits: NodeConfig,
     topic: str | None = None,
+    camera_info: str | None = None,
     show_progress: ShowProgress = lambda images, _: images,
 ) -> tuple[list[KeypointSequence], list[str]]:
     """Load all people from a file that may hold several.
@@ -98,7 +101,7 @@ def load_people(
     kind = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS)
     if kind is InputKind.SEQUENCE:
         raise InputError(f'{path}: a sequence file holds one person; --all-people does not apply')
-    detections = load_detections(path, kind, video, limits, topic, show_progress)
+    detections = load_detections(path, kind, video, limits, topic, camera_info, show_progress)
     tracks = associate_people(detections)
     long_tracks = [track for track in tracks if len(track.detection_by_frame) >= MIN_FRAMES]
     try:
@@ -120,16 +123,19 @@ def load_detections(
     video: Video,
     limits: NodeConfig,
     topic: str | None = None,
+    camera_info: str | None = None,
     show_progress: ShowProgress = lambda images, _: images,
 ) -> Detections:
     """Load all people from an input of a kind that may hold several; see `load_input`."""
     if video.detector and kind is not InputKind.VIDEO:
         raise InputError(f'{path}: --detector applies to a video only')
     if kind is InputKind.BAG:
-        return load_bag(path, limits, topic)
+        return load_bag(path, limits, topic, camera_info)
     if kind is InputKind.VIDEO:
-        if topic or replace(video, detector=None) != Video():
-            raise InputError(f'{path}: --topic, --fps, --image-size and --layout do not apply to a video')
+        if topic or camera_info or replace(video, detector=None) != Video():
+            raise InputError(
+                f'{path}: --topic, --camera-info, --fps, --image-size and --layout do not apply to a video'
+            )
         return detect_in_video(path, video.detector, show_progress=show_progress)
     return load_openpose(path, video) if kind is InputKind.OPENPOSE else load_coco(path, video)
 
@@ -165,16 +171,20 @@ def load_sequence_file(path: str | Path) -> KeypointSequence:
     return load_sequence(path)
 
 
-def load_bag(path: Path, limits: NodeConfig, topic: str | None = None) -> Detections:
+def load_bag(
+    path: Path, limits: NodeConfig, topic: str | None = None, camera_info: str | None = None
+) -> Detections:
     """Load all people from the keypoint messages of a bag; skip and count the messages that cannot be used.
 
-    The accepted messages are those that `replay` accepts, with three differences: the stamps may come in any
-    order, the first CameraInfo applies to the whole bag, and all images have the size that most of them state.
+    The accepted messages are those that `replay` accepts, with these differences: the stamps may come in any
+    order, the first CameraInfo applies to the whole bag, all images have the size that most of them state, only
+    images of the camera (`frame_id`) of the first image count, and images that the recorded run skipped count too.
 
     Args:
         path: The bag.
         limits: Limits on people, joints and text in a message, and the image size if nothing else states it.
         topic: Topic of the keypoints; needed only for a bag with several.
+        camera_info: Topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
 
     Raises:
         InputError: The path is no bag, or the bag has no keypoints that can be used; the error names the first
@@ -183,7 +193,7 @@ def load_bag(path: Path, limits: NodeConfig, topic: str | None = None) -> Detect
     with Bag(path) as bag:
         topics = find_people_topics(bag, topic)
         node = replace(limits, input_type=find_people_type(bag, topics))
-        camera = find_camera(bag, next(iter(topics)), node)
+        camera = find_camera(bag, next(iter(topics)), node, camera_info)
         camera_size, configured = camera.size if camera else None, (node.image_width, node.image_height)
         size = resolve_image_size(camera=camera_size, configured=configured)
         frames, skipped_count, first_reason = _decode_frames(bag, topics, node, camera, size)
@@ -231,14 +241,15 @@ def _decode_frames(
     """
     frames: dict[int, KeypointsFrame] = {}
     assembler = FrameAssembler()
-    skipped_count, first_reason = 0, ''
+    skipped_count, first_reason, camera_name = 0, '', ''
 
     def add_message(message: BagMessage) -> str:
         """Add the images that a message completes; return why the message cannot be used, or an empty string."""
+        nonlocal camera_name
         try:
             for frame in assembler.assemble(topics[message.topic], message.raw, message.topic, node, size, inf):
-                if camera is not None:
-                    check_image_size(frame, camera)
+                camera_name = camera_name or frame.header.frame_id
+                _check_camera(frame, camera, camera_name)
                 stamp_ns = frame.header.stamp_ns
                 if frames.setdefault(stamp_ns, frame) is not frame:
                     return 'its stamp is that of an earlier message' if stamp_ns else MISSING_STAMP
@@ -259,9 +270,33 @@ def _decode_frames(
     return frames, skipped_count, first_reason
 
 
-def find_camera(bag: Bag, keypoints_topic: str, node: NodeConfig) -> CameraInfo | None:
-    """Return the first usable CameraInfo that belongs to a topic of keypoints, or None if there is none."""
-    topic = bag.find_camera_info_topic(keypoints_topic)
+def _check_camera(frame: KeypointsFrame, camera: CameraInfo | None, name: str) -> None:
+    """Refuse an image of another camera than `name`, or of another size than that of the CameraInfo.
+
+    Raises:
+        InputError: It is one.
+    """
+    if frame.header.frame_id not in ('', name):
+        raise InputError(f'header.frame_id: {frame.header.frame_id!r}, but the images before are of {name!r}')
+    if camera is not None:
+        check_image_size(frame, camera)
+
+
+def find_camera(
+    bag: Bag, keypoints_topic: str, node: NodeConfig, camera_info: str | None = None
+) -> CameraInfo | None:
+    """Return the first usable CameraInfo that belongs to a topic of keypoints, or None if there is none.
+
+    Args:
+        bag: The bag.
+        keypoints_topic: Topic of the keypoints.
+        node: How the keypoints were found in the image.
+        camera_info: Topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
+
+    Raises:
+        InputError: There is no such topic, or several topics share equally much of the namespace.
+    """
+    topic = bag.find_camera_info_topic(keypoints_topic, camera_info)
     for message in bag.messages([topic] if topic else []):
         with suppress(InputError):
             return decode_camera_info(message.raw, rectified=node.rectified_input)

@@ -64,6 +64,7 @@ class SceneOptions:
         video: frame rate, image size and keypoint layout of JSON files; the detector of a video.
         person: id of the only person to show; None for all.
         topic: topic of the keypoints in a bag; None for the only one.
+        camera_info: topic of the CameraInfo in a bag; None for the one that belongs to the keypoints.
         show_detection: function that shows the progress of a detector on a video.
     """
 
@@ -72,6 +73,7 @@ class SceneOptions:
     video: Video = field(default_factory=Video)
     person: str | None = None
     topic: str | None = None
+    camera_info: str | None = None
     show_detection: ShowProgress = lambda images, _: images
 
 
@@ -101,13 +103,22 @@ def load_scene(
     if kind is InputKind.RESULT:
         return _load_result_scene(path, options), []
     if is_result:
-        return load_bag_scene(path, options.config.node, options.person, options.topic, progress)
+        topics = options.topic, options.camera_info
+        return load_bag_scene(path, options.config.node, options.person, *topics, progress)
     try:
         if kind is InputKind.SEQUENCE:
-            sequence, lines = load_input(path, options.video, options.config.node, options.person, options.topic)
+            sequence, lines = load_input(
+                path, options.video, options.config.node, options.person, options.topic, options.camera_info
+            )
             return _reconstruct_sequences(path.name, [sequence], options, progress), lines
         detections = load_detections(
-            path, kind, options.video, options.config.node, options.topic, options.show_detection
+            path,
+            kind,
+            options.video,
+            options.config.node,
+            options.topic,
+            options.camera_info,
+            options.show_detection,
         )
         sequences, lines = _select_people(detections, options.person)
         scene = _reconstruct_sequences(path.name, sequences, options, progress)

@@ -18,7 +18,7 @@ from mocap_ros.messages.foreign.definitions import COLLISION_OBJECT, DETECTIONS_
 from mocap_ros.messages.marker_writer import MARKERS, MarkerSeries
 from mocap_ros.messages.markers import MarkerEncoder
 from mocap_ros.messages.point_cloud import POINTS, encode_points
-from mocap_ros.messages.robots.bodies import TRACKED, BodiesEncoder, BodyNames
+from mocap_ros.messages.robots.bodies import DESCRIPTION, TRACKED, BodiesEncoder, BodyNames
 from mocap_ros.messages.robots.capsules import CAPSULES, encode_capsules
 from mocap_ros.messages.robots.collision_objects import CollisionObjectEncoder
 from mocap_ros.messages.robots.detections import encode_detections
@@ -79,6 +79,8 @@ SWITCHED_OUTPUTS = {
 }
 # Message type of the output that is published once and kept for late subscribers, by relative topic name.
 LATCHED_OUTPUTS = {'skeleton_definition': SKELETON_DEFINITION}
+# Types of all latched outputs; those of single bodies have topics that are not known beforehand.
+LATCHED_TYPES = frozenset({*LATCHED_OUTPUTS.values(), DESCRIPTION})
 
 
 def list_switched_outputs(node: NodeConfig) -> dict[str, str]:
@@ -134,7 +136,7 @@ class OutputEncoder:
         numbers, lifetime = self._markers.numbers, node.marker_lifetime
         names = (self._body_names if node.publish_bodies else self._frame_names).assign([p.id for p in certain])
         ahead = [PredictedFrame(time_s, camera.place_predicted(then, time_s)) for time_s, then in predicted]
-        here = CameraPlacement(header.frame_id)  # of those, who are placed already
+        here = CameraPlacement(header.frame_id)  # leaves the people of `ahead`, who are in this frame, as they are
         for field, output in SWITCHED_OUTPUTS.items():
             if not getattr(node, field):
                 continue

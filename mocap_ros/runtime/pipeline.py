@@ -248,7 +248,7 @@ class Pipeline:
 
     @property
     def swapped_frames(self) -> int:
-        """Number of detections so far whose swapped left and right labels were corrected."""
+        """Number of detections so far whose left and right were swapped back."""
         return self._swapped_before + self._tracker.swapped_frames
 
     @property
@@ -267,11 +267,14 @@ class Pipeline:
         try:
             frames = self._decode_frames(source, raw, topic)
         except Exception as error:
-            results = [_reject(error)]
+            has_image, results = source in PEOPLE_SOURCES, [_reject(error)]
         else:
+            has_image = bool(frames)
             results = [self._process_frame(frame) for frame in frames] or [ProcessingResult(Verdict.ACCEPTED)]
         result = _merge_results(results)
         self._count(source, result)
+        if has_image:
+            self._count_errors(result)
         return result
 
     def run_deferred_work(self) -> str:
@@ -433,10 +436,7 @@ class Pipeline:
         return '' if is_known else remark
 
     def _count(self, source: Source, result: ProcessingResult) -> None:
-        """Count an input by its result; reset the tracker after `MAX_CONSECUTIVE_ERRORS` internal errors."""
-        self._consecutive_errors = self._consecutive_errors + 1 if result.error_traceback else 0
-        if self._consecutive_errors == MAX_CONSECUTIVE_ERRORS:
-            self._tracker.reset()
+        """Count an input by its result."""
         if result.error_traceback:
             self.counters.dropped['internal error'] += 1
         elif result.verdict is Verdict.DROPPED:
@@ -445,6 +445,12 @@ class Pipeline:
             self.counters.invalid += 1
         elif source in PEOPLE_SOURCES:
             self.counters.accepted += 1
+
+    def _count_errors(self, result: ProcessingResult) -> None:
+        """Reset the tracker after internal errors at `MAX_CONSECUTIVE_ERRORS` successive images."""
+        self._consecutive_errors = self._consecutive_errors + 1 if result.error_traceback else 0
+        if self._consecutive_errors == MAX_CONSECUTIVE_ERRORS:
+            self._tracker.reset()
 
     def set_camera_info(self, raw: bytes) -> None:
         """Use a sensor_msgs/CameraInfo for all following images.

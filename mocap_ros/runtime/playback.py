@@ -59,6 +59,7 @@ class Playback:
         topic: Topic of the keypoints; needed only for a bag with several.
         to: Topic on which to publish the keypoints; the topics of ROS4HRI keep their recorded names.
         everything: Whether to publish every topic of a bag instead, each on its recorded name.
+        camera_info: Topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
 
     Attributes:
         topics: The topics to publish.
@@ -69,7 +70,12 @@ class Playback:
     """
 
     def __init__(
-        self, path: Path, topic: str | None = None, to: str = 'keypoints', everything: bool = False
+        self,
+        path: Path,
+        topic: str | None = None,
+        to: str = 'keypoints',
+        everything: bool = False,
+        camera_info: str | None = None,
     ) -> None:
         self._path = path
         self._is_sequence = path.suffix == '.npz'
@@ -84,9 +90,8 @@ class Playback:
             else:
                 sources = find_people_topics(bag, topic)
                 published_names = {t: to if source is Source.KEYPOINTS else t for t, source in sources.items()}
-                camera_info = bag.find_camera_info_topic(next(iter(published_names)))
-                if camera_info:
-                    published_names[camera_info] = CAMERA_INFO_TOPIC
+                if found := bag.find_camera_info_topic(next(iter(published_names)), camera_info):
+                    published_names[found] = CAMERA_INFO_TOPIC
             self.topics = [
                 PlayedTopic(published, bag.topics[recorded], bag.qos[recorded], recorded)
                 for recorded, published in published_names.items()

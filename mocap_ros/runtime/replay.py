@@ -25,7 +25,7 @@ from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.models.model_file import AUTO, PRIORS, list_shipped_base_poses
 from mocap_ros.runtime.appearances import Appearance, AppearanceLog
-from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, build_skeleton_definition
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, LATCHED_TYPES, build_skeleton_definition
 from mocap_ros.runtime.parts import Part
 from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult, leave_out_numbers
 from mocap_ros.runtime.provenance import provenance_attachments
@@ -222,7 +222,7 @@ class _Replay:
             self._write(output, now_ns)
         if result.outputs:
             self._appearances.add(result.outputs[-1].stamp_ns, self._pipeline.people)
-        place = f'{self._bag.path}: {message.topic}: message {number}: {reason}'
+        place = f'{self._bag.path}: {message.topic}: input {number} of the bag: {reason}'
         if verdict is not Verdict.ACCEPTED:
             self._first_rejection = self._first_rejection or place
         elif reason:
@@ -231,7 +231,10 @@ class _Replay:
             self._tracebacks.setdefault(reason, result.error_traceback)
 
     def _write(self, output: OutputMessage, now_ns: int) -> None:
-        self._recorder.write('/' + output.topic.lstrip('/'), output.type, output.data, now_ns, now_ns)
+        topic = '/' + output.topic.lstrip('/')
+        if output.type in LATCHED_TYPES:
+            self._recorder.declare_topic(topic, output.type, latched=True)
+        self._recorder.write(topic, output.type, output.data, now_ns, now_ns)
 
 
 def read_recorded_config(bag: Bag, changes: Mapping[str, Value]) -> Config:

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.bags.recorder import Recorder
+from mocap_ros.bags.recorder import RECOVERY_HINT, Recorder
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.formats.detections import Detections
@@ -65,7 +65,7 @@ def save(path: Path, reconstruction: ReconstructedSequence) -> None:
     Raises:
         InputError: The frames are too far apart in time for a format with a constant frame rate.
         RecordingError: A bag cannot be written.
-        OSError: A file of another format cannot be written.
+        OSError: A file of another format, or a temporary folder beside the bag, cannot be written.
     """
     WRITERS[find_suffix(path)](path, reconstruction)
 
@@ -139,7 +139,8 @@ def _record_file(path: Path) -> Iterator[Recorder]:
             with Recorder(bag, ONE_FILE, name=path.stem) as recorder:
                 yield recorder
         except RecordingError as error:
-            raise RecordingError(f'{path}: {str(error).rpartition(": ")[2]}') from None
+            reason = str(error).rpartition(': ')[2].partition(RECOVERY_HINT)[0]  # the folder does not remain
+            raise RecordingError(f'{path}: {reason}') from None
         (file,) = bag.glob('*.mcap')
         file.replace(path)
 

@@ -363,7 +363,8 @@ class SceneRows:
         self._bytes += numbers.add(stamps[kept], places[kept], *(column[kept] for column in columns))
         while self._bytes > self._max_bytes and self.stride < MAX_STRIDE:
             if self.stride == 1:
-                self._cell_ns = max(int(np.median(np.diff(self._list_stamps()))), 1)
+                steps_ns = np.diff(self._list_stamps())  # none where all stamps are equal
+                self._cell_ns = max(int(np.median(steps_ns)), 1) if len(steps_ns) else 1
             self.stride *= 2
             everything = [*self._people.values(), *self._detections.values()]
             self._bytes = sum(each.thin(self._choose) for each in everything)

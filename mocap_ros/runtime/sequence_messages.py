@@ -17,7 +17,7 @@ class EncodedFrame(NamedTuple):
 
     Attributes:
         stamp_ns: Stamp of the frame in ns, on the clock of the sequence.
-        raw: Mocap_ros_msgs/Keypoints2DArray as CDR.
+        raw: The frame as mocap_ros_msgs/Keypoints2DArray in CDR.
     """
 
     stamp_ns: int

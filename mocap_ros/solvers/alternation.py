@@ -5,7 +5,7 @@ This module is the readable reference with which the tests compare the faster jo
     sum_tj w_tj |M_t P_tj + t_t - x_tj|^2 / s0^2        reprojection error (eq. 9), m^2 at the body
   + beta   sum_tb (length_tb - mean_b)^2                bone lengths are constant over time (eq. 19 and 20)
   + lambda sum_tl (theta_tl / sigma_l)^2                Gaussian prior of the base poses (not in the paper)
-  + gamma  sum_t  |M_t - M_(t-1)|_F^2 / dt_t            flip regulariser (eq. 12)
+  + gamma  sum_t  |M_t - M_(t-1)|_F^2 / (s0^2 dt_t)     flip regulariser (eq. 12)
 
 over the cameras M_t = s_t R_t[:2] and the weights theta_t, where P_tj = Q_0j + sum_l theta_tl Q_lj (eq. 1), s0 is
 the median initial scale, and the translations t_t are eliminated: image and projection are both relative to their

@@ -142,8 +142,9 @@ class DampedSolution(NamedTuple):
 
     Attributes:
         solution: (F, n).
-        last_inverse: (P, n, n) inverse of the last diagonal block of L of each person, that of the Cholesky factor
-            of the marginal distribution of the last unknowns, with the low-rank part left out.
+        last_inverse: (P, n, n) inverse X of the last diagonal block of L of each person. X^T X is the last
+            diagonal block of B^-1: the covariance of the last frame's unknowns, damped and without the low-rank
+            part.
     """
 
     solution: Array

@@ -13,7 +13,7 @@ Up and left determine a segment's axes:
     segment                 up                                         left
     pelvis                  shoulders' middle - hips' middle           lhip - rhip
     torso                   neck - pelvis                              lshoulder - rshoulder
-    head                    head - neck, then turned by `REST`         y of the torso
+    head                    head - neck, then turned by `HEAD_REST`    y of the torso
     arm, thigh              from the lower to the upper joint          v
     forearm, shank          from the lower to the upper joint          y of the arm, y of the thigh
     hand, foot              the forearm and the shank turned by `REST`

@@ -230,7 +230,7 @@ def _compare_movements(result: PeriodicReconstruction, estimated: EstimatedPoses
 
 
 def measure_tremble(times: Array, images: Array) -> float:
-    """Return how much joints tremble in the image (w of the module), in m; 0 if there are too few frames a second.
+    """Return how much joints tremble in the image (w of the module), in m; 0 if frames are too few or too sparse.
 
     Args:
         times: (F,) s, increasing.

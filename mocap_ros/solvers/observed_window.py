@@ -228,7 +228,7 @@ def observe_sequence(
     skeleton: Skeleton = CMU15,
     find_shots: ShotFinder | None = None,
 ) -> ObservedWindow:
-    """Map a sequence's keypoints to the model's joints, put left and right right, and face the person.
+    """Map a sequence's keypoints to the model's joints, undo swaps of left and right, and face the person.
 
     A frame with all its points in one place, of four or more seen joints, counts as not seen.
 

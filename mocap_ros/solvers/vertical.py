@@ -9,9 +9,9 @@ weights that fade:
     v_t = normalise(sum_i k_i u_i),    k_i = exp(-|t - t_i| / T) dt_i / (1 + (angle(u_i, v) / A)^2)
     s_v = min(S sqrt(C / sum_i k_i), MAX_STD_DEG)
 
-with dt_i the time to the next frame; live, over the frames before t alone. Directions of one person within C are
-much the same, so that s_v is the standard deviation of as many means as the people have been seen for multiples
-of C.
+with dt_i the time to the next frame; live, the sums are over the frames before t alone. Directions of one person
+within the time C have nearly the same error, so sum_i k_i / C counts the independent ones, and s_v is the standard
+deviation of their mean.
 
 Each lifted pose y is then turned about the horizontal axis of its virtual camera, as the probabilities demand:
 

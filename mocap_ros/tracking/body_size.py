@@ -49,8 +49,8 @@ Array = NDArray[np.float64]
 FOCAL_SHARE = 0.2  # 1; usual focal lengths are 0.8 to 1.2 image widths, and the nominal one is 1 image width
 POSE_SHARE = 0.04  # 1; s_pose, measured on training persons of known height seen by four detectors
 KNOWN_HEIGHT_STD_M = 0.02  # m; of a height that somebody stated, shoes and posture included
-HEIGHT_RANGE_M = 0.3, 2.6  # of body heights, as of `tracker.body_height`
-ANKLE_SHARE = 0.042  # of the body height; f, 0.03 to 0.055 in motion capture, more in a walk
+HEIGHT_RANGE_M = 0.3, 2.6  # m; range of body heights, as of `tracker.body_height`
+ANKLE_SHARE = 0.042  # 1; f, share of the body height: 0.03 to 0.055 in motion capture, more in a walk
 NOISE_M = 0.04  # m; F, of an ankle's height over the floor from image noise and heels that rise
 GROUND_M = 0.04  # m; G, by which ankles, shoes and carpets differ, and detectors put ankles elsewhere
 FLOOR_FACTOR = 1.7  # 1; Q, so that 95 of 100 roots of training persons are within the ellipsoids
@@ -58,7 +58,7 @@ TILT_RAD = 0.005  # rad; T, 0.3 degrees: of a camera that was calibrated to its 
 CORRELATION_S = 0.5  # s; C, as long as a step lasts
 MAX_RISE_M_S = 0.3  # m/s; of a foot that stands; depth trembles, and lets standing feet rise and sink a little
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
-SIZE_RANGE = math.log(0.4), math.log(1.25)  # of ln r: from children of 0.7 m to adults of 2.1 m
+SIZE_RANGE = math.log(0.4), math.log(1.25)  # 1; range of ln r: from children of 0.7 m to adults of 2.1 m
 MIN_DROP_SHARE = 0.1  # of the camera's height; a foot that seems higher than this below the camera tells nothing
 MAX_REMEMBERED = 200  # people whose size is remembered, the newest; bounds the memory
 ANKLES = CMU15.index('lankle'), CMU15.index('rankle')
@@ -86,7 +86,7 @@ class FloorContact:
     """What feet on the floor have told of a person's size; it is immutable, and `advance` returns a new one.
 
     Attributes:
-        mean: m, mean of ln r.
+        mean: 1, the m of the module: mean of ln r.
         seconds: s, for how long feet were seen on the floor, frames that are discounted counting less.
         noise: s_noise of the newest frame.
         floor_std: s_floor of the newest frame.

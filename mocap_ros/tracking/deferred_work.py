@@ -6,8 +6,9 @@ does the same slices after the same frames as the live node.
 
 One piece of work is done at a time. It is about one person, and about this person's track as it was when the work
 began. What it finds is taken over when its last slice is done, some frames later (`take_over`). It ends without a
-result, and is due again, if meanwhile the person was forgotten, the camera changed, left and right of an earlier
-frame were exchanged, or the image noise rose so much that all models are tried again.
+result if meanwhile the person was forgotten, the camera changed, or left and right of an earlier frame were
+exchanged; a check also does if the image noise rose so much that all models are tried again. It is due again if
+the person is still there.
 
 The next piece is the one that is latest in proportion to its interval. So a new person, whose checks are due every
 0.1 s, comes before those who are checked every few seconds. Nobody is passed over for ever: whoever waits gets

@@ -120,7 +120,8 @@ class CheckOutcome:
         solution: solution of the track from now on; its own if that is the likeliest.
         is_replaced: whether a hypothesis replaced the track's own solution.
         model_names: names of the models of the hypotheses that were compared, the track's own last.
-        minus_twice_log_evidence: value of each of these, up to a constant and without `EVIDENCE_MARGIN`.
+        minus_twice_log_evidence: value of each of these, up to a constant and without `EVIDENCE_MARGIN`; empty
+            where leading priors were compared.
     """
 
     solution: TrackSolution

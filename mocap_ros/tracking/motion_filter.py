@@ -12,7 +12,7 @@ new position pulls it by gains that give the filter the poles e^((-zeta +- i sqr
 
     x' = x + (1 - e^(-b h)) v / b,        v' = e^(-b h) v,                    rho = e^(-zeta omega h)
     x <- x' + (1 - rho^2) (z - x'),       v <- v' + beta / h (z - x'),
-    beta = 1 + rho^2 - 2 rho cos(sqrt(1 - zeta^2) omega h)
+    beta = 1 + rho^2 - 2 rho cos(min(sqrt(1 - zeta^2) omega h, pi / 2))
 
 Fast limbs need a stiff spring, for they soon turn round; where little trembles, a stiff one costs nothing. Where
 the costs of delay and of tremble balance, the stiffness is a product of powers of both:
@@ -28,7 +28,7 @@ The joints about the body's centre are filtered apart from the centre, which mov
 in depth. The coordinates of a joint share one w, and those of the centre have one each. The variance of a
 coordinate of v is
 
-    (f_w w omega)^2 + (f_s s)^2 + f_0^2
+    (f_w w omega)^2 + f_s^2 (s^2 + s_0^2) + f_0^2
 
 for tremble and for motion that is not seen or followed, which is much in depth.
 """
@@ -51,10 +51,10 @@ Array = NDArray[np.float64]
 # The constants of joints and the powers were chosen together on 53 trials of persons of the training data, with
 # clean points and as three detectors give them: least errors of acceleration for 0.1 to 0.6 mm of the positions.
 # `JOINT_STIFFNESS` and `TREMBLE_POWER` were set last, with other persons in sight (docs/tracker.md).
-JOINT_STIFFNESS = 40.0  # rad/s; Omega of joints
+JOINT_STIFFNESS = 40.0  # rad/s at 1 m/s and w = w_0; Omega of joints
 JOINT_DAMPING = 0.5  # 1; zeta of joints
 JOINT_FADE_PER_S = 6.4  # 1/s; b of joints: limbs swing to and fro
-CENTRE_STIFFNESS = 20.0  # rad/s; Omega of the centre, chosen by its place, acceleration and velocity
+CENTRE_STIFFNESS = 20.0  # rad/s at 1 m/s and w = w_0; Omega of the centre, by its place, acceleration and velocity
 CENTRE_DAMPING = 1.0  # 1; zeta of the centre, whose steps should not overshoot
 CENTRE_FADE_PER_S = 0.5  # 1/s; b of the centre: who walks goes on for some seconds
 SPEED_POWER = 0.73  # 1; p
@@ -257,7 +257,7 @@ def advance_state(state: Array, recent: Array, times: Array, max_tremble: float)
             tremble = max(tremble, MIN_TREMBLE_M)
             omega = stiffness * squared_speed ** (SPEED_POWER / 2) * (tremble / TREMBLE_UNIT_M) ** -TREMBLE_POWER
             rho = math.exp(-damping * omega * step)
-            turn = min(math.sqrt(1 - damping * damping) * omega * step, math.pi / 2)  # rad; then it is at rest
+            turn = min(math.sqrt(1 - damping * damping) * omega * step, math.pi / 2)  # rad; at most a quarter turn
             gain = 1 - rho * rho
             velocity_gain = (1 - rho) ** 2 + 2 * rho * (1 - math.cos(turn))
             kept = math.exp(-fade * step)

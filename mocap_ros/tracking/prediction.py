@@ -153,6 +153,6 @@ def _predict(
 
 
 def _measure_clearance(depths: Array) -> Array:
-    """Return how far bodies (..., J) are before the camera, in m: mean depth less what a part is behind that."""
+    """Return mean - (max - mean) of the depths (..., J) of bodies in m, as if they reached as far forwards."""
     mean = depths.mean(axis=-1)
     return np.asarray(2 * mean - depths.max(axis=-1))

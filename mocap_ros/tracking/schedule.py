@@ -92,7 +92,7 @@ class CheckSchedule:
         Args:
             noise: m, image noise of the solution.
             stamp_ns: ns, stamp of the newest frame, at which they are then due.
-            model_count: number of candidate models.
+            model_count: number of turns of a round: the candidate models and, if made, the comparison of leads.
         """
         if noise > NOISE_ALARM_RATIO * self.baseline_noise:
             restarted = replace(self, pending_restarts=model_count, baseline_noise=math.inf)
@@ -130,7 +130,7 @@ class CheckSchedule:
 
         Args:
             noise: m, image noise of the solution after the check.
-            model_count: number of candidate models.
+            model_count: number of turns of a round: the candidate models and, if made, the comparison of leads.
         """
         pending_restarts = max(self.pending_restarts - 1, 0)
         has_finished_round = self.check_count % model_count == 0

@@ -14,7 +14,7 @@ from mocap_ros.tracking.track import Track
 
 
 class WorkKind(str, Enum):
-    """What a piece of deferred work finds out of a person."""
+    """What a piece of deferred work finds out about a person."""
 
     CHECK = 'check'
     CLASSIFICATION = 'classification'

@@ -70,7 +70,7 @@ TENTATIVE_FORGET_S = 0.2  # s; a detector misses a person for a few frames, and 
 # s; shortest `tracker.lag` with which accelerations are limited. The velocity of a frame whose future is unknown
 # rests on few noisy frames; to go on with it costs the newest frame 1 to 6 mm, and one 0.1 s before it 1 to 3 mm.
 MIN_ACCELERATION_LAG_S = 0.15
-LIFTER_CHECK_INTERVAL_S = 5.0  # s; the same with a lifter, whose prior makes wrong solutions rare
+LIFTER_CHECK_INTERVAL_S = 5.0  # s; the longest with a lifter, whose prior makes errors rare
 
 
 class Tracker:
@@ -206,9 +206,10 @@ class Tracker:
 
         Returns:
             All people reconstructed in this frame, in the order of `people`, and then those who are predicted
-            because they were not detected, or with fewer than `tracker.min_joints` joints. New people are
-            tentative until they have been seen for a while, and are not predicted before. Parts of a person who
-            were detected as several people are one.
+            because they were not detected, or with fewer than `tracker.min_joints` joints. With `tracker.lag`, the
+            people are those of the frame `output_stamp_ns`, in the order in which they came, and nobody is
+            predicted. New people are tentative until they have been seen for a while, and are not predicted
+            before. Parts of a person who were detected as several people are one.
 
         Raises:
             FrameDropped: The stamp repeats the newest or is a little older; the state has not changed.

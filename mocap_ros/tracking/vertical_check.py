@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 MAX_ANGLE_DEG = 40.0  # A: who sits or bends down is below it, who lies is above
 MEMORY_S = 20.0  # s; T: as long as a vertical that is found is remembered
-LEAST_S = 5.0  # s; S: longer than a fall or an exercise on the floor begins
+LEAST_S = 5.0  # s; S: longer than it takes to fall or to lie down for an exercise
 LEAST_SHARE = 0.8  # 1; P: somebody who stands among people who lie confirms the vertical
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 

@@ -129,7 +129,7 @@ def write_recording(
 
 
 def name_people(scene: Scene) -> list[str]:
-    """Return the name of each person in entity paths; equal names get numbers."""
+    """Return the name of each person in entity paths; `_2` is appended to a name until it is unique."""
     names: list[str] = []
     for person in scene.people:
         name = make_entity_name(person.id)

@@ -207,5 +207,16 @@ def test_a_video_is_read_with_a_detector(tmp_path: Path, caplog: pytest.LogCaptu
     assert f'{video}: keypoints by MoveNet (movenet.onnx)' in caplog.messages
     with pytest.raises(mocap_ros.ModelError, match=r'none\.onnx: no such file'):
         mocap_ros.read(video, detector='none.onnx')
-    with pytest.raises(mocap_ros.InputError, match=r'walk\.mkv: topic, fps, image_size and layout do not apply'):
+    with pytest.raises(
+        mocap_ros.InputError, match=r'walk\.mkv: topic, camera_info, fps, image_size and layout do not'
+    ):
         mocap_ros.read(video, detector=model, fps=30)
+
+
+def test_the_names_of_options_are_those_of_arguments_but_paths_are_kept(tmp_path: Path) -> None:
+    path = tmp_path / 'take--final.json'
+    path.write_text('{}')
+    with pytest.raises(mocap_ros.InputError, match=r'take--final\.json: '):
+        mocap_ros.read(path, fps=30.0)
+    with pytest.raises(mocap_ros.InputError, match=r'take--none\.json: '):
+        mocap_ros.read(tmp_path / 'take--none.json')

@@ -132,7 +132,8 @@ PUBLIC: dict[str, dict[str, str] | str] = {
         'vertical_std': 'attribute',
     },
     'evaluate': "(joints, truth=None, *, truth_names='cmu15', times=None, limbs_only=False)",
-    'read': "(path, *, person=None, topic=None, fps=None, image_size=None, layout='', detector=None)",
+    'read': "(path, *, person=None, topic=None, camera_info=None, fps=None, image_size=None, layout='', "
+    'detector=None)',
     'reconstruct': '(keypoints, joint_names=None, times=None, *, image_size=None, camera_matrix=None, '
     "distortion=None, model='auto', parameters=None, method='whole')",
     'write': '(path, result)',

@@ -15,6 +15,8 @@ from mocap_ros.bags.journal import Journal, Verdict, read_run
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import RecordedMessage, Recorder
 from mocap_ros.config import RecorderConfig
+from mocap_ros.errors import RecordingError
+from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.keypoints import KEYPOINTS
 from tests.support.bag_writing import START_NS, make_keypoints
 
@@ -69,3 +71,43 @@ def test_a_link_to_nowhere_is_no_free_name(tmp_path: Path) -> None:
     (tmp_path / f'{name}_1').symlink_to(tmp_path / 'nowhere')
     with closing(start_recorder(START_NS, RecorderConfig(folder=str(tmp_path)))) as third:
         assert third.folder.name == f'{name}_2'
+
+
+def test_a_link_to_nowhere_above_the_bags_is_an_error(tmp_path: Path) -> None:
+    """Such as a link to a disk that is not mounted; no other name of the bag would help."""
+    (tmp_path / 'disk').symlink_to(tmp_path / 'nowhere')
+    with pytest.raises(RecordingError, match='disk: is no folder, or a link to one that is missing'):
+        start_recorder(START_NS, RecorderConfig(folder=str(tmp_path / 'disk')))
+
+
+def test_what_comes_while_the_disk_is_checked_is_written_before_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The thread has just seen that nothing waits, when the last message and the end come."""
+    is_checking, may_continue = threading.Event(), threading.Event()
+    check_disk = Recorder.check_disk
+
+    def wait_and_check(recorder: Recorder) -> None:
+        is_checking.set()
+        assert may_continue.wait(10)
+        check_disk(recorder)
+
+    monkeypatch.setattr(Recorder, 'check_disk', wait_and_check)
+    background = BackgroundRecorder(tmp_path / 'bag', RecorderConfig())
+    assert is_checking.wait(10)
+    background.put([RecordedMessage('/a', KEYPOINTS, make_keypoints(1), START_NS, START_NS)])
+    assert not background.close(0.01)
+    may_continue.set()
+    assert background.close()
+    with Bag(tmp_path / 'bag') as bag:
+        assert bag.count(['/a']) == 1
+
+
+def test_a_bag_is_finished_where_records_contradict_each_other(tmp_path: Path) -> None:
+    background = BackgroundRecorder(tmp_path / 'bag', RecorderConfig())
+    message = RecordedMessage('/a', KEYPOINTS, make_keypoints(1), START_NS, START_NS)
+    background.put([message, message._replace(type=CAMERA_INFO)])
+    with pytest.raises(RecordingError, match='topic /a has the type'):
+        background.close()
+    with Bag(tmp_path / 'bag') as bag:
+        assert bag.count(['/a']) == 1

@@ -196,7 +196,7 @@ def test_a_removed_folder_is_an_error(tmp_path: Path) -> None:
 
 def test_unwritable_and_existing_folders_are_refused(tmp_path: Path) -> None:
     (tmp_path / 'file').write_text('')
-    with pytest.raises(RecordingError, match=r'file/bag: Not a directory'):
+    with pytest.raises(RecordingError, match=r'file: is no folder'):
         Recorder(tmp_path / 'file' / 'bag', RecorderConfig())
     (tmp_path / 'bag').mkdir()
     with pytest.raises(RecordingError, match=r'bag: File exists'):

@@ -341,3 +341,27 @@ def test_the_bag_in_the_present_folder_is_recovered_beside_it(
     monkeypatch.chdir(tmp_path / 'bag.1')
     assert main(['recover', '.']) == 0
     assert read_frames(tmp_path / 'bag.1_recovered') == list(range(FRAMES))
+
+
+def test_a_folder_of_compressed_files_without_a_description_is_accepted_by_the_command(tmp_path: Path) -> None:
+    write_bag(tmp_path / 'bag')
+    (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    whole = tmp_path / 'bag' / 'bag_0.mcap'
+    whole.with_name('bag_0.mcap.zstd').write_bytes(zstandard.compress(whole.read_bytes()))
+    whole.unlink()
+    assert main(['recover', str(tmp_path / 'bag'), '-o', str(tmp_path / 'out')]) == 0
+    assert read_frames(tmp_path / 'out') == list(range(FRAMES))
+
+
+def test_the_command_refuses_what_is_no_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / 'notes.txt').touch()
+    (tmp_path / 'empty').mkdir()
+    os.mkfifo(tmp_path / 'pipe.mcap')
+    for name, reason in {
+        'notes.txt': 'is an empty file; expected a bag of ROS 2',
+        'empty': 'is a folder without a bag',
+        'none.mcap': 'No such file',
+        'pipe.mcap': 'not a file',
+    }.items():
+        assert main(['recover', str(tmp_path / name)]) == 1
+        assert re.search(f'{tmp_path / name}: .*{reason}', capsys.readouterr().err), name

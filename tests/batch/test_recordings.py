@@ -53,6 +53,11 @@ def test_the_bags_of_a_folder_are_found_largest_first(root: str) -> None:
     assert names(root, Work.RECONSTRUCT) == ['day2/b', 'day1/bag_a', 'day2/walk', 'day2/old', 'day2/c']
 
 
+def test_the_suffix_of_a_video_may_have_capital_letters(tmp_path: Path) -> None:
+    (tmp_path / 'GX01.MP4').write_bytes(b'video')
+    assert names(str(tmp_path), Work.RECONSTRUCT) == ['GX01']
+
+
 def test_patterns_lists_and_single_recordings(root: str, tmp_path: Path) -> None:
     assert names(f'{root}/day2/*.db3') == ['c']
     assert names(f'{root}/*/b*') == ['day2/b', 'day1/bag_a']

@@ -284,6 +284,39 @@ def test_a_disk_that_takes_nothing_is_reported_and_does_not_stop_the_run(
     assert read_messages(bag, '/keypoints') == stream[:2]
 
 
+def test_the_end_of_the_node_waits_for_every_recording_and_tells_of_each(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk_is_ready = threading.Event()
+    write = Recorder.write
+    monkeypatch.setattr(Recorder, 'write', lambda *a: disk_is_ready.wait(TIMEOUT_S) and write(*a))
+    monkeypatch.setattr('mocap_ros.ros.live.MAX_FINISH_SECONDS', 0.05)
+    live = CollectingRun(recording_to(tmp_path / 'live'))
+    live.enqueue(stream[0])
+    live.wait_for_frames(1)
+    live.run.finish_recording()
+    live.run.start_recording()
+    live.enqueue(stream[1])
+    live.wait_for_frames(2)
+    threading.Timer(0.3, disk_is_ready.set).start()
+    live.run.stop()
+    assert sum('the disk is slow; ' in line for line in live.log.lines) == 2
+    assert sum('is finished' in line for line in live.log.lines) == 2
+    assert len(list((tmp_path / 'live').iterdir())) == 2
+
+
+def test_the_models_of_single_bodies_are_latched_in_a_recording(tmp_path: Path, stream: list[bytes]) -> None:
+    live = CollectingRun(recording_to(tmp_path / 'live', **{'node.publish_bodies': True}))
+    live.enqueue(*stream[:8])
+    live.wait_for_frames(8)
+    live.run.stop()
+    (bag,) = (tmp_path / 'live').iterdir()
+    with Bag(bag) as opened:
+        models = {topic for topic in opened.topics if topic.endswith('/urdf')}
+        assert models
+        assert opened.latched_topics == {*models, '/skeleton_definition'}
+
+
 def test_a_topic_keeps_its_qos_when_an_input_was_too_many_for_the_disk(
     tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:

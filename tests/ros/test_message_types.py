@@ -10,7 +10,7 @@ from mocap_ros.messages.cdr import Header, OutputMessage, decode
 from mocap_ros.messages.foreign.definitions import OPENPOSE_POSES
 from mocap_ros.messages.marker_writer import MARKERS
 from mocap_ros.messages.markers import MarkerEncoder
-from mocap_ros.ros.message_types import MessageVersions, load_installed_types
+from mocap_ros.ros.message_types import MessageVersions, load_installed_types, load_interface_class
 from tests.support.foreign_messages import encode_openpose
 from tests.support.installed_types import MARKER_TYPES, Fields, describe_as_rclpy, replace_installed_types
 from tests.support.people import make_person_3d
@@ -106,3 +106,10 @@ def test_the_installed_ros_has_the_outputs_of_this_package() -> None:
     raw = MarkerEncoder().encode_update(Header(5, 'camera'), [make_person_3d('anna')], 0.5)
     assert (versions.add_output(MARKERS), versions.definitions) == ([], {})
     assert versions.write(MARKERS, raw) is raw
+
+
+@pytest.mark.parametrize('kind', ['', '__schemaless__', 'antigravity/x', 'os.path/msg/join', 'a/msg/b/c'])
+def test_a_name_in_a_bag_that_names_no_type_is_not_imported(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('mocap_ros.ros.message_types.import_module', pytest.fail)
+    with pytest.raises(ConfigError, match='is not the name of a type'):
+        load_interface_class(kind)

@@ -101,7 +101,7 @@ def test_nobody_seen_and_wrong_files_are_named_in_one_line(tmp_path: Path) -> No
     with pytest.raises(ModelError, match=r'none\.onnx: no such file'):
         detect_in_video(empty, tmp_path / 'none.onnx')
     with pytest.raises(
-        InputError, match=r'empty\.mkv: --topic, --fps, --image-size and --layout do not apply to a'
+        InputError, match=r'empty\.mkv: --topic, --camera-info, --fps, --image-size and --layout do not apply'
     ):
         load_input(empty, Video(fps=30.0, detector=model), NodeConfig())
     (tmp_path / 'a.json').write_text('[]')

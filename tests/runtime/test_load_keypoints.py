@@ -9,14 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import mocap_ros
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError
 from mocap_ros.formats.detections import Video
+from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.runtime.load_keypoints import load_input, load_sequence_file
 from mocap_ros.units import NS_PER_S
+from tests.support.camera_infos import camera_info
 from tests.support.keypoint_files import FPS, FRAMES, LIMITS, make_walker
 
 
@@ -92,3 +95,38 @@ def test_a_transposed_image_size_is_refused_and_a_wrong_one_is_named(tmp_path: P
     assert len(load((1100, 480))) == 1
     _, warning = load((320, 240))
     assert re.fullmatch(r'.*walk\.json: image size: \d+% of the seen keypoints lie outside 320 x 240 px', warning)
+
+
+def test_images_of_another_camera_are_left_out(tmp_path: Path) -> None:
+    """Two cameras on one topic, with the same stamps: their images would alternate in one sequence."""
+    walker = make_walker()
+    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
+        for frame in range(FRAMES):
+            stamp = NS_PER_S + frame * NS_PER_S // 25
+            for camera, shown in (('left', frame), ('right', FRAMES - 1 - frame))[:: 1 if frame % 2 == 0 else -1]:
+                data = encode_keypoints(Header(stamp, camera), (640, 480), [walker.person(shown, 'anna')])
+                recorder.write('/k', KEYPOINTS, data, stamp, stamp)
+    sequence, lines = load_input(tmp_path / 'bag', Video(), LIMITS)
+    assert sequence.keypoints == pytest.approx(walker.keypoints, nan_ok=True, abs=1e-3)
+    assert f"{FRAMES} messages left out; /k: message 2: header.frame_id: 'right', but the images" in lines[1]
+
+
+def test_of_several_cameras_of_a_bag_one_is_chosen(tmp_path: Path) -> None:
+    walker = make_walker()
+    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
+        for topic, focal in (('/left/camera_info', 500.0), ('/right/camera_info', 600.0)):
+            recorder.write(topic, CAMERA_INFO, camera_info(focal=focal), NS_PER_S, NS_PER_S)
+        for frame in range(FRAMES):
+            stamp = NS_PER_S + frame * NS_PER_S // 25
+            data = encode_keypoints(Header(stamp, 'cam'), (640, 480), [walker.person(frame, 'anna')])
+            recorder.write('/k', KEYPOINTS, data, stamp, stamp)
+    bag = tmp_path / 'bag'
+    with pytest.raises(InputError, match='choose one with --camera-info: /left/camera_info, /right/camera_info'):
+        load_input(bag, Video(), LIMITS)
+    sequence, _ = load_input(bag, Video(), LIMITS, camera_info='/right/camera_info')
+    assert sequence.intrinsics(1.0).focal == pytest.approx(600)
+    assert mocap_ros.read(bag, camera_info='/left/camera_info').intrinsics(1.0).focal == pytest.approx(500)
+    with pytest.raises(InputError, match='there is no CameraInfo on /back'):
+        load_input(bag, Video(), LIMITS, camera_info='/back')
+    with pytest.raises(mocap_ros.InputError, match='choose one with camera_info: '):
+        mocap_ros.read(bag)

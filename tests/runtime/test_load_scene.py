@@ -23,7 +23,7 @@ from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
 from mocap_ros.messages.cdr import Header, create_header, create_message, decode, encode
 from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.messages.skeletons import SKELETONS, encode_skeletons
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
@@ -36,6 +36,7 @@ from mocap_ros.runtime.sequence_messages import DEFAULT_FRAME_ID
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Mark, MarkKind, SceneImage
 from tests.support.keypoint_files import flatten_keypoints, make_walker
+from tests.support.people import make_person_3d
 from tests.support.pipeline_inputs import FAST_CONFIG
 
 FRAMES = 20
@@ -274,6 +275,13 @@ def test_of_a_long_bag_the_same_frames_of_all_topics_are_kept(bag: Path) -> None
         assert (person.joints == other.joints[np.isin(other.frames, kept)]).all()
     (keypoints,), (others,) = scene.keypoints, expected.keypoints
     assert kept[keypoints.frames].tolist() == [frame for frame in others.frames if frame in kept]
+
+
+def test_a_long_bag_whose_stamps_are_all_equal_is_drawn() -> None:
+    rows = SceneRows(max_bytes=100)
+    for _ in range(3):
+        rows.add_skeletons(encode_skeletons(Header(0, 'camera'), [make_person_3d('a')]))
+    assert rows.build('equal').stamps_ns == [0]
 
 
 def test_images_of_a_bag_are_those_beside_the_keypoints(tmp_path: Path) -> None:

@@ -240,7 +240,7 @@ def test_a_replay_tells_once_what_the_node_remarks(
         result = replay(bag, tmp_path / 'out', ReplayOptions(nowhere))
     assert (result.counters.accepted, result.first_rejection) == (FRAMES, '')
     (remark,) = result.remarks
-    assert remark.startswith(f'{tmp_path / "bag"}: /keypoints: message ')
+    assert remark.startswith(f'{tmp_path / "bag"}: /keypoints: input ')
     assert "'nowhere'" in remark
     assert remark.endswith('so people are put out in the frame of the camera')
 

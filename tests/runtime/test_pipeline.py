@@ -23,8 +23,9 @@ from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_key
 from mocap_ros.messages.marker_writer import MARKERS
 from mocap_ros.messages.markers import MarkerEncoder
 from mocap_ros.messages.point_cloud import POINT_DTYPE, POINTS
-from mocap_ros.runtime.pipeline import Pipeline
+from mocap_ros.runtime.pipeline import MAX_CONSECUTIVE_ERRORS, Pipeline
 from mocap_ros.skeleton import BODY26, CORE_COUNT, keypoint_layout
+from mocap_ros.tracking.tracker import Tracker
 from tests.support.camera_infos import camera_info
 from tests.support.pipeline_inputs import FAST_CONFIG, decode_skeletons, encode_demo_frames, process, reject
 
@@ -89,6 +90,26 @@ def test_bad_input_is_counted_and_changes_nothing(stream: list[bytes]) -> None:
             assert 'older' in reject(disturbed, stream[i - 1], Verdict.DROPPED)
     counters = disturbed.counters
     assert (counters.accepted, counters.invalid, counters.dropped['stamp']) == (6, 6, 11)
+
+
+def test_a_tracker_that_fails_at_every_image_is_reset_whatever_comes_between(stream: list[bytes]) -> None:
+    resets: list[int] = []
+
+    class BrokenTracker(Tracker):
+        """A tracker that fails at every image."""
+
+        def update(self, *_: Any) -> Any:
+            raise RuntimeError('broken')
+
+        def reset(self) -> None:
+            resets.append(pipeline.counters.dropped['internal error'])
+            super().reset()
+
+    pipeline = Pipeline(FAST_CONFIG, None, BrokenTracker)
+    for raw in (stream * 2)[:MAX_CONSECUTIVE_ERRORS]:
+        assert pipeline.feed(Source.CAMERA_INFO, camera_info()).verdict is Verdict.ACCEPTED
+        assert pipeline.feed(Source.KEYPOINTS, raw).error_traceback
+    assert resets == [MAX_CONSECUTIVE_ERRORS]
 
 
 def test_of_two_cameras_that_send_in_turn_only_the_first_is_used(stream: list[bytes]) -> None:

@@ -4,8 +4,8 @@ A capsule is all that is nearer to the segment between two places of the body th
 
     r = g + k s
 
-with g the half girth of the body part, s the larger standard deviation of its two ends (the root of the trace of
-the covariance) and k of the part: so large that 95 of 100 parts of its volume are inside. The k were fitted to
+with g half the thickness of the body part, s the larger standard deviation of its two ends (the root of the trace
+of the covariance) and k of the part: so large that 95 of 100 parts of its volume are inside. The k were fitted to
 training persons seen by four detectors, about whose true joints bodies were put (`benchmarks/robots.py` measures
 it on others). A trunk needs little, as g is that of a heavy person; a hand, whose place is known least, most.
 
@@ -38,7 +38,7 @@ class BodyPart(NamedTuple):
         name: name of the part.
         start: joint at one end.
         end: joint at the other end.
-        girth_m: m, half the thickness of a tall and heavy adult, clothes included.
+        half_thickness_m: m, half the thickness of a tall and heavy adult, clothes included.
         spread: k of the module.
         beyond: how far the part reaches beyond its end, of the length between the ends.
     """
@@ -46,12 +46,12 @@ class BodyPart(NamedTuple):
     name: str
     start: str
     end: str
-    girth_m: float
+    half_thickness_m: float
     spread: float
     beyond: float = 0.0
 
 
-# The parts of a body. Half girths: a trunk is 0.3 m deep at most, a thigh 0.2 m, a shin and an upper arm 0.14 m, a
+# The parts of a body. Thicknesses: a trunk is 0.3 m deep at most, a thigh 0.2 m, a shin and an upper arm 0.14 m, a
 # forearm with a sleeve and a shoe 0.12 m, a hand 0.1 m, a head 0.24 m long.
 _TRUNK = (
     BodyPart('head', 'neck', 'head', 0.12, 0.63),
@@ -85,7 +85,7 @@ class PartArrays(NamedTuple):
         names: their names.
         start: (P,) index of the joint at one end.
         end: (P,) index of that at the other end.
-        girth: (P,) m, half girths.
+        half_thickness: (P,) m, half thicknesses.
         spread: (P,) k of the module.
         beyond: (P, 1) how far a part reaches beyond its end, of the length between the ends.
     """
@@ -93,7 +93,7 @@ class PartArrays(NamedTuple):
     names: tuple[str, ...]
     start: NDArray[np.intp]
     end: NDArray[np.intp]
-    girth: Array
+    half_thickness: Array
     spread: Array
     beyond: Array
 
@@ -117,7 +117,7 @@ def arrange_body_parts(skeleton: Skeleton) -> PartArrays:
         tuple(p.name for p in parts),
         np.array([skeleton.index(p.start) for p in parts]),
         np.array([skeleton.index(p.end) for p in parts]),
-        np.array([p.girth_m for p in parts]),
+        np.array([p.half_thickness_m for p in parts]),
         np.array([p.spread for p in parts]),
         np.array([p.beyond for p in parts])[:, None],
     )
@@ -156,7 +156,7 @@ def _place_capsules(joints: Array, std: Array, skeleton: Skeleton) -> Capsules:
     start, end = joints[..., parts.start, :], joints[..., parts.end, :]
     larger = np.fmax(std[..., parts.start], std[..., parts.end])
     larger[np.isnan(larger)] = 0.0
-    return Capsules(start, end + parts.beyond * (end - start), parts.girth + parts.spread * larger)
+    return Capsules(start, end + parts.beyond * (end - start), parts.half_thickness + parts.spread * larger)
 
 
 def encode_capsules(header: Header, people: Sequence[Person3D]) -> bytes:

@@ -65,7 +65,7 @@ def encode_predictions(header: Header, frames: Sequence[PredictedFrame], camera:
 
     Args:
         header: time of the image, and the frame in which the people are put out.
-        frames: the people at each time, in the camera's optical frame.
+        frames: the people at each time, in the frame from which `camera` places them.
         camera: the camera in the frame of the header.
     """
     placed = [camera.place_predicted(people, ahead) for ahead, people in frames]

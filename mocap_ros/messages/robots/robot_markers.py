@@ -85,7 +85,7 @@ def encode_prediction_markers(
     Args:
         series: encoder of the topic.
         header: time of the image, and the frame in which the people are put out.
-        frames: the people at each time, in the camera's optical frame.
+        frames: the people at each time, in the frame from which `camera` places them.
         camera: the camera in the frame of the header.
         numbers: number of each person's markers and colour, by id.
         lifetime_s: s after which a viewer removes the markers by itself, 0 for never.

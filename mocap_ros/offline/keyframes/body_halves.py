@@ -111,7 +111,8 @@ def estimate_torso_lengths(points: Array, weight: Array, times: Array) -> Array:
         times: (F,) s, increasing.
 
     Returns:
-        (F,) px. If neck and pelvis are never seen together, one size of the body's image stands for all frames.
+        (F,) lengths in that unit. If neck and pelvis are never seen together, one size of the body's image stands
+        for all frames.
     """
     neck, pelvis = CMU15.index('neck'), CMU15.index('pelvis')
     torso_frames = np.flatnonzero((weight[:, [neck, pelvis]] > 0).all(axis=1))

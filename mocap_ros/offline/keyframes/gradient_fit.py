@@ -3,11 +3,11 @@
     X_hat = argmin_X E(X)  subject to X in M_N,      E(X) = || x' - x_hat ||^2                  (eq. 5 and 6)
     X^i = X^{i-1} - lambda grad E(X^{i-1})                                                  (figure 9, step 3)
 
-x' is the projection of the motion X and x_hat the image points. Step 1 translates, rotates and scales the initial
-motion X^0 to fit the image points (`align_motion`). Each step of the gradient descent is followed by step 4, the
-approximate projection onto the manifold M_N of skeleton motions: limb lengths are reset and the joints'
-trajectories are low-passed. E is measured in metres at the body, under the perspective projection if the focal
-length is known.
+x' is the projection of the motion X, and x_hat the image points, whose squared errors count by their weights. Step
+1 translates, rotates and scales the initial motion X^0 to fit the image points (`align_motion`). Each step of the
+gradient descent is followed by step 4, the approximate projection onto the manifold M_N of skeleton motions: limb
+lengths are reset and the joints' trajectories are low-passed. E is measured in metres at the body, under the
+perspective projection if the focal length is known.
 """
 
 from __future__ import annotations
@@ -155,8 +155,8 @@ class FitResult:
 
     Attributes:
         motion: fitted motion X_hat.
-        mean_squared_errors: m^2, mean squared reprojection error before each step and at the end. The limb lengths
-            of the motion are reset once more after the last value.
+        mean_squared_errors: m^2, sum (w |e|)^2 / sum w of the reprojection errors e and weights w, before each
+            step and at the end. The limb lengths of the motion are reset once more after the last value.
         status: why the descent stopped.
     """
 

@@ -2,14 +2,14 @@
 
 For each joint, the set S of inlier frames that minimises
 
-    E(S) = sum_{t in S} (|d_t| / s)^2 + sum_{a, b successive in S} |d_b - d_a|^2 / (n^2 + (v (b - a))^2) + c |not
-    S|
+    E(S) = sum_{t in S} (|d_t| / s)^2 + c |not S|
+         + sum_{a, b successive in S} |d_b - d_a|^2 / (n^2 + (v (time_b - time_a))^2)
 
 is found exactly by dynamic programming over pairs of successive inlier frames. d_t is the displacement (m) of the
 image point, back-projected to its joint's depth, from the interpolated motion. s (m) is the joint's spread, n
 (`POINT_NOISE_M`) and v (`MAX_SPEED`) limit how far d may move between inliers, and c (`OUTLIER_COST`) is the cost
-of an outlier. A term of the first sum is at most 2 c. A term of the second sum is at most c, and is c for two
-inliers more than `MAX_LINK_S` apart.
+of an outlier. A term of the first sum is at most 2 c. A term of the sum over successive inliers is at most c, and
+is c for two inliers more than `MAX_LINK_S` apart.
 """
 
 from __future__ import annotations

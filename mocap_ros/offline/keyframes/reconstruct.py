@@ -121,14 +121,17 @@ def reconstruct(
         times: (F,) s, increasing.
         intrinsics: intrinsics of the camera.
         models: base poses by name, for the solver that proposes poses.
-        config: parameters; those of `keyframes`, and those that apply to `whole_sequence.reconstruct_sequence`.
+        config: parameters; those of `keyframes`, and those that apply to `whole_sequence.reconstruct_sequence`,
+            but not `tracker.skeleton`: the result has the joints of `skeleton.CMU15`.
         choices: forward/backward choices for the keyframes whose key poses Taylor's method is to make.
         progress: called with the name of each stage before it begins.
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
-        InputError: No frame has four seen joints, all seen points lie in one place, no frame gives a 3D pose, or
-            a choice does not fit the keyframes.
+        InputError: No frame has four seen joints, all seen points lie in one place, no frame gives a 3D pose, the
+            times span more than `observed_window.MAX_SPAN_S`, or a choice does not fit the keyframes.
+        ModelError: The lifter that `solver.prior` names cannot be loaded.
+        ConfigError: The vertical that `tracker.vertical` gives is no unit vector.
     """
     parameters = config.keyframes
     observed = observe_shots(keypoints, joint_names, times, intrinsics, config.tracker)
@@ -236,7 +239,7 @@ def interpolate_key_poses(
 def _rank_fits(
     observed: ObservedWindow, keyframes: KeyframeSet, key_directions: Array, assignment: Indices, lengths: Array
 ) -> Array:
-    """Return (F,) torso lengths, the distance of each frame from its key pose; huge without one.
+    """Return (F,) torso lengths, the distance of each frame from its key pose; infinite without one.
 
     Args:
         observed: image points without suspect points.

@@ -56,7 +56,8 @@ def observe_shots(
 
     Raises:
         SkeletonError: These names give too few of the model's joints.
-        InputError: No frame has four seen joints, or all seen points lie in one place.
+        InputError: No frame has four seen joints, all seen points lie in one place, or the times span more than
+            `observed_window.MAX_SPAN_S`.
     """
     return observe_sequence(keypoints, joint_names, times, intrinsics, config, CMU15, find_shots)
 

@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 LIFTED_MEMORY_S = 0.1  # s; T of the lifter's errors; more would leave turning heads and stepping feet behind
 IMAGE_MEMORY_S = 1.0  # s; T of the detector's errors, most of which last for a whole sequence
-SHIFT_STD_M = 0.05  # m; s, error of a core joint and of a detector's idea of it
+SHIFT_STD_M = 0.05  # m; s: standard deviation of a core joint's error and of a detector's idea of it
 RAY_STD_M = 0.03  # m at the body; error of a seen point besides the image noise: detectors' offsets
 ROBUST_STDS = 2.5  # standard deviations from which an image point counts less
 STEPS = 2  # of Gauss and Newton; a third changes directions by less than 0.1 degrees

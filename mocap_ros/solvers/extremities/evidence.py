@@ -52,7 +52,7 @@ class ExtremityEvidence(NamedTuple):
 
     @staticmethod
     def without_image(core: Array) -> ExtremityEvidence:
-        """Return that nothing but the core (15, 3) m is known."""
+        """Return the evidence of a frame of which only the core (15, 3) m is known."""
         joints = CORE_COUNT + EXTREMITY_COUNT
         unknown = np.full((joints, 3), np.nan)
         return ExtremityEvidence(core, unknown, unknown, np.zeros((joints, 2)), np.zeros(joints), 0.0)
@@ -94,7 +94,7 @@ def _join_evidence(
     """Return lifted joints and their deviations in m, rays and scores of all joints in F frames.
 
     Args:
-        depth: (F,) m, of the body along the axes of the virtual cameras, at which a ray's unit is so long.
+        depth: (F,) m per unit of rays: the depth of the body along the axes of the virtual cameras.
         lifted: (F, 26, 3) in the units of rays.
         lifted_std: (F, 26, 3) likewise.
         rays: (F, 15, 2) of the core.

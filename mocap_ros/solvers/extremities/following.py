@@ -10,7 +10,7 @@ it (`correction.py`). The sizes follow from the sums of i and j of its correctio
 
     b_k <- b_k - j / (I + i + 1 / s_b^2)
 
-where I is the sum of earlier i and s_b the spread of people.
+where I is the sum of earlier i, which fades over `SIZE_MEMORY_S`, and s_b the spread of people.
 """
 
 from __future__ import annotations

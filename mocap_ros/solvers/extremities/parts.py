@@ -57,7 +57,7 @@ REST_STD = np.radians(
     [[8.0, 14.0, 22.0], [10.0, 18.0, 26.0], [10.0, 18.0, 26.0], [20.0, 20.0, 30.0], [20.0, 20.0, 30.0]]
 )
 REST_MEMORY_S = np.array([0.7, 0.4, 0.4, 0.4, 0.4])  # s; tau: half a step for feet, a look for heads
-# s_b; of face, feet and hands of people in the training data, with what detectors take for toe and hand
+# 1; s_b: std of b of face, feet and hands in the training data, and of what detectors take for toe and hand
 SIZE_STD = np.array([0.06, 0.12, 0.15])
 
 

@@ -2,8 +2,9 @@
 
     sum_t kappa_t |U_(t+1) - U_t|^2 / h_t,    U_t = (M_(t+1) - M_t) / dt_t,    M_t = R_t[:2]
 
-with kappa_t, h_t and dt_t as in `acceleration`. The scale does not count: where the image says little, one that
-falls to nothing or goes on as it has changed so far would have no acceleration, and people would run away.
+with kappa_t, h_t and dt_t as in `acceleration`. The scale does not count: where the image says little, a
+scale that falls to nothing or goes on changing at the same rate would cost nothing, and the solution would drift
+away from the camera.
 """
 
 from __future__ import annotations

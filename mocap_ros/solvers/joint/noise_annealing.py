@@ -1,6 +1,6 @@
 """The image noise of each window, estimated while the objective is minimised, from a large noise down.
 
-The noise v weighs the reprojection against all other terms (`objective`). Its estimate is the root mean square of
+The noise weighs the reprojection against all other terms (`objective`). Its estimate is the root mean square of
 the reprojection errors over the coordinates that the unknowns have not absorbed; objective and estimate are
 improved in turn. Under large noise the priors hold the weights, the cameras settle first, and few local minima are
 left. So the rounds begin with a noise of 50 mm, on a tenth of a second's best-seen frame each and with only those

@@ -5,8 +5,8 @@ A step x solves
     (A - sum_p sum_b g_pb g_pb^T / F_p) x = -g
 
 where A is block banded, with one n x n block a frame and couplings with the next frame, or with the next two where
-accelerations count; the low-rank part
-comes from the mean bone lengths of each sequence p, which are eliminated exactly (`bone_lengths`).
+accelerations count; the low-rank part comes from the mean bone lengths of each sequence p, which are eliminated
+exactly (`bone_lengths`).
 
 Terms of the joints' positions. Such a term need not know how the unknowns move the joints: it adds its matrix M_j
 (3, 3) and half its gradient m_j (3,) by the scaled position q_j = s R P_j of each joint in the camera's frame.
@@ -55,9 +55,9 @@ class NormalEquations:
         coupling: blocks of A between a frame and the next one or two.
         gradient: (N, n) half the gradient of the objective.
         bones: (N, n, B) the vectors g of the mean bone lengths.
-        cameras: (N, 3, 3) s R, and
-        scaled_poses: (N, J, 3) m, the joint positions q, which with
-        basis: (3 J, K) the base poses, a coordinate of a joint in each row, give the derivatives J.
+        cameras: (N, 3, 3) the matrices s R; with the next two they give the derivatives J.
+        scaled_poses: (N, J, 3) m, the joint positions q.
+        basis: (3 J, K) the base poses, a coordinate of a joint in each row.
         joint_matrix: (N, J, 3, 3) matrices M_j of all terms but the reprojection.
         image_matrix: (N, J, 3, 3) matrices M_j of the reprojection, v (1 0 a; 0 1 b)^T (1 0 a; 0 1 b), by
             which the noise estimate counts the unknowns.

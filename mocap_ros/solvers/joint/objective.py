@@ -252,7 +252,8 @@ class JointObjective:
             damping: (P,) relative increase of the diagonal.
 
         Returns:
-            The negative of the step (N, n); None where the matrix is not positive definite.
+            A solution whose `solution` (N, n) is the negative of the step; None where the matrix is not positive
+            definite.
         """
         return solve_damped(
             equations.diagonal,

@@ -164,7 +164,7 @@ def test_capsules_of_unknown_deviation_are_as_thick_as_the_body() -> None:
     message = decode(encode_capsules(HEADER, [replace(make_walker(), std=np.full(15, np.nan))]), CAPSULES)
     (person,) = message.people
     parts = list_body_parts(CMU15)
-    assert person.radius == pytest.approx([p.girth_m for p in parts])
+    assert person.radius == pytest.approx([p.half_thickness_m for p in parts])
     assert person.names == [p.name for p in parts]
     assert len(person.start) == len(person.end) == len(parts)
 
