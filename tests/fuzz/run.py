@@ -46,8 +46,10 @@ def main() -> int:
         return _fuzz(args.sources[0], options)
     if args.replay:
         return _replay(args.sources[0])
+    from mocap_ros.cli.main import main as run_command
     from tests.fuzz.targets import TARGETS
 
+    run_command(['compile'])  # Numba could not compile what Atheris has instrumented
     results = []
     for source in args.sources or TARGETS:
         results.append(_run(source, args.seconds))

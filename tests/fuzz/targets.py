@@ -11,6 +11,7 @@ import io
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -24,11 +25,9 @@ from mocap_ros.bags.recovery import recover
 from mocap_ros.bags.write_ahead_log import find_log
 from mocap_ros.config import NodeConfig, from_yaml
 from mocap_ros.errors import MAX_MESSAGE_CHARACTERS, MocapError
-from mocap_ros.formats.coco_json import load_coco
-from mocap_ros.formats.detections import Video, select_person
+from mocap_ros.formats.detections import Video
 from mocap_ros.formats.mocap.joint_maps import load_marker_map
 from mocap_ros.formats.mocap.trials import TrialOptions, load_trials
-from mocap_ros.formats.openpose_json import load_openpose
 from mocap_ros.formats.result_file import load_result_file
 from mocap_ros.formats.sequence_file import SEQUENCE_KEYS, load_sequence
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
@@ -42,6 +41,7 @@ from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
 from mocap_ros.messages.transform_tree import TransformTree
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.models.model_file import decode_base_poses, decode_lifter
+from mocap_ros.runtime.load_keypoints import load_input
 
 IMAGE_SIZE = 640, 480  # px
 LIMITS = NodeConfig()
@@ -149,10 +149,10 @@ def read_message(data: bytes, _: Path) -> None:
 
 
 def read_json(data: bytes, folder: Path) -> None:
-    """Read JSON in the form of COCO and in that of OpenPose."""
+    """Read one person from JSON in the form of COCO and in that of OpenPose."""
     path = folder / 'a_0_keypoints.json'
     path.write_bytes(data)
-    _read_all((lambda: select_person(load_coco(path, VIDEO)), lambda: select_person(load_openpose(folder, VIDEO))))
+    _read_all(partial(load_input, place, VIDEO, NodeConfig()) for place in (path, folder))
 
 
 def read_bvh(data: bytes, folder: Path) -> None:
