@@ -86,6 +86,7 @@ def evaluate(
             evaluation.estimate_frame_rate(frame_times),
             names,
             scores if limbs_only else None,
+            frame_times if len(frame_times) == len(predicted) else None,
         )
     except InputError as error:
         raise rename_key(error, {**ARGUMENT_KEYS, 'joints3d_names': names_argument}) from None

@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, astuple, dataclass, field, replace
 from enum import Enum
 from importlib.metadata import version
 from pathlib import Path, PurePosixPath
@@ -25,7 +25,7 @@ from mocap_ros.api.reconstruct import reconstruct
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.rosbag2 import METADATA, encode_yaml, join_descriptions
 from mocap_ros.batch.file_systems import find_file_system, is_local
-from mocap_ros.batch.recordings import Recording, Work, compute_content_key
+from mocap_ros.batch.recordings import DISTANCES_SUFFIX, Recording, Work, compute_content_key
 from mocap_ros.batch.storage import (
     is_disk_full,
     join_url,
@@ -180,8 +180,13 @@ class Job:
     def record_url(self) -> str:
         """URL of the record of the result."""
         if self.part is None:
-            return join_url(self.settings.out, RECORDS, f'{self.recording.name}.json')
+            return join_url(self.settings.out, RECORDS, self.settings.work.value, f'{self.recording.name}.json')
         return join_url(self.settings.out, PARTS, self.recording.name, f'{self.part.number}.json')
+
+    @property
+    def bounds(self) -> str:
+        """Checksum of where the part begins and ends and of what it begins with; empty for the whole recording."""
+        return '' if self.part is None else hashlib.sha256(repr(astuple(self.part)).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -303,7 +308,7 @@ def _find_known_outcome(job: Job, content: str) -> Outcome | None:
     Where this run has done it, its worker was lost before it could tell.
     """
     record = read_json_file(job.record_url)
-    if (record.get('content'), record.get('settings')) != (content, job.settings.key):
+    if [record.get(key) for key in ('content', 'settings', 'part')] != [content, job.settings.key, job.bounds]:
         return None
     if any(list_sizes(url) != sizes for url, sizes in record['results'].items()):
         return None
@@ -318,6 +323,7 @@ def _write_record(
     record = {
         'content': content,
         'settings': job.settings.key,
+        'part': job.bounds,
         'run': job.run,
         'results': {url: list_sizes(url) for url in urls},
         'rows': list(rows),
@@ -433,12 +439,12 @@ def _find_keyframes(path: Path, job: Job, scratch: Path) -> _Result:
     observations = extract_observations(sequence, config.tracker.nominal_focal_length)
     observed = observe_plausible_points(*observations, config.tracker)
     keyframes = find_keyframes(observed, config.keyframes)
-    files = {suffix: scratch / f'result{suffix}' for suffix in ('.yaml', '.png', '_distances.png')}
+    files = {suffix: scratch / f'result{suffix}' for suffix in ('.yaml', '.png', DISTANCES_SUFFIX)}
     text = format_yaml(observed, keyframes, plots.make_printable(name), sequence.stamps_ns[0])
     files['.yaml'].write_text(text, encoding='utf-8')
     plots.save_figure(draw_keyframes_figure(observed, keyframes, name), files['.png'])
     plots.save_figure(
-        draw_distances_figure(observed, keyframes, config.keyframes.beta, name), files['_distances.png']
+        draw_distances_figure(observed, keyframes, config.keyframes.beta, name), files[DISTANCES_SUFFIX]
     )
     return _Result({job.result_url + suffix: file for suffix, file in files.items()}, [columns])
 
@@ -487,7 +493,8 @@ def _add_up(rows: Sequence[dict[str, Any]], seconds: float) -> list[dict[str, An
     by_part = {row['part']: row for row in rows}
     totals = {name: sum(row[name] or 0 for row in by_part.values()) for name in counted}
     with_people = [row for row in rows if row['person'] is not None] or [rows[0]]
-    return [{**row, **totals, 'bag_work_s': seconds, 'part': None} for row in with_people]
+    remark = next((row['remark'] for row in rows if row['remark']), '')
+    return [{**row, **totals, 'bag_work_s': seconds, 'part': None, 'remark': remark} for row in with_people]
 
 
 def _describe_bag(job: Job, error: str | None = None) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from mocap_ros.formats.openpose_json import FILE_SUFFIX as OPENPOSE_SUFFIX
 from mocap_ros.runtime.input_kind import VIDEO_SUFFIXES
 
 LIST_SUFFIX = '.txt'  # of a list of recordings, one in each line
+DISTANCES_SUFFIX = '_distances.png'  # of the picture of the distances between keyframes
 BAG_SUFFIXES = (*ROS2_SUFFIXES, ROS1_SUFFIX)
 OTHER_SUFFIXES = ('.npz', '.json', *VIDEO_SUFFIXES)  # of what can be reconstructed and is no bag
 # Checksums of the content that file systems keep, so that a file need not be read: S3 (and others), Google, Azure.
@@ -86,6 +87,8 @@ def find_recordings(source: str, work: Work, leave_out: Sequence[str] = ()) -> l
     if count > 1:
         raise InputError(f'{source}: {count} recordings would have results of the name {name}')
     _refuse_nested_names(source, names.values())
+    if work is Work.KEYFRAMES:
+        _refuse_shared_pictures(source, names.values())
     found = [
         Recording(url, names[url], tuple(sorted(files)), sum(sizes[file] for file in files))
         for url, files in groups.items()
@@ -102,6 +105,15 @@ def _refuse_nested_names(source: str, names: Iterable[str]) -> None:
             raise InputError(
                 f'{source}: the result of {name} would be inside that of {parent}; rename one of the recordings'
             )
+
+
+def _refuse_shared_pictures(source: str, names: Iterable[str]) -> None:
+    """Raise InputError if one recording's picture of distances would be another's picture of keyframes."""
+    known = set(names)
+    for name in sorted(known):
+        other = name + DISTANCES_SUFFIX.removesuffix('.png')
+        if other in known:
+            raise InputError(f'{source}: {name} and {other} would share a picture; rename one of the recordings')
 
 
 def compute_content_key(recording: Recording) -> str:
@@ -205,8 +217,10 @@ def _find_base(sources: list[str], recordings: list[str]) -> str:
     base = _write_url(source)
     if base in recordings:
         return _parent(base)
-    while has_magic(base):
+    fs, path = find_file_system(base)
+    while has_magic(base) and not fs.exists(path):
         base = _parent(base)
+        fs, path = find_file_system(base)
     return base.rstrip('/')
 
 

@@ -221,6 +221,7 @@ def compare_with_truth(result: StoredResult, reference: KeypointSequence, limbs_
         estimate_frame_rate(result.times[frames]),
         reference.joint_names,
         reference.keypoints[reference_frames, :, 2] if limbs_only else None,
+        reference.timestamps[reference_frames],
     )
 
 
@@ -279,7 +280,7 @@ def print_table(records: list[dict[str, Any]]) -> None:
     """Print a table with a line for each sequence, and one for their mean."""
     rows = list(records)
     if len(records) > 1:
-        values = {key: [r[key] for r in records if key in r] for key, *_ in COLUMNS}
+        values = {key: [r[key] for r in records if key in r and not math.isnan(r[key])] for key, *_ in COLUMNS}
         rows.append({'file': 'mean', **{key: sum(v) / len(v) for key, v in values.items() if v}})
     cells = [
         ['', *(title for _, title, _, _ in COLUMNS)],

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -100,9 +101,26 @@ def run(args: argparse.Namespace) -> int:
         endings = choose_endings([sequence.person_id for sequence in sequences])
     else:
         sequences, endings = [load_input_sequence(args, config)], ['']
+    errors = []
     for sequence, ending in zip(sequences, endings, strict=True):
-        _reconstruct_and_save(args, sequence, models, config, [add_ending(path, ending) for path in outputs])
+        paths = [add_ending(path, ending) for path in outputs]
+        error = _find_error(partial(_reconstruct_and_save, args, sequence, models, config, paths))
+        if error is not None:
+            errors.append(error)
+            if len(errors) < len(sequences):
+                print(f'mocap-ros: {error} (person {sequence.person_id!r} is left out)', file=sys.stderr)
+    if len(errors) == len(sequences):
+        raise errors[-1]
     return 0
+
+
+def _find_error(work: Callable[[], None]) -> InputError | None:
+    """Do some work, and return the error that its input caused; None if there was none."""
+    try:
+        work()
+    except InputError as error:
+        return error
+    return None
 
 
 def choose_endings(person_ids: Sequence[str]) -> list[str]:

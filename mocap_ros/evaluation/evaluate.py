@@ -80,6 +80,7 @@ def evaluate(
     fps: float,
     keypoint_names: Sequence[str] = (),
     keypoint_scores: Array | None = None,
+    times: Array | None = None,
 ) -> Evaluation:
     """Compare a reconstructed sequence with its truth.
 
@@ -95,6 +96,7 @@ def evaluate(
         keypoint_names: (Jk,) names of the keypoints, if `keypoint_scores` is given.
         keypoint_scores: (F, Jk) confidence scores. If given, only the twelve limb joints are compared, in the
             frames in which most of them are seen; None compares all joints that both skeletons have.
+        times: (F,) s, which tell between which frames others are missing; None if none are.
 
     Raises:
         InputError: A shape does not fit, or nothing is left to compare; the message names the field.
@@ -119,7 +121,7 @@ def evaluate(
     if not frames.any():
         raise InputError('joints3d: no frame in which all joints are known' + ' and most are seen' * limbs_only)
     check_person_size('joints', joints[frames][:, predicted_index])
-    errors = metrics.compute_errors(joints[:, predicted_index], truth[:, truth_index], fps, frames)
+    errors = metrics.compute_errors(joints[:, predicted_index], truth[:, truth_index], fps, frames, times)
     is_each_bone_known = np.isfinite(skeleton.bone_lengths(joints)).any(axis=0).all()
     return Evaluation(
         mpjpe_mm=errors.get('mpjpe_mm'),

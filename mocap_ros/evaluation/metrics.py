@@ -28,6 +28,7 @@ LIMB_JOINTS = (
 )  # fmt: skip
 SEEN_SCORE = 0.2  # confidence score above which a limb joint counts as seen in the measuring protocol
 SEEN_LIMB_JOINTS = 8  # joints; a frame with more seen limb joints than these is compared in the measuring protocol
+MAX_STEP_FRAMES = 1.5  # frames; between two frames further apart, others are missing
 MIN_COMMON_JOINTS = 4  # joints; fewer hardly tell one pose from another once they are aligned
 
 
@@ -74,7 +75,11 @@ def scale_to_reference(poses: Array, reference: Array) -> Array:
 
 
 def compute_errors(
-    predicted: Array, truth: Array, fps: float, frames: NDArray[np.bool_] | None = None
+    predicted: Array,
+    truth: Array,
+    fps: float,
+    frames: NDArray[np.bool_] | None = None,
+    times: Array | None = None,
 ) -> dict[str, float]:
     """Compute all errors of a sequence.
 
@@ -83,6 +88,7 @@ def compute_errors(
         truth: (F, J, 3) m, same joints, same frame of reference.
         fps: frames a second, for accelerations.
         frames: (F,) True for the frames to compare; None for all.
+        times: (F,) s; None if no frame is missing between those that are given.
 
     Returns:
         The errors by name; only the counts if every compared frame failed.
@@ -94,7 +100,8 @@ def compute_errors(
         seq_mpjpe_mm: mean distance after one similarity transform for the sequence.
         pa_mpjpe_mm: mean distance after one similarity transform for each frame (Procrustes analysis).
         e_paper_cm: eq. 25 of TPAMI 2016 after one similarity transform for the sequence.
-        accel_mm_s2: mean error of the second differences, scaled as for mpjpe_mm.
+        accel_mm_s2: mean error of the second differences of three successive frames, scaled as for mpjpe_mm; NaN
+            without such frames.
         joints: number of compared joints.
         frames: number of compared frames.
         failed_frames: number of these without a prediction.
@@ -120,7 +127,10 @@ def compute_errors(
     sequence_aligned = scale_to_reference(p @ sequence_rotation.T, q)
     rotated = p @ np.swapaxes(fit_rotation(p, q), -1, -2)
     frame_scale = (rotated * q).sum(axis=(1, 2)) / (rotated * rotated).sum(axis=(1, 2))
-    is_adjacent = (index[2:] - index[:-2]) == 2
+    is_next = np.diff(index) == 1
+    if times is not None:
+        is_next &= np.diff(times[index]) * fps < MAX_STEP_FRAMES
+    is_adjacent = is_next[1:] & is_next[:-1]
     acceleration_error = (np.diff(scaled, 2, axis=0) - np.diff(q, 2, axis=0))[is_adjacent]
     return {
         'mpjpe_mm': mean_mm(scaled - q),

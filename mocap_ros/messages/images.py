@@ -168,6 +168,9 @@ def _decompress(data: bytes) -> Pixels:
             warnings.simplefilter('error', Pillow.DecompressionBombWarning)
             with Pillow.open(io.BytesIO(data), formats=['JPEG', 'PNG']) as picture:
                 _check_size(*picture.size)
+                if picture.mode.startswith('I'):  # more than 8 bits of grey, which `convert` would cut off
+                    grey = np.clip(np.asarray(picture), 0, np.iinfo(np.uint16).max).astype(np.uint16)
+                    return np.asarray(_stretch_grey(grey[..., None]).astype(np.uint8))
                 return np.asarray(picture.convert('RGB'))
     except InputError:
         raise

@@ -19,7 +19,8 @@ class Appearance:
         person: id of the person.
         from_ns: ns, stamp of the first frame.
         to_ns: ns, stamp of the last frame.
-        seconds: s in each kind of motion, by the name of the kind in small letters.
+        seconds: s in each kind of motion, by the name of the kind in small letters, without those in which the
+            person was away.
         cadence: Hz, median over the frames in periodic motion; NaN if there is none.
         residual: px, mean reprojection error over the frames in which the person was seen; NaN if unknown.
     """
@@ -37,9 +38,11 @@ class AppearanceLog:
 
     Args:
         absence_s: s; somebody who was away for longer and comes back under the same id appears anew.
+        gap_s: s; between two frames further apart, the person was away, and the time counts as no motion.
     """
 
-    def __init__(self, absence_s: float) -> None:
+    def __init__(self, absence_s: float, gap_s: float) -> None:
+        self._gap_s = gap_s
         self._absence_ns = absence_s * NS_PER_S
         self._known: dict[str, _Record] = {}
         self._finished: list[Appearance] = []
@@ -54,7 +57,7 @@ class AppearanceLog:
                 if record is not None:
                     self._finished.append(record.finish())
                 record = self._known[person.id] = _Record(Appearance(person.id, stamp_ns, stamp_ns))
-            record.add(stamp_ns, person)
+            record.add(stamp_ns, person, self._gap_s)
 
     def finish(self) -> tuple[Appearance, ...]:
         """Return all appearances, in the order in which they began."""
@@ -79,9 +82,10 @@ class _Record:
     residual_sum: float = 0.0
     residual_count: int = 0
 
-    def add(self, stamp_ns: int, person: Person3D) -> None:
+    def add(self, stamp_ns: int, person: Person3D, gap_s: float) -> None:
         appearance, motion = self.appearance, person.motion
-        appearance.seconds[motion.kind.name.lower()] += (stamp_ns - appearance.to_ns) / NS_PER_S
+        step_s = (stamp_ns - appearance.to_ns) / NS_PER_S
+        appearance.seconds[motion.kind.name.lower()] += step_s if step_s <= gap_s else 0.0
         appearance.to_ns = stamp_ns
         if motion.kind is MotionKind.PERIODIC and motion.cadence > 0:
             rounded = round(motion.cadence, 2)

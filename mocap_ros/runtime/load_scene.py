@@ -121,7 +121,7 @@ def load_scene(
             options.show_detection,
         )
         sequences, lines = _select_people(detections, options.person)
-        scene = _reconstruct_sequences(path.name, sequences, options, progress)
+        scene = _reconstruct_sequences(path.name, sequences, options, progress, lines)
     except (InputError, SkeletonError, np.linalg.LinAlgError) as error:
         prefix = '' if str(error).startswith(str(path)) else f'{path}: '
         raise InputError(f'{prefix}{error}') from None
@@ -152,22 +152,45 @@ def _select_people(detections: Detections, person: str | None) -> tuple[list[Key
 
 
 def _reconstruct_sequences(
-    title: str, sequences: Sequence[KeypointSequence], options: SceneOptions, progress: ProgressWrapper
+    title: str,
+    sequences: Sequence[KeypointSequence],
+    options: SceneOptions,
+    progress: ProgressWrapper,
+    lines: list[str] | None = None,
 ) -> Scene:
-    """Return the scene of some people's keypoints and their reconstructions."""
+    """Return the scene of some people's keypoints and their reconstructions.
+
+    Args:
+        title: title of the scene.
+        sequences: the people's keypoints.
+        options: options of the scene.
+        progress: shows the progress.
+        lines: gets a line for each person who cannot be reconstructed and is left out; None raises instead.
+
+    Raises:
+        InputError: nobody can be reconstructed.
+    """
     config = options.config
     stamps = sorted({stamp for sequence in sequences for stamp in sequence.stamps_ns})
     frame_of = {stamp: frame for frame, stamp in enumerate(stamps)}
     intrinsics = sequences[0].intrinsics(config.tracker.nominal_focal_length)
-    people, keypoints, verticals = [], [], []
+    people: list[ScenePerson] = []
+    keypoints, verticals = [], []
     skeleton = CMU15
     for index, sequence in enumerate(progress(sequences, len(sequences))):
         frames = np.array([frame_of[stamp] for stamp in sequence.stamps_ns])
         observations = extract_observations(sequence, config.tracker.nominal_focal_length)
-        result = reconstruct_sequence(*observations, options.models, config)
+        person_id = sequence.person_id or f'person_{index + 1}'
+        try:
+            result = reconstruct_sequence(*observations, options.models, config)
+        except InputError as error:
+            if lines is None or (not people and index == len(sequences) - 1):
+                raise
+            lines.append(f'person {person_id!r} left out: {error}')
+            continue
         skeleton = result.skeleton
         verticals.append(result.vertical)
-        people.append(_make_person(sequence.person_id or f'person_{index + 1}', frames, result, intrinsics))
+        people.append(_make_person(person_id, frames, result, intrinsics))
         is_seen = (sequence.keypoints[..., 2] > 0).any(axis=1)
         keypoints.append(
             SceneKeypoints(

@@ -23,6 +23,7 @@ from mocap_ros.errors import FrameDropped, InputError
 from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_camera_info
 from mocap_ros.messages.input_types import decode_frame
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP
+from mocap_ros.tracking.tracker import find_absence
 from mocap_ros.units import NS_PER_S
 
 ANY_SIZE = (1, 1)  # px, size of images whose messages state none; it does not matter for the number of people
@@ -118,7 +119,7 @@ class _CutFinder:
     def __init__(self, config: Config, min_seconds: float) -> None:
         settings = config.tracker
         self._config = config
-        self._absence_ns = max(settings.forget_all_after, settings.forget_after) * NS_PER_S
+        self._absence_ns = find_absence(settings) * NS_PER_S
         self._min_ns = min_seconds * NS_PER_S
         self._camera_info: bytes | None = None
         self._camera: CameraInfo | None = None  # the same, decoded

@@ -148,7 +148,8 @@ class _Replay:
         if self._part.camera_info is not None:
             self._pipeline.set_camera_info(self._part.camera_info)
         self._journal = Journal(JOURNAL_TOPIC)
-        self._appearances = AppearanceLog(self._pipeline.config.tracker.forget_all_after)
+        settings = self._pipeline.config.tracker
+        self._appearances = AppearanceLog(settings.forget_all_after, settings.forget_after)
         self._first_rejection = ''
         self._remarks: dict[str, str] = {}  # by what is left of them without numbers
         self._tracebacks: dict[str, str] = {}  # by what identifies the error, in order of occurrence

@@ -37,7 +37,7 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
         rotation=solution.rotation[frame],
         translation=intrinsics.project(found.root),
         motion=Motion(motion.kind, category, solution.residual, motion.cadence),
-        residual=solution.frame_residual,
+        residual=float(solution.frame_residuals[frame]),
         scale_known=intrinsics.is_focal_known,
         predicted=False,
         tentative=track.is_tentative,

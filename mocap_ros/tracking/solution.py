@@ -46,7 +46,8 @@ class TrackSolution:
         stature_ratio: stature of the solution divided by that of the model.
         joint_std: (J,) m, posterior standard deviations of the newest frame's joints; NaN if they are not known.
         residual: RMS reprojection error of the last solved frames as a fraction of the body's RMS radius.
-        frame_residual: px, RMS reprojection error of the newest frame.
+        frame_residuals: (S,) px, RMS reprojection error of each frame; NaN where nothing is seen, and interpolated
+            between the frames that a hypothesis check solved.
         base_poses_lead: whether the base poses lead and not the lifted poses (`solvers.leading_prior`).
     """
 
@@ -59,7 +60,7 @@ class TrackSolution:
     stature_ratio: float
     joint_std: Array
     residual: float
-    frame_residual: float
+    frame_residuals: Array
     base_poses_lead: bool = False
 
     def __post_init__(self) -> None:
@@ -99,13 +100,15 @@ class TrackSolution:
         roots = camera.root_positions(reconstruction.cameras, reconstruction.translation)
         roots = interpolate_linearly(times, solved_times, roots)
         lengths = model.skeleton.bone_lengths(model.poses(theta))
+        residuals = interpolate_linearly(times, solved_times, reconstruction.residual[:, None])[:, 0]
         if earlier is not None:
             first = int(frames[0])
+            residuals = np.concatenate([earlier.frame_residuals[:first], residuals])
             theta = np.concatenate([earlier.theta[:first], theta])
             rotation = np.concatenate([earlier.rotation[:first], rotation])
             roots = np.concatenate([earlier.roots[:first], roots])
             lengths = np.concatenate([earlier.bone_lengths[:first], lengths])
-        states = (theta, rotation, roots, lengths)
+        states = (theta, rotation, roots, lengths, residuals)
         return _make_solution(
             reconstruction, *states, reconstruction.noise, model_name, model, base_poses_lead=base_poses_lead
         )
@@ -141,6 +144,7 @@ class TrackSolution:
             np.concatenate([self.rotation[:kept], rotation[fixed_frames:]]),
             np.concatenate([self.roots[:kept], roots[fixed_frames:]]),
             np.concatenate([self.bone_lengths[:kept], lengths[fixed_frames:]]),
+            np.concatenate([self.frame_residuals[:first], reconstruction.residual]),
             math.sqrt(old_share * self.noise**2 + (1 - old_share) * reconstruction.noise**2),
             self.model_name,
             model,
@@ -163,6 +167,7 @@ class TrackSolution:
             rotation=np.concatenate([self.rotation, rotation]),
             roots=np.concatenate([self.roots, roots]),
             bone_lengths=np.concatenate([self.bone_lengths, lengths]),
+            frame_residuals=np.concatenate([self.frame_residuals, np.full(len(theta), self.frame_residuals[-1])]),
         )
 
     def drop_oldest(self, frames: int) -> TrackSolution | None:
@@ -181,6 +186,7 @@ class TrackSolution:
             rotation=self.rotation[frames:],
             roots=self.roots[frames:],
             bone_lengths=self.bone_lengths[frames:],
+            frame_residuals=self.frame_residuals[frames:],
         )
 
     def change_camera(self, old: Intrinsics, new: Intrinsics) -> TrackSolution:
@@ -263,6 +269,7 @@ def _make_solution(
     rotation: Array,
     roots: Array,
     bone_lengths: Array,
+    frame_residuals: Array,
     noise: float,
     model_name: str,
     model: BasePoses,
@@ -286,7 +293,7 @@ def _make_solution(
         stature_ratio=float(average_rows(bone_lengths) @ model.skeleton.stature_per_bone) / model.stature,
         joint_std=joint_std,
         residual=rms_error / body_radius_px,
-        frame_residual=float(reconstruction.residual[-1]),
+        frame_residuals=frame_residuals,
         base_poses_lead=base_poses_lead,
     )
 

@@ -41,6 +41,7 @@ class TrackerState:
 
     Attributes:
         tracks: people who are tracked, in the order in which they came.
+        leaving: with `tracker.lag`, tracks that have ended and whose last frames are still to be put out.
         newest_stamp_ns: ns, stamp of the newest accepted frame; None before the first.
         output_stamp_ns: ns, stamp of the frame whose people `Tracker.update` last returned; with `tracker.lag`, an
             older one.
@@ -63,6 +64,7 @@ class TrackerState:
     """
 
     tracks: tuple[Track, ...] = ()
+    leaving: tuple[Track, ...] = ()
     newest_stamp_ns: int | None = None
     output_stamp_ns: int = 0
     waiting_ns: tuple[int, ...] = ()
@@ -105,8 +107,25 @@ class TrackerState:
         return next((t for t in self.tracks if t.id == name), None)
 
     def put_tracks(self, tracks: Sequence[Track]) -> TrackerState:
-        """Return the state with some tracks in the places of those with the same ids; new ones come last."""
+        """Return the state with some tracks in the places of those with the same ids; new ones come last.
+
+        A track that has ended takes its own place among those, whoever has its id now.
+        """
         if not tracks:
             return self
-        by_id = {t.id: t for t in self.tracks} | {t.id: t for t in tracks}
-        return replace(self, tracks=tuple(by_id.values()))
+        ended = {t.key: t for t in self.leaving}
+        put = {t.key: t for t in tracks if t.key in ended}
+        by_id = {t.id: t for t in self.tracks} | {t.id: t for t in tracks if t.key not in ended}
+        return replace(self, tracks=tuple(by_id.values()), leaving=tuple((ended | put).values()))
+
+    def end_tracks(self, ended: Sequence[Track]) -> TrackerState:
+        """Return the state in which some tracks have ended; until `drop_shown`, their frames can be put out."""
+        keys = {t.key for t in ended}
+        kept = tuple(t for t in self.tracks if t.key not in keys)
+        return replace(self, tracks=kept, leaving=(*self.leaving, *ended))
+
+    def drop_shown(self, shown_ns: int) -> TrackerState:
+        """Return the state without the tracks that have ended before the frame that is put out, stamp in ns."""
+        if not self.leaving:
+            return self
+        return replace(self, leaving=tuple(t for t in self.leaving if t.seen.stamps_ns[-1] >= shown_ns))

@@ -57,6 +57,11 @@ class Track:
     extremities_ns: int = 0
 
     @property
+    def key(self) -> tuple[str, int]:
+        """Id and first stamp in ns, which no other track has; a detector may give an id to several people."""
+        return self.id, self.first_ns
+
+    @property
     def solved(self) -> TrackSolution:
         """The solution of a track that has one.
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.kernel import compile_kernels
-from mocap_ros.config import Config
+from mocap_ros.config import Config, TrackerConfig
 from mocap_ros.errors import FrameDropped, InputError
 from mocap_ros.geometry.floor import Floor
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -303,6 +303,7 @@ class Tracker:
         return replace(
             state,
             tracks=tuple(t.change_camera(intrinsics, focal) for t in state.tracks),
+            leaving=tuple(t.change_camera(intrinsics, focal) for t in state.leaving),
             vertical=state.vertical and state.vertical.forget(),
         )
 
@@ -321,7 +322,7 @@ class Tracker:
         for track in lost:
             if not track.is_tentative:
                 memory = self._checker.remember_poses(memory, track)
-        return replace(state, tracks=tuple(t for t in state.tracks if t not in lost), pose_memory=memory)
+        return replace(state.end_tracks(lost), pose_memory=memory)
 
     def _forget_all_after_absence(self, state: TrackerState, stamp_ns: int) -> TrackerState:
         """Return the state of a new tracker, with the newest stamp, if nobody was there for long enough.
@@ -330,9 +331,8 @@ class Tracker:
         two after such an absence gives the same people as the whole.
         """
         settings = self.config.tracker
-        absence_s = max(settings.forget_all_after, settings.forget_after)
         newest_ns = state.newest_person_ns
-        if newest_ns is None or stamp_ns - newest_ns <= absence_s * NS_PER_S:
+        if newest_ns is None or stamp_ns - newest_ns <= find_absence(settings) * NS_PER_S:
             return state
         return replace(state.forget_everybody(), newest_stamp_ns=state.newest_stamp_ns)
 
@@ -358,8 +358,9 @@ class Tracker:
         settings = self.config.tracker
         focal = solver_focal(intrinsics, settings.perspective)
         matches = match_detections(stamp_ns, state.tracks, detections)
-        kept = tuple(t for t in state.tracks if t.id not in matches.replaced_ids)
-        used_ids, name_count = {t.id for t in kept}, state.name_count
+        if matches.replaced_ids:
+            state = state.end_tracks([t for t in state.tracks if t.id in matches.replaced_ids])
+        used_ids, name_count = {t.id for t in state.tracks}, state.name_count
         before_ns = stamp_ns if state.newest_stamp_ns is None else state.newest_stamp_ns
         is_tentative = stamp_ns - before_ns <= settings.forget_after * NS_PER_S
         tracks = []
@@ -374,8 +375,8 @@ class Tracker:
             used_ids.add(name)
             new = stamp_ns, detection, self._new_swap_filter, intrinsics, focal, is_tentative
             tracks.append(Track.begin(name, *new))
-        if matches.replaced_ids or name_count != state.name_count:
-            state = replace(state, tracks=kept, name_count=name_count)
+        if name_count != state.name_count:
+            state = replace(state, name_count=name_count)
         return state, tracks
 
     def _lift_new_frames(
@@ -479,10 +480,11 @@ class Tracker:
         The first of them is the newest that is old enough, or the first frame since anybody was there.
         """
         if self.config.tracker.lag == 0:
-            return state
+            return state.drop_shown(stamp_ns)
         stamps_ns = (*state.waiting_ns, stamp_ns) if state.newest_person_ns is not None else (stamp_ns,)
         old_enough = bisect_right(stamps_ns, self._newest_allowed_ns(stamp_ns))
-        return replace(state, waiting_ns=stamps_ns[max(old_enough - 1, 0) :])
+        waiting_ns = stamps_ns[max(old_enough - 1, 0) :]
+        return replace(state, waiting_ns=waiting_ns).drop_shown(waiting_ns[0])
 
     def _newest_allowed_ns(self, stamp_ns: int) -> float:
         """Return the newest stamp that is put out after a frame with a stamp in ns."""
@@ -507,7 +509,9 @@ class Tracker:
         if shown_ns > self._newest_allowed_ns(stamp_ns):
             return shown_ns, []
         return shown_ns, [
-            (t, t.seen.stamps_ns.index(shown_ns)) for t in state.tracks if shown_ns in t.seen.stamps_ns
+            (t, t.seen.stamps_ns.index(shown_ns))
+            for t in sorted((*state.leaving, *state.tracks), key=lambda t: t.first_ns)
+            if shown_ns in t.seen.stamps_ns
         ]
 
     def _filter_motion(self, stamp_ns: int, shown: Sequence[tuple[Track, int]]) -> list[tuple[Track, int]]:
@@ -593,6 +597,11 @@ class Tracker:
             return []
         oldest_ns = stamp_ns - settings.predict_for * NS_PER_S
         return [t for t in state.tracks if not t.is_tentative and t.seen.stamps_ns[-1] >= oldest_ns]
+
+
+def find_absence(settings: TrackerConfig) -> float:
+    """Return the time in s without anybody after which everything is forgotten, and nobody waits to be put out."""
+    return max(settings.forget_all_after, settings.forget_after, settings.lag)
 
 
 def _find_contact(contacts: Mapping[str, FloorContact], track: Track) -> FloorContact | None:

@@ -55,6 +55,7 @@ PIECE_ROWS = 4096  # rows that are sent at a time, as many as the viewer keeps t
 TRAIL_S = 2.0  # s; length of the trails
 DEVIATION_ALPHA = 40  # of 255; joints are seen through the ellipsoids
 CAMERA_PLANE_M = 0.5  # m; distance of the image plane in the picture of the camera
+MAX_LIVE_PEOPLE = 32  # people; of those who are gone, only the last are kept in a live drawing's layout
 BACKGROUND = (255, 255, 255)  # white, as in the page, because the colours were chosen for it
 # Place of the first view in distances from the camera to the people: beside, above and a little behind the camera,
 # so that the camera and the people are seen
@@ -384,7 +385,7 @@ class LiveDrawing:
 
     def __init__(self, recording: Any) -> None:
         self._rr, self._recording = import_rerun(), recording
-        self._people: dict[str, ScenePerson] = {}  # all people so far, by id, as they were first seen
+        self._people: dict[str, ScenePerson] = {}  # the people of the layout by id, as they were first seen
         self._writers: dict[str, _PersonWriter] = {}
         self._states: dict[tuple[str, str], str] = {}  # last state by id and lane
         self._inputs: set[str] = set()  # entities of the 2D input so far
@@ -420,7 +421,11 @@ class LiveDrawing:
     def _send_static(self, scene: Scene) -> None:
         """Send what does not change as long as nobody new is seen; a second person changes the colours."""
         for person in scene.people:
-            self._people.setdefault(person.id, person)
+            # every curve and state has its place from the beginning, whatever is known of the person so far
+            known: dict[str, Any] = {'motion': np.full_like(person.motion, MotionKind.NON_PERIODIC.value)}
+            known |= {name: np.zeros_like(getattr(person, name)) for name in CURVES}
+            self._people.setdefault(person.id, replace(person, **known))
+        self._forget_people({person.id for person in scene.people})
         for keypoints in scene.keypoints:
             self._layouts.setdefault(keypoints.skeleton.name, keypoints)
         everybody = replace(scene, people=tuple(self._people.values()), keypoints=tuple(self._layouts.values()))
@@ -430,6 +435,13 @@ class LiveDrawing:
         for index, (person_id, name) in enumerate(zip(self._people, names, strict=True)):
             self._writers[person_id] = _PersonWriter(self._recording, name, index + 1, everybody.skeleton)
             self._writers[person_id].send_looks(choose_person_colour(everybody, index))
+
+    def _forget_people(self, present: set[str]) -> None:
+        """Forget those who came first of the people who are gone, as long as there are too many."""
+        gone = [person_id for person_id in self._people if person_id not in present]
+        for person_id in gone[: max(len(self._people) - MAX_LIVE_PEOPLE, 0)]:
+            if not any(known == person_id for known, _ in self._states):  # else the view still shows the person
+                del self._people[person_id], self._writers[person_id]
 
     def _change_state(self, person_id: str, lane: str, time_s: float, state: str) -> None:
         """Send a state unless it is the last one."""

@@ -37,6 +37,7 @@ from mocap_ros.batch.job import Job, Outcome, Settings, Status  # noqa: E402
 from mocap_ros.batch.recordings import Work, find_recordings  # noqa: E402
 from mocap_ros.batch.report import save_report, summarise  # noqa: E402
 from mocap_ros.config import Config, from_yaml, to_yaml, values, with_values  # noqa: E402
+from mocap_ros.runtime.parts import Part  # noqa: E402
 
 FRAMES = {'a': 40, 'sub/b': 25, 'c': 10}
 
@@ -131,7 +132,7 @@ def test_only_what_changed_is_done_again(client: Any, tmp_path: Path) -> None:
     write_demo_bag(tmp_path / 'other' / 'b', 9)
     name.write_bytes(next((tmp_path / 'other' / 'b').glob('*.mcap')).read_bytes())
     (out / 'results' / 'c' / 'metadata.yaml').unlink()
-    (out / 'records' / 'd.json').write_text('{"content": ')
+    (out / 'records' / 'replay' / 'd.json').write_text('{"content": ')
     expected = {'a': 'done before', 'b': 'done', 'c': 'done', 'd': 'done'}
     assert statuses(run(client, corpus, out)) == expected
     other = with_values(FAST_CONFIG, {'tracker.window': 1.5})
@@ -251,6 +252,37 @@ def test_what_a_lost_worker_had_done_in_the_same_run_was_not_done_before_it(tmp_
     assert (told_again.status, told_again.rows, told_again.seconds) == (Status.DONE, first.rows, first.seconds)
     for later in (Job(recording, settings, run='second run'), Job(recording, settings)):
         assert job.process(later).status is Status.DONE_BEFORE
+
+
+def test_a_part_with_other_bounds_is_not_the_same_work(tmp_path: Path) -> None:
+    """A run that was stopped goes on with another `--cut`; the parts have the same numbers."""
+    write_corpus(tmp_path / 'in', {'a': 5})
+    (recording,) = find_recordings(str(tmp_path / 'in'), Work.REPLAY)
+    settings = Settings(Work.REPLAY, str(tmp_path / 'out'), FAST_CONFIG).seal()
+    statuses = [
+        job.process(Job(recording, settings, Part(0, None, stop_ns, 0, None))).status
+        for stop_ns in (1 << 60, 1 << 60, 1 << 61)
+    ]
+    assert statuses == [Status.DONE, Status.DONE_BEFORE, Status.DONE]
+
+
+def test_each_work_has_its_own_records(tmp_path: Path) -> None:
+    write_corpus(tmp_path / 'in', {'a': 5})
+    (recording,) = find_recordings(str(tmp_path / 'in'), Work.REPLAY)
+    urls = [Job(recording, Settings(work, str(tmp_path / 'out'))).record_url for work in Work]
+    assert len(set(urls)) == len(Work)
+
+
+def test_the_remark_of_a_part_without_people_is_kept() -> None:
+    empty = dict.fromkeys(job.COLUMNS) | dict.fromkeys(
+        ('bag_frames', 'bag_dropped', 'bag_invalid', 'bag_swaps'), 1
+    )
+    rows = [
+        empty | {'part': 0, 'person': 'ann', 'remark': ''},
+        empty | {'part': 1, 'remark': 'input 7: x[3]: NaN'},
+    ]
+    (row,) = job._add_up(rows, 1.0)
+    assert (row['person'], row['remark'], row['bag_frames']) == ('ann', 'input 7: x[3]: NaN', 2)
 
 
 def test_the_summary_tells_of_lost_workers() -> None:

@@ -53,6 +53,20 @@ def test_the_bags_of_a_folder_are_found_largest_first(root: str) -> None:
     assert names(root, Work.RECONSTRUCT) == ['day2/b', 'day1/bag_a', 'day2/walk', 'day2/old', 'day2/c']
 
 
+def test_a_folder_may_have_the_characters_of_a_pattern_in_its_name(tmp_path: Path) -> None:
+    (tmp_path / 'corpus[2024]').mkdir()
+    (tmp_path / 'corpus[2024]' / 'y.mcap').write_bytes(b'y')
+    assert names(str(tmp_path / 'corpus[2024]')) == ['y']
+
+
+def test_recordings_that_would_share_a_picture_are_refused(tmp_path: Path) -> None:
+    for name in ('x.npz', 'x_distances.npz'):
+        (tmp_path / name).write_bytes(b'x')
+    assert len(names(str(tmp_path), Work.RECONSTRUCT)) == 2
+    with pytest.raises(InputError, match='x and x_distances would share a picture'):
+        names(str(tmp_path), Work.KEYFRAMES)
+
+
 def test_the_suffix_of_a_video_may_have_capital_letters(tmp_path: Path) -> None:
     (tmp_path / 'GX01.MP4').write_bytes(b'video')
     assert names(str(tmp_path), Work.RECONSTRUCT) == ['GX01']

@@ -82,7 +82,7 @@ from tests.support.quick_options import QUICK_OPTIONS
         (['plot', 'RECORDING', '-o', 'x.pgf'], 'x.pgf: unknown picture format; can write'),
         (['plot', 'RECORDING', '-o', 'picture'], 'picture: unknown picture format; can write'),
         (['train', 'TRIALS', '--manifest', 'LATIN', '-o', 'x.npz'], 'latin.csv: not UTF-8 at byte 14'),
-        (['train', 'TRIALS', '-o', 'x.npz'], 'trial 1_1: a body 0 m tall'),
+        (['train', 'TRIALS', '-o', 'x.npz'], 'key 1_1: a body 0 m tall'),
         (['train-lifter', 'TRIALS', '-o', 'x.npz', '--seed', '-1'], '--seed -1: expected 0 to'),
         (['view', 'nowhere.npz', '-o', 'x.html'], 'nowhere.npz: No such file'),
         (['view', 'RECORDING', '-o', 'x.pdf'], 'x.pdf: unknown file type; expected .html'),

@@ -233,6 +233,22 @@ def test_all_people_are_written_into_files_of_their_own(
     assert (right['pelvis_tx_m'] > left['pelvis_tx_m'] + 0.5).all()
 
 
+def test_one_who_cannot_be_reconstructed_does_not_stop_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sequence, people = make_recording().sequence(), []
+    for frame in range(12):
+        one = sequence.person(frame, 'b')
+        few = replace(one, id='a', score=np.where(np.arange(len(one.joints)) < 3, one.score, 0.0))
+        people.append([few, one])
+    save_detections(tmp_path / 'two.mcap', Detections(people, sequence.stamps_ns[:12], (640, 480)))
+    command = ['reconstruct', str(tmp_path / 'two.mcap'), '--all-people', *QUICK_OPTIONS]
+    assert main([*command, '-o', str(tmp_path / 'r.npz')]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {'two.mcap', 'r_b.npz'}
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("no frame has four seen joints: nothing to reconstruct (person 'a' is left out)")
+
+
 @pytest.mark.parametrize(
     ('options', 'reason'),
     [

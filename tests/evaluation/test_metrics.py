@@ -66,3 +66,16 @@ def test_without_predictions_only_counts_are_returned() -> None:
     }
     with pytest.raises(InputError, match='only 0 joints in common'):
         metrics.match_joints(['a'], ['b'])
+
+
+def test_accelerations_are_compared_where_no_frame_is_missing() -> None:
+    times = np.arange(90) / 30
+    truth = np.random.default_rng(0).normal(size=(1, 15, 3)) + 0.3 * np.sin(6 * times)[:, None, None]
+    predicted = truth * (1 + 0.1 * np.sin(5 * times))[:, None, None]
+    all_frames = metrics.compute_errors(predicted, truth, 30.0)['accel_mm_s2']
+    kept = np.delete(np.arange(90), [*range(5, 90, 7)])
+    some = metrics.compute_errors(predicted[kept], truth[kept], 30.0, times=times[kept])['accel_mm_s2']
+    assert some == pytest.approx(all_frames, rel=0.1)
+    every_second = slice(None, None, 2)
+    alone = metrics.compute_errors(predicted[every_second], truth[every_second], 30.0, times=times[every_second])
+    assert np.isnan(alone['accel_mm_s2'])

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
@@ -42,6 +44,18 @@ def test_every_encoding_gives_red_green_and_blue(encoding: str, padding: int) ->
     expected = image.mean(axis=-1, keepdims=True).repeat(3, axis=-1) if is_grey else image
     tolerance = 3 if encoding.startswith(('yu', 'uy')) else 1
     assert np.abs(pixels.astype(float) - expected).max() <= tolerance
+
+
+def test_an_infrared_png_is_stretched_as_the_plain_image_is() -> None:
+    grey = np.linspace(0, 4000, 12 * 10).reshape(12, 10).astype(np.uint16)
+    file = io.BytesIO()
+    Image.fromarray(grey).save(file, 'PNG')
+    fields: dict[str, Any] = {'height': 12, 'width': 10, 'encoding': 'mono16', 'is_bigendian': 0, 'step': 20}
+    plain = decode_image(encode_message(**fields, data=grey.astype('<u2').tobytes()), IMAGE, LIMITS)[1]
+    message = encode_message(COMPRESSED_IMAGE, format='mono16; png compressed', data=file.getvalue())
+    found = decode_image(message, COMPRESSED_IMAGE, LIMITS)[1]
+    assert (found == plain).all()
+    assert len(np.unique(found)) > 100
 
 
 def test_the_order_of_bytes_is_kept() -> None:

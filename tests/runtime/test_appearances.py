@@ -24,7 +24,7 @@ def person(name: str, motion: Motion = WALK, residual: float = 2.0, **flags: boo
 
 
 def test_times_motions_cadence_and_residual_are_added_up() -> None:
-    log = AppearanceLog(absence_s=5)
+    log = AppearanceLog(absence_s=5, gap_s=4)
     for second, motion in enumerate([STRANGE, WALK, WALK, OTHER]):
         log.add(second * NS_PER_S, [person('ann', motion, residual=1.0 + second)])
     log.add(4 * NS_PER_S, [person('ann', OTHER, residual=NAN, predicted=True)])
@@ -35,7 +35,7 @@ def test_times_motions_cadence_and_residual_are_added_up() -> None:
 
 
 def test_who_was_away_for_long_appears_anew() -> None:
-    log = AppearanceLog(absence_s=5)
+    log = AppearanceLog(absence_s=5, gap_s=4)
     for second in (0, 4, 10, 11):
         log.add(second * NS_PER_S, [person('ann'), person('ghost', tentative=True)])
     log.add(12 * NS_PER_S, [person('ben', STRANGE, NAN)])
@@ -44,9 +44,17 @@ def test_who_was_away_for_long_appears_anew() -> None:
     assert log.finish() == ()
 
 
+def test_the_time_away_is_no_motion() -> None:
+    log = AppearanceLog(absence_s=60, gap_s=1)
+    for second in (0, 1, 50, 51):
+        log.add(second * NS_PER_S, [person('ann')])
+    (ann,) = log.finish()
+    assert (ann.to_ns, ann.seconds['periodic']) == (51 * NS_PER_S, 2.0)
+
+
 @pytest.mark.parametrize('back_s', [1, 100])
 def test_a_stamp_that_goes_back_begins_an_appearance(back_s: int) -> None:
-    log = AppearanceLog(absence_s=5)
+    log = AppearanceLog(absence_s=5, gap_s=4)
     for second in (200, 201, 201 - back_s):
         log.add(second * NS_PER_S, [person('ann')])
     assert sorted(a.to_ns - a.from_ns for a in log.finish()) == [0, NS_PER_S]

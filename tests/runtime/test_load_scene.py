@@ -18,7 +18,7 @@ from mocap_ros.bags.recorder import Recorder
 from mocap_ros.config import Config, NodeConfig, RecorderConfig, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError
-from mocap_ros.formats.detections import Video
+from mocap_ros.formats.detections import Detections, Video
 from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
 from mocap_ros.messages.cdr import Header, create_header, create_message, decode, encode
 from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE
@@ -31,6 +31,7 @@ from mocap_ros.runtime import save_results
 from mocap_ros.runtime.bag_images import read_images
 from mocap_ros.runtime.load_scene import SceneOptions, load_keyframe_marks, load_scene, place_marks
 from mocap_ros.runtime.replay import ReplayOptions, replay
+from mocap_ros.runtime.save_results import save_detections
 from mocap_ros.runtime.scene_rows import SceneRows
 from mocap_ros.runtime.sequence_messages import DEFAULT_FRAME_ID
 from mocap_ros.viewing.page import build_page
@@ -163,6 +164,21 @@ def test_json_of_two_people_is_reconstructed(sequence: KeypointSequence, tmp_pat
     distance = np.abs(scene.people[0].image[..., 0].mean() - scene.people[1].image[..., 0].mean())
     assert distance == pytest.approx(150, abs=5)
     assert len(scene.keypoints[0].frames) == 2 * (FRAMES - 1)
+
+
+def test_who_cannot_be_reconstructed_is_left_out_by_name(sequence: KeypointSequence, tmp_path: Path) -> None:
+    people = [[sequence.person(frame, 'ann'), sequence.person(frame, 'ben')] for frame in range(12)]
+    three_joints = np.arange(len(sequence.joint_names)) < 3
+    for row in people:
+        row[1] = replace(row[1], score=np.where(three_joints, row[1].score, 0.0))
+    save_detections(tmp_path / 'p.mcap', Detections(people, sequence.stamps_ns[:12], (640, 480)))
+    scene, lines = load_scene(tmp_path / 'p.mcap', OPTIONS)
+    assert [person.id for person in scene.people] == ['ann']
+    assert any("person 'ben' left out: no frame has four seen joints" in line for line in lines)
+    nobody = [row[1:] for row in people]
+    save_detections(tmp_path / 'q.mcap', Detections(nobody, sequence.stamps_ns[:12], (640, 480)))
+    with pytest.raises(InputError, match='four seen joints'):
+        load_scene(tmp_path / 'q.mcap', OPTIONS)
 
 
 def test_options_that_an_input_does_not_need_are_refused(bag: Path, tmp_path: Path) -> None:

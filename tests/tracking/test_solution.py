@@ -51,7 +51,7 @@ def truth(model: BasePoses) -> TrackSolution:
         stature_ratio=1.0,
         joint_std=np.full(15, 0.02),
         residual=0.01,
-        frame_residual=2.0,
+        frame_residuals=np.full(len(number), 2.0),
     )
 
 
@@ -112,7 +112,7 @@ def test_a_first_solution_is_interpolated_in_the_real_camera(
     result = reconstruct(truth, model, observed, chosen)
     solution = TrackSolution.interpolate(result, observed, chosen, 'a name', model, earlier=None)
     assert_states(solution, truth)
-    assert (solution.model_name, solution.noise, solution.frame_residual) == ('a name', 0.03, 3.0)
+    assert (solution.model_name, solution.noise, solution.frame_residuals[-1]) == ('a name', 0.03, 3.0)
     np.testing.assert_array_equal(solution.joint_std, result.joint_std)
     body_px = np.sqrt((result.joints[-1, :, :2] ** 2).sum(axis=1).mean()) * result.cameras.scale[-1]
     assert solution.residual == pytest.approx(np.sqrt((result.residual**2).mean()) / body_px)
@@ -195,7 +195,8 @@ def test_the_fit_leaves_out_frames_without_a_residual(
     for residual, rms in (([np.nan, 3.0, np.nan, 4.0], np.sqrt(12.5)), ([np.nan] * 4, np.nan)):
         some = replace(result, residual=np.array(residual))
         found = truth.refine(some, track.seen.observed, 0, 0, model)
-        assert (found.residual, found.frame_residual) == pytest.approx((rms / body_px, residual[-1]), nan_ok=True)
+        fit = found.residual, found.frame_residuals[-1]
+        assert fit == pytest.approx((rms / body_px, residual[-1]), nan_ok=True)
 
 
 def test_states_are_appended(truth: TrackSolution, model: BasePoses) -> None:

@@ -40,7 +40,7 @@ def make_solution(frames: int) -> TrackSolution:
         stature_ratio=1.0,
         joint_std=np.full(15, 0.02),
         residual=0.01,
-        frame_residual=2.0,
+        frame_residuals=np.full(len(number), 2.0),
     )
 
 

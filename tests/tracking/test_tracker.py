@@ -206,6 +206,46 @@ def test_a_lag_that_is_longer_than_the_window_puts_everybody_out(walk_model: Bas
             assert tracker.output_stamp_ns == (frame - 10) * STEP_NS, 'ten intervals are a little less than 0.3 s'
 
 
+@pytest.mark.parametrize('lag', [0.5, 2.0])
+def test_a_visit_is_put_out_to_its_end_however_long_the_lag(walk_model: BasePoses, walk: Walk, lag: float) -> None:
+    """The person is forgotten 1 s after the last detection."""
+    _, _, points, _ = walk
+    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': lag}))
+    shown = set()
+    for frame in range(150):
+        if tracker.update(frame * STEP_NS, people(points, frame) if frame < 40 else [], CAMERA):
+            shown.add(tracker.output_stamp_ns // STEP_NS)
+    assert shown == set(range(40))
+    assert tracker.snapshot().leaving == ()
+
+
+def test_an_id_that_is_given_to_somebody_else_hides_no_frame_that_waits(walk_model: BasePoses, walk: Walk) -> None:
+    _, _, points, _ = walk
+    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.5}))
+    places = {}
+    for frame in range(60):
+        shift = 4000.0 if frame >= 30 else 0.0
+        seen = [Person2D('1', CMU15.joints, points[frame % 40] + [shift, 0], np.ones(15))]
+        out = tracker.update(frame * STEP_NS, seen, CAMERA)
+        if out:
+            assert [p.id for p in out] == ['1']
+            places[tracker.output_stamp_ns // STEP_NS] = out[0].translation[0] - CAMERA.center[0]
+    assert sorted(places) == list(range(44))
+    assert all((place > 2000) == (frame >= 30) for frame, place in places.items())
+
+
+def test_with_a_lag_the_residual_is_that_of_the_frame_that_is_put_out(walk_model: BasePoses, walk: Walk) -> None:
+    _, _, points, _ = walk
+    points[20] += np.random.default_rng(0).normal(size=(15, 2)) * 12  # px
+    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.5}))
+    residuals = {}
+    for frame in range(40):
+        for person in tracker.update(frame * STEP_NS, people(points, frame), CAMERA):
+            residuals[tracker.output_stamp_ns // STEP_NS] = person.residual
+    assert max(residuals, key=residuals.__getitem__) == 20
+    assert residuals[20] > 1.5 * max(r for frame, r in residuals.items() if abs(frame - 20) > 1)
+
+
 def test_a_detection_with_all_joints_in_one_place_is_unusable(walk_model: BasePoses) -> None:
     tracker = Tracker(walk_model, CONFIG)
     dot = Person2D('', CMU15.joints, np.full((15, 2), 100.0), np.ones(15))

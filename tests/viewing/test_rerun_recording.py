@@ -9,12 +9,14 @@ import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 
 from mocap_ros.errors import MocapError
 from mocap_ros.skeleton import CMU15
+from mocap_ros.viewing import rerun_recording
 from mocap_ros.viewing.rerun_recording import (
     LiveDrawing,
     end_runs,
@@ -117,6 +119,24 @@ def test_a_live_drawing_shows_no_detection_longer_than_its_frame(scene: Scene, t
     static, end = 1, 1  # the row of what does not change, and the one that ends the last detection
     assert rows['world/camera/input/0_0'] == 4 + static + end
     assert rows['world/camera/input/0_1'] == 2 + static + end
+
+
+def test_a_live_drawing_forgets_those_who_are_gone_and_has_every_curve(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At first neither motion nor cadence of anybody is known."""
+    monkeypatch.setattr(rerun_recording, 'import_rerun', MagicMock)
+    layouts: list[Scene] = []
+    monkeypatch.setattr(rerun_recording, 'build_blueprint', lambda shown, _: layouts.append(shown))
+    drawing = LiveDrawing(MagicMock())
+    for frame in range(100):
+        person = make_scene_person(f'person_{frame}', range(1), (0.0, 0.0, 4.0))
+        unknown = replace(person, motion=np.zeros(1, np.uint8), cadence=np.full(1, np.nan, np.float32))
+        drawing.draw(replace(scene, people=(unknown,), keypoints=(), marks=()), frame / 30)
+    assert all(layout.has_motion and np.isfinite(layout.people[-1].cadence).all() for layout in layouts)
+    assert layouts[-1].people[-1].id == 'person_99'
+    assert len(layouts) == 100
+    assert max(len(layout.people) for layout in layouts) == rerun_recording.MAX_LIVE_PEOPLE
 
 
 def test_telemetry_is_off_in_settings_of_our_own(tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ MOTION_SUFFIXES = ('.amc', '.bvh', '.c3d')  # files of one trial each; other fil
 MAX_ARCHIVE_BYTES = 8 << 30  # unpacked; guards the memory; the CMU database (15 joints, 30 Hz) takes below 1 GB
 MANIFEST_NAME = 'manifest.csv'  # file with the subject, the category and the quality of each trial
 M_PER_MM = 1e-3  # archives of joints are in mm
+HEIGHT_RANGE_M = 0.3, 3.0  # m, body heights of archives; children to giants, but not mm taken for m
 MIN_VERTICAL_COSINE = 0.8  # of 37 degrees between trunk and axis; beyond it the format's usual axis is taken
 
 # Rows of a manifest by the name of the trial; each row maps the columns to texts.
@@ -76,7 +77,7 @@ class TrialOptions:
         markers: names of the joints or markers whose mean is each joint of the model; by default those of a known
             rig.
         unit: unit of length in m; by default the unit that the file names, or that gives a
-            plausible body height.
+            plausible body height; of an .npz archive, mm.
         every: step between the frames that are taken: 1 for all frames, 2 for every second frame.
     """
 
@@ -96,10 +97,10 @@ def load_trials(
 ) -> list[Trial]:
     """Load the trials of a file, or of all files in a folder and the folders below it.
 
-    An .npz archive holds (F, J, 3) arrays in mm, y up, under one key for each trial, and under `_joints` the names
-    of the J joints, among them the 15 of the model. The skeleton of an .amc file is beside it: `35.asf` for
-    `35_01.amc`, or the only .asf file there. A trial that is not in the manifest has as subject the part of its
-    name before the `_`, and as category the name of its folder.
+    An .npz archive holds (F, J, 3) arrays, by default in mm, y up, under one key for each trial, and under
+    `_joints` the names of the J joints, among them the 15 of the model. The skeleton of an .amc file is beside it:
+    `35.asf` for `35_01.amc`, or the only .asf file there. A trial that is not in the manifest has as subject the
+    part of its name before the `_`, and as category the name of its folder.
 
     Args:
         path: path of the file or folder.
@@ -120,7 +121,7 @@ def load_trials(
             poses = _read_motion(file, options)
             trials.append(_create_trial(file.stem, poses, manifest, file.parent.resolve().name))
         else:
-            trials += _read_archive(file, manifest)
+            trials += _read_archive(file, manifest, options.unit or M_PER_MM)
     return [trial.take_every(options.every) for trial in trials]
 
 
@@ -150,8 +151,8 @@ def _create_trial(name: str, poses: Array, manifest: Manifest, category: str) ->
     )
 
 
-def _read_archive(path: Path, manifest: Manifest) -> Iterator[Trial]:
-    """Read the trials of an .npz archive."""
+def _read_archive(path: Path, manifest: Manifest, unit: float) -> Iterator[Trial]:
+    """Read the trials of an .npz archive, in units of so many m."""
     key = ''
     try:
         with open_npz(path, MAX_ARCHIVE_BYTES) as archive:
@@ -174,7 +175,12 @@ def _read_archive(path: Path, manifest: Manifest) -> Iterator[Trial]:
                     raise InputError(f'key {key} has shape {array.shape} of {array.dtype}')
                 if not np.isfinite(array).all():
                     raise InputError(f'key {key} holds numbers that are not finite')
-                array = rotate_z_up(array.astype(np.float64), 1) * M_PER_MM
+                array = rotate_z_up(array.astype(np.float64), 1) * unit
+                height = _estimate_height(array[:, order])
+                if not HEIGHT_RANGE_M[0] <= height <= HEIGHT_RANGE_M[1]:
+                    raise InputError(
+                        f'key {key}: a body {height:.3g} m tall, if the numbers are in units of {unit:g} m'
+                    )
                 trial = _create_trial(key, array[:, order], manifest, '')
                 yield replace(trial, extremities=array[:, other_order]) if other_order else trial
     except InputError as error:
@@ -184,6 +190,11 @@ def _read_archive(path: Path, manifest: Manifest) -> Iterator[Trial]:
     except Exception as error:  # NumPy's zip and array readers raise almost any exception on malformed bytes
         where = f'key {key}' if key else 'not motion capture in .npz form'
         raise InputError(f'{path}: {where} ({describe_read_error(error)})') from None
+
+
+def _estimate_height(poses: Array) -> float:
+    """Return the body height in m that the bones of poses (F, 15, 3) m have on average."""
+    return float(CMU15.bone_lengths(poses).mean(axis=0) @ CMU15.stature_per_bone)
 
 
 def _read_motion(path: Path, options: TrialOptions) -> Array:

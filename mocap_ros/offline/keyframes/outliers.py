@@ -8,8 +8,8 @@ For each joint, the set S of inlier frames that minimises
 is found exactly by dynamic programming over pairs of successive inlier frames. d_t is the displacement (m) of the
 image point, back-projected to its joint's depth, from the interpolated motion. s (m) is the joint's spread, n
 (`POINT_NOISE_M`) and v (`MAX_SPEED`) limit how far d may move between inliers, and c (`OUTLIER_COST`) is the cost
-of an outlier. A term of the first sum is at most 2 c. A term of the sum over successive inliers is at most c, and
-is c for two inliers more than `MAX_LINK_S` apart.
+of an outlier. A term of the first sum is at most 2 c. A term of the sum over successive inliers is at most c. For
+two inliers more than `MAX_LINK_S` apart it is c, or 0 if the joint was not seen for so long before the second.
 """
 
 from __future__ import annotations
@@ -55,10 +55,13 @@ def find_outliers(displacement: Array, seen: Mask, times: Array) -> Mask:
     previous = np.full((frames, joints), -1)  # the inlier before t at that cost
     # the cheapest inlier so far, however long ago, relative to the cost if all points up to it are outliers
     unlinked_cost, unlinked_frame = np.full(joints, np.inf), np.full(joints, -1)
+    # seen_before[t]: number of frames before t in which the joint is seen
+    seen_before = np.concatenate([np.zeros((1, joints), int), np.cumsum(seen, axis=0)])
     first_link = np.maximum(np.searchsorted(times, times - MAX_LINK_S), np.arange(frames) - MAX_LINK_FRAMES)
     for t in range(frames):
         skipped_before = skipped[t - 1] if t else np.zeros(joints)
-        restart = unlinked_cost + skipped_before + OUTLIER_COST
+        was_seen = seen_before[t] > seen_before[first_link[t]]  # so recently that it could have been compared
+        restart = unlinked_cost + skipped_before + np.where(was_seen, OUTLIER_COST, 0.0)
         cost = np.where(restart < skipped_before, restart, skipped_before)
         source = np.where(restart < skipped_before, unlinked_frame, -1)
         a = int(first_link[t])

@@ -11,7 +11,7 @@ import pytest
 from mocap_ros.errors import InputError
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, RIGS, infer_unit, map_to_model
-from mocap_ros.formats.mocap.trials import find_vertical_axis, load_trials, rotate_z_up
+from mocap_ros.formats.mocap.trials import TrialOptions, find_vertical_axis, load_trials, rotate_z_up
 from mocap_ros.skeleton import CMU15
 from tests.support.motion_files import AMC, Z_UP_TO_Y_UP, rotation_matrix
 
@@ -78,6 +78,16 @@ def test_missing_files_are_named(tmp_path: Path) -> None:
         load_trials(tmp_path / 'empty')
     with pytest.raises(InputError, match=r'none\.amc: no skeleton beside it'):
         load_trials(tmp_path / 'none.amc')
+
+
+def test_an_archive_is_in_mm_unless_another_unit_is_given(tmp_path: Path, poses: np.ndarray) -> None:
+    np.savez(tmp_path / 'm.npz', _joints=np.array(CMU15.joints), t=poses)
+    np.savez(tmp_path / 'mm.npz', _joints=np.array(CMU15.joints), t=1000 * poses)
+    (plain,) = load_trials(tmp_path / 'mm.npz')
+    (given,) = load_trials(tmp_path / 'm.npz', TrialOptions(unit=1.0))
+    assert given.poses == pytest.approx(plain.poses)
+    with pytest.raises(InputError, match=r'm\.npz: key t: a body 0\.00\d+ m tall, if .* units of 0\.001 m'):
+        load_trials(tmp_path / 'm.npz')
 
 
 def test_an_archive_may_hold_more_joints_than_the_model(tmp_path: Path, poses: np.ndarray) -> None:

@@ -187,6 +187,18 @@ def test_outliers_are_found_with_few_false_ones(rng: np.random.Generator) -> Non
     assert find_outliers(truth, seen_late, times).sum() == 0
 
 
+@pytest.mark.parametrize('step_s', [0.5, 0.75, 2.0])
+def test_points_that_are_seen_seldom_are_no_outliers_for_that(step_s: float) -> None:
+    """Inliers more than 0.7 s apart are not compared."""
+    times, displacement = np.arange(20.0) * step_s, np.zeros((20, 15, 2))
+    displacement[7, 3] = 1.0  # m
+    found = find_outliers(displacement, np.ones((20, 15), bool), times)
+    assert np.argwhere(found).tolist() == [[7, 3]]
+    now_and_then = np.zeros((300, 15), bool)
+    now_and_then[::30] = True
+    assert not find_outliers(np.zeros((300, 15, 2)), now_and_then, np.arange(300) / 30).any()
+
+
 def test_short_gaps_are_interpolated_and_medians_ignore_nan() -> None:
     times = np.array([0.0, 0.1, 0.2, 0.3, 0.9])
     points = np.array([0.0, 9, 2, 9, 8])[:, None, None]
