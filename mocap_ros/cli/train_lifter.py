@@ -11,7 +11,7 @@ from typing import Any
 
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import MocapError, tell_installation
-from mocap_ros.formats.mocap.trials import DEFAULT_OPTIONS, list_files, load_trials, select_trials
+from mocap_ros.formats.mocap.trials import TrialOptions, list_files, load_trials, select_trials
 from mocap_ros.formats.text_files import check_output, guard_output
 from mocap_ros.models import model_file
 from mocap_ros.training.balance import balance_trials
@@ -40,6 +40,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar='NAME',
         help='use no trials of this subject; may be repeated (default: none left out)',
+    )
+    parser.add_argument(
+        '--every',
+        type=int,
+        default=1,
+        metavar='N',
+        help='use every Nth frame, such as every 4th of a recording at 120 Hz, so that 30 a second are left',
     )
     parser.add_argument('--steps', type=int, default=DEFAULT_STEPS, metavar='N', help='number of optimiser steps')
     parser.add_argument(
@@ -74,8 +81,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train and save a lifter, and print its error."""
-    if min(args.steps, args.threads) < 1:
-        raise MocapError('--steps and --threads must be positive')
+    if min(args.steps, args.threads, args.every) < 1:
+        raise MocapError('--steps, --threads and --every must be positive')
     if not 0 <= args.seed <= MAX_SEED:
         raise MocapError(f'--seed {args.seed}: expected 0 to {MAX_SEED}')
     sources = [file for path in args.data for file in list_files(path)]
@@ -93,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
         [
             t
             for path in args.data
-            for t in load_trials(path, DEFAULT_OPTIONS, lambda files: show_progress(files, 'read'))
+            for t in load_trials(path, TrialOptions(every=args.every), lambda files: show_progress(files, 'read'))
         ],
         without_subjects=args.without_subject,
     )
@@ -120,7 +127,7 @@ def run(args: argparse.Namespace) -> int:
         settings,
         provenance,
         start=start,
-        checkpoint=None if path is None or not path.exists() else _load_checkpoint(path),
+        checkpoint=None if path is None or not path.exists() else _load_checkpoint(path, args.steps),
         keep=None if path is None else lambda state: _save_checkpoint(state, path),
         progress=lambda steps: show_progress(steps, 'train'),
     )
@@ -134,8 +141,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _load_checkpoint(path: Path) -> Mapping[str, Any]:
-    """Return the checkpoint in a file; raises `MocapError` if it holds none."""
+def _load_checkpoint(path: Path, steps: int) -> Mapping[str, Any]:
+    """Return the checkpoint in a file; raises `MocapError` if it holds none, or one after more steps."""
     import torch
 
     checkpoint = None
@@ -146,6 +153,8 @@ def _load_checkpoint(path: Path) -> Mapping[str, Any]:
         raise MocapError(f'{path}: no checkpoint of a training: {error}') from None
     if not isinstance(checkpoint, dict) or 'fixed' not in checkpoint:
         raise MocapError(f'{path}: no checkpoint of a training')
+    if checkpoint['step'] > steps:
+        raise MocapError(f'{path}: has made {checkpoint["step"]} steps already, more than --steps {steps}')
     return checkpoint
 
 

@@ -125,7 +125,7 @@
     }
 
     addPeople() {
-      const { people, bones, joints, truth } = this.scene;
+      const { people, bones, joints, truth, seconds } = this.scene;
       const count = Math.max(people.length, 1);
       const lit = () => new THREE.MeshLambertMaterial();
       const make = (geometry, material, n) => {
@@ -143,7 +143,9 @@
       const grey = new THREE.MeshLambertMaterial();
       this.truth = truth ? make(new THREE.CylinderGeometry(1, 1, 1, 5, 1, true), grey, bones.length) : null;
       const trails = new THREE.BufferGeometry();
-      this.trailSize = 4096; // points of all trails together
+      const longest = seconds.reduce(
+        (most, second, frame) => Math.max(most, frame - Math.max(findLast(seconds, second - TRAIL_S), 0)), 0);
+      this.trailSize = 2 * count * Math.max(longest, 1); // points of all trails together; two for each step of a person
       trails.setAttribute('position', new THREE.BufferAttribute(new Float32Array(this.trailSize * 3), 3));
       trails.setAttribute('color', new THREE.BufferAttribute(new Float32Array(this.trailSize * 3), 3));
       this.trails = new THREE.LineSegments(trails, new THREE.LineBasicMaterial({ vertexColors: true }));
