@@ -30,6 +30,7 @@ from mocap_ros.ros.publications import OutputPublishers
 from mocap_ros.ros.qos import QosWarnings, profile_to_rosbag2
 from mocap_ros.ros.startup import create_node, initialise_rclpy
 from mocap_ros.ros.subscriptions import InputSubscriptions
+from mocap_ros.runtime.cpu_setup import release_free_memory
 from mocap_ros.runtime.outputs import (
     LATCHED_OUTPUTS,
     OUTPUTS,
@@ -41,6 +42,7 @@ from mocap_ros.runtime.pipeline import Pipeline
 NODE_NAME = 'mocap_node'
 RECORDING_PARAMETER = 'recorder.enabled'  # switched by the service ~/record, too
 DIAGNOSTICS_PERIOD_S = 1.0  # s; the usual period of /diagnostics
+RELEASE_PERIOD_S = 60.0  # s between two returns of free memory to the system
 SILENCE_CHECK_PERIOD_S = 0.5  # s; bounds the delay of the warning that no input arrives
 SPIN_SECONDS = 0.1  # s; bounds the delay between a signal and the end of the node
 
@@ -185,6 +187,7 @@ class MocapNode(LifecycleNode):
         self._run_timers = [
             self.create_timer(SILENCE_CHECK_PERIOD_S, self._check_silence, clock=steady_clock),
             self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=steady_clock),
+            self.create_timer(RELEASE_PERIOD_S, release_free_memory, clock=steady_clock),
         ]
 
     def _stop_run(self) -> None:
