@@ -38,8 +38,8 @@ def configure_process() -> None:
 def release_free_memory() -> None:
     """Return free pages between the blocks in use to the system, which takes about a millisecond.
 
-    malloc keeps what is freed (`configure_process`), and what is in use is spread over more and more of it, so that
-    a process that runs for days would keep some MB more every hour. Nothing happens without the GNU C library.
+    malloc keeps what is freed (`configure_process`), and what is in use is spread over more and more of it, so
+    that a process that runs for days would keep more MB every hour. Nothing happens without the GNU C library.
     """
     try:
         malloc_trim = ctypes.CDLL(None).malloc_trim
