@@ -71,8 +71,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Describe the subcommand and add its options."""
     parser.description = (
         'Compares results of `reconstruct` (.npz or .mcap), or the skeletons in bags, with the truth in the '
-        'sequence file that --truth names, at the times that both have. Reconstructs sequence files as a whole '
-        f'first, and compares them with the truth in them, unless --truth is given. {LEGEND}'
+        'sequence file that --truth names, at the times that both have; skeletons that were predicted through a '
+        'gap count like all others. Reconstructs sequence files as a whole first, and compares them with the '
+        f'truth in them, unless --truth is given. {LEGEND}'
     )
     parser.add_argument(
         'input',
