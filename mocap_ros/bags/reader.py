@@ -20,7 +20,7 @@ from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.typesys.store import Typestore
 
 from mocap_ros.bags.mcap_layout import CRC_BYTES, FOOTER, MAGIC
-from mocap_ros.bags.reader_limits import limit_readers
+from mocap_ros.bags.reader_limits import describe_error, limit_readers
 from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.bags.sqlite_schema import find_unusual_tables
 from mocap_ros.errors import InputError
@@ -243,7 +243,7 @@ class Bag:
         """Return the error that reports why the bag cannot be read."""
         if isinstance(error, OSError) and error.strerror:
             return InputError(f'{self.path}: {error.strerror}')
-        reason = ' '.join(str(error).split()).rstrip('.') or type(error).__name__
+        reason = describe_error(error)
         advice = f'; {_recommend_repair(self.path)}' if _is_repairable(self.path) else ''
         return InputError(f'{self.path}: the bag cannot be read: {reason}{advice}')
 

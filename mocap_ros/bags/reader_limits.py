@@ -30,6 +30,13 @@ MAX_QOS_CHARACTERS = 16_384  # of the QoS profiles of a topic, which are YAML; a
 MAX_QOS_TEXTS = 256  # different QoS profiles that are remembered; most topics of a bag have the same
 
 
+def describe_error(error: Exception) -> str:
+    """Return in one line why a file cannot be read, which a damaged length makes look like a lack of memory."""
+    if isinstance(error, MemoryError):
+        return 'a length in it is damaged, or there is too little memory'
+    return ' '.join(str(error).split()).rstrip('.') or type(error).__name__
+
+
 def unpack(data: bytes, compression: str, max_bytes: int = MAX_CHUNK_BYTES) -> bytes:
     """Unpack a chunk or a message.
 

@@ -19,7 +19,7 @@ from rosbags.rosbag2.metadata import dump_qos_v9
 from mocap_ros.bags.mcap_file import Attachment
 from mocap_ros.bags.mcap_scan import McapScan, ScannedMessage
 from mocap_ros.bags.reader import MAX_METADATA_BYTES, ROS2_SUFFIXES, find_number_and_name, list_bag_files
-from mocap_ros.bags.reader_limits import PIECE_BYTES, LimitedFile, parse_qos, unpack
+from mocap_ros.bags.reader_limits import PIECE_BYTES, LimitedFile, describe_error, parse_qos, unpack
 from mocap_ros.bags.recorder import Recorder, choose_partial_path, remove_partial
 from mocap_ros.bags.rosbag2 import METADATA, ROSBAG2, Topic, make_topic
 from mocap_ros.bags.sqlite_scan import SQLITE_ERRORS, MessageRows
@@ -237,7 +237,7 @@ class _FileRecovery:
                     number_lost = f'about {rows.lost_count}' if rows.has_count else 'an unknown number of'
                     self._report_loss(f'{number_lost} messages cannot be read, because the database is damaged')
         except SQLITE_ERRORS as error:
-            self._report_loss(f'the database cannot be read: {error}')
+            self._report_loss(f'the database cannot be read: {describe_error(error)}')
         self._report_rejected()
 
     def _read_sqlite_topics(self, database: sqlite3.Connection) -> dict[int, Topic]:

@@ -10,8 +10,8 @@ MAX_ROWS_PER_QUERY = 1000  # bounds memory; a range with an unreadable row is ha
 MAX_EMPTY_RANGES = 100  # in a row; ends the scan where a damaged file claims row numbers far beyond its last row
 MIN_ROW_BYTES = 8  # below any row of a message (SQLite needs 9 for its headers alone); bounds the rows of a file
 
-# What SQLite and its Python module raise for damaged files.
-SQLITE_ERRORS = (sqlite3.Error, ValueError, TypeError)
+# What SQLite and its Python module raise for damaged files. A damaged length may look like a lack of memory.
+SQLITE_ERRORS = (sqlite3.Error, ValueError, TypeError, MemoryError)
 
 
 class MessageRows:
