@@ -305,6 +305,7 @@ class Recorder:
         if self._file is None:
             return
         with self._finish_on_disk_error():
+            self._check_place(self._file)
             self._finish_file(self._file)
             self._write_metadata()
 
@@ -387,12 +388,12 @@ class Recorder:
         try:
             yield
         except OSError as error:
-            was_removed = self._file is not None and isinstance(error, FileNotFoundError)
+            was_removed = isinstance(error, FileNotFoundError)
             reason = (
                 'the file was removed or moved while it was written' if was_removed else error.strerror or error
             )
-            is_unfinished = self._file is not None and not self._finish_after_failure()
-            if is_unfinished and not was_removed:
+            is_finished = self._finish_after_failure()
+            if not (is_finished or was_removed):
                 reason = f'{reason}{RECOVERY_HINT} {self.folder}` restores what was written'
             raise _ERRORS.get(error.errno or 0, RecordingError)(
                 f'{error.filename or self.folder}: {reason}'

@@ -129,10 +129,7 @@ class LiveRecording:
                 )
                 return recorder.folder
         except RecordingError as error:
-            self._logger.error(
-                f'{error}; the recording could not be finished: `mocap-ros recover {recorder.folder}` '
-                'restores what has been written'
-            )
+            self._logger.error(f'{error}; the recording has ended')
             raise
         if recorder.refused_count:
             self._logger.info(

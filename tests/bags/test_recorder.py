@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import subprocess
@@ -184,14 +185,31 @@ def test_a_bag_continues_in_further_files(tmp_path: Path, limit: dict[str, Any])
         assert duration == description['duration']['nanoseconds']
 
 
-def test_a_removed_folder_is_an_error(tmp_path: Path) -> None:
+@pytest.mark.parametrize('end', ['flush', 'close'])
+@pytest.mark.parametrize('removed', ['bag', 'bag/bag_0.mcap'])
+def test_a_removed_recording_is_an_error(tmp_path: Path, removed: str, end: str) -> None:
     recorder = Recorder(tmp_path / 'bag', RecorderConfig())
     recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)
-    shutil.rmtree(tmp_path / 'bag')
-    with pytest.raises(RecordingError, match=r'bag_0\.mcap: the file was removed or moved while it was written'):
-        recorder.flush()
+    shutil.move(tmp_path / removed, tmp_path / 'moved')
+    with pytest.raises(RecordingError, match=r'bag_0\.mcap: the file was removed or moved while it was written$'):
+        getattr(recorder, end)()
     recorder.close()
-    assert not (tmp_path / 'bag').exists()
+    assert not (tmp_path / removed).exists()
+
+
+def test_a_split_that_fails_leaves_a_whole_bag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recorder = Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=1.0))
+    recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr('mocap_ros.bags.recorder.McapFile', fail)
+    with pytest.raises(RecordingError, match=f'bag: {os.strerror(errno.EIO)}$'):
+        recorder.write('/keypoints', KEYPOINTS, make_keypoints(1), START_NS + 10**9, START_NS)
+    recorder.close()
+    with Bag(tmp_path / 'bag') as bag:
+        assert [m.raw for m in bag.messages(['/keypoints'])] == [make_keypoints(0)]
 
 
 def test_unwritable_and_existing_folders_are_refused(tmp_path: Path) -> None:

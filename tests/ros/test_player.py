@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.config import RecorderConfig
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.formats.sequence_file import save_sequence
+from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION, encode_skeleton_definition
 from mocap_ros.ros.message_types import load_interface_class
@@ -35,6 +37,29 @@ def test_playing_without_a_subscriber_fails_in_one_line(env: dict[str, str], tmp
     assert done.stderr.startswith('mocap-ros: nobody subscribed to /keypoints within 0.3 s; ')
     assert done.stderr.count('\n') == 1
     assert done.stdout.endswith('demo.npz: waiting for a subscriber to /keypoints, for at most 0.3 s\n')
+
+
+def test_a_sequence_plays_on_the_topic_that_is_named(env: dict[str, str], peer: Peer, tmp_path: Path) -> None:
+    sequence = make_recording().sequence()
+    sequence = replace(
+        sequence,
+        timestamps=sequence.timestamps[:3],
+        keypoints=sequence.keypoints[:3],
+        truth=None,
+    )
+    save_sequence(tmp_path / 'demo.npz', sequence)
+    received: list[bytes] = []
+    message_class = load_interface_class(KEYPOINTS)
+    subscription = peer.node.create_subscription(message_class, '/camera/points', received.append, 10, raw=True)
+    peer.subscriptions.append(subscription)
+    command = ['play', str(tmp_path / 'demo.npz'), '--to', '/camera/points']
+    player = subprocess.Popen(
+        [sys.executable, '-m', 'mocap_ros.cli.main', *command], env=env, stdout=subprocess.PIPE, text=True
+    )
+    peer.wait_until(lambda: len(received) == 3)
+    out, _ = player.communicate(timeout=TIMEOUT_S)
+    assert out.endswith('demo.npz: 3 messages published on /camera/points\n')
+    assert [decode(raw, KEYPOINTS).header.stamp.sec for raw in received] == [int(t) for t in sequence.timestamps]
 
 
 def test_all_topics_play_in_a_loop_with_clock_and_recorded_qos(

@@ -153,6 +153,28 @@ def test_a_recording_switched_by_parameter_ends_when_its_folder_is_removed(
     assert re.search(r'removed or moved while it was written; the recording has ended, and the node', line)
 
 
+def test_a_recording_that_cannot_be_finished_stays_off(peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
+    from lifecycle_msgs.msg import Transition
+
+    bags = tmp_path / 'bags'
+    node = start_node('recorder.enabled:=true', f'recorder.folder:={bags}')
+    peer.wait_for_node()
+    peer.wait_for_keypoints_subscription()
+    peer.keypoints.publish(keypoints_at(1))
+    peer.wait_for_frames(1)
+    shutil.rmtree(bags)
+    assert not peer.record(False).success
+    assert peer.get_parameter('recorder.enabled') is False
+
+    peer.change_state(Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE)
+    peer.wait_for_keypoints_subscription()
+    peer.keypoints.publish(keypoints_at(2))
+    peer.wait_for_frames(2)
+    (line,) = stop_node(node)
+    assert 'removed or moved while it was written; the recording has ended' in line
+    assert not bags.exists()
+
+
 @pytest.mark.slow
 def test_a_bag_is_complete_whenever_the_node_is_stopped(peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
