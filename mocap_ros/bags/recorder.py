@@ -305,7 +305,6 @@ class Recorder:
         if self._file is None:
             return
         with self._finish_on_disk_error():
-            self._check_place(self._file)
             self._finish_file(self._file)
             self._write_metadata()
 
@@ -353,6 +352,7 @@ class Recorder:
         return file
 
     def _finish_file(self, file: McapFile) -> None:
+        self._check_place(file)
         file.finish(self._describe_file)
         self._finished_files[file.path.name] = file.statistics
         self._file = None

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -31,6 +32,7 @@ from tests.support.paths import ROOT
 # Imports of the code that `run_in_subprocess` runs.
 PRELUDE = """
 import os, resource, signal, sys
+from collections.abc import Callable
 from pathlib import Path
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.config import RecorderConfig
@@ -185,14 +187,20 @@ def test_a_bag_continues_in_further_files(tmp_path: Path, limit: dict[str, Any])
         assert duration == description['duration']['nanoseconds']
 
 
-@pytest.mark.parametrize('end', ['flush', 'close'])
+@pytest.mark.parametrize('end', ['flush', 'close', 'split'])
 @pytest.mark.parametrize('removed', ['bag', 'bag/bag_0.mcap'])
 def test_a_removed_recording_is_an_error(tmp_path: Path, removed: str, end: str) -> None:
-    recorder = Recorder(tmp_path / 'bag', RecorderConfig())
+    recorder = Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=1.0))
     recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)
+    message = ('/keypoints', KEYPOINTS, make_keypoints(1), START_NS + 10**9, START_NS)
+    ends: dict[str, Callable[[], None]] = {
+        'flush': recorder.flush,
+        'close': recorder.close,
+        'split': lambda: recorder.write(*message),
+    }
     shutil.move(tmp_path / removed, tmp_path / 'moved')
     with pytest.raises(RecordingError, match=r'bag_0\.mcap: the file was removed or moved while it was written$'):
-        getattr(recorder, end)()
+        ends[end]()
     recorder.close()
     assert not (tmp_path / removed).exists()
 
