@@ -247,6 +247,21 @@ def test_what_was_counted_stays_counted_when_the_tracker_restarts() -> None:
         assert pipeline.unusable_people == stamp_ns
 
 
+def test_exchanged_sides_stay_counted_when_the_tracker_restarts() -> None:
+    skeleton = keypoint_layout('coco17')
+    mirror = np.array(skeleton.mirror)
+    pipeline = Pipeline(FAST_CONFIG)
+    for i, raw in enumerate(encode_demo_frames(12)):
+        message = decode(raw, KEYPOINTS)
+        if i == 10:
+            for person in message.people:
+                person.x, person.y, person.score = (v[mirror] for v in (person.x, person.y, person.score))
+        process(pipeline, encode(message, KEYPOINTS))
+    assert pipeline.swapped_frames == 1
+    assert pipeline.reconfigure(with_values(FAST_CONFIG, {'tracker.min_score': 0.4}))
+    assert pipeline.swapped_frames == 1
+
+
 def test_an_unknown_distortion_model_is_reported() -> None:
     pipeline = Pipeline(FAST_CONFIG)
     result = pipeline.feed(Source.CAMERA_INFO, camera_info(model='fov', d=(0.9,)))

@@ -69,6 +69,24 @@ def test_unit_and_vertical_axis_are_found(poses: np.ndarray, up: int) -> None:
         assert find_vertical_axis(-rolled, usual=0) == ~up
 
 
+@pytest.mark.parametrize('height', [1.7, 1700.0])
+def test_somebody_who_leans_halfway_has_no_vertical_axis_of_their_own(poses: np.ndarray, height: float) -> None:
+    upright = poses / np.ptp(poses[0, :, 2]) * height
+    leaning = upright @ rotation_matrix('x', 45).T
+    assert [find_vertical_axis(j, usual=0) for j in (upright, leaning)] == [2, 0]
+
+
+def test_a_single_skeleton_beside_a_motion_is_its_own_whatever_its_name(tmp_path: Path, poses: np.ndarray) -> None:
+    (tmp_path / 'walk_01.amc').write_text(':DEGREES\n1\nroot 0 0 0 0 0 0\n')
+    rest = (poses[0] - poses[0, 8]) @ Z_UP_TO_Y_UP.T / LENGTH_UNITS_M['unit of the CMU database']
+    (tmp_path / 'ann.asf').write_text(make_cmu_asf(rest))
+    (trial,) = load_trials(tmp_path / 'walk_01.amc')
+    assert trial.poses[0] == pytest.approx(poses[0] - poses[0, 8], abs=1e-6)
+    (tmp_path / 'ben.asf').write_text(make_cmu_asf(rest))
+    with pytest.raises(InputError, match=r'walk_01\.amc: no skeleton beside it'):
+        load_trials(tmp_path / 'walk_01.amc')
+
+
 def test_missing_files_are_named(tmp_path: Path) -> None:
     (tmp_path / '35_01.amc').write_text(AMC)
     with pytest.raises(InputError, match=r'35_01\.amc: no skeleton beside it, 35_01\.asf or 35\.asf'):
