@@ -29,6 +29,7 @@ from mocap_ros.errors import ConfigError, InputError, RecordingError
 from mocap_ros.messages.cdr import typestore
 from mocap_ros.messages.recorded_types import load_recorded_types
 
+DEFINITION_ENCODINGS = ('ros2msg', 'ros2idl')  # of message definitions that can be parsed
 PACKED_SUFFIX = '.zstd'  # that rosbag2 adds to the name of a file that it has compressed as a whole
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # first bytes of a compressed message; a message as CDR begins with 0
 
@@ -83,7 +84,7 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
                     for processed_bytes in steps:
                         report_progress(bytes_before + min(processed_bytes, sizes[number]), sum(sizes))
             if not report.messages:
-                reasons = '; '.join(report.losses) or 'the bag has no messages'
+                reasons = '; '.join(report.losses) or f'{path}: the bag has no messages'
                 raise InputError(f'nothing can be recovered: {reasons}')
             recorder.close()
             partial.rename(out)
@@ -318,17 +319,18 @@ def _convert_topic(item: ScannedMessage) -> Topic:
 
 def _repair_definition(topic: Topic) -> Topic:
     """Replace a missing or damaged definition by this package's own definition of the type, where it has one."""
-    if topic.type not in typestore().types or topic.encoding == 'ros2idl' or _has_valid_definition(topic):
+    if topic.type not in typestore().types or _has_valid_definition(topic):
         return topic
     return make_topic(topic.name, topic.type, qos=topic.qos)
 
 
 def _has_valid_definition(topic: Topic) -> bool:
     """Return whether the definition of a topic's type can be parsed and is complete."""
-    if not topic.definition or topic.encoding != 'ros2msg':
+    if not topic.definition or topic.encoding not in DEFINITION_ENCODINGS:
         return False
     try:
-        load_recorded_types(topic.definition, topic.type, is_idl=False).generate_msgdef(topic.type)
+        is_idl = topic.encoding == 'ros2idl'
+        load_recorded_types(topic.definition, topic.type, is_idl=is_idl).generate_msgdef(topic.type)
     except Exception:  # the parser may raise anything for damaged text
         return False
     return True
