@@ -10,7 +10,7 @@ import pytest
 from mocap_ros.bags.reader import Bag
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError
-from tests.support.bag_writing import FRAMES, write_bag
+from tests.support.bag_writing import FRAMES, STEP_NS, write_bag
 
 
 def test_a_bag_without_metadata_recommends_recover(tmp_path: Path) -> None:
@@ -20,6 +20,14 @@ def test_a_bag_without_metadata_recommends_recover(tmp_path: Path) -> None:
         Bag(tmp_path / 'bag')
     with Bag(tmp_path / 'bag' / 'bag_0.mcap') as bag:
         assert bag.count(bag.topics) == FRAMES + 1
+
+
+def test_duration_and_counts(tmp_path: Path) -> None:
+    write_bag(tmp_path / 'bag', RecorderConfig())
+    with Bag(tmp_path / 'bag') as bag:
+        times = [message.time_ns for message in bag.messages(bag.topics)]
+        assert bag.duration_s == pytest.approx((max(times) - min(times)) / 1e9)
+        assert bag.duration_s == pytest.approx((FRAMES - 1) * STEP_NS / 1e9)
 
 
 def test_paths_that_are_no_bags_are_refused(tmp_path: Path) -> None:

@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from mocap_ros.formats.coco_json import load_coco
-from mocap_ros.formats.detections import Detections, Video, associate_people, create_person, select_person
+from mocap_ros.formats.detections import (
+    Detections,
+    Video,
+    arrange_frames,
+    associate_people,
+    create_person,
+    select_person,
+)
 from mocap_ros.formats.openpose_json import load_openpose
 from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.keypoints.person import Person2D
@@ -65,6 +72,14 @@ def test_a_person_alone_stays_the_same_through_any_gap() -> None:
     assert len(associate_people(make_detections(people))) == 1
     named = [[make_standing_person(100, 'a')], [make_standing_person(500, 'b')], [make_standing_person(100, 'a')]]
     assert [t.id for t in associate_people(make_detections(named))] == ['a', 'b']
+
+
+def test_frames_are_as_far_apart_as_their_numbers_allow() -> None:
+    """Every second image of a video of 50 frames/s, without the fourth of them, is 25 frames/s with a gap."""
+    people = {number: [make_standing_person(100)] for number in (1, 3, 5, 9)}
+    arranged = arrange_frames(people, Video(fps=50.0))
+    assert arranged.stamps_ns == [round(t * NS_PER_S) for t in (0, 0.04, 0.08, 0.12, 0.16)]
+    assert [len(frame) for frame in arranged.people] == [1, 1, 1, 0, 1]
 
 
 @pytest.mark.parametrize('file_format', ['openpose', 'coco'])

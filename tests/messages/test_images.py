@@ -14,7 +14,14 @@ from PIL import Image
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
 from mocap_ros.messages.cdr import Header, create_header, create_message, encode
-from mocap_ros.messages.images import COMPRESSED_IMAGE, ENCODINGS, IMAGE, IMAGE_TYPES, decode_image
+from mocap_ros.messages.images import (
+    COMPRESSED_IMAGE,
+    ENCODINGS,
+    IMAGE,
+    IMAGE_TYPES,
+    MAX_IMAGE_PIXELS,
+    decode_image,
+)
 from tests.support.image_messages import encode_pixels, make_compressed
 
 HEADER = Header(5_000_000_007, 'optical')
@@ -106,6 +113,15 @@ def test_data_that_is_no_picture_is_named() -> None:
     for data, reason in ((b'no picture', 'data: neither JPEG nor PNG$'), (fields['data'][:-40], 'data: .+')):
         with pytest.raises(InputError, match=reason):
             decode_image(encode_message(COMPRESSED_IMAGE, format='', data=data), COMPRESSED_IMAGE, LIMITS)
+
+
+def test_a_small_file_of_a_huge_picture_is_refused() -> None:
+    width, height = 8192, MAX_IMAGE_PIXELS // 8192 + 1
+    file = io.BytesIO()
+    Image.new('1', (width, height)).save(file, 'PNG')
+    raw = encode_message(COMPRESSED_IMAGE, format='png', data=file.getvalue())
+    with pytest.raises(InputError, match=f'^width, height: {width} x {height} px'):
+        decode_image(raw, COMPRESSED_IMAGE, LIMITS)
 
 
 @settings(max_examples=200, deadline=None)

@@ -76,11 +76,12 @@ def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> No
     ]
     with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
         for frame, people in enumerate(people_by_frame):
-            stamp = 10**9 * (frame + 1)
+            stamp = 10**9 * (frame + 1) + 1
             recorder.write('/skeletons', SKELETONS, encode_skeletons(Header(stamp, 'c'), people), stamp, stamp)
     result, person = load_result(tmp_path / 'bag')
     assert person == 'b'
-    assert result.times.tolist() == [1, 2, 3, 4]
+    assert result.times == pytest.approx([1, 2, 3, 4])
+    assert result.stamps_ns == [1000000001, 2000000001, 3000000001, 4000000001]
     assert result.joints[:, 0, 0] == pytest.approx([1, 3, np.nan, 4], nan_ok=True)
     assert result.residual == pytest.approx([0.1, 0.3, np.nan, 0.4], nan_ok=True)
     assert result.seen.sum(axis=1).tolist() == [14, 14, 0, 14]
