@@ -13,6 +13,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from mocap_ros.cli.compile import DECLARING_MODULES
 from mocap_ros.compiled.kernel import compile_kernels
@@ -21,6 +22,10 @@ from mocap_ros.models.model_file import load_base_poses
 from tests.support.evaluation_data import shared
 from tests.support.modules import load_module
 from tests.support.paths import ROOT
+
+# A pause of a busy machine is no fault; what must be quick is measured by benchmarks.
+settings.register_profile('tests', deadline=None)
+settings.load_profile('tests')
 
 # A shell that starts the tests in the background lets them ignore interrupts, which some tests send to programs.
 signal.signal(signal.SIGINT, signal.default_int_handler)
