@@ -31,7 +31,10 @@ MAX_QOS_TEXTS = 256  # different QoS profiles that are remembered; most topics o
 
 
 def describe_error(error: Exception) -> str:
-    """Return in one line why a file cannot be read, which a damaged length makes look like a lack of memory."""
+    """Return in one line why a file cannot be read.
+
+    A reader that believes a damaged length may ask for more memory than there is; its MemoryError has no text.
+    """
     if isinstance(error, MemoryError):
         return 'a length in it is damaged, or there is too little memory'
     return ' '.join(str(error).split()).rstrip('.') or type(error).__name__

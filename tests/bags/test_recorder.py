@@ -32,7 +32,6 @@ from tests.support.paths import ROOT
 # Imports of the code that `run_in_subprocess` runs.
 PRELUDE = """
 import os, resource, signal, sys
-from collections.abc import Callable
 from pathlib import Path
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.config import RecorderConfig

@@ -11,12 +11,14 @@ from pathlib import Path
 import pytest
 import zstandard
 from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from mocap_ros.bags.mcap_file import Attachment
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.recovery import recover
+from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
@@ -365,3 +367,35 @@ def test_the_command_refuses_what_is_no_bag(tmp_path: Path, capsys: pytest.Captu
     }.items():
         assert main(['recover', str(tmp_path / name)]) == 1
         assert re.search(f'{tmp_path / name}: .*{reason}', capsys.readouterr().err), name
+
+
+@pytest.mark.parametrize(
+    ('encoding', 'text', 'is_kept'),
+    [
+        ('ros2msg', 'string data\nstring unit', True),
+        ('ros2idl', 'module std_msgs { module msg { struct String { string data; string unit; }; }; };', True),
+        ('ros2idl', 'string data', False),  # of another language than is stated
+        ('ros2msg', 'string data\nnowhere/msg/Unknown unit', False),
+        ('protobuf', 'string data', False),
+        ('ros2msg', '', False),
+    ],
+)
+def test_only_definitions_that_cannot_be_parsed_are_replaced(
+    tmp_path: Path, encoding: str, text: str, is_kept: bool
+) -> None:
+    path = tmp_path / 'x.mcap'
+    writer = McapWriter(str(path))
+    writer.start('ros2')
+    schema = writer.register_schema('std_msgs/msg/String', encoding, text.encode())
+    channel = writer.register_channel('/words', 'cdr', schema)
+    writer.add_message(channel, 1, bytes(12), 1)
+    writer.finish()  # type: ignore[no-untyped-call]
+    recover(path, tmp_path / 'out')
+    with (tmp_path / 'out' / 'out_0.mcap').open('rb') as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    (recovered,) = summary.schemas.values()
+    own = make_topic('/words', 'std_msgs/msg/String')
+    assert (recovered.encoding, recovered.data.decode()) == (
+        (encoding, text) if is_kept else (own.encoding, own.definition)
+    )

@@ -97,7 +97,7 @@ def test_a_table_edited_by_hand_is_found(root: Path) -> None:
     assert find_differences(record, root) == ['docs/page.md: table one differs from the record']
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(table=st.text(st.characters(exclude_categories=['C']), max_size=60).filter(lambda t: '<!--' not in t))
 def test_any_table_comes_back_from_its_page(tmp_path_factory: pytest.TempPathFactory, table: str) -> None:
     root = tmp_path_factory.mktemp('root')

@@ -101,7 +101,7 @@ def test_the_derivatives_of_the_coefficients_are_those_of_finite_differences() -
         np.testing.assert_allclose(model.evaluate(x)[1], numeric, atol=1e-8)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 1000), size=st.floats(0.1, 10))
 def test_the_image_kernel_knows_no_rotation_in_the_image_no_scale_and_no_place(seed: int, size: float) -> None:
     rng = np.random.default_rng(seed)
@@ -146,7 +146,7 @@ def test_matching_pursuit_reconstructs_a_pose_in_the_span_of_the_dictionary(walk
     assert np.linalg.norm(found - 1.7 * truth, axis=-1).mean(axis=1).max() < 1e-3  # m
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=st.integers(0, 10**6), size=st.integers(1, 5), rank=st.integers(1, 5), radius=st.floats(0.01, 10))
 def test_no_other_point_of_the_sphere_is_lower(seed: int, size: int, rank: int, radius: float) -> None:
     rng = np.random.default_rng(seed)
@@ -172,7 +172,7 @@ def test_the_convex_relaxation_finds_a_sparse_pose() -> None:
     assert np.linalg.norm(refined - truth, axis=-1).mean(axis=1).max() < 1e-4  # m
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=st.integers(0, 10**6), amount=st.floats(0, 5))
 def test_the_spectral_norm_is_shrunk_as_by_singular_values(seed: int, amount: float) -> None:
     matrix = np.random.default_rng(seed).standard_normal((2, 3))

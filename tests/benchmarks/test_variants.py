@@ -44,7 +44,7 @@ def test_printed_norms_recover_a_synthetic_walk(walk_model: BasePoses) -> None:
     assert result.residual.max() < 1e-3  # px; measured: 2e-7
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     seed=st.integers(0, 1000),
     bone=st.floats(0, 100),

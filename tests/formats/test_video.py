@@ -110,7 +110,7 @@ def test_a_name_opens_files_only(name: str) -> None:
         VideoReader(Path(name))
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(start=st.integers(0, 3000), noise=st.binary(min_size=1, max_size=60))
 def test_damage_gives_fewer_images_or_one_clear_error(tmp_path: Path, start: int, noise: bytes) -> None:
     path = tmp_path / 'a.mkv'

@@ -17,7 +17,7 @@ from tests.fuzz.examples import EXAMPLES
 from tests.fuzz.targets import ARRAY_KEYS, FILE_SEPARATOR, check, pack_arrays
 
 pytestmark = pytest.mark.filterwarnings('error', 'ignore:Stored array in format 3.0')
-QUICK = settings(max_examples=40, deadline=None)
+QUICK = settings(max_examples=40)
 
 numbers = st.integers() | st.floats() | st.integers(-3, 30)
 texts = st.text(max_size=6) | st.sampled_from(['a_1.jpg', '7', 'nose', '\x1b[2J', '\ud800'])
@@ -105,7 +105,7 @@ def test_names_are_those_of_parameters() -> None:
 
 
 @pytest.mark.parametrize('source', ['messages', 'mcap', 'db3', 'ros1', 'recovery', 'folder', 'npz'])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(data=st.data())
 def test_damaged_bytes(source: str, data: st.DataObject) -> None:
     """Some bytes of a valid input are replaced, and its end may be missing."""

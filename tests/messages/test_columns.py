@@ -48,7 +48,7 @@ def make_message(msgtype: str, rng: np.random.Generator) -> Any:
 
 @pytest.mark.parametrize('msgtype', [SKELETONS, KEYPOINTS])
 @given(seed=SEEDS)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_columns_are_what_each_message_says(msgtype: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     some = [make_message(msgtype, rng) for _ in range(4)] * 2
@@ -86,7 +86,7 @@ def is_refused(read: Callable[[bytes], object], raw: bytes) -> bool:
 
 
 @given(seed=SEEDS)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_bytes_that_are_cut_off_or_no_message_are_refused(seed: int) -> None:
     rng = np.random.default_rng(seed)
     raw = encode(make_message(SKELETONS, rng), SKELETONS)

@@ -124,7 +124,7 @@ def test_a_small_file_of_a_huge_picture_is_refused() -> None:
         decode_image(raw, COMPRESSED_IMAGE, LIMITS)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(data=st.data())
 def test_damaged_messages_give_an_image_or_one_error(data: st.DataObject) -> None:
     msgtype = data.draw(st.sampled_from(IMAGE_TYPES))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -43,7 +43,6 @@ def make_standing_person(person_id: str) -> Person3D:
     return replace(make_person_3d(person_id), joints=STANDING + [0, 0, 4])
 
 
-@settings(deadline=None)  # the definitions of all messages are loaded at the first
 @given(st.integers(0, SECOND_NS))
 def test_a_moving_camera_is_where_it_was_at_the_time_of_the_image(stamp_ns: int) -> None:
     x = stamp_ns / SECOND_NS
@@ -152,7 +151,6 @@ def test_a_message_with_an_invalid_transform_adds_nothing(transform: Any, messag
     assert tree.is_empty
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=80))
 def test_any_bytes_are_transforms_or_an_error(raw: bytes) -> None:
     try:

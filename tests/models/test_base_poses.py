@@ -170,7 +170,7 @@ def test_every_value_of_a_model_is_checked(walk_model: base_poses.BasePoses, cas
     assert 'pickle' not in str(caught.value)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_a_corrupted_model_is_read_or_refused(walk_model: base_poses.BasePoses, data: st.DataObject) -> None:
     content = bytearray(model_bytes(walk_model, {}))

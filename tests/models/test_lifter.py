@@ -203,7 +203,7 @@ def test_scale_to_metres_uses_the_bone_lengths(walk: tuple[lifter.Array, ...]) -
 coordinates = st.floats(width=64) | st.sampled_from([0.0, np.nan, np.inf, -np.inf, 1e308])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     arrays(float, (5, JOINT_COUNT, 2), elements=coordinates), arrays(float, (5, JOINT_COUNT), elements=coordinates)
 )
@@ -226,7 +226,7 @@ def test_save_and_load(tmp_path: Path, shipped: Lifter) -> None:
     assert 'mocap.cs.cmu.edu' in str(loaded.provenance['acknowledgement'])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 1 << 30), st.integers(0, 255))
 def test_corrupted_lifters_are_read_or_refused(place: int, byte: int) -> None:
     small = Lifter(

@@ -34,7 +34,7 @@ def test_who_stands_stays_and_who_walks_goes_on() -> None:
 
 
 @given(st.integers(0, 2**31), st.floats(0.0, 3.0))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_a_prediction_turns_with_the_axes_of_the_camera(seed: int, speed: float) -> None:
     turn = Rotation.random(random_state=np.random.default_rng(seed)).as_matrix()
     past = make_past(speed)

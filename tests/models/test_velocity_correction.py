@@ -40,7 +40,7 @@ def make_past(seed: int, tremble: float = 0.02) -> VelocityPast:
 
 
 @given(st.integers(0, 2**31))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_a_correction_turns_with_the_axes_of_the_camera(seed: int) -> None:
     past, turn = make_past(seed), Rotation.random(random_state=np.random.default_rng(seed)).as_matrix()
     turned = VelocityPast(
@@ -52,7 +52,7 @@ def test_a_correction_turns_with_the_axes_of_the_camera(seed: int) -> None:
 
 
 @given(st.integers(0, 2**31))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_the_mirror_image_has_the_mirrored_correction(seed: int) -> None:
     past, flip = make_past(seed), np.array([-1.0, 1.0, 1.0])
     axes = past.axes * flip[:, None] * [1.0, -1.0, 1.0]

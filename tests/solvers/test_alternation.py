@@ -92,7 +92,7 @@ def test_recovers_a_synthetic_walk(walk_model: BasePoses) -> None:
     assert result.translation == pytest.approx(np.tile([320, 240], (len(times), 1)), abs=1e-3)  # px
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 1000),
     bone=st.floats(0, 100),

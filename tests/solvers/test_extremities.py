@@ -210,7 +210,7 @@ def test_a_sequence_backwards_gives_the_same() -> None:
     assert np.median(far) < 0.003  # m; the core's limbs remember their turns in one direction of time only
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     numbers=arrays(float, (3, 5, JOINTS, 3), elements=st.floats(-5, 5)),
     weight=arrays(float, (5, JOINTS), elements=st.floats(0, 1)),

@@ -46,7 +46,7 @@ def measure(values: np.ndarray) -> dict[str, np.ndarray]:
     return dict(zip(COORDINATES, found.T, strict=True))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data())
 def test_the_angles_of_a_pose_are_found_again(data: st.DataObject) -> None:
     values = {name: data.draw(st.floats(*LIMITS.get(name, (-80, 80)))) for name in ANGLES}
@@ -121,7 +121,7 @@ def test_bodies_without_angles_give_finite_ones() -> None:
         assert np.isfinite(compute_joint_angles(joints, FPS).values).all()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(arrays(float, (4, 15, 3), elements=st.floats(-3, 3)))
 def test_any_joints_give_angles_without_a_jump_by_a_full_turn(joints: np.ndarray) -> None:
     angles = compute_joint_angles(joints, FPS)

@@ -93,7 +93,7 @@ def draw_angles(seed: int) -> dict[str, float]:
 
 
 @given(st.integers(0, 2**31))
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_the_model_puts_the_links_where_the_joints_are(seed: int) -> None:
     body = make_body(draw_angles(seed))
     turn = Rotation.random(random_state=np.random.default_rng(seed))
@@ -247,7 +247,7 @@ def compute_limb_angles_slowly(places: dict[str, np.ndarray], side: str) -> list
 
 
 @given(st.integers(0, 2**31), st.floats(0.01, 0.3))
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_the_angles_are_those_of_the_formulas(seed: int, spread: float) -> None:
     rng = np.random.default_rng(seed)
     bodies = STANDING + rng.normal(scale=spread, size=(3, *STANDING.shape))

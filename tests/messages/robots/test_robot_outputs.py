@@ -134,7 +134,6 @@ def test_poses_face_ahead() -> None:
 
 
 @given(st.integers(0, 2**31), st.floats(0.0, 0.2), st.sampled_from([CMU15, BODY26]))
-@settings(deadline=None)
 def test_joints_are_inside_capsules_that_grow_with_what_their_places_may_be_off(
     seed: int, std: float, skeleton: Skeleton
 ) -> None:
@@ -270,7 +269,7 @@ def show(
 
 
 @given(st.text('aä人', max_size=9))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_markers_of_capsules_have_their_ends_and_radii(frame_id: str) -> None:
     people = [make_walker('anna'), make_walker('bob', (0.0, 3.0, 1.0))]
     markers = show(OutputEncoder(), 'capsule_markers', people, Header(7, frame_id))

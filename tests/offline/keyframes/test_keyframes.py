@@ -77,7 +77,7 @@ def select_directly(represents: np.ndarray, times: np.ndarray, alpha: float, gap
         keyframes.append(int(np.argmax(np.array(cost) <= min(cost) + 1e-9 * max(min(cost), 1.0))))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_incremental_selection_equals_direct_selection(data: st.DataObject) -> None:
     frames = data.draw(st.integers(1, 24))

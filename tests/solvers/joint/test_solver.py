@@ -207,7 +207,7 @@ def test_reaches_the_alternations_minimum_or_a_lower_one(walk_model: BasePoses) 
         assert steps[0] <= 15
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 1000),
     bone=st.floats(0, 100),
