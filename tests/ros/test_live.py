@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 from rosbags.highlevel import AnyReader
@@ -51,8 +52,20 @@ def stream() -> list[bytes]:
     return encode_demo_frames(FRAMES)
 
 
+@pytest.fixture(autouse=True)
+def stop_runs() -> Iterator[None]:
+    """Stop the runs of a test that failed before it stopped them; their threads would keep pytest from ending."""
+    CollectingRun.started.clear()
+    yield
+    for run in CollectingRun.started:
+        if run._thread.is_alive():
+            run.stop()
+
+
 class CollectingRun:
     """A live run whose outputs and log lines are collected."""
+
+    started: ClassVar[list[LiveRun]] = []  # in this test
 
     def __init__(self, config: Config, tracker: Any = Tracker, versions: MessageVersions | None = None) -> None:
         self.log = LineLog()
@@ -61,6 +74,7 @@ class CollectingRun:
         pipeline = Pipeline(config, None, tracker)
         self.run = LiveRun(pipeline, types, NAMES, self.published.append, self.log, versions=versions)
         self.run.start()
+        self.started.append(self.run)
 
     @property
     def skeletons(self) -> list[OutputMessage]:
@@ -71,10 +85,39 @@ class CollectingRun:
             self.run.enqueue(Source.KEYPOINTS, raw, sent_ns)
 
     def wait_for_frames(self, count: int) -> None:
-        deadline = time.monotonic() + TIMEOUT_S
-        while len(self.skeletons) < count:
-            assert time.monotonic() < deadline
-            time.sleep(0.002)
+        wait_until(lambda: len(self.skeletons) >= count)
+
+    def count_lines(self, words: str) -> int:
+        return sum(words in line for line in self.log.lines)
+
+    def wait_for_lines(self, words: str, count: int = 1) -> None:
+        wait_until(lambda: self.count_lines(words) >= count)
+
+
+def wait_until(condition: Callable[[], object]) -> None:
+    deadline = time.monotonic() + TIMEOUT_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def block_tracker(has_started: threading.Event, may_continue: threading.Event) -> type[Tracker]:
+    """Return a tracker that does not finish its first frame before it may."""
+
+    class BlockedTracker(Tracker):
+        def update(self, *frame: Any) -> Any:
+            has_started.set()
+            assert may_continue.wait(TIMEOUT_S)
+            return super().update(*frame)
+
+    return BlockedTracker
+
+
+def block_disk(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Let recorders write nothing before the event that is returned is set."""
+    disk_is_ready, write = threading.Event(), Recorder.write
+    monkeypatch.setattr(Recorder, 'write', lambda *a: disk_is_ready.wait(TIMEOUT_S) and write(*a))
+    return disk_is_ready
 
 
 def read_messages(bag_folder: Path, topic: str) -> list[bytes]:
@@ -187,16 +230,8 @@ def test_tracking_restarts_when_stamps_go_back_both_live_and_replayed(tmp_path: 
 
 def test_a_backlog_is_skipped_counted_and_left_out_of_a_replay(tmp_path: Path, stream: list[bytes]) -> None:
     has_started, may_continue = threading.Event(), threading.Event()
-
-    class BlockedTracker(Tracker):
-        """A tracker that does not finish its first frame before `may_continue` is set."""
-
-        def update(self, *frame: Any) -> Any:
-            has_started.set()
-            assert may_continue.wait(TIMEOUT_S)
-            return super().update(*frame)
-
-    live = CollectingRun(recording_to(tmp_path / 'live', **{'node.queue': 2}), BlockedTracker)
+    tracker = block_tracker(has_started, may_continue)
+    live = CollectingRun(recording_to(tmp_path / 'live', **{'node.queue': 2}), tracker)
     live.enqueue(stream[0], sent_ns=0)
     assert has_started.wait(TIMEOUT_S)
     live.enqueue(*stream[1:], sent_ns=0)
@@ -212,6 +247,28 @@ def test_a_backlog_is_skipped_counted_and_left_out_of_a_replay(tmp_path: Path, s
     assert read_messages(bag, '/keypoints') == stream
     with Bag(bag) as opened:
         assert read_run(opened).skipped_inputs == set(range(2, FRAMES))
+    assert_replay_gives_the_same(bag, tmp_path / 'again')
+
+
+def test_what_waits_when_the_time_for_the_stop_is_over_is_recorded_as_skipped(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('mocap_ros.ros.live.MAX_STOP_SECONDS', 0.0)
+    has_started, may_continue = threading.Event(), threading.Event()
+    live = CollectingRun(recording_to(tmp_path / 'live'), block_tracker(has_started, may_continue))
+    live.enqueue(stream[0])
+    assert has_started.wait(TIMEOUT_S)
+    live.enqueue(*stream[1:5])
+    stopping = threading.Thread(target=live.run.stop)
+    stopping.start()
+    wait_until(lambda: live.run._stop_deadline is not None)
+    may_continue.set()
+    stopping.join(TIMEOUT_S)
+    assert len(live.skeletons) == 1
+    (bag,) = (tmp_path / 'live').iterdir()
+    assert read_messages(bag, '/keypoints') == stream[:5]
+    with Bag(bag) as opened:
+        assert read_run(opened).skipped_inputs == {2, 3, 4, 5}
     assert_replay_gives_the_same(bag, tmp_path / 'again')
 
 
@@ -254,42 +311,52 @@ def test_while_messages_wait_the_newest_comes_first_until_the_run_has_caught_up(
 def test_a_disk_that_takes_nothing_is_reported_and_does_not_stop_the_run(
     tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    disk_is_ready = threading.Event()
-    write = Recorder.write
-    monkeypatch.setattr(Recorder, 'write', lambda *a: disk_is_ready.wait(TIMEOUT_S) and write(*a))
+    disk_is_ready = block_disk(monkeypatch)
     monkeypatch.setattr('mocap_ros.ros.live.MAX_FINISH_SECONDS', 0.1)
     live = CollectingRun(recording_to(tmp_path / 'live'))
     live.enqueue(stream[0])
     live.wait_for_frames(1)
-
-    def wait_for_line(text: str) -> None:
-        deadline = time.monotonic() + TIMEOUT_S
-        while not [line for line in live.log.lines if text in line]:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-
-    wait_for_line('the disk has taken nothing of the recording')
+    live.wait_for_lines('the disk has taken nothing of the recording')
     assert 'the disk has taken nothing' in live.run.recorder_fault
+    disk_is_ready.set()
+    live.wait_for_lines('the disk takes the recording again, after ')
+    disk_is_ready.clear()
     live.enqueue(stream[1])
     live.wait_for_frames(2)
     assert live.run.finish_recording() is not None
-    wait_for_line('the disk is slow; ')
+    live.wait_for_lines('the disk is slow; ')
     live.enqueue(stream[2])
     live.wait_for_frames(3)
     disk_is_ready.set()
-    wait_for_line('is finished')
+    live.wait_for_lines('is finished')
     live.run.stop()
     assert live.run.recorder_fault == ''
     (bag,) = (tmp_path / 'live').iterdir()
     assert read_messages(bag, '/keypoints') == stream[:2]
 
 
+def test_inputs_that_are_too_many_for_the_disk_are_counted_in_state_log_and_bag(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk_is_ready = block_disk(monkeypatch)
+    live = CollectingRun(recording_to(tmp_path / 'live', **{'recorder.backlog': 3, 'node.queue': FRAMES}))
+    live.enqueue(*stream[:8])
+    live.wait_for_frames(8)
+    wait_until(lambda: 'inputs missing' in live.run.recorder_state)
+    disk_is_ready.set()
+    live.wait_for_lines('processed but not recorded')
+    live.run.stop()
+    (bag,) = (tmp_path / 'live').iterdir()
+    missing = 8 - len(read_messages(bag, '/keypoints'))
+    assert missing >= 4
+    assert live.count_lines(f'is finished, but {missing} inputs are missing in it') == 1
+    assert_replay_gives_the_same(bag, tmp_path / 'again')
+
+
 def test_the_end_of_the_node_waits_for_every_recording_and_tells_of_each(
     tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    disk_is_ready = threading.Event()
-    write = Recorder.write
-    monkeypatch.setattr(Recorder, 'write', lambda *a: disk_is_ready.wait(TIMEOUT_S) and write(*a))
+    disk_is_ready = block_disk(monkeypatch)
     monkeypatch.setattr('mocap_ros.ros.live.MAX_FINISH_SECONDS', 0.05)
     live = CollectingRun(recording_to(tmp_path / 'live'))
     live.enqueue(stream[0])
@@ -298,10 +365,12 @@ def test_the_end_of_the_node_waits_for_every_recording_and_tells_of_each(
     live.run.start_recording()
     live.enqueue(stream[1])
     live.wait_for_frames(2)
-    threading.Timer(0.3, disk_is_ready.set).start()
-    live.run.stop()
-    assert sum('the disk is slow; ' in line for line in live.log.lines) == 2
-    assert sum('is finished' in line for line in live.log.lines) == 2
+    stopping = threading.Thread(target=live.run.stop)
+    stopping.start()
+    live.wait_for_lines('the disk is slow; ', 2)
+    disk_is_ready.set()
+    stopping.join(TIMEOUT_S)
+    assert live.count_lines('the disk is slow; ') == live.count_lines('is finished') == 2
     assert len(list((tmp_path / 'live').iterdir())) == 2
 
 
@@ -360,11 +429,8 @@ def test_a_recording_that_cannot_start_is_logged_once_and_the_run_continues(
 
 
 def test_a_repeated_error_is_logged_the_1st_10th_and_100th_time(stream: list[bytes]) -> None:
-    live = CollectingRun(FAST_CONFIG)
-    for _ in range(120):
-        live.enqueue(stream[0][:40])
-        time.sleep(0.001)
-    live.enqueue(stream[0])
+    live = CollectingRun(with_values(FAST_CONFIG, {'node.queue': 1000}))
+    live.enqueue(*[stream[0][:40]] * 120, stream[0])
     live.wait_for_frames(1)
     live.run.stop()
     lines = [line for line in live.log.lines if 'not a mocap' in line]
