@@ -46,12 +46,14 @@ def test_a_node_without_autostart_is_configured_activated_and_shut_down_from_out
     peer.change_state(ACTIVATE)
     peer.wait_for_node()
     peer.wait_for_keypoints_subscription()
-    assert reset(peer).success
-    bag_folder = Path(peer.record(True).message)
     peer.keypoints.publish(keypoints_at(1))
     peer.wait_for_frames(1)
     assert decode(peer.received['skeletons'][0], SKELETONS).people == []
 
+    assert reset(peer).success
+    bag_folder = Path(peer.record(True).message)
+    peer.keypoints.publish(keypoints_at(2))
+    peer.wait_for_frames(2)
     peer.change_state(SHUT_DOWN_ACTIVE)
     assert read_state(peer) == 'finalized'
     with Bag(bag_folder) as bag:
