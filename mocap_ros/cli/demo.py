@@ -7,6 +7,7 @@ import contextlib
 import os
 import random
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -40,6 +41,8 @@ Array = NDArray[np.float64]
 
 # s, times of the poses in the picture: at least one of every motion of the recording, and one with a hidden arm
 PICTURE_TIMES_S = (1.0, 2.6, 4.0, 5.2, 6.6, 7.9, 8.7, 10.6, 12.2)
+DOMAINS = range(1, 102)  # ROS domains that are safe on every operating system, without 0, which is everybody's
+FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250  # network ports of the domains, as the specification of DDS sets them
 START_TIMEOUT_S = 60.0  # s; far above what the node takes to start where everything is compiled
 STOP_TIMEOUT_S = 10.0  # s; guards against a node that does not stop after an interrupt, which takes it under 1 s
 
@@ -75,14 +78,9 @@ def run(args: argparse.Namespace) -> int:
         raise MocapError('the demo needs ROS 2 (rclpy): run `make demo`, or source a ROS 2 workspace first')
     recording = Path(str(files('mocap_ros') / 'demo' / 'demo.npz'))
     args.output.mkdir(parents=True, exist_ok=True)
-    environment = {
-        **os.environ,
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        'ROS_DOMAIN_ID': str(random.SystemRandom().randrange(1, 100)),
-    }
     compile_all()  # the node does not listen while it compiles
     old_bags = set(_list_bags(args.output))
-    with _run_node(args.output, environment) as node:
+    with reserve_domain() as domain, _run_node(args.output, environment := {**os.environ, **domain}) as node:
         duration_s = _measure_duration(recording)
         print(f'Playing {recording.name} (synthetic, {duration_s:.0f} s) to the node ...', flush=True)
         player_command = [
@@ -126,6 +124,26 @@ def _list_bags(folder: Path) -> list[Path]:
 def _measure_duration(recording: Path) -> float:
     """Return the duration of a sequence file in s."""
     return float(np.ptp(load_sequence_file(recording).timestamps))
+
+
+@contextlib.contextmanager
+def reserve_domain() -> Iterator[dict[str, str]]:
+    """Keep a ROS domain to one user on this host, and yield the environment variables that choose it.
+
+    A domain is taken as long as the TCP port with the number of its first UDP port is bound.
+
+    Raises:
+        MocapError: all domains are taken.
+    """
+    for domain in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
+        with socket.socket() as lock:
+            try:
+                lock.bind(('127.0.0.1', FIRST_PORT + PORTS_PER_DOMAIN * domain))
+            except OSError:
+                continue
+            yield {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': str(domain)}
+            return
+    raise MocapError('all ROS domains of this host are taken: wait until other demos have ended')
 
 
 @contextlib.contextmanager

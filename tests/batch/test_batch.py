@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import errno
 import os
 import signal
@@ -20,8 +21,10 @@ import pytest
 from mocap_ros.bags.journal import Journal, read_run
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
+from mocap_ros.cli.batch import _make_settings, add_options
 from mocap_ros.cli.main import main
 from mocap_ros.errors import MocapError
+from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence
 from tests.support.bag_corpus import FAST_ARGUMENTS, read_outputs, write_corpus, write_demo_bag
 from tests.support.paths import ROOT
@@ -40,6 +43,12 @@ from mocap_ros.config import Config, from_yaml, to_yaml, values, with_values  # 
 from mocap_ros.runtime.parts import Part  # noqa: E402
 
 FRAMES = {'a': 40, 'sub/b': 25, 'c': 10}
+VIDEO: dict[str, Any] = {
+    'fps': 25.0,
+    'image_size': (640, 480),
+    'layout': 'coco17',
+    'detector': Path('pose.onnx'),
+}
 
 
 @pytest.fixture(scope='module')
@@ -224,16 +233,17 @@ def test_a_worker_that_is_killed_costs_its_bags_one_more_try(tmp_path: Path) -> 
 
     def kill(connected: Any) -> None:
         while not list((tmp_path / 'out').glob('.unfinished/*/*/*.mcap')):
+            assert len(outcomes) < 3
             time.sleep(0.02)
         pids.extend(connected.run(os.getpid).values())
         os.kill(pids[0], signal.SIGKILL)
 
+    outcomes: list[Outcome] = []
     with cluster.connect(None, workers=1) as connected:
         killer = threading.Thread(target=kill, args=(connected,))
         killer.start()
         settings = Settings(Work.REPLAY, str(tmp_path / 'out'), FAST_CONFIG).seal()
         jobs = [Job(recording, settings) for recording in find_recordings(str(tmp_path / 'in'), Work.REPLAY)]
-        outcomes: list[Outcome] = []
         lost_workers = run_jobs(connected, jobs, outcomes.append)
         killer.join()
         assert list(connected.run(os.getpid).values()) != pids
@@ -264,6 +274,55 @@ def test_a_part_with_other_bounds_is_not_the_same_work(tmp_path: Path) -> None:
         for stop_ns in (1 << 60, 1 << 60, 1 << 61)
     ]
     assert statuses == [Status.DONE, Status.DONE_BEFORE, Status.DONE]
+
+
+@pytest.mark.parametrize(
+    'values',
+    [
+        {'work': Work.RECONSTRUCT},
+        {'config': None},
+        {'changes': {'tracker.lag': 0.2}},
+        {'suffix': '.bvh'},
+        {'topic': '/people'},
+        {'camera_info': '/info'},
+        *({'video': Video(**{name: value})} for name, value in VIDEO.items()),
+    ],
+)
+def test_whatever_changes_results_changes_their_key(values: dict[str, Any]) -> None:
+    settings = Settings(Work.REPLAY, 'out', FAST_CONFIG)
+    assert replace(settings, **values).seal().key != settings.seal().key
+
+
+def test_what_changes_no_result_keeps_their_key() -> None:
+    settings = Settings(Work.REPLAY, 'out', FAST_CONFIG)
+    others = replace(settings, out='elsewhere', cut_seconds=60.0, copy_limit_bytes=1)
+    assert others.seal().key == settings.seal().key
+
+
+def test_the_options_of_the_command_are_the_settings(tmp_path: Path) -> None:
+    """Lengths are in minutes and sizes in GB on the command line, in seconds and bytes inside."""
+    text = (
+        f'in -o {tmp_path} --work reconstruct --suffix .bvh --cut 1.5 --copy-limit 0.5 --topic /people '
+        '--camera-info /info --fps 25 --image-size 640x480 --layout coco17 --detector pose.onnx '
+        '--set tracker.lag=0.2'
+    )
+    parser = argparse.ArgumentParser()
+    add_options(parser)
+    settings = _make_settings(parser.parse_args(text.split()))
+    assert (
+        settings
+        == Settings(
+            Work.RECONSTRUCT,
+            str(tmp_path),
+            changes={'tracker.lag': 0.2},
+            topic='/people',
+            camera_info='/info',
+            video=Video(**VIDEO),
+            suffix='.bvh',
+            cut_seconds=90.0,
+            copy_limit_bytes=500_000_000,
+        ).seal()
+    )
 
 
 def test_each_work_has_its_own_records(tmp_path: Path) -> None:

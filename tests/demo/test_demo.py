@@ -8,10 +8,11 @@ import pytest
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
-from mocap_ros.cli.demo import read_first_person
+from mocap_ros.cli.demo import read_first_person, reserve_domain
 from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig
 from mocap_ros.demo.scene import make_recording
+from mocap_ros.errors import MocapError
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
@@ -42,6 +43,13 @@ def test_the_demo_writes_a_bag_and_a_picture(tmp_path: Path, capfd: pytest.Captu
     assert list(metadata.parent.glob('*.mcap'))
     assert (tmp_path / 'demo.png').read_bytes().startswith(b'\x89PNG')
     assert (tmp_path / 'demo.html').read_text(encoding='utf-8').startswith('<!doctype html>')
+
+
+def test_a_domain_is_given_away_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    with reserve_domain() as domain:
+        monkeypatch.setattr('mocap_ros.cli.demo.DOMAINS', [int(domain['ROS_DOMAIN_ID'])])
+        with pytest.raises(MocapError, match='all ROS domains of this host are taken'), reserve_domain():
+            pass
 
 
 def test_the_first_person_of_every_message_is_read(tmp_path: Path) -> None:

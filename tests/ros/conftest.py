@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from itertools import count
 from pathlib import Path
 
 import pytest
 
+from mocap_ros.cli.demo import reserve_domain
 from tests.support.ros_node import Peer, Process, StartNode, launch_node
-
-DOMAINS = count(os.getpid())  # every test has its own, also where several test processes run
-MAX_DOMAIN_ID = 101  # the largest that is safe on every operating system
 
 
 @pytest.fixture
-def env(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, str]:
-    """Environment of the node: this machine only, and a domain of this test's own."""
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(next(DOMAINS) % MAX_DOMAIN_ID + 1))
-    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
-    # A server that answers before it has discovered the client's reader warns of it; the peer asks again.
-    monkeypatch.setenv('PYTHONWARNINGS', 'ignore:failed to send response:RuntimeWarning')
-    return dict(os.environ)
+def env(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[dict[str, str]]:
+    """Environment of the node: this machine only, and a domain that no other test or demo has at the same time."""
+    with reserve_domain() as variables:
+        for name, value in variables.items():
+            monkeypatch.setenv(name, value)
+        monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
+        # A server that answers before it has discovered the client's reader warns of it; the peer asks again.
+        monkeypatch.setenv('PYTHONWARNINGS', 'ignore:failed to send response:RuntimeWarning')
+        yield dict(os.environ)
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +23,12 @@ from mocap_ros.skeleton import keypoint_layout
 from tests.support import foreign_packages
 from tests.support.camera_infos import camera_info
 from tests.support.paths import ROOT
-from tests.support.ros_node import Peer, StartNode, stack_joints, stop_node
+from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, stack_joints, stop_node, wait_until_discovered
 
 pytest.importorskip('rclpy')
 pytest.importorskip('mocap_ros_msgs')
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
-
-DETECTOR = ROOT / 'tests' / 'support' / 'foreign_detector.py'
 
 
 @pytest.fixture(scope='module', autouse=True)
@@ -42,13 +39,14 @@ def foreign() -> None:
 def run_detector(env: dict[str, str], kind: str, frames: list[Any], *options: str) -> str:
     """Publish frames as messages of this kind; return what the detector prints."""
     done = subprocess.run(
-        [sys.executable, str(DETECTOR), kind, *options],
+        [sys.executable, '-m', 'tests.support.foreign_detector', kind, *options],
         env=foreign_packages.environment(env),
+        cwd=ROOT,
         input=json.dumps(frames),
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=3 * TIMEOUT_S,  # the detector itself waits for one event after the other
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -81,16 +79,15 @@ def test_yolo_detections_with_transforms(
         'node.publish_people:=true',
         'node.output_frame:=map',
         'node.frame_prefix:=left_',
-        'node.silence_warning:=60.0',
         'recorder.enabled:=true',
         f'recorder.folder:={tmp_path}/bags',
     )
     peer.wait_for_node()
     info = peer.node.create_publisher(load_interface_class(CAMERA_INFO), 'camera_info', 1)
     peer.wait_until(info.get_subscription_count)
-    time.sleep(0.3)
+    wait_until_discovered(peer.node, peer.executor, 'mocap_node')
     info.publish(camera_info())
-    time.sleep(0.3)
+    peer.wait_for_diagnostics('camera', 'from CameraInfo')
     frames: list[Any] = [[(f + 1) * 10**8, place_people(f, 'anna', 'b/ob')] for f in range(8)]
     transforms = json.loads(run_detector(env, 'yolo', frames, 'tf', 'map'))
     peer.wait_for_frames(len(frames))
@@ -135,8 +132,8 @@ def test_bodies_of_ros4hri_that_come_and_go(
         }
         frames.append([(i + 1) * 10**8, people])
     run_detector(env, 'hri', frames)
-    peer.wait_until(lambda: len(peer.received['skeletons']) >= len(frames))
-    assert [line for line in stop_node(node) if 'no message has arrived' not in line] == []
+    peer.wait_for_frames(len(frames))
+    assert stop_node(node) == []
     people_seen = [decode(raw, SKELETONS).people for raw in peer.received['skeletons']]
     assert [[p.id for p in people if not p.predicted] for people in people_seen] == ids
     (bag_folder,) = (tmp_path / 'bags').iterdir()

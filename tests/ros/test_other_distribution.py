@@ -72,8 +72,7 @@ def test_markers_are_published_recorded_and_played_as_the_installed_version(
     foreign_packages.build_foxy_markers()
     env.update(foreign_packages.environment(env, foreign_packages.FOXY_PREFIX), ROS_DISTRO='foxy')
     with listen_to_markers(env, peer) as received:
-        options = ['recorder.enabled:=true', f'recorder.folder:={tmp_path}/bags', 'node.silence_warning:=60.0']
-        node = start_node(*options)
+        node = start_node('recorder.enabled:=true', f'recorder.folder:={tmp_path}/bags')
         peer.wait_until(lambda: peer.received['skeleton_definition'])
         peer.wait_for_keypoints_subscription()
         frame = 0

@@ -41,12 +41,7 @@ def test_playing_without_a_subscriber_fails_in_one_line(env: dict[str, str], tmp
 
 def test_a_sequence_plays_on_the_topic_that_is_named(env: dict[str, str], peer: Peer, tmp_path: Path) -> None:
     sequence = make_recording().sequence()
-    sequence = replace(
-        sequence,
-        timestamps=sequence.timestamps[:3],
-        keypoints=sequence.keypoints[:3],
-        truth=None,
-    )
+    sequence = replace(sequence, timestamps=sequence.timestamps[:3], keypoints=sequence.keypoints[:3], truth=None)
     save_sequence(tmp_path / 'demo.npz', sequence)
     received: list[bytes] = []
     message_class = load_interface_class(KEYPOINTS)
@@ -56,8 +51,11 @@ def test_a_sequence_plays_on_the_topic_that_is_named(env: dict[str, str], peer: 
     player = subprocess.Popen(
         [sys.executable, '-m', 'mocap_ros.cli.main', *command], env=env, stdout=subprocess.PIPE, text=True
     )
-    peer.wait_until(lambda: len(received) == 3)
-    out, _ = player.communicate(timeout=TIMEOUT_S)
+    try:
+        peer.wait_until(lambda: len(received) == 3)
+        out, _ = player.communicate(timeout=TIMEOUT_S)
+    finally:
+        player.kill()
     assert out.endswith('demo.npz: 3 messages published on /camera/points\n')
     assert [decode(raw, KEYPOINTS).header.stamp.sec for raw in received] == [int(t) for t in sequence.timestamps]
 
@@ -92,6 +90,8 @@ def test_all_topics_play_in_a_loop_with_clock_and_recorded_qos(
     player = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         peer.wait_until(lambda: len(received) > 25 and len({c.clock.nanosec for c in clocks}) > 10)
+        peer.wait_until(lambda: peer.received['skeleton_definition'])
+        peer.wait_until(lambda: 'mocap_player' in peer.node.get_node_names())
         offered = peer.node.get_publishers_info_by_topic('/keypoints')
         reliability = {p.qos_profile.reliability for p in offered if p.node_name == 'mocap_player'}
         (latched,) = peer.node.get_publishers_info_by_topic('/skeleton_definition')

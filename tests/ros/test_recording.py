@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from mocap_ros.bags.journal import INPUT, Verdict, decode_entry
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.config import RecorderConfig
@@ -52,19 +53,23 @@ def test_a_live_run_is_received_recorded_and_replayed(
         for frame in frames:
             recorder.write('/detections', KEYPOINTS, frame.raw, frame.stamp_ns, frame.stamp_ns)
 
-    patient = ('node.silence_warning:=60.0', 'node.queue:=100')  # the machine may be busy
+    # The machine may be busy, so that many messages wait.
+    patient = ('node.queue:=100', 'qos_overrides./keypoints.subscription.depth:=100')
     node = start_node('recorder.enabled:=true', f'recorder.folder:={tmp_path}/bags', *patient)
     peer.wait_for_node()
-    started = time.monotonic()
+    started, started_ns = time.monotonic(), time.time_ns()
     player = subprocess.Popen(
         [sys.executable, '-m', 'mocap_ros.cli.main', 'play', str(tmp_path / 'played')],
         env=env,
         stdout=subprocess.PIPE,
         text=True,
     )
-    peer.wait_until(lambda: all(len(peer.received[t]) >= FRAMES for t in OUTPUTS))
-    assert time.monotonic() - started > (FRAMES - 1) / 30
-    out, _ = player.communicate(timeout=TIMEOUT_S)
+    try:
+        peer.wait_until(lambda: all(len(peer.received[t]) >= FRAMES for t in OUTPUTS))
+        assert time.monotonic() - started > (FRAMES - 1) / 30
+        out, _ = player.communicate(timeout=TIMEOUT_S)
+    finally:
+        player.kill()
     assert out.splitlines() == [
         f'{tmp_path}/played: waiting for a subscriber to /keypoints, for at most 10 s',
         f'{tmp_path}/played: {FRAMES} messages published on keypoints',
@@ -87,12 +92,12 @@ def test_a_live_run_is_received_recorded_and_replayed(
     del markers[: len(markers) - FRAMES - 1]  # the recording starts after all markers were deleted
     assert recorded == peer.received
     assert times == sorted(times)
-    assert abs(times[-1] - time.time_ns()) < 60e9
+    assert started_ns < times[-1] < time.time_ns()
     with (bag_folder / f'{bag_folder.name}_0.mcap').open('rb') as file:
         messages: dict[str, list[bytes]] = {}
         for _, channel, message in make_reader(file).iter_messages():
             messages.setdefault(channel.topic, []).append(message.data)
-            assert abs(message.publish_time - message.log_time) < 1e9
+            assert abs(message.publish_time - message.log_time) < TIMEOUT_S * 1e9
     assert {t: messages['/' + t] for t in recorded} == recorded
 
     done = run_cli(env, 'replay', bag_folder, '-o', tmp_path / 'again')
@@ -145,7 +150,7 @@ def test_a_recording_switched_by_parameter_ends_when_its_folder_is_removed(
     peer.wait_until(lambda: len(list((tmp_path / 'bags').glob('*/*.mcap'))) == 2)
     (second,) = set((tmp_path / 'bags').iterdir()) - {first}
     shutil.rmtree(second)
-    time.sleep(0.8)
+    peer.wait_for_diagnostics('recorder', 'off')
     assert not peer.record(False).success
     peer.keypoints.publish(keypoints_at(2))
     peer.wait_for_frames(2)
@@ -178,11 +183,15 @@ def test_a_recording_that_cannot_be_finished_stays_off(peer: Peer, start_node: S
 @pytest.mark.slow
 def test_a_bag_is_complete_whenever_the_node_is_stopped(peer: Peer, start_node: StartNode, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    recorded = 0
     for trial in range(4):
         folder = tmp_path / f'bags{trial}'
+        for messages in peer.received.values():
+            messages.clear()
         node = start_node('recorder.enabled:=true', f'recorder.folder:={folder}')
+        peer.wait_for_node()
         peer.wait_for_keypoints_subscription()
+        peer.keypoints.publish(keypoints_at(0))
+        peer.wait_for_frames(1)
         publish_until = time.monotonic() + rng.uniform(0, 0.8)
         frame = 0
         while time.monotonic() < publish_until:
@@ -191,9 +200,15 @@ def test_a_bag_is_complete_whenever_the_node_is_stopped(peer: Peer, start_node: 
             time.sleep(0.01)
         node.send_signal(signal.SIGTERM if trial % 2 else signal.SIGINT)
         assert node.wait(TIMEOUT_S) == 0
+        peer.wait_for_end()
+        skeletons, markers = peer.received['skeletons'], peer.received['markers']
         (bag_folder,) = folder.iterdir()
         with Bag(bag_folder) as bag:
-            assert bag.count(['/skeletons']) <= bag.count(['/keypoints']) <= frame
-            recorded += bag.count(['/skeletons'])
-        peer.wait_until(lambda: peer.keypoints.get_subscription_count() == 0)
-    assert recorded > 0
+            assert [m.raw for m in bag.messages(['/skeletons'])] == skeletons
+            later_markers = markers[-len(skeletons) - 1 :]  # the recording starts after a first deletion
+            assert [m.raw for m in bag.messages(['/markers'])] == later_markers
+            entries = [decode_entry(m.raw) for m in bag.messages(['/mocap_node/journal'])]
+            verdicts = [entry.verdict for entry in entries if entry.kind == INPUT]
+            assert len(verdicts) == bag.count(['/keypoints']) <= frame + 1
+        assert len(skeletons) == verdicts.count(Verdict.ACCEPTED)
+        assert {*verdicts} <= {Verdict.ACCEPTED, Verdict.BACKLOG}

@@ -98,7 +98,9 @@ def test_peers_with_an_incompatible_qos_are_logged_once(peer: Peer, start_node: 
         peer.subscriptions.append(
             peer.node.create_subscription(load_interface_class(SKELETONS), 'skeletons', print, latched)
         )
-    end = time.monotonic() + 1.0
+        peer.wait_for_log('a weaker RELIABILITY policy')
+        peer.wait_for_log('a stricter DURABILITY policy')
+    end = time.monotonic() + 1.0  # s, in which further lines would come
     peer.wait_until(lambda: time.monotonic() > end)
     publisher, subscriber = sorted(line.partition('[mocap_node]: ')[2] for line in stop_node(node))
     assert publisher.startswith(

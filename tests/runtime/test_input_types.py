@@ -107,7 +107,7 @@ def compute_clean_outputs(msgtype: str) -> list[bytes]:
     return CLEAN_OUTPUTS[msgtype]
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(st.data())
 @pytest.mark.parametrize('msgtype', INPUT_TYPES)
 def test_garbage_among_good_messages_is_counted_and_changes_nothing(msgtype: str, data: st.DataObject) -> None:
@@ -131,7 +131,7 @@ def garbage_like(raw: bytes) -> st.SearchStrategy[bytes]:
     return st.one_of(cut, st.binary(max_size=60))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.data())
 @pytest.mark.parametrize('msgtype', INPUT_TYPES)
 def test_any_damage_is_accepted_or_counted(msgtype: str, data: st.DataObject) -> None:

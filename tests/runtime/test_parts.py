@@ -15,10 +15,12 @@ from mocap_ros.config import Config, RecorderConfig, values, with_values
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
+from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.runtime.parts import Part, find_parts
 from mocap_ros.runtime.replay import JOURNAL_TOPIC, ReplayOptions, replay
 from tests.support.camera_infos import camera_info
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, with_stamp
+from tests.support.transforms import make_transforms
 
 ABSENCE_S = 2.0  # s, tracker.forget_all_after in these tests
 CONFIG = with_values(FAST_CONFIG, {'tracker.forget_all_after': ABSENCE_S})
@@ -106,12 +108,29 @@ def test_cuts_fall_where_nobody_was_there_for_long(tmp_path: Path, visits: str, 
         (Entry('reset', 7), 0),
         (Entry('parameters', 7, parameters=values(with_values(CONFIG, {'tracker.min_score': 0.3}))), 0),
         (Entry('parameters', 7, parameters=values(with_values(CONFIG, {'recorder.enabled': True}))), 1),
+        (Entry('lost', 7, parameters={'lost': 2}), 0),
     ],
 )
-def test_a_bag_is_cut_if_only_parameters_of_the_recorder_changed(tmp_path: Path, event: Entry, cuts: int) -> None:
+def test_a_bag_is_cut_if_only_parameters_of_the_recorder_changed_and_no_input_was_lost(
+    tmp_path: Path, event: Entry, cuts: int
+) -> None:
     """The service ~/record sets `recorder.enabled` in the recording that it has started."""
     bag = write_bag(tmp_path / 'bag', 'xx.....xx', Entry('parameters', 0, parameters=values(CONFIG)), event)
     assert len(find(bag)) == 1 + cuts
+
+
+@pytest.mark.parametrize(('output_frame', 'cuts'), [('', 1), ('map', 0)])
+def test_a_bag_is_not_cut_where_transforms_are_used(tmp_path: Path, output_frame: str, cuts: int) -> None:
+    bag = write_bag(tmp_path / 'bag', 'xx.....xx')
+    with Bag(bag) as opened:
+        messages = list(opened.messages(opened.topics))
+    with Recorder(tmp_path / 'moving', RecorderConfig(min_free_mb=0)) as recorder:
+        recorder.write('/tf_static', TRANSFORMS, make_transforms(), START_NS, START_NS)
+        for topic, msgtype, time_ns, raw in messages:
+            recorder.write(topic, msgtype, raw, time_ns, time_ns)
+    config = with_values(CONFIG, {'node.output_frame': output_frame})
+    assert len(find(tmp_path / 'moving', config=config)) == 1 + cuts
+    assert len(find(bag, config=config)) == 2
 
 
 def test_a_recorded_run_in_several_files_is_cut(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A detector that publishes YOLO or ROS4HRI messages; run as a program, with the foreign packages on its path.
+"""A detector that publishes YOLO or ROS4HRI messages; run as a module, with the foreign packages on its path.
 
 Its arguments are `yolo` or `hri`, `tf` if it is to wait for transforms and print their frames as JSON, and `map`
 if it is to say where the camera is in the frame map, by a latched transform and one that moves. Its standard input
@@ -14,16 +14,21 @@ from typing import Any
 import rclpy
 from geometry_msgs.msg import TransformStamped
 from hri_msgs.msg import IdsList, Skeleton2D
+from mocap_ros_msgs.msg import Skeleton3DArray
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 from yolo_msgs.msg import Detection, DetectionArray, KeyPoint2D
 
-TIMEOUT_S = 15
+from tests.support.ros_node import TIMEOUT_S, wait_until_discovered
 
 kind, frames = sys.argv[1], json.loads(sys.stdin.read())
 rclpy.init()
 node = rclpy.create_node('detector')
+executor = SingleThreadedExecutor()
+executor.add_node(node)
 transforms: list[Any] = []
+skeletons: list[bytes] = []
 
 
 def keep_people(message: Any) -> None:
@@ -33,13 +38,14 @@ def keep_people(message: Any) -> None:
 
 
 node.create_subscription(TFMessage, '/tf', keep_people, 1000)
+node.create_subscription(Skeleton3DArray, 'skeletons', skeletons.append, 1000, raw=True)
 
 
 def wait_until(condition: Callable[[], object]) -> None:
     deadline = time.monotonic() + TIMEOUT_S
     while not condition():
         assert time.monotonic() < deadline
-        rclpy.spin_once(node, timeout_sec=0.02)
+        executor.spin_once(timeout_sec=0.02)
 
 
 def with_header(message: Any, stamp_ns: int) -> Any:
@@ -60,14 +66,15 @@ def publish_camera() -> None:
     """Publish a base that moves along x at 1 m/s, and a camera 0.5 m ahead on it."""
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     static = node.create_publisher(TFMessage, '/tf_static', latched)
-    static.publish(TFMessage(transforms=[make_transform('base', 'camera', 0, 0.5)]))
     moving = node.create_publisher(TFMessage, '/tf', 100)
     wait_until(
         lambda: static.get_subscription_count() and moving.get_subscription_count() > 1
     )  # and this node's own
+    wait_until_discovered(node, executor, 'mocap_node')
+    static.publish(TFMessage(transforms=[make_transform('base', 'camera', 0, 0.5)]))
     for stamp_ns in range(0, frames[-1][0] + 10**8, 5 * 10**7):
         moving.publish(TFMessage(transforms=[make_transform('map', 'base', stamp_ns, stamp_ns / 1e9)]))
-    time.sleep(0.5)
+    wait_until_discovered(node, executor, 'mocap_node')  # which has then taken the transforms
 
 
 def publish_yolo() -> None:
@@ -89,12 +96,14 @@ def publish_yolo() -> None:
 def publish_hri() -> None:
     tracked = node.create_publisher(IdsList, '/humans/bodies/tracked', 100)
     wait_until(tracked.get_subscription_count)
+    wait_until_discovered(node, executor, 'mocap_node')  # all subscriptions of ROS4HRI are best effort
     bodies: dict[str, Any] = {}
-    for stamp_ns, people in frames:
+    for number, (stamp_ns, people) in enumerate(frames, 1):
         for name in people.keys() - bodies.keys():
             tracked.publish(with_header(IdsList(ids=list(people)), stamp_ns - 1))
             bodies[name] = node.create_publisher(Skeleton2D, f'/humans/bodies/{name}/skeleton2d', 100)
             wait_until(bodies[name].get_subscription_count)
+            wait_until_discovered(node, executor, 'mocap_node')
         for name in bodies.keys() - people.keys():
             tracked.publish(with_header(IdsList(ids=list(people)), stamp_ns - 1))
             wait_until(lambda: not bodies[name].get_subscription_count())  # noqa: B023
@@ -104,18 +113,19 @@ def publish_hri() -> None:
             for joint, (x, y, score) in zip(message.skeleton, points, strict=False):
                 joint.x, joint.y, joint.c = x, y, score
             bodies[name].publish(message)
-        time.sleep(0.03)
+        wait_until(lambda: len(skeletons) == number)  # noqa: B023
 
 
+wait_until_discovered(node, executor, 'mocap_node')
 if 'map' in sys.argv:
     publish_camera()
 if kind == 'yolo':
     publish_yolo()
 else:
     publish_hri()
+wait_until(lambda: len(skeletons) == len(frames))
 if 'tf' in sys.argv:
     wait_until(lambda: len(transforms) >= len(frames))
     print(json.dumps([[(t.header.frame_id, t.child_frame_id) for t in m.transforms] for m in transforms]))
-time.sleep(0.3)
 node.destroy_node()
 rclpy.shutdown()

@@ -1,23 +1,22 @@
 """Listens to markers with the installed version of their type; run as a program, for tests only.
 
 Prints a line for each message: its bytes in hexadecimal digits, and x of every point in it. Ends when its standard
-input is closed and no more messages arrive.
+input is closed and no more messages wait.
 """
 
 import sys
 import threading
-import time
 
 import rclpy
 from rclpy.serialization import deserialize_message
 from visualization_msgs.msg import MarkerArray
 
-QUIET_S = 0.5  # s; messages that were sent before the input was closed arrive sooner
-arrivals_s = [0.0]  # steady clock
+QUIET_S = 2.0  # s; messages that were sent before the input was closed arrive sooner
+received: list[bytes] = []
 
 
 def report(raw: bytes) -> None:
-    arrivals_s.append(time.monotonic())
+    received.append(raw)
     message = deserialize_message(raw, MarkerArray)
     print(raw.hex(), *(point.x for marker in message.markers for point in marker.points), flush=True)
 
@@ -32,5 +31,8 @@ node = rclpy.create_node('marker_listener')
 node.create_subscription(MarkerArray, 'markers', report, 1000, raw=True)
 stop = threading.Event()
 threading.Thread(target=stop_at_end_of_input, daemon=True).start()
-while not stop.is_set() or time.monotonic() - arrivals_s[-1] < QUIET_S:
-    rclpy.spin_once(node, timeout_sec=0.05)
+is_quiet = False
+while not is_quiet:
+    has_ended, count = stop.is_set(), len(received)
+    rclpy.spin_once(node, timeout_sec=QUIET_S if has_ended else 0.05)
+    is_quiet = has_ended and len(received) == count

@@ -23,8 +23,7 @@ from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.skeleton import keypoint_layout
 
 TIMEOUT_S = 60.0  # s; far above what anything here takes on a busy machine
-# s; an answer that takes longer is lost, because the server had not discovered the client when it answered
-ANSWER_S = 5.0
+ANSWER_S = 1.0  # s; an answer that takes longer is lost, because the server had not discovered the client
 # The machine may pause for longer than the silence of which the node warns by default.
 PATIENT = 'node.silence_warning:=60.0'
 FAST_PARAMETERS = ('tracker.model:=walk', 'tracker.iterations:=1', 'tracker.components:=8', PATIENT)
@@ -41,11 +40,44 @@ class StartNode(Protocol):
     def __call__(self, *parameters: str, ros: Sequence[str] = ()) -> Process: ...
 
 
+def wait_until_discovered(node: Any, executor: Any, by: str) -> None:
+    """Wait until another node has discovered all publishers, subscriptions and clients that a node here has.
+
+    What is sent to or from an entity before the other side has discovered it is lost, and each side discovers the
+    other by itself. Discovery keeps the order in which a process makes its entities, so that a node that answers
+    the newest client knows all before it. The request changes nothing, so that it can be repeated.
+
+    Args:
+        node: node of this process.
+        executor: executor of that node.
+        by: name of the other node; when it answers, it has also taken what was sent since an earlier call.
+    """
+    from rcl_interfaces.srv import GetParameters
+
+    client = node.create_client(GetParameters, f'{by}/get_parameters')
+    deadline = time.monotonic() + TIMEOUT_S
+    future = None
+    while future is None or not future.done():
+        assert time.monotonic() < deadline, f'{by} does not answer'
+        if client.service_is_ready():
+            future = client.call_async(GetParameters.Request())
+            executor.spin_until_future_complete(future, timeout_sec=ANSWER_S)
+        else:
+            executor.spin_once(timeout_sec=0.05)
+    node.destroy_client(client)
+
+
 class Peer:
-    """A node in this process that sends keypoints and keeps the outputs of `mocap_node` as bytes."""
+    """A node in this process that sends keypoints and keeps the outputs of `mocap_node` as bytes.
+
+    Attributes:
+        received: Messages by the relative names of their topics.
+        log: Lines that `mocap_node` has logged, without time and name.
+    """
 
     def __init__(self, domain: int) -> None:
         import rclpy
+        from rcl_interfaces.msg import Log
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.qos import DurabilityPolicy, QoSProfile
         from rclpy.signals import SignalHandlerOptions
@@ -55,6 +87,8 @@ class Peer:
         self.node = rclpy.create_node('peer', context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
+        self.log: list[str] = []
+        self.node.create_subscription(Log, '/rosout', self._keep_line, QoSProfile(depth=1000))
         self.received: dict[str, list[bytes]] = {}
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.subscriptions = []
@@ -65,6 +99,10 @@ class Peer:
             message_class = load_interface_class(msgtype)
             self.subscriptions.append(self.node.create_subscription(message_class, topic, keep, qos, raw=True))
         self.keypoints = self.node.create_publisher(load_interface_class(KEYPOINTS), 'keypoints', 10)
+
+    def _keep_line(self, line: Any) -> None:
+        if line.name == 'mocap_node':
+            self.log.append(line.msg)
 
     def close(self) -> None:
         import rclpy
@@ -91,16 +129,30 @@ class Peer:
         self.wait_until(lambda: len(self.received['skeletons']) >= count)
         assert len(self.received['skeletons']) == count
 
+    def wait_for_log(self, words: str) -> None:
+        """Wait until the node has logged a line with these words."""
+        self.wait_until(lambda: any(words in line for line in self.log))
+
+    def wait_for_diagnostics(self, key: str, value: str) -> None:
+        """Wait until a value in the diagnostics that the node sends from now on is this one."""
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        received: list[Any] = []
+        subscription = self.node.create_subscription(DiagnosticArray, '/diagnostics', received.append, 10)
+        self.wait_until(
+            lambda: received and (key, value) in {(v.key, v.value) for v in received[-1].status[0].values}
+        )
+        self.node.destroy_subscription(subscription)
+
     def call_service(self, service_class: Any, name: str, **request: object) -> Any:
+        """Call a service of the node once, when the node has discovered the client, and return the answer."""
         client: Any = self.node.create_client(service_class, name)
         self.wait_until(client.service_is_ready)
-        deadline = time.monotonic() + TIMEOUT_S
-        while time.monotonic() < deadline:
-            future = client.call_async(service_class.Request(**request))
-            self.executor.spin_until_future_complete(future, timeout_sec=ANSWER_S)
-            if future.done():
-                return future.result()
-        raise TimeoutError(name)
+        wait_until_discovered(self.node, self.executor, 'mocap_node')
+        future = client.call_async(service_class.Request(**request))
+        self.wait_until(future.done)
+        self.node.destroy_client(client)
+        return future.result()
 
     def set_parameter(self, name: str, value: Any) -> Any:
         """Set a parameter of the node and return the result, which says whether this was successful."""
@@ -136,6 +188,16 @@ class Peer:
     def are_markers_deleted(self) -> bool:
         """Return whether the last markers delete all markers."""
         return bool(decode(self.received['markers'][-1], MARKERS).markers[0].action == DELETE_ALL)
+
+    def wait_for_end(self) -> None:
+        """Wait for all outputs of a node that has published people and has ended."""
+
+        def has_ended() -> bool:
+            """Return whether the last markers are here, which delete all, and as many skeletons as markers."""
+            skeletons, markers = self.received_stamps('skeletons'), self.received_stamps('markers')
+            return skeletons == markers != [] and self.are_markers_deleted()
+
+        self.wait_until(has_ended)
 
     def received_stamps(self, topic: str) -> list[int]:
         """Return the stamps in ns of the messages received on a topic, without those that delete all markers."""

@@ -75,7 +75,7 @@ def contact_after(frames: int, person: Person3D, floor: Floor = LEVEL) -> FloorC
 
 
 @given(st.floats(0.5, 1.2), st.floats(1.5, 8.0))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_feet_on_the_floor_tell_the_size(ratio: float, distance: float) -> None:
     contact = contact_after(60, make_standing(ratio, distance))
     assert contact is not None
@@ -147,7 +147,7 @@ def test_a_foot_that_is_lifted_for_a_while_changes_little() -> None:
 
 
 @given(st.floats(0.5, 2.0))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_a_resized_person_has_the_same_image(ratio: float) -> None:
     person = make_standing(1.0)
     resized = resize(person, BodySize(ratio, 0.03))
@@ -216,7 +216,7 @@ def test_the_floor_in_the_frame_of_the_outputs() -> None:
 
 
 @given(st.floats(0.5, 1.2), st.floats(0.8, 1.2))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_a_height_that_is_known_of_a_person_and_the_floor_are_weighed(ratio: float, known: float) -> None:
     config = with_values(Config(), {'tracker.body_heights': f'7=1.50, a=b={known * 1.7:.4f}'}).tracker
     prior, others = (assume_size(config, i, is_focal_known=True) for i in ('a=b', '8'))

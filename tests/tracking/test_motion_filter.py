@@ -154,7 +154,7 @@ def test_a_filter_is_not_changed_by_its_successors(rng: np.random.Generator) -> 
     np.testing.assert_array_equal(motion.recent, recent)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     steps=st.lists(st.floats(1e-6, 30.0), min_size=2, max_size=30),
     size=st.sampled_from([0.0, 1e-9, 0.1, 100.0]),

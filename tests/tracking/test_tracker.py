@@ -282,7 +282,7 @@ def test_hidden_joints_are_inferred_and_flagged(walk_model: BasePoses, walk: Wal
         assert np.isfinite(person.joints).all()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_arbitrary_keypoints_give_finite_output(walk_model: BasePoses, data: st.DataObject) -> None:
     tracker = Tracker(walk_model, CONFIG)

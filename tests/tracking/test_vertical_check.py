@@ -33,7 +33,7 @@ def advance(check: VerticalCheck, people: list[Person3D], seconds: float, first:
 
 
 @given(st.floats(0, 180))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_the_angle_between_people_and_the_vertical_decides(angle_deg: float) -> None:
     found = advance(VerticalCheck(), [make_leaning(angle_deg)], LEAST_S + 3)
     if angle_deg < 33:
