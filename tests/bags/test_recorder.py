@@ -132,6 +132,20 @@ def test_a_full_file_system(tmp_path: Path, has_log: bool) -> None:
         subprocess.run(['umount', '-l', disk], check=True)
 
 
+@pytest.mark.parametrize('chunk_bytes', [1024, 4096])
+def test_a_chunk_is_closed_when_it_is_large_enough(tmp_path: Path, chunk_bytes: int) -> None:
+    recorder = Recorder(tmp_path / 'bag', RecorderConfig(chunk_bytes=chunk_bytes, chunk_seconds=10.0))
+    for frame in range(40):
+        recorder.write('/keypoints', KEYPOINTS, make_keypoints(frame), START_NS, START_NS)
+    recorder.close()
+    with (tmp_path / 'bag' / 'bag_0.mcap').open('rb') as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    _, *sizes = [chunk.uncompressed_size for chunk in summary.chunk_indexes]  # the first holds the definitions too
+    assert min(sizes[:-1]) >= chunk_bytes
+    assert max(sizes) < chunk_bytes + 2 * len(make_keypoints(0))
+
+
 def test_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     free_bytes = iter([300_000_000, 250_000_000, 199_000_000])
     monkeypatch.setattr('shutil.disk_usage', lambda _: SimpleNamespace(free=next(free_bytes)))

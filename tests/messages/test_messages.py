@@ -165,10 +165,18 @@ def test_normalised_coordinates_are_recognised_only_in_enough_keypoints_of_a_lar
     assert decode_keypoints(encode(small_image, KEYPOINTS), LIMITS).people
 
 
-def test_too_many_joints_and_bytes_are_refused() -> None:
+def test_too_many_joints_people_characters_and_bytes_are_refused() -> None:
     few = replace(LIMITS, max_joints=10)
     with pytest.raises(InputError, match=r'people\[0\].x: 17 joints, more than 10'):
         decode_keypoints(encode_keypoints(HEADER, SIZE, [make_person_2d()]), few)
+    short = replace(LIMITS, max_text=8)
+    assert decode_keypoints(encode_keypoints(HEADER, SIZE, [make_person_2d('anna_100')]), short).people
+    with pytest.raises(InputError, match=r'people\[0\].id: 9 characters, more than 8'):
+        decode_keypoints(encode_keypoints(HEADER, SIZE, [make_person_2d('anna_1000')]), short)
+    two = [make_person_2d('anna'), make_person_2d('bert')]
+    assert decode_keypoints(encode_keypoints(HEADER, SIZE, two), replace(LIMITS, max_people=2)).people
+    with pytest.raises(InputError, match='people: 2, more than 1'):
+        decode_keypoints(encode_keypoints(HEADER, SIZE, two), replace(LIMITS, max_people=1))
     with pytest.raises(InputError, match='more than the limits allow'):
         decode_keypoints(bytes(100_000_000), LIMITS)
 

@@ -183,6 +183,18 @@ def test_without_transforms_people_are_in_the_frame_of_the_camera_and_the_reason
     np.testing.assert_array_equal(stack(skeletons), stack(in_camera[0]))
 
 
+@pytest.mark.parametrize(('late_s', 'frame_id'), [(0.04, 'map'), (0.06, 'camera')])
+def test_a_transform_holds_for_the_time_that_the_parameter_says(
+    stream: list[bytes], in_camera: list[Any], late_s: float, frame_id: str
+) -> None:
+    pipeline = Pipeline(with_values(MAP_CONFIG, {'node.transform_tolerance': 0.05}))
+    pipeline.set_camera_info(camera_info())
+    feed_transforms(pipeline, Source.STATIC_TRANSFORMS, static_transforms())
+    newest_ns = stamp_of(in_camera[-1]) - round(late_s * SECOND_NS)
+    feed_transforms(pipeline, Source.TRANSFORMS, robot_at(newest_ns))
+    assert find_skeletons(process(pipeline, stream[-1])).header.frame_id == frame_id
+
+
 @pytest.mark.parametrize(
     ('values', 'message'),
     [

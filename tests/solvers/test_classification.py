@@ -70,18 +70,23 @@ def test_a_jump_is_neither_a_walk_nor_periodic(protocol: ModuleType) -> None:
     assert not is_periodic(fit_periodic(window, models, QUICK), ClassifierConfig())
 
 
-@pytest.mark.parametrize('threshold', ['walk_residual', 'amplitude', 'walk_cadence'])
-def test_a_larger_factor_loosens_every_threshold(walk_model: BasePoses, threshold: str) -> None:
+@pytest.mark.parametrize('category', ['walk', 'run'])
+@pytest.mark.parametrize('threshold', ['residual', 'amplitude', 'cadence'])
+def test_a_larger_factor_loosens_every_threshold(walk_model: BasePoses, category: str, threshold: str) -> None:
     _, _, points, times = make_walk(walk_model)
-    fit = fit_periodic(Window(points, np.ones(points.shape[:2]), times), {'walk': walk_model}, QUICK)
-    just_missed = {
-        'walk_residual': 0.95 * fit.excess_residual,
-        'amplitude': 1.05 * fit.amplitude,
-        'walk_cadence': 1.05 * fit.reconstruction.cadence,
-    }
-    config = ClassifierConfig(walk_residual=1.0, amplitude=0.0, walk_cadence=0.0)
+    fit = fit_periodic(Window(points, np.ones(points.shape[:2]), times), {category: walk_model}, QUICK)
+    passed: dict[str, Any] = {f'{category}_residual': 1.0, 'amplitude': 0.0, f'{category}_cadence': 0.0}
+    other = 'run' if category == 'walk' else 'walk'
+    never_passed: dict[str, Any] = {f'{other}_residual': 0.0, f'{other}_cadence': 5.0}
+    config = ClassifierConfig(**passed, **never_passed)
     assert is_periodic(fit, config)
-    missed: dict[str, Any] = {threshold: just_missed[threshold]}
+    just_missed = {
+        'residual': 0.95 * fit.excess_residual,
+        'amplitude': 1.05 * fit.amplitude,
+        'cadence': 1.05 * fit.reconstruction.cadence,
+    }
+    name = threshold if threshold == 'amplitude' else f'{category}_{threshold}'
+    missed: dict[str, Any] = {name: just_missed[threshold]}
     strict = replace(config, **missed)
     assert not is_periodic(fit, strict)
     assert is_periodic(fit, strict, 1.1)

@@ -21,10 +21,11 @@ from mocap_ros.solvers.stepwise import Stepwise
 from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.hypotheses import EVIDENCE_MARGIN, KEY_POSE_STEP_S, HypothesisChecker, classify_as_other
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
+from mocap_ros.tracking.schedule import CHECK_INTERVAL_GROWTH
 from mocap_ros.tracking.slices import finish_slices
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.track import Track
-from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.tracker import CHECK_INTERVAL_S, Tracker
 from tests.support.frozen_state import list_values
 from tests.support.synthetic_walk import Walk, make_walk
 from tests.support.tracks import CAMERA, STEP_NS, make_track, track_walk
@@ -151,6 +152,16 @@ def test_the_tracker_finds_back_to_the_right_solution(tracker: Tracker, walk_mod
     assert max(restarts) > 0, 'the rise of the image noise was noticed'
     assert errors[0] > 100
     assert max(errors[-5:]) < 60
+
+
+@pytest.mark.parametrize(('parameter_s', 'interval_s'), [(0.12, 0.12), (0.0, CHECK_INTERVAL_S)])
+def test_the_longest_time_between_checks_is_that_of_the_parameter(
+    walk_model: BasePoses, parameter_s: float, interval_s: float
+) -> None:
+    config = with_values(CONFIG, {'tracker.hypothesis_check_interval': parameter_s})
+    points = make_walk(walk_model, frames=round(30 * 1.5 * CHECK_INTERVAL_S / CHECK_INTERVAL_GROWTH))[2]
+    (track,) = track_walk({'walk': walk_model}, config, points).snapshot().tracks
+    assert track.schedule.check_interval_s == interval_s
 
 
 def centre(person: Person3D) -> Array:

@@ -91,22 +91,27 @@ def test_old_and_repeated_stamps_are_dropped_and_change_nothing(walk_model: Base
         assert (a.joints == b.joints).all()
 
 
-def test_a_large_backward_jump_of_stamps_restarts_the_tracker(walk_model: BasePoses, walk: Walk) -> None:
+@pytest.mark.parametrize('restart_after', [1.0, 0.25])
+def test_a_large_backward_jump_of_stamps_restarts_the_tracker(
+    walk_model: BasePoses, walk: Walk, restart_after: float
+) -> None:
     _, _, points, _ = walk
-    tracker, fresh = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
+    config = with_values(CONFIG, {'tracker.restart_after': restart_after})
+    tracker, fresh = Tracker(walk_model, config), Tracker(walk_model, config)
+    limit_ns = round(restart_after * 1e9)
     for frame in range(4):
         tracker.update(10**10 + frame * STEP_NS, people(points, frame + 20), CAMERA)
     newest = 10**10 + 3 * STEP_NS
     with pytest.raises(FrameDropped, match='older'):
-        tracker.update(newest - 10**9, people(points, 0), CAMERA)
+        tracker.update(newest - limit_ns, people(points, 0), CAMERA)
     with pytest.raises(SkeletonError):
         tracker.update(1, [Person2D('', ('nose',), np.zeros((1, 2)), np.ones(1))], CAMERA)
-    start = newest - 10**9 - 1
+    start = newest - limit_ns - 1
     for frame in range(4):
         (a,) = tracker.update(start + frame * STEP_NS, people(points, frame), CAMERA)
         (b,) = fresh.update(start + frame * STEP_NS, people(points, frame), CAMERA)
         assert (a.joints == b.joints).all()
-        assert tracker.backward_jump_s == pytest.approx(0 if frame else 1.0)
+        assert tracker.backward_jump_s == pytest.approx(0 if frame else restart_after)
 
 
 def test_reset_restores_the_initial_state(walk_model: BasePoses, walk: Walk) -> None:

@@ -14,7 +14,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence, save_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.offline.keyframes.key_poses import SOLVER_STEP_S
+from mocap_ros.offline.keyframes.key_poses import SOLVER_STEP_S, compute_limb_directions
 from mocap_ros.offline.keyframes.reconstruct import reconstruct
 from mocap_ros.skeleton import CMU15
 from tests.support.evaluation_data import shared
@@ -63,6 +63,18 @@ def test_a_projected_motion_is_reconstructed_with_and_without_outliers() -> None
     assert (found.outliers == wrong).all()
     assert not found.result.seen[found.outliers].any()
     assert compute_mpjpe(found.result.joints, truth) < 1.1 * 60.3  # mm, measured
+
+
+@pytest.mark.parametrize(('share', 'is_own'), [(0.0, False), (1.0, True)])
+def test_control_frames_have_the_key_pose_or_their_own(share: float, is_own: bool) -> None:
+    keypoints, times, _ = make_walk(120)
+    config = with_values(CONFIG, {'keyframes.frame_pose_share': share, 'keyframes.gap': 0.1})
+    result = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, config)
+    for half in result.keyframes:
+        bones = [CMU15.bones.index(bone) for bone in half.body_half.bones]
+        directions = compute_limb_directions(result.motion, CMU15.bones)[:, bones].round(9)
+        different = len(np.unique(directions, axis=0))
+        assert different == len(times) if is_own else different < len(times) / 4
 
 
 @pytest.mark.filterwarnings('error')

@@ -289,3 +289,14 @@ def test_noise_is_found(walk_model: BasePoses) -> None:
         noisy = Window(points + px * rng.normal(size=points.shape), np.ones(points.shape[:2]), times)
         (result,) = joint.solve([noisy], walk_model, SolverConfig())
         assert result.noise == pytest.approx(px / 205, rel=0.2)
+
+
+def test_noise_below_the_floor_is_taken_for_the_floor(walk_model: BasePoses) -> None:
+    _, _, points, times = make_walk(walk_model, frames=30)
+    window = Window(points, np.ones(points.shape[:2]), times)
+    (found,) = joint.solve([window], walk_model, SolverConfig())
+    (limited,) = joint.solve([window], walk_model, SolverConfig(noise_floor=0.02))
+    (expected,) = joint.solve([dataclasses.replace(window, noise=0.02)], walk_model, SolverConfig())
+    assert found.noise < 0.005
+    assert limited.cost == pytest.approx(expected.cost, rel=0.01)
+    assert found.cost > 2 * expected.cost

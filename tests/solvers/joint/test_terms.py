@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -109,6 +110,55 @@ def test_gradient_is_half_that_of_the_cost(
     numeric = differentiate(lambda s: float(term.cost(objective.fit(s)).sum()), state) / 2
     assert np.abs(numeric).max() > 0
     assert np.abs(equations.gradient - numeric).max() < 1e-6 * np.abs(numeric).max()
+
+
+def test_terms_have_the_factors_of_lifted_poses_and_of_heading(walk_model: BasePoses) -> None:
+    model = replace(walk_model.truncate(COMPONENTS), provenance={'alignment': 'full'})
+    theta, _, points, times = make_walk(walk_model, frames=7)
+    alone = Window(points, np.ones(points.shape[:2]), times)
+    with_poses = replace(alone, lifted=LiftedPoses(200 * walk_model.poses(theta), np.full((7, 15, 3), 20.0)))
+    config = SolverConfig(
+        scale_weight=0.0,
+        tilt_weight=0.0,
+        lifter_prior_factor=3.0,
+        lifter_smooth_factor=5.0,
+        lifter_flip_factor=7.0,
+        heading_prior_factor=11.0,
+        heading_flip_factor=13.0,
+    )
+    units = np.array([200.0])
+
+    def costs(window: Window, base_poses: BasePoses) -> list[float]:
+        objective = JointObjective.build([window], units, base_poses, config)
+        state = objective.initial_state([initialise_from_mean_pose(alone, model, 1.0)], units)
+        step = 0.1 * np.random.default_rng(0).normal(size=(7, COMPONENTS + CAMERA_UNKNOWNS))
+        fit = objective.fit(state.advanced(step))
+        kinds = BasePosePrior, PoseSmoothness, CameraSmoothness
+        return [float(objective.find_term(kind).cost(fit).sum()) for kind in kinds]
+
+    plain = np.array(costs(alone, model))
+    assert min(plain) > 0
+    np.testing.assert_allclose(costs(with_poses, model) / plain, [3, 5, 7])
+    by_heading = replace(model, provenance={'alignment': 'heading'})
+    np.testing.assert_allclose(costs(alone, by_heading) / plain, [11, 1, 13])
+    np.testing.assert_allclose(costs(with_poses, by_heading) / plain, [33, 5, 91])
+
+
+@pytest.mark.parametrize('robust_scale', [0.1, 2.0, 1e3])
+def test_lifted_poses_cost_what_cauchys_loss_says(walk_model: BasePoses, robust_scale: float) -> None:
+    model = walk_model.truncate(COMPONENTS)
+    theta, _, points, times = make_walk(walk_model, frames=5)
+    std = np.full((5, 15, 3), 20.0)  # px
+    lifted = LiftedPoses(200 * walk_model.poses(theta), std)
+    window = Window(points, np.ones(points.shape[:2]), times, lifted=lifted)
+    config = SolverConfig(lifter_weight=0.1, lifter_robust_scale=robust_scale)
+    units = np.array([200.0])
+    objective = JointObjective.build([window], units, model, config)
+    fit = objective.fit(objective.initial_state([initialise_from_mean_pose(window, model, 1.0)], units))
+    squared = (((fit.scaled_poses - lifted.joints / 200) * 200 / std) ** 2).sum(axis=-1)
+    assert 1 < squared.mean() < 1e3, 'no unit, of a joint; so that the scales make a difference'
+    expected = 0.1 * robust_scale**2 * np.log1p(squared / robust_scale**2).sum(axis=1)
+    np.testing.assert_allclose(objective.find_term(LiftedPoseTerm).cost(fit), expected)
 
 
 @pytest.mark.parametrize('kind', [BasePosePrior, PoseSmoothness, PoseAcceleration])

@@ -27,6 +27,7 @@ from tests.support.dense_matrices import make_dense_coupling
 from tests.support.synthetic_walk import make_walk
 
 COMPONENTS, HARMONICS, FRAMES = 4, 2, 7
+PRIOR_FACTOR = 3.0
 SERIES_UNKNOWNS = (2 * HARMONICS + 1) * (COMPONENTS + 1) + 1
 STEP = 1e-5  # of the finite differences: errors of rounding and of the third order are about equal
 TERMS = (CoefficientPrior, CameraMovement, LevelCameras)
@@ -38,7 +39,12 @@ def objective_and_point(walk_model: BasePoses, rng: np.random.Generator) -> tupl
     model = walk_model.truncate(COMPONENTS)
     _, _, points, _ = make_walk(walk_model, frames=FRAMES)
     times = np.cumsum(rng.uniform(0.02, 0.05, FRAMES))
-    config = SolverConfig(harmonics=HARMONICS, camera_velocity_weight=0.02, camera_acceleration_weight=0.001)
+    config = SolverConfig(
+        harmonics=HARMONICS,
+        periodic_prior_factor=PRIOR_FACTOR,
+        camera_velocity_weight=0.02,
+        camera_acceleration_weight=0.001,
+    )
     objective = PeriodicObjective.build(Window(points, np.ones(points.shape[:2]), times), 200.0, model, config)
     shape = (2 * HARMONICS + 1, COMPONENTS + 1)
     series = FourierSeries(0.05 * rng.normal(size=shape), 2 * np.pi * 0.9, float(times.mean()))
@@ -124,7 +130,7 @@ def test_matrix_of_the_prior_is_its_second_derivative(
     assert np.diag(equations.series_prior) == pytest.approx(numeric, abs=1e-6 * equations.series_prior.max())
     assert equations.series_prior[-1] == 0  # omega is free
     assert equations.series_prior[COMPONENTS] == pytest.approx(
-        SolverConfig().prior_weight / CONSTANT_HEADING_STD**2
+        PRIOR_FACTOR * SolverConfig().prior_weight / CONSTANT_HEADING_STD**2
     )
 
 
