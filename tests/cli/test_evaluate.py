@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source
+from mocap_ros.cli.evaluate import print_table
 from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig, with_values
 from mocap_ros.formats.sequence_file import GroundTruth, load_sequence, save_sequence
@@ -40,6 +42,21 @@ def test_evaluate_prints_a_table_and_writes_json(
     assert {'mm', 'cm', 'px', 'fps', 's'} == set(units.split())
     assert re.fullmatch(r'demo\.npz( +\d+\.\d+){7} +390 +0 +30 +\d+\.\d', row)
     assert 'PA-MPJPE: after one similarity transform per frame' in legend
+
+
+def test_the_last_line_is_the_mean_of_what_is_known(capsys: pytest.CaptureFixture[str]) -> None:
+    one = {'file': 'one.npz', 'mpjpe_mm': 10.0, 'pa_mpjpe_mm': 4.0, 'frames': 100}
+    two = {'file': 'two.npz', 'mpjpe_mm': 30.0, 'pa_mpjpe_mm': math.nan, 'frames': 201}
+    print_table([one])
+    assert not any(line.startswith('mean') for line in capsys.readouterr().out.splitlines())
+    print_table([one, two])
+    _, _, *rows, _ = (line.split() for line in capsys.readouterr().out.splitlines())
+    unknown = ['-'] * 5
+    assert rows == [
+        ['one.npz', '10.0', '4.0', *unknown, '100', '-', '-', '-'],
+        ['two.npz', '30.0', 'nan', *unknown, '201', '-', '-', '-'],
+        ['mean', '20.0', '4.0', *unknown, '150', '-', '-', '-'],
+    ]
 
 
 def test_evaluate_warns_about_a_truth_in_mm(

@@ -128,7 +128,53 @@ def test_annotations_give_names_size_and_visibility(tmp_path: Path, walker: Keyp
     assert set(np.unique(sequence.keypoints[..., 2])) == {0.0, 0.5, 1.0}
 
 
+@pytest.mark.parametrize(
+    ('given', 'person_id'),
+    [
+        ({'track_id': 5}, '5'),
+        ({'track_id': 'anna', 'idx': 3}, 'anna'),
+        ({'idx': [[3.0]]}, '3'),
+        ({'idx': 0}, '0'),
+        ({'idx': 3.5}, ''),
+        ({'idx': []}, ''),
+        ({'idx': None}, ''),
+        ({'id': 7}, ''),  # of an annotation, not of a person
+    ],
+)
+def test_people_have_the_ids_of_a_tracker(tmp_path: Path, given: dict[str, Any], person_id: str) -> None:
+    path = tmp_path / 'people.json'
+    path.write_text(json.dumps([{'image_id': 1, 'keypoints': [100.0, 100.0, 1.0] * 17, **given}]))
+    (((person,)),) = load_coco(path, VIDEO).people
+    assert person.id == person_id
+
+
+def make_images(*images: dict[str, Any]) -> str:
+    """Return annotations without people."""
+    return json.dumps({'images': images, 'annotations': []})
+
+
 INVALID = {
+    'two videos': (
+        make_images({'id': 1, 'file_name': 'cam1/00007.png'}, {'id': 2, 'file_name': 'cam2/00007.png'}),
+        'images: several have the frame number 7; a file must hold one video',
+    ),
+    'two sizes': (
+        make_images({'id': 1, 'width': 640, 'height': 480}, {'id': 2, 'width': 1280, 'height': 720}),
+        'images: of different sizes; a file must hold one video',
+    ),
+    'an image without a size': (
+        make_images({'id': 1}, {'id': 2, 'width': 0, 'height': 480}),
+        r'images\[1\]: expected id, file_name, width, height',
+    ),
+    'an image without an id': (make_images({'file_name': '1.png'}), r'images\[0\]: expected id'),
+    'a name without a number': (
+        make_images({'id': 1, 'file_name': 'walk.png'}),
+        "image 'walk.png': no frame number in its name",
+    ),
+    'an instance that is no person': (
+        '[{"frame_id": 1, "instances": [3]}]',
+        r'\[0\]\.instances\[0\]: expected a person with keypoints',
+    ),
     'not json': ('{', 'not JSON'),
     'deep': ('[' * 100_000, 'nested too deep'),
     'number': ('3', 'expected a list'),

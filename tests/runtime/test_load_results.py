@@ -12,7 +12,7 @@ from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import save_sequence
-from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.skeletons import SKELETONS, encode_skeletons
 from mocap_ros.people import Motion, MotionKind, Person3D
 from mocap_ros.runtime.load_results import holds_result, load_result
@@ -90,6 +90,27 @@ def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> No
     assert (person, np.isfinite(other.joints).all(axis=(1, 2)).tolist()) == ('a', [False, True, False, False])
     with pytest.raises(InputError, match=r"bag: no person 'c'; there are b \(3\), a \(1\)"):
         load_result(tmp_path / 'bag', 'c')
+
+
+@pytest.mark.parametrize(
+    ('name', 'joint_count', 'message'),
+    [
+        ('body26', 26, 'skeletons of several layouts: body26, cmu15'),
+        ('cmu15', 14, 'skeleton of 14 joints, expected 15 of cmu15'),
+    ],
+)
+def test_skeletons_that_do_not_fit_together_are_refused(
+    tmp_path: Path, name: str, joint_count: int, message: str
+) -> None:
+    arrays = [decode(encode_skeletons(Header(i, 'c'), [make_person('a', 1.0)]), SKELETONS) for i in (1, 2)]
+    (skeleton,) = arrays[1].people
+    skeleton.skeleton, skeleton.joints = name, (skeleton.joints * 2)[:joint_count]
+    skeleton.inferred = np.zeros(0, bool)
+    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
+        for i, array in enumerate(arrays):
+            recorder.write('/skeletons', SKELETONS, encode(array, SKELETONS), i, i)
+    with pytest.raises(InputError, match=f'bag: /skeletons: {message}'):
+        load_result(tmp_path / 'bag')
 
 
 @pytest.mark.parametrize(

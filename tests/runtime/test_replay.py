@@ -17,7 +17,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mocap_ros.bags.journal import JOURNAL, KEY_VALUE, Journal, Verdict, read_run
+from mocap_ros.bags.journal import JOURNAL, KEY_VALUE, Entry, Journal, Verdict, encode_entry, read_run
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.cli.main import main
@@ -324,6 +324,20 @@ def test_set_changes_single_parameters_of_the_recorded_run(
     split = {'recorder.split_seconds': 0.1}
     assert found == [values(with_values(Config(), {**each, **split})) for each in expected]
     assert len(list((tmp_path / 'out').glob('*.mcap'))) > 1
+
+
+def test_events_that_this_version_does_not_know_are_refused_unless_a_file_gives_all_parameters(
+    tmp_path: Path, stream: list[bytes], skeletons: list[bytes]
+) -> None:
+    entry = encode_entry(Entry('pause', 1, parameters={'seconds': 2.0}))
+    write_bag(tmp_path / 'bag', stream)
+    with Bag(tmp_path / 'bag') as bag, Recorder(tmp_path / 'later', RecorderConfig()) as recorder:
+        for message in bag.messages(['/camera_info', '/keypoints']):
+            recorder.write(message.topic, message.type, message.raw, message.time_ns, message.time_ns)
+            recorder.write('/mocap_node/journal', JOURNAL, entry, message.time_ns, message.time_ns)
+    with pytest.raises(InputError, match=r'later: the run was recorded by another version .* by --config$'):
+        replay_skeletons(tmp_path / 'later', tmp_path / 'refused', ReplayOptions())
+    assert replay_skeletons(tmp_path / 'later', tmp_path / 'out') == skeletons
 
 
 def test_set_on_a_bag_without_a_run_changes_the_defaults(tmp_path: Path, stream: list[bytes]) -> None:

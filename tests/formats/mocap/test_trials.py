@@ -11,7 +11,14 @@ import pytest
 from mocap_ros.errors import InputError
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, RIGS, infer_unit, map_to_model
-from mocap_ros.formats.mocap.trials import TrialOptions, find_vertical_axis, load_trials, rotate_z_up
+from mocap_ros.formats.mocap.trials import (
+    Trial,
+    TrialOptions,
+    find_vertical_axis,
+    load_trials,
+    rotate_z_up,
+    select_trials,
+)
 from mocap_ros.skeleton import CMU15
 from tests.support.motion_files import AMC, Z_UP_TO_Y_UP, rotation_matrix
 
@@ -51,6 +58,24 @@ def test_a_trial_has_the_subject_and_category_of_its_name_or_manifest(tmp_path: 
     (folder / 'manifest.csv').write_text('trial,subject,category,interior_glitches\n99_03,5,run,2\n')
     (trial,) = load_trials(tmp_path)
     assert (trial.subject, trial.category, trial.clean) == ('5', 'run', False)
+
+
+@pytest.mark.parametrize(
+    ('options', 'selected'),
+    [
+        ({}, ['1_walk', '1_run', '2_walk', '3_walk', '3_jump']),
+        ({'categories': ['run', 'jump']}, ['1_run', '3_jump']),
+        ({'only_subjects': ['1', '2']}, ['1_walk', '1_run', '2_walk']),
+        ({'without_subjects': ['1', '2']}, ['3_walk', '3_jump']),
+        ({'without_trials': ['1_walk', '3_jump']}, ['1_run', '2_walk', '3_walk']),
+        ({'categories': ['walk'], 'only_subjects': ['1', '3'], 'without_trials': ['3_walk']}, ['1_walk']),
+        ({'only_subjects': ['4']}, []),
+    ],
+)
+def test_clean_trials_are_selected(poses: np.ndarray, options: dict[str, Any], selected: list[str]) -> None:
+    names = '1_walk', '1_run', '2_walk', '2_run', '3_walk', '3_jump'
+    trials = [Trial(name, *name.split('_'), clean=name != '2_run', poses=poses) for name in names]
+    assert [t.name for t in select_trials(trials, **options)] == selected
 
 
 @pytest.mark.parametrize('up', range(3))

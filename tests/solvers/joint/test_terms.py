@@ -112,6 +112,41 @@ def test_gradient_is_half_that_of_the_cost(
     assert np.abs(equations.gradient - numeric).max() < 1e-6 * np.abs(numeric).max()
 
 
+WEIGHTS: dict[str, type[Term]] = {
+    'prior_weight': BasePosePrior,
+    'smooth_weight': PoseSmoothness,
+    'flip_weight': CameraSmoothness,
+    'tilt_weight': CameraSmoothness,
+    'scale_weight': CameraSmoothness,
+    'bone_weight': BoneLengths,
+    'lifter_weight': LiftedPoseTerm,
+    'pose_acceleration_weight': PoseAcceleration,
+    'camera_acceleration_weight': CameraAcceleration,
+}
+
+
+@pytest.mark.parametrize('name', WEIGHTS)
+def test_terms_have_the_weights_of_the_parameters(walk_model: BasePoses, name: str) -> None:
+    model = walk_model.truncate(COMPONENTS)
+    theta, _, points, times = make_walk(walk_model, frames=7)
+    lifted = LiftedPoses(200 * walk_model.poses(theta), np.full((7, 15, 3), 20.0))
+    window = Window(points, np.ones(points.shape[:2]), times, lifted=lifted)
+    units = np.array([200.0])
+
+    def cost(**weights: float) -> float:
+        config = replace(SolverConfig(), **weights)
+        objective = JointObjective.build([window], units, model, config)
+        state = objective.initial_state([initialise_from_mean_pose(window, model, 1.0)], units)
+        step = 0.1 * np.random.default_rng(0).normal(size=(7, COMPONENTS + CAMERA_UNKNOWNS))
+        fit = objective.fit(state.advanced(step))
+        return float(objective.find_term(WEIGHTS[name]).cost(fit).sum())
+
+    of_one_class = {other: 0.0 for other, kind in WEIGHTS.items() if kind is WEIGHTS[name]}
+    single = cost(**{**of_one_class, name: 0.01})
+    assert single > 0
+    assert cost(**{**of_one_class, name: 0.02}) == pytest.approx(2 * single)
+
+
 def test_terms_have_the_factors_of_lifted_poses_and_of_heading(walk_model: BasePoses) -> None:
     model = replace(walk_model.truncate(COMPONENTS), provenance={'alignment': 'full'})
     theta, _, points, times = make_walk(walk_model, frames=7)

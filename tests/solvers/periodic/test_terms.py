@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -28,9 +29,11 @@ from tests.support.synthetic_walk import make_walk
 
 COMPONENTS, HARMONICS, FRAMES = 4, 2, 7
 PRIOR_FACTOR = 3.0
+VELOCITY_WEIGHT, ACCELERATION_WEIGHT = 0.02, 0.001
 SERIES_UNKNOWNS = (2 * HARMONICS + 1) * (COMPONENTS + 1) + 1
 STEP = 1e-5  # of the finite differences: errors of rounding and of the third order are about equal
 TERMS = (CoefficientPrior, CameraMovement, LevelCameras)
+AnyTerm = TypeVar('AnyTerm', bound=Term)
 
 
 @pytest.fixture
@@ -42,8 +45,8 @@ def objective_and_point(walk_model: BasePoses, rng: np.random.Generator) -> tupl
     config = SolverConfig(
         harmonics=HARMONICS,
         periodic_prior_factor=PRIOR_FACTOR,
-        camera_velocity_weight=0.02,
-        camera_acceleration_weight=0.001,
+        camera_velocity_weight=VELOCITY_WEIGHT,
+        camera_acceleration_weight=ACCELERATION_WEIGHT,
     )
     objective = PeriodicObjective.build(Window(points, np.ones(points.shape[:2]), times), 200.0, model, config)
     shape = (2 * HARMONICS + 1, COMPONENTS + 1)
@@ -57,7 +60,7 @@ def objective_and_point(walk_model: BasePoses, rng: np.random.Generator) -> tupl
     return objective, objective.measure(series, cameras)
 
 
-def find_term(objective: PeriodicObjective, kind: type[Term]) -> Term:
+def find_term(objective: PeriodicObjective, kind: type[AnyTerm]) -> AnyTerm:
     return next(term for term in objective.terms if isinstance(term, kind))
 
 
@@ -177,6 +180,14 @@ def dense_form(bands: np.ndarray) -> np.ndarray:
     n = bands.shape[1]
     lower = sum(np.diag(bands[below, : n - below], -below) for below in range(3))
     return np.asarray(lower + np.tril(lower, -1).T)
+
+
+def test_the_camera_has_the_weights_of_the_parameters(
+    objective_and_point: tuple[PeriodicObjective, Point],
+) -> None:
+    objective, _ = objective_and_point
+    bands = find_term(objective, CameraMovement).bands
+    np.testing.assert_array_equal(bands, make_camera_bands(objective.times, VELOCITY_WEIGHT, ACCELERATION_WEIGHT))
 
 
 def test_camera_bands_integrate_the_squared_derivatives(rng: np.random.Generator) -> None:
