@@ -74,7 +74,9 @@ def test_a_trial_has_the_subject_and_category_of_its_name_or_manifest(tmp_path: 
 )
 def test_clean_trials_are_selected(poses: np.ndarray, options: dict[str, Any], selected: list[str]) -> None:
     names = '1_walk', '1_run', '2_walk', '2_run', '3_walk', '3_jump'
-    trials = [Trial(name, *name.split('_'), clean=name != '2_run', poses=poses) for name in names]
+    trials = [
+        Trial(name, subject=name[0], category=name[2:], clean=name != '2_run', poses=poses) for name in names
+    ]
     assert [t.name for t in select_trials(trials, **options)] == selected
 
 

@@ -14,7 +14,8 @@ from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence, save_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.offline.keyframes.key_poses import SOLVER_STEP_S, compute_limb_directions
+from mocap_ros.offline.keyframes.interpolation import compute_limb_directions
+from mocap_ros.offline.keyframes.key_poses import SOLVER_STEP_S
 from mocap_ros.offline.keyframes.reconstruct import reconstruct
 from mocap_ros.skeleton import CMU15
 from tests.support.evaluation_data import shared

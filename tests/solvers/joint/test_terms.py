@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -133,8 +134,8 @@ def test_terms_have_the_weights_of_the_parameters(walk_model: BasePoses, name: s
     window = Window(points, np.ones(points.shape[:2]), times, lifted=lifted)
     units = np.array([200.0])
 
-    def cost(**weights: float) -> float:
-        config = replace(SolverConfig(), **weights)
+    def cost(weights: Mapping[str, Any]) -> float:
+        config = SolverConfig(**weights)
         objective = JointObjective.build([window], units, model, config)
         state = objective.initial_state([initialise_from_mean_pose(window, model, 1.0)], units)
         step = 0.1 * np.random.default_rng(0).normal(size=(7, COMPONENTS + CAMERA_UNKNOWNS))
@@ -142,9 +143,9 @@ def test_terms_have_the_weights_of_the_parameters(walk_model: BasePoses, name: s
         return float(objective.find_term(WEIGHTS[name]).cost(fit).sum())
 
     of_one_class = {other: 0.0 for other, kind in WEIGHTS.items() if kind is WEIGHTS[name]}
-    single = cost(**{**of_one_class, name: 0.01})
+    single = cost({**of_one_class, name: 0.01})
     assert single > 0
-    assert cost(**{**of_one_class, name: 0.02}) == pytest.approx(2 * single)
+    assert cost({**of_one_class, name: 0.02}) == pytest.approx(2 * single)
 
 
 def test_terms_have_the_factors_of_lifted_poses_and_of_heading(walk_model: BasePoses) -> None:
@@ -168,7 +169,7 @@ def test_terms_have_the_factors_of_lifted_poses_and_of_heading(walk_model: BaseP
         state = objective.initial_state([initialise_from_mean_pose(alone, model, 1.0)], units)
         step = 0.1 * np.random.default_rng(0).normal(size=(7, COMPONENTS + CAMERA_UNKNOWNS))
         fit = objective.fit(state.advanced(step))
-        kinds = BasePosePrior, PoseSmoothness, CameraSmoothness
+        kinds: tuple[type[Term], ...] = (BasePosePrior, PoseSmoothness, CameraSmoothness)
         return [float(objective.find_term(kind).cost(fit).sum()) for kind in kinds]
 
     plain = np.array(costs(alone, model))

@@ -1,0 +1,112 @@
+"""The files for RViz, Foxglove and `ros2 launch` name topics, types, fields and parameters that there are.
+
+None of the three programs comes as a wheel, so that the files are read here and not used.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+import yaml
+
+from mocap_ros.bags.topics import Source
+from mocap_ros.config import Config, values
+from mocap_ros.messages.cdr import Header, decode
+from mocap_ros.messages.skeletons import encode_skeletons
+from mocap_ros.runtime.outputs import OUTPUTS
+from tests.support.modules import load_module
+from tests.support.paths import ROOT
+from tests.support.people import make_person_3d
+
+CONFIG = ROOT / 'config'
+# Message type that a display of RViz shows.
+DISPLAY_TYPES = {'MarkerArray': 'visualization_msgs/msg/MarkerArray', 'PointCloud2': 'sensor_msgs/msg/PointCloud2'}
+
+
+def test_rviz_shows_outputs_of_the_node() -> None:
+    displays = yaml.safe_load((CONFIG / 'mocap_ros.rviz').read_text())['Visualization Manager']['Displays']
+    shown = {d['Topic']['Value']: d['Class'].rpartition('/')[2] for d in displays if 'Topic' in d}
+    assert shown.keys() == {'markers', 'points'}
+    assert {topic: DISPLAY_TYPES[display] for topic, display in shown.items()} == {t: OUTPUTS[t] for t in shown}
+
+
+def test_foxglove_shows_fields_of_outputs_of_the_node() -> None:
+    layout = json.loads((CONFIG / 'mocap_ros.foxglove.json').read_text())
+    panels = layout['configById']
+    assert set(re.findall(r'"(\w+!\w+)"', json.dumps(layout['layout']))) == panels.keys(), 'each panel has a place'
+    assert {topic.removeprefix('/') for topic in panels['3D!people']['topics']} <= OUTPUTS.keys()
+    assert panels['DiagnosticSummary!node']['topicToRender'] == '/diagnostics'
+    paths = [p['value'] for p in panels['Plot!residual']['paths']]
+    skeletons = decode(encode_skeletons(Header(1, 'camera'), [make_person_3d('anna')]), OUTPUTS['skeletons'])
+    for path in (*paths, panels['RawMessages!skeletons']['topicPath']):
+        field = re.fullmatch(r'/skeletons\.people\[:\]\.(\w+)', path)
+        assert field, path
+        assert hasattr(skeletons.people[0], field[1]), path
+
+
+class Recorded(SimpleNamespace):
+    """What a class of `launch` was created with; it substitutes for all of them."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(args=args, **options)
+
+    def perform(self, context: dict[str, str]) -> str:
+        """Return the value of a launch argument."""
+        return context[self.args[0]]
+
+
+@pytest.fixture
+def launch_file(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The launch file, with substitutes for the packages that it imports."""
+    classes = {
+        'launch': ('LaunchContext', 'LaunchDescription'),
+        'launch.actions': ('DeclareLaunchArgument', 'OpaqueFunction'),
+        'launch.conditions': ('IfCondition',),
+        'launch.substitutions': ('LaunchConfiguration', 'PathJoinSubstitution'),
+        'launch_ros': (),
+        'launch_ros.actions': ('Node',),
+        'launch_ros.parameter_descriptions': ('ParameterValue',),
+        'launch_ros.substitutions': ('FindPackageShare',),
+    }
+    for name, members in classes.items():
+        module = ModuleType(name)
+        for member in members:
+            setattr(module, member, Recorded)
+        monkeypatch.setitem(sys.modules, name, module)
+    return load_module(CONFIG / 'launch' / 'mocap.launch.py')
+
+
+def test_the_launch_file_starts_the_node_with_parameters_and_topics_that_it_has(launch_file: ModuleType) -> None:
+    (description,) = launch_file.generate_launch_description().args
+    declared = {a.args[0]: a.default_value for a in description if hasattr(a, 'default_value')}
+    assert declared.keys() == launch_file.ARGUMENTS.keys()
+    known = values(Config())
+    for name, (parameter, kind) in launch_file.PARAMETERS.items():
+        assert declared[name] == '', 'an argument that is not given leaves the parameter as the file has it'
+        assert type(known[parameter]) is kind
+    (node,) = launch_file.create_node(dict.fromkeys(declared, ''))
+    assert (node.package, node.executable, node.name) == ('mocap_ros', 'mocap_node', 'mocap_node')
+    assert [p.args[0] for p in node.parameters] == ['params_file']
+    assert {topic for topic, _ in node.remappings} == {Source.KEYPOINTS.value, Source.CAMERA_INFO.value}
+    assert all(substitution.args == (topic,) for topic, substitution in node.remappings)
+    (node,) = launch_file.create_node({**dict.fromkeys(declared, ''), 'record': 'true'})
+    _, given = node.parameters
+    assert {name: (v.args[0].args[0], v.value_type) for name, v in given.items()} == {
+        'recorder.enabled': ('record', bool)
+    }
+
+
+def test_the_launch_file_finds_the_files_that_are_installed(launch_file: ModuleType) -> None:
+    (description,) = launch_file.generate_launch_description().args
+    (rviz,) = (a for a in description if getattr(a, 'executable', '') == 'rviz2')
+    parameter_file, _ = launch_file.ARGUMENTS['params_file']
+    for substitution in (parameter_file, rviz.arguments[1]):
+        ((share, *parts),) = substitution.args
+        assert share.args == ('mocap_ros',)
+        assert Path(ROOT, *parts).is_file()
