@@ -92,8 +92,9 @@ def test_a_larger_factor_loosens_every_threshold(walk_model: BasePoses, category
     assert is_periodic(fit, strict, 1.1)
 
 
-def test_switch_has_hysteresis(walk_model: BasePoses) -> None:
-    config = ClassifierConfig()
+@pytest.mark.parametrize('hysteresis', [1.1, 1.25])
+def test_switch_has_hysteresis(walk_model: BasePoses, hysteresis: float) -> None:
+    config = ClassifierConfig(hysteresis=hysteresis)
     _, _, points, times = make_walk(walk_model)
     fit = fit_periodic(Window(points, np.ones(points.shape[:2]), times), {'walk': walk_model}, QUICK)
     assert is_periodic(fit, config, 1 / config.hysteresis)
@@ -102,7 +103,8 @@ def test_switch_has_hysteresis(walk_model: BasePoses) -> None:
         return replace(fit, excess_residual=share * config.walk_residual)
 
     switch = PeriodicSwitch(config)
-    decisions = [switch.update(fit_with_residual(s)) for s in (1.5, 1.02, 0.98, 0.85, 0.98, 1.05, 1.2, 1.05)]
+    shares = (1.5, 1.02, 1.05 / hysteresis, 0.95 / hysteresis, 0.98, 0.95 * hysteresis, 1.05 * hysteresis, 1.02)
+    decisions = [switch.update(fit_with_residual(s)) for s in shares]
     assert decisions == [False, False, False, True, True, True, False, False]
 
 

@@ -291,6 +291,26 @@ def test_noise_is_found(walk_model: BasePoses) -> None:
         assert result.noise == pytest.approx(px / 205, rel=0.2)
 
 
+@pytest.mark.parametrize('method', ['joint', 'alternation'])
+def test_initial_cameras_are_shared_for_the_time_of_the_parameter(walk_model: BasePoses, method: str) -> None:
+    _, _, points, times = make_walk(walk_model, frames=30)
+    window = Window(points, np.ones(points.shape[:2]), times)
+
+    def measure_turn(start_window: float) -> float:
+        """Return how far the cameras turn after a first iteration."""
+        config = SolverConfig(
+            start_window=start_window, hypotheses=1, adapt_noise=False, max_iterations=1, tolerance=1.0
+        )
+        if method == 'alternation':
+            rotation = alternation.reconstruct(window, walk_model, config).cameras.rotation
+        else:
+            (result,) = joint.solve([window], walk_model, config)
+            rotation = result.cameras.rotation
+        return float(np.ptp(rotation, axis=0).max())
+
+    assert measure_turn(60.0) < measure_turn(1.0) < measure_turn(0.0)
+
+
 def test_noise_below_the_floor_is_taken_for_the_floor(walk_model: BasePoses) -> None:
     _, _, points, times = make_walk(walk_model, frames=30)
     window = Window(points, np.ones(points.shape[:2]), times)
