@@ -1,5 +1,6 @@
 """Tests of the tracker: people who come and go, stamps out of order, and equal output for equal input."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -112,6 +113,29 @@ def test_a_large_backward_jump_of_stamps_restarts_the_tracker(
         (b,) = fresh.update(start + frame * STEP_NS, people(points, frame), CAMERA)
         assert (a.joints == b.joints).all()
         assert tracker.backward_jump_s == pytest.approx(0 if frame else restart_after)
+
+
+@pytest.mark.parametrize(
+    ('values', 'solved_again'),
+    [
+        ({'tracker.refine_seconds': 0.1}, 3),
+        ({'tracker.refine_seconds': 0.3}, 9),
+        ({'tracker.refine_seconds': 0.1, 'tracker.lag': 0.2}, 6),
+    ],
+)
+def test_the_newest_part_of_the_window_is_solved_again(
+    walk_model: BasePoses, walk: Walk, values: dict[str, object], solved_again: int
+) -> None:
+    _, _, points, _ = walk
+    tracker = Tracker(walk_model, with_values(CONFIG, values))
+    before, counts = np.zeros((0, 1)), []
+    for frame in range(len(points)):
+        tracker.update(frame * STEP_NS, people(points, frame), CAMERA)
+        (track,) = tracker.snapshot().tracks
+        now = track.solved.theta[:, :1]
+        counts.append(int((now[: len(before)] != before).sum()))
+        before = now
+    assert Counter(counts[15:]).most_common(1)[0][0] == solved_again, 'apart from frames with a hypothesis check'
 
 
 def test_reset_restores_the_initial_state(walk_model: BasePoses, walk: Walk) -> None:
