@@ -37,7 +37,7 @@ from mocap_ros.batch.storage import (
     write_whole,
 )
 from mocap_ros.config import Config, Value, to_yaml, with_values
-from mocap_ros.errors import MocapError
+from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.models.model_file import load_base_pose_models
@@ -99,7 +99,8 @@ class Settings:
         cut_seconds: s, length from which on a bag may be cut into parts of at least this length; 0: never.
         copy_limit_bytes: size of a remote recording above which it is not copied to be read.
         version: version of this package, which the workers must have.
-        key: checksum of all that results depend on but the recording: work, parameters, models and version.
+        key: checksum of all that results depend on but the recording: work, parameters, models (also that of a
+            detector) and version.
     """
 
     work: Work
@@ -126,6 +127,7 @@ class Settings:
         Raises:
             ModelError: the models that the parameters name cannot be loaded.
             ConfigError: a parameter of `changes` is unknown, or its value is wrong.
+            InputError: the model of the detector cannot be read.
         """
         config = self.parameters
         _, provenance = provenance_attachments(config, load_base_pose_models(config.tracker.model))
@@ -136,11 +138,22 @@ class Settings:
             'parameters': to_yaml(self.config) if self.config else '',
             'changes': dict(self.changes),
             'models': [models['models'], models.get('lifter')],
-            'input': [self.topic, self.camera_info, asdict(self.video)],
+            'input': [self.topic, self.camera_info, asdict(replace(self.video, detector=None))],
+            'detector': _compute_file_checksum(self.video.detector),
             'suffix': self.suffix,
         }
         key = hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
         return replace(self, version=version('mocap_ros'), key=key)
+
+
+def _compute_file_checksum(path: Path | None) -> str:
+    """Return the checksum of a file, or nothing where there is none."""
+    if path is None:
+        return ''
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f'{path}: {error.strerror}') from None
 
 
 class Status(str, Enum):

@@ -23,7 +23,7 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.cli.batch import _make_settings, add_options
 from mocap_ros.cli.main import main
-from mocap_ros.errors import MocapError
+from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence
 from tests.support.bag_corpus import FAST_ARGUMENTS, read_outputs, write_corpus, write_demo_bag
@@ -47,7 +47,6 @@ VIDEO: dict[str, Any] = {
     'fps': 25.0,
     'image_size': (640, 480),
     'layout': 'coco17',
-    'detector': Path('pose.onnx'),
 }
 
 
@@ -293,6 +292,19 @@ def test_whatever_changes_results_changes_their_key(values: dict[str, Any]) -> N
     assert replace(settings, **values).seal().key != settings.seal().key
 
 
+def test_the_key_has_the_content_of_the_model_of_a_detector_and_not_its_name(tmp_path: Path) -> None:
+    for name, content in {'a.onnx': b'first', 'b.onnx': b'second', 'c.onnx': b'first'}.items():
+        (tmp_path / name).write_bytes(content)
+
+    def key(detector: Path | None) -> str:
+        return Settings(Work.RECONSTRUCT, 'out', video=Video(detector=detector)).seal().key
+
+    assert len({key(None), key(tmp_path / 'a.onnx'), key(tmp_path / 'b.onnx')}) == 3
+    assert key(tmp_path / 'a.onnx') == key(tmp_path / 'c.onnx')
+    with pytest.raises(InputError, match=r'no\.onnx: No such file or directory$'):
+        key(tmp_path / 'no.onnx')
+
+
 def test_what_changes_no_result_keeps_their_key() -> None:
     settings = Settings(Work.REPLAY, 'out', FAST_CONFIG)
     others = replace(settings, out='elsewhere', cut_seconds=60.0, copy_limit_bytes=1)
@@ -301,9 +313,11 @@ def test_what_changes_no_result_keeps_their_key() -> None:
 
 def test_the_options_of_the_command_are_the_settings(tmp_path: Path) -> None:
     """Lengths are in minutes and sizes in GB on the command line, in seconds and bytes inside."""
+    detector = tmp_path / 'pose.onnx'
+    detector.write_bytes(b'model')
     text = (
         f'in -o {tmp_path} --work reconstruct --suffix .bvh --cut 1.5 --copy-limit 0.5 --topic /people '
-        '--camera-info /info --fps 25 --image-size 640x480 --layout coco17 --detector pose.onnx '
+        f'--camera-info /info --fps 25 --image-size 640x480 --layout coco17 --detector {detector} '
         '--set tracker.lag=0.2'
     )
     parser = argparse.ArgumentParser()
@@ -317,7 +331,7 @@ def test_the_options_of_the_command_are_the_settings(tmp_path: Path) -> None:
             changes={'tracker.lag': 0.2},
             topic='/people',
             camera_info='/info',
-            video=Video(**VIDEO),
+            video=Video(**VIDEO, detector=detector),
             suffix='.bvh',
             cut_seconds=90.0,
             copy_limit_bytes=500_000_000,
