@@ -45,6 +45,29 @@ def test_the_result_is_that_of_the_solver(sequence: mocap_ros.KeypointSequence, 
     assert (len(result), len(result.joint_names), len(result.parents)) == (40, joints, joints)
     np.testing.assert_array_equal(result.weights, expected.solution.theta)
     assert (result.success, result.iterations) == (expected.solution.success, expected.solution.iterations)
+    assert result.cost == expected.solution.cost
+    np.testing.assert_array_equal(result.vertical, expected.vertical)
+    np.testing.assert_array_equal(result.vertical_std, expected.vertical_std)
+    if method == 'keyframes':
+        assert np.isnan(result.orientation).all()
+        assert result.turn_inferred.all()
+    else:
+        np.testing.assert_array_equal(result.orientation, expected.orientation)
+        np.testing.assert_array_equal(result.turn_inferred, expected.turn_inferred)
+        assert not result.turn_inferred.all()
+    assert result.orientation.shape == (40, joints, 4)
+    assert result.turn_inferred.shape == (40, joints)
+
+
+def test_the_core_alone_has_the_orientations_that_it_has_with_face_feet_and_hands(
+    sequence: mocap_ros.KeypointSequence,
+) -> None:
+    whole = mocap_ros.reconstruct(sequence, parameters=QUICK)
+    core = mocap_ros.reconstruct(sequence, parameters={**QUICK, 'tracker.skeleton': 'cmu15'})
+    assert core.joint_names == whole.joint_names[:15]
+    np.testing.assert_array_equal(core.joints, whole.joints[:, :15])
+    np.testing.assert_array_equal(core.orientation, whole.orientation[:, :15])
+    np.testing.assert_array_equal(core.turn_inferred, whole.turn_inferred[:, :15])
 
 
 def test_the_weak_perspective_cameras_show_the_joints_where_they_were_seen(
@@ -89,6 +112,8 @@ def test_parameters_and_models_have_an_effect(sequence: mocap_ros.KeypointSequen
     taller = mocap_ros.reconstruct(sequence, parameters={**QUICK, 'tracker.body_height': 1.9})
     usual = mocap_ros.reconstruct(sequence, parameters=QUICK)
     assert taller.joints[..., 2].mean() > 1.1 * usual.joints[..., 2].mean()
+    longer = mocap_ros.reconstruct(sequence, parameters={**QUICK, 'tracker.nominal_focal_length': 2.0})
+    assert longer.joints[..., 2].mean() == pytest.approx(2 * usual.joints[..., 2].mean(), rel=0.05)
     walk = mocap_ros.BasePoses.load('walk')
     by_object = mocap_ros.reconstruct(sequence, model=walk, parameters=QUICK)
     by_name = mocap_ros.reconstruct(sequence, model='walk', parameters=QUICK)

@@ -41,6 +41,18 @@ def test_the_people_are_those_of_the_node_s_tracker(sequence: mocap_ros.Keypoint
     assert len(people[0].joint_names) == len(people[0].joints)
 
 
+@pytest.mark.parametrize('given', ['none', '0 -0.6 -0.8'])
+def test_the_vertical_is_the_one_that_is_given(sequence: mocap_ros.KeypointSequence, given: str) -> None:
+    tracker = make_tracker(parameters={'tracker.vertical': given})
+    tracker.update(0.0, [sequence.keypoints[0]])
+    if given == 'none':
+        assert tracker.vertical is None
+        assert np.isnan(tracker.vertical_std)
+    else:
+        np.testing.assert_allclose(tracker.vertical, [0, -0.6, -0.8])
+        assert tracker.vertical_std >= 0
+
+
 def test_several_people_keep_their_names(sequence: mocap_ros.KeypointSequence) -> None:
     tracker = make_tracker()
     mirrored = sequence.keypoints * [-1, 1, 1] + [640, 0, 0]

@@ -39,6 +39,20 @@ def test_reconstruct_writes_npz_and_csv(recording: Path, tmp_path: Path, method:
     assert np.array(rows[1][1:], float).reshape(26, 3) == pytest.approx(joints[0], abs=1e-5)
 
 
+@pytest.mark.parametrize('method', ['whole', 'keyframes'])
+def test_the_nominal_focal_length_is_that_of_the_parameter(
+    short_recording: Path, tmp_path: Path, method: str
+) -> None:
+    depths = []
+    for focal in (1.0, 2.0):
+        out = tmp_path / f'{focal}.npz'
+        options = ['--set', f'tracker.nominal_focal_length={focal}', *QUICK_OPTIONS]
+        assert main(['reconstruct', str(short_recording), '-o', str(out), '--method', method, *options]) == 0
+        with np.load(out) as arrays:
+            depths.append(np.nanmean(arrays['joints3d'][..., 2]))
+    assert depths[1] == pytest.approx(2 * depths[0], rel=0.1)
+
+
 def test_results_are_written_into_the_current_folder(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -155,6 +155,8 @@ def test_image_size_comes_from_message_then_camera_then_parameters(stream: list[
         return float(np.mean([j.z for j in person.joints[:CORE_COUNT]]))
 
     nominal = depth(Pipeline(FAST_CONFIG), stream[0], scale_source=0)  # the focal length is 640 px, the width
+    longer = with_values(FAST_CONFIG, {'tracker.nominal_focal_length': 2.0})
+    assert depth(Pipeline(longer), stream[0], scale_source=0) == pytest.approx(2 * nominal, rel=0.016)
     wide = replace(FAST_CONFIG, node=replace(FAST_CONFIG.node, image_width=1280, image_height=960))
     assert depth(Pipeline(wide), stream[0], scale_source=0) == nominal
     assert depth(Pipeline(wide), raw, scale_source=0) == pytest.approx(2 * nominal, rel=0.016)  # measured: 0.014

@@ -147,6 +147,20 @@ def test_reset_restores_the_initial_state(walk_model: BasePoses, walk: Walk) -> 
     assert all((a == b).all() for a, b in zip(first, again, strict=True))
 
 
+@pytest.mark.parametrize('predict_for', [0.2, 0.5])
+def test_people_are_predicted_for_the_time_of_the_parameter(
+    walk_model: BasePoses, walk: Walk, predict_for: float
+) -> None:
+    _, _, points, _ = walk
+    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.predict_for': predict_for}))
+    for frame in range(12):
+        tracker.update(frame * STEP_NS, people(points, frame), CAMERA)
+    last_ns = 11 * STEP_NS
+    (gone,) = tracker.update(last_ns + round(predict_for * 1e9), [], CAMERA)
+    assert gone.predicted
+    assert tracker.update(last_ns + round(predict_for * 1e9) + 1, [], CAMERA) == ()
+
+
 def test_lost_people_are_predicted_and_later_forgotten(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     tracker = Tracker(walk_model, CONFIG)
