@@ -49,7 +49,7 @@ def test_the_vertical_is_the_one_that_is_given(sequence: mocap_ros.KeypointSeque
         assert tracker.vertical is None
         assert np.isnan(tracker.vertical_std)
     else:
-        np.testing.assert_allclose(tracker.vertical, [0, -0.6, -0.8])
+        assert tracker.vertical == pytest.approx([0, -0.6, -0.8])
         assert tracker.vertical_std >= 0
 
 

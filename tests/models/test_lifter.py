@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import copy
 import io
+import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,9 @@ from mocap_ros.training.synthesis import ExampleSynthesiser
 from tests.support import plain_lifter
 
 PX_PER_M = 300.0
+SMALL_LIFTER = Lifter(
+    tuple((np.zeros(s, 'f4'), np.zeros(s[1], 'f4')) for s in ((FEATURE_COUNT, 2), (2, OUTPUT_COUNT))), {}
+)
 EQUAL_SHARES = np.full(3, 1 / 3)  # of the trials of `make_trials`
 
 
@@ -226,14 +231,55 @@ def test_save_and_load(tmp_path: Path, shipped: Lifter) -> None:
     assert 'mocap.cs.cmu.edu' in str(loaded.provenance['acknowledgement'])
 
 
+def change_layer(lifter_bytes: dict[str, Any], name: str, value: Any) -> dict[str, Any]:
+    """Return the arrays of a lifter's file with one number of an array changed."""
+    array = lifter_bytes[name].astype(np.float64)
+    array.flat[-1] = value
+    return {name: array}
+
+
+BAD_LIFTERS: dict[str, tuple[dict[str, Any], Callable[[dict[str, Any]], dict[str, Any]], str]] = {
+    'format': ({'format': 'x'}, lambda _: {}, "format 'x'"),
+    'other times of the history': ({'slots': [0.0, 1.0]}, lambda _: {}, ''),
+    'provenance': ({'provenance': [1]}, lambda _: {}, 'a mapping as provenance expected'),
+    'integers': ({}, lambda a: {'w0': a['w0'].astype(int)}, 'arrays of real numbers'),
+    'no weights': ({}, lambda a: {'b0': None}, 'no b0'),
+    'one layer': ({}, lambda a: {'w1': None, 'b1': None}, '1 layers, expected an even number of at least 2'),
+    'other features': ({}, lambda a: {'w0': a['w0'][1:]}, r'layer 0: shapes \('),
+    'other outputs': ({}, lambda a: {'b1': a['b1'][1:]}, r'layer 1: shapes \('),
+    'not a number': ({}, lambda a: change_layer(a, 'w1', np.nan), 'layer 1: numbers that are not finite'),
+    'infinite': ({}, lambda a: change_layer(a, 'b0', np.inf), 'layer 0: numbers that are not finite'),
+    'huge': ({}, lambda a: change_layer(a, 'b1', 1e6), 'layer 1: numbers beyond'),
+}
+
+
+@pytest.mark.parametrize('case', BAD_LIFTERS)
+def test_every_value_of_a_lifter_is_checked(case: str) -> None:
+    changed_meta, change, message = BAD_LIFTERS[case]
+    buffer = io.BytesIO()
+    model_file.save_lifter(SMALL_LIFTER, buffer)
+    with np.load(io.BytesIO(buffer.getvalue())) as archive:
+        content: dict[str, Any] = dict(archive)
+    model_file.decode_lifter(encode_arrays(content), 'x')
+    meta = json.loads(str(content['meta'])) | changed_meta
+    changed = {**content, **change(content), 'meta': np.array(json.dumps(meta))}
+    data = encode_arrays({name: array for name, array in changed.items() if array is not None})
+    with pytest.raises(ModelError, match=rf'^x: not a lifter \(.*{message}'):
+        model_file.decode_lifter(data, 'x')
+
+
+def encode_arrays(content: dict[str, Any]) -> bytes:
+    """Return the bytes of an .npz file."""
+    out = io.BytesIO()
+    np.savez_compressed(out, **content)
+    return out.getvalue()
+
+
 @settings(max_examples=30)
 @given(st.integers(0, 1 << 30), st.integers(0, 255))
 def test_corrupted_lifters_are_read_or_refused(place: int, byte: int) -> None:
-    small = Lifter(
-        tuple((np.zeros(s, 'f4'), np.zeros(s[1], 'f4')) for s in ((FEATURE_COUNT, 2), (2, OUTPUT_COUNT))), {}
-    )
     buffer = io.BytesIO()
-    model_file.save_lifter(small, buffer)
+    model_file.save_lifter(SMALL_LIFTER, buffer)
     data = bytearray(buffer.getvalue())
     data[place % len(data)] = byte
     with contextlib.suppress(ModelError):
