@@ -41,3 +41,26 @@ def test_an_invalid_file_is_refused_in_one_line(tmp_path: Path, case: str) -> No
     content, message = INVALID[case]
     (tmp_path / 'a.asf').write_text(ASF)
     check_refusal(tmp_path / 'a.amc', content, message)
+
+
+INVALID_SKELETONS = {
+    'a bone that is not defined': (ASF.replace('upper lower', 'upper hand'), "there is no bone 'hand'"),
+    'a bone that hangs in the air': (
+        ASF.replace('upper lower', 'hand lower'),
+        "no path from the root to 'lower'",
+    ),
+    'no hierarchy': (
+        ASF.replace('    root upper\n', '').replace('    upper lower\n', ''),
+        'no bones; not an ASF file',
+    ),
+    'a direction that is not finite': (ASF.replace('0.6 -0.8 0', '0.6 nan 0'), "line 33: 'end' is not valid"),
+    'an unknown degree of freedom': (ASF.replace('dof rx ry rz', 'dof rx ry rw'), "line 24: 'end' is not valid"),
+    'empty': ('', r'a\.asf: '),
+}
+
+
+@pytest.mark.parametrize('case', INVALID_SKELETONS)
+def test_an_invalid_skeleton_is_refused_in_one_line(tmp_path: Path, case: str) -> None:
+    content, message = INVALID_SKELETONS[case]
+    (tmp_path / 'a.amc').write_text(AMC)
+    check_refusal(tmp_path / 'a.asf', content, message)

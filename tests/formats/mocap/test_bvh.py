@@ -41,6 +41,18 @@ INVALID = {
     'channel': (make_bvh(lambda t: t.replace('Xrot', 'Wrot')), 'line 5: .CHANNELS 3'),
     'no values': (make_bvh(lambda t: t.replace('1 2 3', '')), 'MOTION: no frames'),
     'no time': (make_bvh(lambda t: t.replace('0.1', '0')), 'MOTION: no frames'),
+    'two joints of a name': (
+        make_bvh(lambda t: t.replace('End Site', 'JOINT Hips')),
+        "two joints are called 'Hips'",
+    ),
+    'more channels than it says': (
+        make_bvh(lambda t: t.replace('CHANNELS 3', 'CHANNELS 2')),
+        'line 5: .CHANNELS 2',
+    ),
+    'no number of frames': (
+        make_bvh(lambda t: t.replace('Frames: 1', 'Frames: many')),
+        'line 12: expected Frames: and',
+    ),
     'deep': ('HIERARCHY\nROOT a\n{\n' + 'JOINT b\n{\n' * 5000, 'line 4002'),
 }
 

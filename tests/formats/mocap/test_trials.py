@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 from mocap_ros.errors import InputError
 from mocap_ros.formats.export.armature import build_armature
+from mocap_ros.formats.export.bvh import save_bvh
 from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, RIGS, infer_unit, map_to_model
 from mocap_ros.formats.mocap.trials import (
     Trial,
@@ -133,6 +135,49 @@ def test_an_archive_is_in_mm_unless_another_unit_is_given(tmp_path: Path, poses:
     assert given.poses == pytest.approx(plain.poses)
     with pytest.raises(InputError, match=r'm\.npz: key t: a body 0\.00\d+ m tall, if .* units of 0\.001 m'):
         load_trials(tmp_path / 'm.npz')
+
+
+@pytest.mark.parametrize(
+    ('change', 'message'),
+    [
+        (lambda motion: motion[:, :3], r'key t has shape \(40, 3, 3\) of float64'),
+        (lambda motion: motion[:0], r'key t has shape \(0, 15, 3\)'),
+        (lambda motion: motion.astype(str), 'key t has shape .* of <U'),
+        (lambda motion: np.where(np.arange(3) == 1, np.nan, motion), 'key t holds numbers that are not finite'),
+        (lambda motion: motion.astype(object), 'holds Python objects'),
+    ],
+)
+def test_what_is_no_motion_in_an_archive_is_refused_by_its_key(
+    tmp_path: Path, poses: np.ndarray, change: Callable[[np.ndarray], np.ndarray], message: str
+) -> None:
+    np.savez(tmp_path / 'm.npz', _joints=np.array(CMU15.joints), t=change(1000 * poses))
+    with pytest.raises(InputError, match=rf'm\.npz: .*{message}'):
+        load_trials(tmp_path / 'm.npz')
+
+
+@pytest.mark.parametrize(
+    ('content', 'message'),
+    [
+        ('name,subject\na,1\n', 'no column trial'),
+        ('trial\n' + 'x' * 200_000, 'not CSV: field larger than'),
+    ],
+)
+def test_a_manifest_that_cannot_be_read_is_refused(
+    tmp_path: Path, poses: np.ndarray, content: str, message: str
+) -> None:
+    np.savez(tmp_path / 'm.npz', _joints=np.array(CMU15.joints), t=1000 * poses)
+    (tmp_path / 'list.csv').write_text(content)
+    with pytest.raises(InputError, match=rf'list\.csv: .*{message}'):
+        load_trials(tmp_path / 'm.npz', TrialOptions(manifest=tmp_path / 'list.csv'))
+
+
+def test_a_motion_without_a_complete_frame_or_of_a_giant_is_refused(tmp_path: Path, poses: np.ndarray) -> None:
+    bvh = build_armature(poses @ Z_UP_TO_Y_UP.T * 1e6, 30.0)
+    save_bvh(tmp_path / 'walk.bvh', bvh)
+    with pytest.raises(
+        InputError, match=r'walk\.bvh: people are .* units tall, which is not the height of a person'
+    ):
+        load_trials(tmp_path / 'walk.bvh')
 
 
 def test_an_archive_may_hold_more_joints_than_the_model(tmp_path: Path, poses: np.ndarray) -> None:
