@@ -81,6 +81,32 @@ def test_a_number_may_be_given_for_a_text_of_numbers() -> None:
         with_values(Config(), {'node.output_frame': 5})
 
 
+@pytest.mark.parametrize(('text', 'value'), [('1e-5', 1e-5), ('2E+2', 200.0), ('3', 3.0), ('0.25', 0.25)])
+def test_a_number_in_any_notation_of_yaml_is_a_number(text: str, value: float) -> None:
+    """YAML 1.1 reads a number without a point before its exponent as a text."""
+    found = from_yaml(f'solver: {{tolerance: {text}}}', 'test').solver.tolerance
+    assert (found, type(found)) == (value, float)
+    assert with_values(Config(), {'recorder.folder': text}).recorder.folder == text, 'where a text is expected'
+
+
+@pytest.mark.parametrize(
+    ('name', 'value', 'kind'),
+    [
+        ('solver.tolerance', 'small', 'a float'),
+        ('solver.tolerance', '1e-5x', 'a float'),
+        ('solver.tolerance', True, 'a float'),
+        ('node.queue', '1e1', 'an int'),
+        ('node.queue', 10.0, 'an int'),
+        ('node.queue', True, 'an int'),
+        ('node.publish_tf', 1, 'a bool'),
+        ('recorder.folder', 1, 'a str'),
+    ],
+)
+def test_values_of_another_type_are_refused(name: str, value: object, kind: str) -> None:
+    with pytest.raises(ConfigError, match=rf'^{name} = {value!r}: expected {kind}$'):
+        with_values(Config(), {name: value})
+
+
 def test_a_group_is_no_parameter() -> None:
     with pytest.raises(
         ConfigError, match=r"^solver: is a group of parameters; names are dotted, such as 'solver\."
