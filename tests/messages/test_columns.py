@@ -14,11 +14,13 @@ from rosbags.interfaces import Nodetype
 from mocap_ros.errors import InputError
 from mocap_ros.messages.cdr import create_message, decode, encode, typestore
 from mocap_ros.messages.columns import read_columns
+from mocap_ros.messages.keypoint_columns import read_keypoints
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeleton_columns import read_skeletons
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
 
 SKELETON, POINT = 'mocap_ros_msgs/msg/Skeleton3D', 'geometry_msgs/msg/Point'
+PERSON = 'mocap_ros_msgs/msg/Keypoints2D'
 QUATERNION, VECTOR = 'geometry_msgs/msg/Quaternion', 'geometry_msgs/msg/Vector3'
 SEEDS = st.integers(0, 2**32 - 1)
 TEXTS = ('', 'a', 'anna', 'zoë')
@@ -134,3 +136,82 @@ def test_joints_are_in_the_optical_frame_whatever_frame_they_were_put_out_in() -
             upward = [0, np.sin(angle), np.cos(angle)] if row != 1 else [0, 0, 1]
             assert vertical == pytest.approx(upward)
     assert count == 6
+
+
+def make_skeletons(**changes: Any) -> Any:
+    """Return skeletons of one person, some of whose fields are changed."""
+    rng = np.random.default_rng(5)
+    array = make_message(SKELETONS, rng)
+    person = make_message(SKELETON, rng)
+    person.id, person.skeleton = 'anna', 'cmu15'
+    person.joints = [make_message(POINT, rng) for _ in range(15)]
+    person.inferred, person.joint_std = np.arange(15) == 3, np.full(15, 0.5, np.float32)
+    array.people = [person]
+    array.camera_pose.orientation = create_message(QUATERNION, x=0.0, y=0.0, z=0.0, w=1.0)
+    for name, value in changes.items():
+        setattr(person, name, value)
+    return array
+
+
+def test_people_in_one_place_of_messages_of_one_form_are_told_apart() -> None:
+    raws = [encode(make_skeletons(id=name), SKELETONS) for name in ('anna', 'bert', 'anna', 'carl')]
+    (messages,) = read_skeletons(raws)
+    found = {person.id: messages.rows[person.rows].tolist() for person in messages.people}
+    assert found == {'anna': [0, 2], 'bert': [1], 'carl': [3]}
+
+
+def test_messages_of_0_1_tell_neither_deviations_nor_what_was_inferred() -> None:
+    raw = encode(make_skeletons(joint_std=np.zeros(0, np.float32), inferred=np.zeros(0, bool)), SKELETONS)
+    ((person,),) = (messages.people for messages in read_skeletons([raw]))
+    assert np.isnan(person.std).all()
+    assert not person.inferred.any()
+    assert person.std.shape == person.inferred.shape == (1, 15)
+
+
+@pytest.mark.parametrize(
+    ('changes', 'message'),
+    [
+        ({'skeleton': 'body27'}, "skeleton: unknown keypoint layout 'body27'"),
+        ({'skeleton': 'body26'}, '15 joints and 15 flags, body26 has 26'),
+        ({'inferred': np.zeros(14, bool)}, '15 joints and 14 flags, cmu15 has 15'),
+    ],
+)
+def test_skeletons_that_are_none_are_refused(changes: dict[str, Any], message: str) -> None:
+    raws = [encode(make_skeletons(), SKELETONS), encode(make_skeletons(**changes), SKELETONS)]
+    with pytest.raises(InputError, match=message):
+        list(read_skeletons(raws))
+
+
+def test_a_camera_pose_that_is_none_is_refused() -> None:
+    array = make_skeletons()
+    array.camera_pose.orientation.w = 2.0
+    with pytest.raises(InputError, match=r'^camera_pose: '):
+        list(read_skeletons([encode(array, SKELETONS)]))
+
+
+def test_a_text_that_is_not_utf_8_is_refused() -> None:
+    raw = encode(make_skeletons(id='berta'), SKELETONS)
+    assert raw.count(b'berta') == 1
+    with pytest.raises(InputError, match=r'people.*id.*: invalid start byte'):
+        list(read_skeletons([raw.replace(b'berta', b'\xfferta')]))
+
+
+@pytest.mark.parametrize(
+    ('layout', 'count', 'message'),
+    [
+        ('coco99', 17, "people: unknown keypoint layout 'coco99'"),
+        ('body25', 17, 'people: 17 keypoints, expected 25'),
+    ],
+)
+def test_keypoints_that_are_none_are_refused(layout: str, count: int, message: str) -> None:
+    array = make_message(KEYPOINTS, np.random.default_rng(2))
+    person = create_message(
+        PERSON,
+        id='',
+        skeleton=layout,
+        joint_names=[],
+        **{name: np.zeros(count, np.float32) for name in ('x', 'y', 'score')},
+    )
+    array.people = [person]
+    with pytest.raises(InputError, match=message):
+        list(read_keypoints([encode(array, KEYPOINTS)]))
