@@ -49,20 +49,37 @@ def unpack(data: bytes, compression: str, max_bytes: int = MAX_CHUNK_BYTES) -> b
         max_bytes: largest number of bytes to unpack to.
 
     Raises:
-        ValueError: there would be more bytes.
+        ValueError: there would be more bytes, or the compressed bytes are cut off.
         Exception: the libraries raise exceptions of many types for damaged bytes.
     """
     limit = min(max_bytes, MAX_CHUNK_BYTES)
+    decompressor: Any = None  # which knows whether it has reached the end
     if compression == 'zstd':
         with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as stream:
             unpacked = b''.join(_read_pieces(stream, limit + 1))
-    elif compression == 'lz4':
-        unpacked = bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=limit + 1))
     else:
-        unpacked = bz2.BZ2Decompressor().decompress(data, max_length=limit + 1)
+        decompressor = lz4.frame.LZ4FrameDecompressor() if compression == 'lz4' else bz2.BZ2Decompressor()
+        unpacked = bytes(decompressor.decompress(data, max_length=limit + 1))
     if len(unpacked) > limit:
         raise ValueError(f'{len(data)} bytes of {compression} unpack to more than {limit} bytes')
+    if not (decompressor.eof if decompressor else _is_whole_zstd(data, len(unpacked))):
+        raise ValueError(f'{len(data)} bytes of {compression} are cut off')
     return unpacked
+
+
+def _is_whole_zstd(data: bytes, unpacked_bytes: int) -> bool:
+    """Return whether bytes of Zstandard reach the end of their first frame.
+
+    Args:
+        data: the compressed bytes.
+        unpacked_bytes: number of bytes that they unpack to.
+    """
+    stated_bytes = zstandard.frame_content_size(data)
+    if stated_bytes >= 0:
+        return unpacked_bytes >= stated_bytes
+    decompressor = zstandard.ZstdDecompressor().decompressobj()
+    decompressor.decompress(data)
+    return decompressor.eof
 
 
 def _read_pieces(stream: IO[bytes], size: int) -> list[bytes]:

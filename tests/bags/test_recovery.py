@@ -6,15 +6,19 @@ import os
 import random
 import re
 import sqlite3
+import struct
 from pathlib import Path
 
 import pytest
 import zstandard
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from mocap_ros.bags.mcap_file import Attachment
+from mocap_ros.bags.mcap_layout import CHUNK_HEADER, CRC_BYTES, RECORD_PREFIX
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.recovery import recover
@@ -24,6 +28,7 @@ from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.messages.cdr import Header, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
+from mocap_ros.messages.skeletons import SKELETONS
 
 FRAMES = 120  # enough for several chunks and, with a limit of 1 s, several files
 STEP_NS = 33_000_000  # between two frames; about 30 Hz
@@ -258,6 +263,126 @@ def test_messages_of_a_lost_topic_are_counted(tmp_path: Path) -> None:
         '5 messages of topic 2 are lost, because the description of the topic is lost',
         '5 messages of topic 3 are lost, because the description of the topic is lost',
     ]
+
+
+def test_messages_that_are_none_of_ros_2_are_counted_and_metadata_are_kept(tmp_path: Path) -> None:
+    topic = make_topic('/keypoints', KEYPOINTS)
+    with (tmp_path / 'x.mcap').open('wb') as stream:
+        writer = McapWriter(stream)
+        writer.start('ros2', 'test')
+        schema = writer.register_schema(KEYPOINTS, topic.encoding, topic.definition.encode())
+        encodings = {'/keypoints': ('cdr', schema), '/json': ('json', schema), '/bare': ('cdr', 0)}
+        for name, (encoding, schema_id) in encodings.items():
+            channel = writer.register_channel(name, encoding, schema_id, topic.channel_metadata)
+            for i, raw in enumerate(MESSAGES[:3]):
+                writer.add_message(channel, i * STEP_NS, raw, i * STEP_NS)
+        writer.add_metadata('robot', {'name': 'ann'})
+        writer.finish()  # type: ignore[no-untyped-call]
+    report = recover(tmp_path / 'x.mcap', tmp_path / 'out')
+    assert report.messages == {'/keypoints': 3}
+    assert [loss.partition('x.mcap: ')[2] for loss in report.losses] == [
+        '3 messages of /json are lost, because they are no messages of ROS 2 (encoding json)',
+        '3 messages of /bare are lost, because they have no schema',
+    ]
+    with (tmp_path / 'out' / 'out_0.mcap').open('rb') as stream:
+        assert {m.name: m.metadata for m in make_reader(stream).iter_metadata()}['robot'] == {'name': 'ann'}
+
+
+def test_messages_of_another_type_than_their_topic_are_counted(tmp_path: Path) -> None:
+    for number, msgtype in enumerate((KEYPOINTS, SKELETONS)):
+        with Recorder(tmp_path / f'bag{number}', RecorderConfig()) as recorder:
+            recorder.write('/people', msgtype, MESSAGES[number], number, number)
+    (tmp_path / 'bag').mkdir()
+    for number in range(2):
+        (tmp_path / f'bag{number}' / f'bag{number}_0.mcap').rename(tmp_path / 'bag' / f'bag_{number}.mcap')
+    report = recover(tmp_path / 'bag', tmp_path / 'out')
+    assert report.messages == {'/people': 1}
+    (loss,) = (loss.partition('bag_1.mcap: ')[2] for loss in report.losses)
+    reason = f'their type is {SKELETONS}, but the topic has the type {KEYPOINTS}'
+    assert loss == f'1 messages of /people are lost, because {reason}'
+
+
+def test_rows_that_hold_no_message_are_counted(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.SQLITE3)
+    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection('/keypoints', KEYPOINTS, typestore=typestore())
+        for i, raw in enumerate(MESSAGES[:10]):
+            writer.write(connection, i * STEP_NS, raw)
+    with sqlite3.connect(tmp_path / 'bag' / 'bag.db3') as database:
+        database.execute("UPDATE messages SET data = 'text' WHERE id = 2")
+        database.execute('UPDATE messages SET timestamp = -1 WHERE id = 4')
+        database.execute("UPDATE messages SET timestamp = 'noon' WHERE id = 5")
+        (packed,) = database.execute('SELECT data FROM messages WHERE id = 7').fetchone()
+        database.execute('UPDATE messages SET data = ? WHERE id = 7', (packed[: len(packed) // 2],))
+    report = recover(tmp_path / 'bag', tmp_path / 'out')
+    assert [loss.partition('bag.db3: ')[2] for loss in report.losses] == [
+        'about 3 messages cannot be read, because the database is damaged',
+        '1 messages of /keypoints are lost, because they cannot be decompressed',
+    ]
+    assert read_frames(tmp_path / 'out') == [0, 2, 5, 7, 8, 9]
+
+
+def write_chunk(path: Path, content: bytes, compression: bytes = b'') -> None:
+    """Write an MCAP file without a summary, whose second chunk has this content and no checksum."""
+    topic = make_topic('/keypoints', KEYPOINTS)
+    with path.open('wb') as stream:
+        writer = McapWriter(
+            stream, compression=CompressionType.NONE, use_statistics=False, index_types=IndexType.NONE
+        )
+        writer.start('ros2', 'test')
+        schema = writer.register_schema(KEYPOINTS, topic.encoding, topic.definition.encode())
+        channel = writer.register_channel('/keypoints', 'cdr', schema, topic.channel_metadata)
+        writer.add_message(channel, 0, MESSAGES[0], 0)
+        writer.finish()  # type: ignore[no-untyped-call]
+    data = path.read_bytes()
+    end = data.rindex(RECORD_PREFIX.pack(Opcode.DATA_END, CRC_BYTES))
+    header = (
+        CHUNK_HEADER.pack(0, 0, len(content), 0, len(compression)) + compression + struct.pack('<Q', len(content))
+    )
+    chunk = RECORD_PREFIX.pack(Opcode.CHUNK, len(header) + len(content)) + header + content
+    path.write_bytes(data[:end] + chunk)
+
+
+def make_record(opcode: int, content: bytes) -> bytes:
+    return RECORD_PREFIX.pack(opcode, len(content)) + content
+
+
+def make_message_record(channel: int, number: int) -> bytes:
+    return make_record(Opcode.MESSAGE, struct.pack('<HIQQ', channel, 0, number, number) + MESSAGES[number])
+
+
+DAMAGED_CHUNKS = {
+    'a cut record': (
+        make_message_record(1, 1) + make_message_record(1, 2)[:-5],
+        [0, 1],
+        r'chunk at byte \d+: its last \d+ bytes are no complete record',
+    ),
+    'a short message': (
+        make_record(Opcode.MESSAGE, b'\1') + make_message_record(1, 2),
+        [0, 2],
+        'a message record is invalid',
+    ),
+    'an unknown channel': (
+        make_message_record(9, 1) + make_message_record(1, 2) + make_message_record(9, 3),
+        [0, 2],
+        '2 messages are lost, because the description of their channel 9 is lost',
+    ),
+    'a channel that is none': (
+        make_record(Opcode.CHANNEL, b'\2') + make_message_record(1, 1),
+        [0, 1],
+        'a channel record is invalid',
+    ),
+}
+
+
+@pytest.mark.parametrize('case', DAMAGED_CHUNKS)
+def test_what_is_whole_in_a_damaged_chunk_is_recovered(tmp_path: Path, case: str) -> None:
+    content, frames, loss = DAMAGED_CHUNKS[case]
+    write_chunk(tmp_path / 'x.mcap', content)
+    report = recover(tmp_path / 'x.mcap', tmp_path / 'out')
+    assert read_frames(tmp_path / 'out') == frames
+    assert any(re.search(loss, line) for line in report.losses), report.losses
 
 
 def test_an_interrupted_recovery_leaves_no_bag(tmp_path: Path) -> None:

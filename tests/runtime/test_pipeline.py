@@ -239,6 +239,19 @@ def test_parameters_of_tracker_solver_and_classifier_restart_the_tracker(
     assert skeletons == expected
 
 
+@pytest.mark.parametrize('lifetime_s', [0.5, 2.25])
+def test_markers_live_as_long_as_the_parameter_says(stream: list[bytes], lifetime_s: float) -> None:
+    topics = 'markers', 'capsule_markers', 'prediction_markers'
+    values = {'node.marker_lifetime': lifetime_s, **{f'node.publish_{name}': True for name in topics[1:]}}
+    pipeline = Pipeline(with_values(FAST_CONFIG, values))
+    pipeline.set_camera_info(camera_info())
+    outputs = [{o.topic: o for o in process(pipeline, raw)} for raw in stream][-1]
+    for topic in topics:
+        markers = decode(outputs[topic].data, outputs[topic].type).markers
+        lifetimes = {m.lifetime.sec + m.lifetime.nanosec / 1e9 for m in markers if m.action == 0}
+        assert lifetimes == {lifetime_s}, topic
+
+
 def test_what_was_counted_stays_counted_when_the_tracker_restarts() -> None:
     pipeline = Pipeline(FAST_CONFIG)
     joints = keypoint_layout('cmu15').joints
