@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -11,13 +12,23 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mocap_ros.bags.journal import JOURNAL, KEY_VALUE, Entry, Journal, Verdict, encode_entry, read_run
+from mocap_ros.bags.journal import (
+    JOURNAL,
+    KEY_VALUE,
+    Entry,
+    Journal,
+    Verdict,
+    decode_entry,
+    encode_entry,
+    read_run,
+)
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.cli.main import main
@@ -28,6 +39,7 @@ from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import create_message, decode, encode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.runtime.replay import ReplayOptions, replay
+from mocap_ros.tracking.tracker import Tracker
 from tests.support.camera_infos import camera_info
 from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import FAST_CONFIG, FAST_VALUES, encode_demo_frames, with_stamp
@@ -371,3 +383,52 @@ def test_the_models_of_single_bodies_are_latched_in_a_bag(stream: list[bytes], t
         models = {topic for topic in bag.topics if topic.endswith('/urdf')}
         assert models
         assert bag.latched_topics == {*models, '/skeleton_definition'}
+
+
+def test_internal_errors_cost_their_frame_and_are_told_once(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    update, calls = Tracker.update, iter(range(100))
+    run_deferred_work, deferred_calls = Tracker.run_deferred_work, iter(range(100))
+
+    def fail_at_times(self: Tracker, *args: Any) -> Any:
+        call = next(calls)
+        if call in (2, 4):
+            raise ZeroDivisionError('a fault of the tracker')
+        if call == 3:
+            raise np.linalg.LinAlgError('singular')
+        return update(self, *args)
+
+    def fail_once(self: Tracker) -> None:
+        if next(deferred_calls) == 0:
+            raise KeyError('a fault of the deferred work')
+        run_deferred_work(self)
+
+    monkeypatch.setattr(Tracker, 'update', fail_at_times)
+    monkeypatch.setattr(Tracker, 'run_deferred_work', fail_once)
+    write_bag(tmp_path / 'bag', stream)
+    assert main(['replay', str(tmp_path / 'bag'), '-o', str(tmp_path / 'out'), *FAST_ARGUMENTS]) == 0
+    out, err = capsys.readouterr()
+    assert f'{len(stream) - 3} frames accepted, 2 dropped, 1 invalid' in out
+    assert err.count('Traceback (most recent call last)') == 2
+    assert "\nKeyError: 'a fault of the deferred work'\n" in err
+    assert '\nZeroDivisionError: a fault of the tracker\n' in err
+    assert re.search(r'\nfirst message that was not accepted: .*: internal error: ZeroDivisionError: a fault', err)
+    with Bag(tmp_path / 'out') as bag:
+        assert bag.count(['/skeletons']) == len(stream) - 3
+        reasons = [decode_entry(m.raw).reason for m in bag.messages(['/mocap_node/journal'])]
+    assert sum('people: the reconstruction failed (singular)' in reason for reason in reasons) == 1
+
+
+def test_bags_of_one_name_are_replayed_apart(
+    tmp_path: Path, stream: list[bytes], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for folder in ('a', 'b'):
+        (tmp_path / folder).mkdir()
+        write_bag(tmp_path / folder / 'bag', stream[:1])
+    command = ['replay', str(tmp_path / 'a' / 'bag'), str(tmp_path / 'b' / 'bag'), '-o', str(tmp_path / 'out')]
+    assert main(command) == 1
+    assert (
+        'two bags are called bag, so their new bags would have one name; replay them apart'
+        in capsys.readouterr().err
+    )
