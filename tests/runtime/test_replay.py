@@ -416,7 +416,7 @@ def test_internal_errors_cost_their_frame_and_are_told_once(
     assert re.search(r'\nfirst message that was not accepted: .*: internal error: ZeroDivisionError: a fault', err)
     with Bag(tmp_path / 'out') as bag:
         assert bag.count(['/skeletons']) == len(stream) - 3
-        reasons = [decode_entry(m.raw).reason for m in bag.messages(['/mocap_node/journal'])]
+        reasons = [decode_entry(m.raw).reason for m in bag.messages(bag.topics_of_type([JOURNAL]))]
     assert sum('people: the reconstruction failed (singular)' in reason for reason in reasons) == 1
 
 
