@@ -49,3 +49,53 @@ def test_train_on_bvh_files_gives_the_model_of_their_poses(
     assert model.std[:4] == pytest.approx(expected.std[:4], rel=1e-3)
     assert main(['train', str(tmp_path), '--every', '4', *options]) == 0
     assert '2 trials, 20 poses' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ('options', 'name', 'alignment', 'mirror', 'bodies'),
+    [
+        ([], 'all', 'rotation', False, 0),
+        (['--category', 'walk'], 'walk', 'heading', True, 2),
+        (['--category', 'walk', '--no-mirror', '--bodies', '1'], 'walk', 'heading', False, 1),
+        (['--category', 'walk', '--alignment', 'rotation', '--name', 'mine'], 'mine', 'rotation', True, 2),
+        (['--mirror', '--alignment', 'heading', '--components', '3'], 'all', 'heading', True, 0),
+    ],
+)
+def test_one_category_has_other_defaults_than_all(
+    tmp_path: Path, options: list[str], name: str, alignment: str, mirror: bool, bodies: int
+) -> None:
+    (tmp_path / 'walk').mkdir()
+    save_bvh(tmp_path / 'walk' / 'one_1.bvh', build_armature(make_poses() @ Z_UP_TO_Y_UP.T, 30.0))
+    told = ['--source', 'a test', '--acknowledgement', 'with thanks']
+    assert main(['train', str(tmp_path / 'walk'), *options, *told, '-o', str(tmp_path / 'm.npz')]) == 0
+    model = load_base_poses(tmp_path / 'm.npz')
+    known = {key: model.provenance[key] for key in ('alignment', 'mirror', 'bodies', 'source', 'acknowledgement')}
+    assert known == {
+        'alignment': alignment,
+        'mirror': mirror,
+        'bodies': bodies,
+        'source': 'a test',
+        'acknowledgement': 'with thanks',
+    }
+    assert model.name == name
+    assert ('--components' in options) == (len(model.std) == 3)
+
+
+@pytest.mark.parametrize(
+    ('options', 'message'),
+    [
+        (['--components', '0'], '--components and --every must be positive'),
+        (['--every', '0'], '--components and --every must be positive'),
+        (['--bodies', '-1'], '--bodies must not be negative'),
+        (['--category', 'swim'], 'the options select no trial'),
+    ],
+)
+def test_wrong_options_are_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
+) -> None:
+    save_bvh(tmp_path / 'one_1.bvh', build_armature(make_poses() @ Z_UP_TO_Y_UP.T, 30.0))
+    assert main(['train', str(tmp_path), *options, '-o', str(tmp_path / 'm.npz')]) == 1
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count('\n') == 1
+    assert not (tmp_path / 'm.npz').exists()
