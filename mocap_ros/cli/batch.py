@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from tqdm import tqdm
 
 from mocap_ros.cli.keypoint_input import add_camera_info_option, add_video_options
-from mocap_ros.cli.options import add_config_options, load_config_file, parse_changes, parse_positive
+from mocap_ros.cli.options import add_config_options, load_config_file, parse_changes, parse_count, parse_positive
 from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.formats.detections import Video
 from mocap_ros.runtime.save_results import SUFFIXES
@@ -46,7 +46,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--scheduler', metavar='ADDRESS', help='running scheduler, such as tcp://host:8786 (default: this machine)'
     )
     parser.add_argument(
-        '--workers', type=_parse_count, metavar='N', help='processes on this machine (default: one on each core)'
+        '--workers', type=parse_count, metavar='N', help='processes on this machine (default: one on each core)'
     )
     parser.add_argument(
         '--memory',
@@ -137,10 +137,3 @@ def _make_settings(args: argparse.Namespace) -> Settings:
         copy_limit_bytes=round(args.copy_limit * GB),
     )
     return settings.seal()
-
-
-def _parse_count(text: str) -> int:
-    """Parse a positive integer for argparse."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f'{text!r} is not a positive whole number')
-    return int(text)

@@ -85,3 +85,34 @@ def test_wrong_usage_is_explained(capsys: pytest.CaptureFixture[str], arguments:
         main(arguments)
     assert stopped.value.code == 2
     assert reason in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'message'),
+    [
+        (['play', 'bag', '--rate', '0'], 'argument --rate: 0 is not positive and finite'),
+        (['play', 'bag', '--rate', 'inf'], 'argument --rate: inf is not positive and finite'),
+        (['play', 'bag', '--rate', 'nan'], 'argument --rate: nan is not positive and finite'),
+        (['play', 'bag', '--rate', 'fast'], "argument --rate: 'fast' is not a number"),
+        (['detect', 'a.mp4', '--max-people', '0'], "argument --max-people: '0' is not a positive whole number"),
+        (
+            ['detect', 'a.mp4', '--max-people', '1.5'],
+            "argument --max-people: '1.5' is not a positive whole number",
+        ),
+        (['batch', 'in', '-o', 'out', '--workers', '-1'], 'argument --workers: '),
+        (['batch', 'in', '-o', 'out', '--workers', '0'], "argument --workers: '0' is not a positive whole number"),
+        (
+            ['reconstruct', 'a.json', '--image-size', '640'],
+            "argument --image-size: '640': expected a size such as",
+        ),
+        (['reconstruct', 'a.json', '--image-size', '0x480'], "argument --image-size: '0x480': expected a size"),
+        (['reconstruct', 'a.json', '--fps', '-5'], 'argument --fps: '),
+    ],
+)
+def test_values_of_options_are_checked(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 2
+    assert f'mocap-ros {arguments[0]}: error: {message}' in capsys.readouterr().err

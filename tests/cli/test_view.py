@@ -14,6 +14,7 @@ from mocap_ros.bags.recorder import Recorder
 from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig
 from mocap_ros.demo.scene import make_recording
+from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from tests.support.quick_options import QUICK_OPTIONS
@@ -32,6 +33,34 @@ def test_the_input_is_never_overwritten(short_recording: Path, tmp_path: Path) -
     before = short_recording.read_bytes()
     assert main(['view', str(short_recording), '-o', str(link)]) == 1
     assert short_recording.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ('options', 'message'),
+    [
+        ([], 'give an input to show, or --live to show what a running node publishes'),
+        (['in.npz', '--live'], '--live shows what a node publishes; it takes no input and no -o'),
+        (['-o', 'page.html', '--live'], '--live shows what a node publishes; it takes no input and no -o'),
+        (['--live', '--model', 'walk'], '--model applies to an input only'),
+        (['--live', '--set', 'tracker.lag=0.2'], '--set applies to an input only'),
+        (['in.npz', '-o', 'page.pdf'], 'page.pdf: unknown file type; expected .html, .rrd'),
+        (['in.npz', '-o', 'page.html', '--set', 'tracker.lag'], "--set 'tracker.lag': expected NAME=VALUE"),
+    ],
+)
+def test_wrong_options_are_one_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    save_sequence(tmp_path / 'in.npz', make_recording().sequence())
+    assert main(['view', *options]) == 1
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count('\n') == 1
+    assert {path.name for path in tmp_path.iterdir()} == {'in.npz'}
 
 
 def test_an_option_that_does_nothing_to_a_result_is_refused(
