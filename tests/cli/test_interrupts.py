@@ -10,7 +10,7 @@ from contextlib import suppress
 import pytest
 
 from mocap_ros.cli import main as command_line
-from mocap_ros.cli.interrupts import interrupt_between_items
+from mocap_ros.cli.interrupts import interrupt_between_items, is_interrupt
 
 
 @pytest.fixture(autouse=True)
@@ -70,3 +70,12 @@ def test_an_interrupt_of_compiled_code_ends_a_command(
     else:
         with pytest.raises(SystemError):
             command_line.main(['config'])
+
+
+@pytest.mark.parametrize('link', ['__cause__', '__context__'])
+def test_an_interrupt_is_found_behind_the_errors_that_came_of_it(link: str) -> None:
+    inner, outer = ValueError(), SystemError()
+    setattr(outer, link, inner)
+    assert not is_interrupt(outer)
+    setattr(inner, link, KeyboardInterrupt())
+    assert is_interrupt(outer)
