@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import BODY26, CORE_COUNT
@@ -79,3 +80,13 @@ def test_the_target_is_the_true_pose(library: MotionLibrary, monkeypatch: pytest
         small.target * small.size[:, None, None], abs=1e-5
     )
     assert np.abs(large.newest - small.newest).max() > 0.01
+
+
+def test_rotations_in_single_precision_are_rotations(rng: np.random.Generator) -> None:
+    vectors = rng.normal(size=(20, 3)) * np.linspace(0, 3, 20)[:, None]
+    expected = Rotation.from_rotvec(vectors).as_matrix()
+    np.testing.assert_allclose(synthesis._rotations_from_vectors(vectors), expected, atol=1e-5)
+    angles = rng.uniform(-4, 4, 20)
+    for axis, name in enumerate('xyz'):
+        expected = Rotation.from_euler(name, angles).as_matrix()
+        np.testing.assert_allclose(synthesis._axis_rotations(axis, angles), expected, atol=1e-6)
