@@ -83,10 +83,10 @@ def test_the_target_is_the_true_pose(library: MotionLibrary, monkeypatch: pytest
 
 
 def test_rotations_in_single_precision_are_rotations(rng: np.random.Generator) -> None:
-    vectors = rng.normal(size=(20, 3)) * np.linspace(0, 3, 20)[:, None]
+    vectors = (rng.normal(size=(20, 3)) * np.linspace(0, 3, 20)[:, None]).astype(np.float32)
     expected = Rotation.from_rotvec(vectors).as_matrix()
-    np.testing.assert_allclose(synthesis._rotations_from_vectors(vectors), expected, atol=1e-5)
+    assert synthesis._rotations_from_vectors(vectors) == pytest.approx(expected, abs=1e-5)
     angles = rng.uniform(-4, 4, 20)
     for axis, name in enumerate('xyz'):
-        expected = Rotation.from_euler(name, angles).as_matrix()
-        np.testing.assert_allclose(synthesis._axis_rotations(axis, angles), expected, atol=1e-6)
+        expected = Rotation.from_euler(name, angles[:, None]).as_matrix()
+        assert synthesis._axis_rotations(axis, angles) == pytest.approx(expected, abs=1e-6)
