@@ -1,13 +1,16 @@
-"""The compiled rotation functions against the plain ones."""
+"""Rotations as vectors and quaternions, and the compiled functions against the plain ones."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocap_ros.geometry.rotations import (
     fit_rotation,
+    quaternion_from_rotation,
     rotation_from_vector,
+    vector_from_rotation,
     write_best_rotation,
     write_rotation_from_vector,
 )
@@ -48,3 +51,13 @@ def test_best_rotation_of_nothing_and_of_a_line_is_a_rotation(rng: np.random.Gen
     assert np.linalg.det(found) == pytest.approx(1, abs=1e-6)
     best = np.linalg.svd(line)[1][0]
     assert np.trace(found.T @ line) == pytest.approx(best, rel=1e-6)
+
+
+def test_rotations_as_vectors_and_quaternions() -> None:
+    turns = Rotation.random(200, random_state=0)
+    half = [np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1])]
+    for matrix in [np.eye(3), *half, *turns.as_matrix()]:
+        assert Rotation.from_quat(quaternion_from_rotation(matrix)).as_matrix() == pytest.approx(matrix, abs=1e-12)
+    assert rotation_from_vector(vector_from_rotation(turns.as_matrix())) == pytest.approx(
+        turns.as_matrix(), abs=1e-9
+    )

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from mocap_ros.config import SolverConfig
 from mocap_ros.errors import InputError
 from mocap_ros.formats.mocap.trials import load_trials
-from mocap_ros.geometry.rotations import quaternion_from_rotation, rotation_from_vector, vector_from_rotation
+from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.geometry.weak_perspective import (
     CameraStepObjective,
     WeakPerspectiveCameras,
@@ -36,16 +35,6 @@ def test_closed_form_camera_is_close_on_exact_points(walk_model: BasePoses) -> N
     fitted = fit_cameras_closed_form(walk_model.poses(theta), points, weight, times, window=0.0)
     assert fitted.scale == pytest.approx(cameras.scale, rel=1.1 * 0.0439)  # measured: 0.0439
     assert np.abs(fitted.rotation - cameras.rotation).max() < 1.1 * 0.0525  # measured
-
-
-def test_rotations_as_vectors_and_quaternions() -> None:
-    turns = Rotation.random(200, random_state=0)
-    half = [np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1])]
-    for matrix in [np.eye(3), *half, *turns.as_matrix()]:
-        assert Rotation.from_quat(quaternion_from_rotation(matrix)).as_matrix() == pytest.approx(matrix, abs=1e-12)
-    assert rotation_from_vector(vector_from_rotation(turns.as_matrix())) == pytest.approx(
-        turns.as_matrix(), abs=1e-9
-    )
 
 
 def test_camera_step_descends(walk_model: BasePoses) -> None:

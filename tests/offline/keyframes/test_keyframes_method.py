@@ -78,6 +78,21 @@ def test_control_frames_have_the_key_pose_or_their_own(share: float, is_own: boo
         assert different == len(times) if is_own else different < len(times) / 4
 
 
+@pytest.mark.parametrize(
+    ('name', 'value'), [('step', 0.0), ('step', 0.05), ('smoothing', 0.2), ('smoothing', 0.0), ('iterations', 1)]
+)
+def test_the_fit_has_the_parameters(name: str, value: float) -> None:
+    keypoints, times, _ = make_walk(60)
+
+    def fit(values: dict[str, object]) -> tuple[np.ndarray, np.ndarray]:
+        found = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, with_values(CONFIG, values))
+        return found.motion, found.result.joints
+
+    (start, usual), (other_start, other) = fit({}), fit({f'keyframes.{name}': value})
+    assert (start == other_start).all()
+    assert np.abs(usual - other).max() > 1e-4, 'm'
+
+
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('case', ['one frame', 'still', 'half hidden'])
 def test_degenerate_keypoints(case: str) -> None:
