@@ -12,13 +12,17 @@ from mocap_ros.formats.mocap.trials import load_trials
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.solvers.classification import (
+    MIN_COMPARISON_NOISE,
+    OBSERVED_FRACTION,
     PeriodicFit,
     PeriodicSwitch,
     choose_category,
     fit_periodic,
     is_periodic,
     measure_tremble,
+    minus_twice_log_evidence,
 )
+from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.periodic.solver import EstimatedPoses
 from mocap_ros.solvers.window import Window
 from mocap_ros.training.base_poses import fit_base_poses
@@ -59,6 +63,20 @@ def test_evidence_finds_the_category_of_an_unseen_person(
     periodic = fit_periodic(window, models_without_35, QUICK)
     assert periodic.category == category
     assert is_periodic(periodic, ClassifierConfig())
+
+
+def test_the_evidence_is_that_of_the_formula(walk_model: BasePoses) -> None:
+    _, _, points, times = make_walk(walk_model, 20)
+    model, noise = walk_model.truncate(5), 0.02
+    window = Window(points, np.ones(points.shape[:2]), times)
+    config = replace(QUICK, components=5)
+    evidence, fit = minus_twice_log_evidence(window, model, noise, config)
+    occam = 20 * np.log1p(OBSERVED_FRACTION * (model.std / noise) ** 2).sum()
+    assert evidence == pytest.approx(fit.cost / NOISE_REFERENCE**2 + occam)
+    assert occam > 100, 'so that it counts'
+    louder, _ = minus_twice_log_evidence(window, model, 0.0, config)
+    least, _ = minus_twice_log_evidence(window, model, MIN_COMPARISON_NOISE, config)
+    assert louder == least
 
 
 def test_a_jump_is_neither_a_walk_nor_periodic(protocol: ModuleType) -> None:

@@ -158,6 +158,9 @@ def test_the_fit_descends_and_keeps_limbs() -> None:
         return fit_motion(start, points, weight, times, BONE_LENGTHS, CMU15, **options)
 
     fit = descend(40)
+    error = start.joints[..., :2] - start.back_project(points, np.inf)
+    error -= error.mean(axis=1, keepdims=True)
+    assert fit.mean_squared_errors[0] == pytest.approx((error**2).sum(axis=-1).mean())
     assert (np.diff(fit.mean_squared_errors[:-1]) <= 0).all()
     assert fit.mean_squared_errors[-1] < 1.1 * 0.158 * fit.mean_squared_errors[0]  # measured: 0.158
     assert np.ptp(CMU15.bone_lengths(fit.motion.joints), axis=0).max() < 1e-9

@@ -24,6 +24,7 @@ from mocap_ros.solvers.joint.normal_equations import NormalEquations
 from mocap_ros.solvers.joint.objective import JointObjective
 from mocap_ros.solvers.joint.pose_acceleration import PoseAcceleration
 from mocap_ros.solvers.joint.pose_smoothness import PoseSmoothness
+from mocap_ros.solvers.joint.reprojection import Reprojection
 from mocap_ros.solvers.joint.state import State
 from mocap_ros.solvers.joint.term import Term
 from mocap_ros.solvers.window import EarlierFrames, Window, initialise_from_mean_pose
@@ -195,6 +196,36 @@ def test_lifted_poses_cost_what_cauchys_loss_says(walk_model: BasePoses, robust_
     assert 1 < squared.mean() < 1e3, 'no unit, of a joint; so that the scales make a difference'
     expected = 0.1 * robust_scale**2 * np.log1p(squared / robust_scale**2).sum(axis=1)
     np.testing.assert_allclose(objective.find_term(LiftedPoseTerm).cost(fit), expected)
+
+
+@pytest.mark.parametrize('kind', [Reprojection, BoneLengths, BasePosePrior, LiftedPoseTerm])
+def test_terms_of_single_frames_are_those_of_these_frames_alone(walk_model: BasePoses, kind: type[Term]) -> None:
+    model = walk_model.truncate(COMPONENTS)
+    theta, _, points, times = make_walk(walk_model, frames=12)
+    earlier = EarlierFrames(4, 1.1 * model.skeleton.bone_lengths(model.mean))
+    lifted = LiftedPoses(200 * walk_model.poses(theta), np.full((12, 15, 3), 20.0))
+    window = Window(points, np.ones(points.shape[:2]), times, earlier_frames=earlier, lifted=lifted)
+    units, config = np.array([200.0]), SolverConfig()
+    objective = JointObjective.build([window], units, model, config)
+    state = objective.initial_state([initialise_from_mean_pose(window, model, 1.0)], units)
+    state = state.advanced(0.1 * np.random.default_rng(0).normal(size=(12, COMPONENTS + CAMERA_UNKNOWNS)))
+    kept = objective.batch.subsample(0.1, window.weight.sum(axis=1))
+    assert 1 < len(kept.frames) < 12
+    some = replace(
+        window,
+        points=points[kept.frames],
+        weight=window.weight[kept.frames],
+        times=times[kept.frames],
+        lifted=LiftedPoses(lifted.joints[kept.frames], lifted.std[kept.frames]),
+    )
+    alone = JointObjective.build([some], units, model, config)
+    costs = [o.find_term(kind).cost(o.fit(state.select(kept.frames))) for o in (objective.subsampled(kept), alone)]
+    assert costs[0] == pytest.approx(costs[1])
+    gradients = [
+        equations_of(o.find_term(kind), o, state.select(kept.frames)).gradient
+        for o in (objective.subsampled(kept), alone)
+    ]
+    assert gradients[0] == pytest.approx(gradients[1])
 
 
 @pytest.mark.parametrize('kind', [BasePosePrior, PoseSmoothness, PoseAcceleration])
