@@ -226,6 +226,7 @@ def test_terms_of_single_frames_are_those_of_these_frames_alone(walk_model: Base
         for o in (objective.subsampled(kept), alone)
     ]
     assert gradients[0] == pytest.approx(gradients[1])
+    assert objective.subsampled(kept).bones.strength == pytest.approx(alone.bones.strength)
 
 
 @pytest.mark.parametrize('kind', [BasePosePrior, PoseSmoothness, PoseAcceleration])
