@@ -1,11 +1,13 @@
 """Follow the person who was there first at DISTANCE_M: geometry_msgs/Twist on `cmd_vel`.
 
 Run mocap_node with -p node.output_frame:=base_link (x ahead, y to the left). Without the person the robot stands,
-and so it does where people are in the camera's frame or nothing has been heard for LOST_S. No safety device.
+and so it does where people are in the camera's frame, nothing has been heard for LOST_S, or the example ends. No
+safety device.
 """
 
-import contextlib
 import math
+import signal
+import threading
 import time
 
 DISTANCE_M = 1.5
@@ -36,10 +38,7 @@ def choose_command(person):
     away = 0.0 if math.isnan(person.root_velocity.x) else person.root_velocity.x  # goes with the person
     speed = (GAIN_PER_S * (distance - DISTANCE_M) + away) * max(math.cos(direction), 0.0)
     turn = GAIN_PER_S * direction
-    return (
-        min(max(speed, 0.0), MAX_SPEED_M_S),
-        min(max(turn, -MAX_TURN_RAD_S), MAX_TURN_RAD_S),
-    )
+    return min(max(speed, 0.0), MAX_SPEED_M_S), min(max(turn, -MAX_TURN_RAD_S), MAX_TURN_RAD_S)
 
 
 def main():
@@ -47,9 +46,12 @@ def main():
     import rclpy
     from geometry_msgs.msg import Twist
     from mocap_ros_msgs.msg import Skeleton3DArray
-    from rclpy.executors import ExternalShutdownException
+    from rclpy.signals import SignalHandlerOptions
 
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # a message in hand is finished first
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
     node = rclpy.create_node('follow_person')
     publisher = node.create_publisher(Twist, 'cmd_vel', 10)
     followed, heard = [''], [-math.inf]
@@ -68,8 +70,9 @@ def main():
 
     node.create_subscription(Skeleton3DArray, 'skeletons', take, 10)
     node.create_timer(LOST_S / 3, watch)
-    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
+    while not ended.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
+    publisher.publish(Twist())
 
 
 if __name__ == '__main__':

@@ -4,9 +4,10 @@ Run mocap_node with -p node.output_frame:=map (or odom). It reads `skeletons` an
 on `people_points`; name that topic in observation_sources of the obstacle layer (data_type: PointCloud2).
 """
 
-import contextlib
 import math
+import signal
 import struct
+import threading
 
 RADIUS_M = 0.35  # of a person who stands
 AHEAD_S = (0.0, 0.25, 0.5, 0.75, 1.0)  # times at which a person leaves a disc
@@ -36,10 +37,13 @@ def main():
     """Run the node."""
     import rclpy
     from mocap_ros_msgs.msg import Skeleton3DArray
-    from rclpy.executors import ExternalShutdownException
+    from rclpy.signals import SignalHandlerOptions
     from sensor_msgs.msg import PointCloud2, PointField
 
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # a message in hand is finished first
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
     node = rclpy.create_node('people_layer')
     publisher = node.create_publisher(PointCloud2, 'people_points', 10)
 
@@ -55,8 +59,8 @@ def main():
         publisher.publish(cloud)
 
     node.create_subscription(Skeleton3DArray, 'skeletons', take, 10)
-    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
+    while not ended.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
 
 
 if __name__ == '__main__':

@@ -1,11 +1,13 @@
 """Stop a robot while somebody will be nearer than DISTANCE_M within HORIZON_S, by the joints' velocities.
 
 Run mocap_node with -p node.output_frame:=base_link, so that distances are from the robot. It reads `skeletons` and
-publishes std_msgs/Bool on `stop`; it also says stop where nothing has been heard for SILENCE_S. No safety device.
+publishes std_msgs/Bool on `stop`; it also says stop where nothing has been heard for SILENCE_S, and when it ends. No
+safety device.
 """
 
-import contextlib
 import math
+import signal
+import threading
 import time
 
 DISTANCE_M = 1.0  # from the origin of the robot's frame, on the ground
@@ -44,10 +46,13 @@ def main():
     """Run the node."""
     import rclpy
     from mocap_ros_msgs.msg import Skeleton3DArray
-    from rclpy.executors import ExternalShutdownException
+    from rclpy.signals import SignalHandlerOptions
     from std_msgs.msg import Bool
 
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # a message in hand is finished first
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
     node = rclpy.create_node('stop_when_near')
     publisher = node.create_publisher(Bool, 'stop', 10)
     heard = [-math.inf]
@@ -62,8 +67,9 @@ def main():
 
     node.create_subscription(Skeleton3DArray, 'skeletons', take, 10)
     node.create_timer(SILENCE_S / 5, watch)
-    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
+    while not ended.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
+    publisher.publish(Bool(data=True))
 
 
 if __name__ == '__main__':

@@ -79,13 +79,19 @@ def test_the_robot_stops_until_somebody_far_away_is_heard_of(peer: Peer, env: di
         publish_until(peer, publisher, received, make_skeletons(0.5), lambda stop: stop.data)
         publish_until(peer, publisher, received, make_skeletons(5.0), lambda stop: not stop.data)
         peer.wait_until(lambda: received[-1].data)  # nothing is heard any more
+        publish_until(peer, publisher, received, make_skeletons(5.0), lambda stop: not stop.data)
+    peer.wait_until(lambda: received[-1].data)  # the example has ended
 
 
-def test_the_robot_drives_to_somebody_and_stands_when_nothing_is_heard(peer: Peer, env: dict[str, str]) -> None:
+def test_the_robot_drives_to_somebody_and_stands_when_nothing_is_heard_or_it_ends(
+    peer: Peer, env: dict[str, str]
+) -> None:
     with run_example(peer, env, 'follow_person', 'cmd_vel', 'geometry_msgs/msg/Twist') as (publisher, received):
         peer.wait_until(lambda: received and received[-1].linear.x == 0)
         publish_until(peer, publisher, received, make_skeletons(5.0), lambda command: command.linear.x > 0)
         peer.wait_until(lambda: received[-1].linear.x == 0)
+        publish_until(peer, publisher, received, make_skeletons(5.0), lambda command: command.linear.x > 0)
+    peer.wait_until(lambda: received[-1].linear.x == 0)  # the example has ended
 
 
 def test_the_costmap_gets_points_about_somebody(peer: Peer, env: dict[str, str]) -> None:
