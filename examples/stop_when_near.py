@@ -1,8 +1,8 @@
 """Stop a robot while somebody will be nearer than DISTANCE_M within HORIZON_S, by the joints' velocities.
 
 Run mocap_node with -p node.output_frame:=base_link, so that distances are from the robot. It reads `skeletons` and
-publishes std_msgs/Bool on `stop`; it also says stop where nothing has been heard for SILENCE_S, and when it ends. No
-safety device.
+publishes std_msgs/Bool on `stop`; it also says stop where nothing has been heard for SILENCE_S, and when it ends.
+No safety device.
 """
 
 import math
