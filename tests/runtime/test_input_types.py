@@ -20,7 +20,9 @@ from mocap_ros.formats.detections import Video
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.messages.foreign.definitions import HRI_SKELETON
 from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.runtime.load_keypoints import load_bag, load_input
+from mocap_ros.runtime.load_scene import SceneOptions, load_scene
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.foreign_messages import (
@@ -92,6 +94,33 @@ def test_a_bag_of_any_detector_is_a_sequence(msgtype: str, tmp_path: Path) -> No
             for p in (make_people(frame)[0], sequence.person(frame))
         )
         np.testing.assert_allclose(points, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize('msgtype', INPUT_TYPES)
+def test_a_recorded_run_of_any_detector_is_drawn_with_its_keypoints(msgtype: str, tmp_path: Path) -> None:
+    inputs = [i for frame in range(FRAMES) for i in make_inputs(msgtype, frame)]
+    source, raw, topic = inputs[-1]
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        for number, (source, raw, topic) in enumerate([*inputs, (source, raw[:-20], topic)], 1):
+            recorder.write(topic, list_input_types(msgtype)[source], raw, number, number)
+    with Bag(tmp_path / 'bag') as bag:
+        replay(bag, tmp_path / 'run', ReplayOptions(make_config(msgtype)))
+    scene, lines = load_scene(tmp_path / 'run', SceneOptions(BASE_CONFIG, load_base_pose_models('walk')))
+    assert len(scene.people) == 2
+    assert scene.image_size == IMAGE_SIZE
+    (line,) = lines
+    assert re.search(r'run: 1 messages left out; ', line)
+    for frame in range(FRAMES):
+        drawn = [
+            build_joint_map(keypoints.skeleton.joints).apply(
+                points, np.isfinite(points).all(axis=1).astype(float)
+            )[0]
+            for keypoints in scene.keypoints
+            for points in keypoints.points[keypoints.frames == frame]
+        ]
+        expected = [build_joint_map(p.joints).apply(p.points, p.score)[0] for p in make_people(frame)]
+        for points in expected:
+            assert any(np.allclose(points, other, atol=0.01, equal_nan=True) for other in drawn), frame
 
 
 CLEAN_OUTPUTS: dict[str, list[bytes]] = {}
