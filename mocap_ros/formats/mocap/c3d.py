@@ -57,7 +57,9 @@ def load_c3d(path: Path) -> tuple[dict[str, Array], float | None]:
     )
     if result.returncode:
         reason = result.stderr.decode(errors='replace').strip().rpartition('\n')[2]
-        if result.returncode < 0:
+        if result.returncode == -signal.SIGXCPU:
+            reason = f'its reader did not end within {seconds} s of processor time'
+        elif result.returncode < 0:
             reason = f'its reader ended by {signal.Signals(-result.returncode).name}'
         raise InputError(f'{path}: not a C3D file ({reason})')
     with np.load(io.BytesIO(result.stdout), allow_pickle=False) as archive:

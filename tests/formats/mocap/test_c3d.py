@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from mocap_ros.errors import InputError, MocapError
+from mocap_ros.formats.mocap import c3d
 from mocap_ros.formats.mocap.joint_maps import load_marker_map
 from mocap_ros.formats.mocap.trials import TrialOptions, load_trials
 from mocap_ros.skeleton import CMU15
 from tests.support.motion_files import FRAMES, check_refusal
+from tests.support.paths import ROOT
 
 
 def write_c3d(path: Path, labels: Sequence[str], positions: np.ndarray) -> None:
@@ -81,3 +83,20 @@ def test_the_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_an_invalid_file_is_refused_in_one_line(tmp_path: Path) -> None:
     pytest.importorskip('ezc3d')
     check_refusal(tmp_path / 'a.c3d', 'nothing of use', r'a\.c3d: not a C3D file')
+
+
+@pytest.mark.parametrize(
+    ('name', 'reason'),
+    [
+        ('endless_reading', 'its reader did not end within 1 s of processor time'),
+        ('crash_of_the_library', 'its reader ended by SIG'),
+    ],
+)
+def test_files_that_stop_the_library_are_refused_with_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, reason: str
+) -> None:
+    pytest.importorskip('ezc3d')
+    monkeypatch.setattr(c3d, 'TIME_S', 1)
+    (tmp_path / 'a.c3d').write_bytes((ROOT / 'tests' / 'fuzz' / 'failed' / 'c3d' / name).read_bytes())
+    with pytest.raises(InputError, match=rf'a\.c3d: not a C3D file \({reason}'):
+        load_trials(tmp_path / 'a.c3d')
