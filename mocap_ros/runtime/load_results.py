@@ -92,7 +92,8 @@ def _collect(array_by_stamp: dict[int, Any], person: str) -> StoredResult:
         if found is None:
             continue
         if len(found.joints) != shape[1] or len(found.inferred) not in (0, shape[1]):
-            raise InputError(f'skeleton of {len(found.joints)} joints, expected {shape[1]} of {name}')
+            lengths = len(found.joints), len(found.inferred)
+            raise InputError(f'{lengths[0]} joints and {lengths[1]} flags, {name} has {shape[1]}')
         joints[frame] = [(point.x, point.y, point.z) for point in found.joints]
         seen[frame] = ~np.asarray(found.inferred, bool) if len(found.inferred) else True  # as in bags of 0.1
         residual[frame] = found.reprojection_residual

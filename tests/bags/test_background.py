@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from mocap_ros.bags.background import BackgroundRecorder, start_recorder
-from mocap_ros.bags.journal import Journal, Verdict, read_run
+from mocap_ros.bags.journal import RESET, Journal, Verdict, read_run
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import RecordedMessage, Recorder
 from mocap_ros.config import RecorderConfig
@@ -41,6 +41,7 @@ def test_a_slow_disk_loses_inputs_without_delaying_the_caller(
         else:
             journal.mark_last_input_lost()
     assert queued in (5, 6)
+    assert background.put([journal.make_reset_record(START_NS + 20)], even_if_full=True)
     disk_is_ready.set()
     while not background.put([]):
         time.sleep(0.01)
@@ -48,6 +49,7 @@ def test_a_slow_disk_loses_inputs_without_delaying_the_caller(
     background.close()
     with Bag(tmp_path / 'bag') as bag:
         assert read_run(bag).lost_count == 20 - queued
+        assert [entry.kind for entry in read_run(bag).events[queued]] == [RESET], 'an event is never lost'
         assert bag.count(['/keypoints']) == queued + 1
 
 

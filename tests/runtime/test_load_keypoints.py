@@ -68,6 +68,19 @@ def test_images_of_another_size_are_left_out(tmp_path: Path) -> None:
     assert '10 messages left out; /k: 10 images have another size than the others' in lines[1]
 
 
+def test_images_of_another_size_than_that_of_camera_info_are_left_out(tmp_path: Path) -> None:
+    walker = make_walker()
+    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
+        recorder.write('/camera_info', CAMERA_INFO, camera_info(), 0, 0)
+        for frame in range(FRAMES):
+            size = (1280, 960) if frame == 0 else (640, 480)
+            data = encode_keypoints(Header((frame + 1) * NS_PER_S // 25, 'camera'), size, [walker.person(frame)])
+            recorder.write('/keypoints', KEYPOINTS, data, frame, frame)
+    sequence, lines = load_input(tmp_path / 'bag', Video(), LIMITS)
+    assert (len(sequence), sequence.image_size) == (FRAMES - 1, (640, 480))
+    assert any('1280 x 960 px, but CameraInfo is for 640 x 480 px' in line for line in lines)
+
+
 def test_a_bag_is_refused_where_a_sequence_file_is_expected(tmp_path: Path) -> None:
     for bag in (tmp_path / 'bag', tmp_path / 'bag.mcap', tmp_path / 'bag.npz'):
         bag.mkdir()

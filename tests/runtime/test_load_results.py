@@ -93,19 +93,20 @@ def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ('name', 'joint_count', 'message'),
+    ('name', 'joint_count', 'flag_count', 'message'),
     [
-        ('body26', 26, 'skeletons of several layouts: body26, cmu15'),
-        ('cmu15', 14, 'skeleton of 14 joints, expected 15 of cmu15'),
+        ('body26', 26, 0, 'skeletons of several layouts: body26, cmu15'),
+        ('cmu15', 14, 0, '14 joints and 0 flags, cmu15 has 15'),
+        ('cmu15', 15, 14, '15 joints and 14 flags, cmu15 has 15'),
     ],
 )
 def test_skeletons_that_do_not_fit_together_are_refused(
-    tmp_path: Path, name: str, joint_count: int, message: str
+    tmp_path: Path, name: str, joint_count: int, flag_count: int, message: str
 ) -> None:
     arrays = [decode(encode_skeletons(Header(i, 'c'), [make_person('a', 1.0)]), SKELETONS) for i in (1, 2)]
     (skeleton,) = arrays[1].people
     skeleton.skeleton, skeleton.joints = name, (skeleton.joints * 2)[:joint_count]
-    skeleton.inferred = np.zeros(0, bool)
+    skeleton.inferred = np.zeros(flag_count, bool)
     with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
         for i, array in enumerate(arrays):
             recorder.write('/skeletons', SKELETONS, encode(array, SKELETONS), i, i)
