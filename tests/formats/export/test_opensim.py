@@ -1,14 +1,22 @@
-"""OpenSim itself reads the markers, the model and the joint angles; `pip install opensim` runs these tests."""
+"""Markers, model and joint angles for OpenSim, which itself reads them where it is installed (`pip install opensim`)."""
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, compute_joint_angles
-from mocap_ros.formats.export.opensim_model import place_markers, save_mot, save_osim
+from mocap_ros.formats.export.opensim_model import (
+    BODY_MASS_KG,
+    RANGE_DEG,
+    RANGE_M,
+    place_markers,
+    save_mot,
+    save_osim,
+)
 from mocap_ros.formats.export.trc import save_trc
 from mocap_ros.skeleton import CMU15
 from tests.support.motion_files import FRAMES, Z_UP_TO_Y_UP
@@ -46,6 +54,34 @@ def save_all(folder: Path, joints: np.ndarray) -> None:
     save_trc(folder / 'walk.trc', CMU15.joints, joints, FPS)
     save_osim(folder / 'walk.osim', '</a> /\0', place_markers(joints, angles))  # any id of a person
     save_mot(folder / 'walk.mot', angles, np.arange(len(joints)) / FPS)
+
+
+def test_the_model_is_a_body_whose_parts_hang_together(tmp_path: Path, poses: np.ndarray) -> None:
+    save_all(tmp_path, poses @ Z_UP_TO_Y_UP.T)
+    model = ET.parse(tmp_path / 'walk.osim')
+    bodies = {body.get('name'): body for body in model.iter('Body')}
+
+    def read(element: ET.Element, name: str) -> np.ndarray:
+        return np.array(element.findtext(name, '').split(), float)
+
+    assert sum(read(body, 'mass') for body in bodies.values()) == pytest.approx([BODY_MASS_KG], rel=1e-3)
+    for body in bodies.values():
+        a, b, c, *products = read(body, 'inertia')
+        assert min(a, b, c) > 0
+        assert a + b > c, 'no body turns otherwise'
+        assert a + c > b
+        assert b + c > a
+        assert products == [0, 0, 0]
+        assert 0.02 < 2 * np.linalg.norm(read(body, 'mass_center')) < 0.7, 'm'
+    ranges = {c.get('name'): read(c, 'range').tolist() for c in model.iter('Coordinate')}
+    assert set(ranges) == set(COORDINATES)
+    for name, (low, high) in ranges.items():
+        assert high == -low == pytest.approx(RANGE_M if name in POSITIONS else np.radians(RANGE_DEG))
+    parents = {frame.findtext('socket_parent', '') for frame in model.iter('PhysicalOffsetFrame')}
+    assert parents == {'/ground', *(f'/bodyset/{name}' for name in bodies)}
+    on = {marker.get('name'): marker.findtext('socket_parent_frame', '') for marker in model.iter('Marker')}
+    assert on.keys() == set(CMU15.joints)
+    assert set(on.values()) <= parents
 
 
 def test_the_model_in_the_pose_of_the_angles_has_its_markers_at_the_joints(
