@@ -1,4 +1,4 @@
-"""Markers, model and joint angles for OpenSim, which itself reads them where it is installed (`pip install opensim`)."""
+"""Markers, model and joint angles for OpenSim, which reads them itself where it is installed."""
 
 from __future__ import annotations
 
