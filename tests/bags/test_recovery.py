@@ -103,6 +103,31 @@ def test_complete_messages_of_an_incomplete_chunk_are_recovered(tmp_path: Path) 
     assert re.search(r'cut off at byte \d+: .* \d+ complete messages in them were saved', losses[0])
 
 
+@pytest.mark.parametrize('compression', [CompressionType.ZSTD, CompressionType.LZ4, CompressionType.NONE])
+def test_complete_blocks_of_a_cut_chunk_are_recovered(tmp_path: Path, compression: CompressionType) -> None:
+    """A large chunk is compressed in blocks of 64 or 128 KiB; those before the cut can be read."""
+    topic, count = make_topic('/keypoints', KEYPOINTS), 8000
+    with (tmp_path / 'x.mcap').open('wb') as stream:
+        writer = McapWriter(stream, chunk_size=1 << 24, compression=compression)
+        writer.start('ros2', 'test')
+        schema = writer.register_schema(KEYPOINTS, topic.encoding, topic.definition.encode())
+        channel = writer.register_channel('/keypoints', 'cdr', schema, topic.channel_metadata)
+        for i in range(count):
+            writer.add_message(channel, i, MESSAGES[i % FRAMES], i)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with (tmp_path / 'x.mcap').open('rb') as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    (chunk,) = summary.chunk_indexes
+    data = (tmp_path / 'x.mcap').read_bytes()
+    (tmp_path / 'x.mcap').write_bytes(data[: chunk.chunk_start_offset + chunk.chunk_length * 2 // 3])
+    report = recover(tmp_path / 'x.mcap', tmp_path / 'out')
+    recovered = report.messages['/keypoints']
+    assert count / 3 < recovered < count * 3 / 4
+    assert read_frames(tmp_path / 'out') == [i % FRAMES for i in range(recovered)]
+    assert f'; {recovered} complete messages in them were saved' in report.losses[0]
+
+
 @pytest.mark.parametrize('compression', ['zstd', 'none'])
 def test_a_flipped_bit_loses_at_most_a_chunk_and_is_always_reported(tmp_path: Path, compression: str) -> None:
     data = write_bag(tmp_path / 'bag', compression)
