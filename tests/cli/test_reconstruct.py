@@ -33,6 +33,9 @@ def test_reconstruct_writes_npz_and_csv(recording: Path, tmp_path: Path, method:
         joints = z['joints3d']
         assert joints.shape == (390, 26, 3)
         assert np.isfinite(joints).all()
+        assert np.linalg.norm(z['orientation'], axis=-1) == pytest.approx(np.ones((390, 26)), abs=1e-5)
+        assert z['turn_inferred'].shape == (390, 26)
+        assert 0 < z['turn_inferred'].mean() < 1
     with (tmp_path / 'r.csv').open() as file:
         rows = list(csv.reader(file))
     assert len(rows) == 391

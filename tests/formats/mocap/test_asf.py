@@ -32,6 +32,10 @@ INVALID = {
     'bone': ('1\nnose 1 2\n', r"a\.amc: line 2: 'nose 1 2' is not AMC, or of another skeleton"),
     'degrees': (':RADIANS\n', 'line 1: angles in radians'),
     'cut': ('1\nroot 0 0 0 0 0 0\nupper 1 2 3\n2\nroot 0 0 0 0 0 0\n', 'upper: a frame is cut off'),
+    'nan': (
+        AMC.replace('lower 45', 'lower nan'),
+        'lower: a frame is cut off, or holds numbers that are not finite',
+    ),
     'rig': (AMC, r'a\.amc: joints of no known rig'),
 }
 
