@@ -114,6 +114,24 @@ def test_gradient_is_half_that_of_the_cost(
     assert np.abs(equations.gradient - numeric).max() < 1e-6 * np.abs(numeric).max()
 
 
+UNITS = np.array([200.0])  # px/m, at which `make_lifted_window` shows the walk
+
+
+def make_lifted_window(walk_model: BasePoses, frames: int) -> Window:
+    """Return a walk with lifted poses, which are right and have a standard deviation of 20 px."""
+    theta, _, points, times = make_walk(walk_model, frames=frames)
+    lifted = LiftedPoses(200 * walk_model.poses(theta), np.full((frames, 15, 3), 20.0))
+    return Window(points, np.ones(points.shape[:2]), times, lifted=lifted)
+
+
+def choose_state(objective: JointObjective, window: Window) -> State:
+    """Return random unknowns near the mean pose, the same for each objective of a window."""
+    without_poses = replace(window, lifted=None)
+    state = objective.initial_state([initialise_from_mean_pose(without_poses, objective.model, 1.0)], UNITS)
+    size = len(window.times), len(objective.model.std) + CAMERA_UNKNOWNS
+    return state.advanced(0.1 * np.random.default_rng(0).normal(size=size))
+
+
 WEIGHTS: dict[str, type[Term]] = {
     'prior_weight': BasePosePrior,
     'smooth_weight': PoseSmoothness,
@@ -129,18 +147,11 @@ WEIGHTS: dict[str, type[Term]] = {
 
 @pytest.mark.parametrize('name', WEIGHTS)
 def test_terms_have_the_weights_of_the_parameters(walk_model: BasePoses, name: str) -> None:
-    model = walk_model.truncate(COMPONENTS)
-    theta, _, points, times = make_walk(walk_model, frames=7)
-    lifted = LiftedPoses(200 * walk_model.poses(theta), np.full((7, 15, 3), 20.0))
-    window = Window(points, np.ones(points.shape[:2]), times, lifted=lifted)
-    units = np.array([200.0])
+    model, window = walk_model.truncate(COMPONENTS), make_lifted_window(walk_model, 7)
 
     def cost(weights: Mapping[str, Any]) -> float:
-        config = SolverConfig(**weights)
-        objective = JointObjective.build([window], units, model, config)
-        state = objective.initial_state([initialise_from_mean_pose(window, model, 1.0)], units)
-        step = 0.1 * np.random.default_rng(0).normal(size=(7, COMPONENTS + CAMERA_UNKNOWNS))
-        fit = objective.fit(state.advanced(step))
+        objective = JointObjective.build([window], UNITS, model, SolverConfig(**weights))
+        fit = objective.fit(choose_state(objective, window))
         return float(objective.find_term(WEIGHTS[name]).cost(fit).sum())
 
     of_one_class = {other: 0.0 for other, kind in WEIGHTS.items() if kind is WEIGHTS[name]}
@@ -151,9 +162,8 @@ def test_terms_have_the_weights_of_the_parameters(walk_model: BasePoses, name: s
 
 def test_terms_have_the_factors_of_lifted_poses_and_of_heading(walk_model: BasePoses) -> None:
     model = replace(walk_model.truncate(COMPONENTS), provenance={'alignment': 'full'})
-    theta, _, points, times = make_walk(walk_model, frames=7)
-    alone = Window(points, np.ones(points.shape[:2]), times)
-    with_poses = replace(alone, lifted=LiftedPoses(200 * walk_model.poses(theta), np.full((7, 15, 3), 20.0)))
+    with_poses = make_lifted_window(walk_model, 7)
+    alone = replace(with_poses, lifted=None)
     config = SolverConfig(
         scale_weight=0.0,
         tilt_weight=0.0,
@@ -163,13 +173,10 @@ def test_terms_have_the_factors_of_lifted_poses_and_of_heading(walk_model: BaseP
         heading_prior_factor=11.0,
         heading_flip_factor=13.0,
     )
-    units = np.array([200.0])
 
     def costs(window: Window, base_poses: BasePoses) -> list[float]:
-        objective = JointObjective.build([window], units, base_poses, config)
-        state = objective.initial_state([initialise_from_mean_pose(alone, model, 1.0)], units)
-        step = 0.1 * np.random.default_rng(0).normal(size=(7, COMPONENTS + CAMERA_UNKNOWNS))
-        fit = objective.fit(state.advanced(step))
+        objective = JointObjective.build([window], UNITS, base_poses, config)
+        fit = objective.fit(choose_state(objective, window))
         kinds: tuple[type[Term], ...] = (BasePosePrior, PoseSmoothness, CameraSmoothness)
         return [float(objective.find_term(kind).cost(fit).sum()) for kind in kinds]
 
@@ -183,16 +190,12 @@ def test_terms_have_the_factors_of_lifted_poses_and_of_heading(walk_model: BaseP
 
 @pytest.mark.parametrize('robust_scale', [0.1, 2.0, 1e3])
 def test_lifted_poses_cost_what_cauchys_loss_says(walk_model: BasePoses, robust_scale: float) -> None:
-    model = walk_model.truncate(COMPONENTS)
-    theta, _, points, times = make_walk(walk_model, frames=5)
-    std = np.full((5, 15, 3), 20.0)  # px
-    lifted = LiftedPoses(200 * walk_model.poses(theta), std)
-    window = Window(points, np.ones(points.shape[:2]), times, lifted=lifted)
+    window = make_lifted_window(walk_model, 5)
+    assert window.lifted is not None
     config = SolverConfig(lifter_weight=0.1, lifter_robust_scale=robust_scale)
-    units = np.array([200.0])
-    objective = JointObjective.build([window], units, model, config)
-    fit = objective.fit(objective.initial_state([initialise_from_mean_pose(window, model, 1.0)], units))
-    squared = (((fit.scaled_poses - lifted.joints / 200) * 200 / std) ** 2).sum(axis=-1)
+    objective = JointObjective.build([window], UNITS, walk_model.truncate(COMPONENTS), config)
+    fit = objective.fit(choose_state(objective, window))
+    squared = (((200 * fit.scaled_poses - window.lifted.joints) / window.lifted.std) ** 2).sum(axis=-1)
     assert 1 < squared.mean() < 1e3, 'no unit, of a joint; so that the scales make a difference'
     expected = 0.1 * robust_scale**2 * np.log1p(squared / robust_scale**2).sum(axis=1)
     np.testing.assert_allclose(objective.find_term(LiftedPoseTerm).cost(fit), expected)
@@ -200,25 +203,22 @@ def test_lifted_poses_cost_what_cauchys_loss_says(walk_model: BasePoses, robust_
 
 @pytest.mark.parametrize('kind', [Reprojection, BoneLengths, BasePosePrior, LiftedPoseTerm])
 def test_terms_of_single_frames_are_those_of_these_frames_alone(walk_model: BasePoses, kind: type[Term]) -> None:
-    model = walk_model.truncate(COMPONENTS)
-    theta, _, points, times = make_walk(walk_model, frames=12)
+    model, config = walk_model.truncate(COMPONENTS), SolverConfig()
     earlier = EarlierFrames(4, 1.1 * model.skeleton.bone_lengths(model.mean))
-    lifted = LiftedPoses(200 * walk_model.poses(theta), np.full((12, 15, 3), 20.0))
-    window = Window(points, np.ones(points.shape[:2]), times, earlier_frames=earlier, lifted=lifted)
-    units, config = np.array([200.0]), SolverConfig()
-    objective = JointObjective.build([window], units, model, config)
-    state = objective.initial_state([initialise_from_mean_pose(window, model, 1.0)], units)
-    state = state.advanced(0.1 * np.random.default_rng(0).normal(size=(12, COMPONENTS + CAMERA_UNKNOWNS)))
+    window = replace(make_lifted_window(walk_model, 12), earlier_frames=earlier)
+    assert window.lifted is not None
+    objective = JointObjective.build([window], UNITS, model, config)
+    state = choose_state(objective, window)
     kept = objective.batch.subsample(0.1, window.weight.sum(axis=1))
     assert 1 < len(kept.frames) < 12
     some = replace(
         window,
-        points=points[kept.frames],
+        points=window.points[kept.frames],
         weight=window.weight[kept.frames],
-        times=times[kept.frames],
-        lifted=LiftedPoses(lifted.joints[kept.frames], lifted.std[kept.frames]),
+        times=window.times[kept.frames],
+        lifted=LiftedPoses(window.lifted.joints[kept.frames], window.lifted.std[kept.frames]),
     )
-    alone = JointObjective.build([some], units, model, config)
+    alone = JointObjective.build([some], UNITS, model, config)
     costs = [o.find_term(kind).cost(o.fit(state.select(kept.frames))) for o in (objective.subsampled(kept), alone)]
     assert costs[0] == pytest.approx(costs[1])
     gradients = [
