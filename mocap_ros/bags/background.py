@@ -74,8 +74,9 @@ class BackgroundRecorder:
     ) -> None:
         self.folder = folder
         self.refused_count = 0
-        recorder_config = replace(config, chunk_seconds=inf)
-        self._recorder = Recorder(folder, recorder_config, attachments, definitions=definitions, has_log=True)
+        self._recorder = Recorder(
+            folder, _leave_chunks_open(config), attachments, definitions=definitions, has_log=True
+        )
         self._config = config
         self._batches: deque[tuple[RecordedMessage | Topic, ...]] = deque()
         self._wake = threading.Condition()
@@ -121,6 +122,11 @@ class BackgroundRecorder:
                 self._batches.append(batch)
                 self._wake.notify()
         return True
+
+    def reconfigure(self, config: RecorderConfig) -> None:
+        """Use other limits from now on; the folder, the compression and the size of chunks stay in this file."""
+        self._config = config
+        self._recorder.reconfigure(_leave_chunks_open(config))
 
     def check(self) -> None:
         """Raise the error that ended the recording, if there is one; only the first call after it raises.
@@ -192,3 +198,8 @@ class BackgroundRecorder:
                 check_due_s = now_s + CHECK_PERIOD_S
             if is_finished:
                 return
+
+
+def _leave_chunks_open(config: RecorderConfig) -> RecorderConfig:
+    """Return the configuration of a recorder whose chunks are not closed by log time."""
+    return replace(config, chunk_seconds=inf)

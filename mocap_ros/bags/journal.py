@@ -119,6 +119,7 @@ class Journal:
     def __init__(self, topic: str) -> None:
         self._topic = topic
         self._input_count = 0
+        self._input_ns = 0  # log time of the last input
         self._lost_count = 0  # inputs lost since the last recorded one
         self._reported_lost_count = 0  # lost inputs that the records of the last input report
 
@@ -130,6 +131,7 @@ class Journal:
         times_ns: tuple[int, int],
         verdict: Verdict,
         reason: str = '',
+        repeat_key: str = '',
     ) -> list[RecordedMessage]:
         """Return the messages that record an input and what became of it.
 
@@ -140,18 +142,24 @@ class Journal:
             times_ns: Times of receipt and of sending, in ns.
             verdict: What became of the input.
             reason: Why the input was not accepted, or a remark on an accepted one.
+            repeat_key: With the topic, says which earlier input this one replaces at the start of further files.
 
         Returns:
             A `lost` entry where inputs were lost before, the input itself, and its journal entry.
         """
-        lost = Entry(LOST, self._input_count, parameters={LOST: self._lost_count})
-        before = [self._make_record(lost, times_ns[0])] if self._lost_count else []
-        self._reported_lost_count = self._lost_count
-        self._lost_count = 0
+        self._input_ns = times_ns[0]
+        before = self.make_lost_records()
         self._input_count += 1
         entry = Entry(INPUT, self._input_count, verdict, reason, topic)
-        message = RecordedMessage(topic, msgtype, raw, *times_ns)
+        message = RecordedMessage(topic, msgtype, raw, *times_ns, repeat_key)
         return [*before, message, self._make_record(entry, times_ns[0])]
+
+    def make_lost_records(self) -> list[RecordedMessage]:
+        """Return the message that says how many inputs were lost since the last recorded one, if any were."""
+        lost = Entry(LOST, self._input_count, parameters={LOST: self._lost_count})
+        records = [self._make_record(lost, self._input_ns)] if self._lost_count else []
+        self._reported_lost_count, self._lost_count = self._lost_count, 0
+        return records
 
     def skip_inputs(self, count: int) -> None:
         """Count this many inputs that came before, as those of the earlier parts of a bag that was cut."""
@@ -209,7 +217,7 @@ class RecordedRun(NamedTuple):
 def read_run(bag: Bag) -> RecordedRun:
     """Read the journal of a bag; return an empty run where the bag has no journal.
 
-    A further file of a split bag begins with the last message of every latched topic and the parameters. Where it
+    A further file of a split bag begins with the last messages of every latched topic and the parameters. Where it
     is read with the files before it, these messages are left out; where it is read alone, they come before its
     first input.
 
@@ -292,7 +300,7 @@ class _InputPlaces:
         if self._first_entry is None:
             return 0, 0, self._repeated
         entry, time_ns = self._first_entry
-        first = [(t, ns) for t, ns in self._first_ns.items() if ns <= time_ns and self._repeated[t, ns]]
+        first = Counter({(t, ns): self._repeated[t, ns] for t, ns in self._first_ns.items() if ns <= time_ns})
         self._repeated.subtract(first)
         has_input = entry.number == 1 or any(bag.messages([entry.topic], time_ns, time_ns + 1))
-        return entry.number - has_input, len(first), self._repeated
+        return entry.number - has_input, first.total(), self._repeated

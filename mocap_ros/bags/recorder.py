@@ -60,6 +60,9 @@ class RecordedMessage(NamedTuple):
 
 
 RECOVERY_HINT = '; `mocap-ros recover'  # begins what an error says of a bag that could not be finished
+# Latched messages that a further file repeats, the newest; guards memory and files against topics that never end,
+# such as the models of people who have left.
+MAX_REPEATED = 1000
 _ERRORS = {errno.ENOSPC: DiskFull, errno.EDQUOT: DiskFull, errno.EEXIST: FolderTaken}  # by `OSError.errno`
 
 
@@ -192,25 +195,32 @@ class Recorder:
         Raises:
             RecordingError: The type is unknown or differs from the topic's earlier type, or the disk fails.
         """
-        declared = self._topics.get(topic)
-        if declared is None:
-            definition = self._definitions.get(msgtype)
-            self.add_topic(make_topic(topic, msgtype, latched=latched, definition=definition))
-        elif declared.type != msgtype:
-            raise RecordingError(f'{self.folder}: topic {topic} has the type {declared.type}, not {msgtype}')
+        definition = self._definitions.get(msgtype)
+        self.add_topic(make_topic(topic, msgtype, latched=latched, definition=definition))
 
     def add_topic(self, topic: Topic) -> None:
-        """Add a topic of any message type.
+        """Add a topic of any message type, unless the bag has it: readers accept one description of a topic only.
 
         The last message of a latched topic is repeated at the start of each further file.
 
         Raises:
-            RecordingError: The disk is full or fails, or the bag is closed.
+            RecordingError: The bag has the topic with another type or is closed, or the disk is full or fails.
         """
         file = self._open_file
+        declared = self._topics.get(topic.name)
+        if declared is not None:
+            if declared.type != topic.type:
+                raise RecordingError(
+                    f'{self.folder}: topic {topic.name} has the type {declared.type}, not {topic.type}'
+                )
+            return
         with self._finish_on_disk_error():
             file.add_topic(topic)
         self._topics[topic.name] = topic
+
+    def reconfigure(self, config: RecorderConfig) -> None:
+        """Use other limits of files and disk space from now on, and of chunks from the next file on."""
+        self._config = config
 
     def add_attachment(self, attachment: Attachment, time_ns: int) -> None:
         """Attach a file to the current file of the bag.
@@ -256,7 +266,10 @@ class Recorder:
             file.write(topic, data, log_time_ns, publish_time_ns)
         if repeat_key or self._topics[topic].is_latched:
             message = RecordedMessage(topic, msgtype, data, log_time_ns, publish_time_ns, repeat_key)
+            self._messages_to_repeat.pop((topic, repeat_key), None)  # so that the oldest is the first
             self._messages_to_repeat[topic, repeat_key] = message
+            if len(self._messages_to_repeat) > MAX_REPEATED:
+                del self._messages_to_repeat[next(iter(self._messages_to_repeat))]
         if self._chunk_start_ns < 0:
             self._chunk_start_ns = log_time_ns
         elif abs(log_time_ns - self._chunk_start_ns) >= self._config.chunk_seconds * NS_PER_S:

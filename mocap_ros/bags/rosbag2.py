@@ -120,14 +120,15 @@ def make_topic(
         name: Absolute name.
         msgtype: Message type.
         latched: Whether the durability is transient local.
-        qos: QoS profiles that the publishers offer; by default, one reliable profile.
+        qos: QoS profiles that the publishers offer, of which equal ones are held once; by default, one reliable
+            profile.
         definition: Definition of the message type; by default, this package's.
 
     Raises:
         RecordingError: No definition is given, and this package does not define the message type.
     """
     text, type_hash = definition or _generate_definition(msgtype)
-    profiles = tuple(qos) or (_make_qos_profile(latched=latched),)
+    profiles = tuple(q for i, q in enumerate(qos) if q not in qos[:i]) or (_make_qos_profile(latched=latched),)
     return Topic(name, msgtype, text, type_hash=type_hash, qos=profiles)
 
 

@@ -10,6 +10,7 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import ConfigError, InputError
 from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
 from mocap_ros.messages.transforms import TRANSFORMS
@@ -71,7 +72,7 @@ def reads_transforms(node: NodeConfig) -> bool:
 
 
 def find_latched_inputs(bag: Bag) -> set[str]:
-    """Return the latched topics of input types, of which each further file of a bag repeats the last message."""
+    """Return the latched topics of input types, of which each further file of a bag repeats the last messages."""
     types = {CAMERA_INFO, TRANSFORMS, HRI_IDS, HRI_SKELETON, *KEYPOINT_TYPES}
     return bag.latched_topics & set(bag.topics_of_type(types))
 
@@ -90,6 +91,24 @@ def find_transform_topics(bag: Bag, node: NodeConfig, recorded: AbstractSet[str]
         for source in TRANSFORM_SOURCES
         if topic.endswith(source.value) and (reads_transforms(node) or topic in recorded)
     }
+
+
+def make_repeat_key(source: Source | None, raw: bytes) -> str:
+    """Return the `repeat_key` with which a valid input is recorded.
+
+    Each publisher of static transforms sends its own frames, which hold beside those of the others. Any other
+    input replaces the one before it.
+
+    Args:
+        source: What the topic carries; None where it is no input of its own name.
+        raw: The message, as this package defines its type.
+
+    Returns:
+        The names of the frames that static transforms place; nothing for other inputs.
+    """
+    if source is not Source.STATIC_TRANSFORMS:
+        return ''
+    return ' '.join(sorted({t.child_frame_id for t in decode(raw, TRANSFORMS).transforms}))
 
 
 def make_body_topic(tracked_topic: str, body_id: str) -> str:

@@ -182,8 +182,7 @@ class LiveRun:
         """
         with self._pipeline_lock:
             folder = self._recording.start(self._pipeline, self._find_recording_start_ns())
-            for output in self._reset_pipeline():
-                self._publish(output)
+            self._try_to_publish(self._reset_pipeline())
             self._logger.info(f'the recording to {folder} has started')
             return folder
 
@@ -288,8 +287,7 @@ class LiveRun:
 
     def _publish_result(self, message: ReceivedMessage, result: ProcessingResult) -> None:
         """Publish, log and record the result of a message."""
-        for output in result.outputs:
-            self._publish(output)
+        self._try_to_publish(result.outputs)
         published_ns = self._clock.now_ns()
         topic, number = message.topic, message.number
         if result.error_traceback:
@@ -311,8 +309,16 @@ class LiveRun:
     def _publish_and_record(self, outputs: Iterable[OutputMessage]) -> None:
         """Publish and record outputs that no input caused."""
         for output in outputs:
-            self._publish(output)
+            self._try_to_publish([output])
             self._recording.write_output(output, self._clock.now_ns())
+
+    def _try_to_publish(self, outputs: Iterable[OutputMessage]) -> None:
+        """Publish outputs, and log those that the middleware refuses."""
+        for output in outputs:
+            try:
+                self._publish(output)
+            except Exception:  # noqa: PERF203, rclpy raises many types; the other outputs and the recording go on
+                self._log_traceback(f'{output.topic}: {traceback.format_exc()}')
 
     def _note_accepted(self, topic: str) -> None:
         """Log the first accepted message, and once that header.frame_id is empty."""

@@ -11,7 +11,7 @@ from mocap_ros.bags.background import BackgroundRecorder, start_recorder
 from mocap_ros.bags.journal import Journal, Verdict
 from mocap_ros.bags.recorder import RecordedMessage
 from mocap_ros.bags.rosbag2 import Topic, make_topic
-from mocap_ros.bags.topics import Source
+from mocap_ros.bags.topics import Source, make_repeat_key
 from mocap_ros.config import Config, values
 from mocap_ros.errors import RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
@@ -19,7 +19,13 @@ from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.throttled_log import Logger
-from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, LATCHED_TYPES, build_skeleton_definition
+from mocap_ros.runtime.outputs import (
+    LATCHED_OUTPUTS,
+    LATCHED_TYPES,
+    MAX_BODY_TOPICS,
+    RecordedBodies,
+    build_skeleton_definition,
+)
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
 
@@ -53,9 +59,11 @@ class LiveRecording:
         self._names = names
         self._logger = logger
         self._find_offered_qos = find_offered_qos
+        self._sources = {names[s.value]: s for s in Source if s.value in names}  # by topic
         self._recorder: BackgroundRecorder | None = None
         self._journal = Journal(names['journal'])
         self._declared_topics: set[str] = set()  # those that need more than a name and a type
+        self._bodies = RecordedBodies()
         self._stalled_s = 0.0  # of the stall that has been logged
         self._finishing: list[BackgroundRecorder] = []  # of recordings that have ended, but are not finished yet
 
@@ -98,6 +106,7 @@ class LiveRecording:
         self._declared_topics = {self._names[topic] for topic in LATCHED_OUTPUTS}
         self._journal = Journal(self._names['journal'])
         self._stalled_s = 0.0
+        self._bodies = RecordedBodies()
         first_records = self._make_first_records(pipeline, start_ns)
         self._recorder = start_recorder(start_ns, config.recorder, attachments, self._versions.definitions)
         self._put(first_records)
@@ -105,6 +114,7 @@ class LiveRecording:
 
     def detach(self) -> BackgroundRecorder | None:
         """End the recording and return its recorder, which is to be passed to `finish`; None if there is none."""
+        self._put(self._journal.make_lost_records())
         recorder, self._recorder = self._recorder, None
         return recorder
 
@@ -203,7 +213,10 @@ class LiveRecording:
         if self._recorder is None:
             return True
         records: list[RecordedMessage | Topic] = [*self._declare_input(topic, msgtype)]
-        records += self._journal.make_input_records(topic, msgtype, raw, times_ns, result.verdict, result.reason)
+        repeat_key = self._make_repeat_key(topic, msgtype, raw, result.verdict)
+        records += self._journal.make_input_records(
+            topic, msgtype, raw, times_ns, result.verdict, result.reason, repeat_key
+        )
         for output in result.outputs:
             records += self._make_output_records(output, published_ns)
         if self._put(records, even_if_full=False):
@@ -221,7 +234,9 @@ class LiveRecording:
         self._put([self._journal.make_reset_record(now_ns)])
 
     def write_parameters(self, config: Config, now_ns: int) -> None:
-        """Write the parameters that hold from now on."""
+        """Write the parameters that hold from now on, and use those of the recorder."""
+        if self._recorder is not None:
+            self._recorder.reconfigure(config.recorder)
         self._put([self._journal.make_parameters_record(values(config), now_ns)])
 
     def _make_first_records(self, pipeline: Pipeline, start_ns: int) -> list[RecordedMessage | Topic]:
@@ -242,8 +257,9 @@ class LiveRecording:
         for source, msgtype, content in known:
             topic, raw = self._names[source.value], self._versions.write(msgtype, content)
             records += self._declare_input(topic, msgtype)
+            repeat_key = make_repeat_key(source, content)
             records += self._journal.make_input_records(
-                topic, msgtype, raw, (start_ns, start_ns), Verdict.ACCEPTED
+                topic, msgtype, raw, (start_ns, start_ns), Verdict.ACCEPTED, repeat_key=repeat_key
             )
         return records
 
@@ -252,7 +268,13 @@ class LiveRecording:
         if topic in self._declared_topics:
             return []
         self._declared_topics.add(topic)
-        return [self._make_topic(topic, msgtype, qos=self._find_offered_qos(topic))]
+        is_latched = self._sources.get(topic) is Source.STATIC_TRANSFORMS  # also when its publisher has gone
+        return [self._make_topic(topic, msgtype, latched=is_latched, qos=self._find_offered_qos(topic))]
+
+    def _make_repeat_key(self, topic: str, msgtype: str, raw: bytes, verdict: Verdict) -> str:
+        """Return the `repeat_key` of an input."""
+        source = self._sources.get(topic) if verdict is Verdict.ACCEPTED else None
+        return make_repeat_key(source, self._versions.read(msgtype, raw))
 
     def _make_topic(
         self, name: str, msgtype: str, *, latched: bool = False, qos: Sequence[Mapping[str, Any]] = ()
@@ -264,6 +286,13 @@ class LiveRecording:
     def _make_output_records(self, output: OutputMessage, published_ns: int) -> list[RecordedMessage | Topic]:
         """Return the record of an output, after its topic if that is a latched one that has not been declared."""
         name = self._names.get(output.topic, output.topic)  # those of single bodies are not known beforehand
+        if not self._bodies.admit(output.topic):
+            if self._bodies.left_out_count == 1:
+                self._logger.warning(
+                    f'{name}: a bag holds {MAX_BODY_TOPICS} topics of single bodies, and this one would be more; '
+                    'further bodies are published but not recorded: start another recording'
+                )
+            return []
         record = RecordedMessage(name, output.type, output.data, published_ns, published_ns)
         if output.type not in LATCHED_TYPES or name in self._declared_topics:
             return [record]

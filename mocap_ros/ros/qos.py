@@ -10,6 +10,7 @@ from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
+    QoSPolicyKind,
     QoSProfile,
     ReliabilityPolicy,
     qos_policy_name_from_kind,
@@ -22,6 +23,15 @@ QUEUE_DEPTH = 10  # messages; the default of ROS 2; waiting messages are queued 
 INPUT_QUEUE_DEPTH = 50
 TF_QUEUE_DEPTH = 100  # messages; the depth that tf2_ros uses on /tf
 PLAYBACK_QUEUE_DEPTH = 1000  # messages; lets a slow reliable subscriber catch up when a bag is played fast
+
+# The policies that `qos_overrides` parameters of a subscription set: those that rclpy chooses by default, and the
+# durability, in which publishers of transforms differ.
+OVERRIDABLE_POLICIES = (
+    QoSPolicyKind.HISTORY,
+    QoSPolicyKind.DEPTH,
+    QoSPolicyKind.RELIABILITY,
+    QoSPolicyKind.DURABILITY,
+)
 
 # Best effort is compatible with reliable and with best-effort publishers.
 INPUT_QOS = QoSProfile(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from copy import copy
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -25,11 +26,19 @@ from mocap_ros.messages.foreign.hri import decode_ids
 from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
-from mocap_ros.ros.qos import INPUT_QOS, INPUT_QUEUE_DEPTH, STATIC_TF_QOS, TF_QOS, QosWarnings
+from mocap_ros.ros.qos import (
+    INPUT_QOS,
+    INPUT_QUEUE_DEPTH,
+    OVERRIDABLE_POLICIES,
+    STATIC_TF_QOS,
+    TF_QOS,
+    QosWarnings,
+)
 from mocap_ros.ros.silence import SilenceMonitor
 
 # A body id that may be part of a topic name: letters, digits and single underscores, without a leading digit.
 BODY_ID_IN_TOPIC = re.compile(r'(?!\w*__)[A-Za-z_][A-Za-z0-9_]*')
+MAX_TOPIC_CHARACTERS = 247  # of the name of a topic, more than which the middleware refuses
 
 # The QoS profile of the subscription to each input; by default `INPUT_QOS`.
 QOS_BY_SOURCE = {Source.TRANSFORMS: TF_QOS, Source.STATIC_TRANSFORMS: STATIC_TF_QOS}
@@ -155,7 +164,7 @@ class InputSubscriptions:
     def _subscribe_to(self, source: Source, name: str) -> Any:
         topic = self._node.resolve_topic_name(name)
         # rclpy declares parameters for overrides, which would stay behind for every body that leaves
-        overridable = None if source is Source.BODY else QoSOverridingOptions.with_default_policies()
+        overridable = None if source is Source.BODY else QoSOverridingOptions(OVERRIDABLE_POLICIES)
         message_class, lost_messages = load_interface_class(self.types[source]), LostMessages()
 
         def take_all(raw: bytes, info: Any) -> None:
@@ -176,7 +185,7 @@ class InputSubscriptions:
             message_class,
             name,
             take_all,
-            QOS_BY_SOURCE.get(source, INPUT_QOS),
+            copy(QOS_BY_SOURCE.get(source, INPUT_QOS)),  # rclpy writes the overrides of one topic into it
             raw=True,
             qos_overriding_options=overridable,
             event_callbacks=SubscriptionEventCallbacks(
@@ -207,7 +216,8 @@ class InputSubscriptions:
         except InputError:  # the pipeline reports the message as invalid
             return
         tracked_topic = self._node.resolve_topic_name(Source.TRACKED_BODIES.value)
-        wanted = {make_body_topic(tracked_topic, i) for i in ids if BODY_ID_IN_TOPIC.fullmatch(i)}
+        topics = (make_body_topic(tracked_topic, i) for i in ids if BODY_ID_IN_TOPIC.fullmatch(i))
+        wanted = {topic for topic in topics if len(topic) <= MAX_TOPIC_CHARACTERS}
         for topic in self._body_subscriptions.keys() - wanted:
             self._node.destroy_subscription(self._body_subscriptions.pop(topic))
         for topic in wanted - self._body_subscriptions.keys():

@@ -81,11 +81,37 @@ SWITCHED_OUTPUTS = {
 LATCHED_OUTPUTS = {'skeleton_definition': SKELETON_DEFINITION}
 # Types of all latched outputs; those of single bodies have topics that are not known beforehand.
 LATCHED_TYPES = frozenset({*LATCHED_OUTPUTS.values(), DESCRIPTION})
+_COMMON_TOPICS = frozenset({*OUTPUTS, *LATCHED_OUTPUTS, *(out.topic for out in SWITCHED_OUTPUTS.values())})
+# Topics of single bodies that a bag holds. metadata.yaml has a kilobyte for each topic; its readers limit its size
+# (`bags.reader.MAX_METADATA_BYTES`); 250 people are there in some hours of a busy place.
+MAX_BODY_TOPICS = 500
 
 
 def list_switched_outputs(node: NodeConfig) -> dict[str, str]:
     """Return the message types of the further outputs that are switched on, by topic."""
     return {out.topic: out.type for field, out in SWITCHED_OUTPUTS.items() if getattr(node, field)}
+
+
+class RecordedBodies:
+    """The topics of single bodies that have got a place in a bag.
+
+    Attributes:
+        left_out_count: number of the outputs that had none.
+    """
+
+    def __init__(self) -> None:
+        self._topics: set[str] = set()
+        self.left_out_count = 0
+
+    def admit(self, topic: str) -> bool:
+        """Return whether an output with this relative topic name is recorded: all but those of too many bodies."""
+        if topic in _COMMON_TOPICS or topic in self._topics:
+            return True
+        if len(self._topics) >= MAX_BODY_TOPICS:
+            self.left_out_count += 1
+            return False
+        self._topics.add(topic)
+        return True
 
 
 class OutputEncoder:

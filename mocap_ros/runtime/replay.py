@@ -8,16 +8,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
+
+from rosbags.rosbag2.metadata import dump_qos_v9
 
 from mocap_ros.bags.journal import RESET, Journal, Verdict, read_run
 from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import Recorder, choose_partial_path
+from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.bags.topics import (
     TRANSFORM_SOURCES,
     Source,
     find_people_topics,
     find_people_type,
     find_transform_topics,
+    make_repeat_key,
 )
 from mocap_ros.config import Config, Value, current_names, values, with_values
 from mocap_ros.errors import ConfigError, InputError, RecordingError
@@ -25,7 +30,7 @@ from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.models.model_file import AUTO, PRIORS, list_shipped_base_poses
 from mocap_ros.runtime.appearances import Appearance, AppearanceLog
-from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, LATCHED_TYPES, build_skeleton_definition
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, LATCHED_TYPES, RecordedBodies, build_skeleton_definition
 from mocap_ros.runtime.parts import Part
 from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult, leave_out_numbers
 from mocap_ros.runtime.provenance import provenance_attachments
@@ -150,6 +155,7 @@ class _Replay:
         self._journal = Journal(JOURNAL_TOPIC)
         settings = self._pipeline.config.tracker
         self._appearances = AppearanceLog(settings.forget_all_after, settings.forget_after)
+        self._bodies = RecordedBodies()
         self._first_rejection = ''
         self._remarks: dict[str, str] = {}  # by what is left of them without numbers
         self._tracebacks: dict[str, str] = {}  # by what identifies the error, in order of occurrence
@@ -215,8 +221,17 @@ class _Replay:
         """Write an input, its journal entry and its outputs."""
         now_ns, verdict, reason = message.time_ns, result.verdict, result.reason
         times_ns = (now_ns, now_ns)
+        if message.topic not in self._recorder.topics:
+            self._add_input_topic(message)
+        source = self._inputs[message.topic] if verdict is Verdict.ACCEPTED else None
         for record in self._journal.make_input_records(
-            message.topic, message.type, message.raw, times_ns, verdict, reason
+            message.topic,
+            message.type,
+            message.raw,
+            times_ns,
+            verdict,
+            reason,
+            make_repeat_key(source, message.raw),
         ):
             self._recorder.write(*record)
         for output in result.outputs:
@@ -231,7 +246,18 @@ class _Replay:
         if result.error_traceback:
             self._tracebacks.setdefault(reason, result.error_traceback)
 
+    def _add_input_topic(self, message: BagMessage) -> None:
+        """Add the topic of an input with its QoS, so that it is played to the same subscribers, and repeated."""
+        topic, profiles = message.topic, self._bag.qos[message.topic]
+        is_static = self._inputs[topic] is Source.STATIC_TRANSFORMS
+        if is_static and topic not in self._bag.latched_topics:  # replays of version 0.1 did not hold the QoS
+            profiles = []
+        qos: Any = dump_qos_v9(profiles)
+        self._recorder.add_topic(make_topic(topic, message.type, latched=is_static, qos=qos))
+
     def _write(self, output: OutputMessage, now_ns: int) -> None:
+        if not self._bodies.admit(output.topic):
+            return
         topic = '/' + output.topic.lstrip('/')
         if output.type in LATCHED_TYPES:
             self._recorder.declare_topic(topic, output.type, latched=True)

@@ -22,10 +22,12 @@ from mocap_ros.bags.mcap_layout import MAGIC
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder, choose_bag_folder
 from mocap_ros.bags.recovery import recover
+from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION, SKELETONS
+from mocap_ros.units import NS_PER_S
 from tests.support.bag_writing import DEFINITION, FRAMES, START_NS, STEP_NS, make_keypoints, record_keypoints
 from tests.support.paths import ROOT
 
@@ -258,6 +260,42 @@ def test_a_topic_has_one_type_that_is_known(tmp_path: Path) -> None:
             recorder.write('/keypoints', SKELETONS, b'', 0, 0)
         with pytest.raises(RecordingError, match='no_msgs/msg/No is not known'):
             recorder.write('/other', 'no_msgs/msg/No', b'', 0, 0)
+
+
+def test_the_first_description_of_a_topic_holds(tmp_path: Path) -> None:
+    """A bag whose topic has two descriptions cannot be read."""
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)
+        recorder.add_topic(make_topic('/keypoints', KEYPOINTS, latched=True))
+        recorder.write('/keypoints', KEYPOINTS, make_keypoints(1), START_NS + 1, START_NS)
+        with pytest.raises(RecordingError, match='topic /keypoints has the type'):
+            recorder.add_topic(make_topic('/keypoints', SKELETONS))
+    with Bag(tmp_path / 'bag') as bag:
+        assert [m.raw for m in bag.messages(['/keypoints'])] == [make_keypoints(0), make_keypoints(1)]
+        assert not bag.latched_topics
+
+
+def test_a_further_file_repeats_the_newest_latched_messages_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('mocap_ros.bags.recorder.MAX_REPEATED', 3)
+    with Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=1.0)) as recorder:
+        recorder.declare_topic('/latched', SKELETON_DEFINITION, latched=True)
+        for key in 'abcdb':
+            recorder.write('/latched', SKELETON_DEFINITION, key.encode(), START_NS, START_NS, key)
+        recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS + 2 * NS_PER_S, START_NS)
+    with Bag(tmp_path / 'bag' / 'bag_1.mcap') as bag:
+        assert [m.raw for m in bag.messages(['/latched'])] == [b'c', b'd', b'b']
+
+
+def test_equal_qos_profiles_of_many_publishers_are_held_once(tmp_path: Path) -> None:
+    """Fifty of them would be more text than readers accept."""
+    one, other = make_topic('/tf', SKELETONS).qos[0], make_topic('/tf', SKELETONS, latched=True).qos[0]
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        recorder.add_topic(make_topic('/tf', SKELETONS, qos=[one] * 60 + [other, one]))
+        recorder.write('/tf', SKELETONS, b'', START_NS, START_NS)
+    with Bag(tmp_path / 'bag') as bag:
+        assert len(bag.qos['/tf']) == 2
 
 
 def test_bag_folders_are_named_by_time_and_unique(tmp_path: Path) -> None:

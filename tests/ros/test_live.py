@@ -26,6 +26,7 @@ from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header, OutputMessage, decode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
 from mocap_ros.messages.marker_writer import MARKERS
+from mocap_ros.messages.robots.bodies import BODIES
 from mocap_ros.messages.versions import VersionConverter
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.ros.live_recording import LiveRecording
@@ -350,6 +351,8 @@ def test_inputs_that_are_too_many_for_the_disk_are_counted_in_state_log_and_bag(
     missing = 8 - len(read_messages(bag, '/keypoints'))
     assert missing >= 4
     assert live.count_lines(f'is finished, but {missing} inputs are missing in it') == 1
+    with Bag(bag) as opened:
+        assert read_run(opened).lost_count == missing
     assert_replay_gives_the_same(bag, tmp_path / 'again')
 
 
@@ -384,6 +387,63 @@ def test_the_models_of_single_bodies_are_latched_in_a_recording(tmp_path: Path, 
         models = {topic for topic in opened.topics if topic.endswith('/urdf')}
         assert models
         assert opened.latched_topics == {*models, '/skeleton_definition'}
+
+
+def test_only_so_many_single_bodies_are_recorded_and_the_log_says_which_are_not(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('mocap_ros.runtime.outputs.MAX_BODY_TOPICS', 1)
+    live = CollectingRun(recording_to(tmp_path / 'live', **{'node.publish_bodies': True}))
+    live.enqueue(*stream[:8])
+    live.wait_for_frames(8)
+    live.run.stop()
+    published = {o.topic for o in live.published if o.topic.startswith(BODIES)}
+    assert len(published) == 3
+    assert live.count_lines('further bodies are published but not recorded') == 1
+    (bag,) = (tmp_path / 'live').iterdir()
+    with Bag(bag) as opened:
+        assert len(opened.topics.keys() & published) == 2  # the list of the bodies and one of the two topics
+
+
+def test_the_limits_of_a_recording_may_be_changed_while_it_runs(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk_is_ready = block_disk(monkeypatch)
+    config = recording_to(tmp_path / 'live', **{'recorder.backlog': 1, 'node.queue': FRAMES})
+    live = CollectingRun(config)
+    live.enqueue(*stream[:4])
+    live.wait_for_frames(4)
+    live.wait_for_lines('processed but not recorded')
+    live.run.reconfigure(with_values(config, {'recorder.backlog': 100}))
+    live.enqueue(*stream[4:8])
+    live.wait_for_frames(8)
+    disk_is_ready.set()
+    (bag,) = (tmp_path / 'live').iterdir()
+    no_disk = 1_000_000  # MB that no disk here has left
+    live.run.reconfigure(with_values(config, {'recorder.min_free_mb': no_disk}))
+    live.wait_for_lines(f'less than recorder.min_free_mb ({no_disk})')
+    live.run.stop()
+    assert read_messages(bag, '/keypoints')[-4:] == stream[4:8]
+
+
+def test_what_the_middleware_refuses_is_recorded_and_stops_nothing_else(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = CollectingRun(recording_to(tmp_path / 'live'))
+
+    def publish(output: OutputMessage) -> None:
+        if output.topic == 'skeletons':
+            raise RuntimeError('not allowed')
+        live.published.append(output)
+
+    monkeypatch.setattr(live.run, '_publish', publish)
+    live.enqueue(*stream[:3])
+    wait_until(lambda: sum(o.topic == 'points' for o in live.published) == 3)
+    live.run.stop()
+    assert live.count_lines('skeletons: Traceback') == live.count_lines('RuntimeError: not allowed') == 1
+    (bag,) = (tmp_path / 'live').iterdir()
+    assert len(read_messages(bag, '/skeletons')) == 3
+    assert read_messages(bag, '/keypoints') == stream[:3]
 
 
 def test_a_topic_keeps_its_qos_when_an_input_was_too_many_for_the_disk(
@@ -480,17 +540,15 @@ def test_an_internal_error_outside_the_tracker_does_not_end_the_run(
     stream: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live = CollectingRun(FAST_CONFIG)
-    publish = live.published.append
 
-    def fail_once(_: OutputMessage) -> None:
-        monkeypatch.setattr(live.run, '_publish', publish)
-        raise RuntimeError('no middleware')
+    def fail(_: str) -> None:
+        raise RuntimeError('no log')
 
-    monkeypatch.setattr(live.run, '_publish', fail_once)
+    monkeypatch.setattr(live.run, '_note_accepted', fail)
     live.enqueue(*stream[:3])
-    live.wait_for_frames(2)
+    live.wait_for_frames(3)
     live.run.stop()
-    assert sum('RuntimeError: no middleware' in line for line in live.log.lines) == 1
+    assert live.count_lines('RuntimeError: no log') == 1
 
 
 def test_a_recording_that_cannot_be_finished_is_reported_as_a_failure(

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from mocap_ros.config import Config
+from mocap_ros.config import Config, with_values
 from mocap_ros.messages.cdr import Header, OutputMessage
 from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
 from mocap_ros.messages.robots.bodies import BODIES, JOINT_STATES, TRACKED, encode_tracked
@@ -18,7 +18,7 @@ from mocap_ros.ros.subscriptions import InputSubscriptions
 
 HEADER = Header(1, 'camera')
 # Ids that cannot be part of a topic's name: ROS raises an exception for them.
-NO_NAMES = ['7', 'a b', 'a/b', 'a__b', '', '~', 'é', 'b1\n']
+NO_NAMES = ['7', 'a b', 'a/b', 'a__b', '', '~', 'é', 'b1\n', 'b' * 222]
 
 
 class NodeWithTopics:
@@ -75,9 +75,9 @@ def node(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_bodies_are_followed_unless_their_ids_are_no_names(node: Any) -> None:
-    versions, limits = cast(Any, SameVersions()), Config().node
+    versions, limits = cast(Any, SameVersions()), with_values(Config(), {'node.max_text': 1000}).node
     inputs = InputSubscriptions(node, HRI_SKELETON, versions, lambda: limits, cast(Any, None))
-    for ids in (['b1', *NO_NAMES], ['b1', 'B_2'], ['B_2', 'B_2'], NO_NAMES):
+    for ids in (['b1', *NO_NAMES], ['b1', 'b' * 221], ['b1', 'B_2'], ['B_2', 'B_2'], NO_NAMES):
         inputs._follow_bodies(encode_tracked(HEADER, ids))
         assert node.topics == {f'/humans/bodies/{i}/skeleton2d' for i in ids if i not in NO_NAMES}
     inputs._follow_bodies(encode_tracked(HEADER, ['b1']))

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.bags.journal import Journal, Verdict
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
+from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.bags.topics import Source
 from mocap_ros.config import RecorderConfig, values, with_values
 from mocap_ros.errors import ConfigError
@@ -257,56 +258,85 @@ def test_a_replay_tells_once_what_the_node_remarks(
     assert remark.endswith('so people are put out in the frame of the camera')
 
 
+class LiveRobot:
+    """A live run of a robot that publishes people on the topic on which its own transforms come.
+
+    Args:
+        folder: folder of the recordings.
+        offered: QoS profiles that the publishers of every topic offer.
+        changes: values of parameters by name.
+    """
+
+    def __init__(self, folder: Path, *offered: Any, **changes: object) -> None:
+        from mocap_ros.ros.live import LiveRun
+        from tests.support.line_log import LineLog
+
+        config = with_values(MAP_CONFIG, {'node.publish_tf': True, 'node.queue': 3, **changes})
+        config = replace(config, recorder=replace(config.recorder, folder=str(folder)))
+        sources = (s.value for s in Source)
+        names = {name: '/' + name.lstrip('/') for name in (*OUTPUTS, *sources, 'skeleton_definition')}
+        names['journal'] = '/mocap_node/journal'
+        types = dict.fromkeys((Source.TRANSFORMS, Source.STATIC_TRANSFORMS), TRANSFORMS)
+        types |= {Source.KEYPOINTS: KEYPOINTS, Source.CAMERA_INFO: CAMERA_INFO}
+        self.skeletons: list[bytes] = []
+        self.run = LiveRun(Pipeline(config), types, names, self._publish, LineLog(), lambda _: offered)
+        self.run.start()
+
+    def _publish(self, output: Any) -> None:
+        if output.topic == 'skeletons':
+            self.skeletons.append(output.data)
+
+    def wait_for(self, count: int) -> None:
+        deadline = time.monotonic() + 60
+        while len(self.skeletons) < count:
+            assert time.monotonic() < deadline
+            time.sleep(0.002)
+
+
 def test_a_live_run_and_its_replay_agree_also_where_people_are_on_tf(
     tmp_path: Path, stream: list[bytes], in_camera: list[Any]
 ) -> None:
     pytest.importorskip('rclpy')
-    from mocap_ros.ros.live import LiveRun
-    from tests.support.line_log import LineLog
-
-    config = replace(
-        with_values(MAP_CONFIG, {'node.publish_tf': True, 'node.queue': 3}),
-        recorder=replace(MAP_CONFIG.recorder, folder=str(tmp_path / 'bags')),
-    )
-    names = {
-        name: '/' + name.lstrip('/') for name in (*OUTPUTS, *(s.value for s in Source), 'skeleton_definition')
-    }
-    names['journal'] = '/mocap_node/journal'
-    types = dict.fromkeys((Source.TRANSFORMS, Source.STATIC_TRANSFORMS), TRANSFORMS)
-    types |= {Source.KEYPOINTS: KEYPOINTS, Source.CAMERA_INFO: CAMERA_INFO}
-    published: list[Any] = []
-    run = LiveRun(Pipeline(config), types, names, published.append, LineLog())
-    run.start()
+    robot = LiveRobot(tmp_path / 'bags')
+    run = robot.run
     run.enqueue(Source.CAMERA_INFO, camera_info(), 5)
     run.enqueue(Source.STATIC_TRANSFORMS, static_transforms(), 5)
     run.enqueue(Source.TRANSFORMS, robot_at(0), 5)
-
-    def wait_for(count: int) -> None:
-        deadline = time.monotonic() + 60
-        while sum(o.topic == 'skeletons' for o in published) < count:
-            assert time.monotonic() < deadline
-            time.sleep(0.002)
-
     for i, (raw, own) in enumerate(zip(stream, in_camera, strict=True)):
         if i == 4:
             run.start_recording()  # the transforms that are known come first in the bag
         for later_ns in range(0, STEP_NS, STEP_NS // 8):  # more messages than the queue may hold of people
             run.enqueue(Source.TRANSFORMS, robot_at(stamp_of(own) + later_ns), 5)
         run.enqueue(Source.KEYPOINTS, raw, 5)
-        wait_for(i + 1)
+        robot.wait_for(i + 1)
     run.stop()
-    skeletons = [o.data for o in published if o.topic == 'skeletons']
-    assert len(skeletons) == FRAMES
+    assert len(robot.skeletons) == FRAMES
     (folder,) = (tmp_path / 'bags').iterdir()
     with Bag(folder) as bag:
         result = replay(bag, tmp_path / 'again')
     assert (result.counters.accepted, result.unrecorded_inputs) == (FRAMES - 4, 0)
-    live = [stack(decode(raw, SKELETONS)) for raw in skeletons[4:]]
+    live = [stack(decode(raw, SKELETONS)) for raw in robot.skeletons[4:]]
     np.testing.assert_allclose(read_joints(tmp_path / 'again'), live, atol=1e-9)
     moved = [
         j[0].mean(axis=0)[0] - o[0].mean(axis=0)[2] for j, o in zip(live, map(stack, in_camera[4:]), strict=True)
     ]
     assert moved[-1] - moved[0] == pytest.approx(SPEED_M_S * 7 * STEP_NS / SECOND_NS, abs=0.3)
+
+
+def test_people_on_tf_before_the_first_transform_of_the_robot(tmp_path: Path, stream: list[bytes]) -> None:
+    """The topic is in the bag once, though its publishers offer another QoS than the node's own messages have."""
+    pytest.importorskip('rclpy')
+    offered = {**make_topic('/tf', TRANSFORMS).qos[0], 'depth': 100}
+    robot = LiveRobot(tmp_path / 'bags', offered, **{'recorder.enabled': True})
+    for i, raw in enumerate(stream):
+        robot.run.enqueue(Source.KEYPOINTS, raw, 5)
+        robot.wait_for(i + 1)
+        robot.run.enqueue(Source.TRANSFORMS, robot_at(i * STEP_NS), 5)
+    robot.run.stop()
+    (folder,) = (tmp_path / 'bags').iterdir()
+    with Bag(folder) as bag:
+        assert len([*bag.messages(['/tf'])]) == 2 * FRAMES
+        assert replay(bag, tmp_path / 'again').counters.accepted == FRAMES
 
 
 def test_a_replay_with_other_parameters_knows_the_people_of_the_recorded_run_on_tf(

@@ -31,6 +31,7 @@ from mocap_ros.bags.journal import (
 )
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
+from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.cli.main import main
 from mocap_ros.config import Config, RecorderConfig, Value, values, with_values
 from mocap_ros.errors import ConfigError, InputError, RecordingError
@@ -38,11 +39,13 @@ from mocap_ros.messages import cdr
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import create_message, decode, encode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.camera_infos import camera_info
 from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import FAST_CONFIG, FAST_VALUES, encode_demo_frames, with_stamp
+from tests.support.transforms import make_transforms
 
 OPTIONS = ReplayOptions(FAST_CONFIG)
 FAST_ARGUMENTS = [word for name, value in FAST_VALUES.items() for word in ('--set', f'{name}={value}')]
@@ -383,6 +386,33 @@ def test_the_models_of_single_bodies_are_latched_in_a_bag(stream: list[bytes], t
         models = {topic for topic in bag.topics if topic.endswith('/urdf')}
         assert models
         assert bag.latched_topics == {*models, '/skeleton_definition'}
+
+
+def test_inputs_keep_their_qos_in_a_replay(stream: list[bytes], tmp_path: Path) -> None:
+    """A player then offers it; static transforms are kept for late subscribers, whatever the bag says."""
+    transforms = make_transforms(('map', 'camera', 0, (0, 0, 1)))
+    best_effort = {**make_topic('/keypoints', KEYPOINTS).qos[0], 'reliability': 'best_effort', 'depth': 5}
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        recorder.add_topic(make_topic('/keypoints', KEYPOINTS, qos=[best_effort]))
+        recorder.declare_topic('/camera_info', CAMERA_INFO, latched=True)
+        recorder.write('/camera_info', CAMERA_INFO, camera_info(), START_NS, START_NS)
+        recorder.write('/tf_static', TRANSFORMS, transforms, START_NS, START_NS)
+        for i, raw in enumerate(stream[:4]):
+            recorder.write('/keypoints', KEYPOINTS, raw, START_NS + i, START_NS)
+    config = with_values(FAST_CONFIG, {'node.output_frame': 'map'})
+    with Bag(tmp_path / 'bag') as bag:
+        replay(bag, tmp_path / 'out', ReplayOptions(config))
+        recorded = bag.qos
+    with Bag(tmp_path / 'out') as bag:
+        assert bag.latched_topics == {'/camera_info', '/tf_static', '/skeleton_definition'}
+        assert all(bag.qos[topic] == recorded[topic] for topic in ('/keypoints', '/camera_info'))
+        replay(bag, tmp_path / 'again')
+    assert read_all(tmp_path / 'again') == read_all(tmp_path / 'out')
+
+
+def read_all(path: Path) -> list[tuple[str, int, bytes]]:
+    with Bag(path) as bag:
+        return [(m.topic, m.time_ns, m.raw) for m in bag.messages(bag.topics)]
 
 
 def test_internal_errors_cost_their_frame_and_are_told_once(

@@ -1,0 +1,50 @@
+"""`qos_overrides` parameters change the QoS of one subscription."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+pytest.importorskip('rclpy')
+pytest.importorskip('mocap_ros_msgs')
+
+from mocap_ros.config import Config
+from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.ros.message_types import MessageVersions
+from tests.support.ros_node import Peer
+
+pytestmark = pytest.mark.ros
+
+
+def test_an_override_holds_for_its_topic_alone(peer: Peer) -> None:
+    import rclpy
+    from rclpy.parameter import Parameter
+    from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
+    from mocap_ros.ros.qos import QosWarnings
+    from mocap_ros.ros.subscriptions import InputSubscriptions
+
+    overrides = {
+        'keypoints.subscription.reliability': 'reliable',
+        'camera_info.subscription.durability': 'transient_local',
+    }
+    node = rclpy.create_node(
+        'listener',
+        context=peer.context,
+        parameter_overrides=[Parameter(f'qos_overrides./{name}', value=v) for name, v in overrides.items()],
+    )
+    inputs = InputSubscriptions(node, KEYPOINTS, MessageVersions(), lambda: Config().node, QosWarnings(node))
+    inputs.subscribe(lambda *_: None, lambda _: None)
+
+    def find_profiles() -> dict[str, tuple[Any, Any]]:
+        found = {topic: peer.node.get_subscriptions_info_by_topic(topic) for topic in inputs.topics}
+        profiles = {t: s.qos_profile for t, infos in found.items() for s in infos if s.node_name == 'listener'}
+        return {topic: (p.reliability, p.durability) for topic, p in profiles.items()}
+
+    peer.wait_until(lambda: len(find_profiles()) == 2)
+    assert find_profiles() == {
+        '/keypoints': (ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE),
+        '/camera_info': (ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.TRANSIENT_LOCAL),
+    }
+    node.destroy_node()
