@@ -299,7 +299,7 @@ def associate_keypoints(
         return [None] * len(detected)
     gates = [BASE_GATE + UNPREDICTED_GATE_GROWTH_PER_S * age_s for age_s in ages_s]
     cost = np.array([[compute_keypoint_distance(k, d) for k in known] for d in detected]) / gates
-    return choose_pairs(cost, cost < 1)
+    return choose_pairs(np.minimum(cost, 1.0), cost < 1)  # nobody costs the same, however far away
 
 
 def compute_keypoint_distance(a: Person2D, b: Person2D) -> float:

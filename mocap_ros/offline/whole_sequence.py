@@ -316,6 +316,8 @@ def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig
     """
     if len(models) > 1:
         choice = choose_category(window, models, config)
+        if config.method == 'alternation':  # the choice compares joint solutions
+            return choice.category, alternation.reconstruct(window, models[choice.category], config)
         return choice.category, choice.reconstruction
     ((name, model),) = models.items()
     if config.method == 'alternation':

@@ -171,8 +171,10 @@ class _Matcher:
             has_new_id[:, None] & has_steady_id & ~is_tentative, self.new_id_gates[free_p], self.gates[free_p]
         )
         is_permitted = (distances < gates) & self.has_size[free_d][:, free_p]
-        cost = np.where(is_permitted, distances, self.gates[free_p])
-        cost = cost + GATE_GROWTH_PER_S * age_s + TENTATIVE_COST * is_tentative
+        extra = GATE_GROWTH_PER_S * age_s + TENTATIVE_COST * is_tentative
+        # Nobody costs the same for everybody: otherwise a detection of somebody new would let the person who was lost
+        # for longest, whom nobody costs most, take the detection of another one.
+        cost = np.where(is_permitted, distances + extra, (self.gates[free_p] + extra).max())
         for d, index in zip(free_d, choose_pairs(cost, is_permitted), strict=True):
             if index is not None:
                 self.track_of[d] = free_p[index]

@@ -41,6 +41,7 @@ Array = NDArray[np.float64]
 
 EXTRAPOLATION_SHARE = 0.7  # no unit; share of the last step that is repeated; less than 1 to amplify less noise
 MAX_EXTRAPOLATION_STEPS = 2.0  # steps; limits the extrapolation after missing frames
+MAX_APPROACH = 0.5  # of the last depth, by which somebody comes nearer at most; the solver cannot leave the camera
 
 
 def build_solver_window(seen: SeenFrames, solution: TrackSolution, frames: NDArray[np.intp]) -> Window:
@@ -127,8 +128,10 @@ def _extrapolate_state(share: float, theta: Array, rotation: Array, roots: Array
         for j in range(3):
             for k in range(3):
                 new_rotation[i, j] += turn[i, k] * last[k, j]
-    new_theta, new_root = theta[-1] + share * (theta[-1] - theta[0]), roots[-1] + share * (roots[-1] - roots[0])
-    return new_theta, new_rotation, new_root
+    moved, root_share = roots[-1] - roots[0], share
+    if share * moved[2] < -MAX_APPROACH * roots[-1, 2]:  # at few frames a second somebody may seem to pass the camera
+        root_share = -MAX_APPROACH * roots[-1, 2] / moved[2]
+    return theta[-1] + share * (theta[-1] - theta[0]), new_rotation, roots[-1] + root_share * moved
 
 
 @kernel(types.Tuple((FLOATS_2D, FLOATS_3D, FLOATS_2D))(INPUT_2D, INPUT_3D, INPUT_2D, INT, FLOAT))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -188,6 +189,18 @@ def test_a_person_who_is_gone_does_not_push_others_to_wrong_people() -> None:
     """Both detections are within reach of other people, but the first is where the second person was."""
     known = [make_person(0), make_person(25)]
     assert associate_keypoints(known, [0.0, 0.0], [make_person(25), make_person(25, y=25)]) == [1, None]
+
+
+def test_far_people_do_not_push_others_to_wrong_people() -> None:
+    """Distances count in sizes of the larger person, so the large one is cheap for everybody far away."""
+    small, large = (make_person(0).points * factor for factor in (0.1, 1.0))
+
+    def place(points: np.ndarray, x: float) -> Person2D:
+        return replace(make_person(0), points=points + [x, 0])
+
+    known = [place(large, 0), place(small, 500)]
+    detected = [place(small, -500), place(large, 3)]
+    assert associate_keypoints(known, [0.1, 0.1], detected) == [None, 0]
 
 
 def test_the_gate_of_keypoints_widens_with_the_time_since_a_person_was_seen() -> None:

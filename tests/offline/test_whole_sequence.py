@@ -30,6 +30,13 @@ def test_the_most_probable_of_several_models_is_used() -> None:
     alone = reconstruct_sequence(keypoints, CMU15.joints, times, CAMERA, models['walk'], CONFIG)
     assert (alone.joints == several.joints).all()
     assert alone.core[..., 2].mean() > 1
+    alternating = with_values(CONFIG, {'solver.method': 'alternation'})
+    one, other = (
+        reconstruct_sequence(keypoints, CMU15.joints, times, CAMERA, m, alternating).joints
+        for m in (models, models['walk'])
+    )
+    assert (one == other).all()
+    assert not np.allclose(one, several.joints, atol=1e-6)
 
 
 def test_swapped_frames_are_undone() -> None:

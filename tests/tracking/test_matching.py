@@ -174,6 +174,19 @@ def test_a_person_who_is_gone_does_not_push_others(points: Array) -> None:
     assert match_detections(NEXT_NS, (ann, bob), detections).tracks == (bob, None)
 
 
+def test_somebody_new_does_not_make_people_change_their_names(points: Array) -> None:
+    """Bob was lost 0.9 s ago, within his reach of where ann is; ghost is not sure to be somebody, and nearer."""
+    now_ns = 28 * STEP_NS
+    ann, bob = make_known(points, 'ann'), make_known(points + [90, 0], 'bob')
+    ann = replace(ann, seen=replace(ann.seen, stamps_ns=(now_ns - STEP_NS,)))
+    ghost = replace(ann, id='ghost', is_tentative=True)
+    nearly, somebody_else = make_detection(points + [4, 0]), make_detection(points + [3000, 0])
+    for tracks in ((ann, bob), (bob, ann), (ann, ghost)):
+        for detections in ([nearly], [nearly, somebody_else], [somebody_else, nearly]):
+            found = match_detections(now_ns, tracks, detections).tracks
+            assert found == tuple(ann if d is nearly else None for d in detections)
+
+
 def test_nobody_known_and_nobody_seen(points: Array) -> None:
     assert match_detections(NEXT_NS, (), [make_detection(points)]).tracks == (None,)
     assert match_detections(NEXT_NS, (make_known(points, 'ann'),), []).tracks == ()

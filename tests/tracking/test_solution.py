@@ -18,6 +18,7 @@ from mocap_ros.tracking.seen_frames import SeenFrames
 from mocap_ros.tracking.solution import TrackSolution
 from mocap_ros.tracking.solver_input import (
     EXTRAPOLATION_SHARE,
+    MAX_APPROACH,
     MAX_EXTRAPOLATION_STEPS,
     append_prediction,
     build_refinement_window,
@@ -280,6 +281,19 @@ def test_the_movement_is_repeated_for_a_limited_time(truth: TrackSolution, model
         assert root == pytest.approx(truth.roots[-2] + share * np.array([0.02, 0.01, 0.05]), abs=1e-8)
         turned = Rotation.from_matrix(rotation @ truth.rotation[-2].T).as_rotvec()
         assert turned == pytest.approx(share * np.array([0.01, 0.04, 0.0]), abs=1e-8)
+
+
+def test_nobody_is_expected_behind_the_camera(truth: TrackSolution, track: Track) -> None:
+    """At a few frames a second somebody who comes towards the camera and stops would be."""
+    before, last = np.array([0.3, 0.1, 2.0]), np.array([0.1, 0.1, 0.8])
+    first = replace(
+        truth,
+        **{n: getattr(truth, n)[:2] for n in ('theta', 'rotation', 'bone_lengths')},
+        roots=np.stack([before, last]),
+    )
+    _, _, root = predict(replace(track.seen, stamps_ns=(0, STEP_NS, 2 * STEP_NS)), first)
+    assert root[2] == pytest.approx((1 - MAX_APPROACH) * last[2])
+    assert root - last == pytest.approx((last - before) / 3)
 
 
 def test_after_a_single_solved_frame_the_person_stays(truth: TrackSolution, track: Track) -> None:
