@@ -83,7 +83,10 @@ class Bag:
         self._raise_fault(_find_fault(self.path))
         metadata = self.path / METADATA
         if metadata.is_file() and metadata.stat().st_size > MAX_METADATA_BYTES:
-            raise InputError(f'{metadata}: larger than {MAX_METADATA_BYTES >> 20} MiB')
+            raise InputError(
+                f'{metadata}: larger than {MAX_METADATA_BYTES >> 20} MiB, as the bag has too many topics; '
+                'its files can be read one by one'
+            )
         try:
             self._reader: Any = Ros1Reader(self.path) if self._is_ros1 else Ros2Reader(self.path)
             self._reader.open()

@@ -78,19 +78,24 @@ def find_latched_inputs(bag: Bag) -> set[str]:
 
 
 def find_transform_topics(bag: Bag, node: NodeConfig, recorded: AbstractSet[str]) -> dict[str, Source]:
-    """Return the sources of the topics of transforms in a bag that are inputs; their names end as in ROS.
+    """Return the sources of the topics of transforms in a bag that are inputs.
+
+    Their names end as in ROS, but for inputs of a recorded run, which may have been remapped.
 
     Args:
         bag: Bag to search.
         node: Parameters, which say whether transforms are needed.
         recorded: Topics that were inputs of the recorded run, which counted their messages.
     """
-    return {
-        topic: source
-        for topic in bag.topics_of_type([TRANSFORMS])
-        for source in TRANSFORM_SOURCES
-        if topic.endswith(source.value) and (reads_transforms(node) or topic in recorded)
-    }
+    found = {}
+    for topic in bag.topics_of_type([TRANSFORMS]):
+        source = next((s for s in TRANSFORM_SOURCES if topic.endswith(s.value)), None)
+        if topic in recorded:
+            is_static = topic in bag.latched_topics
+            found[topic] = source or (Source.STATIC_TRANSFORMS if is_static else Source.TRANSFORMS)
+        elif source is not None and reads_transforms(node):
+            found[topic] = source
+    return found
 
 
 def make_repeat_key(source: Source | None, raw: bytes) -> str:

@@ -260,9 +260,11 @@ class LiveRun:
 
     def _process(self, message: ReceivedMessage) -> None:
         start = time.monotonic()
-        self._publish_result(message, self._feed(message))
+        result = self._feed(message)
+        self._publish_result(message, result)
         if message.source in PEOPLE_SOURCES:
-            self.statistics.record_solve(time.monotonic() - start)
+            if result.outputs:  # of the messages of an image one alone has them
+                self.statistics.record_solve(time.monotonic() - start)
             if error_traceback := self._pipeline.run_deferred_work():
                 self._log_traceback(error_traceback)
 

@@ -108,9 +108,10 @@ class LiveRecording:
         self._stalled_s = 0.0
         self._bodies = RecordedBodies()
         first_records = self._make_first_records(pipeline, start_ns)
-        self._recorder = start_recorder(start_ns, config.recorder, attachments, self._versions.definitions)
-        self._put(first_records)
-        return self._recorder.folder
+        recorder = start_recorder(start_ns, config.recorder, attachments, self._versions.definitions)
+        recorder.put(first_records, even_if_full=True)
+        self._recorder = recorder
+        return recorder.folder
 
     def detach(self) -> BackgroundRecorder | None:
         """End the recording and return its recorder, which is to be passed to `finish`; None if there is none."""

@@ -114,7 +114,7 @@ class Player:
         for index, topic in enumerate(self._playback.topics):
             message_class = self._find_class(topic)
             if message_class is not None:
-                profile = choose_playback_profile(topic.qos)
+                profile = choose_playback_profile(topic.qos, topic.type)
                 self._publishers[index] = node.create_publisher(message_class, topic.name, profile)
         if not self._publishers:
             raise MocapError(f'nothing to play: {self.skipped_topics[0] if self.skipped_topics else "no topics"}')

@@ -17,6 +17,8 @@ from rclpy.qos import (
 )
 from rosbags.interfaces import Qos
 
+from mocap_ros.messages.transforms import TRANSFORMS
+
 QUEUE_DEPTH = 10  # messages; the default of ROS 2; waiting messages are queued in the node, not in the middleware
 # Messages of an input that may wait in the middleware while the thread that takes them has no turn: 0.25 s at
 # 200 Hz, the greatest delay that this adds. The node takes all at once, and counts those that did not fit.
@@ -71,22 +73,26 @@ def profile_to_rosbag2(profile: QoSProfile) -> dict[str, Any]:
     }
 
 
-def choose_playback_profile(recorded: Sequence[Qos]) -> QoSProfile:
+def choose_playback_profile(recorded: Sequence[Qos], msgtype: str = '') -> QoSProfile:
     """Return a profile for publishing recorded messages again.
 
     The profile has the reliability and the durability of the recorded publishers if these agree. Otherwise, and if
     nothing is recorded, it is reliable and volatile, which every subscriber accepts that does not ask for
-    transient-local durability.
+    transient-local durability. Static transforms are all kept for late subscribers, as they came from several
+    publishers, each of which kept its own.
 
     Args:
         recorded: Profiles that the publishers offered while the bag was recorded.
+        msgtype: Type of the messages.
     """
     reliability = {q.reliability.name for q in recorded}
     durability = {q.durability.name for q in recorded}
     is_latched = durability == {DurabilityPolicy.TRANSIENT_LOCAL.name}
     is_best_effort = reliability == {ReliabilityPolicy.BEST_EFFORT.name}
     return QoSProfile(
-        depth=max(1, *(q.depth for q in recorded)) if is_latched else PLAYBACK_QUEUE_DEPTH,
+        depth=max(1, *(q.depth for q in recorded))
+        if is_latched and msgtype != TRANSFORMS
+        else PLAYBACK_QUEUE_DEPTH,
         reliability=ReliabilityPolicy.BEST_EFFORT if is_best_effort else ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE,
     )

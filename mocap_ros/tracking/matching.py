@@ -172,8 +172,8 @@ class _Matcher:
         )
         is_permitted = (distances < gates) & self.has_size[free_d][:, free_p]
         extra = GATE_GROWTH_PER_S * age_s + TENTATIVE_COST * is_tentative
-        # Nobody costs the same for everybody: otherwise a detection of somebody new would let the person who was lost
-        # for longest, whom nobody costs most, take the detection of another one.
+        # Nobody costs the same for everybody: otherwise a detection of somebody new would let the person who was
+        # lost for longest, whom nobody costs most, take the detection of another one.
         cost = np.where(is_permitted, distances + extra, (self.gates[free_p] + extra).max())
         for d, index in zip(free_d, choose_pairs(cost, is_permitted), strict=True):
             if index is not None:

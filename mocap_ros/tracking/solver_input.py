@@ -129,7 +129,8 @@ def _extrapolate_state(share: float, theta: Array, rotation: Array, roots: Array
             for k in range(3):
                 new_rotation[i, j] += turn[i, k] * last[k, j]
     moved, root_share = roots[-1] - roots[0], share
-    if share * moved[2] < -MAX_APPROACH * roots[-1, 2]:  # at few frames a second somebody may seem to pass the camera
+    # At few frames a second somebody may seem to pass the camera.
+    if share * moved[2] < -MAX_APPROACH * roots[-1, 2]:
         root_share = -MAX_APPROACH * roots[-1, 2] / moved[2]
     return theta[-1] + share * (theta[-1] - theta[0]), new_rotation, roots[-1] + root_share * moved
 

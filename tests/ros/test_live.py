@@ -14,6 +14,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from mocap_ros.bags.background import BackgroundRecorder
 from mocap_ros.bags.journal import JOURNAL, Verdict, read_run
 from mocap_ros.bags.mcap_file import McapFile
 from mocap_ros.bags.reader import Bag
@@ -486,6 +487,17 @@ def test_a_recording_that_cannot_start_is_logged_once_and_the_run_continues(
     assert error.endswith(
         'Not a directory; nothing is recorded: correct the cause, then set recorder.enabled again'
     )
+
+
+def test_a_recording_that_fails_at_once_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> bool:
+        raise RecordingError('the disk is full')
+
+    monkeypatch.setattr(BackgroundRecorder, 'put', fail)
+    recording = LiveRecording(NAMES, LineLog(), lambda _: (), MessageVersions())
+    with pytest.raises(RecordingError, match='the disk is full'):
+        recording.start(Pipeline(recording_to(tmp_path)), START_NS)
+    assert not recording.is_running
 
 
 def test_a_repeated_error_is_logged_the_1st_10th_and_100th_time(stream: list[bytes]) -> None:

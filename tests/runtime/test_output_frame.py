@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -264,10 +266,17 @@ class LiveRobot:
     Args:
         folder: folder of the recordings.
         offered: QoS profiles that the publishers of every topic offer.
+        remapped: other names of topics.
         changes: values of parameters by name.
     """
 
-    def __init__(self, folder: Path, *offered: Any, **changes: object) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        *offered: Any,
+        remapped: Mapping[str, str] = MappingProxyType({}),
+        changes: Mapping[str, object] = MappingProxyType({}),
+    ) -> None:
         from mocap_ros.ros.live import LiveRun
         from tests.support.line_log import LineLog
 
@@ -275,7 +284,7 @@ class LiveRobot:
         config = replace(config, recorder=replace(config.recorder, folder=str(folder)))
         sources = (s.value for s in Source)
         names = {name: '/' + name.lstrip('/') for name in (*OUTPUTS, *sources, 'skeleton_definition')}
-        names['journal'] = '/mocap_node/journal'
+        names = {**names, 'journal': '/mocap_node/journal', **remapped}
         types = dict.fromkeys((Source.TRANSFORMS, Source.STATIC_TRANSFORMS), TRANSFORMS)
         types |= {Source.KEYPOINTS: KEYPOINTS, Source.CAMERA_INFO: CAMERA_INFO}
         self.skeletons: list[bytes] = []
@@ -293,11 +302,12 @@ class LiveRobot:
             time.sleep(0.002)
 
 
+@pytest.mark.parametrize('remapped', [{}, {'/tf': '/robot/moving', '/tf_static': '/robot/fixed'}])
 def test_a_live_run_and_its_replay_agree_also_where_people_are_on_tf(
-    tmp_path: Path, stream: list[bytes], in_camera: list[Any]
+    tmp_path: Path, stream: list[bytes], in_camera: list[Any], remapped: dict[str, str]
 ) -> None:
     pytest.importorskip('rclpy')
-    robot = LiveRobot(tmp_path / 'bags')
+    robot = LiveRobot(tmp_path / 'bags', remapped=remapped)
     run = robot.run
     run.enqueue(Source.CAMERA_INFO, camera_info(), 5)
     run.enqueue(Source.STATIC_TRANSFORMS, static_transforms(), 5)
@@ -327,7 +337,7 @@ def test_people_on_tf_before_the_first_transform_of_the_robot(tmp_path: Path, st
     """The topic is in the bag once, though its publishers offer another QoS than the node's own messages have."""
     pytest.importorskip('rclpy')
     offered = {**make_topic('/tf', TRANSFORMS).qos[0], 'depth': 100}
-    robot = LiveRobot(tmp_path / 'bags', offered, **{'recorder.enabled': True})
+    robot = LiveRobot(tmp_path / 'bags', offered, changes={'recorder.enabled': True})
     for i, raw in enumerate(stream):
         robot.run.enqueue(Source.KEYPOINTS, raw, 5)
         robot.wait_for(i + 1)

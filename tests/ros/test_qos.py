@@ -1,4 +1,4 @@
-"""`qos_overrides` parameters change the QoS of one subscription."""
+"""QoS profiles: overrides by parameters, and the profiles with which bags are played."""
 
 from __future__ import annotations
 
@@ -9,14 +9,28 @@ import pytest
 pytest.importorskip('rclpy')
 pytest.importorskip('mocap_ros_msgs')
 
+from mocap_ros.bags.reader_limits import parse_qos
+from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.config import Config
 from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.message_types import MessageVersions
 from tests.support.ros_node import Peer
 
-pytestmark = pytest.mark.ros
+
+@pytest.mark.parametrize(('msgtype', 'kept'), [(KEYPOINTS, 3), (TRANSFORMS, 1000)])
+def test_late_subscribers_get_as_many_messages_of_a_bag_as_of_its_publishers(msgtype: str, kept: int) -> None:
+    """Each of the publishers of static transforms kept one."""
+    from rclpy.qos import DurabilityPolicy
+
+    from mocap_ros.ros.qos import choose_playback_profile
+
+    latched = {**make_topic('/topic', msgtype, latched=True).qos[0], 'depth': 3}
+    profile = choose_playback_profile(parse_qos([latched]), msgtype)
+    assert (profile.depth, profile.durability) == (kept, DurabilityPolicy.TRANSIENT_LOCAL)
 
 
+@pytest.mark.ros
 def test_an_override_holds_for_its_topic_alone(peer: Peer) -> None:
     import rclpy
     from rclpy.parameter import Parameter
