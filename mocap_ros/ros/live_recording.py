@@ -109,7 +109,12 @@ class LiveRecording:
         self._bodies = RecordedBodies()
         first_records = self._make_first_records(pipeline, start_ns)
         recorder = start_recorder(start_ns, config.recorder, attachments, self._versions.definitions)
-        recorder.put(first_records, even_if_full=True)
+        try:
+            recorder.put(first_records, even_if_full=True)
+        except RecordingError:
+            with suppress(RecordingError):  # the same one
+                recorder.close()
+            raise
         self._recorder = recorder
         return recorder.folder
 

@@ -6,6 +6,7 @@ input is closed and no more messages wait.
 
 import sys
 import threading
+import time
 
 import rclpy
 from rclpy.serialization import deserialize_message
@@ -31,8 +32,9 @@ node = rclpy.create_node('marker_listener')
 node.create_subscription(MarkerArray, 'markers', report, 1000, raw=True)
 stop = threading.Event()
 threading.Thread(target=stop_at_end_of_input, daemon=True).start()
-is_quiet = False
-while not is_quiet:
-    has_ended, count = stop.is_set(), len(received)
-    rclpy.spin_once(node, timeout_sec=QUIET_S if has_ended else 0.05)
-    is_quiet = has_ended and len(received) == count
+last = time.monotonic()
+while not stop.is_set() or time.monotonic() - last < QUIET_S:
+    count = len(received)
+    rclpy.spin_once(node, timeout_sec=0.05)
+    if not stop.is_set() or len(received) > count:
+        last = time.monotonic()
