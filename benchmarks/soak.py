@@ -3,7 +3,8 @@
 Three people are sent at the stamps of a camera of 30 Hz; the next image follows when the skeletons of the one
 before have come. People come and go, the detector restarts, time loops, parameters change, and recordings end,
 are counted and removed. Memory, threads and open files of the node, the latency, and images without an answer are
-drawn over the time of the stream.
+drawn over the time of the stream. A fixed calculation is timed beside the stream, so that a machine that becomes
+slower is told from a node that does: growth of times is also given in units of that calculation.
 """
 
 from __future__ import annotations
@@ -48,6 +49,8 @@ LOOP_S = 1310.0  # s of stream after which time starts again
 PARAMETERS_S = 430.0  # s of stream between two changes of parameters
 RECORDING_S = 1790.0  # s of stream of a recording
 SAMPLE_S = 20.0  # s of stream between two looks at the node's memory
+REFERENCE_ROUNDS = 60  # of the fixed calculation: about 3 ms
+REFERENCE_SAMPLES = 15  # samples whose median is the speed of the machine: 300 s of stream
 BIN_S = 300.0  # s of stream over which latencies are summed up
 ANSWER_S = 2.0  # s, after which an image is taken as lost
 SETTLED_S = 600.0  # s of stream after which memory should not grow
@@ -63,6 +66,7 @@ EVENTS = ('events: detector restarts', 'events: time loops', 'events: parameters
 TARGETS = {
     'memory_growth_percent': '2 or less',
     'p99_growth_percent': '10 or less',
+    'p99_growth_percent_in_units': '10 or less',
     'lost_images': '0',
     'threads_growth': '0',
     'open_files_growth': '0',
@@ -75,6 +79,7 @@ class Samples:
 
     Attributes:
         node: rows of time, memory in MB, threads, open files, and CPU time in s.
+        reference: time in ms of the fixed calculation, for each row of `node`.
         latencies: rows of time and latency in ms, of every answered image.
         lost: times of the images without an answer.
         bags: number of the recordings that were counted, and the messages that were missing in them.
@@ -82,6 +87,7 @@ class Samples:
     """
 
     node: list[tuple[float, float, int, int, float]] = field(default_factory=list)
+    reference: list[float] = field(default_factory=list)
     latencies: list[tuple[float, float]] = field(default_factory=list)
     lost: list[float] = field(default_factory=list)
     bags: int = 0
@@ -162,6 +168,16 @@ def measure_process(pid: int) -> tuple[float, int, int, float]:
     return read('VmRSS') / 1e3, read('Threads'), len(list(Path(f'/proc/{pid}/fd').iterdir())), cpu_s
 
 
+def time_reference() -> float:
+    """Return the time in ms of a fixed calculation: small matrices and Python's own work, as in the node."""
+    matrix = np.eye(45) + 1.0 / (1.0 + np.arange(45 * 45).reshape(45, 45))
+    begun_s = time.perf_counter()
+    for _ in range(REFERENCE_ROUNDS):
+        np.linalg.solve(matrix, matrix[:, :3])
+        sum(number * number for number in range(300))
+    return (time.perf_counter() - begun_s) * 1e3
+
+
 def call(peer: Peer, service_class: Any, name: str, **request: Any) -> Any:
     """Call a service of the node; return its answer, or None if there is none in time."""
     client: Any = peer.node.create_client(service_class, f'mocap_node/{name}')
@@ -233,6 +249,7 @@ class Soak:
         if now_s >= self._due['sample']:
             self._due['sample'] += SAMPLE_S
             self.samples.node.append((now_s, *measure_process(self._pid)))
+            self.samples.reference.append(min(time_reference() for _ in range(3)))
         if now_s >= self._due['detector']:
             self._due['detector'] += DETECTOR_RESTART_S
             self._restart_detector(now_s)
@@ -317,9 +334,12 @@ def summarise(samples: Samples, stream_s: float) -> dict[str, Any]:
     n = len(settled) // 3  # of the first and the last third
     memory_before, memory_after = np.median(early[:, 1]), np.median(last[:, 1])
     cpu_ms = compute_cpu_ms(settled)
-    first = latencies[latencies[:, 0] < HOUR_S, 1]
-    last_hour = latencies[latencies[:, 0] >= max(latencies[-1, 0] - HOUR_S, 0.0), 1]
-    p99_first, p99_last = np.percentile(first, 99), np.percentile(last_hour, 99)
+    reference = smooth(np.array(samples.reference))
+    cpu_in_units = cpu_ms / reference[-len(settled) :][1:]
+    in_units = latencies[:, 1] / np.interp(latencies[:, 0], node[:, 0], reference)
+    first, last_hour = latencies[:, 0] < HOUR_S, latencies[:, 0] >= max(latencies[-1, 0] - HOUR_S, 0.0)
+    p99_first, p99_last = (np.percentile(latencies[hour, 1], 99) for hour in (first, last_hour))
+    p99_first_in_units, p99_last_in_units = (np.percentile(in_units[hour], 99) for hour in (first, last_hour))
     return {
         'stream_hours': stream_s / HOUR_S,
         'images': len(samples.latencies) + len(samples.lost),
@@ -331,13 +351,27 @@ def summarise(samples: Samples, stream_s: float) -> dict[str, Any]:
         'threads_growth': int(last[:, 2].max() - early[:, 2].max()),
         'open_files_growth': int(last[:, 3].max() - early[:, 3].max()),
         'cpu_ms_image': float(np.median(cpu_ms)) if len(cpu_ms) else float('nan'),
-        'cpu_growth_percent': float(100 * (np.median(cpu_ms[-n:]) / np.median(cpu_ms[:n]) - 1)) if n else 0.0,
+        'cpu_growth_percent': compute_growth(cpu_ms[:n], cpu_ms[-n:]) if n else 0.0,
+        'cpu_growth_percent_in_units': compute_growth(cpu_in_units[:n], cpu_in_units[-n:]) if n else 0.0,
+        'reference_growth_percent': compute_growth(reference[:n], reference[-n:]) if n else 0.0,
         'p50_ms': float(np.percentile(latencies[:, 1], 50)),
         'p99_first_hour_ms': float(p99_first),
         'p99_last_hour_ms': float(p99_last),
         'p99_growth_percent': float(100 * (p99_last / p99_first - 1)),
+        'p99_growth_percent_in_units': float(100 * (p99_last_in_units / p99_first_in_units - 1)),
         **{f'events: {name}': count for name, count in samples.events.items()},
     }
+
+
+def compute_growth(before: Any, after: Any) -> float:
+    """Return by how many percent the median has grown."""
+    return float(100 * (np.median(after) / np.median(before) - 1))
+
+
+def smooth(times: Any) -> Any:
+    """Return the running median of times over `REFERENCE_SAMPLES`, fewer at both ends."""
+    half = REFERENCE_SAMPLES // 2
+    return np.array([np.median(times[max(0, n - half) : n + half + 1]) for n in range(len(times))])
 
 
 def compute_cpu_ms(node: Any) -> Any:
@@ -367,10 +401,20 @@ def describe(found: dict[str, float]) -> list[list[object]]:
             f'{found["cpu_ms_image"]:.1f} ms, {found["cpu_growth_percent"]:+.1f} %',
             None,
         ],
+        [
+            'the same growth of a fixed calculation beside it, and of the ratio',
+            f'{found["reference_growth_percent"]:+.1f} %, {found["cpu_growth_percent_in_units"]:+.1f} %',
+            None,
+        ],
         ['latency, median', f'{found["p50_ms"]:.1f} ms', None],
         [
             'latency, 99 %, and its growth from the first to the last hour',
             f'{found["p99_first_hour_ms"]:.0f} ms, {found["p99_growth_percent"]:+.0f} %',
+            '10 %',
+        ],
+        [
+            'the same growth in units of the fixed calculation',
+            f'{found["p99_growth_percent_in_units"]:+.0f} %',
             '10 %',
         ],
     ]
@@ -396,6 +440,7 @@ def draw(samples: Samples) -> Any:
         values = [np.percentile(latencies[bins == b, 1], percent) for b in np.unique(bins)]
         times.plot(middle, values, color=colour, label=f'{percent} % of the images')
     times.plot(hours[1:], compute_cpu_ms(node), color=NEUTRAL, linewidth=0.8, label='CPU time for an image')
+    times.plot(hours, smooth(np.array(samples.reference)), '--', color=NEUTRAL, label='a fixed calculation')
     times.set_ylim(0)
     times.legend(loc='lower left')
     label_axes(times, 'hours of the stream', 'ms', 'latency and CPU time, each five minutes of stream')
