@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 import re
 import xml.etree.ElementTree as ET
 from glob import glob

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Classification into periodic and other motion on CMU trials, and the choice of the default thresholds.
 
 Every second of each trial is labelled in `periodic_labels.csv`: `periodic` (walking, running), `other` (jumping,

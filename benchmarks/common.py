@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Functions that the benchmarks share: evaluation data, test views, models, solvers, errors and timing.
 
 Import this module before numpy, since it limits the linear algebra to one thread. It is not a benchmark itself.

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Batch runs: what Dask adds to the work, how two workers share it, killed workers, and 256 workers by simulation.
 
 Times are CPU seconds with one BLAS thread, so that they mean the same on a machine that does other work. Plain

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Errors with points as real detectors give them, on people that no model was trained on.
 
 Motion capture of `data/motion` is seen through the protocol's models of detectors (`DETECTORS` of protocol.py) and

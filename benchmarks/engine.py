@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The engine: time of a frame by stage, how it grows, and the targets for speed and for the live result.
 
 All times are for one core and one BLAS thread. Before each section the reference kernel is measured, by which runs

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Faults: a recorder that is killed, and disks that are full, read-only, slow or removed, at every step.
 
 A recorder writes three topics at 30 Hz in a process of its own, which is killed with SIGKILL at a random moment:

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The record of what the benchmarks measured, and the pages that show it.
 
 `figures.json` holds one entry for each benchmark: its results, the tables and pictures made of them, and what they

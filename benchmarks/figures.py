@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Run the benchmarks, keep what they measured in one record, and write it into the pages.
 
 Commands:

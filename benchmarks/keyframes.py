@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The keyframe method on minutes of mixed action with a moving camera and a bad detector.
 
 It is compared with the tracker and with the whole-sequence solver.

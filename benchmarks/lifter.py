@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The lifter: errors on real detections and on unseen motion capture, and CPU time.
 
 The motion capture is evaluated with a lifter and base poses that were not trained on the tested subjects. This

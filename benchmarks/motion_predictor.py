@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Trains the motion predictor that ships: tracks people of the training data, and fits what they did next.
 
 It is no benchmark. The people are seen by four detectors, 2 to 6 m away, with their heights known. Those of

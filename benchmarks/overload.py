@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Overload: more people, images and cameras than a node can take, and a subscriber that does not read.
 
 A node that records runs over DDS beside a sender. What is measured is the age of an image when its skeletons

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Pictures of the benchmarks: panels in one style, and colours that colour-blind readers can distinguish."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The experiments of TPAMI 2016, section 4, and the targets of the project: the sections of docs/paper.md."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The README's table: how good the result is, in a row for each kind of input.
 
 What ships is measured here: on the recorded detections, whose person no model saw, and on the recording of the

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The two ways in which a view is reconstructed: as a whole sequence, and frame by frame as the tracker does."""
 
 from __future__ import annotations

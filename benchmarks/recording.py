@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Recording and replay: CPU time, speed and memory; `faults.py` measures what a kill loses.
 
 All bags are real files in a temporary folder. The recorder is compared with the bare writer of the `mcap` package,

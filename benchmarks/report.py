@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What a benchmark prints and writes: its text, tables and pictures, and the JSON file that the record takes in.
 
 A benchmark is a function that takes the command line and a `Report`, or several sections by name; `run` calls

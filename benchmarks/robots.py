@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What robots get of people: places, velocities, covariances, predictions, and what these cost.
 
 Persons on whom no model was trained, scaled to body heights of 1.5 to 1.95 m, stand 2 to 6 m before a camera that

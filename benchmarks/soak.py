@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Soak: the node and its recorder for many hours' worth of stream, over DDS, as fast as the node takes it.
 
 Three people are sent at the stamps of a camera of 30 Hz; the next image follows when the skeletons of the one

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Comparison of the joint solver with Algorithm 1 and with scipy.optimize.least_squares.
 
 The solvers in one row of a table start from the same state and minimise the same objective.

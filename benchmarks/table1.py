@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Table 1 of TPAMI 2016 with the methods it is compared with, for fixed, orbiting and shaken cameras.
 
 The rivals are in `rivals/`, written from their papers. Each has a grid of settings; for each motion and camera the

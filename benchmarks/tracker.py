@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The accuracy of the tracker in several situations; `engine.py` measures its time.
 
 It is measured on the subjects `common.HELD_OUT_SUBJECTS`, on which neither the base poses nor the lifter

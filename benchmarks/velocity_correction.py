@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Trains the correction of velocities that ships (`models/velocity_correction.py`): tracks people, and fits.
 
 It is no benchmark. The people are those of `motion_predictor.py`, seen at 30, 15 and 10 Hz; those of

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What the vertical of the camera gains: errors and leans of people whose camera looks down by 0 to 32 degrees.
 
 Three trials of `data/motion` stand side by side before one orthographic camera, each seen from another side, with

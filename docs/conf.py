@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Settings of the documentation site, which `make docs` builds with Sphinx and rosdoc2 builds on the ROS servers.
 
 The site is the pages of this folder, the pages of the repository's root, and a reference that is written here from

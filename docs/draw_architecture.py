@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Draw the folders of the package and the imports between them into docs/img/architecture.png.
 
 The floors are the layers of the import contract in pyproject.toml, the purposes are the first lines of the

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Make the pictures of the page of `mocap-ros view`, page.png and the animation demo.gif in docs/img/view.
 
     make demo

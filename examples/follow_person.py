@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Follow the person who was there first at DISTANCE_M: geometry_msgs/Twist on `cmd_vel`.
 
 Run mocap_node with -p node.output_frame:=base_link (x ahead, y to the left). Without the person the robot stands,

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """People for Nav2's own obstacle layer, which needs no plugin: discs of points where people are and will be.
 
 Run mocap_node with -p node.output_frame:=map (or odom). It reads `skeletons` and publishes sensor_msgs/PointCloud2

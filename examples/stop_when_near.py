@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Stop a robot while somebody will be nearer than DISTANCE_M within HORIZON_S, by the joints' velocities.
 
 Run mocap_node with -p node.output_frame:=base_link, so that distances are from the robot. It reads `skeletons` and

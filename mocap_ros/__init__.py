@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """People in 3D from one uncalibrated camera and a 2D keypoint detector.
 
 This module exports the public Python API, which docs/python.md explains:

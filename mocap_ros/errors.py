@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Exceptions of the package, and texts for them. Libraries raise them; programs print them as one line."""
 
 MAX_MESSAGE_CHARACTERS = 2000  # of an error; longer ones, which quote what a stranger wrote, lose their middle

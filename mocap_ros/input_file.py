@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Opening input files without waiting for a pipe and without reading a device that never ends."""
 
 from __future__ import annotations

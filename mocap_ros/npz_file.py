@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Reading and writing .npz files: no pickles, bounded memory, and the same arrays give the same bytes."""
 
 from __future__ import annotations

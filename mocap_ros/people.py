@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A reconstructed person in 3D, and the kind of motion that the person is in."""
 
 from __future__ import annotations

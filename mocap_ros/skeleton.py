@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Keypoint layouts, the skeleton of the reconstruction, and the canonical spelling of joint names.
 
 A keypoint layout is an ordered list of joint names with a tree of bones. `KEYPOINT_LAYOUTS` holds the layouts of

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Defaults have one home: the shipped parameter file and every check follow from the dataclasses."""
 
 from pathlib import Path

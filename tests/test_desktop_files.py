@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The files for RViz, Foxglove and `ros2 launch` name topics, types, fields and parameters that there are.
 
 None of the three programs comes as a wheel, so that the files are read here and not used.

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The documents name files that exist, and the code keeps the rules that a reader relies on."""
 
 from __future__ import annotations

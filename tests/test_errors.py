@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Errors are one printable line, whatever the texts of strangers that they quote."""
 
 from __future__ import annotations

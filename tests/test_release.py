@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The distributions hold what users need, and the version stands in package.xml alone."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The policies for SROS2 allow what node and player do, and nothing else."""
 
 from __future__ import annotations

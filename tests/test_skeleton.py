@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Keypoint layouts are consistent forests, and other spellings of joint names are understood."""
 
 import re

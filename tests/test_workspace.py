@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The repository as a whole: packages, messages, metadata, and the imports between modules."""
 
 import os

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Table 1, and the error against the number of base poses and the bone regulariser (figures 6 to 11)."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The volume of a body about its true joints, by stated girths: what capsules should hold.
 
 Limbs are elliptic cones between two joints, with the half axes a and b at either end; a point of their volume is

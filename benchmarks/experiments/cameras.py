@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The flip regulariser (figure 4), its difference scheme (section 3.5), and moving cameras."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Errors of whole sequences and of the live result, by frame and by the pose that the person truly is in."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Errors of face, feet and hands: where a person looks, where the feet point, and how far off the joints are."""
 
 from __future__ import annotations

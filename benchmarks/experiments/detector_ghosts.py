@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """People who are none: what is published of a person whom the detector breaks in two or names anew.
 
 In 1 % of the frames the detector breaks the person into upper and lower body or adds one of these as a second

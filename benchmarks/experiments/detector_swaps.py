@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Which swaps of left and right are undone, and which joints are exchanged that were not swapped.
 
 What is undone is read from the solver's input, so it holds for any way of deciding it.

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Motion capture as detectors see it: trials of `data/motion` through the protocol's models of detectors.
 
 The protocol's own code makes the views and draws the errors. Where a view should lack some of the errors, its

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A disk that fails at a chosen step: real files, below a folder whose operations are counted."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The defaults against fixed models: what is gained by knowing which model suits a person and a motion."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The periodic assumption: fitted sines (figure 5), classification (figure 19), and further claims."""
 
 from __future__ import annotations

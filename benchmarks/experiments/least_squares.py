@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The objective of the joint solver as a residual vector with a sparse Jacobian, for SciPy's `least_squares`.
 
 The unknowns of a frame are the weights in standard deviations, the rotation vector from the initial rotation, the

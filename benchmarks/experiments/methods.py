@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The methods that the paper's experiments compare: the paper's own two and this project's two."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The live node as a process of its own, and a peer that sends keypoints to it and receives its skeletons."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Errors with base poses of the very person: given to the defaults, given alone, and not given."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The live result against a solution from scratch of the same past.
 
 The live result of frame t comes from a tracker that has seen the frames up to t and no later one. The solution

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Fit of the motion predictor (`models/motion_predictor.py`) to what the tracker saw, and what people then did.
 
 The place of the root at the newest frame counts as right: that a person is nearer or farther than thought is no

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """People before a robot's camera: of many heights, 2 to 6 m away, on a floor that the camera looks down at."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Convergence, noisy initial values, occlusion and image noise (figures 12 to 18)."""
 
 from __future__ import annotations

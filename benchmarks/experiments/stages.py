@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Time of one frame in the live node by stage, measured from outside: the functions of the stages are wrapped.
 
 The node of the package runs in this process, in a thread of its own, with recording and with a subscriber of all

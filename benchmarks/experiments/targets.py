@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The targets of the project, and the values that the protocol measures."""
 
 from __future__ import annotations

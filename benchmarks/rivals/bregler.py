@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Recovering non-rigid 3D shape from image streams (Bregler, Hertzmann, Biermann, CVPR 2000).
 
     W = M B,   M_f = (c_f1 R_f ... c_fK R_f)                              rank 3K, by singular values

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Factorisation of image points into cameras and basis shapes, as far as several rivals share it.
 
     W = M B,   M_f = (c_f1 R_f ... c_fK R_f),   B = (B_1; ...; B_K)

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Shape trajectories (Gotardo and Martinez 2011; Hamsici, Gotardo and Martinez 2012).
 
     min_X |W - M M^+ W|^2,   M_f = (c_f1 R_f ... c_fK R_f)

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Reconstructing 3D human pose from 2D image landmarks (Ramakrishna, Kanade, Sheikh, ECCV 2012).
 
     min_{s, R, A, w}  |x - s R (Q_0 + sum_{i in A} w_i Q_i)|^2     with   sum_bones |bone|^2 = that of Q_0

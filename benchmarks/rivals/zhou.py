@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Sparse representation for 3D shape estimation: a convex relaxation (Zhou et al., CVPR 2015 and TPAMI 2017).
 
     min_M  1/2 |x - sum_i M_i B_i|^2 + a sum_i |M_i|_2          M_i (2, 3): c_i R_i, relaxed to any matrix

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Write the versions and hashes of all packages of this environment, except this package and its messages.
 
     .venv/bin/python config/env/lock.py > config/env/locked-TAG.txt

@@ -1,4 +1,7 @@
 #!/bin/bash
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+#
 # The steps of `make setup`:
 #   setup.sh environment ROS    make .venv anew, with ROS 2 wheels if ROS is "wheels-kilted" or "wheels-jazzy"
 #   setup.sh package            install mocap_ros and its tools into .venv, editable

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 r"""Launch the live node, and RViz if wanted.
 
 For example:

@@ -1,3 +1,6 @@
+// Copyright 2026 mocap_ros developers
+// SPDX-License-Identifier: Apache-2.0
+
 // What the page uses of three.js; everything else is left out of the bundle.
 export {
   BufferAttribute, BufferGeometry, Color, CylinderGeometry, DirectionalLight, GridHelper, Group, HemisphereLight,

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Checks of the arguments of the public functions; every error begins with the name of the argument."""
 
 from __future__ import annotations

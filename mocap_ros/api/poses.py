@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A person's 3D poses over a whole sequence: the result of `mocap_ros.reconstruct`."""
 
 from __future__ import annotations

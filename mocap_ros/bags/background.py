@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A recorder with its own thread, so that its caller waits for the disk at the start and at the end only."""
 
 from __future__ import annotations

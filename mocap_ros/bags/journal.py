@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The journal of a run: a topic of the bag that records what became of every input, so that a replay is exact.
 
 A recorded run holds every input as it was received, every output, and on the topic `<node>/journal` one

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Repair of an MCAP file whose writer failed: the missing end is written, so that every reader accepts the file.
 
 The end consists of the open chunk, the message indexes of the last chunk, a metadata record, DataEnd, the summary

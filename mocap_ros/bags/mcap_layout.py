@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The byte layout of MCAP files, as far as damaged files are read without the `mcap` package's readers.
 
 The layout is that of the MCAP specification (https://mcap.dev/spec, sections "Format Description" and "Records").

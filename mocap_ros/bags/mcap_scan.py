@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Scan of MCAP files that were cut off or damaged: everything that can still be read, their log included.
 
 Records are parsed by the classes of the `mcap` package. The readers of that package stop at the first fault; this

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Reader of bags of ROS 2 (MCAP or SQLite3; a folder or a bare file) and ROS 1.
 
 Messages are read one at a time. Damage is always reported as an error; no message is omitted silently.

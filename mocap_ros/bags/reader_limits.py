@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Limits that the bag readers of rosbags lack: a small bag from a stranger could fill the memory or the disk.
 
 rosbags unpacks whatever a file holds and compares with the stated size afterwards, and it parses the QoS profiles

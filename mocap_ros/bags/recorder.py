@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Recorder of bags: MCAP files that rosbag2 and every MCAP reader accept.
 
 A bag is a folder that holds `<name>_0.mcap`, further numbered files where the bag is split, and `metadata.yaml`.

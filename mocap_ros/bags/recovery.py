@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Recovery of bags whose recorder was killed, whose disk was full, or that were damaged."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The description of a bag that rosbag2 reads: definitions, type hashes and QoS of topics, and metadata.yaml."""
 
 from __future__ import annotations

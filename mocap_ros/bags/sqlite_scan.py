@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Scan of the messages of damaged SQLite3 bags: every row that can still be read."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Check that the tables of an SQLite3 bag are tables of data: a query of anything else runs what a stranger wrote.
 
 A view or a generated column is a program, which may never end; reading a virtual table runs an extension.

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The input topics of the tracker: what each one carries, its message type, and where it is in a bag."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The write-ahead log of an MCAP file: the messages of its open chunk, which are not in the file yet.
 
 A chunk is compressed and written as a whole, so without the log a killed recorder would lose all messages since

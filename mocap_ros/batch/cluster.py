@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Run the work on many recordings on Dask: on the cores of this machine, or on the workers of a scheduler.
 
 Dask alone decides what runs where and when, and does the work of a lost worker again. This module gives it a task

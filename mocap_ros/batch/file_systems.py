@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The file system of a path or URL.
 
 What has no `://` is a local path, whatever else is in its name, such as `::`, by which fsspec chains file systems.

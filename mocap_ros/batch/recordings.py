@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Find the recordings of a corpus: what a folder, a pattern or a list names, on any file system of fsspec."""
 
 from __future__ import annotations

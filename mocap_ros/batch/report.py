@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What comes out of a run besides the results: a table, a picture and a summary on the terminal."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Reading recordings and writing results on any file system of fsspec; results are written whole or not at all."""
 
 from __future__ import annotations

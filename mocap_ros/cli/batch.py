@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap-ros batch`: replay, reconstruct or summarise many recordings, on this machine or on a cluster."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap-ros compile`: compile the inner loops now, which otherwise the first run does."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap-ros config`: print a parameter file that sets every parameter."""
 
 from __future__ import annotations

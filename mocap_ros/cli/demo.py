@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap-ros demo`: run the live node on the embedded recording over ROS 2 topics, and draw the result."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap-ros detect`: find 2D keypoints in a video or the images of a camera."""
 
 from __future__ import annotations

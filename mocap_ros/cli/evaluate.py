@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap-ros evaluate`: compare results, or reconstructions of sequence files, with the truth."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Interrupts by Ctrl-C that arrive while compiled code or a library's callback runs.
 
 Python raises KeyboardInterrupt wherever the program happens to be. Inside compiled code it comes out as a

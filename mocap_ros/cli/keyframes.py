@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap-ros keyframes`: summarise a long sequence by a few poses (Loy et al., ECCV 2004)."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Options of the subcommands that reconstruct keypoints, and the keypoints and models that these options load."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Entry point of `mocap-ros`.
 
 Exit codes: 0 for success; 1 for a failure, which one line on stderr describes; 2 for wrong usage.

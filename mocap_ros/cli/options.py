@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Options that several subcommands share, and the configuration that they load.
 
 This module imports neither NumPy nor anything slow, so that `mocap-ros config --help` is fast.

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap-ros play`: publish recorded keypoints at the recorded pace."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Progress on a terminal; nothing is shown where stderr is a pipe or a file."""
 
 from __future__ import annotations

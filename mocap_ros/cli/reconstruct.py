@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap-ros reconstruct`: reconstruct a whole sequence in 3D from its 2D keypoints."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap-ros recover`: write a readable bag from one that was cut off or damaged."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap-ros replay`: run the live pipeline over bags, as fast as the machine allows."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap-ros train`: train base poses from motion capture (Wandt et al., TPAMI 2016, section 4.1)."""
 
 from __future__ import annotations

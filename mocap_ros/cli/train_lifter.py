@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap-ros train-lifter`: train the lifter, the network that estimates 3D poses from 2D joints."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap-ros view`: show any recording or result in 3D over time."""
 
 from __future__ import annotations

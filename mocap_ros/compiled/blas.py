@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """BLAS and LAPACK for kernels: the few routines that the solvers need, on C-contiguous matrices, in place.
 
 The routines are those that SciPy was linked with. Compiled code refers to them by name, so it can be cached, and

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Kernels: functions over NumPy arrays that Numba compiles, each for the one signature that it declares.
 
 A kernel is compiled before it is used and never between two frames: whoever begins to compute calls

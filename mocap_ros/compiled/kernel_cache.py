@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The cache of compiled kernels: one file for each kernel, whose name says what its machine code depends on.
 
 Numba has a cache of its own, which knows of one source file for each function. It loads outdated code where a

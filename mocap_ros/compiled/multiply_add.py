@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """a b + c for kernels that multiply matrices of single precision, which SciPy's routines for kernels do not."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The configuration: every parameter with its default, access by name, and parameter files."""
 
 from mocap_ros.config.access import Parameter, format_value, parameters, suggest_parameter, values, with_values

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Parameters by name: read them from a configuration, check new values and set them."""
 
 from __future__ import annotations

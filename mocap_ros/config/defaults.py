@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Every parameter of the package: its default, its meaning and its range, which have no other home.
 
 The ROS parameters, the parameter file and the defaults of the command line are made from these dataclasses. A

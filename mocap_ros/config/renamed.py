@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Parameters that were renamed or removed since version 0.1, so that its recordings can still be replayed."""
 
 from __future__ import annotations

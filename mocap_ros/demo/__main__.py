@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Make the shipped files of the demo again: `python -m mocap_ros.demo [BODY26.npz]`.
 
 With a file of motion capture, the motions are first learned from it (`demo_motion.npz`). The recording

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Motions as curves of base-pose weights: a gait is a Fourier series, a single action is a cosine series.
 
     gait:    y(t) = a_0 + sum_h (a_h cos(2 pi h t / T) + b_h sin(2 pi h t / T)),    h = 1 .. H, cycle T

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The scene of the demo: a person walks past, breaks into a run, jumps and walks on, and a robot's head follows.
 
 The scene is harder than an inversion of the solver's own model. The bodies come from base poses of their own, with

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Cut a rectangle out of an image at the size that a network takes.
 
 The rectangle may reach beyond the image; what lies outside is black.

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The interface of all 2D keypoint detectors."""
 
 from __future__ import annotations

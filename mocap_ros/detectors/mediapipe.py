@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """MediaPipe's pose landmarker (BlazePose; Bazarevsky et al., CVPR workshops 2020): 33 keypoints of each person.
 
 The score of a keypoint is MediaPipe's visibility.

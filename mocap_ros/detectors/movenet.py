@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """MoveNet (Votel and Li, Next-Generation Pose Detection with MoveNet, 2021), for one person or for six.
 
 The single-pose model sees a square around the person, which follows the person from image to image: centred

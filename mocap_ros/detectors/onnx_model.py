@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A network in an ONNX file, which onnxruntime runs."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """RTMPose (Jiang et al., RTMPose: Real-Time Multi-Person Pose Estimation based on MMPose, 2023), one person.
 
 The network classifies the column and the row of each keypoint among bins that are half a pixel wide (SimCC). With

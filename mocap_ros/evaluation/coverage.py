@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Whether standard deviations and covariances are what true errors are: the shares of errors within ellipsoids.
 
 An error e with the covariance C is within the ellipsoid that holds the share p of normal errors where

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Evaluation of one reconstructed sequence against its truth."""
 
 from __future__ import annotations

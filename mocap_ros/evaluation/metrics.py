@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Errors of 3D poses against the truth, each with the alignment that precedes it.
 
     MPJPE = mean_{t,j} || s P_tj - Q_tj ||                                                    (mpjpe_mm)

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The content of a BVH file: a hierarchy of bones of constant length, and its joint angles over time.
 
 The position x_n and rotation R_n of node n with parent p are (forward kinematics)

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """COCO keypoints in JSON, and the related files that MMPose, AlphaPose, YOLO and Detectron2 write.
 
 These forms are read. The field `keypoints` holds x, y and the score (or the visibility 0, 1, 2) of the 17 joints

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """All people that a detector saw in the images of one camera, and the choice of the person to reconstruct.
 
 People with an id are identified by it. People without an id are associated by position

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The arrays of .npz files from anywhere, read with bounded memory and checked by key, type and shape."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """OpenPose output: a folder with a file `*_keypoints.json` for each frame."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Result files (.npz) of `reconstruct`, read again to be drawn or to be compared with the truth."""
 
 from __future__ import annotations

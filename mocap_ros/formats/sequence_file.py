@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Sequence files (.npz): one person's keypoints in the images of one camera, and the true 3D joints if known."""
 
 from __future__ import annotations

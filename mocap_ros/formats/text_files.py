@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Reading text and JSON files of limited size, and one-line errors for files that cannot be read or written."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Images of a video file or a camera, with their times; PyAV of the extra `video` decodes them."""
 
 from __future__ import annotations

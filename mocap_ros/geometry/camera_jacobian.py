@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Derivatives of projected points by the rotation and the scale of a camera.
 
 A point p of the body is q = s R p = (x, y, z) in the camera's frame, before the translation. A step changes the

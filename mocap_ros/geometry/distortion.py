@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Lens distortion: converts between the image points of a pinhole camera and those of a real lens.
 
 Points are normalised: x = (u - cx) / fx, y = (v - cy) / fy. With r^2 = x^2 + y^2 and theta = atan(r), a lens shows

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The floor that people stand on, as a camera sees it."""
 
 from __future__ import annotations

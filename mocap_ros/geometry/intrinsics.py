@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Camera intrinsics: converts between pixels and rays.
 
     u = fx x_d + cx,   v = fy y_d + cy

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Turning people who are seen by a tilted camera so that they stand upright.
 
 The smallest rotation R that takes the vertical u, in a camera's optical frame, to e = (0, -1, 0), which is upwards

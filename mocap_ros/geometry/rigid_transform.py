@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Rigid transforms between coordinate frames, their composition and their interpolation.
 
 A transform T = (R, t) takes coordinates in its child frame to coordinates in its parent frame:

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Rotations as vectors, matrices and quaternions, and the rotation that best aligns two sets of points."""
 
 from __future__ import annotations

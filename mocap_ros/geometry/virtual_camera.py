@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Virtual cameras that face a person.
 
     R = I + [v]x + [v]x^2 / (1 + c),    v = u x e,    c = u . e        rotation from the real to the virtual camera

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Weak-perspective cameras: closed-form estimate and the camera step of Algorithm 1 (TPAMI 2016, section 3.2).
 
     x_tj = s_t R_t[:2] P_tj + t_t,   M_t = s_t R_t[:2]

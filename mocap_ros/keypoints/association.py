@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Association of detections with known people, by where the people are in the image.
 
 The distance of a person p and a detection d has a gate, the largest distance at which the two may be the same

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Image points of face, feet and hands, which go beside those of the core.
 
 A body has the joints of `skeleton.BODY26`: its core, the J_c joints of `skeleton.CMU15`, which the solvers

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The size of the image in which keypoints were seen."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Linear maps from a detector's keypoints to the joints of the reconstruction's skeleton.
 
 y_t = sum_s W_ts x_s, with sum_s W_ts = 1: target joint t as a weighted sum of source keypoints s, in 2D or 3D.

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Detection of left and right exchanged by the detector: a hidden Markov model, decoded by Viterbi's algorithm.
 
 Detectors exchange left and right of the whole body, of the legs alone or of the arms alone. The hidden state z_t

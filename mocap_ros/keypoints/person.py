@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """One person in one image: the keypoints that a detector gives."""
 
 from __future__ import annotations

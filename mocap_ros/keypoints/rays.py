@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A detector's keypoints as rays of the camera to the model's joints, the first step of every reconstruction."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Checks of 2D keypoints that hold for every source: messages and files."""
 
 from __future__ import annotations

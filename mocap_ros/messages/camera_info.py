@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """sensor_msgs/CameraInfo: the image size and the intrinsics of a camera.
 
 Size and matrices are those of the full resolution. An image that the camera has cut out of it, at (x_0, y_0), and

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Where the camera is in the frame of the outputs, and the people in that frame.
 
 What is seen at p moves with the velocity v in the optical frame. With T the transform of the camera now and T'

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Conversion between message objects and CDR bytes, and the parts that all messages share.
 
 The messages that are published for every image are written field by field (`CdrWriter`) or filled into a template

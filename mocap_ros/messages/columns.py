@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Many messages of one type at once, as arrays with a row for each message.
 
 The bytes of a message have their places from the lengths of its texts and sequences. Messages whose lengths are

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Images of `sensor_msgs/msg/Image` and `sensor_msgs/msg/CompressedImage` as red, green and blue.
 
 The encodings are those of the header `image_encodings.hpp` of sensor_msgs. A Bayer pattern is demosaiced in the

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The message types that are accepted as keypoints, and the decoder of each."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The keypoints of many Keypoints2DArray at once, as arrays."""
 
 from __future__ import annotations

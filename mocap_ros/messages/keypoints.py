@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """mocap_ros_msgs/Keypoints2DArray: the 2D keypoints of all people in an image."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """visualization_msgs/MarkerArray: colours of people, and a writer of markers that all have one header."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """visualization_msgs/MarkerArray: spheres at the joints and lines along the bones of all people.
 
 Each person has one SPHERE_LIST (namespace `joints`) and one LINE_LIST (namespace `bones`), because a marker for

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """sensor_msgs/PointCloud2: the joints of all people as points, for viewers that show no markers."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Definitions of message types from bags, with limits: rosbags generates code from them and trusts them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The skeletons of many Skeleton3DArray at once, as arrays."""
 
 from __future__ import annotations

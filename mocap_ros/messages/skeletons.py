@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """mocap_ros_msgs/Skeleton3DArray and SkeletonDefinition: the people in 3D, and the names of their joints."""
 
 from __future__ import annotations

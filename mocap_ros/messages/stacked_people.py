@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The people of one image as arrays, and what several messages need to know of them, computed once."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Messages that differ from the one before in their numbers alone, written at once.
 
 The bytes of a message have their places from its texts and from the lengths of its sequences, as the ids of the

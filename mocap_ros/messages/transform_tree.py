@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """tf2_msgs/TFMessage as input: where the camera is in another coordinate frame at the time of an image.
 
 Every frame has one parent. The transform from a frame s to a frame g leads from both up to their common ancestor a

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """tf2_msgs/TFMessage: the people as coordinate frames, the main links of REP-155 under its names.
 
 The parent of `body_<id>` is the frame of the outputs. The origin of `body_<id>` lies between the hips; its axes

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Conversion of messages from one version of their type to another.
 
 Fields are matched by their names. A field that only the target has is zero or empty, and a field that only the

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Base poses: the mean human pose and the directions in which poses vary (TPAMI 2016, section 3.1).
 
     P = Q_0 + sum_l theta_l Q_l                                                                        (eq. 1)

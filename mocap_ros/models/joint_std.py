@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Standard deviation and covariance of each joint position.
 
     with a lifter, seen:      std_j = sqrt((f |sigma_j|)^2 + (n noise)^2)

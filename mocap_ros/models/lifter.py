@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The lifter: a small network that estimates a 3D pose from 2D joints, as start value and prior of the solvers.
 
     (p, l) = network(features),   (p', l') = network(features of the mirror image)

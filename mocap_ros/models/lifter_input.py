@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What the lifter's network sees: the last 0.8 s of a person's image points, and the vertical where it is known.
 
     x_tj = (1 - a) x_before + a x_after        points at the slots' times (`sample_histories`)

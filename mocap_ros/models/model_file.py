@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Files of base poses and lifters: those shipped with the package and those that users train.
 
 A model file is an .npz without pickles. Files from users are untrusted, so every array and number is checked on

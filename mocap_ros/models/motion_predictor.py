@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Learned prediction of a person's motion by up to a second, from the last 0.8 s.
 
 At the times h_k ahead, the displacement d_0 of the root in the axes S of the line of sight, and those d_j of the

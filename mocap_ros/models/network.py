@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The lifter's network, evaluated with weights that are rounded to integers.
 
     h_0 = relu(W_0 x + b_0),   h_(i+1) = h_i + relu(W'_i relu(W_i h_i + b_i) + b'_i),   y = W h + b

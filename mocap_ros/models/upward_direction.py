@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The direction upwards that a pose tells: a body stands and walks with its centre of mass above its feet.
 
     u = normalise(c - f - b l n),    c = sum_j m_j P_j,    f = (ankle_l + ankle_r) / 2

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Learned correction of the velocities that the motion filter gives, from the last 0.8 s.
 
 With v_j and v_0 the filter's velocities of joint j and of the root, the place between the hips, and B the axes of

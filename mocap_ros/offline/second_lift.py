@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What the solution of a whole sequence tells the lifter, before the sequence is lifted and solved again.
 
 A detector at times takes something else for a joint, for some frames on end and often at a good score. The

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Reconstruction of one person over a whole sequence at once, without a sliding window.
 
 With a lifter, either its lifted poses lead or the base poses do, whichever suits the person

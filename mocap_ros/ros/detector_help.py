@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Text that `detector_node --help` prints: parameters and topics. This module does not import rclpy."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Entry point of `detector_node`; `ros.main` describes the exit codes."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The node `detector_node`: find 2D keypoints in the images of a camera and publish them for `mocap_node`."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Report the state of a live run as diagnostic_msgs/DiagnosticArray on /diagnostics."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Text that `mocap_node --help` prints: arguments, topics and services. This module does not import rclpy."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Process the messages of a live run: from a queue through the pipeline to the output topics and the recording.
 
 Three threads share the work. The thread of the ROS executor puts each message into the queue as soon as the

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Record a live run: its inputs, its outputs and the journal from which a replay repeats the run."""
 
 from __future__ import annotations

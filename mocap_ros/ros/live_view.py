@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Draw the people whom a running node publishes, in a viewer.
 
 The view only listens, best effort and with a short queue, so that it never slows the node: a view that is too slow

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Entry point of `mocap_node`, and what the entry points of all nodes share.
 
 Exit codes: 0 after SIGINT or SIGTERM; 1 if the node could not start, with the reason in one line on stderr; 2 for

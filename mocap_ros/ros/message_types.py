@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Find message and service classes of rclpy at run time, and convert messages of other versions of a type."""
 
 from __future__ import annotations

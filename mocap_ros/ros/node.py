@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The lifecycle node `mocap_node`: estimate 3D people live from 2D keypoints, publish them and record the run."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Convert between the node's ROS parameters and `Config`."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Publish recorded messages at their recorded rate, as a camera and its detector would."""
 
 from __future__ import annotations

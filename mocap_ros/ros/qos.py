@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """QoS profiles of the node's topics, their conversion to and from those in bags, and warnings of mismatches."""
 
 from __future__ import annotations

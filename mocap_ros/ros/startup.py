@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Start rclpy with the arguments of a command line, and create nodes."""
 
 from __future__ import annotations

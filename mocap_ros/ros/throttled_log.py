@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Log what is wrong with the messages of a topic without flooding the log."""
 
 from __future__ import annotations

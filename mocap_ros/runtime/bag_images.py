@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The images of a bag as JPEG or PNG, one at a time, for the viewers that draw the 2D input over them."""
 
 from __future__ import annotations

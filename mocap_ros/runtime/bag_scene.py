@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Load what the viewers draw from a bag that holds skeletons, message by message."""
 
 from __future__ import annotations

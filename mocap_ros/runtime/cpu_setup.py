@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Configure BLAS threads and memory allocation of this process; import this module before NumPy.
 
 The module imports only the standard library, because BLAS libraries read their settings when NumPy is imported.

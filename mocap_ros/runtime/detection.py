@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Run a 2D keypoint detector on a video: who is seen when, and where the detector goes over to another person."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Assemble the people of each image from the messages of any detector.
 
 Most detectors send one message for each image. ROS4HRI sends one message for each body, each on its own topic, and

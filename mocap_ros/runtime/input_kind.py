@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What kind of input a path is, and the sentence that refuses an input of the wrong kind."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Load the keypoint sequence of one person from any supported file, folder or bag."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Load a person's reconstruction from a result file of `reconstruct`, or from a bag that holds skeletons."""
 
 from __future__ import annotations

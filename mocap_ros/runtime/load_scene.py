@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Load what the viewers draw from any input or result: bags, sequence files, JSON and results of `reconstruct`.
 
 Skeletons in a bag or a result are drawn as they are. Any other input is reconstructed, each of its people as a

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Encode people as the messages of all output topics: for the node, replays and reconstructed sequences.
 
 Tentative people are flagged in the skeletons, have cameras and points, and are drawn grey. They have no

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Cut a long bag into parts that are replayed apart and give the same messages as the whole.
 
 A tracker forgets everything about earlier people when nobody was there for `tracker.forget_all_after`. So a bag

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The pipeline shared by the live node and replays: decode an input message, track its people, encode the outputs.
 
 The pipeline uses no ROS, no clock and no files. Its outputs depend only on its inputs, its parameters and the

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Read recorded messages and the times at which they are to be published again."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Describe the software, models and parameters that produced a recording, as attachments of its bag."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Run the inputs of a recorded bag through the pipeline of the live node and record the outputs in a new bag.
 
 A replay processes the inputs that the recorded run processed, in the same order, and so gives the same outputs.

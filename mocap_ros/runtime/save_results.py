@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Save a reconstructed sequence as arrays, a table, a bag, or a file for animation or biomechanics."""
 
 from __future__ import annotations

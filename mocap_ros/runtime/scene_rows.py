@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The skeletons and keypoints of messages, collected as numbers, and the scene that they make.
 
 A bag is collected as a whole, a live view frame by frame. Messages are decoded many at a time

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Encode the frames of a keypoint sequence as messages."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Algorithm 1 of TPAMI 2016: optimise cameras and base-pose weights in turn, for a whole sequence.
 
 This module is the readable reference with which the tests compare the faster joint solver. It minimises

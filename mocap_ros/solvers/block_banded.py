@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Symmetric block-banded systems with a low-rank downdate, solved by one block Cholesky factorisation.
 
     A x = r,    A = B - G S G^T

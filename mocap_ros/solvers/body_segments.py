@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Orientations of the fifteen segments of a body, from the positions of the core joints.
 
 A segment begins at a core joint and turns about it: the pelvis at `pelvis`, the torso at `neck`, the head at

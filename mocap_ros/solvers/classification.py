@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Classification of a motion: its category by evidence, and whether it is periodic (TPAMI 2016, section 4.9).
 
 The category is that of the base poses with the highest evidence p(x | model), integrated over the weights theta by

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Which prior leads in the joint objective: the lifted poses or the base poses.
 
 The lifter knows people in general, and base poses may be those of this very person. Then the lifted poses, whose

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Levenberg-Marquardt over a batch: every sequence has its own damping and its own end, and all step together.
 
 A step x solves (A + mu diag(A)) x = -g with A the Gauss-Newton matrix, g half the gradient and mu the damping. It

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """One person's keypoints over some frames, as every reconstruction sees them and gives them to a solver.
 
     r_tj               ray of joint j in the real camera: lens distortion undone, left and right put right

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Solvers that can be interrupted between two steps.
 
 A stepwise function is a generator: it yields None after each piece of its work (one step of Levenberg-Marquardt,

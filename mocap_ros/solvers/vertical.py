@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The vertical of a camera, and lifted poses turned towards it.
 
 How far a body leans along the line of sight hardly shows in its image, so lifted poses lean by several degrees

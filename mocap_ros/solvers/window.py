@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The input and output of every solver, and the initial values that all solvers share.
 
 A solver receives a `Window` of image points x_tj with scores w_tj and estimates, for every frame t, the weights

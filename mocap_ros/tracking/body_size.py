@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """How large a person is and so how far away, and what is known of it: from the body height, and from the floor.
 
 One camera sees the same image of a large person far away and of a small one near by. The tracker assumes a body

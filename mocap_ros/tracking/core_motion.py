@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A person's joints and their velocity in one frame, and how sure velocity and place are.
 
 With a motion filter they are of its state. Without one, as with a lag, the solution before and after a frame is

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The work of a tracker that waits until the outputs of a frame are published: hypothesis checks, classification.
 
 No frame waits for a whole check. The work is done in slices, each about a step of a solver, and after each frame

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """One detection of a person, converted to rays of the camera and to the joints of the model."""
 
 from __future__ import annotations

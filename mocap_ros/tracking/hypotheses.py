@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Checks of a track against other hypotheses: another model, a solution from scratch, a periodic motion.
 
 Hypotheses are compared by -2 log evidence of the image points (`classification.minus_twice_log_evidence`), all

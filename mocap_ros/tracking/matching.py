@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Which tracked person each detection of a frame is, and which detections are but parts of a person.
 
 The steps, each for the people and detections that are left by those before:

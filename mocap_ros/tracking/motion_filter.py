@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A filter that takes the tremble out of a person's joints at the newest frame, where no later frame helps.
 
 The errors of a detector, and with them those of the reconstruction, last for some frames. So a mean over more

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The 3D person of a track in one solved frame of its window."""
 
 from __future__ import annotations

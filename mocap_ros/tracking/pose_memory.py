@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Memory of key poses by their appearance, for the initialisation of a person who appears again after a loss.
 
 The idea of a few 3D key poses that stand for all frames that look alike is that of Loy et al. (ECCV 2004). A pose

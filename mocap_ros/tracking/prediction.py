@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Prediction of a person after the last detection: through a gap, and ahead of the newest image.
 
 Both come from what the window holds of the last 0.8 s, by the learned motion predictor

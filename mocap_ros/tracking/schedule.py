@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What is scheduled for a tracked person: when to check the solution and to classify the motion, and why.
 
 A check is due soon after the first solution, then at intervals that grow with the person's age. Each check is one

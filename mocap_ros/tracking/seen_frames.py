@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What was seen of a tracked person: the keypoints of the sliding window, with left and right put right.
 
 A new frame may change the decision whether left and right of the body or of a part of it were swapped in earlier

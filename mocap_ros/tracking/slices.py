@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Work in slices whose costs are known before they are done.
 
 The cost of a slice is counted in elements of the solver's matrix: a step over F frames with n unknowns each, with

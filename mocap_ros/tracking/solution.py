@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What was solved of a tracked person: the states of the frames of the window, and how well they fit the image."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Some frames of a track as the input of a solver: the image points, and the solution so far as initial values.
 
 A new frame at time t_n starts from a prediction by the last two solved frames:

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The taking over of a solution that was found for a track as it was some frames ago.
 
 The frames that both windows have take the states that were found. A newer frame i goes on from the last of

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """One tracked person: what was seen, what was solved of it, and what is scheduled."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The tracker: a sliding window for each person, and a reconstruction of its newest part at every new frame.
 
 The tracker uses no ROS, no clock and no files. Its state depends only on the frames that it accepted, in their

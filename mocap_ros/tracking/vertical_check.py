@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Check of a given vertical against how people stand: where they contradict it, it is wrong, or they all lie.
 
 The directions upwards that poses tell (`models.upward_direction`) are compared with it in every frame, over the

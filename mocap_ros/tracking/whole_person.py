@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The whole person of a track: face, feet, hands and the orientations of all segments, beside the solved core."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Shares of trials in the training, so that no kind of motion drowns the others.
 
     share of trial i ~ f_c sqrt(N_cs) N_i / N_cs

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Training of base poses from motion capture (TPAMI 2016, section 4.1).
 
     P_i R_i^T - Q_0 = sum_l theta_il Q_l,   Q_l: eigenvectors of the covariance of the aligned poses (PCA)

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Joint indices of the body's parts, for the synthesis of training examples."""
 
 from __future__ import annotations

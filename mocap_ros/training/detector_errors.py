@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Synthetic errors of a 2D keypoint detector, for training examples.
 
     x'_tj = x_tj + k_j (s_tj / s_0)^-e (c_j + g z_tj + h n_tj) + a_tj

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Training of the lifter in PyTorch.
 
 The learning rate of step n of N is

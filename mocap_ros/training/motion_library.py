@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Motion capture trials in one array, from which training examples are drawn."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Postures that motion capture hardly holds: bent over, crouching, kneeling, sitting on the heels, on all fours.
 
     trunk: R_y(p)      thigh: (cos d sin a, +-sin d, -cos d cos a)      shank: the same with b and -d / 2

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Random arrays in single precision, for training examples."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Synthesis of training examples for the lifter: motion capture seen by random cameras and imperfect detectors.
 
 An example is drawn from motion capture. Its body is varied, joints are moved to where detectors place them, and a

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A picture of a run over many recordings: who was seen in which motion, how well it fitted, and what it cost."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Figures of the keyframes of a sequence, after figures 3, 4 and 6 of Loy et al. 2004 (matplotlib, no display)."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """One self-contained HTML page that shows a scene in 3D over time, with three.js, in any browser and offline.
 
 The template, the styles and the script are in `viewing/page_files/`. `three.js` beside them is made by

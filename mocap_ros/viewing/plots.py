@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Figures of sequences and reconstructions (matplotlib, without a display)."""
 
 from __future__ import annotations

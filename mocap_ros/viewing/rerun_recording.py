@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A scene as a recording of Rerun: entities, time lines and a layout that shows all of them at once.
 
     world/camera                    the camera; photo: its image; input/N: 2D input; people/NAME: the 3D result
@@ -87,8 +90,7 @@ def import_rerun() -> Any:
         MocapError: Rerun is not installed; the error says what to install.
     """
     try:
-        import rerun
-        import rerun.blueprint  # loaded on demand
+        import rerun.blueprint  # loaded on demand; this makes `rerun` known, too
     except ImportError:
         raise MocapError(
             f'this view needs Rerun, with Python 3.11 or later: {tell_installation("view")}; a page of a '

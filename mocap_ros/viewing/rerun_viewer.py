@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Start Rerun's viewer for this machine's user alone: at 127.0.0.1, on a port of its own, without telemetry.
 
 By default Rerun listens on all interfaces, streams into whatever viewer has its port already, and reports how it

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The scene: all that the viewers draw of a recording, with the colours in which they draw it.
 
 The page (`viewing/page.py`) and the Rerun recording (`viewing/rerun_recording.py`) both read it, so that they show

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The beginning of the demo recording, which the tests of the public functions share."""
 
 from __future__ import annotations

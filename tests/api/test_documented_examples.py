@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The examples of docs/python.md run, one after the other, and print nearly what the page says."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap_ros.evaluate`: the errors of results and arrays, and one exception for each wrong argument."""
 
 from __future__ import annotations

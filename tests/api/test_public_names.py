@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The public names and their signatures, which change only with the version, and what importing them costs."""
 
 from __future__ import annotations

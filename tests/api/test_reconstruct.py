@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`mocap_ros.reconstruct`: the same numbers as inside, and one error for each wrong argument."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The package as a wheel in a plain virtual environment, without ROS, used as in a notebook."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Format of recorded bags: other readers (rosbags, mcap, rerun, mcap_ros2) and our own read every message."""
 
 from __future__ import annotations

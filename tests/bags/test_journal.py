@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Journal of a run: entries and numbering of the inputs."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Bags that cannot be read are refused with an error that names the cause."""
 
 from __future__ import annotations

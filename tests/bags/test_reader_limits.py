@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Compressed bytes are unpacked whole and up to a limit, or refused."""
 
 from __future__ import annotations

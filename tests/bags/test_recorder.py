@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Recorder: bags survive crashes, full disks and removed folders, and continue in further files."""
 
 from __future__ import annotations

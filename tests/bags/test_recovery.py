@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Damaged bags: opening them is an error of one line, and everything readable is recovered."""
 
 from __future__ import annotations

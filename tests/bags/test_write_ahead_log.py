@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The write-ahead log: what a killed recorder has written is recovered, each message once."""
 
 from __future__ import annotations

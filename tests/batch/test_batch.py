@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Batch runs: the same results as the plain commands, whatever is killed, damaged, cut or interrupted."""
 
 from __future__ import annotations

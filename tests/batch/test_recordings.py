@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The recordings of a corpus, in folders, patterns and lists, on the local and on another file system."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A batch run on S3, against moto's server on this machine: `pip install -e '.[s3]' 'moto[s3,server]>=5,<6'`."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Results are written whole or not at all, and remote recordings are read in place or through a bounded copy."""
 
 from __future__ import annotations

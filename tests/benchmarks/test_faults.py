@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The campaign of faults in short: recorders that are killed, and disks that fail, leave bags that can be read."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The record of the figures: what is measured again, what is stale, and tables that were edited by hand."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The README's table: figures that other benchmarks have measured are read from the record."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What benchmarks share: tables of records, the file of results, and the scale by which poses are compared."""
 
 from __future__ import annotations

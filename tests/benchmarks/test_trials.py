@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The trials that the benchmarks name are in the motion capture that they use."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Tests of the variants of the solvers that the experiments with the paper use."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Recordings that the tests of the commands share."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The command that compiles, and what it must know of."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Failures of the commands: one line on stderr, and no file is lost."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The help and the usage errors of the command line."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Every routine inside a kernel and uncompiled, against plain NumPy."""
 
 from __future__ import annotations

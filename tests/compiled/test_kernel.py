@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The declaration of kernels, their compilation, and calls that do not fit."""
 
 from __future__ import annotations

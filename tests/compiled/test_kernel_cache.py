@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What is loaded from the cache, what is compiled anew, and what happens where the cache cannot be used."""
 
 from __future__ import annotations

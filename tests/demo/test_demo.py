@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The demo as a newcomer runs it, at twice the recorded pace, and what it reads from its bag."""
 
 import re

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """MediaPipe's own model finds a real person, by both of its interfaces."""
 
 from __future__ import annotations

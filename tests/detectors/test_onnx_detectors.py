@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """RTMPose and MoveNet, as networks of their form find people made of blobs."""
 
 from __future__ import annotations

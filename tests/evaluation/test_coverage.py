@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Coverage: right covariances hold as many errors as they should, wrong ones do not, unknown ones are left out."""
 
 from __future__ import annotations

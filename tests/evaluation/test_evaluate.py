@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The evaluation of one sequence: what is compared, what is left out, and what is refused."""
 
 import json

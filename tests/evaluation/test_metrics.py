@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Errors agree with the measuring protocol, and each alignment removes what its name says."""
 
 from types import ModuleType

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The examples for robots, against a recorded scene: the demo's person, in the frame of a robot with a camera."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """COCO keypoints in JSON, in the forms of several detectors."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """People are associated over time, and the person to reconstruct is selected."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Sequence files are read as they were written, and invalid files are refused by an error of one line."""
 
 from __future__ import annotations

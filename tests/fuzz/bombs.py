@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Inputs that are small and ask for much: memory, time or disk. Each of them once took too much of it."""
 
 from __future__ import annotations

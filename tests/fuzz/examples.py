@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Valid inputs of every fuzz target, from which the mutations of a run start."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Limits on the memory and the time of one input."""
 
 from __future__ import annotations

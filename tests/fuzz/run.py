@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Coverage-guided fuzzing of one kind of input, or of all: `python -m tests.fuzz.run [SOURCE...] --seconds N`.
 
 Atheris (the extra `fuzz`) mutates the valid inputs of `examples.py`, the inputs that once failed and what earlier

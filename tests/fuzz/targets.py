@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The fuzz targets: one function for each kind of input from strangers.
 
 A target takes bytes. It returns where the bytes are read, or where they are refused with one clear error of

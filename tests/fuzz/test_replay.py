@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What once failed under fuzz gives a result or one clear error again, with little memory and in little time."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Inputs of the right structure with any content give a result or one clear error."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The camera Jacobian: equal to finite differences of a projected point, in new arrays and in views."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Lens distortion: undistortion inverts distortion, and invalid coefficients are refused with a reason."""
 
 import numpy as np

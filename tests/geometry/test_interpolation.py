@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Linear interpolation against numpy's, column by column, and the nearest of some times."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Pixels and rays by the camera matrix; intrinsics that no camera can have are rejected."""
 
 from __future__ import annotations

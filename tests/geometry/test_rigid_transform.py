@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Rigid transforms agree with SciPy's rotations, and a camera's pose puts the world where it belongs."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Rotations as vectors and quaternions, and the compiled functions against the plain ones."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Virtual cameras: what they see, the way back, people at the edge of the image and rays that point backwards."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Face, feet and hands: split from the core, joined to it, and exchanged with the part that they belong to."""
 
 from __future__ import annotations

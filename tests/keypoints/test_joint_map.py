@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Joint maps use the joints that a detector has and derive the others."""
 
 import numpy as np

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Keypoints as rays: the compiled conversion is the plain formula, for any keypoints and lenses."""
 
 from __future__ import annotations

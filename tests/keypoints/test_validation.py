@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Keypoints that cannot be used are found with their field and index."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """CameraInfo of images that a camera has cut out of its full resolution, or binned."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Many messages read as columns, against each of them decoded alone."""
 
 from __future__ import annotations

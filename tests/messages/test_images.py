@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Images of all encodings, and messages that are none."""
 
 from __future__ import annotations

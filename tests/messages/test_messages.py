@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Messages are encoded as a ROS 2 subscriber reads them, and invalid input is refused by field and person."""
 
 from __future__ import annotations

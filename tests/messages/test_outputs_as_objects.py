@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The encoders of the outputs write the bytes that the library writes for message objects."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Templates give the bytes that a writer gives, whatever the lengths of texts and sequences, image after image."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The place of a camera from /tf and /tf_static: chains, times between two messages, and what must not count."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Transforms of several people: names that do not repeat, and people who have none."""
 
 from __future__ import annotations

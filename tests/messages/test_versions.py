@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Messages are converted between two versions of their type: between distributions of ROS 2, and made-up ones."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Training recovers a linear model, files preserve it, and anything that is not a model is refused."""
 
 import contextlib

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Standard deviations of joint positions: the formulas of the module, their sources, and less certain joints."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The lifter: agreement with the formula, accuracy, invariances, missing joints, files and training."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Histories and features: agreement with the formulas in plain NumPy, gaps, and joints that were not seen."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The motion predictor: what it must not depend on, how it goes on between its times, and what ships."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The network with rounded weights: agreement with the formula, and rows that do not depend on each other."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The direction upwards that a pose tells: against the formula of the module, and under rotations and scales."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The correction of velocities: what it must not depend on, where it does nothing, and what ships."""
 
 from __future__ import annotations

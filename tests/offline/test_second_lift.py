@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What a first solution tells the lifter: points and orientation that are nearer to the truth."""
 
 from __future__ import annotations

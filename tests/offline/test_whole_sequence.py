@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Whole sequences: the most probable base poses are chosen, swaps are undone, and the learned prior helps."""
 
 import numpy as np

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Fixtures of the tests over DDS: a domain for each test, a peer, and the node."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The command line of `mocap_node`: help, wrong arguments, a missing ROS, an early interrupt."""
 
 from __future__ import annotations

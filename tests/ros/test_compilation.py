@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The node compiles its kernels while it is configured, and never later."""
 
 from __future__ import annotations

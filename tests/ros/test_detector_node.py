@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`detector_node` as its users run it: images in over DDS, keypoints out, and on to `mocap_node`."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The detector node that docs/detectors.md gives as a recipe."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The diagnostic status: its level follows what happened since the last report."""
 
 from __future__ import annotations

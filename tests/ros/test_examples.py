@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The examples for robots, as programs of their own over DDS."""
 
 from __future__ import annotations

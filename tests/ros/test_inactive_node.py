@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A node that others configure, activate and shut down."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The life cycle of the node: starts that fail, deactivation and activation, what is left behind."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A live run without ROS: what it publishes, logs and records, and that a replay of its bag gives the same."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The live view: what a node publishes is drawn, with the keypoints of the same image, and people who leave go."""
 
 from __future__ import annotations

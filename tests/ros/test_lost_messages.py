@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Messages that were sent but did not arrive are counted, by the numbers that the middleware gives them."""
 
 from __future__ import annotations

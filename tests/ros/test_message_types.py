@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Messages are converted between the installed version of their type and this package's."""
 
 from __future__ import annotations

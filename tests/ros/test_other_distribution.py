@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The node on a ROS whose markers have other fields: those of ROS 2 Foxy, built as a package of their own."""
 
 from __future__ import annotations

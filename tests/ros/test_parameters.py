@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """ROS parameters of the node: values out of range, unknown names, changes at run time."""
 
 from __future__ import annotations

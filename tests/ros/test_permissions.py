@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What node and player publish, read, offer and call on the middleware is what the policies for SROS2 allow."""
 
 from __future__ import annotations

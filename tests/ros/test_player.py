@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The player: nobody listens; everything, in a loop, with clock and QoS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """When the player publishes which message, and which topics it leaves out, without middleware."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """QoS profiles: overrides by parameters, and the profiles with which bags are played."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Bags that the node records: what is in them, how recordings start and end, and their replay."""
 
 from __future__ import annotations

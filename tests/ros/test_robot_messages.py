@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Messages for robots are read by the real classes of their packages, built from the published definitions."""
 
 from __future__ import annotations

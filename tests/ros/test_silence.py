@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The warning that no messages arrive says why, from what other nodes publish."""
 
 from __future__ import annotations

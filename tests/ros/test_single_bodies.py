@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Topics of single bodies come and go with the bodies, whatever their ids are."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A node that ROS refuses ends with one line."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The throttled log: each kind of remark the 1st, 10th, 100th, ... time, and not too many kinds."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What the node publishes: people for good messages, a log line for bad ones, diagnostics."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Who was seen, from when to when, and in which motion."""
 
 from __future__ import annotations

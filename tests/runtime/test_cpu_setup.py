@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The memory that a process of many days keeps."""
 
 from __future__ import annotations

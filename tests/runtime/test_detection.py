@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """From a video to people: their times, their names, and where a detector goes over to another person."""
 
 from __future__ import annotations

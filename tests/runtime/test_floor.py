@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The floor as a parameter: people are put on it, by a fixed camera as by transforms, and in a replay."""
 
 from __future__ import annotations

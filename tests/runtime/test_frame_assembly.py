@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Bodies of ROS4HRI are assembled into images; late and repeated bodies are dropped and counted."""
 
 from __future__ import annotations

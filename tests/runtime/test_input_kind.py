@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What kind of input a path is, by its name and by its content."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Every accepted message type gives the same results, live and from a bag, also among garbage."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Keypoints are loaded from bags, and a bag is refused where a sequence file is expected."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Results are read again from result files and from bags of skeletons."""
 
 from __future__ import annotations

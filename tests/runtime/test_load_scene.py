@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The scenes of bags, results and keypoints of any format: what was recorded is what is drawn."""
 
 from __future__ import annotations

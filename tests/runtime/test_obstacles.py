@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Obstacles of a scene are what Nav2's kf_hungarian_tracker takes, which itself does not run on today's NumPy.
 
 It matches obstacles of successive messages whose places differ by less than 1 m, takes the differences of stamps

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """People in the frame of the robot: from a parameter, from transforms live and in a replay, and without any."""
 
 from __future__ import annotations

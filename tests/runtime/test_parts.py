@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A bag that is cut where nobody was there for long gives the same messages as the whole."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The pipeline: bytes in, bytes out; bad input is counted and changes nothing."""
 
 from __future__ import annotations

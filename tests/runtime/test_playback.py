@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The messages that are played: from a bag of any detector, from a whole bag, and from a sequence file."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Predictions of people as a topic: on by a parameter, in the frame of the outputs, and the same in a replay."""
 
 from __future__ import annotations

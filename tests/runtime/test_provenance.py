@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A recorded bag names the versions, models and parameters that produced it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A bag that version 0.1 recorded live is replayed with its parameters, by the tracker of today."""
 
 from __future__ import annotations

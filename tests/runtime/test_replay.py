@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Replays of bags of every storage, version and origin, of several bags, and after an interruption."""
 
 from __future__ import annotations

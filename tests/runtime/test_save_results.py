@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The results of `reconstruct` hold the same motion in every format."""
 
 from __future__ import annotations

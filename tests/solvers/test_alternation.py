@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Tests of Algorithm 1: synthetic walks, the steps of its halves, its linear solver, and rejected input."""
 
 import dataclasses

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Orientations of the segments of a body: standing upright in any direction, bent limbs, quaternions."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Tests of the choice of category by evidence and of the periodic decision with its hysteresis."""
 
 from dataclasses import replace

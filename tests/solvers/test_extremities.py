@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Face, feet and hands: found from rays and lifted poses, steady, of constant size, and forgotten where unseen."""
 
 from __future__ import annotations

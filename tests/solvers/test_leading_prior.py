@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Which prior leads: base poses of the very person do, those of another motion or of all motions do not."""
 
 from dataclasses import replace

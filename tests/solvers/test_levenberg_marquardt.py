@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Levenberg-Marquardt on curves a exp(b t): the right minimum, batches that equal their parts, and how it ends."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Observed windows: joints, sides, rays and px as a solver gets them, selected frames, lifting, initial values."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What a result says about how its solver ended is what the solver did."""
 
 from __future__ import annotations

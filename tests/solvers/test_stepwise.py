@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Stepwise solvers: a piece of work has at most one step of Levenberg-Marquardt, and errors pass through."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The vertical of a camera: what poses tell of it, what is given, and lifted poses turned towards it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Small bags of the demo recording, as a corpus for batch runs."""
 
 from __future__ import annotations

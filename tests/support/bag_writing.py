@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Bags of synthetic keypoints for the tests of recorder, reader and recovery."""
 
 from __future__ import annotations

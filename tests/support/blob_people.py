@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """People made of coloured blobs, videos of them, and networks that find the blobs.
 
 Keypoint j of a person is a blob of the colour `COLOURS[j]` on a black ground. The networks have the inputs and the

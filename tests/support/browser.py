@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Chromium without a window, for the tests that look at pages; skipped, visibly, where it is missing."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Matrices that the solvers store in bands, as dense arrays."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Access to the evaluation data, which is not part of the repository."""
 
 from __future__ import annotations

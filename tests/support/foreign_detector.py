@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A detector that publishes YOLO or ROS4HRI messages; run as a module, with the foreign packages on its path.
 
 Its arguments are `yolo` or `hri`, `tf` if it is to wait for transforms and print their frames as JSON, and `map`

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Messages of every type that is accepted as keypoints, with the same two people in each."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Builds interface packages for tests, once: foreign ones into build/foreign, Foxy's markers into build/foxy."""
 
 from __future__ import annotations

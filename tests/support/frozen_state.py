@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Bit-exact comparison of frozen dataclasses that hold arrays, and arrays that nobody can write into."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Message types that count as installed, as rclpy describes them, without a ROS that has them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Listens to markers with the installed version of their type; run as a program, for tests only.
 
 Prints a line for each message: its bytes in hexadecimal digits, and x of every point in it. Ends when its standard

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """MediaPipe where it is installed with its model, which versions up to 0.10.14 are, and a picture of a person."""
 
 from __future__ import annotations

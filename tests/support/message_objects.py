@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The outputs as message objects, which say by their names what the encoders write field by field."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A motion and small motion-capture files, and rotation matrices to check them."""
 
 from __future__ import annotations

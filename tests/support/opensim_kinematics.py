@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Where the markers of the model for OpenSim are, by its formulas, and OpenSim itself where it is installed."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """People in 3D, as the tracker returns them."""
 
 from __future__ import annotations

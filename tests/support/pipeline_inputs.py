@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Keypoint messages of the demo recording, and a pipeline that is fast enough for tests."""
 
 from __future__ import annotations

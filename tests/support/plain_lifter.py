@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The lifter in plain NumPy and double precision, which the compiled one is compared with."""
 
 from __future__ import annotations

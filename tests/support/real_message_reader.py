@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Reads messages with the classes of installed packages; run as a program, with the foreign packages on its path.
 
 Its standard input is JSON: the CDR of a message as hexadecimal digits, by its type. It prints as JSON each message

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The node as its users run it, a process of its own, and a peer in this process that talks to it over DDS."""
 
 from __future__ import annotations

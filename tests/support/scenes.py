@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Scenes for the tests of the viewers: people who swing their limbs before a camera."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What the policies for SROS2 allow to each node."""
 
 from __future__ import annotations

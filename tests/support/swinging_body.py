@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A synthetic body that stands and swings all its limbs."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A synthetic walk with known weights and cameras, and the error of its reconstruction."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Small problems for all kernels of the live tracker, and their solution as a program prints it.
 
 `python -m tests.support.tiny_problems` prints the numbers as JSON.

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Tracks of a synthetic walk, frame by frame and solved by the tracker."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A body that stands upright with hanging arms, as the axes of its segments are defined by it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """An X server without a screen, for programs that open windows."""
 
 from __future__ import annotations

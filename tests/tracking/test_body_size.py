@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """How large a person is: what feet on a floor tell, what they do not, and that the image stays the same."""
 
 from __future__ import annotations

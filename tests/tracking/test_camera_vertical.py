@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The vertical of the camera in the tracker and in whole sequences: found, given, forgotten, and of use."""
 
 from __future__ import annotations

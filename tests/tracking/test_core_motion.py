@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Velocities of joints: of the motion filter, of a smooth solution, and in a gap; and how sure they are."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Tests of the deferred work: its choice, its slices, when it ends without a result, and that nobody starves."""
 
 from collections import Counter

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """After a long time without anybody, what the tracker does depends on nothing that came before."""
 
 from __future__ import annotations

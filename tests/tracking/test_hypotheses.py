@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Tests of the hypothesis checks: what replaces a solution, what does not, and that a check changes nothing."""
 
 from collections.abc import Mapping

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The filter of the newest frame against its formulas, on exact motion, on noise and at uneven times."""
 
 from __future__ import annotations

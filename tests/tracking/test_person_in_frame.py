@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The person that the tracker returns: standard deviations in metres, at any distance."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The memory of key poses: its distance is that of the formula, and it recalls what looks alike and is bounded."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A person who is not seen is predicted: moved on, ever less certain, and never behind the camera."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Tests of what a track takes over from a solver: states in the real camera, kept frames, noise and fit."""
 
 from dataclasses import replace

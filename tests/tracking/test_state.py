@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Tests of the tracker's state: a snapshot never changes, and the tracker continues from it bit for bit."""
 
 import numpy as np

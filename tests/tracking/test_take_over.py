@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Tests of the taking over of a solution of some frames ago."""
 
 from dataclasses import replace

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """People who are none are never more than tentative, and those who are there stay who they are."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Tests of a track: frames come and go, the solution follows, and nothing that existed before changes."""
 
 from dataclasses import replace

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Tests of the tracker: people who come and go, stamps out of order, and equal output for equal input."""
 
 from collections import Counter

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Doubts about a vertical that was given: once everybody contradicts it for a while, and not otherwise."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """People of the tracker with face, feet, hands and orientations, and without them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Shares of trials in the training: many repetitions of one motion and many trials of one person gain little."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Training of base poses: other bodies are as symmetric as people are."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Errors of synthetic detectors: swapped joints keep their scores, and no more is missing than detectors miss."""
 
 from __future__ import annotations

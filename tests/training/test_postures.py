@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Synthetic postures: bones keep their lengths, and limbs point where the posture says."""
 
 from __future__ import annotations

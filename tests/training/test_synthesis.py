@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Training examples: offsets of a detector are fixed to the trunk, and the target knows nothing of them."""
 
 from __future__ import annotations

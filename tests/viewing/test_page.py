@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The page: its arrays read back, its size, that it needs nothing else, and what Chromium draws of it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What the pictures draw: the view from the side, and the error over time."""
 
 from __future__ import annotations

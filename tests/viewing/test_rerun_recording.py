@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The recording of Rerun: rows that end where people leave, states that change, and what Rerun reads back."""
 
 from __future__ import annotations

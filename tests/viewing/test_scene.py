@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What the scene says besides what it was given: undone swaps, colours, and the space that it fills."""
 
 from __future__ import annotations

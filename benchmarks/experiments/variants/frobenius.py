@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Algorithm 1 with the terms as the paper prints them (TPAMI 2016, eq. 13 and 21).
 
 Their norms are not squared, and the bone-length term is a variance, not a sum:

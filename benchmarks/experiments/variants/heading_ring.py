@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The joint solver from a ring of initial headings, beyond the closed-form cameras and their Necker reversal.
 
 The headings R -> R Rz(angle) cover every wrong initial heading of a person who stands upright.

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The bone-length term with the variance of each bone relative to its length, which the paper also tried.
 
     beta sum_tb (l / l_b)^2 (l_tb - m_b)^2

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The paper's periodic model: one sine for each base pose, with a frequency of its own (TPAMI 2016, eq. 17).
 
     u_l(t) = alpha_l sin(omega_l t + phi_l) = a_l cos(omega_l (t - t0)) + b_l sin(omega_l (t - t0))

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Joint positions as an armature for animation: bones of constant length that are rotated from a T-pose.
 
 A bone with the direction e in the T-pose has at every frame a rotation R and a constant length l:

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Joint angles of a person, as biomechanics name them.
 
 The axes of every segment are x forward, y up and z to the right of a person who stands upright with hanging arms.

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """OpenSim's files: a model (.osim) with the bones and markers of a person, and a motion of its coordinates (.mot).
 
 The model has the segments and the coordinates of `joint_angles`. Its bones have the person's median lengths. The

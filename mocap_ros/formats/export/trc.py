@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Writer of TRC files, the marker files of OpenSim."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Reader of ASF/AMC files: a skeleton (.asf) and its motion (.amc) in Acclaim's format, as in the CMU database.
 
 The rotation R_n of bone n with parent p, and the position x_n of the bone's end, are (forward kinematics)

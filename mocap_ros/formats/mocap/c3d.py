@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Reader of C3D files, which hold labelled markers; it needs the library `ezc3d` of the extra `c3d`."""
 
 from __future__ import annotations

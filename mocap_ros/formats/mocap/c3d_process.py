@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The program that reads a C3D file with ezc3d and writes its content to stdout as .npz; `c3d.py` starts it.
 
 ezc3d is compiled code that trusts what a file states: a damaged file may crash the process, ask for all the

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Maps from the joints or markers of motion-capture rigs to the joints of the model.
 
 The head of the model is the tip of the head bone, and its neck is the point where the spine and the collar bones

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The limit on the positions that a motion-capture file may ask for."""
 
 from __future__ import annotations

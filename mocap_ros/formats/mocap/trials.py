@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Motion-capture trials for training: joint positions with the subject and the category of each trial.
 
 The trials are read from ASF/AMC, BVH and C3D files, from folders of such files, and from .npz archives of joints.

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Definitions of other packages' messages that are accepted as keypoints or put out for robots.
 
 With these definitions the messages are read and written although their packages are not installed. The definitions

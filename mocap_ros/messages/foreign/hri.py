@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """hri_msgs/Skeleton2D and hri_msgs/IdsList of ROS4HRI (REP-155).
 
 ROS4HRI publishes the ids of all tracked bodies on one topic, and each body on a topic of its own.

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """openpose_ros2_msgs/PoseKeyPointsList, published by openpose_ros2."""
 
 from __future__ import annotations

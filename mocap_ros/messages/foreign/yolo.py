@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """yolo_msgs/DetectionArray, published by yolo_ros."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """ROS4HRI (REP-155): the ids of all bodies, and the kinematic model and the joint states of each.
 
 The model is that of the package human_description: a trunk, a head, arms and legs with 20 joints, all links with x

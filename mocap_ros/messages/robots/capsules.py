@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """mocap_ros_msgs/BodyCapsulesArray: bodies as capsules, for distances.
 
 A capsule is all that is nearer to the segment between two places of the body than its radius

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """moveit_msgs/CollisionObject: each person as an object of MoveIt's planning scene, made of cylinders.
 
 A capsule between two places at the distance l with the radius r lies in the cylinder of the length l + 2 r and the

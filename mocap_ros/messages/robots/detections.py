@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """vision_msgs/Detection3DArray: pose with covariance, and the box around each person."""
 
 from __future__ import annotations

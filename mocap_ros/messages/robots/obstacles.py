@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """nav2_dynamic_msgs/ObstacleArray: people as moving obstacles, for Nav2's trackers and dynamic layers."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """geometry_msgs/PoseArray: where people are and where they face, for everything that shows or takes poses."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """mocap_ros_msgs/Predictions: where the people of an image will be at some times after it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """visualization_msgs/MarkerArray: the capsules of bodies, and where people will be, for RViz and Foxglove.
 
 A capsule is a CYLINDER and a SPHERE_LIST with a ball at each end (namespaces `cylinders` and `ends`). A predicted

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What the messages for robots share: reliability of people, boxes around them, and how well they are turned."""
 
 from __future__ import annotations

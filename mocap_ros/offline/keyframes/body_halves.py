@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The upper and the lower half of the body, which have separate keyframes (Loy et al. 2004, section 4.3).
 
 Every bone belongs to one half: trunk, arms and head to the upper half, legs to the lower half. The 2D poses of a

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Constant offsets between a detector's trunk joints and the model's.
 
     min_o sum_f w_f rho( | P R_f o - d_f |^2 ) + ridge |o|^2      for each joint of the trunk

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The distance matrix between the 2D poses of all frames (Loy et al. 2004, sections 4.1 and 4.2).
 
     C(i, j) = A(i, j) B(i, j) + (1 - A(i, j)) max B

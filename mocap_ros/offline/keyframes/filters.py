@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Low-pass filter, medians and gap interpolation over time, for frames at any rate."""
 
 from __future__ import annotations

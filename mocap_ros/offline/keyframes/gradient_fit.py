@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Fit of the initial motion to the image points (Loy et al. 2004, section 6.2, figure 9).
 
     X_hat = argmin_X E(X)  subject to X in M_N,      E(X) = || x' - x_hat ||^2                  (eq. 5 and 6)

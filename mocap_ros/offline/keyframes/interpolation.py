@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The initial smooth motion X^0 between key poses (Loy et al. 2004, section 6.1).
 
     slerp(a, b; u) = ( sin((1 - u) omega) a + sin(u omega) b ) / sin(omega)      with cos(omega) = a . b

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """3D key poses of the keyframes: from the solver, from the lifter, or by Taylor's method from a user's choices.
 
     d_k = normalise( sum_{f in W_k} exp(-(D(k, f) / (beta / 2))^2 / 2) d_f )        for each limb

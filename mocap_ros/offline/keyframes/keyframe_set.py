@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The set of keyframes of a sequence of any length (Loy et al. 2004, section 4).
 
 Up to `keyframes.max_matrix_frames` frames the distance matrix D covers the whole sequence, and the selection is

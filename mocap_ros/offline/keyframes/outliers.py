@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Outliers as discontinuities of the 3D motion (Loy et al. 2004, section 7).
 
 For each joint, the set S of inlier frames that minimises

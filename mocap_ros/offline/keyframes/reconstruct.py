@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Reconstruction of a long sequence by keyframes, from 2D keypoints to 3D motion (Loy et al. 2004, figure 1).
 
 The steps: observed window of the sequence, suspect points, keyframes, key poses, interpolation between control

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Greedy keyframe selection (Loy et al. 2004, section 4.3, eq. 1 to 4), in seconds instead of frames.
 
     |W u J| >= alpha N                                                                              (eq. 1)

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Shots and sections of a long sequence, and its window for the keyframe method."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Key poses by Taylor's method (Taylor, CVIU 80(3), 2000, as used by Loy et al. 2004, section 6).
 
     dz^2 = l^2 - (du^2 + dv^2) / s^2

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Face, feet and hands of a person: rigid parts that hang on the core joints, followed over time.
 
 The head, the feet and the hands are rigid parts k. Each hangs on a core joint c_k (`head`, ankles, wrists) and

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The correction of a part by what one frame tells of it.
 
 It is the rotation d and the displacement t (m) of the whole part that minimise, in two steps of Gauss and Newton,

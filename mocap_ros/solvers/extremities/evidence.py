@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What an observed window and the solved core tell of face, feet and hands."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The extremities of a person, followed from frame to frame.
 
 Without evidence a part is as the core has it, A_k (the segments of `body_segments.py`). From frame to frame, h

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The rigid parts, their points, and how they hang on the core.
 
     p_i = c_k + e^(b_k) H R_k T_i

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Rotation vectors and inverses of small matrices, for the kernels of the extremities."""
 
 from __future__ import annotations

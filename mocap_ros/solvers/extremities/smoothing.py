@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The extremities of a whole sequence, followed forwards and backwards.
 
 The sequence is followed forwards (f) and backwards (b, before its correction), with the sizes that were learnt

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A limit to accelerations that gives way to motion that is truly fast.
 
 Both terms of acceleration (`pose_acceleration`, `camera_acceleration`) have the form

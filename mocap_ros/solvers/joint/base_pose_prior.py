@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The Gaussian prior of the base-pose weights (beyond TPAMI 2016; the prior of the principal component analysis).
 
     lambda sum_tl (theta_tl / sigma_l)^2

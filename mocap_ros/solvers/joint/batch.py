@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The layout of a batch: sequences of any number of people and hypotheses, one after the other in the same arrays.
 
 Throughout the joint solver N is the number of frames of the whole batch, P the number of its sequences, J of

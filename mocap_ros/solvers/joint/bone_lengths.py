@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The bone-length term: the bones of a person keep their lengths (TPAMI 2016, eq. 20).
 
     beta sum_tb (l_tb - m_b)^2,    m_b = mean of l_tb over the sequence

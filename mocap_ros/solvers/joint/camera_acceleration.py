@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The acceleration with which a person turns before the camera is small (beyond TPAMI 2016).
 
     sum_t kappa_t |U_(t+1) - U_t|^2 / h_t,    U_t = (M_(t+1) - M_t) / dt_t,    M_t = R_t[:2]

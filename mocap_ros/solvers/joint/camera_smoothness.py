@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The smoothness of the camera over time: the flip regulariser (TPAMI 2016, eq. 12), tilt and scale.
 
     gamma sum_t |M_t - M_(t-1)|^2 / dt_t           flip regulariser: M_t = s_t R_t[:2], the paper's matrix of the

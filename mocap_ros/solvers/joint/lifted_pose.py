@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The lifted-pose term: the poses that the lifter network proposes are a robust prior (beyond TPAMI 2016).
 
     omega sum_tj rho( sum_c (q_tjc - y_tjc)^2 / v_tjc ),    q_tj = s_t R_t P_tj,    rho(a) = c^2 log(1 + a / c^2)

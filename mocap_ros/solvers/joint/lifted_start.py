@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Initial values from lifted poses: the base-pose weights and the camera that fit each lifted pose best.
 
     min over theta, s, R of  sum_j |R P_j - y_j / s|^2 / v + sum_l (theta_l / sigma_l)^2,

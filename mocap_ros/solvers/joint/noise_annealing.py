@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The image noise of each window, estimated while the objective is minimised, from a large noise down.
 
 The noise weighs the reprojection against all other terms (`objective`). Its estimate is the root mean square of

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The image noise of a fit: its residual, shared among the coordinates that the unknowns have not absorbed.
 
     noise^2 = sum_tj w_tj rho(|e_tj|^2) / (2 S - m),    m = F / |T| sum_(t in T) m_t

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The normal equations of a Gauss-Newton step, and how the terms of the objective add to them.
 
 A step x solves

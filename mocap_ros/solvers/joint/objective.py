@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The objective of the joint solver: the reprojection and a list of further terms, a file each.
 
     E = reprojection (eq. 9) + bone lengths (eq. 20) + base-pose prior + smoothness of the weights

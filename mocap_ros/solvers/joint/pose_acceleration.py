@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The acceleration of the body's pose is small (beyond TPAMI 2016).
 
     sum_tl alpha_t (v_(t+1)l - v_tl)^2 / h_t,    v_t = (theta_(t+1) - theta_t) / dt_t

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The smoothness of the base-pose weights over time (beyond TPAMI 2016).
 
     mu sum_tl ((theta_tl - theta_(t-1)l) / sigma_l)^2 / dt_t

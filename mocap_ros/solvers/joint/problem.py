@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The objective of the joint solver, in the form in which Levenberg-Marquardt minimises it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The reprojection term, robust and in perspective where the focal length is known (TPAMI 2016, eq. 9).
 
     sum_tj w_tj rho(|e_tj|^2) / v_t,    e_tj = (s_t R_t[:2] P_tj + t_t) / d_tj - x_tj / s0,

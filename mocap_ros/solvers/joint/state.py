@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The unknowns of the joint solver, and what follows from them for the terms of its objective."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Velocity and acceleration of the camera are small (beyond TPAMI 2016, which weighs its changes, eq. 12).
 
     gamma int |dM / dt|^2 dt + kappa int |d^2 M / dt^2|^2 dt,    M_t = s_t C_t[:2]

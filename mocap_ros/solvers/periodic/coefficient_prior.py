@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The Gaussian prior of the coefficients of the series (beyond TPAMI 2016).
 
     lambda sum_pl c_pl^2 / var_pl

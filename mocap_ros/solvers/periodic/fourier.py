@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Fourier series of time for the base-pose weights and the heading (TPAMI 2016, section 3.3).
 
     u_l(t) = c_0l + sum_h [a_hl cos(h omega (t - t0)) + b_hl sin(h omega (t - t0))],    h = 1 ... H

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Cameras are about level (beyond TPAMI 2016).
 
     nu mean_t |tilt_t|^2,    tilt_t = x and z components of C_t e_z

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The normal equations of the periodic model, and their solution with the cameras eliminated.
 
 Unknowns of a window of N frames, K base poses, P terms of a series (module `fourier`):

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """How well the newest part of a motion repeats what was one cycle before.
 
 With theta(t) the base-pose weights at a time, n the newest 0.4 s, and c these and the cycle before them,

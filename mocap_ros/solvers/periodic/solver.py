@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The solver of the periodic model: Levenberg-Marquardt over Fourier series and cameras.
 
 It minimises the objective E of module `periodic.objective` over the coefficients of the series, their frequency

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What every term of the periodic objective offers beside those of the body (reprojection and bone lengths).
 
 A new term is a file with a class of this form, and a line in `objective.PeriodicObjective.build`.

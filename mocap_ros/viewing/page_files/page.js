@@ -1,3 +1,6 @@
+// Copyright 2026 mocap_ros developers
+// SPDX-License-Identifier: Apache-2.0
+
 // The page that `mocap-ros view IN -o page.html` writes. `mocap_ros/viewing/page.py` fills in the scene (JSON) and
 // the data (arrays); THREE is the bundle of three.js beside this file. Coordinates are those of the camera's optical
 // frame (x right, y down, z forward, m); the group `world` turns them so that up is up and the floor is level.

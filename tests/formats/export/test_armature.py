@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The armature of a motion, as it is read back from its file."""
 
 from __future__ import annotations

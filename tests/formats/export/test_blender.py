@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Blender's own importer reads the BVH files; `pip install bpy`, which is Blender as a module, runs this test."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Joint angles: known angles are found again, with their signs, through singular poses and whole turns."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Markers, model and joint angles for OpenSim, which reads them itself where it is installed."""
 
 from __future__ import annotations

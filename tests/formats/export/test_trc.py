@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Markers for OpenSim: the file is parsed as its format is documented."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """BVH files are read, and written files are read back."""
 
 from __future__ import annotations

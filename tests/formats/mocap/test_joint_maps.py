@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Rigs are recognised by name, and marker maps are read from YAML."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Trials are read from files and folders in all formats of motion capture."""
 
 from __future__ import annotations

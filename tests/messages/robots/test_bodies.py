@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """ROS4HRI bodies: joint states and models put the links where the joints are, and name what the REP names."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Distances to the capsules of a body, as a library for collisions measures them (`pip install .[collision]`)."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Messages for robots: what they say of people in known poses, and that an independent decoder reads the same."""
 
 from __future__ import annotations

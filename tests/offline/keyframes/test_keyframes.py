@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Parts of the keyframe method: distances and selection follow the paper, the fit descends, outliers are found."""
 
 from dataclasses import replace

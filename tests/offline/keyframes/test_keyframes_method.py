@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The keyframe method from 2D to 3D, and on the command line with real files."""
 
 from pathlib import Path

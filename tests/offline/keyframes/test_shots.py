@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Shots end at cuts and after absences, not where left and right are swapped; sections cover a sequence once."""
 
 from __future__ import annotations

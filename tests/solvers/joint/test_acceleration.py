@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The limit to accelerations: how it gives way to motion, and the measurement of that motion."""
 
 from __future__ import annotations

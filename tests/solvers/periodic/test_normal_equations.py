@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The normal equations of the periodic model against dense matrices and finite differences."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """How well motions repeat themselves: walks, seams, standing still, and what is too short to tell."""
 
 from __future__ import annotations

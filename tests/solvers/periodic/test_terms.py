@@ -1,3 +1,6 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Every term of the periodic objective alone: its gradient is that of its cost, its matrix that of its squares."""
 
 from __future__ import annotations
