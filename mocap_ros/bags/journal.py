@@ -134,7 +134,7 @@ class Journal:
         times_ns: tuple[int, int],
         verdict: Verdict,
         reason: str = '',
-        repeat_key: str = '',
+        repeat_keys: frozenset[str] | None = frozenset(),
     ) -> list[RecordedMessage]:
         """Return the messages that record an input and what became of it.
 
@@ -145,17 +145,19 @@ class Journal:
             times_ns: Times of receipt and of sending, in ns.
             verdict: What became of the input.
             reason: Why the input was not accepted, or a remark on an accepted one.
-            repeat_key: With the topic, says which earlier input this one replaces at the start of further files.
+            repeat_keys: What the input tells of, as `Recorder.write` takes it; see `make_repeat_keys`.
 
         Returns:
-            A `lost` entry where inputs were lost before, the input itself, and its journal entry.
+            A `lost` entry where inputs were lost before, the input itself, and its journal entry. The first of
+            them alone may begin a further file: what that repeats then has the time of receipt of the first input
+            in it. Outputs and events have later times than inputs that waited meanwhile and follow them.
         """
         self._input_ns = times_ns[0]
         before = self.make_lost_records()
         self._input_count += 1
         entry = Entry(INPUT, self._input_count, verdict, reason, topic)
-        message = RecordedMessage(topic, msgtype, raw, *times_ns, repeat_key)
-        return [*before, message, self._make_record(entry, times_ns[0])]
+        message = RecordedMessage(topic, msgtype, raw, *times_ns, repeat_keys, may_begin_file=not before)
+        return [*(r._replace(may_begin_file=True) for r in before), message, self._make_record(entry, times_ns[0])]
 
     def make_lost_records(self) -> list[RecordedMessage]:
         """Return the message that says how many inputs were lost since the last recorded one, if any were."""
@@ -180,10 +182,11 @@ class Journal:
     def make_parameters_record(self, values: Mapping[str, Value], log_time_ns: int) -> RecordedMessage:
         """Return the message that records the parameters used from now on; each file of the bag repeats it."""
         entry = Entry(PARAMETERS, self._input_count, parameters=values)
-        return self._make_record(entry, log_time_ns)._replace(repeat_key=PARAMETERS)
+        return self._make_record(entry, log_time_ns)._replace(repeat_keys=frozenset({PARAMETERS}))
 
     def _make_record(self, entry: Entry, log_time_ns: int) -> RecordedMessage:
-        return RecordedMessage(self._topic, JOURNAL, encode_entry(entry), log_time_ns, log_time_ns)
+        entry_raw = encode_entry(entry)
+        return RecordedMessage(self._topic, JOURNAL, entry_raw, log_time_ns, log_time_ns, may_begin_file=False)
 
 
 class RecordedRun(NamedTuple):

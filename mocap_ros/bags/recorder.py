@@ -24,7 +24,7 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -59,12 +59,13 @@ class RecordedMessage(NamedTuple):
     data: bytes
     log_time_ns: int
     publish_time_ns: int
-    repeat_key: str = ''
+    repeat_keys: frozenset[str] | None = frozenset()
+    may_begin_file: bool = True
 
 
 RECOVERY_HINT = '; `mocap-ros recover'  # begins what an error says of a bag that could not be finished
-# Latched messages that a further file repeats, the newest; guards memory and files against topics that never end,
-# such as the models of people who have left.
+# Messages of a topic that a further file repeats, the newest; guards memory and files against ever new keys. There
+# may be as many coordinate frames.
 MAX_REPEATED = 1000
 _ERRORS = {errno.ENOSPC: DiskFull, errno.EDQUOT: DiskFull, errno.EEXIST: FolderTaken}  # by `OSError.errno`
 
@@ -171,9 +172,10 @@ class Recorder:
         self._config = config
         self._attachments = attachments
         self._topics: dict[str, Topic] = {}
-        self._messages_to_repeat: dict[tuple[str, str], RecordedMessage] = {}  # by topic and `repeat_key`
+        self._messages_to_repeat: dict[str, list[RecordedMessage]] = {}  # by topic, the oldest first
         self._finished_files: dict[str, MessageStatistics] = {}  # by file name
         self._chunk_start_ns = -1  # log time of the first message since the last flush; -1 where there is none
+        self._begun_bytes = 0  # of the current file, which repeat what earlier files hold
         self._file: McapFile | None = None
         _make_parent(folder)
         with self._finish_on_disk_error():
@@ -204,7 +206,7 @@ class Recorder:
     def add_topic(self, topic: Topic) -> None:
         """Add a topic of any message type, unless the bag has it: readers accept one description of a topic only.
 
-        The last message of a latched topic is repeated at the start of each further file.
+        The last messages of a latched topic are repeated at the start of each further file.
 
         Raises:
             RecordingError: The bag has the topic with another type or is closed, or the disk is full or fails.
@@ -246,7 +248,14 @@ class Recorder:
             file.add_metadata(name, values)
 
     def write(
-        self, topic: str, msgtype: str, data: bytes, log_time_ns: int, publish_time_ns: int, repeat_key: str = ''
+        self,
+        topic: str,
+        msgtype: str,
+        data: bytes,
+        log_time_ns: int,
+        publish_time_ns: int,
+        repeat_keys: frozenset[str] | None = frozenset(),
+        may_begin_file: bool = True,
     ) -> None:
         """Append a message; flush when `recorder.chunk_seconds` of log time have passed since the last flush.
 
@@ -256,8 +265,11 @@ class Recorder:
             data: The message as CDR.
             log_time_ns: Time of receipt, in ns; for an output, the time of its publication.
             publish_time_ns: Time at which the publisher sent the message, in ns.
-            repeat_key: If not empty, the last message of this topic with this key is repeated at the start of each
-                further file.
+            repeat_keys: What the message tells of, such as the names of coordinate frames. A further file begins
+                with the messages of latched topics and those with keys, but for those whose keys are all among the
+                keys of a later message of the topic. A message with None is not repeated and replaces none.
+            may_begin_file: Whether the bag may continue in a further file with this message. Log times of what
+                the file repeats are that of the message with which it begins.
 
         Raises:
             RecordingError: The disk is full or fails, or the bag is closed.
@@ -265,14 +277,13 @@ class Recorder:
         if topic not in self._topics or self._topics[topic].type != msgtype:
             self.declare_topic(topic, msgtype)
         with self._finish_on_disk_error():
-            file = self._select_file(log_time_ns)
+            file = self._select_file(log_time_ns, may_begin=may_begin_file)
             file.write(topic, data, log_time_ns, publish_time_ns)
-        if repeat_key or self._topics[topic].is_latched:
-            message = RecordedMessage(topic, msgtype, data, log_time_ns, publish_time_ns, repeat_key)
-            self._messages_to_repeat.pop((topic, repeat_key), None)  # so that the oldest is the first
-            self._messages_to_repeat[topic, repeat_key] = message
-            if len(self._messages_to_repeat) > MAX_REPEATED:
-                del self._messages_to_repeat[next(iter(self._messages_to_repeat))]
+        if repeat_keys or (repeat_keys is not None and self._topics[topic].is_latched):
+            message = RecordedMessage(topic, msgtype, data, log_time_ns, publish_time_ns, repeat_keys)
+            before = self._messages_to_repeat.get(topic, [])
+            kept = [m for m in before if m.repeat_keys is not None and not m.repeat_keys <= repeat_keys]
+            self._messages_to_repeat[topic] = [*kept, message][-MAX_REPEATED:]
         if self._chunk_start_ns < 0:
             self._chunk_start_ns = log_time_ns
         elif abs(log_time_ns - self._chunk_start_ns) >= self._config.chunk_seconds * NS_PER_S:
@@ -346,25 +357,28 @@ class Recorder:
         path = self.folder / f'{self._name}_{len(self._finished_files)}.mcap'
         return McapFile(path, self._config, has_log=self._has_log)
 
-    def _select_file(self, log_time_ns: int) -> McapFile:
-        """Return the current file, or the next one where the current file has reached a limit.
+    def _select_file(self, log_time_ns: int, *, may_begin: bool) -> McapFile:
+        """Return the current file, or the next one where that may begin and the current file has reached a limit.
 
-        A new file starts with all topics, the attachments and the messages to repeat.
+        A new file starts with all topics, the attachments and the messages to repeat. These do not count towards
+        its limit, which they alone might reach.
         """
         file, config = self._open_file, self._config
         if file.statistics.first_ns < 0:
             file.add_attachments(self._attachments, log_time_ns)
             return file
         seconds = (log_time_ns - file.statistics.first_ns) / NS_PER_S
-        is_large = config.split_mb and file.written_bytes >= config.split_mb * MB
-        if is_large or 0 < config.split_seconds <= seconds:
+        is_large = config.split_mb and file.written_bytes - self._begun_bytes >= config.split_mb * MB
+        if may_begin and (is_large or 0 < config.split_seconds <= seconds):
             self._finish_file(file)
             file = self._file = self._create_file()
             for topic in self._topics.values():
                 file.add_topic(topic)
             file.add_attachments(self._attachments, log_time_ns)
-            for message in self._messages_to_repeat.values():
+            for message in chain.from_iterable(self._messages_to_repeat.values()):
                 file.write(message.topic, message.data, log_time_ns, message.publish_time_ns)
+            file.flush()
+            self._begun_bytes = file.written_bytes
         return file
 
     def _finish_file(self, file: McapFile) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NamedTuple
@@ -123,16 +123,19 @@ def make_topic(
         name: Absolute name.
         msgtype: Message type.
         latched: Whether the durability is transient local.
-        qos: QoS profiles that the publishers offer, of which equal ones are held once; by default, one reliable
-            profile.
+        qos: QoS profiles that the publishers offer, of which equal ones are held once. If there is none, or none
+            that is transient local for a latched topic, one reliable profile takes their place.
         definition: Definition of the message type; by default, this package's.
 
     Raises:
         RecordingError: No definition is given, and this package does not define the message type.
     """
     text, type_hash = definition or _generate_definition(msgtype)
-    profiles = tuple(q for i, q in enumerate(qos) if q not in qos[:i]) or (_make_qos_profile(latched=latched),)
-    return Topic(name, msgtype, text, type_hash=type_hash, qos=profiles)
+    profiles = tuple(q for i, q in enumerate(qos) if q not in qos[:i])
+    offered = Topic(name, msgtype, text, type_hash=type_hash, qos=profiles)
+    if offered.qos and (offered.is_latched or not latched):
+        return offered
+    return replace(offered, qos=(_make_qos_profile(latched=latched),))
 
 
 def find_ros_distro() -> str:

@@ -101,22 +101,25 @@ def find_transform_topics(bag: Bag, node: NodeConfig, recorded: AbstractSet[str]
     return found
 
 
-def make_repeat_key(source: Source | None, raw: bytes) -> str:
-    """Return the `repeat_key` with which a valid input is recorded.
+def make_repeat_keys(source: Source | None, raw: bytes, *, is_accepted: bool = True) -> frozenset[str] | None:
+    """Return the `repeat_keys` of `Recorder.write` with which an input is recorded.
 
     Each publisher of static transforms sends its own frames, which hold beside those of the others. Any other
-    input replaces the one before it.
+    input replaces the one before it, unless it was refused.
 
     Args:
         source: What the topic carries; None where it is no input of its own name.
         raw: The message, as this package defines its type.
+        is_accepted: Whether the pipeline has accepted the message.
 
     Returns:
-        The names of the frames that static transforms place; nothing for other inputs.
+        The names of the frames that static transforms place; nothing for other inputs; None for a refused one.
     """
+    if not is_accepted:
+        return None
     if source is not Source.STATIC_TRANSFORMS:
-        return ''
-    return ' '.join(sorted({t.child_frame_id for t in decode(raw, TRANSFORMS).transforms}))
+        return frozenset()
+    return frozenset(t.child_frame_id for t in decode(raw, TRANSFORMS).transforms)
 
 
 def make_body_topic(tracked_topic: str, body_id: str) -> str:

@@ -20,6 +20,7 @@ from mocap_ros.errors import ConfigError
 COMMENT_WIDTH = 90  # characters of a comment line, so that a line with its indentation stays below 100
 MAX_DEPTH = 50  # levels of a YAML text; parameter files have 4
 MAX_NODES = 200_000  # keys and values of a YAML text; they take some seconds and 200 MB
+ANY_NODE = '/**'  # name in a ROS parameter file that stands for each node that is given the file, in any namespace
 TEXT_TAG = 'tag:yaml.org,2002:str'  # tag of texts in YAML, written as !!str
 
 HEADER = """\
@@ -139,7 +140,7 @@ def _flatten(tree: Mapping[object, object], prefix: str = '') -> Iterator[tuple[
 
 def to_yaml(config: Config) -> str:
     """Return a commented ROS parameter file that sets every parameter of the node to its value in `config`."""
-    lines = [*HEADER.splitlines(), 'mocap_node:', '  ros__parameters:']
+    lines = [*HEADER.splitlines(), f'{ANY_NODE}:', '  ros__parameters:']
     value_of = values(config)
     previous_group = ''
     for parameter in parameters():

@@ -14,7 +14,7 @@ from mocap_ros.bags.background import BackgroundRecorder, start_recorder
 from mocap_ros.bags.journal import Journal, Verdict
 from mocap_ros.bags.recorder import RecordedMessage
 from mocap_ros.bags.rosbag2 import Topic, make_topic
-from mocap_ros.bags.topics import Source, make_repeat_key
+from mocap_ros.bags.topics import Source, make_repeat_keys
 from mocap_ros.config import Config, values
 from mocap_ros.errors import RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
@@ -222,9 +222,9 @@ class LiveRecording:
         if self._recorder is None:
             return True
         records: list[RecordedMessage | Topic] = [*self._declare_input(topic, msgtype)]
-        repeat_key = self._make_repeat_key(topic, msgtype, raw, result.verdict)
+        repeat_keys = self._make_repeat_keys(topic, msgtype, raw, result.verdict)
         records += self._journal.make_input_records(
-            topic, msgtype, raw, times_ns, result.verdict, result.reason, repeat_key
+            topic, msgtype, raw, times_ns, result.verdict, result.reason, repeat_keys
         )
         for output in result.outputs:
             records += self._make_output_records(output, published_ns)
@@ -266,9 +266,9 @@ class LiveRecording:
         for source, msgtype, content in known:
             topic, raw = self._names[source.value], self._versions.write(msgtype, content)
             records += self._declare_input(topic, msgtype)
-            repeat_key = make_repeat_key(source, content)
+            repeat_keys = make_repeat_keys(source, content)
             records += self._journal.make_input_records(
-                topic, msgtype, raw, (start_ns, start_ns), Verdict.ACCEPTED, repeat_key=repeat_key
+                topic, msgtype, raw, (start_ns, start_ns), Verdict.ACCEPTED, repeat_keys=repeat_keys
             )
         return records
 
@@ -280,10 +280,10 @@ class LiveRecording:
         is_latched = self._sources.get(topic) is Source.STATIC_TRANSFORMS  # also when its publisher has gone
         return [self._make_topic(topic, msgtype, latched=is_latched, qos=self._find_offered_qos(topic))]
 
-    def _make_repeat_key(self, topic: str, msgtype: str, raw: bytes, verdict: Verdict) -> str:
-        """Return the `repeat_key` of an input."""
-        source = self._sources.get(topic) if verdict is Verdict.ACCEPTED else None
-        return make_repeat_key(source, self._versions.read(msgtype, raw))
+    def _make_repeat_keys(self, topic: str, msgtype: str, raw: bytes, verdict: Verdict) -> frozenset[str] | None:
+        """Return the `repeat_keys` of an input."""
+        content, is_accepted = self._versions.read(msgtype, raw), verdict is Verdict.ACCEPTED
+        return make_repeat_keys(self._sources.get(topic), content, is_accepted=is_accepted)
 
     def _make_topic(
         self, name: str, msgtype: str, *, latched: bool = False, qos: Sequence[Mapping[str, Any]] = ()
@@ -302,7 +302,8 @@ class LiveRecording:
                     'further bodies are published but not recorded: start another recording'
                 )
             return []
-        record = RecordedMessage(name, output.type, output.data, published_ns, published_ns)
+        times_ns = published_ns, published_ns
+        record = RecordedMessage(name, output.type, output.data, *times_ns, may_begin_file=False)
         if output.type not in LATCHED_TYPES or name in self._declared_topics:
             return [record]
         self._declared_topics.add(name)

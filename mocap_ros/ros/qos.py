@@ -90,7 +90,8 @@ def choose_playback_profile(recorded: Sequence[Qos], msgtype: str = '') -> QoSPr
     """
     reliability = {q.reliability.name for q in recorded}
     durability = {q.durability.name for q in recorded}
-    is_latched = durability == {DurabilityPolicy.TRANSIENT_LOCAL.name}
+    transient_local = DurabilityPolicy.TRANSIENT_LOCAL.name
+    is_latched = durability == {transient_local} or (msgtype == TRANSFORMS and transient_local in durability)
     is_best_effort = reliability == {ReliabilityPolicy.BEST_EFFORT.name}
     return QoSProfile(
         depth=max(1, *(q.depth for q in recorded))

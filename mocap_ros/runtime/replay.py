@@ -25,7 +25,7 @@ from mocap_ros.bags.topics import (
     find_people_topics,
     find_people_type,
     find_transform_topics,
-    make_repeat_key,
+    make_repeat_keys,
 )
 from mocap_ros.config import Config, Value, current_names, values, with_values
 from mocap_ros.errors import ConfigError, InputError, RecordingError
@@ -226,7 +226,7 @@ class _Replay:
         times_ns = (now_ns, now_ns)
         if message.topic not in self._recorder.topics:
             self._add_input_topic(message)
-        source = self._inputs[message.topic] if verdict is Verdict.ACCEPTED else None
+        is_accepted = verdict is Verdict.ACCEPTED
         for record in self._journal.make_input_records(
             message.topic,
             message.type,
@@ -234,7 +234,7 @@ class _Replay:
             times_ns,
             verdict,
             reason,
-            make_repeat_key(source, message.raw),
+            make_repeat_keys(self._inputs[message.topic], message.raw, is_accepted=is_accepted),
         ):
             self._recorder.write(*record)
         for output in result.outputs:
@@ -251,11 +251,9 @@ class _Replay:
 
     def _add_input_topic(self, message: BagMessage) -> None:
         """Add the topic of an input with its QoS, so that it is played to the same subscribers, and repeated."""
-        topic, profiles = message.topic, self._bag.qos[message.topic]
+        topic = message.topic
         is_static = self._inputs[topic] is Source.STATIC_TRANSFORMS
-        if is_static and topic not in self._bag.latched_topics:  # replays of version 0.1 did not hold the QoS
-            profiles = []
-        qos: Any = dump_qos_v9(profiles)
+        qos: Any = dump_qos_v9(self._bag.qos[topic])
         self._recorder.add_topic(make_topic(topic, message.type, latched=is_static, qos=qos))
 
     def _write(self, output: OutputMessage, now_ns: int) -> None:

@@ -11,7 +11,7 @@ from mocap_ros.bags.journal import Entry, Journal, Verdict, decode_entry, encode
 from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.rosbag2 import make_topic
-from mocap_ros.bags.topics import Source, make_repeat_key
+from mocap_ros.bags.topics import Source, make_repeat_keys
 from mocap_ros.config import RecorderConfig
 from mocap_ros.config.defaults import Value
 from mocap_ros.messages.camera_info import CAMERA_INFO
@@ -138,8 +138,8 @@ def test_a_further_file_alone_has_the_transforms_of_every_publisher(tmp_path: Pa
         for i, (topic, msgtype, raw) in enumerate(inputs):
             times_ns = (START_NS + i * STEP_NS,) * 2
             source = Source.STATIC_TRANSFORMS if msgtype == TRANSFORMS else Source.KEYPOINTS
-            key = make_repeat_key(source, raw)
-            for record in journal.make_input_records(topic, msgtype, raw, times_ns, Verdict.ACCEPTED, '', key):
+            keys = make_repeat_keys(source, raw)
+            for record in journal.make_input_records(topic, msgtype, raw, times_ns, Verdict.ACCEPTED, '', keys):
                 bag.write(*record)
     for name, expected in (('bag', [arm, base, later_arm]), ('bag/bag_1.mcap', [base, later_arm])):
         with Bag(tmp_path / name) as opened:

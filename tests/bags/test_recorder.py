@@ -285,10 +285,60 @@ def test_a_further_file_repeats_the_newest_latched_messages_only(
     with Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=1.0)) as recorder:
         recorder.declare_topic('/latched', SKELETON_DEFINITION, latched=True)
         for key in 'abcdb':
-            recorder.write('/latched', SKELETON_DEFINITION, key.encode(), START_NS, START_NS, key)
+            recorder.write('/latched', SKELETON_DEFINITION, key.encode(), START_NS, START_NS, frozenset(key))
         recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS + 2 * NS_PER_S, START_NS)
     with Bag(tmp_path / 'bag' / 'bag_1.mcap') as bag:
         assert [m.raw for m in bag.messages(['/latched'])] == [b'c', b'd', b'b']
+
+
+def test_a_further_file_repeats_what_no_later_message_replaces(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A message replaces those of which it has all keys, and a refused one none. Each topic has its own limit."""
+    monkeypatch.setattr('mocap_ros.bags.recorder.MAX_REPEATED', 2)
+    with Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=1.0)) as recorder:
+        recorder.declare_topic('/once', SKELETON_DEFINITION, latched=True)
+        recorder.declare_topic('/growing', SKELETON_DEFINITION, latched=True)
+        recorder.write('/once', SKELETON_DEFINITION, b'once', START_NS, START_NS)
+        recorder.write('/once', SKELETON_DEFINITION, b'refused', START_NS, START_NS, None)
+        for keys in ('a', 'x', 'ab', 'abc'):
+            recorder.write('/growing', SKELETON_DEFINITION, keys.encode(), START_NS, START_NS, frozenset(keys))
+        recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS + 2 * NS_PER_S, START_NS)
+    with Bag(tmp_path / 'bag' / 'bag_1.mcap') as bag:
+        assert [m.raw for m in bag.messages(['/once', '/growing'])] == [b'once', b'x', b'abc']
+
+
+def test_what_a_further_file_repeats_does_not_make_it_large(tmp_path: Path) -> None:
+    """Otherwise each message would begin a file, if the repeated ones are larger than a file may be."""
+    large = bytes(3_000_000)
+    with Recorder(tmp_path / 'bag', RecorderConfig(split_mb=2, compression='none')) as recorder:
+        recorder.declare_topic('/latched', SKELETON_DEFINITION, latched=True)
+        recorder.write('/latched', SKELETON_DEFINITION, large, START_NS, START_NS)
+        recorder.flush()
+        for i in range(20):
+            recorder.write('/keypoints', KEYPOINTS, make_keypoints(i), START_NS + i, START_NS)
+            recorder.flush()
+    assert len(list((tmp_path / 'bag').glob('*.mcap'))) == 2
+
+
+def test_a_file_begins_only_with_a_message_that_may_begin_it(tmp_path: Path) -> None:
+    with Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=1.0)) as recorder:
+        for i, may_begin in enumerate((True, False, False, True, False)):
+            raw, time_ns = make_keypoints(i), START_NS + i * NS_PER_S
+            recorder.write('/keypoints', KEYPOINTS, raw, time_ns, time_ns, may_begin_file=may_begin)
+    with Bag(tmp_path / 'bag' / 'bag_1.mcap') as bag:
+        assert [m.raw for m in bag.messages(bag.topics)] == [make_keypoints(3), make_keypoints(4)]
+    assert not (tmp_path / 'bag' / 'bag_2.mcap').exists()
+
+
+def test_a_latched_topic_is_described_as_one_whatever_its_publishers_offer() -> None:
+    volatile, latched = (make_topic('/tf_static', SKELETONS, latched=x).qos for x in (False, True))
+    assert make_topic('/tf_static', SKELETONS, latched=True, qos=volatile).qos == latched
+    assert make_topic('/tf_static', SKELETONS, latched=True, qos=[*volatile, *latched]).qos == (
+        *volatile,
+        *latched,
+    )
+    assert make_topic('/camera_info', SKELETONS, qos=volatile).qos == volatile
 
 
 def test_equal_qos_profiles_of_many_publishers_are_held_once(tmp_path: Path) -> None:

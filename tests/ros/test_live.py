@@ -31,6 +31,7 @@ from mocap_ros.messages.cdr import Header, OutputMessage, decode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
 from mocap_ros.messages.marker_writer import MARKERS
 from mocap_ros.messages.robots.bodies import BODIES
+from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.messages.versions import VersionConverter
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.ros.live_recording import LiveRecording
@@ -43,6 +44,7 @@ from tests.support.camera_infos import camera_info
 from tests.support.installed_types import MARKER_TYPES, describe_as_rclpy, replace_installed_types
 from tests.support.line_log import LineLog
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, with_stamp
+from tests.support.transforms import make_transforms
 
 FRAMES = 25
 TIMEOUT_S = 20
@@ -594,3 +596,56 @@ def test_a_camera_without_a_name_is_told_if_people_have_no_frame(values: dict[st
     live.wait_for_frames(2)
     live.run.stop()
     assert sum('header.frame_id is empty' in line for line in live.log.lines) == is_warned
+
+
+@pytest.mark.parametrize('latched', [(True,), (False,), (), (False, True)], ids=str)
+def test_inputs_of_a_split_recording_are_read_whole_and_file_by_file(
+    tmp_path: Path, stream: list[bytes], latched: tuple[bool, ...]
+) -> None:
+    """While an image is processed, inputs wait, which are recorded after its outputs with earlier times."""
+    config = with_values(FAST_CONFIG, {'recorder.folder': str(tmp_path), 'recorder.split_seconds': 1.0})
+    names = NAMES | {'/tf': '/tf', '/tf_static': '/tf_static'}
+    offered = [make_topic('/', TRANSFORMS, latched=is_latched).qos[0] for is_latched in latched]
+    kept = make_topic('/', CAMERA_INFO, latched=True).qos
+    qos = {'/tf_static': offered, '/camera_info': kept}
+    recording = LiveRecording(names, LineLog(), lambda topic: qos.get(topic, ()), MessageVersions())
+    recording.start(Pipeline(config), START_NS)
+    inputs: list[tuple[str, bytes]] = []
+
+    def record(topic: str, msgtype: str, raw: bytes, delay_ms: int, result: ProcessingResult) -> None:
+        now_ns = START_NS + delay_ms * 1_000_000
+        inputs.append((topic, raw))
+        assert recording.write_input(topic, msgtype, raw, (now_ns, now_ns), result, now_ns + 5_000_000)
+
+    accepted, skipped = ProcessingResult(Verdict.ACCEPTED), ProcessingResult(Verdict.BACKLOG)
+    static = [
+        make_transforms((parent, child, 0, (1, 0, 0))) for parent, child in (('map', 'base'), ('base', 'arm'))
+    ]
+    record('/camera_info', CAMERA_INFO, camera_info(), 0, accepted)
+    for raw in static:
+        record('/tf_static', TRANSFORMS, raw, 0, accepted)
+    record('/camera_info', CAMERA_INFO, b'', 0, ProcessingResult(Verdict.INVALID))
+    output = OutputMessage('skeletons', OUTPUTS['skeletons'], START_NS, b'')
+    with_output = ProcessingResult(Verdict.ACCEPTED, outputs=(output,))
+    for i in range(90):
+        raw = with_stamp(stream[0], START_NS + i)
+        record('/keypoints', KEYPOINTS, raw, 33 * (i + 1), skipped if i == 80 else with_output)
+        moving = make_transforms(('odom', 'map', i, (1, 0, 0)))
+        record('/tf', TRANSFORMS, moving, 33 * (i + 1) + 3, accepted)
+    folder = recording.finish(recording.detach())
+
+    assert folder is not None
+    files = sorted(folder.glob('*.mcap'))
+    assert len(files) == 3
+    with Bag(folder) as bag:
+        run = read_run(bag)
+        read = [(m.topic, m.raw) for m in run.leave_out_repeated(bag.messages({t for t, _ in inputs}))]
+    assert read == inputs
+    assert [read[number - 1][1] for number in run.skipped_inputs] == [with_stamp(stream[0], START_NS + 80)]
+    raws = [raw for _, raw in inputs]
+    for file in files[1:]:
+        with Bag(file) as bag:
+            alone = [m.raw for m in read_run(bag).leave_out_repeated(bag.messages({t for t, _ in inputs}))]
+        assert sorted(alone[:3]) == sorted([camera_info(), *static])
+        first = raws.index(alone[3])
+        assert alone[3:] == raws[first : first + len(alone) - 3]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from mocap_ros.config import Config, to_yaml
 from tests.support.ros_node import TIMEOUT_S, Peer, StartNode, keypoints_at, stop_node, stop_node_and_read_log
 
 pytest.importorskip('rclpy')
@@ -24,6 +25,18 @@ def test_a_parameter_out_of_range_ends_the_start_with_one_line(start_node: Start
     assert process.returncode == 1
     (line,) = log.splitlines()
     assert 'tracker.min_score' in line
+
+
+def test_a_parameter_file_of_the_package_holds_in_every_namespace(start_node: StartNode, tmp_path: Path) -> None:
+    """Its wrong value, which nobody would notice in a file without effect, ends the start."""
+    file = tmp_path / 'parameters.yaml'
+    text = to_yaml(Config())
+    file.write_text(text.replace('body_height: 1.7\n', 'body_height: 9.0\n'))
+    assert file.read_text() != text
+    process = start_node(ros=['-r', '__ns:=/left', '--params-file', str(file)])
+    _, log = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 1
+    assert 'tracker.body_height' in log
 
 
 def test_parameters_are_checked_when_they_are_set(peer: Peer, start_node: StartNode) -> None:

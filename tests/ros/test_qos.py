@@ -33,6 +33,17 @@ def test_late_subscribers_get_as_many_messages_of_a_bag_as_of_its_publishers(msg
     assert (profile.depth, profile.durability) == (kept, DurabilityPolicy.TRANSIENT_LOCAL)
 
 
+def test_static_transforms_reach_late_subscribers_if_one_of_their_publishers_kept_them() -> None:
+    """Subscribers to static transforms ask for transient local, which a volatile publisher does not serve."""
+    from rclpy.qos import DurabilityPolicy
+
+    from mocap_ros.ros.qos import choose_playback_profile
+
+    both = [make_topic('/topic', TRANSFORMS, latched=latched).qos[0] for latched in (False, True)]
+    assert choose_playback_profile(parse_qos(both), TRANSFORMS).durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert choose_playback_profile(parse_qos(both), KEYPOINTS).durability == DurabilityPolicy.VOLATILE
+
+
 @pytest.mark.ros
 def test_an_override_holds_for_its_topic_alone(peer: Peer) -> None:
     import rclpy
