@@ -169,7 +169,7 @@ def create_intrinsics(
         focal_in_widths: focal length in image widths that is assumed where the camera is unknown.
     """
     if camera_matrix is not None:
-        return Intrinsics.from_matrix(camera_matrix, _create_distortion(distortion))
+        return Intrinsics.from_matrix(camera_matrix, _create_distortion(distortion), image_size)
     return Intrinsics.from_image_size(*image_size, focal_in_widths)
 
 

@@ -11,7 +11,7 @@ frame (x right, y down, z forward).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -36,6 +36,8 @@ class Intrinsics:
         is_focal_known: False if the focal length is only nominal.
         aspect: fy / fx.
         distortion: distortion of the lens.
+        image_size: width and height in px of the images; None if they are unknown. Cameras that differ in nothing
+            else are the same.
     """
 
     focal: float
@@ -43,6 +45,7 @@ class Intrinsics:
     is_focal_known: bool
     aspect: float = 1.0
     distortion: Distortion = NO_DISTORTION
+    image_size: tuple[int, int] | None = field(default=None, compare=False)
 
     @cached_property
     def focal_lengths(self) -> Array:
@@ -63,17 +66,33 @@ class Intrinsics:
         distorted = self.distortion.distort(points[..., :2] / points[..., 2:])
         return np.asarray(distorted * self.focal_lengths + self.center_array)
 
+    def resize_like(self, other: Intrinsics) -> Intrinsics:
+        """Return these intrinsics for images that are resized to those of another camera.
+
+        The image is enlarged by the ratio of the widths, and cropped or extended alike above and below. Where a
+        size is unknown, the images count as equally large.
+        """
+        if self.image_size is None or other.image_size in (None, self.image_size):
+            return self
+        old, new = np.array(self.image_size), np.array(other.image_size)
+        scale = float(new[0] / old[0])
+        x, y = new / 2 + scale * (self.center_array - old / 2)
+        return replace(self, focal=scale * self.focal, center=(float(x), float(y)), image_size=other.image_size)
+
     @staticmethod
     def from_image_size(width: int, height: int, focal_in_widths: float) -> Intrinsics:
         """Return nominal intrinsics for an image of `width` by `height` px.
 
         The focal length is `focal_in_widths` image widths and the principal point is the image centre.
         """
-        return Intrinsics(focal_in_widths * width, (width / 2, height / 2), is_focal_known=False)
+        size = width, height
+        return Intrinsics(focal_in_widths * width, (width / 2, height / 2), is_focal_known=False, image_size=size)
 
     @staticmethod
-    def from_matrix(matrix: Array, distortion: Distortion = NO_DISTORTION) -> Intrinsics:
-        """Return the intrinsics of a (3, 3) camera matrix in px and the distortion of the lens.
+    def from_matrix(
+        matrix: Array, distortion: Distortion = NO_DISTORTION, image_size: tuple[int, int] | None = None
+    ) -> Intrinsics:
+        """Return the intrinsics of a (3, 3) camera matrix in px, the distortion of the lens and the image size.
 
         Raises:
             InputError: A focal length is not between 1 px and `MAX_INTRINSIC_PX`, or a coordinate of the principal
@@ -90,4 +109,5 @@ class Intrinsics:
             )
         focal = float(np.sqrt(matrix[0, 0] * matrix[1, 1]))
         aspect = float(matrix[1, 1] / matrix[0, 0])
-        return Intrinsics(focal, (float(matrix[0, 2]), float(matrix[1, 2])), True, aspect, distortion)
+        centre_px = float(matrix[0, 2]), float(matrix[1, 2])
+        return Intrinsics(focal, centre_px, True, aspect, distortion, image_size)

@@ -111,7 +111,7 @@ def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
         distortion = Distortion.from_coefficients(message.distortion_model, tuple(map(float, message.d)))
     size, matrix = _select_region(message, matrix)
     try:
-        intrinsics = Intrinsics.from_matrix(matrix, distortion)
+        intrinsics = Intrinsics.from_matrix(matrix, distortion, size)
     except InputError as error:
         raise InputError(f'{field}: {error}; the camera is not calibrated') from None
     return CameraInfo(size, intrinsics)

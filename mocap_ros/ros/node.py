@@ -33,7 +33,7 @@ from mocap_ros.ros.publications import OutputPublishers
 from mocap_ros.ros.qos import QosWarnings, profile_to_rosbag2
 from mocap_ros.ros.startup import create_node, initialise_rclpy
 from mocap_ros.ros.subscriptions import InputSubscriptions
-from mocap_ros.runtime.cpu_setup import release_free_memory
+from mocap_ros.runtime.cpu_setup import exempt_objects_from_collection, release_free_memory
 from mocap_ros.runtime.outputs import (
     LATCHED_OUTPUTS,
     OUTPUTS,
@@ -151,8 +151,7 @@ class MocapNode(LifecycleNode):
             self.create_service(load_interface_class(srvtype), name, callbacks[name])
             for name, srvtype in SERVICES.items()
         ]
-        gc.collect()
-        gc.freeze()  # a garbage collection between two frames would take 50 ms to look at all imported libraries
+        exempt_objects_from_collection()
 
     def _clean_up(self) -> None:
         gc.unfreeze()

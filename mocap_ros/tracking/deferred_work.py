@@ -101,7 +101,7 @@ class DeferredWork:
                 yield replace(state, begun_work=run.pause())
                 return
             state = state.put_tracks([run.finding(t) for t in state.tracks if t.id == work.track.id])
-            work = None
+            work = self._run = None  # the run holds some MB
 
     def _restart_where_noise_rose(self, state: TrackerState) -> TrackerState:
         """Return the state, with re-initialisations under all models due where the image noise has risen much."""

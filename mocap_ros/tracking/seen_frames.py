@@ -157,14 +157,17 @@ class SeenFrames:
     def change_camera(self, intrinsics: Intrinsics, focal: float) -> SeenFrames:
         """Return the window under other intrinsics: the image points stay the same, and nothing is lifted yet.
 
+        If the size of the images has changed, the image points are moved as the image is resized.
+
         Args:
             intrinsics: intrinsics from now on.
             focal: px, focal length that the solvers assume from now on.
         """
+        old = self.intrinsics.resize_like(intrinsics)
 
         def convert(rays: Array) -> Array:
             directions = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
-            return intrinsics.pixels_to_rays(self.intrinsics.project(directions))
+            return intrinsics.pixels_to_rays(old.project(directions))
 
         rays, swap_filter = convert(self.rays), self.swap_filter.convert_points(convert)
         extremities = Extremities(convert(self.extremities.rays), self.extremities.weight)

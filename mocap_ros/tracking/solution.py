@@ -193,12 +193,13 @@ class TrackSolution:
         )
 
     def change_camera(self, old: Intrinsics, new: Intrinsics) -> TrackSolution:
-        """Return the solution under other intrinsics: the images of the body's origin stay the same.
+        """Return the solution under other intrinsics: the images of the body's origin stay the same, or resized.
 
         Args:
             old: intrinsics so far.
             new: intrinsics from now on.
         """
+        old = old.resize_like(new)
         depth = self.roots[:, 2:] * new.focal / old.focal
         rays = new.pixels_to_rays(old.project(self.roots))
         return copy_with(self, roots=np.concatenate([rays * depth, depth], axis=-1))

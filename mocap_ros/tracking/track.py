@@ -173,7 +173,7 @@ class Track:
         return copy_with(self, solution=solution, schedule=schedule)
 
     def change_camera(self, intrinsics: Intrinsics, focal: float) -> Track:
-        """Return the track under other intrinsics, with the same image points.
+        """Return the track under other intrinsics, with the same image points, or resized as the image is.
 
         Args:
             intrinsics: intrinsics from now on.

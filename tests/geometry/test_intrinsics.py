@@ -29,6 +29,20 @@ def test_a_nominal_focal_length_is_in_image_widths() -> None:
     assert not camera.is_focal_known
 
 
+def test_a_resized_camera_sees_the_points_where_the_resized_image_has_them() -> None:
+    matrix = np.array([[500.0, 0, 310], [0, 600, 250], [0, 0, 1]])
+    camera = Intrinsics.from_matrix(matrix, image_size=(640, 480))
+    points = np.array([[1.0, -2.0, 4.0], [0.2, 0.1, 1.0]])
+    doubled, cropped, unknown = (
+        Intrinsics(1.0, (0, 0), True, image_size=s) for s in ((1280, 960), (640, 360), None)
+    )
+    assert camera.resize_like(doubled).project(points) == pytest.approx(2 * camera.project(points))
+    assert camera.resize_like(cropped).project(points) == pytest.approx(camera.project(points) - [0, 60])
+    assert camera.resize_like(unknown) is camera
+    nominal, larger = (Intrinsics.from_image_size(*size, 1.2) for size in ((640, 480), (1280, 960)))
+    assert nominal.resize_like(larger) == larger
+
+
 @pytest.mark.parametrize('entry', [(0, 0, 1e200), (0, 0, 1e-200), (0, 2, 1e308), (1, 2, float('nan'))])
 def test_impossible_camera_matrices_are_rejected(entry: tuple[int, int, float]) -> None:
     matrix = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])

@@ -29,6 +29,34 @@ print(before, read_memory())
 """
 
 
+# A circle of references that survives the collections of young objects, as one that is made slowly does.
+COLLECTION = """
+import gc, weakref
+from mocap_ros.runtime.cpu_setup import exempt_objects_from_collection
+
+class Node:
+    pass
+
+libraries = [[n] for n in range(1_000_000)]
+exempt_objects_from_collection()
+circle = Node()
+circle.itself = circle
+watched = weakref.ref(circle)
+gc.collect(1)
+del circle
+for n in range(40):
+    kept = [[n] for n in range(5_000)]
+    if watched() is None:
+        break
+print(len(libraries), n)
+"""
+
+
+def test_circles_of_references_are_collected_though_many_objects_are_exempted() -> None:
+    output = subprocess.run([sys.executable, '-c', COLLECTION], capture_output=True, text=True, check=True).stdout
+    assert int(output.split()[1]) < 39, 'the circle was still there at the end'
+
+
 @pytest.mark.skipif(platform.libc_ver()[0] != 'glibc', reason='only the GNU C library keeps what is freed')
 def test_free_memory_between_blocks_in_use_is_returned() -> None:
     output = subprocess.run([sys.executable, '-c', PROGRAM], capture_output=True, text=True, check=True).stdout
