@@ -33,7 +33,7 @@ from mocap_ros.ros.publications import OutputPublishers
 from mocap_ros.ros.qos import QosWarnings, profile_to_rosbag2
 from mocap_ros.ros.startup import create_node, initialise_rclpy
 from mocap_ros.ros.subscriptions import InputSubscriptions
-from mocap_ros.runtime.cpu_setup import exempt_objects_from_collection, release_free_memory
+from mocap_ros.runtime.cpu_setup import release_free_memory
 from mocap_ros.runtime.outputs import (
     LATCHED_OUTPUTS,
     OUTPUTS,
@@ -45,7 +45,7 @@ from mocap_ros.runtime.pipeline import Pipeline
 NODE_NAME = 'mocap_node'
 RECORDING_PARAMETER = 'recorder.enabled'  # switched by the service ~/record, too
 DIAGNOSTICS_PERIOD_S = 1.0  # s; the usual period of /diagnostics
-RELEASE_PERIOD_S = 60.0  # s between two returns of free memory to the system
+RELEASE_PERIOD_S = 60.0  # s between two collections of garbage, after which free memory goes back to the system
 SILENCE_CHECK_PERIOD_S = 0.5  # s; bounds the delay of the warning that no input arrives
 SPIN_SECONDS = 0.1  # s; bounds the delay between a signal and the end of the node
 
@@ -151,7 +151,8 @@ class MocapNode(LifecycleNode):
             self.create_service(load_interface_class(srvtype), name, callbacks[name])
             for name, srvtype in SERVICES.items()
         ]
-        exempt_objects_from_collection()
+        gc.collect()
+        gc.freeze()  # a garbage collection between two frames would take 50 ms to look at all imported libraries
 
     def _clean_up(self) -> None:
         gc.unfreeze()

@@ -39,25 +39,18 @@ def configure_process() -> None:
     mallopt(M_MMAP_THRESHOLD, MMAP_THRESHOLD_BYTES)
 
 
-def exempt_objects_from_collection() -> None:
-    """Exempt all objects that exist now from garbage collections, which would take 50 ms to look at them.
-
-    Python leaves out a full collection unless the objects made since the last one are a quarter of those that the
-    last one looked at. The second collection looks at none of the exempted objects. Without it there would be no
-    full collection for hours, and what is only referred to in circles, such as the interrupted work of a tracker
-    that was replaced, would keep its memory.
-    """
-    gc.collect()
-    gc.freeze()
-    gc.collect()
-
-
 def release_free_memory() -> None:
-    """Return free pages between the blocks in use to the system, which takes about a millisecond.
+    """Collect garbage and return free pages to the system, which takes one to two milliseconds.
+
+    Python leaves out a full collection as long as few objects are new, and so few are in the node that hours would
+    pass; objects that only refer to each other would keep their memory for so long. That it takes less than a
+    millisecond rests on `gc.freeze`, which exempts the objects of all imported libraries.
 
     malloc keeps what is freed (`configure_process`), and what is in use is spread over more and more of it, so
-    that a process that runs for days would keep more MB every hour. Nothing happens without the GNU C library.
+    that a process that runs for days would keep more MB every hour. No pages are returned without the GNU C
+    library.
     """
+    gc.collect()
     try:
         malloc_trim = ctypes.CDLL(None).malloc_trim
     except (OSError, TypeError, AttributeError):  # the C library is not the GNU one

@@ -146,48 +146,57 @@ class DeferredWork:
     def _resume(self, work: BegunWork) -> _Run:
         """Return the run of a piece of work, from the cache or, after a `restore`, done again so far."""
         if self._run is None or not self._run.is_at(work):
-            find = self._check if work.kind is WorkKind.CHECK else self._classify
-            self._run = _Run(work, find(work.track))
+            self._run = _Run(work, self._list_slices(work))
         return self._run
 
-    def _classify(self, track: Track) -> Slices[Finding]:
-        """Classify the motion of a track."""
-        yield WINDOW_COST
-        classification = yield from self._checker.classify_motion(track)
-        stamp_ns = track.seen.stamps_ns[-1]
+    def _list_slices(self, work: BegunWork) -> Slices[Finding]:
+        """Return the slices of a piece of work, which do not refer to this object, so that both end with it."""
+        if work.kind is WorkKind.CHECK:
+            return _check(self._checker, work.track, self._candidate_models, self._turns)
+        return _classify(self._checker, work.track)
 
-        def finish(now: Track) -> Track:
-            found = classification
-            if found is not None and not self._checker.still_repeats(now, found):
-                found = classify_as_other(now)
-            return replace(now, schedule=now.schedule.finish_classification(stamp_ns, found))
 
-        return finish
+def _classify(checker: HypothesisChecker, track: Track) -> Slices[Finding]:
+    """Classify the motion of a track."""
+    yield WINDOW_COST
+    classification = yield from checker.classify_motion(track)
+    stamp_ns = track.seen.stamps_ns[-1]
 
-    def _check(self, track: Track) -> Slices[Finding]:
-        """Check a track against the model whose turn it is, or compare the leading priors.
+    def finish(now: Track) -> Track:
+        found = classification
+        if found is not None and not checker.still_repeats(now, found):
+            found = classify_as_other(now)
+        return replace(now, schedule=now.schedule.finish_classification(stamp_ns, found))
 
-        The hypothesis is the track's own poses under that model. It is a solution from scratch if the model is the
-        track's own, if the track is new, or after a rise of the image noise.
-        """
-        yield WINDOW_COST
-        schedule, count = track.schedule, self._turns
-        turn = (schedule.check_count - 1) % count
-        name = self._candidate_models[turn] if turn < len(self._candidate_models) else ''
-        if not name:
-            outcome = yield from self._checker.compare_leads(track)
-        elif schedule.is_from_scratch(track.seen.age_s) or name == track.solved.model_name:
-            outcome = yield from self._checker.reinitialise(track, [name])
-        else:
-            outcome = yield from self._checker.compare_models(track, [name])
+    return finish
 
-        def finish(now: Track) -> Track:
-            solution = now.solved
-            if outcome.is_replaced:
-                solution = take_over(outcome.solution, track, now, self._checker.models)
-            return replace(now, solution=solution, schedule=now.schedule.finish_check(solution.noise, count))
 
-        return finish
+def _check(
+    checker: HypothesisChecker, track: Track, candidate_models: tuple[str, ...], turns: int
+) -> Slices[Finding]:
+    """Check a track against the model whose turn it is, or compare the leading priors.
+
+    The hypothesis is the track's own poses under that model. It is a solution from scratch if the model is the
+    track's own, if the track is new, or after a rise of the image noise.
+    """
+    yield WINDOW_COST
+    schedule = track.schedule
+    turn = (schedule.check_count - 1) % turns
+    name = candidate_models[turn] if turn < len(candidate_models) else ''
+    if not name:
+        outcome = yield from checker.compare_leads(track)
+    elif schedule.is_from_scratch(track.seen.age_s) or name == track.solved.model_name:
+        outcome = yield from checker.reinitialise(track, [name])
+    else:
+        outcome = yield from checker.compare_models(track, [name])
+
+    def finish(now: Track) -> Track:
+        solution = now.solved
+        if outcome.is_replaced:
+            solution = take_over(outcome.solution, track, now, checker.models)
+        return replace(now, solution=solution, schedule=now.schedule.finish_check(solution.noise, turns))
+
+    return finish
 
 
 class _Run:

@@ -3,6 +3,8 @@
 
 """Tests of the deferred work: its choice, its slices, when it ends without a result, and that nobody starves."""
 
+import gc
+import weakref
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -133,6 +135,20 @@ def test_the_work_that_is_latest_in_proportion_to_its_interval_begins(track: Tra
     )  # two intervals of half a second, the others 1.5, 1
     begun = begin(work, make_state(later, new, unclassified))
     assert (begun.track.id, begun.kind) == ('moving', WorkKind.CLASSIFICATION)
+
+
+def test_interrupted_work_ends_with_the_object_that_does_it(track: Track, models: dict[str, BasePoses]) -> None:
+    """It holds some MB, and Python's garbage collections may not come for an hour."""
+    work = DeferredWork(IdleChecker(models, CONFIG), ('walk',), 0.5, frame_budget=1)
+    state = advance(work, make_state(with_schedule(track, 'anna', track.seen.stamps_ns[-1], 100 * S)))
+    assert state.begun_work is not None
+    watched = [weakref.ref(work), weakref.ref(work._run)]
+    gc.disable()
+    try:
+        del work
+        assert [reference() for reference in watched] == [None, None]
+    finally:
+        gc.enable()
 
 
 def test_only_people_of_the_newest_frame_are_checked_and_only_once(track: Track, work: DeferredWork) -> None:
