@@ -106,7 +106,8 @@ def test_markers_are_published_recorded_and_played_as_the_installed_version(
     assert metadata['ros_distro'] == 'foxy'
 
     with listen_to_markers(env, peer) as received:
-        done = run_cli(env, 'play', folder, '--all')
+        # Slowly: on a busy machine the player and the listener may need seconds to discover each other.
+        done = run_cli(env, 'play', folder, '--all', '--rate', 0.05)
         assert done.returncode == 0, done.stderr
     played = [raw for raw, _ in received]
     assert played
