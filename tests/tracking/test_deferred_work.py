@@ -8,6 +8,7 @@ import weakref
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -142,7 +143,7 @@ def test_interrupted_work_ends_with_the_object_that_does_it(track: Track, models
     work = DeferredWork(IdleChecker(models, CONFIG), ('walk',), 0.5, frame_budget=1)
     state = advance(work, make_state(with_schedule(track, 'anna', track.seen.stamps_ns[-1], 100 * S)))
     assert state.begun_work is not None
-    watched = [weakref.ref(work), weakref.ref(work._run)]
+    watched: list[weakref.ref[Any]] = [weakref.ref(work), weakref.ref(work._run)]
     gc.disable()
     try:
         del work
