@@ -175,7 +175,7 @@ class Recorder:
         self._messages_to_repeat: dict[str, list[RecordedMessage]] = {}  # by topic, the oldest first
         self._finished_files: dict[str, MessageStatistics] = {}  # by file name
         self._chunk_start_ns = -1  # log time of the first message since the last flush; -1 where there is none
-        self._begun_bytes = 0  # of the current file, which repeat what earlier files hold
+        self._begun_bytes = 0  # bytes at the beginning of the current file that repeat what earlier files hold
         self._file: McapFile | None = None
         _make_parent(folder)
         with self._finish_on_disk_error():
@@ -268,8 +268,8 @@ class Recorder:
             repeat_keys: What the message tells of, such as the names of coordinate frames. A further file begins
                 with the messages of latched topics and those with keys, but for those whose keys are all among the
                 keys of a later message of the topic. A message with None is not repeated and replaces none.
-            may_begin_file: Whether the bag may continue in a further file with this message. Log times of what
-                the file repeats are that of the message with which it begins.
+            may_begin_file: Whether the bag may continue in a further file with this message. What that file
+                repeats gets the log time of this message.
 
         Raises:
             RecordingError: The disk is full or fails, or the bag is closed.
