@@ -444,8 +444,8 @@ def draw(samples: Samples) -> Any:
         times.plot(middle, values, color=colour, label=f'{percent} % of the images')
     times.plot(hours[1:], compute_cpu_ms(node), color=NEUTRAL, linewidth=0.8, label='CPU time for an image')
     times.plot(hours, smooth(np.array(samples.reference)), '--', color=NEUTRAL, label='a fixed calculation')
-    times.set_ylim(0)
-    times.legend(loc='lower left')
+    times.set_ylim(0, 1.5 * times.dataLim.ymax)  # the legend stands above the curves
+    times.legend(loc='upper left', ncols=2)
     label_axes(times, 'hours of the stream', 'ms', 'latency and CPU time, each five minutes of stream')
     total = np.array([sum(t <= h * HOUR_S for t in samples.lost) for h in hours])
     lost.plot(hours, total, color=NEUTRAL)

@@ -41,6 +41,8 @@ PARAMETERS = {
     'frame_prefix': ('node.frame_prefix', str),
     'record': ('recorder.enabled', bool),
 }
+SWITCHES = {'rviz', *(name for name, (_, kind) in PARAMETERS.items() if kind is bool)}
+SWITCH_VALUES = 'true', 'false', 'True', 'False'
 
 
 def create_node(context: LaunchContext) -> list[Node]:
@@ -64,7 +66,10 @@ def create_node(context: LaunchContext) -> list[Node]:
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the launch description with the node and RViz."""
+    """Return the launch description with RViz and the node.
+
+    RViz comes first: where it is not installed, the launch ends before the node has started.
+    """
     rviz = Node(
         package='rviz2',
         executable='rviz2',
@@ -73,7 +78,12 @@ def generate_launch_description() -> LaunchDescription:
         condition=IfCondition(LaunchConfiguration('rviz')),
     )
     arguments = [
-        DeclareLaunchArgument(name, default_value=default, description=text)
+        DeclareLaunchArgument(
+            name,
+            default_value=default,
+            description=text,
+            choices=[*([] if default else ['']), *SWITCH_VALUES] if name in SWITCHES else None,
+        )
         for name, (default, text) in ARGUMENTS.items()
     ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=create_node), rviz])
+    return LaunchDescription([*arguments, rviz, OpaqueFunction(function=create_node)])

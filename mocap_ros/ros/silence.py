@@ -54,8 +54,12 @@ class SilenceMonitor:
             return f'its publisher sends {", ".join(sorted(published_types))}, expected {self._type}{advice}'
         if publishers:
             return 'its publisher sends nothing, or its QoS is incompatible; check the detector'
-        topics_of_type = {t for t, types in self._node.get_topic_names_and_types() if self._type in types}
-        candidates = sorted(topics_of_type - {topic})
+        candidates = sorted(self._list_published_topics() - {topic})
         if candidates:
             return f'nobody publishes it; remap {self._name} to {" or ".join(candidates)}?'
         return 'nobody publishes it; start the detector, or remap the topic to the one on which it publishes'
+
+    def _list_published_topics(self) -> set[str]:
+        """List the topics on which somebody publishes messages of the expected type."""
+        topics = (t for t, types in self._node.get_topic_names_and_types() if self._type in types)
+        return {t for t in topics if self._node.count_publishers(t)}

@@ -61,6 +61,9 @@ def test_without_a_publisher_topics_of_the_type_are_suggested(
     peer.node.destroy_publisher(peer.keypoints)
     peer.wait_until(lambda: not node.get_publishers_info_by_topic('/keypoints'))
     assert read_warning(node, capfd).startswith('nobody publishes it; start the detector')
+    peer.node.create_subscription(load_interface_class(KEYPOINTS), '/other/keypoints', print, 1)
+    peer.wait_until(lambda: node.count_subscribers('/other/keypoints') == 1)
+    assert read_warning(node, capfd).startswith('nobody publishes it; start the detector'), 'one without publisher'
     for topic in ('left', 'right'):
         peer.node.create_publisher(load_interface_class(KEYPOINTS), f'/{topic}/keypoints', 1)
     peer.wait_until(lambda: len(node.get_publishers_info_by_topic('/right/keypoints')) == 1)
