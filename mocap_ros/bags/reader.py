@@ -87,8 +87,8 @@ class Bag:
         metadata = self.path / METADATA
         if metadata.is_file() and metadata.stat().st_size > MAX_METADATA_BYTES:
             raise InputError(
-                f'{metadata}: larger than {MAX_METADATA_BYTES >> 20} MiB, as the bag has too many topics; '
-                'its files can be read one by one'
+                f'{metadata}: larger than {MAX_METADATA_BYTES >> 20} MiB, as the bag has too many topics or '
+                'files; its files can be read one by one'
             )
         try:
             self._reader: Any = Ros1Reader(self.path) if self._is_ros1 else Ros2Reader(self.path)

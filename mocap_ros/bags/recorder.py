@@ -4,6 +4,7 @@
 """Recorder of bags: MCAP files that rosbag2 and every MCAP reader accept.
 
 A bag is a folder that holds `<name>_0.mcap`, further numbered files where the bag is split, and `metadata.yaml`.
+The last of `MAX_FILES` files is not split.
 
 Messages are collected in chunks. A chunk is closed when it holds `recorder.chunk_bytes`, or by `flush`, which
 `write` calls when the log time has advanced by `recorder.chunk_seconds`. `flush` also hands the written data to
@@ -67,6 +68,7 @@ RECOVERY_HINT = '; `mocap-ros recover'  # begins what an error says of a bag tha
 # Messages of a topic that a further file repeats, the newest; guards memory and files against ever new keys. There
 # may be as many coordinate frames.
 MAX_REPEATED = 1000
+MAX_FILES = 2000  # of a bag; with as many, metadata.yaml is 0.4 MB, and readers take 1 MiB (`MAX_METADATA_BYTES`)
 _ERRORS = {errno.ENOSPC: DiskFull, errno.EDQUOT: DiskFull, errno.EEXIST: FolderTaken}  # by `OSError.errno`
 
 
@@ -126,10 +128,12 @@ def choose_partial_path(out: Path) -> Path:
     """Return the path under which a bag is written until it is complete and can be renamed to `out`.
 
     Raises:
-        RecordingError: `out` exists already.
+        RecordingError: `out` exists already, or would be inside of another bag.
     """
     if out.exists() or out.is_symlink():
         raise RecordingError(f'{out}: exists already')
+    if (out.parent / METADATA).is_file():
+        raise RecordingError(f'{out}: {out.parent} is a bag; write beside it, not into it')
     return out.with_name(f'{out.name}.partial')
 
 
@@ -369,7 +373,8 @@ class Recorder:
             return file
         seconds = (log_time_ns - file.statistics.first_ns) / NS_PER_S
         is_large = config.split_mb and file.written_bytes - self._begun_bytes >= config.split_mb * MB
-        if may_begin and (is_large or 0 < config.split_seconds <= seconds):
+        is_due = is_large or 0 < config.split_seconds <= seconds
+        if may_begin and is_due and len(self._finished_files) < MAX_FILES - 1:
             self._finish_file(file)
             file = self._file = self._create_file()
             for topic in self._topics.values():

@@ -72,6 +72,8 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
     files = list_recoverable_files(path)
     if not files:
         raise InputError(f'{path}: no bag folder, .mcap or .db3 file (ROS 1: `rosbag reindex` repairs a .bag)')
+    if path.is_dir() and out.parent.resolve() == path.resolve():
+        raise RecordingError(f'{out}: {path} is a bag; write beside it, not into it')
     report = RecoveryReport()
     sizes = [_get_size(f) for f in files]
     remove_partial(out)

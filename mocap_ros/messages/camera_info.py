@@ -13,7 +13,7 @@ and likewise f_y', c_y' and its height.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -40,10 +40,12 @@ class CameraInfo:
     Attributes:
         size: (width, height) in px of the image that the camera sends, with 0 where unknown.
         intrinsics: focal length, principal point and distortion.
+        frame_id: name of the camera's optical frame; empty where unknown. It is not compared.
     """
 
     size: ImageSize
     intrinsics: Intrinsics
+    frame_id: str = field(default='', compare=False)
 
 
 def check_image_size(frame: KeypointsFrame, camera: CameraInfo) -> None:
@@ -103,9 +105,9 @@ def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
         InputError: the bytes are not a CameraInfo, its matrix is not set, or its distortion model is unknown.
     """
     message = decode(raw, CAMERA_INFO)
-    field, matrix = 'k', np.asarray(message.k, np.float64).reshape(3, 3)
+    name, matrix = 'k', np.asarray(message.k, np.float64).reshape(3, 3)
     if rectified and message.p[0]:
-        field, matrix = 'p', np.asarray(message.p, np.float64).reshape(3, 4)[:, :3]
+        name, matrix = 'p', np.asarray(message.p, np.float64).reshape(3, 4)[:, :3]
     distortion = Distortion()
     if not rectified:
         distortion = Distortion.from_coefficients(message.distortion_model, tuple(map(float, message.d)))
@@ -113,8 +115,8 @@ def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
     try:
         intrinsics = Intrinsics.from_matrix(matrix, distortion, size)
     except InputError as error:
-        raise InputError(f'{field}: {error}; the camera is not calibrated') from None
-    return CameraInfo(size, intrinsics)
+        raise InputError(f'{name}: {error}; the camera is not calibrated') from None
+    return CameraInfo(size, intrinsics, message.header.frame_id)
 
 
 def _select_region(message: Any, matrix: Array) -> tuple[ImageSize, Array]:

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Configure BLAS threads and the memory of this process; import this module before NumPy.
+"""Configure BLAS threads, memory and reports of this process; import this module before NumPy.
 
 The module imports only the standard library, because BLAS libraries read their settings when NumPy is imported.
 """
@@ -11,6 +11,11 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
 
 # Environment variables that limit the threads of the BLAS libraries that NumPy and SciPy may be linked with.
 BLAS_THREAD_VARIABLES = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
@@ -28,7 +33,10 @@ def configure_process() -> None:
     and fetching them again takes a quarter of the time of a step.
 
     Environment variables that the user has set are kept. Without the GNU C library, malloc stays as it is.
+    An interrupt while functions are compiled ends without the errors of what was left unfinished.
     """
+    if sys.unraisablehook is sys.__unraisablehook__:
+        sys.unraisablehook = _report_unraisable
     for name in BLAS_THREAD_VARIABLES:
         os.environ.setdefault(name, '1')
     try:
@@ -56,3 +64,14 @@ def release_free_memory() -> None:
     except (OSError, TypeError, AttributeError):  # the C library is not the GNU one
         return
     malloc_trim(0)
+
+
+def _report_unraisable(unraisable: UnraisableHookArgs) -> None:
+    """Report an error that nobody can catch, but not that of an object of LLVM whose creation was interrupted.
+
+    llvmlite's destructor deletes an attribute that such an object does not have.
+    """
+    destructor = getattr(unraisable.object, '__qualname__', '')
+    if destructor == 'ObjectRef.__del__' and issubclass(unraisable.exc_type, AttributeError):
+        return
+    sys.__unraisablehook__(unraisable)

@@ -38,16 +38,15 @@ from mocap_ros.messages.transform_tree import TransformTree
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
+from mocap_ros.runtime.camera_switch import CameraSwitch
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.solvers.vertical import AUTO, NONE
 from mocap_ros.tracking.tracker import Tracker
 from mocap_ros.tracking.vertical_check import VerticalCheck
-from mocap_ros.units import NS_PER_S
 
 CAMERA_MOTION_S = 0.1  # s; over which the motion of the camera is found: as long as velocities are smoothed over
 TRACKER_GROUPS = 'solver', 'classifier', 'tracker'  # fields of `Config` that a tracker reads when it is made
-OTHER_CAMERA_S = 1.0  # s; without images of one camera, before those of another are taken as a move of the input
 MAX_CONSECUTIVE_ERRORS = 3  # messages; after as many internal errors in a row the tracker's state is discarded
 BACKLOG_REASON = (
     'the message was skipped because newer messages were waiting, as the node cannot keep up with its input; '
@@ -245,7 +244,7 @@ class Pipeline:
         self._consecutive_errors = 0
         self._vertical_check = VerticalCheck()
         self._noted: set[str] = set()  # remarks that are made once
-        self._camera_name = ''  # the last `frame_id` that was not empty
+        self._camera_switch = CameraSwitch()
         self.header = self.output_header = Header(0, '')
         self.people: tuple[Person3D, ...] = ()
 
@@ -316,7 +315,7 @@ class Pipeline:
         try:
             if is_stamp_missing(frame.header.stamp_ns, self.header.stamp_ns):
                 raise FrameDropped(MISSING_STAMP)
-            camera_remark = self._check_camera(frame.header)
+            camera_remark = self._camera_switch.check(frame.header)
             intrinsics = self._find_intrinsics(frame)
             floor, floor_remark = self._find_floor(frame.header, intrinsics)
             if camera_remark:
@@ -333,31 +332,13 @@ class Pipeline:
                 error = FrameDropped(MISSING_STAMP)
             return _reject(error)
         self.header, self.output_header, self.people = frame.header, header, people
-        self._camera_name = frame.header.frame_id or self._camera_name
+        self._camera_switch.accept(frame.header)
         back_s = self._tracker.backward_jump_s
         if back_s:
             remark = f'the stamp went back by {back_s:.1f} s, so tracking was restarted'
         once = self._note_once(floor_remark), self._note_once(self._doubt_vertical(people, floor))
         remarks = camera_remark, remark, *once
         return ProcessingResult(Verdict.ACCEPTED, '; '.join(r for r in remarks if r), outputs)
-
-    def _check_camera(self, header: Header) -> str:
-        """Return a remark where another camera has taken over, so that tracking must be restarted.
-
-        A message without a `frame_id` is of the same camera.
-
-        Raises:
-            InputError: Two cameras send in turn.
-        """
-        known, name = self._camera_name, header.frame_id
-        if not known or not name or name == known:
-            return ''
-        if abs(header.stamp_ns - self.header.stamp_ns) < OTHER_CAMERA_S * NS_PER_S:
-            raise InputError(
-                f'header.frame_id: {name!r}, but the people of {known!r} are being tracked; '
-                'run a node for each camera'
-            )
-        return f'the camera {known!r} is called {name!r} now or is another one, so tracking was restarted'
 
     def _place_camera(self, header: Header) -> tuple[Header, CameraPlacement, str]:
         """Return the header of the outputs, the camera in its frame, and why that is not `node.output_frame`.
@@ -459,10 +440,16 @@ class Pipeline:
         """Use a sensor_msgs/CameraInfo for all following images.
 
         Raises:
-            InputError: The message cannot be used.
+            InputError: The message cannot be used, or is of another camera than the images, whose own is known.
         """
-        self._camera = decode_camera_info(raw, rectified=self.config.node.rectified_input)
-        self.camera_info = raw
+        camera = decode_camera_info(raw, rectified=self.config.node.rectified_input)
+        name, held = self._camera_switch.name, self._camera
+        if held and name and held.frame_id == name and camera.frame_id not in ('', name):
+            raise InputError(
+                f'header.frame_id: {camera.frame_id!r}, but the people of {name!r} are being tracked, whose '
+                'CameraInfo is known; run a node for each camera'
+            )
+        self._camera, self.camera_info = camera, raw
 
     def note_backlog(self) -> ProcessingResult:
         """Count an input that is skipped because newer inputs are waiting, and return its result."""
@@ -476,7 +463,7 @@ class Pipeline:
         self._vertical_check, self._noted = VerticalCheck(), set()
         self.people = ()
         cleared = self._outputs.encode_clear(self.output_header)
-        self.header, self._camera_name = Header(0, ''), ''
+        self.header, self._camera_switch = Header(0, ''), CameraSwitch()
         return cleared
 
     def reconfigure(self, config: Config) -> bool:

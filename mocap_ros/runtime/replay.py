@@ -28,7 +28,7 @@ from mocap_ros.bags.topics import (
     make_repeat_keys,
 )
 from mocap_ros.config import Config, Value, current_names, values, with_values
-from mocap_ros.errors import ConfigError, InputError, RecordingError
+from mocap_ros.errors import ConfigError, FolderTaken, InputError, RecordingError
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.models.model_file import AUTO, PRIORS, list_shipped_base_poses
@@ -121,7 +121,10 @@ def replay(
         raise RecordingError(
             f'{partial}: an interrupted replay left this bag; --resume replays it again, or remove it'
         )
-    result = _Replay(bag, options or ReplayOptions()).run(partial, out.name, progress)
+    try:
+        result = _Replay(bag, options or ReplayOptions()).run(partial, out.name, progress)
+    except FolderTaken:
+        raise RecordingError(f'{partial}: another replay has just begun to write this bag') from None
     try:
         partial.rename(out)
     except OSError as error:

@@ -23,7 +23,7 @@ from rosbags.rosbag2 import Reader
 from mocap_ros.bags.mcap_file import Attachment
 from mocap_ros.bags.mcap_layout import MAGIC
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.recorder import Recorder, choose_bag_folder
+from mocap_ros.bags.recorder import Recorder, choose_bag_folder, choose_partial_path
 from mocap_ros.bags.recovery import recover
 from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.config import RecorderConfig
@@ -203,6 +203,23 @@ def test_a_bag_continues_in_further_files(tmp_path: Path, limit: dict[str, Any])
         assert statistics.message_start_time == description['starting_time']['nanoseconds_since_epoch']
         duration = statistics.message_end_time - statistics.message_start_time
         assert duration == description['duration']['nanoseconds']
+
+
+def test_the_last_file_that_a_bag_may_have_takes_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('mocap_ros.bags.recorder.MAX_FILES', 3)
+    with Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=1e-9)) as recorder:
+        for i in range(FRAMES):
+            recorder.write('/keypoints', KEYPOINTS, make_keypoints(i), START_NS + i * STEP_NS, START_NS)
+    with Reader(tmp_path / 'bag') as reader:
+        assert reader.message_count == FRAMES
+    assert len(list((tmp_path / 'bag').glob('*.mcap'))) == 3
+
+
+def test_a_bag_is_not_written_into_another_one(tmp_path: Path) -> None:
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)
+    with pytest.raises(RecordingError, match=r'bag/new: .*bag is a bag; write beside it'):
+        choose_partial_path(tmp_path / 'bag' / 'new')
 
 
 @pytest.mark.parametrize('end', ['flush', 'close', 'split'])

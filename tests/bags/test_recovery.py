@@ -433,6 +433,17 @@ def test_an_interrupted_recovery_leaves_no_bag(tmp_path: Path) -> None:
         recover(tmp_path / 'bag', tmp_path / 'out')
 
 
+@pytest.mark.parametrize('has_metadata', [True, False])
+def test_nothing_is_recovered_into_the_damaged_bag(tmp_path: Path, *, has_metadata: bool) -> None:
+    write_bag(tmp_path / 'bag')
+    if not has_metadata:
+        (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    before = sorted((tmp_path / 'bag').iterdir())
+    with pytest.raises(RecordingError, match=r'new: .*bag is a bag; write beside it'):
+        recover(tmp_path / 'bag', tmp_path / 'bag' / 'new')
+    assert sorted((tmp_path / 'bag').iterdir()) == before
+
+
 def test_paths_without_messages_are_refused_and_leave_no_bag(tmp_path: Path) -> None:
     (tmp_path / 'empty').mkdir()
     os.mkfifo(tmp_path / 'pipe.mcap')

@@ -20,7 +20,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.camera_info import decode_camera_info
+from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import Header, create_header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
 from mocap_ros.messages.marker_writer import MARKERS
@@ -135,6 +135,27 @@ def test_of_two_cameras_that_send_in_turn_only_the_first_is_used(stream: list[by
     assert mixed.people[0].age == pytest.approx(0.1)
     mixed.reset()
     assert process(mixed, of_camera(3, 'front', 2.45)), 'after a reset, as in a replay, any camera is the first'
+
+
+def test_a_camera_info_of_another_camera_is_refused_where_that_of_the_images_is_known(stream: list[bytes]) -> None:
+    def of_camera(name: str, focal_length: float) -> bytes:
+        message = decode(camera_info(), CAMERA_INFO)
+        message.header.frame_id = name
+        message.k = message.k * np.array([focal_length / message.k[0], *[1.0] * 8])
+        return encode(message, CAMERA_INFO)
+
+    pipeline = Pipeline(FAST_CONFIG)
+    for name in ('other', 'camera'):  # before the first image, any camera may be that of the images
+        assert pipeline.feed(Source.CAMERA_INFO, of_camera(name, 500.0)).verdict is Verdict.ACCEPTED
+    process(pipeline, stream[0])
+    refused = pipeline.feed(Source.CAMERA_INFO, of_camera('other', 900.0))
+    assert refused.verdict is Verdict.INVALID
+    assert refused.reason.startswith("header.frame_id: 'other', but the people of 'camera' are being tracked")
+    for name in ('camera', ''):
+        assert pipeline.feed(Source.CAMERA_INFO, of_camera(name, 501.0)).verdict is Verdict.ACCEPTED
+    assert pipeline.feed(Source.CAMERA_INFO, of_camera('other', 502.0)).verdict is Verdict.ACCEPTED, (
+        'what has no name, or another one, tells nothing of which camera it is'
+    )
 
 
 def test_a_person_with_one_visible_joint_is_not_tracked() -> None:

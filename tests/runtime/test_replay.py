@@ -262,6 +262,24 @@ def test_an_interrupted_replay_is_repeated_on_resume(
     assert main(command) == 0  # the bag is complete already
 
 
+def test_of_two_replays_into_one_bag_the_second_says_so(
+    stream: list[bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_bag(tmp_path / 'bag', stream)
+    partial = tmp_path / 'out.partial'
+    exists = Path.exists
+
+    def create_meanwhile(path: Path, **options: Any) -> bool:
+        answer = exists(path, **options)
+        if path == partial:
+            path.mkdir()
+        return answer
+
+    monkeypatch.setattr(Path, 'exists', create_meanwhile)
+    with pytest.raises(RecordingError, match=r'out\.partial: another replay has just begun to write this bag'):
+        replay_skeletons(tmp_path / 'bag', tmp_path / 'out')
+
+
 def test_a_bag_that_fails_does_not_stop_the_others(
     tmp_path: Path, stream: list[bytes], skeletons: list[bytes], capfd: pytest.CaptureFixture[str]
 ) -> None:
