@@ -36,7 +36,7 @@ from pathlib import Path
 from typing import Any
 
 RECORD = Path('benchmarks', 'figures.json')  # from the root of the repository, as all paths in it
-STALE_MARK = re.compile(r'\*Measured on \S+ at \S+, before the last change of what it measures\.\*\n\n')
+STALE_MARK = re.compile(r'\*Measured on \S+ at commit \S+; what it measures has changed since\.\*\n\n')
 MARKER = re.compile(r'(?<=<!-- table: )(?P<name>\S+) -->\n(?P<text>.*?)(?=<!-- end of table -->)', re.DOTALL)
 BEGIN, END = re.compile(r'<!--\s*table\s*:'), re.compile(r'<!--\s*end of table\s*-->')
 NUMBER = re.compile(r'[\s*<±+-]*\d')  # how a cell with a figure begins
@@ -239,10 +239,9 @@ def _list_tables(record: Mapping[str, Entry], stale: Sequence[str]) -> Iterator[
     for entry in record.values():
         measured = {name: {**entry, 'text': text} for name, text in entry.get('tables', {}).items()}
         for name, table in {**entry.get('kept', {}), **measured}.items():
-            when = (
-                f'*Measured on {table.get("finished", "")[:10] or "-"} at {table.get("commit", "")[:7] or "-"}, '
-            )
-            mark = f'{when}before the last change of what it measures.*\n\n' if name in stale else ''
+            day, commit = table.get('finished', '')[:10] or '-', table.get('commit', '')[:7] or '-'
+            when = f'*Measured on {day} at commit {commit}; what it measures has changed since.*\n\n'
+            mark = when if name in stale else ''
             yield name, f'\n{table["text"]}\n\n{mark}'
 
 
