@@ -15,7 +15,7 @@ give the same transforms.
 from __future__ import annotations
 
 from bisect import bisect_left, insort
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -165,13 +165,7 @@ class TransformTree:
             for stamp_ns, transform in link.samples:
                 numbers = transform.translation.tolist(), transform.quaternion
                 messages[not link.is_static].append(create_transform(link.parent, child, stamp_ns, *numbers))
-        static, dynamic = (
-            [
-                encode(create_message(TRANSFORMS, transforms=m[i : i + MESSAGE_TRANSFORMS]), TRANSFORMS)
-                for i in range(0, len(m), MESSAGE_TRANSFORMS)
-            ]
-            for m in messages
-        )
+        static, dynamic = (list(_encode_in_parts(m)) for m in messages)
         return static, dynamic
 
     @property
@@ -205,6 +199,18 @@ class TransformTree:
             for child, link in self._links.items()
             if link.is_static or link.samples[-1][0] >= oldest_kept
         }
+
+
+def _encode_in_parts(transforms: Sequence[Any]) -> Iterator[bytes]:
+    """Yield transforms as TFMessages that this module decodes, of as many transforms and bytes as it takes."""
+    for start in range(0, len(transforms), MESSAGE_TRANSFORMS):
+        part = transforms[start : start + MESSAGE_TRANSFORMS]
+        raw = encode(create_message(TRANSFORMS, transforms=part), TRANSFORMS)
+        if len(raw) <= MAX_MESSAGE_BYTES or len(part) == 1:
+            yield raw
+        else:
+            yield from _encode_in_parts(part[: len(part) // 2])
+            yield from _encode_in_parts(part[len(part) // 2 :])
 
 
 def is_of_people_only(raw: bytes, prefix: str) -> bool:

@@ -19,6 +19,7 @@ from mocap_ros.config import Config, values
 from mocap_ros.errors import RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import OutputMessage
+from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.throttled_log import Logger
@@ -262,6 +263,8 @@ class LiveRecording:
         if not pipeline.transforms.is_empty:
             static, dynamic = pipeline.transforms.encode_all()
             known += [(Source.STATIC_TRANSFORMS, TRANSFORMS, message) for message in static]
+            prefix = pipeline.config.node.frame_prefix  # a replay takes what is of people only as an output
+            dynamic = [message for message in dynamic if not is_of_people_only(message, prefix)]
             known += [(Source.TRANSFORMS, TRANSFORMS, message) for message in dynamic]
         for source, msgtype, content in known:
             topic, raw = self._names[source.value], self._versions.write(msgtype, content)

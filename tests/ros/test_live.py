@@ -649,3 +649,18 @@ def test_inputs_of_a_split_recording_are_read_whole_and_file_by_file(
         assert sorted(alone[:3]) == sorted([camera_info(), *static])
         first = raws.index(alone[3])
         assert alone[3:] == raws[first : first + len(alone) - 3]
+
+
+def test_a_recording_begins_with_no_transforms_that_a_replay_takes_as_outputs(tmp_path: Path) -> None:
+    config = with_values(FAST_CONFIG, {'recorder.folder': str(tmp_path), 'node.frame_prefix': 'left_'})
+    pipeline = Pipeline(config)
+    people = [('camera', 'left_body_1', 0, (0, 0, 2)), ('left_body_1', 'left_torso_1', 0, (0, 0, 1))]
+    pipeline.transforms.add(make_transforms(*people, ('map', 'base', 0, (1, 0, 0))), is_static=False)
+    pipeline.transforms.add(make_transforms(('map', 'base', 0, (1, 0, 0))), is_static=True)
+    names = NAMES | {'/tf': '/tf', '/tf_static': '/tf_static'}
+    recording = LiveRecording(names, LineLog(), lambda _: (), MessageVersions())
+    recording.start(pipeline, START_NS)
+    folder = recording.finish(recording.detach())
+    assert folder is not None
+    with Bag(folder) as bag:
+        assert [bag.count([topic]) for topic in ('/tf_static', '/tf')] == [1, 0]
