@@ -21,7 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import count, pairwise
 from pathlib import Path
@@ -56,6 +56,28 @@ for topic, msgtype in OUTPUTS.items():
 print('ready', flush=True)
 sys.stdin.read()  # until the benchmark ends
 """
+# Sends two calibrations of a camera in turn, without a pause.
+FLOOD = """
+import sys, threading, rclpy
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, encode_camera_info
+from mocap_ros.messages.cdr import Header
+from mocap_ros.ros.message_types import load_interface_class
+rclpy.init()
+node = rclpy.create_node('flood')
+publisher = node.create_publisher(load_interface_class(CAMERA_INFO), 'camera_info', 10)
+while not publisher.get_subscription_count():
+    pass
+print('ready', flush=True)
+is_ending = threading.Event()
+threading.Thread(target=lambda: (sys.stdin.read(), is_ending.set())).start()
+cameras = [CameraInfo((3840, 2160), Intrinsics(f, (1920.0, 1080.0), True)) for f in (3000.0, 3300.0)]
+messages = [encode_camera_info(Header(0, 'camera0'), camera) for camera in cameras]
+while not is_ending.is_set():
+    for raw in messages:
+        publisher.publish(raw)
+"""
+OF_ALL_TOPICS = 'dropped: queue full'  # the one number in the diagnostics that is not of images alone
 TARGETS = {'unaccounted': '0', 'older_first': '0'}
 
 
@@ -69,6 +91,7 @@ class Load:
         hz: Images per second of each camera.
         cameras: Number of cameras that send to the same topic.
         is_read: Whether all subscribers read; otherwise there is one more, which does not.
+        is_flooded: Whether another publisher sends calibrations of the camera without a pause.
     """
 
     name: str
@@ -76,12 +99,14 @@ class Load:
     hz: float
     cameras: int = 1
     is_read: bool = True
+    is_flooded: bool = False
 
 
 LOADS = (
     Load('3 people, 30 Hz', 3, 30.0),
     Load('the same, and a subscriber that does not read', 3, 30.0, is_read=False),
     Load('the same, from two cameras', 3, 30.0, cameras=2),
+    Load('the same, and calibrations of the camera without a pause', 3, 30.0, is_flooded=True),
     Load('1 person, 200 Hz', 1, 200.0),
     Load('50 people, 30 Hz', 50, 30.0),
     Load('50 people, 200 Hz', 50, 200.0),
@@ -125,19 +150,19 @@ class StatusReader:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Numbers of inputs so far: accepted, invalid, dropped and lost, by reason."""
+        """Numbers of images so far: accepted, invalid, dropped and lost, by reason."""
         kinds = ('accepted', 'invalid', 'dropped', 'lost')
-        return {k: int(v) for k, v in self._values.items() if k.startswith(kinds)}
+        return {k: int(v) for k, v in self._values.items() if k.startswith(kinds) and k != OF_ALL_TOPICS}
 
 
 @contextmanager
-def run_sleeper() -> Iterator[None]:
-    """Run a subscriber to all outputs that does not read."""
-    command = [sys.executable, '-c', SLEEPER]
+def run_beside(program: str) -> Iterator[None]:
+    """Run a Python program that prints a line when it is ready, and ends when its standard input does."""
+    command = [sys.executable, '-c', program]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
-        process.stdout.readline()
+        assert process.stdout.readline(), 'the program has ended'
         yield
     finally:
         process.communicate(timeout=20.0)
@@ -200,10 +225,9 @@ def run_loads(seconds: float) -> list[Outcome]:
         status = StatusReader(peer)
         peer.wait(lambda: peer.keypoints.get_subscription_count() and status.counts, 120.0)
         for number, load in enumerate(common.show_progress(LOADS, 'loads', len(LOADS)), 1):
-            if load.is_read:
-                outcomes.append(send_load(peer, status, load, seconds, number * GAP_NS))
-                continue
-            with run_sleeper():
+            with ExitStack() as beside:
+                for program in [SLEEPER] * (not load.is_read) + [FLOOD] * load.is_flooded:
+                    beside.enter_context(run_beside(program))
                 outcomes.append(send_load(peer, status, load, seconds, number * GAP_NS))
         assert process.poll() is None
         peer.close()

@@ -23,6 +23,7 @@ from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import FolderTaken, RecordingError
 
 CHECK_PERIOD_S = 0.25  # s; how soon a removed folder and a disk that is nearly full are noticed
+MAX_WAITING_BYTES = 256_000_000  # bytes of waiting messages; far above 1000 messages of people; guards the memory
 MAX_UNSAVED_S = 0.02  # s; how long messages may be in the memory of the process only, while more are arriving
 
 
@@ -82,6 +83,7 @@ class BackgroundRecorder:
         )
         self._config = config
         self._batches: deque[tuple[RecordedMessage | Topic, ...]] = deque()
+        self._waiting_bytes = 0
         self._wake = threading.Condition()
         self._closing = False
         self._error: RecordingError | None = None
@@ -110,7 +112,7 @@ class BackgroundRecorder:
 
         Args:
             records: Messages to write, and topics to add before their first message.
-            even_if_full: Whether to queue the records even if `recorder.backlog` batches are waiting.
+            even_if_full: Whether to queue the records even if as many wait as may.
 
         Raises:
             RecordingError: The recording has failed.
@@ -118,11 +120,13 @@ class BackgroundRecorder:
         self.check()
         batch = tuple(records)
         with self._wake:
-            if len(self._batches) >= self._config.backlog and not even_if_full:
+            is_full = len(self._batches) >= self._config.backlog or self._waiting_bytes >= MAX_WAITING_BYTES
+            if is_full and not even_if_full:
                 self.refused_count += bool(batch)
                 return False
             if batch:
                 self._batches.append(batch)
+                self._waiting_bytes += _count_bytes(batch)
                 self._wake.notify()
         return True
 
@@ -182,10 +186,11 @@ class BackgroundRecorder:
                 if not self._batches and not self._closing:
                     self._busy_since_s = None
                 self._wake.wait_for(lambda: self._batches or self._closing, timeout_s)
-                batch = self._batches.popleft() if self._batches else None
-                is_finished = batch is None and self._closing  # while the lock is held: another may come later
+                batch = self._batches.popleft() if self._batches else ()
+                self._waiting_bytes -= _count_bytes(batch)
+                is_finished = not batch and self._closing  # while the lock is held: another may come later
             now_s = self._busy_since_s = time.monotonic()
-            for record in batch or ():
+            for record in batch:
                 if isinstance(record, Topic):
                     recorder.add_topic(record)
                 else:
@@ -201,6 +206,10 @@ class BackgroundRecorder:
                 check_due_s = now_s + CHECK_PERIOD_S
             if is_finished:
                 return
+
+
+def _count_bytes(batch: Iterable[RecordedMessage | Topic]) -> int:
+    return sum(len(record.data) for record in batch if isinstance(record, RecordedMessage))
 
 
 def _leave_chunks_open(config: RecorderConfig) -> RecorderConfig:

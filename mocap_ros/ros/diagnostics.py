@@ -38,10 +38,11 @@ class RunStatistics:
 
     Attributes:
         lost: Number of messages so far that were sent but did not arrive.
+        removed: Number of messages so far, of all topics, that left the queue unseen because too many waited.
     """
 
     def __init__(self) -> None:
-        self.lost = 0
+        self.lost = self.removed = 0
         self._received: deque[float] = deque(maxlen=MAX_REMEMBERED_FRAMES)  # s, steady clock
         self._solve_seconds: deque[float] = deque(maxlen=MAX_REMEMBERED_FRAMES)
 
@@ -52,6 +53,10 @@ class RunStatistics:
     def record_lost(self, count: int) -> None:
         """Record that messages did not arrive."""
         self.lost += count
+
+    def record_removed(self, count: int) -> None:
+        """Record that messages were removed from the queue because too many waited."""
+        self.removed += count
 
     def record_solve(self, seconds: float) -> None:
         """Record how many seconds the processing of a message took."""
@@ -91,6 +96,7 @@ class DiagnosticsReporter:
         self._name = name
         self._pipeline = pipeline
         self._previous_counters = copy_counters(pipeline.counters)  # an earlier run may have counted, too
+        self._previous_removed = 0
 
     def encode_status(
         self, statistics: RunStatistics, recorder: str, now_ns: int, recorder_fault: str = ''
@@ -105,7 +111,8 @@ class DiagnosticsReporter:
         """
         pipeline = self._pipeline
         counters, previous = copy_counters(pipeline.counters), self._previous_counters
-        skipped = counters.dropped['backlog'] - previous.dropped['backlog']
+        removed, self._previous_removed = statistics.removed - self._previous_removed, statistics.removed
+        skipped = counters.dropped['backlog'] - previous.dropped['backlog'] + removed
         invalid = counters.invalid - previous.invalid
         errors = counters.dropped['internal error'] - previous.dropped['internal error']
         self._previous_counters = counters
@@ -121,6 +128,7 @@ class DiagnosticsReporter:
             'accepted': counters.accepted,
             'invalid': counters.invalid,
             **{f'dropped: {reason}': n for reason, n in sorted(counters.dropped.items())},
+            'dropped: queue full': statistics.removed,
             'lost before the node': statistics.lost,
             'people': len(people),
             'residual (px)': f'{np.mean(residuals):.2f}' if residuals else 'nan',

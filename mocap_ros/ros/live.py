@@ -5,18 +5,17 @@
 
 Three threads share the work. The thread of the ROS executor puts each message into the queue as soon as the
 message arrives, so that its time of receipt is right and every message is counted while another one is being
-processed. The worker thread processes the queue; when too many messages wait, and from then on until none waits,
-it skips all but the newest message of people on each topic. The recorder's thread writes to the disk.
+processed. The worker thread processes the queue, and skips what the queue says (`input_queue.py`). The recorder's
+thread writes to the disk.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 import traceback
-from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from mocap_ros.bags.journal import Verdict
@@ -25,6 +24,7 @@ from mocap_ros.config import Config
 from mocap_ros.errors import RecordingError
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.ros.diagnostics import RunStatistics
+from mocap_ros.ros.input_queue import MAX_WAITING, MAX_WAITING_BYTES, InputQueue, ReceivedMessage
 from mocap_ros.ros.live_recording import FindOfferedQos, LiveRecording
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.throttled_log import Logger, ThrottledLog
@@ -47,25 +47,6 @@ class SteadyWallClock:
         return time.monotonic_ns() + self._offset_ns
 
 
-@dataclass(frozen=True)
-class ReceivedMessage:
-    """A message in the queue.
-
-    Attributes:
-        source: Kind of the message.
-        topic: Absolute name of its topic.
-        number: Number of the message on its topic, from 1.
-        raw: The message as CDR.
-        times_ns: Wall-clock times of receipt and of sending.
-    """
-
-    source: Source
-    topic: str
-    number: int
-    raw: bytes
-    times_ns: tuple[int, int]
-
-
 class LiveRun:
     """Worker that feeds a pipeline from a queue, in a thread that lives from `start` to `stop`.
 
@@ -80,7 +61,6 @@ class LiveRun:
         versions: Installed versions of the message types; by default all equal this package's.
 
     Attributes:
-        is_behind: Whether too many messages were waiting and some still are, so that only the newest is processed.
         statistics: Input rate and processing times.
     """
 
@@ -103,16 +83,12 @@ class LiveRun:
         self._throttled_log = ThrottledLog(logger)
         self._clock = SteadyWallClock()
         self.statistics = RunStatistics()
-        self._queue: deque[ReceivedMessage] = deque()
-        self._queue_changed = threading.Condition()
+        self._queue = InputQueue()
         self._pipeline_lock = threading.Lock()  # guards the pipeline and the recording
-        self._stop_deadline: float | None = None  # s, steady clock; set by `stop`
+        self._stop_deadline = math.inf  # s, steady clock; set by `stop`
         self._has_accepted = self._has_warned_of_frame_id = False
         self._recording = LiveRecording(names, logger, find_offered_qos, self._versions)
         self._logged_tracebacks: set[str] = set()
-        self._received_counts: Counter[str] = Counter()  # by topic
-        self._first_unskipped: dict[str, int] = {}  # by topic: messages with smaller numbers are skipped
-        self.is_behind = False
         self._thread = threading.Thread(target=self._process_until_stopped, name='mocap pipeline')
 
     def start(self) -> None:
@@ -123,16 +99,21 @@ class LiveRun:
 
     def stop(self) -> None:
         """Process waiting messages for at most `MAX_STOP_SECONDS`, delete the markers and finish the recording."""
-        with self._queue_changed:
-            self._stop_deadline = time.monotonic() + MAX_STOP_SECONDS
-            self._queue_changed.notify()
+        self._stop_deadline = time.monotonic() + MAX_STOP_SECONDS
+        self._queue.close()
         if self._thread.ident is not None:
             self._thread.join()
         with self._pipeline_lock:
-            while self._queue:
-                self._publish_result(self._queue.popleft(), self._pipeline.note_backlog())
+            self._report_removed()
+            while popped := self._queue.pop(1):
+                self._publish_result(popped[0], self._pipeline.note_backlog())
             self._publish_and_record(self._reset_pipeline())
             self._recording.close(MAX_FINISH_SECONDS)
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether too many messages of people were waiting and some message still is."""
+        return self._queue.is_behind
 
     @property
     def recorder_state(self) -> str:
@@ -155,14 +136,9 @@ class LiveRun:
         """
         now_ns = self._clock.now_ns()
         topic = topic or self._names[source.value]
-        self._received_counts[topic] += 1
-        times_ns = (now_ns, sent_ns if sent_ns > 0 else now_ns)
-        message = ReceivedMessage(source, topic, self._received_counts[topic], raw, times_ns)
         if source in PEOPLE_SOURCES:
             self.statistics.record_receipt()
-        with self._queue_changed:
-            self._queue.append(message)
-            self._queue_changed.notify()
+        self._queue.put(source, topic, raw, (now_ns, sent_ns if sent_ns > 0 else now_ns))
 
     def reset(self) -> None:
         """Discard all people."""
@@ -216,9 +192,8 @@ class LiveRun:
 
     def _find_recording_start_ns(self) -> int:
         """Return the present time, or the time just before the receipt of the oldest waiting message."""
-        with self._queue_changed:
-            now_ns = self._clock.now_ns()
-            return min([now_ns, *(m.times_ns[0] - 1 for m in self._queue)])
+        now_ns, first_ns = self._clock.now_ns(), self._queue.find_first_receipt_ns()
+        return now_ns if first_ns is None else min(now_ns, first_ns - 1)
 
     def _process_until_stopped(self) -> None:
         while self._try_to_process_next():
@@ -233,33 +208,33 @@ class LiveRun:
 
     def _process_next(self) -> bool:
         """Wait for the next message and process or skip it; return False when the run is to stop."""
-        config = self._pipeline.config
-        with self._queue_changed:
-            if not self._queue:
-                self.is_behind = False
-            self._queue_changed.wait_for(
-                lambda: self._queue or self._stop_deadline is not None, RECORDER_CHECK_SECONDS
-            )
-            if self._stop_deadline is not None and (not self._queue or time.monotonic() > self._stop_deadline):
-                return False
+        is_stopping = self._queue.wait(RECORDER_CHECK_SECONDS)
+        if is_stopping and (not self._queue or time.monotonic() > self._stop_deadline):
+            return False
         with self._pipeline_lock:
             self._recording.check()
-            if not self._queue:
+            self._report_removed()
+            popped = self._queue.pop(self._pipeline.config.node.queue)
+            if popped is None:
                 return True
-            message = self._queue.popleft()
-            self.is_behind = self.is_behind or self._has_backlog(config.node.queue)
-            if self.is_behind:
-                self._first_unskipped = dict(self._received_counts)
-            if message.source in PEOPLE_SOURCES and message.number < self._first_unskipped.get(message.topic, 0):
+            message, is_skipped = popped
+            if is_skipped:
                 self._publish_result(message, self._pipeline.note_backlog())
             else:
                 self._process(message)
         return True
 
-    def _has_backlog(self, limit: int) -> bool:
-        """Return whether at least `limit` messages of people are waiting."""
-        queue = self._queue
-        return len(queue) >= limit and sum(m.source in PEOPLE_SOURCES for m in tuple(queue)) >= limit
+    def _report_removed(self) -> None:
+        """Count and log the messages that the queue has removed because too many waited."""
+        for topic, count in self._queue.pop_removed_counts().items():
+            self.statistics.record_removed(count)
+            self._throttled_log.report(
+                topic,
+                self._queue.count_received(topic),
+                f'{count} older messages were removed unseen, as {MAX_WAITING} messages of this topic or '
+                f'{MAX_WAITING_BYTES // 1_000_000} MB were waiting; find out who publishes so much',
+                is_error=False,
+            )
 
     def _process(self, message: ReceivedMessage) -> None:
         start = time.monotonic()

@@ -41,6 +41,13 @@ def test_the_level_follows_what_happened_since_the_last_report() -> None:
     assert bad.level == Level.WARN
     assert bad.message == '1 messages skipped because of a backlog, 1 invalid in the last second'
 
+    statistics.record_removed(7)
+    flooded = report(reporter, statistics)
+    assert flooded.level == Level.WARN
+    assert flooded.message == '7 messages skipped because of a backlog, 0 invalid in the last second'
+    assert {v.key: v.value for v in flooded.values}['dropped: queue full'] == '7'
+    assert report(reporter, statistics).level == Level.OK
+
     pipeline.counters.dropped['internal error'] += 2
     failed = report(reporter, statistics)
     assert (failed.level, failed.message) == (Level.ERROR, '2 internal errors in the last second; see the log')

@@ -315,6 +315,37 @@ def test_while_messages_wait_the_newest_comes_first_until_the_run_has_caught_up(
     assert accepted == [0, 5, 8, 11, 12, 13, 14, 15]
 
 
+def test_a_flood_of_camera_infos_is_counted_and_people_go_on(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('mocap_ros.ros.input_queue.MAX_WAITING', 4)
+    entered, may_finish = threading.Event(), threading.Event()
+
+    class HeldTracker(Tracker):
+        """A tracker that begins its first frame and waits."""
+
+        def update(self, *frame: Any) -> Any:
+            entered.set()
+            assert may_finish.wait(TIMEOUT_S)
+            return super().update(*frame)
+
+    live = CollectingRun(recording_to(tmp_path / 'live'), HeldTracker)
+    live.enqueue(stream[0])
+    assert entered.wait(TIMEOUT_S)
+    for _ in range(50):
+        live.run.enqueue(Source.CAMERA_INFO, camera_info(), 5)
+    live.enqueue(stream[1])
+    may_finish.set()
+    live.wait_for_frames(2)
+    live.run.stop()
+    assert live.run.statistics.removed == 46
+    assert live.count_lines('/camera_info: message 50: 46 older messages were removed unseen') == 1
+    (bag,) = (tmp_path / 'live').iterdir()
+    assert len(read_messages(bag, '/camera_info')) == 4
+    assert read_messages(bag, '/keypoints') == stream[:2]
+    assert_replay_gives_the_same(bag, tmp_path / 'again')
+
+
 def test_a_disk_that_takes_nothing_is_reported_and_does_not_stop_the_run(
     tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,0 +1,149 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Queue of the messages that a live run has received and not processed yet; its length and size are limited.
+
+The thread of the ROS executor puts messages into it, and the worker thread of the run takes them out in the order
+of their receipt. Two rules keep a node that is too slow from falling behind for ever:
+
+* When too many messages of people wait, and from then on until none waits, all but the newest message of people on
+  each topic are to be skipped. The run counts and records those, so that a replay can process them.
+* No more than `MAX_WAITING` messages of a topic wait, and no more than `MAX_WAITING_BYTES` of all. What is beyond
+  is removed, the oldest message of the topic first, and is only counted: recording it would take longer than a
+  publisher that sends without a pause takes to send the next one.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter, OrderedDict
+from dataclasses import dataclass
+
+from mocap_ros.bags.topics import PEOPLE_SOURCES, Source
+
+MAX_WAITING = 1000  # messages of a topic; one second of the busiest /tf, and 33 s of a camera
+MAX_WAITING_BYTES = 64_000_000  # bytes of all waiting messages; 60 people with 133 keypoints each take 0.3 MB
+
+
+@dataclass(frozen=True)
+class ReceivedMessage:
+    """A message in the queue.
+
+    Attributes:
+        source: Kind of the message.
+        topic: Absolute name of its topic.
+        number: Number of the message on its topic, from 1.
+        raw: The message as CDR.
+        times_ns: Wall-clock times of receipt and of sending.
+    """
+
+    source: Source
+    topic: str
+    number: int
+    raw: bytes
+    times_ns: tuple[int, int]
+
+
+class InputQueue:
+    """Messages that wait, in the order of their receipt. Any thread may call any method.
+
+    Attributes:
+        is_behind: Whether too many messages of people were waiting and some message still is.
+    """
+
+    def __init__(self) -> None:
+        self.is_behind = False
+        self._changed = threading.Condition()
+        self._is_closed = False
+        self._waiting: OrderedDict[tuple[str, int], ReceivedMessage] = OrderedDict()  # by topic and number
+        self._waiting_bytes = 0
+        self._waiting_people = 0  # messages of people
+        self._received: Counter[str] = Counter()  # messages so far, by topic
+        self._first_waiting: dict[
+            str, int
+        ] = {}  # by topic: number of the oldest message that has not left the queue
+        self._first_unskipped: dict[str, int] = {}  # by topic: messages of people with smaller numbers are skipped
+        self._removed: Counter[str] = Counter()  # messages since the last `pop_removed_counts`, by topic
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def put(self, source: Source, topic: str, raw: bytes, times_ns: tuple[int, int]) -> None:
+        """Add a message that has just been received, and remove older ones of its topic if too many wait.
+
+        Args:
+            source: Kind of the message.
+            topic: Absolute name of its topic.
+            raw: The message as CDR.
+            times_ns: Wall-clock times of receipt and of sending.
+        """
+        with self._changed:
+            self._received[topic] += 1
+            number = self._received[topic]
+            self._waiting[topic, number] = ReceivedMessage(source, topic, number, raw, times_ns)
+            self._waiting_bytes += len(raw)
+            self._waiting_people += source in PEOPLE_SOURCES
+            first = self._first_waiting.setdefault(topic, number)
+            while number - first >= MAX_WAITING or (self._waiting_bytes > MAX_WAITING_BYTES and first < number):
+                self._note_gone(self._waiting.pop((topic, first)))
+                self._removed[topic] += 1
+                first += 1
+            self._changed.notify()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait for a message, for the end of the time or for `close`; return whether the queue is closed.
+
+        Args:
+            timeout_s: How long to wait.
+        """
+        with self._changed:
+            if not self._waiting:
+                self.is_behind = False
+            self._changed.wait_for(lambda: self._waiting or self._is_closed, timeout_s)
+            return self._is_closed
+
+    def close(self) -> None:
+        """Let `wait` return at once from now on. Messages that wait can still be taken."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify()
+
+    def pop(self, limit: int) -> tuple[ReceivedMessage, bool] | None:
+        """Take the oldest message; return it and whether it is to be skipped, or None if none waits.
+
+        Args:
+            limit: Number of waiting messages of people from which on all but the newest are skipped.
+        """
+        with self._changed:
+            if not self._waiting:
+                return None
+            _, message = self._waiting.popitem(last=False)
+            self._note_gone(message)
+            self.is_behind = self.is_behind or self._waiting_people >= limit
+            if self.is_behind:
+                self._first_unskipped = dict(self._received)
+            is_skipped = message.number < self._first_unskipped.get(message.topic, 0)
+            return message, is_skipped and message.source in PEOPLE_SOURCES
+
+    def count_received(self, topic: str) -> int:
+        """Return the number of messages of a topic so far, which is that of its newest one."""
+        return self._received[topic]
+
+    def pop_removed_counts(self) -> Counter[str]:
+        """Return how many messages of each topic have been removed since the last call."""
+        if not self._removed:
+            return Counter()
+        with self._changed:
+            removed, self._removed = self._removed, Counter()
+            return removed
+
+    def find_first_receipt_ns(self) -> int | None:
+        """Return the wall-clock time of receipt of the oldest waiting message, or None if none waits."""
+        with self._changed:
+            return min((m.times_ns[0] for m in self._waiting.values()), default=None)
+
+    def _note_gone(self, message: ReceivedMessage) -> None:
+        """Account for a message that has left the queue, the oldest of its topic."""
+        self._first_waiting[message.topic] = message.number + 1
+        self._waiting_bytes -= len(message.raw)
+        self._waiting_people -= message.source in PEOPLE_SOURCES

@@ -1,0 +1,145 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The queue of a live run: order, backlog, and limits for publishers that send without a pause."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocap_ros.bags.topics import Source
+from mocap_ros.ros import input_queue
+from mocap_ros.ros.input_queue import InputQueue
+
+SOURCES = {'/keypoints': Source.KEYPOINTS, '/camera_info': Source.CAMERA_INFO, '/tf': Source.TRANSFORMS}
+
+
+def put(queue: InputQueue, topic: str, count: int = 1, size: int = 1) -> None:
+    for _ in range(count):
+        queue.put(SOURCES[topic], topic, bytes(size), (1, 1))
+
+
+def take_all(queue: InputQueue, limit: int = 10**6) -> list[tuple[str, int, bool]]:
+    """Return topic, number, and whether to skip it, of each waiting message."""
+    taken = []
+    while popped := queue.pop(limit):
+        taken.append((popped[0].topic, popped[0].number, popped[1]))
+    return taken
+
+
+def test_a_topic_that_sends_without_a_pause_loses_its_own_oldest_messages_only(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(input_queue, 'MAX_WAITING', 3)
+    queue = InputQueue()
+    put(queue, '/tf', 2)
+    put(queue, '/keypoints', 2)
+    put(queue, '/tf', 4)
+    put(queue, '/keypoints')
+    assert take_all(queue) == [
+        *(('/keypoints', n, False) for n in (1, 2)),
+        *(('/tf', n, False) for n in (4, 5, 6)),
+        ('/keypoints', 3, False),
+    ]
+    assert queue.pop_removed_counts() == {'/tf': 3}
+    assert not queue.pop_removed_counts()
+    put(queue, '/tf', 3)
+    assert [number for _, number, _ in take_all(queue)] == [7, 8, 9]
+    assert not queue.pop_removed_counts(), 'none is removed while those before have been taken'
+
+
+def test_large_messages_that_wait_are_limited_by_their_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(input_queue, 'MAX_WAITING_BYTES', 100)
+    queue = InputQueue()
+    put(queue, '/keypoints', 2, size=10)
+    put(queue, '/tf', 9, size=30)
+    put(queue, '/tf', size=1000)
+    put(queue, '/camera_info', size=10)
+    assert [(topic, number) for topic, number, _ in take_all(queue)] == [
+        ('/keypoints', 1),
+        ('/keypoints', 2),
+        ('/tf', 10),  # the newest of a topic stays, whatever its size
+        ('/camera_info', 1),
+    ]
+    assert queue.pop_removed_counts() == {'/tf': 9}
+    put(queue, '/tf', 4, size=25)
+    assert len(queue) == 4, 'what has left the queue no longer counts'
+
+
+def test_messages_of_people_alone_make_a_backlog() -> None:
+    queue = InputQueue()
+    put(queue, '/tf', 5)
+    put(queue, '/keypoints', 3)
+    put(queue, '/camera_info')
+    assert not any(is_skipped for *_, is_skipped in take_all(queue, limit=4))
+    assert not queue.is_behind
+
+
+def test_messages_of_people_alone_are_skipped() -> None:
+    queue = InputQueue()
+    put(queue, '/camera_info')
+    put(queue, '/keypoints', 3)
+    put(queue, '/tf')
+    assert take_all(queue, limit=3) == [
+        ('/camera_info', 1, False),
+        ('/keypoints', 1, True),
+        ('/keypoints', 2, True),
+        ('/keypoints', 3, False),
+        ('/tf', 1, False),
+    ]
+    was_behind = queue.is_behind
+    assert not queue.wait(0.0)
+    assert (was_behind, queue.is_behind) == (True, False), 'none waits any more'
+
+
+def test_a_closed_queue_waits_no_longer_and_still_gives_its_messages() -> None:
+    queue = InputQueue()
+    closing = threading.Timer(0.05, queue.close)
+    closing.start()
+    assert queue.wait(60.0)
+    put(queue, '/tf')
+    assert queue.wait(60.0)
+    assert take_all(queue) == [('/tf', 1, False)]
+    assert queue.pop(1) is None
+
+
+def test_the_first_receipt_is_the_earliest_of_all_that_wait() -> None:
+    queue = InputQueue()
+    assert queue.find_first_receipt_ns() is None
+    for time_ns in (7, 5, 6):
+        queue.put(Source.KEYPOINTS, '/keypoints', b'', (time_ns, 1))
+    assert queue.find_first_receipt_ns() == 5
+
+
+@given(st.lists(st.tuples(st.sampled_from([*SOURCES, 'pop']), st.integers(0, 60))), st.integers(1, 5))
+def test_every_message_is_taken_in_order_or_counted_as_removed(steps: list[tuple[str, int]], most: int) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(input_queue, 'MAX_WAITING', most)
+        patch.setattr(input_queue, 'MAX_WAITING_BYTES', 100)
+        queue, sent, taken = InputQueue(), dict.fromkeys(SOURCES, 0), dict.fromkeys(SOURCES, 0)
+        numbers = dict.fromkeys(SOURCES, 0)
+
+        def note(topic: str, number: int) -> None:
+            assert number > numbers[topic]
+            numbers[topic] = number
+            taken[topic] += 1
+
+        for step, size in steps:
+            if step != 'pop':
+                put(queue, step, size=size)
+                sent[step] += 1
+                assert queue.count_received(step) == sent[step]
+            elif popped := queue.pop(2):
+                note(popped[0].topic, popped[0].number)
+            assert len(queue) <= most * len(SOURCES)
+            waiting = queue._waiting.values()
+            assert sum(len(m.raw) for m in waiting) <= 100 + 60 * len(SOURCES)
+        for topic, number, _ in take_all(queue):
+            note(topic, number)
+        removed = queue.pop_removed_counts()
+    assert {topic: taken[topic] + removed[topic] for topic in SOURCES} == sent
+    assert all(numbers[topic] == sent[topic] for topic in SOURCES), 'the newest is never removed'
