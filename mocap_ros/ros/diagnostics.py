@@ -14,6 +14,7 @@ from enum import IntEnum
 import numpy as np
 
 from mocap_ros.messages.cdr import Header, create_header, create_message, encode
+from mocap_ros.ros.throttled_log import make_printable
 from mocap_ros.runtime.pipeline import Counters, Pipeline
 from mocap_ros.units import NS_PER_S
 
@@ -37,17 +38,20 @@ class RunStatistics:
     """Times of receipt and processing times of the last `MAX_REMEMBERED_FRAMES` messages of people.
 
     Attributes:
+        received: Number of messages of people so far that arrived.
         lost: Number of messages so far that were sent but did not arrive.
         removed: Number of messages so far, of all topics, that left the queue unseen because too many waited.
     """
 
     def __init__(self) -> None:
-        self.lost = self.removed = 0
+        self.received = self.lost = self.removed = 0
+        self._reason = ''  # newest one since `take_reason`
         self._received: deque[float] = deque(maxlen=MAX_REMEMBERED_FRAMES)  # s, steady clock
         self._solve_seconds: deque[float] = deque(maxlen=MAX_REMEMBERED_FRAMES)
 
     def record_receipt(self) -> None:
         """Record that a message has just been received."""
+        self.received += 1
         self._received.append(time.monotonic())
 
     def record_lost(self, count: int) -> None:
@@ -57,6 +61,15 @@ class RunStatistics:
     def record_removed(self, count: int) -> None:
         """Record that messages were removed from the queue because too many waited."""
         self.removed += count
+
+    def record_reason(self, topic: str, reason: str) -> None:
+        """Record why a message of a topic was not accepted."""
+        self._reason = make_printable(f'{topic}: {reason}')
+
+    def take_reason(self) -> str:
+        """Return the newest reason why a message was not accepted; empty if there is none since the last call."""
+        reason, self._reason = self._reason, ''
+        return reason
 
     def record_solve(self, seconds: float) -> None:
         """Record how many seconds the processing of a message took."""
@@ -96,7 +109,7 @@ class DiagnosticsReporter:
         self._name = name
         self._pipeline = pipeline
         self._previous_counters = copy_counters(pipeline.counters)  # an earlier run may have counted, too
-        self._previous_removed = 0
+        self._previous_received = self._previous_removed = 0
 
     def encode_status(
         self, statistics: RunStatistics, recorder: str, now_ns: int, recorder_fault: str = ''
@@ -111,11 +124,11 @@ class DiagnosticsReporter:
         """
         pipeline = self._pipeline
         counters, previous = copy_counters(pipeline.counters), self._previous_counters
+        received, self._previous_received = statistics.received - self._previous_received, statistics.received
         removed, self._previous_removed = statistics.removed - self._previous_removed, statistics.removed
-        skipped = counters.dropped['backlog'] - previous.dropped['backlog'] + removed
-        invalid = counters.invalid - previous.invalid
-        errors = counters.dropped['internal error'] - previous.dropped['internal error']
         self._previous_counters = counters
+        new_counters = subtract_counters(counters, previous)
+        reason = statistics.take_reason()
         people = pipeline.people
         residuals = [p.residual for p in people if math.isfinite(p.residual)]
         newest_ns = pipeline.header.stamp_ns  # 0 before the first frame, and after a reset
@@ -138,22 +151,51 @@ class DiagnosticsReporter:
             'camera': 'from CameraInfo' if pipeline.camera_info is not None else 'nominal focal length',
             'recorder': recorder,
         }
-        level, message = Level.OK, f'{len(people)} people'
+        problems: list[tuple[Level, str]] = []
         if statistics.seconds_since_input() > pipeline.config.node.silence_warning:
-            level, message = Level.STALE, 'no input'
-        elif errors:
-            level, message = Level.ERROR, f'{errors} internal errors in the last second; see the log'
-        elif skipped or invalid:
-            level = Level.WARN
-            message = f'{skipped} messages skipped because of a backlog, {invalid} invalid in the last second'
-        elif recorder_fault:
-            level, message = Level.WARN, recorder_fault
+            problems.append((Level.STALE, 'no input'))
+        elif refused := describe_refused(new_counters, removed):
+            is_none_accepted = received > 0 and not new_counters.accepted
+            has_error = new_counters.dropped['internal error'] > 0
+            message = 'no message was accepted: ' * is_none_accepted + f'{refused} in the last second'
+            message += '; see the log' * has_error + f'; {reason}' * bool(reason)
+            problems.append((Level.ERROR if is_none_accepted or has_error else Level.WARN, message))
+        if recorder_fault:
+            problems.append((Level.WARN, recorder_fault))
+        level = max((level for level, _ in problems), default=Level.OK)
+        message = '; '.join(message for _, message in problems) or f'{len(people)} people'
         return encode_diagnostics(Header(now_ns, ''), self._name, (level, message), values)
 
 
 def copy_counters(counters: Counters) -> Counters:
     """Return the counters as they are now."""
     return Counters(counters.accepted, counters.invalid, counters.dropped.copy())
+
+
+def subtract_counters(counters: Counters, previous: Counters) -> Counters:
+    """Return what was counted since previous counters."""
+    return Counters(
+        counters.accepted - previous.accepted,
+        counters.invalid - previous.invalid,
+        counters.dropped - previous.dropped,
+    )
+
+
+def describe_refused(counters: Counters, removed: int) -> str:
+    """Return how many messages were not accepted, by cause, in words; empty if all were.
+
+    Args:
+        counters: Counters of the messages.
+        removed: Number of messages that left the queue unseen because too many waited.
+    """
+    counts = {
+        'internal errors': counters.dropped['internal error'],
+        'invalid': counters.invalid,
+        'dropped for their stamps': counters.dropped['stamp'],
+        'skipped because of a backlog': counters.dropped['backlog'],
+        'removed from a full queue': removed,
+    }
+    return ', '.join(f'{count} {cause}' for cause, count in counts.items() if count)
 
 
 def encode_diagnostics(

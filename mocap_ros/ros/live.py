@@ -275,6 +275,8 @@ class LiveRun:
         if result.reason:
             is_error = result.verdict is Verdict.INVALID or bool(result.error_traceback)
             self._throttled_log.report(topic, number, result.reason, is_error=is_error)
+            if result.verdict in (Verdict.INVALID, Verdict.DROPPED):  # the number of skipped ones says why
+                self.statistics.record_reason(topic, result.reason)
         if result.verdict is Verdict.ACCEPTED and message.source in PEOPLE_SOURCES and result.outputs:
             self._note_accepted(topic)
         msgtype = self._types[message.source]

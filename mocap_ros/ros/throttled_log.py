@@ -56,7 +56,7 @@ class ThrottledLog:
         counts[kind] += 1
         if not _is_power_of_ten(counts[kind]):
             return
-        line = _make_printable(f'{topic}: message {number}: {remark}')
+        line = make_printable(f'{topic}: message {number}: {remark}')
         if not kind:
             line += ' (further kinds of errors on this topic are not listed one by one)'
         if counts[kind] > 1:
@@ -71,7 +71,7 @@ def _is_power_of_ten(count: int) -> bool:
     return str(count).strip('0') == '1'
 
 
-def _make_printable(text: str) -> str:
+def make_printable(text: str) -> str:
     """Return text that may contain parts of a received message as one printable line of limited length."""
     printable = ''.join(c if c.isprintable() else ' ' for c in text)
     return textwrap.shorten(printable, MAX_LINE_LENGTH, placeholder=' ...')

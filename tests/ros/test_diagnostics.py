@@ -37,14 +37,14 @@ def test_the_level_follows_what_happened_since_the_last_report() -> None:
 
     pipeline.feed(Source.KEYPOINTS, second[:50])
     pipeline.note_backlog()
+    process(pipeline, second)
     bad = report(reporter, statistics)
     assert bad.level == Level.WARN
-    assert bad.message == '1 messages skipped because of a backlog, 1 invalid in the last second'
+    assert bad.message == '1 invalid, 1 skipped because of a backlog in the last second'
 
     statistics.record_removed(7)
     flooded = report(reporter, statistics)
-    assert flooded.level == Level.WARN
-    assert flooded.message == '7 messages skipped because of a backlog, 0 invalid in the last second'
+    assert (flooded.level, flooded.message) == (Level.WARN, '7 removed from a full queue in the last second')
     assert {v.key: v.value for v in flooded.values}['dropped: queue full'] == '7'
     assert report(reporter, statistics).level == Level.OK
 
@@ -52,6 +52,50 @@ def test_the_level_follows_what_happened_since_the_last_report() -> None:
     failed = report(reporter, statistics)
     assert (failed.level, failed.message) == (Level.ERROR, '2 internal errors in the last second; see the log')
     assert report(reporter, statistics).level == Level.OK
+
+
+def test_messages_that_are_dropped_for_their_stamps_are_a_warning_and_an_error_if_they_are_all() -> None:
+    pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
+    reporter = DiagnosticsReporter('mocap_node', pipeline)
+    raw = encode_demo_frames(1)[0]
+    for expected in (
+        (Level.WARN, '2 dropped for their stamps in the last second'),
+        (Level.ERROR, 'no message was accepted: 3 dropped for their stamps in the last second'),
+    ):
+        for _ in range(3):
+            statistics.record_receipt()
+            pipeline.feed(Source.KEYPOINTS, raw)
+        status = report(reporter, statistics)
+        assert (status.level, status.message) == expected
+    assert report(reporter, statistics).level == Level.OK
+
+
+def test_refused_camera_infos_are_a_warning_while_no_people_are_sent() -> None:
+    pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
+    reporter = DiagnosticsReporter('mocap_node', pipeline)
+    statistics.record_receipt()
+    process(pipeline, encode_demo_frames(1)[0])
+    report(reporter, statistics)
+    pipeline.feed(Source.CAMERA_INFO, b'')
+    status = report(reporter, statistics)
+    assert (status.level, status.message) == (Level.WARN, '1 invalid in the last second')
+
+
+def test_the_newest_reason_is_told_once_and_is_one_short_printable_line() -> None:
+    pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
+    reporter = DiagnosticsReporter('mocap_node', pipeline)
+    for reason in ('an old reason', 'people[0].x:\n\x1b' + ' ' + 'looks normalised ' * 99):
+        statistics.record_receipt()
+        pipeline.feed(Source.KEYPOINTS, b'')
+        statistics.record_reason('/keypoints', reason)
+    message = report(reporter, statistics).message
+    start = (
+        'no message was accepted: 2 invalid in the last second; /keypoints: people[0].x: looks normalised looks'
+    )
+    assert message.startswith(start)
+    assert len(message) < 500
+    pipeline.feed(Source.KEYPOINTS, b'')
+    assert report(reporter, statistics).message == '1 invalid in the last second'
 
 
 def test_the_values_are_those_of_the_run() -> None:

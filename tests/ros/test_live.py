@@ -169,6 +169,16 @@ def test_a_replay_repeats_resets_parameters_and_bad_inputs(tmp_path: Path, strea
     assert remarks[1].startswith('error /keypoints: message 10: not a mocap_ros_msgs/msg/Keypoints2DArray')
 
 
+def test_the_newest_reason_why_a_message_was_not_accepted_is_kept_for_the_diagnostics(stream: list[bytes]) -> None:
+    live = CollectingRun(FAST_CONFIG)
+    live.enqueue(stream[1], stream[2][:60], stream[1], stream[2])
+    live.wait_for_frames(2)
+    live.run.stop()
+    reason = live.run.statistics.take_reason()
+    assert reason.startswith('/keypoints: stamp ')
+    assert live.run.statistics.take_reason() == ''
+
+
 # Keypoints of another version of the package: a field less, a field more, and another order.
 OTHER_KEYPOINTS = {
     'mocap_ros_msgs/msg/Keypoints2D': 'string note\nstring skeleton\nfloat32[] x\nfloat32[] y\nfloat32[] score',

@@ -78,7 +78,8 @@ def test_diagnostics_count_accepted_invalid_and_dropped_messages(peer: Peer, sta
     peer.keypoints.publish(keypoints_at(1))
     peer.keypoints.publish(keypoints_at(1))
     peer.keypoints.publish(keypoints_at(2)[:50])
-    peer.wait_until(lambda: received and 'invalid in the last second' in received[-1].status[0].message)
+    peer.wait_until(lambda: received and '1 invalid' in received[-1].status[0].message)
+    assert '; /keypoints: not a mocap_ros_msgs/msg/Keypoints2DArray' in received[-1].status[0].message
     values = {v.key: v.value for v in received[-1].status[0].values}
     assert received[-1].status[0].name == '/mocap_node'
     counts = [values[key] for key in ('accepted', 'invalid', 'dropped: stamp', 'people')]
