@@ -129,7 +129,7 @@ class DiagnosticsReporter:
         self._previous_counters = counters
         new_counters = subtract_counters(counters, previous)
         reason = statistics.take_reason()
-        people = pipeline.people
+        people = pipeline.people if new_counters.accepted else ()  # else they are of an earlier second
         residuals = [p.residual for p in people if math.isfinite(p.residual)]
         newest_ns = pipeline.header.stamp_ns  # 0 before the first frame, and after a reset
         age_s = (now_ns - newest_ns) / NS_PER_S if newest_ns else math.nan

@@ -100,12 +100,13 @@ def test_the_newest_reason_is_told_once_and_is_one_short_printable_line() -> Non
 
 def test_the_values_are_those_of_the_run() -> None:
     pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
+    reporter = DiagnosticsReporter('mocap_node', pipeline)
     process(pipeline, encode_demo_frames(1)[0])
     for milliseconds in range(1, 101):
         statistics.record_receipt()
         statistics.record_solve(milliseconds / 1e3)
     statistics.record_lost(3)
-    status = report(DiagnosticsReporter('mocap_node', pipeline), statistics)
+    status = report(reporter, statistics)
     values = {v.key: v.value for v in status.values}
     assert values['input rate (Hz)'] == '50.0'  # 100 messages in the last 2 s
     assert float(values['solve time p50 (ms)']) == pytest.approx(50.5)
@@ -114,6 +115,22 @@ def test_the_values_are_those_of_the_run() -> None:
     assert (values['people'], values['category'], values['recorder']) == ('1', 'walk', 'off')
     assert values['camera'] == 'nominal focal length'
     assert values['lost before the node'] == '3'
+
+
+def test_people_of_an_earlier_second_are_not_counted_again() -> None:
+    pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
+    reporter = DiagnosticsReporter('mocap_node', pipeline)
+    statistics.record_receipt()
+    process(pipeline, encode_demo_frames(1)[0])
+    messages, people = [], []
+    for _ in range(2):
+        status = report(reporter, statistics)
+        values = {v.key: v.value for v in status.values}
+        messages.append(status.message)
+        people.append([values[key] for key in ('people', 'category', 'residual (px)')])
+    assert messages == ['1 people', '0 people']
+    assert people[0][:2] == ['1', 'walk']
+    assert people[1] == ['0', '', 'nan']
 
 
 def test_a_disk_that_takes_nothing_is_a_warning() -> None:
