@@ -23,6 +23,10 @@ STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'  # message type
 KEY_VALUE = 'diagnostic_msgs/msg/KeyValue'  # message type
 MAX_REMEMBERED_FRAMES = 300  # frames; 10 s at 30 Hz, enough for a 99th percentile
 RATE_WINDOW_S = 2.0  # s; long enough for a steady figure, short enough to show a change soon
+UNUSABLE_DETECTIONS = (
+    'detections were no person in the last second: their scores are below tracker.min_score, '
+    'or too few joints are seen (tracker.min_joints)'
+)
 
 
 class Level(IntEnum):
@@ -109,6 +113,7 @@ class DiagnosticsReporter:
         self._name = name
         self._pipeline = pipeline
         self._previous_counters = copy_counters(pipeline.counters)  # an earlier run may have counted, too
+        self._previous_unusable = pipeline.unusable_people
         self._previous_received = self._previous_removed = 0
 
     def encode_status(
@@ -126,6 +131,8 @@ class DiagnosticsReporter:
         counters, previous = copy_counters(pipeline.counters), self._previous_counters
         received, self._previous_received = statistics.received - self._previous_received, statistics.received
         removed, self._previous_removed = statistics.removed - self._previous_removed, statistics.removed
+        unusable_so_far = pipeline.unusable_people
+        unusable, self._previous_unusable = unusable_so_far - self._previous_unusable, unusable_so_far
         self._previous_counters = counters
         new_counters = subtract_counters(counters, previous)
         reason = statistics.take_reason()
@@ -147,7 +154,7 @@ class DiagnosticsReporter:
             'residual (px)': f'{np.mean(residuals):.2f}' if residuals else 'nan',
             'category': ', '.join(sorted({p.motion.category for p in people})),
             'swapped frames': pipeline.swapped_frames,
-            'detections that were no person': pipeline.unusable_people,
+            'detections that were no person': unusable_so_far,
             'camera': 'from CameraInfo' if pipeline.camera_info is not None else 'nominal focal length',
             'recorder': recorder,
         }
@@ -160,6 +167,8 @@ class DiagnosticsReporter:
             message = 'no message was accepted: ' * is_none_accepted + f'{refused} in the last second'
             message += '; see the log' * has_error + f'; {reason}' * bool(reason)
             problems.append((Level.ERROR if is_none_accepted or has_error else Level.WARN, message))
+        if unusable and not people:
+            problems.append((Level.WARN, f'{unusable} {UNUSABLE_DETECTIONS}'))
         if recorder_fault:
             problems.append((Level.WARN, recorder_fault))
         level = max((level for level, _ in problems), default=Level.OK)

@@ -86,7 +86,7 @@ class LiveRun:
         self._queue = InputQueue()
         self._pipeline_lock = threading.Lock()  # guards the pipeline and the recording
         self._stop_deadline = math.inf  # s, steady clock; set by `stop`
-        self._has_accepted = self._has_warned_of_frame_id = False
+        self._has_accepted = self._has_published_people = self._has_warned_of_frame_id = False
         self._recording = LiveRecording(names, logger, find_offered_qos, self._versions)
         self._logged_tracebacks: set[str] = set()
         self._thread = threading.Thread(target=self._process_until_stopped, name='mocap pipeline')
@@ -303,9 +303,12 @@ class LiveRun:
                 self._log_traceback(f'{output.topic}: {traceback.format_exc()}')
 
     def _note_accepted(self, topic: str) -> None:
-        """Log the first accepted message, and once that header.frame_id is empty."""
-        if not self._has_accepted:
+        """Log the first accepted message, the first people, and once that header.frame_id is empty."""
+        if self._pipeline.people and not self._has_published_people:
             self._logger.info(f'{topic}: the first message was accepted, and people are being published')
+            self._has_published_people = True
+        elif not self._has_accepted:
+            self._logger.info(f'{topic}: the first message was accepted, but nobody in it can be used yet')
         self._has_accepted = True
         if not self._pipeline.output_header.frame_id and not self._has_warned_of_frame_id:
             self._logger.warning(

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from mocap_ros.bags.topics import Source
 from mocap_ros.config import with_values
-from mocap_ros.messages.cdr import decode
+from mocap_ros.messages.cdr import decode, encode
+from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter, Level, RunStatistics
 from mocap_ros.runtime.pipeline import Pipeline
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, process, with_stamp
@@ -21,6 +23,14 @@ def report(reporter: DiagnosticsReporter, statistics: RunStatistics) -> Any:
     message = decode(reporter.encode_status(statistics, 'off', 10**9), DIAGNOSTICS)
     (status,) = message.status
     return status
+
+
+def with_scores(raw: bytes, score: float) -> bytes:
+    """Return a keypoints message in which every keypoint has this score."""
+    message = decode(raw, KEYPOINTS)
+    for person in message.people:
+        person.score = np.full_like(person.score, score)
+    return encode(message, KEYPOINTS)
 
 
 def test_the_level_follows_what_happened_since_the_last_report() -> None:
@@ -131,6 +141,37 @@ def test_people_of_an_earlier_second_are_not_counted_again() -> None:
     assert messages == ['1 people', '0 people']
     assert people[0][:2] == ['1', 'walk']
     assert people[1] == ['0', '', 'nan']
+
+
+def test_detections_of_which_none_is_a_person_are_a_warning() -> None:
+    pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
+    first, second, third = encode_demo_frames(3)
+    process(pipeline, with_scores(first, 0.0))
+    reporter = DiagnosticsReporter('mocap_node', pipeline)
+    statistics.record_receipt()
+    assert report(reporter, statistics).level == Level.OK  # that of an earlier run is none of this one
+    process(pipeline, with_scores(second, 0.05))
+    status = report(reporter, statistics)
+    assert status.level == Level.WARN
+    assert status.message == (
+        '1 detections were no person in the last second: their scores are below tracker.min_score, '
+        'or too few joints are seen (tracker.min_joints)'
+    )
+    assert report(reporter, statistics).level == Level.OK
+    process(pipeline, third)
+    assert (report(reporter, statistics).level, len(pipeline.people)) == (Level.OK, 1)
+
+
+def test_a_detection_that_is_no_person_beside_somebody_is_no_warning() -> None:
+    pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
+    reporter = DiagnosticsReporter('mocap_node', pipeline)
+    statistics.record_receipt()
+    message = decode(encode_demo_frames(1)[0], KEYPOINTS)
+    message.people += decode(with_scores(encode_demo_frames(1)[0], 0.0), KEYPOINTS).people
+    process(pipeline, encode(message, KEYPOINTS))
+    assert pipeline.unusable_people == 1
+    status = report(reporter, statistics)
+    assert (status.level, status.message) == (Level.OK, '1 people')
 
 
 def test_a_disk_that_takes_nothing_is_a_warning() -> None:

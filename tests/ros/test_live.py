@@ -179,6 +179,20 @@ def test_the_newest_reason_why_a_message_was_not_accepted_is_kept_for_the_diagno
     assert live.run.statistics.take_reason() == ''
 
 
+def test_the_log_tells_of_people_when_the_first_of_them_is_published(stream: list[bytes]) -> None:
+    live = CollectingRun(FAST_CONFIG)
+    nobody = [encode_keypoints(Header(i, 'camera'), (640, 480), []) for i in (1, 2)]
+    live.enqueue(*nobody)
+    live.wait_for_frames(2)
+    live.enqueue(*stream[1:3])
+    live.wait_for_frames(4)
+    live.run.stop()
+    assert [line for line in live.log.lines if 'the first message' in line] == [
+        'info /keypoints: the first message was accepted, but nobody in it can be used yet',
+        'info /keypoints: the first message was accepted, and people are being published',
+    ]
+
+
 # Keypoints of another version of the package: a field less, a field more, and another order.
 OTHER_KEYPOINTS = {
     'mocap_ros_msgs/msg/Keypoints2D': 'string note\nstring skeleton\nfloat32[] x\nfloat32[] y\nfloat32[] score',
