@@ -65,6 +65,7 @@ class LiveRecording:
         self._find_offered_qos = find_offered_qos
         self._sources = {names[s.value]: s for s in Source if s.value in names}  # by topic
         self._recorder: BackgroundRecorder | None = None
+        self._failure = ''  # why no recording runs although recorder.enabled is set
         self._journal = Journal(names['journal'])
         self._declared_topics: set[str] = set()  # those that need more than a name and a type
         self._bodies = RecordedBodies()
@@ -81,7 +82,7 @@ class LiveRecording:
         """The state of the recorder in words, for diagnostics."""
         recorder = self._recorder
         if recorder is None:
-            return 'off'
+            return f'not recording: {self._failure}' if self._failure else 'off'
         missing = f'; {recorder.refused_count} inputs missing' if recorder.refused_count else ''
         return f'recording to {recorder.folder}{missing}'
 
@@ -89,7 +90,9 @@ class LiveRecording:
     def fault(self) -> str:
         """What is wrong with the recorder, in words; empty if nothing is."""
         recorder = self._recorder
-        if recorder is None or recorder.stalled_s < MAX_STALL_S:
+        if recorder is None:
+            return f'recorder.enabled is set, but nothing is recorded: {self._failure}' if self._failure else ''
+        if recorder.stalled_s < MAX_STALL_S:
             return ''
         return f'the disk has taken nothing of the recording for {recorder.stalled_s:.1f} s'
 
@@ -105,6 +108,16 @@ class LiveRecording:
         """
         if self._recorder is not None:
             raise RecordingError(f'a recording to {self._recorder.folder} is already running')
+        try:
+            self._recorder = self._start_recorder(pipeline, start_ns)
+        except RecordingError as error:
+            self._failure = str(error) if pipeline.config.recorder.enabled else ''
+            raise
+        self._failure = ''
+        return self._recorder.folder
+
+    def _start_recorder(self, pipeline: Pipeline, start_ns: int) -> BackgroundRecorder:
+        """Start a recorder and hand it the first records; arguments and errors are those of `start`."""
         config = pipeline.config
         attachments = provenance_attachments(config, pipeline.models)
         self._declared_topics = {self._names[topic] for topic in LATCHED_OUTPUTS}
@@ -119,13 +132,13 @@ class LiveRecording:
             with suppress(RecordingError):  # the same one
                 recorder.close()
             raise
-        self._recorder = recorder
-        return recorder.folder
+        return recorder
 
     def detach(self) -> BackgroundRecorder | None:
         """End the recording and return its recorder, which is to be passed to `finish`; None if there is none."""
         self._put(self._journal.make_lost_records())
         recorder, self._recorder = self._recorder, None
+        self._failure = ''
         return recorder
 
     def finish(self, recorder: BackgroundRecorder | None, timeout_s: float | None = None) -> Path | None:
@@ -327,5 +340,6 @@ class LiveRecording:
                 f'{error}; the recording has ended, and the node continues without it: set recorder.enabled '
                 'again to start another recording'
             )
+            self._failure = str(error)
             self._recorder = None
             return True

@@ -549,6 +549,50 @@ def test_a_recording_that_cannot_start_is_logged_once_and_the_run_continues(
     )
 
 
+def test_the_diagnostics_say_why_nothing_is_recorded_until_that_is_mended_or_not_wanted(tmp_path: Path) -> None:
+    blocking = tmp_path / 'file'
+    blocking.write_text('')
+    live = CollectingRun(recording_to(blocking / 'bags'))
+    assert live.run.recorder_state.startswith('not recording: ')
+    assert live.run.recorder_state.endswith('Not a directory')
+    assert live.run.recorder_fault.startswith('recorder.enabled is set, but nothing is recorded: ')
+    assert live.run.recorder_fault.endswith('Not a directory')
+    blocking.unlink()
+    live.run.set_recording(True)
+    assert live.run.recorder_state.startswith('recording to ')
+    assert live.run.recorder_fault == ''
+
+    live.run.set_recording(False)
+    blocking.rename(tmp_path / 'bags')
+    blocking.write_text('')
+    live.run.set_recording(True)
+    assert live.run.recorder_state.startswith('not recording: ')
+    live.run.set_recording(False)
+    assert (live.run.recorder_state, live.run.recorder_fault) == ('off', '')
+    live.run.reconfigure(with_values(FAST_CONFIG, {'recorder.folder': str(blocking / 'bags')}))
+    with pytest.raises(RecordingError):  # the caller of the service knows, and the parameter is not set
+        live.run.start_recording()
+    assert (live.run.recorder_state, live.run.recorder_fault) == ('off', '')
+    live.run.stop()
+
+
+def test_a_recording_that_fails_while_it_runs_is_a_fault(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = CollectingRun(recording_to(tmp_path / 'live'))
+
+    def fail(*_: object, **__: object) -> bool:
+        raise RecordingError('the disk is full')
+
+    monkeypatch.setattr(BackgroundRecorder, 'put', fail)
+    live.enqueue(stream[0])
+    wait_until(lambda: live.run.recorder_state == 'not recording: the disk is full')
+    assert live.run.recorder_fault == 'recorder.enabled is set, but nothing is recorded: the disk is full'
+    live.run.set_recording(False)
+    assert (live.run.recorder_state, live.run.recorder_fault) == ('off', '')
+    live.run.stop()
+
+
 def test_a_recording_that_fails_at_once_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> bool:
         raise RecordingError('the disk is full')

@@ -151,10 +151,12 @@ def test_a_recording_switched_by_parameter_ends_when_its_folder_is_removed(
     assert not peer.record(False).success
     assert peer.set_parameter('recorder.enabled', True).successful
     peer.wait_until(lambda: len(list((tmp_path / 'bags').glob('*/*.mcap'))) == 2)
-    (second,) = set((tmp_path / 'bags').iterdir()) - {first}
-    shutil.rmtree(second)
-    peer.wait_for_diagnostics('recorder', 'off')
+    (second,) = set((tmp_path / 'bags').glob('*/*.mcap')) - set(first.iterdir())
+    shutil.rmtree(second.parent)
+    reason = f'{second}: the file was removed or moved while it was written'
+    peer.wait_for_diagnostics('recorder', f'not recording: {reason}')
     assert not peer.record(False).success
+    peer.wait_for_diagnostics('recorder', 'off')
     peer.keypoints.publish(keypoints_at(2))
     peer.wait_for_frames(2)
     (line,) = stop_node(node)
