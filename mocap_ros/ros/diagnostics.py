@@ -156,19 +156,18 @@ class DiagnosticsReporter:
             'swapped frames': pipeline.swapped_frames,
             'detections that were no person': unusable_so_far,
             'camera': 'from CameraInfo' if pipeline.camera_info is not None else 'nominal focal length',
+            'frame of people': make_printable(pipeline.output_header.frame_id),
             'recorder': recorder,
         }
         problems: list[tuple[Level, str]] = []
         if statistics.seconds_since_input() > pipeline.config.node.silence_warning:
             problems.append((Level.STALE, 'no input'))
-        elif refused := describe_refused(new_counters, removed):
-            is_none_accepted = received > 0 and not new_counters.accepted
-            has_error = new_counters.dropped['internal error'] > 0
-            message = 'no message was accepted: ' * is_none_accepted + f'{refused} in the last second'
-            message += '; see the log' * has_error + f'; {reason}' * bool(reason)
-            problems.append((Level.ERROR if is_none_accepted or has_error else Level.WARN, message))
-        if unusable and not people:
+        else:
+            problems += find_refusals(new_counters, received, removed, reason)
+        if unusable > 0 and not people:
             problems.append((Level.WARN, f'{unusable} {UNUSABLE_DETECTIONS}'))
+        if new_counters.accepted and (frame_fault := describe_frame_fault(pipeline)):
+            problems.append((Level.WARN, frame_fault))
         if recorder_fault:
             problems.append((Level.WARN, recorder_fault))
         level = max((level for level, _ in problems), default=Level.OK)
@@ -190,21 +189,45 @@ def subtract_counters(counters: Counters, previous: Counters) -> Counters:
     )
 
 
-def describe_refused(counters: Counters, removed: int) -> str:
-    """Return how many messages were not accepted, by cause, in words; empty if all were.
+def find_refusals(counters: Counters, received: int, removed: int, reason: str) -> list[tuple[Level, str]]:
+    """Return the level and the description of messages that were not accepted; an empty list if all were.
 
     Args:
-        counters: Counters of the messages.
+        counters: Counters of the messages of the last second.
+        received: Number of messages of people that arrived.
         removed: Number of messages that left the queue unseen because too many waited.
+        reason: Why the newest of them was not accepted; empty if unknown.
     """
+    errors = counters.dropped['internal error']
     counts = {
-        'internal errors': counters.dropped['internal error'],
+        'internal errors': errors,
         'invalid': counters.invalid,
         'dropped for their stamps': counters.dropped['stamp'],
         'skipped because of a backlog': counters.dropped['backlog'],
         'removed from a full queue': removed,
     }
-    return ', '.join(f'{count} {cause}' for cause, count in counts.items() if count)
+    refused = ', '.join(f'{count} {cause}' for cause, count in counts.items() if count)
+    if not refused:
+        return []
+    level, message = Level.WARN, f'{refused} in the last second'
+    if errors:
+        level, message = Level.ERROR, f'{message}; see the log'
+    if reason:
+        message = f'{message}; {reason}'
+    if received and not counters.accepted:
+        level, message = Level.ERROR, f'no message was accepted: {message}'
+    return [(level, message)]
+
+
+def describe_frame_fault(pipeline: Pipeline) -> str:
+    """Return in words that people are not put out in `node.output_frame`; empty if they are or nobody was yet."""
+    wanted, used = pipeline.config.node.output_frame, pipeline.output_header.frame_id
+    if not wanted or used == wanted or not pipeline.header.stamp_ns:
+        return ''
+    return (
+        f'people are put out in the frame of the camera, {make_printable(used)!r}, as the transform to '
+        f'node.output_frame, {wanted!r}, is unknown; see the log'
+    )
 
 
 def encode_diagnostics(

@@ -17,6 +17,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter, Level, RunStatistics
 from mocap_ros.runtime.pipeline import Pipeline
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, process, with_stamp
+from tests.support.transforms import make_transforms
 
 
 def report(reporter: DiagnosticsReporter, statistics: RunStatistics) -> Any:
@@ -172,6 +173,28 @@ def test_a_detection_that_is_no_person_beside_somebody_is_no_warning() -> None:
     assert pipeline.unusable_people == 1
     status = report(reporter, statistics)
     assert (status.level, status.message) == (Level.OK, '1 people')
+
+
+def test_people_in_the_frame_of_the_camera_instead_of_the_output_frame_are_a_warning() -> None:
+    pipeline, statistics = Pipeline(with_values(FAST_CONFIG, {'node.output_frame': 'map'})), RunStatistics()
+    reporter = DiagnosticsReporter('mocap_node', pipeline)
+    statistics.record_receipt()
+    assert report(reporter, statistics).level == Level.OK  # before the first image
+    first, second = encode_demo_frames(3)[1:]
+    process(pipeline, first)
+    status = report(reporter, statistics)
+    assert status.level == Level.WARN
+    assert status.message == (
+        "people are put out in the frame of the camera, 'camera', as the transform to node.output_frame, 'map', "
+        'is unknown; see the log'
+    )
+    assert {v.key: v.value for v in status.values}['frame of people'] == 'camera'
+
+    pipeline.feed(Source.STATIC_TRANSFORMS, make_transforms(('map', 'camera', 0, (1, 0, 0))))
+    process(pipeline, second)
+    status = report(reporter, statistics)
+    assert (status.level, status.message) == (Level.OK, '1 people')
+    assert {v.key: v.value for v in status.values}['frame of people'] == 'map'
 
 
 def test_a_disk_that_takes_nothing_is_a_warning() -> None:
