@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 REGION = 'sensor_msgs/msg/RegionOfInterest'  # message type of the field `roi`
+MAX_COEFFICIENT = 1e6  # 1; rational polynomials that are poorly determined reach thousands; keeps results finite
 NO_DISTORTION_COEFFICIENTS = (0.0,) * 5  # with which drivers of cameras say that a lens does not distort
 
 
@@ -102,7 +103,8 @@ def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
             used (K where P is not set), and no distortion.
 
     Raises:
-        InputError: the bytes are not a CameraInfo, its matrix is not set, or its distortion model is unknown.
+        InputError: the bytes are not a CameraInfo, its matrix is not set, its distortion model is unknown, or a
+            coefficient of the distortion is beyond that of any lens.
     """
     message = decode(raw, CAMERA_INFO)
     name, matrix = 'k', np.asarray(message.k, np.float64).reshape(3, 3)
@@ -110,10 +112,13 @@ def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
         name, matrix = 'p', np.asarray(message.p, np.float64).reshape(3, 4)[:, :3]
     distortion = Distortion()
     if not rectified:
-        distortion = Distortion.from_coefficients(message.distortion_model, tuple(map(float, message.d)))
+        coefficients = tuple(map(float, message.d))
+        distortion = Distortion.from_coefficients(message.distortion_model, coefficients)
+        if distortion.coefficients and max(map(abs, coefficients)) > MAX_COEFFICIENT:
+            raise InputError(f'd: {max(coefficients, key=abs):g}, more than a lens has ({MAX_COEFFICIENT:g})')
     size, matrix = _select_region(message, matrix)
     try:
-        intrinsics = Intrinsics.from_matrix(matrix, distortion, size)
+        intrinsics = Intrinsics.from_matrix(matrix, distortion, size if all(size) else None)
     except InputError as error:
         raise InputError(f'{name}: {error}; the camera is not calibrated') from None
     return CameraInfo(size, intrinsics, message.header.frame_id)

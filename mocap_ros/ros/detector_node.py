@@ -28,12 +28,11 @@ from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.ros.detector_help import IMAGE_TOPIC, KEYPOINTS_TOPIC, MAX_PEOPLE, NODE_NAME, PARAMETERS
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.qos import OUTPUT_QOS, QosWarnings
-from mocap_ros.ros.startup import create_node, initialise_rclpy
+from mocap_ros.ros.startup import create_node, initialise_rclpy, spin_until
 from mocap_ros.ros.throttled_log import ThrottledLog
 from mocap_ros.runtime.detection import detect_people
 from mocap_ros.units import NS_PER_S
 
-SPIN_SECONDS = 0.1  # s; bounds the delay between a signal and the end of the node
 # The newest image only: a detector that is slower than the camera must not fall behind. Best effort is compatible
 # with reliable and with best-effort publishers.
 IMAGE_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -156,8 +155,7 @@ def run(arguments: Sequence[str]) -> None:
         node = create_node(DetectorNode)
         executor.add_node(node)
         try:
-            while not stop.is_set():
-                executor.spin_once(timeout_sec=SPIN_SECONDS)
+            spin_until(stop, executor, node.get_logger())
         finally:
             executor.shutdown()
             node.close()

@@ -9,8 +9,8 @@ of their receipt. Two rules keep a node that is too slow from falling behind for
 * When too many messages of people wait, and from then on until none waits, all but the newest message of people on
   each topic are to be skipped. The run counts and records those, so that a replay can process them.
 * No more than `MAX_WAITING` messages of a topic wait, and no more than `MAX_WAITING_BYTES` of all. What is beyond
-  is removed, the oldest message of the topic first, and is only counted: recording it would take longer than a
-  publisher that sends without a pause takes to send the next one.
+  is removed, the oldest message first of the topic that has the most bytes waiting, and is only counted: recording
+  it would take longer than a publisher that sends without a pause takes to send the next one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ from dataclasses import dataclass
 from mocap_ros.bags.topics import PEOPLE_SOURCES, Source
 
 MAX_WAITING = 1000  # messages of a topic; one second of the busiest /tf, and 33 s of a camera
-MAX_WAITING_BYTES = 64_000_000  # bytes of all waiting messages; 60 people with 133 keypoints each take 0.3 MB
+# Bytes of all waiting messages; guards the memory, and the time until people have their turn: 8 MB of transforms
+# take 5 s. An image of 60 people with 133 keypoints each takes 0.3 MB.
+MAX_WAITING_BYTES = 8_000_000
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,8 @@ class InputQueue:
         self._changed = threading.Condition()
         self._is_closed = False
         self._waiting: OrderedDict[tuple[str, int], ReceivedMessage] = OrderedDict()  # by topic and number
-        self._waiting_bytes = 0
+        self._waiting_bytes: Counter[str] = Counter()  # by topic, of those whose messages wait
+        self._all_waiting_bytes = 0
         self._waiting_people = 0  # messages of people
         self._received: Counter[str] = Counter()  # messages so far, by topic
         self._first_waiting: dict[
@@ -69,7 +72,7 @@ class InputQueue:
         return len(self._waiting)
 
     def put(self, source: Source, topic: str, raw: bytes, times_ns: tuple[int, int]) -> None:
-        """Add a message that has just been received, and remove older ones of its topic if too many wait.
+        """Add a message that has just been received, and remove the oldest ones if too many wait.
 
         Args:
             source: Kind of the message.
@@ -81,13 +84,17 @@ class InputQueue:
             self._received[topic] += 1
             number = self._received[topic]
             self._waiting[topic, number] = ReceivedMessage(source, topic, number, raw, times_ns)
-            self._waiting_bytes += len(raw)
+            self._waiting_bytes[topic] += len(raw)
+            self._all_waiting_bytes += len(raw)
             self._waiting_people += source in PEOPLE_SOURCES
-            first = self._first_waiting.setdefault(topic, number)
-            while number - first >= MAX_WAITING or (self._waiting_bytes > MAX_WAITING_BYTES and first < number):
-                self._note_gone(self._waiting.pop((topic, first)))
-                self._removed[topic] += 1
-                first += 1
+            self._first_waiting.setdefault(topic, number)
+            if number - self._first_waiting[topic] >= MAX_WAITING:
+                self._remove_oldest(topic)
+            while self._all_waiting_bytes > MAX_WAITING_BYTES:
+                largest = max(self._waiting_bytes, key=self._waiting_bytes.__getitem__)
+                if self._first_waiting[largest] == self._received[largest]:  # its newest message stays
+                    break
+                self._remove_oldest(largest)
             self._changed.notify()
 
     def wait(self, timeout_s: float) -> bool:
@@ -142,8 +149,16 @@ class InputQueue:
         with self._changed:
             return min((m.times_ns[0] for m in self._waiting.values()), default=None)
 
+    def _remove_oldest(self, topic: str) -> None:
+        """Remove the oldest waiting message of a topic, and count it."""
+        self._note_gone(self._waiting.pop((topic, self._first_waiting[topic])))
+        self._removed[topic] += 1
+
     def _note_gone(self, message: ReceivedMessage) -> None:
         """Account for a message that has left the queue, the oldest of its topic."""
         self._first_waiting[message.topic] = message.number + 1
-        self._waiting_bytes -= len(message.raw)
+        self._all_waiting_bytes -= len(message.raw)
+        self._waiting_bytes[message.topic] -= len(message.raw)
+        if not self._waiting_bytes[message.topic]:
+            del self._waiting_bytes[message.topic]
         self._waiting_people -= message.source in PEOPLE_SOURCES

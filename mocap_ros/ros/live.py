@@ -27,10 +27,9 @@ from mocap_ros.ros.diagnostics import RunStatistics
 from mocap_ros.ros.input_queue import MAX_WAITING, MAX_WAITING_BYTES, InputQueue, ReceivedMessage
 from mocap_ros.ros.live_recording import FindOfferedQos, LiveRecording
 from mocap_ros.ros.message_types import MessageVersions
-from mocap_ros.ros.throttled_log import Logger, ThrottledLog
+from mocap_ros.ros.throttled_log import Logger, ThrottledLog, TracebackLog
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 
-MAX_LOGGED_TRACEBACKS = 30  # tracebacks; guards the log against internal errors with ever new texts
 MAX_FINISH_SECONDS = 2.0  # s; for which inputs wait for a recording to be finished; then that goes on by itself
 RECORDER_CHECK_SECONDS = 0.25  # s; between two looks at the recorder while no message arrives
 MAX_STOP_SECONDS = 0.3  # s; time to process waiting messages at a stop, so that the node ends within 1 s
@@ -88,7 +87,7 @@ class LiveRun:
         self._stop_deadline = math.inf  # s, steady clock; set by `stop`
         self._has_accepted = self._has_published_people = self._has_warned_of_frame_id = False
         self._recording = LiveRecording(names, logger, find_offered_qos, self._versions)
-        self._logged_tracebacks: set[str] = set()
+        self._tracebacks = TracebackLog(logger)
         self._thread = threading.Thread(target=self._process_until_stopped, name='mocap pipeline')
 
     def start(self) -> None:
@@ -203,7 +202,7 @@ class LiveRun:
         try:
             return self._process_next()
         except Exception:  # an internal error must not end the worker thread
-            self._log_traceback(traceback.format_exc())
+            self._tracebacks.report(traceback.format_exc())
             return True
 
     def _process_next(self) -> bool:
@@ -244,7 +243,7 @@ class LiveRun:
             if result.outputs:  # of the messages of an image one alone has them
                 self.statistics.record_solve(time.monotonic() - start)
             if error_traceback := self._pipeline.run_deferred_work():
-                self._log_traceback(error_traceback)
+                self._tracebacks.report(error_traceback)
 
     def _feed(self, message: ReceivedMessage) -> ProcessingResult:
         """Feed a message to the pipeline; its outputs are in the installed versions of their types."""
@@ -257,21 +256,13 @@ class LiveRun:
         """Discard all people; return the messages that delete them, in the installed versions of their types."""
         return [self._versions.write_output(output) for output in self._pipeline.reset()]
 
-    def _log_traceback(self, error_traceback: str) -> None:
-        """Log the traceback of an internal error unless it has been logged before."""
-        if error_traceback not in self._logged_tracebacks and len(self._logged_tracebacks) < MAX_LOGGED_TRACEBACKS:
-            self._logged_tracebacks.add(error_traceback)
-            self._logger.error(
-                f'an internal error occurred, and the node continues; please report it:\n{error_traceback}'
-            )
-
     def _publish_result(self, message: ReceivedMessage, result: ProcessingResult) -> None:
         """Publish, log and record the result of a message."""
         self._try_to_publish(result.outputs)
         published_ns = self._clock.now_ns()
         topic, number = message.topic, message.number
         if result.error_traceback:
-            self._log_traceback(result.error_traceback)
+            self._tracebacks.report(result.error_traceback)
         if result.reason:
             is_error = result.verdict is Verdict.INVALID or bool(result.error_traceback)
             self._throttled_log.report(topic, number, result.reason, is_error=is_error)
@@ -300,7 +291,7 @@ class LiveRun:
             try:
                 self._publish(output)
             except Exception:  # noqa: PERF203, rclpy raises many types; the other outputs and the recording go on
-                self._log_traceback(f'{output.topic}: {traceback.format_exc()}')
+                self._tracebacks.report(f'{output.topic}: {traceback.format_exc()}')
 
     def _note_accepted(self, topic: str) -> None:
         """Log the first accepted message, the first people, and once that header.frame_id is empty."""

@@ -31,7 +31,7 @@ from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.parameters import declare_parameters, select_config_values, warn_of_unknown_parameters
 from mocap_ros.ros.publications import OutputPublishers
 from mocap_ros.ros.qos import QosWarnings, profile_to_rosbag2
-from mocap_ros.ros.startup import create_node, initialise_rclpy
+from mocap_ros.ros.startup import create_node, initialise_rclpy, spin_until
 from mocap_ros.ros.subscriptions import InputSubscriptions
 from mocap_ros.runtime.cpu_setup import release_free_memory
 from mocap_ros.runtime.outputs import (
@@ -41,13 +41,16 @@ from mocap_ros.runtime.outputs import (
     list_switched_outputs,
 )
 from mocap_ros.runtime.pipeline import Pipeline
+from mocap_ros.units import NS_PER_S
 
 NODE_NAME = 'mocap_node'
 RECORDING_PARAMETER = 'recorder.enabled'  # switched by the service ~/record, too
+MAX_STAMP_NS = (
+    2**31 - 1
+) * NS_PER_S  # ns; the seconds of a stamp are int32, and with use_sim_time anyone sets the time
 DIAGNOSTICS_PERIOD_S = 1.0  # s; the usual period of /diagnostics
 RELEASE_PERIOD_S = 60.0  # s between two collections of garbage, after which free memory goes back to the system
 SILENCE_CHECK_PERIOD_S = 0.5  # s; bounds the delay of the warning that no input arrives
-SPIN_SECONDS = 0.1  # s; bounds the delay between a signal and the end of the node
 
 
 class MocapNode(LifecycleNode):
@@ -261,7 +264,7 @@ class MocapNode(LifecycleNode):
         run, reporter = self._run, self._reporter
         if run is None or reporter is None:
             return
-        now_ns = self.get_clock().now().nanoseconds
+        now_ns = min(self.get_clock().now().nanoseconds, MAX_STAMP_NS)
         status = reporter.encode_status(run.statistics, run.recorder_state, now_ns, run.recorder_fault)
         self._outputs.publish_diagnostics(self._versions.write(DIAGNOSTICS, status))
 
@@ -304,8 +307,7 @@ def run(arguments: Sequence[str]) -> None:
         try:
             if node.config.node.autostart:
                 node.start()
-            while not stop.is_set():
-                executor.spin_once(timeout_sec=SPIN_SECONDS)
+            spin_until(stop, executor, node.get_logger())
         finally:
             node.close()
             executor.shutdown()

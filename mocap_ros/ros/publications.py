@@ -5,9 +5,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
+from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import QoSProfile
@@ -24,6 +27,7 @@ from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS, TF_QOS, QosWarnings
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, SWITCHED_OUTPUTS
 
 DIAGNOSTICS_TOPIC = '/diagnostics'
+MAX_ACKNOWLEDGEMENT_S = 0.2  # s; for which a subscriber that does not answer delays the end of the node
 
 
 class OutputPublishers:
@@ -61,8 +65,11 @@ class OutputPublishers:
                 self._create_switched_publisher(field, versions)
 
     def destroy(self) -> None:
-        """Destroy all publishers."""
+        """Destroy all publishers, when their reliable subscribers have the last messages or do not answer."""
+        deadline_s = time.monotonic() + MAX_ACKNOWLEDGEMENT_S
         for publisher in (*self._publishers.values(), *self._bodies.values()):
+            with suppress(RuntimeError):  # not every middleware can tell
+                publisher.wait_for_all_acked(Duration(seconds=max(deadline_s - time.monotonic(), 0.0)))
             self._node.destroy_lifecycle_publisher(publisher)
         self._publishers, self._bodies = {}, {}
 

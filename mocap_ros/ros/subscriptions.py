@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Callable, Mapping
 from copy import copy
 from typing import Any
@@ -46,6 +47,7 @@ MAX_TOPIC_CHARACTERS = 247  # of the name of a topic, more than which the middle
 # The QoS profile of the subscription to each input; by default `INPUT_QOS`.
 QOS_BY_SOURCE = {Source.TRANSFORMS: TF_QOS, Source.STATIC_TRANSFORMS: STATIC_TF_QOS}
 
+MAX_TAKE_S = 0.02  # s; for which the messages of a topic are taken in a row; delays those of others, and the end
 MAX_PUBLISHERS = 16  # of a topic, whose messages are counted; guards the memory against ever new ones
 
 # A function that takes the number of messages that have been lost since its last call.
@@ -172,17 +174,23 @@ class InputSubscriptions:
 
         def take_all(raw: bytes, info: Any) -> None:
             """Take a message, and all others that wait; the executor alone takes one each time that it wakes."""
-            taken, count = (raw, info), 0
+            taken, count, deadline_s = (raw, info), 0, time.monotonic() + MAX_TAKE_S
             while taken is not None:
                 raw, info = taken
                 if source in PEOPLE_SOURCES:
                     self._note_lost(lost_messages.count(info))
                 self._take(source, raw, info['source_timestamp'], topic)
                 count += 1
-                if count > INPUT_QUEUE_DEPTH:  # the executor has other work as well
-                    return
+                if (
+                    count > INPUT_QUEUE_DEPTH or time.monotonic() > deadline_s
+                ):  # the executor has other work as well
+                    break
                 with subscription.handle:
                     taken = subscription.handle.take_message(message_class, True)
+            if (
+                source is Source.TRACKED_BODIES
+            ):  # to subscribe takes longer than to take a message: the newest counts
+                self._follow_bodies(raw)
 
         subscription: Any = self._node.create_subscription(
             message_class,
@@ -205,8 +213,6 @@ class InputSubscriptions:
         self._receive(source, raw, sent_ns, topic)
         if source in PEOPLE_SOURCES and self._silence is not None:
             self._silence.note_input()
-        if source is Source.TRACKED_BODIES:
-            self._follow_bodies(raw)
 
     def _is_of_people_only(self, raw: bytes) -> bool:
         """Return whether transforms are of people only, such as those that this node itself publishes."""

@@ -11,6 +11,7 @@ from collections import Counter
 from typing import Protocol
 
 MAX_KINDS_PER_TOPIC = 30  # kinds of remarks; guards log and memory against senders of ever new kinds of errors
+MAX_LOGGED_TRACEBACKS = 30  # tracebacks; guards the log against internal errors with ever new texts
 MAX_LINE_LENGTH = 400  # characters; guards the log against long texts in messages; the node's own reasons fit
 # Parts of a remark that may differ between remarks of one kind: addresses, numbers and quoted names.
 VARIABLE_PARTS = re.compile(r"0x\w+|\d+|'.*'|\".*\"", re.DOTALL)
@@ -65,6 +66,22 @@ class ThrottledLog:
             self._logger.error(line)
         else:
             self._logger.warning(line)
+
+
+class TracebackLog:
+    """Log of tracebacks of internal errors, each of which appears once, and `MAX_LOGGED_TRACEBACKS` at most."""
+
+    def __init__(self, logger: Logger) -> None:
+        self._logger = logger
+        self._logged: set[str] = set()
+
+    def report(self, error_traceback: str) -> None:
+        """Log the traceback of an error after which the node continues, unless it has been logged before."""
+        if error_traceback not in self._logged and len(self._logged) < MAX_LOGGED_TRACEBACKS:
+            self._logged.add(error_traceback)
+            self._logger.error(
+                f'an internal error occurred, and the node continues; please report it:\n{error_traceback}'
+            )
 
 
 def _is_power_of_ten(count: int) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mocap_ros.errors import InputError
 from mocap_ros.messages.camera_info import decode_camera_info
 from tests.support.camera_infos import camera_info
 
@@ -31,4 +32,12 @@ def test_a_binned_part_of_the_image_shows_the_same_rays(
 
 
 def test_an_unknown_size_stays_unknown() -> None:
-    assert decode_camera_info(camera_info(0, 0, binning=(2, 2))).size == (0, 0)
+    camera = decode_camera_info(camera_info(0, 0, binning=(2, 2)))
+    assert (camera.size, camera.intrinsics.image_size) == ((0, 0), None)
+
+
+@pytest.mark.parametrize('model', ['plumb_bob', 'equidistant'])
+def test_coefficients_that_no_lens_has_are_refused(model: str) -> None:
+    assert decode_camera_info(camera_info(model=model, d=(1e5, 0, 0, 0))).intrinsics.distortion.coefficients
+    with pytest.raises(InputError, match=r'^d: -1e\+300, more than a lens has \(1e\+06\)$'):
+        decode_camera_info(camera_info(model=model, d=(1.0, -1e300, 0, 0)))

@@ -126,6 +126,30 @@ def test_a_large_tree_is_encoded_in_several_messages(
     assert again.encode_all() == (static, dynamic)
 
 
+def test_a_tree_is_encoded_as_message_objects_are() -> None:
+    transforms = [
+        ('map', 'base', 7, (1, 2, 3), (0.6, 0, 0, 0.8)),
+        ('map', 'base', SECOND_NS, (4, 5, 6)),
+        ('base', 'überlänge', 2, (7, 8, 9)),
+    ]
+    tree = TransformTree()
+    tree.add(make_transforms(*transforms), is_static=False)
+    tree.add(make_transforms(('base', 'arm', 0, (1, 1, 1))), is_static=True)
+    static, dynamic = tree.encode_all()
+    assert static == [make_transforms(('base', 'arm', 0, (1, 1, 1)))]
+    assert dynamic == [make_transforms(*transforms)]
+
+
+def test_all_frames_together_keep_a_limited_number_of_transforms(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transform_tree, 'MAX_TREE_SAMPLES', 40)
+    tree = TransformTree()
+    for i in range(30):
+        tree.add(make_transforms(*(('map', f'c{k}', i, (i, 0, 0)) for k in range(4))), is_static=False)
+    _, (message,) = tree.encode_all()
+    stamps = [(t.child_frame_id, t.header.stamp.nanosec) for t in decode(message, TRANSFORMS).transforms]
+    assert stamps == [(f'c{k}', i) for k in range(4) for i in range(20, 30)], 'the newest of each frame'
+
+
 def test_a_unit_quaternion_is_not_changed_by_writing_and_reading(rng: np.random.Generator) -> None:
     """Otherwise a replay would place people elsewhere in the last bits."""
     for _ in range(200):
@@ -181,7 +205,9 @@ def test_transforms_of_people_are_known_by_their_names() -> None:
     own = encode_transforms(Header(1, 'camera'), people, 'left_')
     assert is_of_people_only(own, 'left_')
     assert not is_of_people_only(own, '')
-    assert is_of_people_only(encode_transforms(Header(1, 'camera'), []), 'left_')
+    nobody = encode_transforms(Header(1, 'camera'), [])
+    assert is_of_people_only(nobody, 'left_')
+    assert not is_of_people_only(nobody[:-1], 'left_')
     message = decode(own, TRANSFORMS)
     message.transforms[3].child_frame_id = 'base'
     assert not is_of_people_only(encode(message, TRANSFORMS), 'left_')

@@ -59,11 +59,13 @@ def test_large_messages_that_wait_are_limited_by_their_size(monkeypatch: pytest.
     put(queue, '/tf', 9, size=30)
     put(queue, '/tf', size=1000)
     put(queue, '/camera_info', size=10)
+    put(queue, '/keypoints', size=10)
     assert [(topic, number) for topic, number, _ in take_all(queue)] == [
         ('/keypoints', 1),
         ('/keypoints', 2),
         ('/tf', 10),  # the newest of a topic stays, whatever its size
         ('/camera_info', 1),
+        ('/keypoints', 3),  # nor does a topic lose messages because of another one
     ]
     assert queue.pop_removed_counts() == {'/tf': 9}
     put(queue, '/tf', 4, size=25)

@@ -200,6 +200,21 @@ def test_a_camera_info_that_does_not_fit_is_rejected(stream: list[bytes]) -> Non
     assert '640 x 480 px, but CameraInfo is for 1280 x 480 px' in reason
 
 
+def test_a_camera_info_without_a_size_is_of_images_of_the_same_size(stream: list[bytes]) -> None:
+    message = decode(camera_info(focal=900.0), CAMERA_INFO)
+    message.width = message.height = 0
+    pipeline = Pipeline(FAST_CONFIG)
+    pipeline.set_camera_info(camera_info(focal=600.0))
+    for raw in stream[:5]:
+        process(pipeline, raw)
+    pipeline.set_camera_info(encode(message, CAMERA_INFO))
+    (person,) = decode_skeletons(process(pipeline, stream[5])).people
+    joints = np.array([[p.x, p.y, p.z] for p in person.joints])
+    assert np.isfinite(joints).all()
+    assert joints[:, 2].min() > 1.0
+    assert np.isfinite(person.joint_std).all()
+
+
 # Distortion coefficients of two lenses, by distortion model.
 LENSES = {
     'plumb_bob': (-0.28, 0.07, 0.001, -0.002, 0.0),

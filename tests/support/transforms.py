@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from mocap_ros.messages.cdr import create_message, encode
-from mocap_ros.messages.transform_tree import create_transform
+import numpy as np
+
+from mocap_ros.messages.cdr import Header, create_message, encode
 from mocap_ros.messages.transforms import TRANSFORMS
+from tests.support.message_objects import create_transform
 
 SECOND_NS = 1_000_000_000  # ns in a second
 
@@ -20,4 +22,5 @@ def make_transforms(*transforms: Any) -> bytes:
 
 
 def _create(parent: str, child: str, stamp_ns: int, translation: Any, rotation: Any = (0, 0, 0, 1)) -> Any:
-    return create_transform(parent, child, stamp_ns, [*map(float, translation)], [*map(float, rotation)])
+    header, position = Header(stamp_ns, parent), np.array(translation, float)
+    return create_transform(header, child, position, [*map(float, rotation)])
