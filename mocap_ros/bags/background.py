@@ -107,12 +107,15 @@ class BackgroundRecorder:
         """Whether the thread has ended: the bag is finished, or the recording has failed."""
         return not self._thread.is_alive()
 
-    def put(self, records: Iterable[RecordedMessage | Topic], *, even_if_full: bool = False) -> bool:
+    def put(
+        self, records: Iterable[RecordedMessage | Topic], *, even_if_full: bool = False, share: float = 1.0
+    ) -> bool:
         """Queue records to be written, all or none; return False where the queue is full.
 
         Args:
             records: Messages to write, and topics to add before their first message.
             even_if_full: Whether to queue the records even if as many wait as may.
+            share: Share of the queue that these records may fill together with others.
 
         Raises:
             RecordingError: The recording has failed.
@@ -120,7 +123,10 @@ class BackgroundRecorder:
         self.check()
         batch = tuple(records)
         with self._wake:
-            is_full = len(self._batches) >= self._config.backlog or self._waiting_bytes >= MAX_WAITING_BYTES
+            is_full = (
+                len(self._batches) >= share * self._config.backlog
+                or self._waiting_bytes >= share * MAX_WAITING_BYTES
+            )
             if is_full and not even_if_full:
                 self.refused_count += bool(batch)
                 return False

@@ -196,7 +196,7 @@ class RecordedRun(NamedTuple):
         parameters: Parameters at the start by name; empty where there is no journal.
         skipped_inputs: Numbers of the inputs that never reached the tracker.
         events: Resets and changes of parameters, by the number of the input before them.
-        lost_count: Number of inputs that reached the tracker but are not in the bag.
+        lost_count: Number of inputs that were processed or refused but are not in the bag.
         input_topics: Topics of the inputs; empty where there is no journal.
         repeated_inputs: How many messages at a topic and log time in ns were not received, because a further file
             of a split bag repeats them; they have no number.

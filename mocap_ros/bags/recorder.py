@@ -69,6 +69,7 @@ RECOVERY_HINT = '; `mocap-ros recover'  # begins what an error says of a bag tha
 # may be as many coordinate frames.
 MAX_REPEATED = 1000
 MAX_FILES = 2000  # of a bag; with as many, metadata.yaml is 0.4 MB, and readers take 1 MiB (`MAX_METADATA_BYTES`)
+_REMOVED = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP)  # `OSError.errno` where the folder has become something else
 _ERRORS = {errno.ENOSPC: DiskFull, errno.EDQUOT: DiskFull, errno.EEXIST: FolderTaken}  # by `OSError.errno`
 
 
@@ -423,12 +424,13 @@ class Recorder:
         try:
             yield
         except OSError as error:
-            was_removed = isinstance(error, FileNotFoundError)
+            has_begun = self._file is not None or bool(self._finished_files)
+            was_removed = has_begun and error.errno in _REMOVED
             reason = (
                 'the file was removed or moved while it was written' if was_removed else error.strerror or error
             )
             is_finished = self._finish_after_failure()
-            if not (is_finished or was_removed):
+            if has_begun and not (is_finished or was_removed):
                 reason = f'{reason}{RECOVERY_HINT} {self.folder}` restores what was written'
             raise _ERRORS.get(error.errno or 0, RecordingError)(
                 f'{error.filename or self.folder}: {reason}'

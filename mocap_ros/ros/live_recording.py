@@ -33,6 +33,9 @@ from mocap_ros.runtime.outputs import (
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
 
+# Share of the recorder's queue that inputs may fill which did not reach the tracker. The rest is kept for those
+# that did, so that a flood of others does not make a replay differ from the run.
+UNUSED_SHARE = 0.5
 MAX_STALL_S = 0.5  # s; after which a recorder whose disk takes nothing is reported; far above a busy disk's pauses
 
 # A function that returns the QoS profiles, by rosbag2's names, that the publishers of a topic offer.
@@ -242,7 +245,8 @@ class LiveRecording:
         )
         for output in result.outputs:
             records += self._make_output_records(output, published_ns)
-        if self._put(records, even_if_full=False):
+        is_unused = result.verdict in (Verdict.BACKLOG, Verdict.INVALID)
+        if self._put(records, even_if_full=False, share=UNUSED_SHARE if is_unused else 1.0):
             return True
         self._journal.mark_last_input_lost()
         self._declared_topics.difference_update(r.name for r in records if isinstance(r, Topic))
@@ -325,7 +329,9 @@ class LiveRecording:
         self._declared_topics.add(name)
         return [self._make_topic(name, output.type, latched=True), record]
 
-    def _put(self, records: Iterable[RecordedMessage | Topic], *, even_if_full: bool = True) -> bool:
+    def _put(
+        self, records: Iterable[RecordedMessage | Topic], *, even_if_full: bool = True, share: float = 1.0
+    ) -> bool:
         """Hand records to the recorder; if the recording has failed, log it and end the recording.
 
         Returns:
@@ -334,7 +340,7 @@ class LiveRecording:
         if self._recorder is None:
             return True
         try:
-            return self._recorder.put(records, even_if_full=even_if_full)
+            return self._recorder.put(records, even_if_full=even_if_full, share=share)
         except RecordingError as error:
             self._logger.error(
                 f'{error}; the recording has ended, and the node continues without it: set recorder.enabled '

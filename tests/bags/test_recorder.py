@@ -240,6 +240,28 @@ def test_a_removed_recording_is_an_error(tmp_path: Path, removed: str, end: str)
     assert not (tmp_path / removed).exists()
 
 
+@pytest.mark.parametrize('end', ['flush', 'close'])
+@pytest.mark.parametrize('is_link', [False, True])
+def test_a_recording_whose_folder_becomes_something_else_is_removed(
+    tmp_path: Path, is_link: bool, end: str
+) -> None:
+    recorder = Recorder(tmp_path / 'bag', RecorderConfig())
+    recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)
+    shutil.rmtree(tmp_path / 'bag')
+    if is_link:
+        (tmp_path / 'bag').symlink_to(tmp_path / 'bag')
+    else:
+        (tmp_path / 'bag').write_text('a file')
+    with pytest.raises(RecordingError, match=r'bag_0\.mcap: the file was removed or moved while it was written$'):
+        getattr(recorder, end)()
+
+
+@pytest.mark.skipif(not Path('/proc').is_dir(), reason='there is no /proc')
+def test_a_folder_that_cannot_be_made_has_not_been_removed() -> None:
+    with pytest.raises(RecordingError, match=r'^/proc/bag: No such file or directory$'):
+        Recorder(Path('/proc/bag'), RecorderConfig())
+
+
 def test_a_split_that_fails_leaves_a_whole_bag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recorder = Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=1.0))
     recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)

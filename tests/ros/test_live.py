@@ -417,6 +417,25 @@ def test_inputs_that_are_too_many_for_the_disk_are_counted_in_state_log_and_bag(
     assert_replay_gives_the_same(bag, tmp_path / 'again')
 
 
+def test_inputs_that_did_not_reach_the_tracker_leave_room_for_those_that_did(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk_is_ready = block_disk(monkeypatch)
+    live = CollectingRun(recording_to(tmp_path / 'live', **{'recorder.backlog': 12, 'node.queue': 100}))
+    live.enqueue(*[b'no message'] * 30)
+    live.enqueue(*stream[:4])
+    live.wait_for_frames(4)
+    disk_is_ready.set()
+    live.run.stop()
+    (bag,) = (tmp_path / 'live').iterdir()
+    recorded = read_messages(bag, '/keypoints')
+    assert recorded[-4:] == stream[:4]
+    assert 5 <= len(recorded) - 4 <= 7
+    with Bag(bag) as opened:
+        assert read_run(opened).lost_count == 34 - len(recorded)
+    assert_replay_gives_the_same(bag, tmp_path / 'again')
+
+
 def test_the_end_of_the_node_waits_for_every_recording_and_tells_of_each(
     tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
