@@ -14,6 +14,9 @@ import pytest
 from tests.support.pipeline_inputs import encode_demo_frames, with_stamp
 from tests.support.ros_node import Peer, StartNode, stop_node
 
+pytest.importorskip('rclpy')
+pytest.importorskip('mocap_ros_msgs')
+
 pytestmark = pytest.mark.ros
 
 SECOND_NS = 10**9
