@@ -296,10 +296,11 @@ class LiveRun:
     def _note_accepted(self, topic: str) -> None:
         """Log the first accepted message, the first people, and once that header.frame_id is empty."""
         if self._pipeline.people and not self._has_published_people:
-            self._logger.info(f'{topic}: the first message was accepted, and people are being published')
+            before = '' if self._has_accepted else 'the first message was accepted, and '
+            self._logger.info(f'{topic}: {before}people are being published')
             self._has_published_people = True
         elif not self._has_accepted:
-            self._logger.info(f'{topic}: the first message was accepted, but nobody in it can be used yet')
+            self._logger.info(f'{topic}: the first message was accepted, and nobody is in it who can be tracked')
         self._has_accepted = True
         if not self._pipeline.output_header.frame_id and not self._has_warned_of_frame_id:
             self._logger.warning(

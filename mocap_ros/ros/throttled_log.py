@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import re
-import textwrap
 from collections import Counter
 from typing import Protocol
 
@@ -91,4 +90,5 @@ def _is_power_of_ten(count: int) -> bool:
 def make_printable(text: str) -> str:
     """Return text that may contain parts of a received message as one printable line of limited length."""
     printable = ''.join(c if c.isprintable() else ' ' for c in text)
-    return textwrap.shorten(printable, MAX_LINE_LENGTH, placeholder=' ...')
+    line = ' '.join(printable.split())
+    return line if len(line) <= MAX_LINE_LENGTH else f'{line[: MAX_LINE_LENGTH - 4]} ...'

@@ -187,9 +187,9 @@ def test_the_log_tells_of_people_when_the_first_of_them_is_published(stream: lis
     live.enqueue(*stream[1:3])
     live.wait_for_frames(4)
     live.run.stop()
-    assert [line for line in live.log.lines if 'the first message' in line] == [
-        'info /keypoints: the first message was accepted, but nobody in it can be used yet',
-        'info /keypoints: the first message was accepted, and people are being published',
+    assert live.log.lines == [
+        'info /keypoints: the first message was accepted, and nobody is in it who can be tracked',
+        'info /keypoints: people are being published',
     ]
 
 
@@ -600,10 +600,10 @@ def test_a_recording_that_fails_while_it_runs_is_a_fault(
 ) -> None:
     live = CollectingRun(recording_to(tmp_path / 'live'))
 
-    def fail(*_: object, **__: object) -> bool:
+    def fail(*_: object) -> None:
         raise RecordingError('the disk is full')
 
-    monkeypatch.setattr(BackgroundRecorder, 'put', fail)
+    monkeypatch.setattr(Recorder, 'write', fail)
     live.enqueue(stream[0])
     wait_until(lambda: live.run.recorder_state == 'not recording: the disk is full')
     assert live.run.recorder_fault == 'recorder.enabled is set, but nothing is recorded: the disk is full'
