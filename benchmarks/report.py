@@ -181,8 +181,9 @@ def describe_machine() -> str:
     if info.is_file():
         models = [line.partition(':')[2].strip() for line in info.read_text().splitlines() if 'model name' in line]
         cpu = models[0] if models else cpu
+    cores = len(os.sched_getaffinity(0))
     return (
-        f'{cpu}, one core, one BLAS thread; Python {platform.python_version()}, NumPy {np.__version__}, '
+        f'{cpu}, {cores} cores, one BLAS thread; Python {platform.python_version()}, NumPy {np.__version__}, '
         f'SciPy {scipy.__version__}; reference kernel ({common.REFERENCE_KERNEL}): '
         f'{common.measure_reference_kernel_s():.3f} s'
     )

@@ -166,8 +166,9 @@ class DiagnosticsReporter:
             problems += find_refusals(new_counters, received, removed, reason)
         if unusable > 0 and not people:
             problems.append((Level.WARN, f'{unusable} {UNUSABLE_DETECTIONS}'))
-        if new_counters.accepted and (frame_fault := describe_frame_fault(pipeline)):
-            problems.append((Level.WARN, frame_fault))
+        if new_counters.accepted:
+            faults = (describe_frame_fault(pipeline), *map(make_printable, pipeline.doubts))
+            problems += [(Level.WARN, fault) for fault in faults if fault]
         if recorder_fault:
             problems.append((Level.WARN, recorder_fault))
         level = max((level for level, _ in problems), default=Level.OK)

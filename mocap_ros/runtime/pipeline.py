@@ -40,6 +40,7 @@ from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
 from mocap_ros.runtime.camera_switch import CameraSwitch
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
+from mocap_ros.runtime.input_doubts import InputDoubts
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.solvers.vertical import AUTO, NONE
 from mocap_ros.tracking.tracker import Tracker
@@ -201,6 +202,7 @@ class Pipeline:
         output_header: Header of the outputs of that image, in whose frame the people are put out.
         transforms: All coordinate frames of /tf and /tf_static.
         people: People in the outputs of the last accepted image, in the camera's optical frame.
+        doubts: What seems to be wrong with the input, in words, as of that image.
 
     Raises:
         ConfigError: `node.output_frame` begins with a slash; `node.camera_pose` is not a pose, `node.floor_height`
@@ -242,11 +244,12 @@ class Pipeline:
         self._outputs = OutputEncoder()
         self._assembler = FrameAssembler()
         self._consecutive_errors = 0
-        self._vertical_check = VerticalCheck()
+        self._vertical_check, self._input_doubts = VerticalCheck(), InputDoubts()
         self._noted: set[str] = set()  # remarks that are made once
         self._camera_switch = CameraSwitch()
         self.header = self.output_header = Header(0, '')
         self.people: tuple[Person3D, ...] = ()
+        self.doubts: tuple[str, ...] = ()
 
     @property
     def swapped_frames(self) -> int:
@@ -336,8 +339,9 @@ class Pipeline:
         back_s = self._tracker.backward_jump_s
         if back_s:
             remark = f'the stamp went back by {back_s:.1f} s, so tracking was restarted'
-        once = self._note_once(floor_remark), self._note_once(self._doubt_vertical(people, floor))
-        remarks = camera_remark, remark, *once
+        found = self._input_doubts.advance(frame.header.stamp_ns, frame.people, people, intrinsics.image_size)
+        self.doubts = tuple(filter(None, (self._doubt_vertical(people, floor), *found)))
+        remarks = camera_remark, remark, *map(self._note_once, (floor_remark, *self.doubts))
         return ProcessingResult(Verdict.ACCEPTED, '; '.join(r for r in remarks if r), outputs)
 
     def _place_camera(self, header: Header) -> tuple[Header, CameraPlacement, str]:
@@ -460,8 +464,8 @@ class Pipeline:
         """Discard all people and return the messages that delete them from viewers and planning scenes."""
         self._tracker.reset()
         self._assembler.reset()
-        self._vertical_check, self._noted = VerticalCheck(), set()
-        self.people = ()
+        self._vertical_check, self._input_doubts, self._noted = VerticalCheck(), InputDoubts(), set()
+        self.people, self.doubts = (), ()
         cleared = self._outputs.encode_clear(self.output_header)
         self.header, self._camera_switch = Header(0, ''), CameraSwitch()
         return cleared

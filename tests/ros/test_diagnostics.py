@@ -197,6 +197,17 @@ def test_people_in_the_frame_of_the_camera_instead_of_the_output_frame_are_a_war
     assert {v.key: v.value for v in status.values}['frame of people'] == 'map'
 
 
+def test_doubts_about_the_input_are_a_warning() -> None:
+    pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
+    reporter = DiagnosticsReporter('mocap_node', pipeline)
+    statistics.record_receipt()
+    process(pipeline, encode_demo_frames(1)[0])
+    pipeline.doubts = ('people: most points lie outside the image',)
+    status = report(reporter, statistics)
+    assert (status.level, status.message) == (Level.WARN, 'people: most points lie outside the image')
+    assert report(reporter, statistics).message == '0 people', 'of an earlier second'
+
+
 def test_a_disk_that_takes_nothing_is_a_warning() -> None:
     pipeline, statistics = Pipeline(FAST_CONFIG), RunStatistics()
     statistics.record_receipt()

@@ -1,0 +1,130 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Joints in another order, and images of another size, are remarked once, and only after seconds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mocap_ros.bags.topics import Source
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.messages.cdr import decode, encode
+from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.runtime.input_doubts import LEAST_S, InputDoubts, LastingDoubt
+from mocap_ros.runtime.pipeline import Pipeline
+from mocap_ros.skeleton import keypoint_layout
+from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, with_stamp
+
+STEP_S = 0.2  # between the frames
+COCO17 = keypoint_layout('coco17').joints
+
+
+@pytest.fixture(scope='module')
+def stream() -> list[bytes]:
+    frames = encode_demo_frames(30)
+    return [with_stamp(raw, round((1 + i * STEP_S) * 1e9)) for i, raw in enumerate(frames)]
+
+
+def edit_people(raw: bytes, edit: Callable[[Any], None]) -> bytes:
+    message = decode(raw, KEYPOINTS)
+    for person in message.people:
+        edit(person)
+    return encode(message, KEYPOINTS)
+
+
+def reverse_joints(person: Any) -> None:
+    person.skeleton, person.joint_names = '', list(reversed(COCO17))
+
+
+def enlarge(person: Any) -> None:
+    person.x, person.y = person.x * 3, person.y * 3
+
+
+def list_remarks(pipeline: Pipeline, frames: list[bytes]) -> list[str]:
+    return [pipeline.feed(Source.KEYPOINTS, raw).reason for raw in frames]
+
+
+@pytest.mark.parametrize(
+    ('edit', 'remark'),
+    [
+        (reverse_joints, 'people: no person has joints where the points are'),
+        (enlarge, 'people: most points lie outside the image of 640 x 480 px'),
+    ],
+)
+def test_a_mistake_is_remarked_once_and_kept_until_it_is_mended(
+    stream: list[bytes], edit: Callable[[Any], None], remark: str
+) -> None:
+    pipeline = Pipeline(FAST_CONFIG)
+    wrong = [edit_people(raw, edit) for raw in stream]
+    reasons = list_remarks(pipeline, wrong)
+    (made,) = (r for r in reasons if r)
+    assert made.startswith(remark)
+    assert not any(reasons[: int(LEAST_S / STEP_S)]), 'not before some seconds'
+    (kept,) = pipeline.doubts
+    assert kept.startswith(remark)
+    later = [with_stamp(raw, round((10 + i * STEP_S) * 1e9)) for i, raw in enumerate(stream)]
+    assert not any(list_remarks(pipeline, later))
+    assert pipeline.doubts == ()
+    pipeline.reset()
+    assert sum(map(bool, list_remarks(pipeline, wrong))) == 1, 'a reset forgets what was remarked'
+    pipeline.reset()
+    assert pipeline.doubts == ()
+
+
+def test_nothing_is_remarked_on_right_points(stream: list[bytes]) -> None:
+    assert not any(list_remarks(Pipeline(FAST_CONFIG), stream))
+
+
+def advance(doubt: LastingDoubt, is_so: list[bool], seconds: float, first: int = 0) -> bool:
+    frames = range(first, first + round(seconds / STEP_S) + 1)
+    return [doubt.advance(round(i * STEP_S * 1e9), is_so) for i in frames][-1]
+
+
+def test_a_doubt_needs_most_people_for_seconds() -> None:
+    assert not advance(LastingDoubt(), [True], LEAST_S - STEP_S)
+    assert advance(LastingDoubt(), [True], LEAST_S + 2)
+    assert advance(LastingDoubt(), [True] * 9 + [False], LEAST_S + 2)
+    assert not advance(LastingDoubt(), [True, True, False], 60)
+    assert not advance(LastingDoubt(), [], 60)
+    one_frame_a_minute = [LastingDoubt().advance(t, [True]) for t in range(0, 10**12, 60 * 10**9)]
+    assert not any(one_frame_a_minute)
+
+
+def test_a_doubt_ends_with_its_cause_and_with_stamps_that_begin_anew() -> None:
+    doubt = LastingDoubt()
+    assert advance(doubt, [True], 60)
+    assert not advance(doubt, [False], 3, first=300)
+    doubt = LastingDoubt()
+    assert advance(doubt, [True], 60)
+    assert not doubt.advance(0, [True])
+
+
+def make_detection(xs: list[float], score: float = 1.0) -> Person2D:
+    points = np.column_stack([xs, np.full(len(xs), 100.0)])
+    return Person2D('', COCO17[: len(xs)], points, np.where(np.isnan(xs), 0.0, score))
+
+
+@pytest.mark.parametrize(
+    ('xs', 'is_doubted'),
+    [
+        ([700.0, 700.0, 700.0, 100.0], True),
+        ([-1.0, -1.0, -1.0, math.nan], True),
+        ([700.0, 700.0, 100.0, 100.0], False),  # legs that the image cuts off
+        ([0.0, 640.0, 640.0, 0.0], False),  # on the edge
+        ([math.nan] * 4, False),
+    ],
+)
+def test_points_outside_the_image_are_doubted_if_they_are_most(xs: list[float], *, is_doubted: bool) -> None:
+    found, unknown = InputDoubts(), InputDoubts()
+    stamps = [round(i * STEP_S * 1e9) for i in range(30)]
+    results = [found.advance(t, [make_detection(xs)], (), (640, 480)) for t in stamps]
+    assert bool(results[-1]) == is_doubted
+    assert sum(bool(a) != bool(b) for a, b in pairwise(results)) == int(is_doubted)
+    assert not any(unknown.advance(t, [make_detection(xs)], (), None) for t in stamps)
