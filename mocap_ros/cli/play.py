@@ -73,7 +73,10 @@ def run(args: argparse.Namespace) -> int:
         raise MocapError(
             f'play needs ROS 2, which this Python does not have ({error}); `make setup` installs it'
         ) from None
-    require_kind(args.input, [InputKind.BAG, InputKind.SEQUENCE], f'{BAG_FORMATS} or a sequence file (.npz)')
+    kinds = [InputKind.BAG, InputKind.SEQUENCE]
+    kind = require_kind(args.input, kinds, f'{BAG_FORMATS} or a sequence file (.npz)')
+    if args.topic and kind is InputKind.SEQUENCE:
+        raise MocapError(f'--topic: a sequence file has no topics; --to {args.topic} publishes on this one')
     playback = Playback(args.input, args.topic, args.to, args.all, args.camera_info)
     player = Player(playback, PlaybackOptions(args.rate, args.wait, args.loop, args.clock or 0.0))
     with suppress(*([KeyboardInterrupt] if args.loop else [])):  # an interrupt is the only way to end a loop

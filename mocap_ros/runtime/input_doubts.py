@@ -1,35 +1,42 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Mistakes in the input that no single message shows: joints in another order, and images of another size.
+"""Mistakes in valid input: joints in another order, images of another size, misspelt names of joints.
 
-Something is doubted that is so for most people over seconds. With x_i the share of the people of frame i for whom
-it is so, and dt_i the time for which that frame stands,
+The first two are doubted once they are so for most people over seconds. With x_i the share of the people of frame
+i for whom it is so, and dt_i the time for which that frame stands,
 
     n = sum_i k_i dt_i,    m = sum_i k_i dt_i x_i,    k_i = exp(-(t - t_i) / T),
 
-it is doubted once n is at least S and m at least the share P of it. Frames without people do not count.
+that is once n is at least S and m at least the share P of it. Frames without people do not count.
 """
 
 from __future__ import annotations
 
+import difflib
 import math
+import re
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from mocap_ros.keypoints.person import Person2D
+from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
 from mocap_ros.people import Person3D
+from mocap_ros.skeleton import CMU15, KEYPOINT_LAYOUTS, canonical_joint_names
 from mocap_ros.units import NS_PER_S
 
 MEMORY_S = 5.0  # s; T: a corrected mistake is forgotten soon
 LEAST_S = 2.5  # s; S: longer than a burst of wrong points, such as while somebody enters the image
 LEAST_SHARE = 0.8  # 1; P: one person with right points among several shows that the order is right
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
-# 1; RMS residual divided by the body radius. With it, none of 75 recordings of motion capture with the errors of
-# three detectors is doubted, and 36 of 36 with joints in another order are (reversed, one on, or random).
-MAX_RESIDUAL = 0.35
-MAX_OUTSIDE = 0.5  # 1; share of a person's points: some detectors guess legs that the image cuts off
+# 1; RMS residual divided by the body radius. With it, none of 150 recordings of motion capture with the errors of
+# three detectors is doubted, and all of 50 with joints reversed, one on, or in random order are.
+MAX_RESIDUAL = 0.25
+LEAST_LIKENESS = 0.8  # 1, of difflib; one or two letters of a joint's name
+MAX_CACHED_NAMES = 64  # lists of joint names; guards memory against messages that name ever new ones
+KNOWN_JOINTS = frozenset(j for layout in KEYPOINT_LAYOUTS.values() for j in layout.joints)
 
 
 class LastingDoubt:
@@ -88,16 +95,32 @@ class InputDoubts:
                 f'{np.mean(residuals):.2f} of the radius of a body; check that skeleton or joint_names of the '
                 'messages give the joints in the order of the points'
             )
-        shares = [_find_share_outside(p, image_size) for p in detections] if image_size else []
-        if self._image_size.advance(stamp_ns, [s > MAX_OUTSIDE for s in shares]) and image_size:
+        outside = [describe_outside(p, image_size) for p in detections] if image_size else []
+        if self._image_size.advance(stamp_ns, [*map(bool, outside)]) and any(outside):
             doubts.append(
-                f'people: most points lie outside the image of {image_size[0]} x {image_size[1]} px; check that '
-                'the detector sees images of that size, and gives points in px from the upper left corner'
+                f'people: {next(filter(None, outside))}; check that the detector sees images of that size, and '
+                'gives points in px from the upper left corner'
             )
+        doubts += dict.fromkeys(filter(None, (describe_misspelt_joint(p.joints) for p in detections)))
         return tuple(doubts)
 
 
-def _find_share_outside(person: Person2D, image_size: tuple[int, int]) -> float:
-    """Return the share of the seen points of a person that lie outside an image of this size in px."""
-    seen = person.points[person.score > 0]
-    return float(((seen < 0) | (seen > image_size)).any(axis=1).mean()) if len(seen) else 0.0
+def describe_outside(person: Person2D, image_size: tuple[int, int]) -> str:
+    """Describe in a clause that most points of a person lie outside the image, in px; empty if they do not."""
+    keypoints = person.points, person.score, image_size
+    outside = describe_points_outside(*keypoints)
+    return outside and (describe_transposed_size(*keypoints) or outside)
+
+
+@lru_cache(maxsize=MAX_CACHED_NAMES)
+def describe_misspelt_joint(joints: tuple[str, ...]) -> str:
+    """Describe the first name that is nearly that of a joint which is missing; empty if there is none."""
+    canonical = canonical_joint_names(joints)
+    missing = [j for j in CMU15.joints if j not in canonical]
+    for name in joints if missing else ():
+        if canonical_joint_names([name])[0] not in KNOWN_JOINTS:
+            word = re.sub('[^a-z]', '', name.lower().replace('left', 'l').replace('right', 'r'))
+            same_side = [j for j in missing if j[0] == word[:1]]
+            for meant in difflib.get_close_matches(word, same_side, 1, LEAST_LIKENESS):
+                return f'joint_names: {name!r} is no known joint and is ignored; is it {meant!r}?'
+    return ''

@@ -104,7 +104,11 @@ INVALID = {
         r'people\[1\].joint_names: .* fewer than four',
     ),
     'infinite': (set_element('x', 4, np.inf), r'people\[1\].x\[4\]: inf'),
-    'score far above one': (set_element('score', 2, 1.3), r'people\[1\].score\[2\]: 1.3'),
+    'score far above one': (
+        set_element('score', 2, 130),
+        r'people\[1\].score\[2\]: 130, expected a score in \[0, 1\]$',
+    ),
+    'score in percent': (set_element('score', 2, 87), r'people\[1\].score\[2\]: 87, .* is it in percent\?'),
     'normalised coordinates': (set_fields(**NORMALISED), r'people\[1\].x, y: looks normalised; px expected'),
     'negative score': (set_element('score', 2, -1), r'people\[1\].score\[2\]: -1'),
     'same id twice': (set_fields(id='a'), "people: id 'a' twice"),

@@ -42,6 +42,13 @@ def test_playing_without_a_subscriber_fails_in_one_line(env: dict[str, str], tmp
     assert done.stdout.endswith('demo.npz: waiting for a subscriber to /keypoints, for at most 0.3 s\n')
 
 
+def test_a_sequence_has_no_topic_to_choose(env: dict[str, str], tmp_path: Path) -> None:
+    save_sequence(tmp_path / 'demo.npz', make_recording().sequence())
+    done = run_cli(env, 'play', tmp_path / 'demo.npz', '--topic', '/people')
+    assert done.returncode == 1
+    assert done.stderr == 'mocap-ros: --topic: a sequence file has no topics; --to /people publishes on this one\n'
+
+
 def test_a_sequence_plays_on_the_topic_that_is_named(env: dict[str, str], peer: Peer, tmp_path: Path) -> None:
     sequence = make_recording().sequence()
     sequence = replace(sequence, timestamps=sequence.timestamps[:3], keypoints=sequence.keypoints[:3], truth=None)
