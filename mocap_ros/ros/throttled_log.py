@@ -5,15 +5,14 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from typing import Protocol
+
+from mocap_ros.runtime.remarks import find_kind
 
 MAX_KINDS_PER_TOPIC = 30  # kinds of remarks; guards log and memory against senders of ever new kinds of errors
 MAX_LOGGED_TRACEBACKS = 30  # tracebacks; guards the log against internal errors with ever new texts
 MAX_LINE_LENGTH = 400  # characters; guards the log against long texts in messages; the node's own reasons fit
-# Parts of a remark that may differ between remarks of one kind: addresses, numbers and quoted names.
-VARIABLE_PARTS = re.compile(r"0x\w+|\d+|'.*'|\".*\"", re.DOTALL)
 
 
 class Logger(Protocol):
@@ -50,7 +49,7 @@ class ThrottledLog:
             is_error: Whether the remark is logged as an error instead of a warning.
         """
         counts = self._counts_by_topic.setdefault(topic, Counter())
-        kind = VARIABLE_PARTS.sub('#', remark)
+        kind = find_kind(remark)
         if kind not in counts and len(counts) >= MAX_KINDS_PER_TOPIC:
             kind = ''
         counts[kind] += 1

@@ -101,8 +101,8 @@ class InputDoubts:
                 f'people: {next(filter(None, outside))}; check that the detector sees images of that size, and '
                 'gives points in px from the upper left corner'
             )
-        doubts += dict.fromkeys(filter(None, (describe_misspelt_joint(p.joints) for p in detections)))
-        return tuple(doubts)
+        misspelt = next(filter(None, (describe_misspelt_joint(p.joints) for p in detections)), '')
+        return (*doubts, misspelt) if misspelt else tuple(doubts)
 
 
 def describe_outside(person: Person2D, image_size: tuple[int, int]) -> str:

@@ -10,11 +10,10 @@ state of its tracker.
 from __future__ import annotations
 
 import math
-import re
 import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -42,9 +41,11 @@ from mocap_ros.runtime.camera_switch import CameraSwitch
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_doubts import InputDoubts
 from mocap_ros.runtime.outputs import OutputEncoder
+from mocap_ros.runtime.remarks import find_kind
 from mocap_ros.solvers.vertical import AUTO, NONE
-from mocap_ros.tracking.tracker import Tracker
+from mocap_ros.tracking.tracker import Tracker, find_absence
 from mocap_ros.tracking.vertical_check import VerticalCheck
+from mocap_ros.units import NS_PER_S
 
 CAMERA_MOTION_S = 0.1  # s; over which the motion of the camera is found: as long as velocities are smoothed over
 TRACKER_GROUPS = 'solver', 'classifier', 'tracker'  # fields of `Config` that a tracker reads when it is made
@@ -65,17 +66,14 @@ class ProcessingResult:
         reason: Why the input was not accepted, or a remark on an accepted input; usually empty.
         outputs: Messages to publish and to record, from every accepted image.
         error_traceback: Traceback of an internal error; usually empty.
+        was_decoded: Whether the message could be decoded, so that it may have had an effect though it was refused.
     """
 
     verdict: Verdict
     reason: str = ''
     outputs: tuple[OutputMessage, ...] = ()
     error_traceback: str = ''
-
-
-def leave_out_numbers(remark: str) -> str:
-    """Return what remarks that differ in their numbers alone have in common."""
-    return re.sub(r'[\d.]+', '#', remark)
+    was_decoded: bool = True
 
 
 def _reject(error: Exception) -> ProcessingResult:
@@ -129,6 +127,7 @@ def _merge_results(results: Sequence[ProcessingResult]) -> ProcessingResult:
         '; '.join(r.reason for r in results if r.reason),
         tuple(output for r in results for output in r.outputs),
         '\n'.join(r.error_traceback for r in results if r.error_traceback),
+        all(r.was_decoded for r in results),
     )
 
 
@@ -244,11 +243,16 @@ class Pipeline:
         self._outputs = OutputEncoder()
         self._assembler = FrameAssembler()
         self._consecutive_errors = 0
-        self._vertical_check, self._input_doubts = VerticalCheck(), InputDoubts()
-        self._noted: set[str] = set()  # remarks that are made once
+        self._begin_checks()
+        self._newest_seen_ns = 0  # stamp of the newest image in which somebody was detected
         self._camera_switch = CameraSwitch()
         self.header = self.output_header = Header(0, '')
         self.people: tuple[Person3D, ...] = ()
+
+    def _begin_checks(self) -> None:
+        """Forget what the checks of the input have found so far, and which remarks were made."""
+        self._vertical_check, self._input_doubts = VerticalCheck(), InputDoubts()
+        self._noted: set[str] = set()  # kinds of remarks that are made once
         self.doubts: tuple[str, ...] = ()
 
     @property
@@ -272,7 +276,7 @@ class Pipeline:
         try:
             frames = self._decode_frames(source, raw, topic)
         except Exception as error:
-            has_image, results = source in PEOPLE_SOURCES, [_reject(error)]
+            has_image, results = source in PEOPLE_SOURCES, [replace(_reject(error), was_decoded=False)]
         else:
             has_image = bool(frames)
             results = [self._process_frame(frame) for frame in frames] or [ProcessingResult(Verdict.ACCEPTED)]
@@ -330,6 +334,7 @@ class Pipeline:
             times = self._prediction_times
             predicted = [*map(PredictedFrame, times, self._tracker.predict(times))] if times else ()
             outputs = self._outputs.encode(header, people, node, camera, self._tracker.vertical, predicted)
+            once = self._check_input(frame, people, intrinsics, floor, floor_remark)
         except Exception as error:
             if isinstance(error, FrameDropped) and frame.header.stamp_ns == self.header.stamp_ns == 0:
                 error = FrameDropped(MISSING_STAMP)
@@ -339,9 +344,7 @@ class Pipeline:
         back_s = self._tracker.backward_jump_s
         if back_s:
             remark = f'the stamp went back by {back_s:.1f} s, so tracking was restarted'
-        found = self._input_doubts.advance(frame.header.stamp_ns, frame.people, people, intrinsics.image_size)
-        self.doubts = tuple(filter(None, (self._doubt_vertical(people, floor), *found)))
-        remarks = camera_remark, remark, *map(self._note_once, (floor_remark, *self.doubts))
+        remarks = camera_remark, remark, *once
         return ProcessingResult(Verdict.ACCEPTED, '; '.join(r for r in remarks if r), outputs)
 
     def _place_camera(self, header: Header) -> tuple[Header, CameraPlacement, str]:
@@ -399,6 +402,28 @@ class Pipeline:
                 floor = floor._replace(camera_height=None)
         return floor, remark and f'node.floor_height = {height:g}: {remark}'
 
+    def _check_input(
+        self,
+        frame: KeypointsFrame,
+        people: Sequence[Person3D],
+        intrinsics: Intrinsics,
+        floor: Floor | None,
+        floor_remark: str,
+    ) -> list[str]:
+        """Return the remarks on an image that are made once, until nobody has been there for long.
+
+        Then the tracker has forgotten everybody, and a part of a bag that begins there must say the same
+        (`runtime/parts.py`).
+        """
+        stamp_ns = frame.header.stamp_ns
+        if frame.people or stamp_ns < self._newest_seen_ns:
+            self._newest_seen_ns = stamp_ns
+        elif self.header.stamp_ns - self._newest_seen_ns > find_absence(self.config.tracker) * NS_PER_S:
+            self._begin_checks()
+        found = self._input_doubts.advance(stamp_ns, frame.people, people, intrinsics.image_size)
+        self.doubts = tuple(filter(None, (self._doubt_vertical(people, floor), *found)))
+        return [self._note_once(r) for r in (floor_remark if frame.people else '', *self.doubts)]
+
     def _doubt_vertical(self, people: Sequence[Person3D], floor: Floor | None) -> str:
         """Return a remark if people contradict the vertical that a parameter or the output frame gives."""
         tracker, vertical = self.config.tracker, self._tracker.vertical
@@ -417,8 +442,8 @@ class Pipeline:
         return f'{name}: people seem to stand at {angle_deg:.0f} degrees to it; {advice}, unless everybody lies'
 
     def _note_once(self, remark: str) -> str:
-        """Return a remark if it is a new one since the last reset, whatever its numbers."""
-        kind = leave_out_numbers(remark)
+        """Return a remark if it is the first of its kind."""
+        kind = find_kind(remark)
         is_known = kind in self._noted
         self._noted.add(kind)
         return '' if is_known else remark
@@ -431,7 +456,7 @@ class Pipeline:
             self.counters.dropped['stamp'] += 1
         elif result.verdict is Verdict.INVALID:
             self.counters.invalid += 1
-        elif source in PEOPLE_SOURCES:
+        if source in PEOPLE_SOURCES and (result.outputs or result.verdict is Verdict.ACCEPTED):
             self.counters.accepted += 1
 
     def _count_errors(self, result: ProcessingResult) -> None:
@@ -464,8 +489,9 @@ class Pipeline:
         """Discard all people and return the messages that delete them from viewers and planning scenes."""
         self._tracker.reset()
         self._assembler.reset()
-        self._vertical_check, self._input_doubts, self._noted = VerticalCheck(), InputDoubts(), set()
-        self.people, self.doubts = (), ()
+        self._begin_checks()
+        self._newest_seen_ns = 0
+        self.people = ()
         cleared = self._outputs.encode_clear(self.output_header)
         self.header, self._camera_switch = Header(0, ''), CameraSwitch()
         return cleared

@@ -35,8 +35,9 @@ from mocap_ros.models.model_file import AUTO, PRIORS, list_shipped_base_poses
 from mocap_ros.runtime.appearances import Appearance, AppearanceLog
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, LATCHED_TYPES, RecordedBodies, build_skeleton_definition
 from mocap_ros.runtime.parts import Part
-from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult, leave_out_numbers
+from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
+from mocap_ros.runtime.remarks import find_kind
 
 JOURNAL_TOPIC = '/mocap_replay/journal'  # ends as the journal of a live run, so that a replay can be replayed
 INPUT_TYPE_PARAMETER = 'node.input_type'  # set to the type of the bag's keypoints, whatever the parameters say
@@ -248,7 +249,7 @@ class _Replay:
         if verdict is not Verdict.ACCEPTED:
             self._first_rejection = self._first_rejection or place
         elif reason:
-            self._remarks.setdefault(leave_out_numbers(reason), place)
+            self._remarks.setdefault(find_kind(reason), place)
         if result.error_traceback:
             self._tracebacks.setdefault(reason, result.error_traceback)
 

@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 
 from mocap_ros.bags.topics import Source
+from mocap_ros.config import with_values
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.cdr import decode, encode
-from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.messages.cdr import Header, decode, encode
+from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.runtime.input_doubts import LEAST_S, InputDoubts, LastingDoubt, describe_misspelt_joint
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
@@ -171,6 +172,36 @@ def test_misspelt_joints_that_are_missing_are_told(
         pipeline = Pipeline(FAST_CONFIG)
         assert list_remarks(pipeline, [edit_people(raw, misspell) for raw in stream[:3]]) == [expected, '', '']
         assert pipeline.doubts == (expected,)
+
+
+def test_ever_new_misspellings_fill_no_memory(stream: list[bytes]) -> None:
+    pipeline = Pipeline(FAST_CONFIG)
+    reasons = []
+    for i, raw in enumerate(stream):
+        names = ['lsh' + 'é' * i + 'older' if j == 'lshoulder' else j for j in COCO17]
+
+        def misspell(person: Any, names: list[str] = names) -> None:
+            person.skeleton, person.joint_names = '', names
+
+        reasons.append(pipeline.feed(Source.KEYPOINTS, edit_people(raw, misspell)).reason)
+        assert len(pipeline.doubts) <= 1
+    assert [bool(r) for r in reasons].count(True) == 1
+    assert len(pipeline._noted) <= 2
+
+
+def test_a_remark_is_made_again_after_nobody_was_there_for_long(stream: list[bytes]) -> None:
+    config = with_values(FAST_CONFIG, {'tracker.forget_all_after': 2.0})
+
+    wrong = [edit_people(raw, reverse_joints) for raw in stream]
+
+    def empty(seconds: float) -> bytes:
+        return encode_keypoints(Header(round(seconds * 1e9), 'camera'), (640, 480), [])
+
+    for gap_s, count in ((1.5, 1), (4.0, 2)):
+        pipeline = Pipeline(config)
+        frames = [*wrong, *(empty(7 + i * STEP_S) for i in range(round(gap_s / STEP_S)))]
+        frames += [with_stamp(raw, round((7 + gap_s + i * STEP_S) * 1e9)) for i, raw in enumerate(wrong)]
+        assert sum(map(bool, list_remarks(pipeline, frames))) == count
 
 
 def test_no_layout_has_misspelt_joints() -> None:

@@ -16,23 +16,33 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.config import Config, RecorderConfig, values, with_values
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.runtime.parts import Part, find_parts
 from mocap_ros.runtime.replay import JOURNAL_TOPIC, ReplayOptions, replay
+from mocap_ros.skeleton import keypoint_layout
 from tests.support.camera_infos import camera_info
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, with_stamp
 from tests.support.transforms import make_transforms
 
+COCO17 = keypoint_layout('coco17').joints
 ABSENCE_S = 2.0  # s, tracker.forget_all_after in these tests
 CONFIG = with_values(FAST_CONFIG, {'tracker.forget_all_after': ABSENCE_S})
 HZ, START_NS = 10, 1_700_000_000_000_000_000  # images per second; ns since the epoch
 LATCHED = ('/skeleton_definition',)  # topics of which each file of a bag repeats the last message
 
 
+def misspell(raw: bytes) -> bytes:
+    """Return a keypoints message of which one joint has a name that is nearly right."""
+    message = decode(raw, KEYPOINTS)
+    for person in message.people:
+        person.skeleton, person.joint_names = '', ['lsholder' if j == 'lshoulder' else j for j in COCO17]
+    return encode(message, KEYPOINTS)
+
+
 def write_bag(folder: Path, visits: str, *events: Entry) -> Path:
-    """Write a bag of which each second shows somebody (x) or nobody (.).
+    """Write a bag of which each second shows somebody (x, or m with a misspelt joint) or nobody (.).
 
     Others have images of another camera, whose size (?) or name (!) tells it.
     """
@@ -43,8 +53,9 @@ def write_bag(folder: Path, visits: str, *events: Entry) -> Path:
             recorder.write('/node/journal', JOURNAL, encode_entry(event), START_NS, START_NS)
         for frame in range(len(visits) * HZ):
             stamp_ns = START_NS + frame * (1_000_000_000 // HZ)
-            if visits[frame // HZ] == 'x':
+            if visits[frame // HZ] in 'xm':
                 raw = with_stamp(seen[3 * frame % 60], stamp_ns)
+                raw = misspell(raw) if visits[frame // HZ] == 'm' else raw
             else:
                 size = (1280, 960) if visits[frame // HZ] == '?' else (640, 480)
                 name = 'other' if visits[frame // HZ] == '!' else 'camera'
@@ -58,14 +69,14 @@ def find(bag_path: Path, min_seconds: float = 1.0, config: Config = CONFIG) -> l
         return find_parts(bag, config, min_seconds=min_seconds)
 
 
-def run(bag_path: Path, out: Path, part: Part | None = None) -> tuple[list[tuple[Any, ...]], tuple[Any, ...]]:
+def run(bag_path: Path, out: Path, part: Part | None = None) -> tuple[list[Any], tuple[Any, ...]]:
     """Replay a bag or a part of it; return the messages by topic and time, and the appearances."""
     with Bag(bag_path) as bag:
         result = replay(bag, out, ReplayOptions(CONFIG, part=part))
     return list(read_messages(out, is_first=part is None or part.number == 0)), result.appearances
 
 
-def read_messages(path: Path, *, is_first: bool) -> Iterator[tuple[Any, ...]]:
+def read_messages(path: Path, *, is_first: bool) -> Iterator[Any]:
     """Yield the messages; those that each file of a split bag repeats only of the first part."""
     with Bag(path) as bag:
         for number, message in enumerate(bag.messages(bag.topics)):
@@ -84,6 +95,17 @@ def test_the_parts_of_a_bag_give_the_messages_of_the_whole(tmp_path: Path) -> No
     assert tuple(a for _, each in found for a in each) == appearances
     assert [each[0].person for _, each in found] == ['person_1'] * 4
     assert any(a.person == 'person_2' for a in appearances), 'a short absence does not end the names'
+
+
+def test_the_parts_of_a_bag_remark_on_its_input_as_the_whole_does(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / 'bag', 'mmm....mm......x.m')
+    parts = find(bag)
+    assert len(parts) == 3
+    whole, _ = run(bag, tmp_path / 'whole')
+    found = [run(bag, tmp_path / f'part{p.number}', p)[0] for p in parts]
+    assert [message for messages in found for message in messages] == whole
+    reasons = [decode(m.raw, JOURNAL).message for m in whole if m.topic == JOURNAL_TOPIC]
+    assert sum('lsholder' in reason for reason in reasons) == 3, 'once in each part'
 
 
 @pytest.mark.parametrize(

@@ -95,6 +95,13 @@ def test_bad_input_is_counted_and_changes_nothing(stream: list[bytes]) -> None:
     assert (counters.accepted, counters.invalid, counters.dropped['stamp']) == (6, 6, 11)
 
 
+def test_a_refused_message_tells_whether_it_was_decoded(stream: list[bytes]) -> None:
+    pipeline = Pipeline(FAST_CONFIG)
+    pipeline.set_camera_info(camera_info(width=320, height=240))
+    results = [pipeline.feed(Source.KEYPOINTS, raw) for raw in (stream[1][:50], stream[1])]
+    assert [(r.verdict, r.was_decoded) for r in results] == [(Verdict.INVALID, False), (Verdict.INVALID, True)]
+
+
 def test_a_tracker_that_fails_at_every_image_is_reset_whatever_comes_between(stream: list[bytes]) -> None:
     resets: list[int] = []
 
