@@ -121,6 +121,7 @@ class TransformTree:
 
     def __init__(self) -> None:
         self._links: dict[str, _Link] = {}  # by child frame
+        self._newest_ns = 0  # stamp of the transform that came last on /tf
 
     def add(self, raw: bytes, *, is_static: bool) -> None:
         """Add the transforms of a TFMessage.
@@ -144,6 +145,8 @@ class TransformTree:
             if link is None or link.parent != parent or link.is_static != is_static:
                 link = self._links[child] = _Link(parent, is_static)
             link.add(stamp_ns, transform, min(MAX_SAMPLES, MAX_TREE_SAMPLES // len(self._links)))
+            if not is_static:
+                self._newest_ns = stamp_ns
 
     def find(
         self, target: str, source: str, stamp_ns: int, tolerance_s: float, earlier_s: float = 0.0
@@ -204,13 +207,15 @@ class TransformTree:
         return result
 
     def _forget_old_frames(self) -> None:
-        """Forget the frames on /tf that have not been sent for `HISTORY_S`, such as those of people who left."""
-        newest = max((link.samples[-1][0] for link in self._links.values() if not link.is_static), default=0)
-        oldest_kept = newest - HISTORY_S * NS_PER_S
+        """Forget the frames on /tf that have not been sent for `HISTORY_S`, such as those of people who left.
+
+        Where time went back, those of the time before are later than the transform that came last.
+        """
+        history_ns = HISTORY_S * NS_PER_S
         self._links = {
             child: link
             for child, link in self._links.items()
-            if link.is_static or link.samples[-1][0] >= oldest_kept
+            if link.is_static or abs(link.samples[-1][0] - self._newest_ns) <= history_ns
         }
 
 

@@ -191,6 +191,18 @@ def test_any_bytes_are_transforms_or_an_error(raw: bytes) -> None:
         assert not is_of_people_only(raw, '') or decode(raw, TRANSFORMS).transforms
 
 
+def test_frames_of_before_are_forgotten_where_time_went_back() -> None:
+    tree = TransformTree()
+    people = [('map', f'body_{i}', 1000 * SECOND_NS, (0, 0, 0)) for i in range(MAX_FRAMES - 1)]
+    tree.add(make_transforms(*people), is_static=False)
+    for second in (1000, 3):  # simulated time begins again
+        tree.add(make_transforms(('map', 'robot', second * SECOND_NS, (1, 0, 0))), is_static=False)
+    tree.add(make_transforms(('map', 'new', 3 * SECOND_NS, (0, 0, 0))), is_static=False)
+    assert tree.find('map', 'robot', 3 * SECOND_NS, 0.1).translation[0] == 1
+    with pytest.raises(InputError, match="no transform names 'body_0'"):
+        tree.find('map', 'body_0', 3 * SECOND_NS, 0.1)
+
+
 def test_names_that_never_end_fill_no_memory() -> None:
     tree = TransformTree()
     for second in range(0, 60, 20):  # people who come and go
