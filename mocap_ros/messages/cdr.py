@@ -182,6 +182,24 @@ def decode(raw: bytes, msgtype: str) -> Any:
         raise InputError(f'not a {msgtype} ({reason}; {len(raw)} bytes)') from None
 
 
+def read_stamp_ns(raw: bytes) -> int:
+    """Return the stamp in ns of a message that is not decoded for it, and begins with a std_msgs/Header.
+
+    Args:
+        raw: CDR bytes of the message.
+
+    Returns:
+        The stamp, whatever it is; 0 where the bytes end before it, as the decoder will report.
+    """
+    try:
+        seconds, nanoseconds = struct.Struct('>iI' if raw[:2] == BIG_ENDIAN else '<iI').unpack_from(
+            raw, len(ENCAPSULATION)
+        )
+    except struct.error:
+        return 0
+    return int(seconds) * NS_PER_S + int(nanoseconds)
+
+
 def read_count(raw: bytes, skipped: int = 0) -> int:
     """Return the length of the first sequence of a message, which is not decoded for it.
 

@@ -6,8 +6,10 @@
 The thread of the ROS executor puts messages into it, and the worker thread of the run takes them out in the order
 of their receipt. Two rules keep a node that is too slow from falling behind for ever:
 
-* When too many messages of people wait, and from then on until none waits, all but the newest message of people on
-  each topic are to be skipped. The run counts and records those, so that a replay can process them.
+* When too many images of people wait, and from then on until none waits, all but the newest are to be skipped. An
+  image is one message, or with ROS4HRI one on the topic of each body, all with one stamp, so as many images wait
+  as messages of the topic that has the most. The run counts and records those that it skips, so that a replay can
+  process them.
 * No more than `MAX_WAITING` messages of a topic wait, and no more than `MAX_WAITING_BYTES` of all. What is beyond
   is removed, the oldest message first of the topic that has the most bytes waiting, and is only counted: recording
   it would take longer than a publisher that sends without a pause takes to send the next one.
@@ -20,11 +22,14 @@ from collections import Counter, OrderedDict
 from dataclasses import dataclass
 
 from mocap_ros.bags.topics import PEOPLE_SOURCES, Source
+from mocap_ros.messages.cdr import read_stamp_ns
+from mocap_ros.units import NS_PER_S
 
 MAX_WAITING = 1000  # messages of a topic; one second of the busiest /tf, and 33 s of a camera
 # Bytes of all waiting messages; guards the memory, and the time until people have their turn: 8 MB of transforms
 # take 5 s. An image of 60 people with 133 keypoints each takes 0.3 MB.
 MAX_WAITING_BYTES = 8_000_000
+RESTART_NS = NS_PER_S  # bodies of one image, and images in disorder, are less apart
 
 
 @dataclass(frozen=True)
@@ -50,7 +55,7 @@ class InputQueue:
     """Messages that wait, in the order of their receipt. Any thread may call any method.
 
     Attributes:
-        is_behind: Whether too many messages of people were waiting and some message still is.
+        is_behind: Whether too many images were waiting and some message still is.
     """
 
     def __init__(self) -> None:
@@ -60,12 +65,14 @@ class InputQueue:
         self._waiting: OrderedDict[tuple[str, int], ReceivedMessage] = OrderedDict()  # by topic and number
         self._waiting_bytes: Counter[str] = Counter()  # by topic, of those whose messages wait
         self._all_waiting_bytes = 0
-        self._waiting_people = 0  # messages of people
+        self._waiting_people: Counter[str] = Counter()  # messages of people, by topic of those whose messages wait
         self._received: Counter[str] = Counter()  # messages so far, by topic
         self._first_waiting: dict[
             str, int
         ] = {}  # by topic: number of the oldest message that has not left the queue
         self._first_unskipped: dict[str, int] = {}  # by topic: messages of people with smaller numbers are skipped
+        self._newest_body_ns = 0  # stamp of the newest image of which a body was received
+        self._first_unskipped_ns = 0  # of the bodies received so far, those with smaller stamps are skipped
         self._removed: Counter[str] = Counter()  # messages since the last `pop_removed_counts`, by topic
 
     def __len__(self) -> int:
@@ -86,7 +93,10 @@ class InputQueue:
             self._waiting[topic, number] = ReceivedMessage(source, topic, number, raw, times_ns)
             self._waiting_bytes[topic] += len(raw)
             self._all_waiting_bytes += len(raw)
-            self._waiting_people += source in PEOPLE_SOURCES
+            if source in PEOPLE_SOURCES:
+                self._waiting_people[topic] += 1
+            if source is Source.BODY:
+                self._note_body(read_stamp_ns(raw))
             self._first_waiting.setdefault(topic, number)
             if number - self._first_waiting[topic] >= MAX_WAITING:
                 self._remove_oldest(topic)
@@ -119,22 +129,31 @@ class InputQueue:
         """Take the oldest message; return it and whether it is to be skipped, or None if none waits.
 
         Args:
-            limit: Number of waiting messages of people from which on all but the newest are skipped.
+            limit: Number of waiting images from which on all but the newest messages of people are skipped.
         """
         with self._changed:
             if not self._waiting:
                 return None
             _, message = self._waiting.popitem(last=False)
             self._note_gone(message)
-            self.is_behind = self.is_behind or self._waiting_people >= limit
+            self.is_behind = self.is_behind or max(self._waiting_people.values(), default=0) >= limit
             if self.is_behind:
-                self._first_unskipped = dict(self._received)
-            is_skipped = message.number < self._first_unskipped.get(message.topic, 0)
-            return message, is_skipped and message.source in PEOPLE_SOURCES
+                self._first_unskipped, self._first_unskipped_ns = dict(self._received), self._newest_body_ns
+            newest = self._first_unskipped.get(message.topic, 0)
+            if message.source is Source.BODY:
+                return message, message.number <= newest and read_stamp_ns(message.raw) < self._first_unskipped_ns
+            return message, message.number < newest and message.source in PEOPLE_SOURCES
 
     def count_received(self, topic: str) -> int:
         """Return the number of messages of a topic so far, which is that of its newest one."""
         return self._received[topic]
+
+    def forget(self, topic: str) -> None:
+        """Number the messages of a topic from 1 again, as it has no subscription any more; not while one waits."""
+        with self._changed:
+            if topic not in self._waiting_bytes:
+                for numbers in (self._received, self._first_waiting, self._first_unskipped):
+                    numbers.pop(topic, None)
 
     def pop_removed_counts(self) -> Counter[str]:
         """Return how many messages of each topic have been removed since the last call."""
@@ -149,6 +168,11 @@ class InputQueue:
         with self._changed:
             return min((m.times_ns[0] for m in self._waiting.values()), default=None)
 
+    def _note_body(self, stamp_ns: int) -> None:
+        """Note the stamp of a body; one that is far older begins a new sequence, as time itself has gone back."""
+        if stamp_ns > self._newest_body_ns or stamp_ns < self._newest_body_ns - RESTART_NS:
+            self._newest_body_ns = stamp_ns
+
     def _remove_oldest(self, topic: str) -> None:
         """Remove the oldest waiting message of a topic, and count it."""
         self._note_gone(self._waiting.pop((topic, self._first_waiting[topic])))
@@ -161,4 +185,7 @@ class InputQueue:
         self._waiting_bytes[message.topic] -= len(message.raw)
         if not self._waiting_bytes[message.topic]:
             del self._waiting_bytes[message.topic]
-        self._waiting_people -= message.source in PEOPLE_SOURCES
+        if message.source in PEOPLE_SOURCES:
+            self._waiting_people[message.topic] -= 1
+            if not self._waiting_people[message.topic]:
+                del self._waiting_people[message.topic]

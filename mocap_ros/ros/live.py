@@ -16,6 +16,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from mocap_ros.bags.journal import Verdict
@@ -30,7 +31,9 @@ from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.throttled_log import Logger, ThrottledLog, TracebackLog
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 
-MAX_FINISH_SECONDS = 2.0  # s; for which inputs wait for a recording to be finished; then that goes on by itself
+MAX_FINISH_SECONDS = 2.0  # s; for which the end of the run waits for a recording to be finished
+# s; for which inputs wait while a recording is finished, which then goes on by itself; 50 of a topic can wait
+MAX_PAUSE_SECONDS = 1.0
 RECORDER_CHECK_SECONDS = 0.25  # s; between two looks at the recorder while no message arrives
 MAX_STOP_SECONDS = 0.3  # s; time to process waiting messages at a stop, so that the node ends within 1 s
 
@@ -103,15 +106,18 @@ class LiveRun:
         if self._thread.ident is not None:
             self._thread.join()
         with self._pipeline_lock:
-            self._report_removed()
-            while popped := self._queue.pop(1):
-                self._publish_result(popped[0], self._pipeline.note_backlog())
-            self._publish_and_record(self._reset_pipeline())
+            try:
+                self._report_removed()
+                while popped := self._queue.pop(1):
+                    self._publish_result(popped[0], self._pipeline.note_backlog())
+                self._publish_and_record(self._reset_pipeline())
+            except Exception:  # an internal error must not leave the recording open
+                self._tracebacks.report(traceback.format_exc())
             self._recording.close(MAX_FINISH_SECONDS)
 
     @property
     def is_behind(self) -> bool:
-        """Whether too many messages of people were waiting and some message still is."""
+        """Whether too many images were waiting and some message still is."""
         return self._queue.is_behind
 
     @property
@@ -138,6 +144,10 @@ class LiveRun:
         if source in PEOPLE_SOURCES:
             self.statistics.record_receipt()
         self._queue.put(source, topic, raw, (now_ns, sent_ns if sent_ns > 0 else now_ns))
+
+    def forget_topic(self, topic: str) -> None:
+        """Forget how many messages a topic had, which has no subscription any more."""
+        self._queue.forget(topic)
 
     def reset(self) -> None:
         """Discard all people."""
@@ -174,7 +184,7 @@ class LiveRun:
         """
         with self._pipeline_lock:
             recorder = self._recording.detach()
-        return self._recording.finish(recorder, MAX_FINISH_SECONDS)
+        return self._recording.finish(recorder, MAX_PAUSE_SECONDS)
 
     def set_recording(self, is_wanted: bool) -> None:
         """Start or finish the recording if it is not yet in the wanted state; a failure is logged, not raised."""
@@ -250,7 +260,7 @@ class LiveRun:
         raw = self._versions.read(self._types[message.source], message.raw)
         result = self._pipeline.feed(message.source, raw, message.topic)
         outputs = tuple(map(self._versions.write_output, result.outputs))
-        return ProcessingResult(result.verdict, result.reason, outputs, result.error_traceback)
+        return replace(result, outputs=outputs)
 
     def _reset_pipeline(self) -> list[OutputMessage]:
         """Discard all people; return the messages that delete them, in the installed versions of their types."""

@@ -245,7 +245,7 @@ class LiveRecording:
         )
         for output in result.outputs:
             records += self._make_output_records(output, published_ns)
-        is_unused = result.verdict in (Verdict.BACKLOG, Verdict.INVALID)
+        is_unused = result.verdict is Verdict.BACKLOG or not result.was_decoded
         if self._put(records, even_if_full=False, share=UNUSED_SHARE if is_unused else 1.0):
             return True
         self._journal.mark_last_input_lost()

@@ -181,7 +181,7 @@ class MocapNode(LifecycleNode):
             self._versions,
         )
         self._run.start()
-        self._inputs.subscribe(self._run.enqueue, self._run.statistics.record_lost)
+        self._inputs.subscribe(self._run.enqueue, self._run.statistics.record_lost, self._run.forget_topic)
         outputs = (*OUTPUTS, *switched, *LATCHED_OUTPUTS)
         published = ', '.join(names[topic] for topic in outputs if self._outputs.has_publisher(topic))
         self.get_logger().info(
@@ -197,14 +197,16 @@ class MocapNode(LifecycleNode):
         ]
 
     def _stop_run(self) -> None:
-        if self._inputs is not None:
-            self._inputs.unsubscribe()
-        for timer in self._run_timers:
-            self.destroy_timer(timer)
-        self._run_timers, self._reporter = [], None
         run, self._run = self._run, None
-        if run is not None:
-            run.stop()
+        try:
+            if self._inputs is not None:
+                self._inputs.unsubscribe()
+            for timer in self._run_timers:
+                self.destroy_timer(timer)
+            self._run_timers, self._reporter = [], None
+        finally:
+            if run is not None:
+                run.stop()
 
     def _check_parameters(self, changed: list[RosParameter[Any]]) -> SetParametersResult:
         """Accept or reject changes of parameters before they are made."""
@@ -309,8 +311,10 @@ def run(arguments: Sequence[str]) -> None:
                 node.start()
             spin_until(stop, executor, node.get_logger())
         finally:
-            node.close()
-            executor.shutdown()
-            node.destroy_node()
+            try:
+                node.close()
+            finally:
+                executor.shutdown()
+                node.destroy_node()
     finally:
         rclpy.shutdown()

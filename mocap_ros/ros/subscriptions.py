@@ -53,6 +53,9 @@ MAX_PUBLISHERS = 16  # of a topic, whose messages are counted; guards the memory
 # A function that takes the number of messages that have been lost since its last call.
 NoteLost = Callable[[int], None]
 
+# A function that takes the absolute name of a topic.
+ForgetTopic = Callable[[str], None]
+
 # A function that takes a message: its source, its CDR bytes, the time of sending in ns, and its topic.
 Receive = Callable[[Source, bytes, int, str], None]
 
@@ -118,6 +121,7 @@ class InputSubscriptions:
         self._body_subscriptions: dict[str, Any] = {}  # by topic
         self._receive: Receive | None = None
         self._note_lost: NoteLost = lambda _: None
+        self._forget_topic: ForgetTopic = lambda _: None
         self._silence: SilenceMonitor | None = None
 
     def _add_types(self) -> None:
@@ -141,14 +145,15 @@ class InputSubscriptions:
         """Absolute names of the subscribed topics, without those of ROS4HRI bodies."""
         return [self._node.resolve_topic_name(s.value) for s in self.types if s is not Source.BODY]
 
-    def subscribe(self, receive: Receive, note_lost: NoteLost) -> None:
+    def subscribe(self, receive: Receive, note_lost: NoteLost, forget_topic: ForgetTopic) -> None:
         """Subscribe to all inputs and pass their messages to `receive`, in the thread of the executor.
 
         Args:
             receive: Function that takes the messages.
             note_lost: Function that takes the number of messages that were sent but did not arrive.
+            forget_topic: Function that takes the absolute name of a topic that is no longer subscribed to.
         """
-        self._receive, self._note_lost = receive, note_lost
+        self._receive, self._note_lost, self._forget_topic = receive, note_lost, forget_topic
         for source in self.types:
             if source is not Source.BODY:
                 self._subscriptions.append(self._subscribe_to(source, source.value))
@@ -229,5 +234,6 @@ class InputSubscriptions:
         wanted = {topic for topic in topics if len(topic) <= MAX_TOPIC_CHARACTERS}
         for topic in self._body_subscriptions.keys() - wanted:
             self._node.destroy_subscription(self._body_subscriptions.pop(topic))
+            self._forget_topic(topic)
         for topic in wanted - self._body_subscriptions.keys():
             self._body_subscriptions[topic] = self._subscribe_to(Source.BODY, topic)

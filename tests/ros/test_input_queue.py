@@ -6,15 +6,19 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mocap_ros.bags.topics import Source
+from mocap_ros.messages.cdr import ENCAPSULATION, Header, encode_header, read_stamp_ns
 from mocap_ros.ros import input_queue
 from mocap_ros.ros.input_queue import InputQueue
+from mocap_ros.units import NS_PER_S
 
+BODIES = range(12)
 SOURCES = {'/keypoints': Source.KEYPOINTS, '/camera_info': Source.CAMERA_INFO, '/tf': Source.TRANSFORMS}
 
 
@@ -79,6 +83,60 @@ def test_messages_of_people_alone_make_a_backlog() -> None:
     put(queue, '/camera_info')
     assert not any(is_skipped for *_, is_skipped in take_all(queue, limit=4))
     assert not queue.is_behind
+
+
+def test_the_bodies_of_one_image_are_one_image() -> None:
+    queue, bodies = InputQueue(), [f'/humans/bodies/b{i}/skeleton2d' for i in range(12)]
+    for _ in range(3):
+        for topic in bodies:
+            queue.put(Source.BODY, topic, b'', (1, 1))
+    assert not any(is_skipped for *_, is_skipped in take_all(queue, limit=4))
+    assert not queue.is_behind
+
+
+def put_image(queue: InputQueue, stamp_s: int, bodies: range = BODIES) -> None:
+    for body in bodies:
+        raw = encode_header(Header(stamp_s * NS_PER_S, 'camera'))
+        queue.put(Source.BODY, f'/humans/bodies/b{body}/skeleton2d', ENCAPSULATION + raw, (1, 1))
+
+
+def take_images(queue: InputQueue, limit: int) -> Counter[int]:
+    """Return the numbers of bodies that are not skipped, by their stamps in s."""
+    taken: Counter[int] = Counter()
+    while popped := queue.pop(limit):
+        taken[read_stamp_ns(popped[0].raw) // NS_PER_S] += not popped[1]
+    queue.wait(0.0)
+    return +taken
+
+
+def test_images_of_single_bodies_are_skipped_as_a_whole() -> None:
+    queue = InputQueue()
+    for stamp_s in range(1, 6):
+        put_image(queue, stamp_s)
+    put_image(queue, 6, range(5))  # the others are still on their way
+    assert take_images(queue, limit=3) == {6: 5}
+    put_image(queue, 6, range(5, 12))
+    put_image(queue, 7)
+    assert take_images(queue, limit=3) == {6: 7, 7: 12}
+    for stamp_s in (8, 9, 10, 2):  # time goes back
+        put_image(queue, stamp_s)
+    put_image(queue, 3)
+    assert take_images(queue, limit=3) == {8: 12, 9: 12, 10: 12, 3: 12}
+    put_image(queue, 2)
+    assert take_images(queue, limit=3) == {2: 12}, 'what comes later is not skipped'
+
+
+def test_a_forgotten_topic_takes_no_memory_and_is_numbered_anew() -> None:
+    queue = InputQueue()
+    put(queue, '/keypoints', 3)
+    queue.forget('/keypoints')
+    put(queue, '/keypoints')
+    assert [number for _, number, _ in take_all(queue, limit=2)] == [1, 2, 3, 4], 'not while one waits'
+    queue.forget('/keypoints')
+    assert not queue._received
+    assert not queue._first_waiting
+    put(queue, '/keypoints')
+    assert take_all(queue) == [('/keypoints', 1, False)]
 
 
 def test_messages_of_people_alone_are_skipped() -> None:

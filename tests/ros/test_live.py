@@ -374,7 +374,7 @@ def test_a_disk_that_takes_nothing_is_reported_and_does_not_stop_the_run(
     tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     disk_is_ready = block_disk(monkeypatch)
-    monkeypatch.setattr('mocap_ros.ros.live.MAX_FINISH_SECONDS', 0.1)
+    monkeypatch.setattr('mocap_ros.ros.live.MAX_PAUSE_SECONDS', 0.1)
     live = CollectingRun(recording_to(tmp_path / 'live'))
     live.enqueue(stream[0])
     live.wait_for_frames(1)
@@ -404,7 +404,8 @@ def test_inputs_that_are_too_many_for_the_disk_are_counted_in_state_log_and_bag(
     live = CollectingRun(recording_to(tmp_path / 'live', **{'recorder.backlog': 3, 'node.queue': FRAMES}))
     live.enqueue(*stream[:8])
     live.wait_for_frames(8)
-    wait_until(lambda: 'inputs missing' in live.run.recorder_state)
+    with live.run._pipeline_lock:  # the last frame has been published, and now the recorder has refused it as well
+        assert 'inputs missing' in live.run.recorder_state
     disk_is_ready.set()
     live.wait_for_lines('processed but not recorded')
     live.run.stop()
@@ -441,6 +442,7 @@ def test_the_end_of_the_node_waits_for_every_recording_and_tells_of_each(
 ) -> None:
     disk_is_ready = block_disk(monkeypatch)
     monkeypatch.setattr('mocap_ros.ros.live.MAX_FINISH_SECONDS', 0.05)
+    monkeypatch.setattr('mocap_ros.ros.live.MAX_PAUSE_SECONDS', 0.05)
     live = CollectingRun(recording_to(tmp_path / 'live'))
     live.enqueue(stream[0])
     live.wait_for_frames(1)
@@ -455,6 +457,20 @@ def test_the_end_of_the_node_waits_for_every_recording_and_tells_of_each(
     stopping.join(TIMEOUT_S)
     assert live.count_lines('the disk is slow; ') == live.count_lines('is finished') == 2
     assert len(list((tmp_path / 'live').iterdir())) == 2
+
+
+def test_an_error_at_the_end_of_a_run_leaves_no_recording_open(
+    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = CollectingRun(recording_to(tmp_path / 'live'))
+    live.enqueue(stream[0])
+    live.wait_for_frames(1)
+    monkeypatch.setattr(live.run._pipeline, 'reset', lambda: 1 / 0)
+    live.run.stop()
+    assert live.count_lines('ZeroDivisionError') == 1
+    (bag,) = (tmp_path / 'live').iterdir()
+    assert read_messages(bag, '/keypoints') == stream[:1]
+    assert (bag / 'metadata.yaml').exists()
 
 
 def test_the_models_of_single_bodies_are_latched_in_a_recording(tmp_path: Path, stream: list[bytes]) -> None:

@@ -83,7 +83,11 @@ def test_bodies_are_followed_unless_their_ids_are_no_names(node: Any) -> None:
     for ids in (['b1', *NO_NAMES], ['b1', 'b' * 221], ['b1', 'B_2'], ['B_2', 'B_2'], NO_NAMES):
         inputs._follow_bodies(encode_tracked(HEADER, ids))
         assert node.topics == {f'/humans/bodies/{i}/skeleton2d' for i in ids if i not in NO_NAMES}
+    inputs._follow_bodies(encode_tracked(HEADER, ['b1', 'b2']))
+    forgotten: list[str] = []
+    inputs._forget_topic = forgotten.append
     inputs._follow_bodies(encode_tracked(HEADER, ['b1']))
+    assert forgotten == ['/humans/bodies/b2/skeleton2d']
     inputs._follow_bodies(b'no message')
     assert node.topics
     inputs.unsubscribe()
