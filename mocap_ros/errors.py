@@ -77,4 +77,4 @@ def describe_read_error(error: Exception) -> str:
 
 def tell_installation(extra: str) -> str:
     """Return the commands that install an optional part of this package, such as `view`."""
-    return f"pip install 'mocap_ros[{extra}]' (in its source folder: pip install '.[{extra}]')"
+    return f"pip install 'mocap_ros[{extra}]' (in its source folder: pip install -e '.[{extra}]')"

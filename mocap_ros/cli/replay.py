@@ -153,6 +153,6 @@ def _print_summary(job: _Job, result: ReplayResult, seconds: float) -> None:
             file=sys.stderr,
         )
     print(
-        f'{job.out}: {counts.accepted} frames accepted, {counts.dropped.total()} dropped, '
+        f'{job.out}: {counts.accepted} messages of people accepted, {counts.dropped.total()} dropped, '
         f'{counts.invalid} invalid, {seconds:.1f} s'
     )

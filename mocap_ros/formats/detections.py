@@ -255,45 +255,58 @@ def select_person(detections: Detections, person_id: str | None = None) -> tuple
     if not tracks:
         raise InputError('nobody is seen in any frame')
     selected = _select_track(tracks, person_id)
-    frames = range(min(selected.detection_by_frame), max(selected.detection_by_frame) + 1)
-    names = tuple(dict.fromkeys(name for person in selected.detection_by_frame.values() for name in person.joints))
+    lines = [
+        f'person {selected.id!r}, seen in {len(selected.detection_by_frame)} of {len(detections.people)} frames'
+        + (f'; {len(tracks) - 1} more, choose by --person: {_list_people(tracks)}' if len(tracks) > 1 else '')
+    ]
+    sized = assume_image_size(detections)
+    return arrange_sequence(sized, selected), [*lines, *sized.remarks]
+
+
+def assume_image_size(detections: Detections) -> Detections:
+    """Return detections with an image size: where it is not known, one that holds everybody, and a remark."""
+    if all(detections.image_size):
+        return detections
+    everybody = [person for people in detections.people for person in people]
+    points = np.concatenate([person.points for person in everybody])
+    score = np.concatenate([person.score for person in everybody])
+    size = resolve_image_size(keypoints=np.column_stack([points, score]))  # one camera has one size for all people
+    remark = f'image size not known, {size[0]}x{size[1]} px assumed; give it by --image-size'
+    return replace(detections, image_size=size, remarks=(*detections.remarks, remark))
+
+
+def arrange_sequence(detections: Detections, track: PersonTrack) -> KeypointSequence:
+    """Arrange the keypoints of one person, from the first frame with that person to the last.
+
+    Args:
+        detections: all people, with the size of the image.
+        track: one of the tracks of `associate_people`.
+
+    Raises:
+        InputError: the keypoints are not in px, or there are more than `MAX_KEYPOINTS`.
+    """
+    frames = range(min(track.detection_by_frame), max(track.detection_by_frame) + 1)
+    names = tuple(dict.fromkeys(name for person in track.detection_by_frame.values() for name in person.joints))
     column = {name: i for i, name in enumerate(names)}
     if len(frames) * len(names) > MAX_KEYPOINTS:
         raise InputError(f'{len(frames)} frames of {len(names)} joints, more than {MAX_KEYPOINTS} keypoints')
     keypoints = np.full((len(frames), len(names), 3), [np.nan, np.nan, 0.0])
-    for frame, person in selected.detection_by_frame.items():
+    for frame, person in track.detection_by_frame.items():
         columns = [column[name] for name in person.joints]
         keypoints[frame - frames[0], columns] = np.column_stack([person.points, person.score])
-    lines = [
-        f'person {selected.id!r}, seen in {len(selected.detection_by_frame)} of {len(detections.people)} frames'
-        + (f'; {len(tracks) - 1} more, choose by --person: {_list_people(tracks)}' if len(tracks) > 1 else ''),
-        *detections.remarks,
-    ]
-    size = detections.image_size
-    if not all(size):
-        size = resolve_image_size(keypoints=_stack_keypoints(detections))  # one camera has one size for all people
-        lines.append(f'image size not known, {size[0]}x{size[1]} px assumed; give it by --image-size')
-    if looks_normalised(keypoints[..., :2], keypoints[..., 2], size[0]):
+    if looks_normalised(keypoints[..., :2], keypoints[..., 2], detections.image_size[0]):
         raise InputError('keypoints look normalised; px expected')
     stamps = tuple(detections.stamps_ns[frame] for frame in frames)
-    sequence = KeypointSequence(
+    return KeypointSequence(
         keypoints=keypoints,
         joint_names=names,
         timestamps=np.array(stamps) / NS_PER_S,
-        image_size=size,
-        person_id=selected.id,
+        image_size=detections.image_size,
+        person_id=track.id,
         frame_id=detections.frame_id,
         recorded_ns=stamps,
         calibration=detections.intrinsics,
     )
-    return sequence, lines
-
-
-def _stack_keypoints(detections: Detections) -> Array:
-    """Return x and y in px and the score (N, 3) of all keypoints of all people."""
-    everybody = [person for people in detections.people for person in people]
-    points = np.concatenate([person.points for person in everybody])
-    return np.column_stack([points, np.concatenate([person.score for person in everybody])])
 
 
 def _select_track(tracks: Sequence[PersonTrack], person_id: str | None) -> PersonTrack:

@@ -135,11 +135,13 @@ class TransformTree:
                 frames; nothing was added.
         """
         added = [_read_transform(i, stamped) for i, stamped in enumerate(_decode(raw))]
-        new = {child for child, *_ in added if child not in self._links}
-        if len(self._links) + len(new) > MAX_FRAMES:
-            self._forget_old_frames()
-        if len(self._links) + len(new) > MAX_FRAMES:
+        names = {child for child, *_ in added}
+        links = self._links
+        if len(links.keys() | names) > MAX_FRAMES:
+            links = self._select_recent(self._newest_ns if is_static or not added else added[-1][2])
+        if len(links.keys() | names) > MAX_FRAMES:
             raise InputError(f'transforms: more than {MAX_FRAMES} frames')
+        self._links = links
         for child, parent, stamp_ns, transform in added:
             link = self._links.get(child)
             if link is None or link.parent != parent or link.is_static != is_static:
@@ -206,16 +208,19 @@ class TransformTree:
             result = self._links[name].find(name, stamp_ns, tolerance_ns, earlier_ns).compose(result)
         return result
 
-    def _forget_old_frames(self) -> None:
-        """Forget the frames on /tf that have not been sent for `HISTORY_S`, such as those of people who left.
+    def _select_recent(self, newest_ns: int) -> dict[str, _Link]:
+        """Return the frames without those on /tf that have not been sent for `HISTORY_S`, as of people who left.
 
         Where time went back, those of the time before are later than the transform that came last.
+
+        Args:
+            newest_ns: ns, stamp of the transform that came last.
         """
         history_ns = HISTORY_S * NS_PER_S
-        self._links = {
+        return {
             child: link
             for child, link in self._links.items()
-            if link.is_static or abs(link.samples[-1][0] - self._newest_ns) <= history_ns
+            if link.is_static or abs(link.samples[-1][0] - newest_ns) <= history_ns
         }
 
 

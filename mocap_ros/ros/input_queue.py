@@ -73,6 +73,7 @@ class InputQueue:
         self._first_unskipped: dict[str, int] = {}  # by topic: messages of people with smaller numbers are skipped
         self._newest_body_ns = 0  # stamp of the newest image of which a body was received
         self._first_unskipped_ns = 0  # of the bodies received so far, those with smaller stamps are skipped
+        self._leaving: set[str] = set()  # topics that have no subscription any more, and of which messages wait
         self._removed: Counter[str] = Counter()  # messages since the last `pop_removed_counts`, by topic
 
     def __len__(self) -> int:
@@ -88,6 +89,7 @@ class InputQueue:
             times_ns: Wall-clock times of receipt and of sending.
         """
         with self._changed:
+            self._leaving.discard(topic)
             self._received[topic] += 1
             number = self._received[topic]
             self._waiting[topic, number] = ReceivedMessage(source, topic, number, raw, times_ns)
@@ -149,11 +151,16 @@ class InputQueue:
         return self._received[topic]
 
     def forget(self, topic: str) -> None:
-        """Number the messages of a topic from 1 again, as it has no subscription any more; not while one waits."""
+        """Number the messages of a topic from 1 again, as it has no subscription any more.
+
+        One of which messages wait is forgotten at a later call, unless it has a subscription again by then.
+        """
         with self._changed:
-            if topic not in self._waiting_bytes:
+            self._leaving.add(topic)
+            for gone in self._leaving - self._waiting_bytes.keys():
+                self._leaving.remove(gone)
                 for numbers in (self._received, self._first_waiting, self._first_unskipped):
-                    numbers.pop(topic, None)
+                    numbers.pop(gone, None)
 
     def pop_removed_counts(self) -> Counter[str]:
         """Return how many messages of each topic have been removed since the last call."""

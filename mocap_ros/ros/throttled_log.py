@@ -8,9 +8,10 @@ from __future__ import annotations
 from collections import Counter
 from typing import Protocol
 
+from mocap_ros.bags.topics import BODY_SUFFIX
 from mocap_ros.runtime.remarks import find_kind
 
-MAX_KINDS_PER_TOPIC = 30  # kinds of remarks; guards log and memory against senders of ever new kinds of errors
+MAX_KINDS = 30  # kinds of remarks; guards log and memory against senders of ever new kinds of errors
 MAX_LOGGED_TRACEBACKS = 30  # tracebacks; guards the log against internal errors with ever new texts
 MAX_LINE_LENGTH = 400  # characters; guards the log against long texts in messages; the node's own reasons fit
 
@@ -31,13 +32,14 @@ class Logger(Protocol):
 class ThrottledLog:
     """Log of remarks on messages in which each kind of remark appears only the 1st, 10th, 100th, ... time.
 
-    Two remarks on a topic are of one kind if they differ only in numbers and quoted names. The kinds after the
-    first `MAX_KINDS_PER_TOPIC` kinds of a topic count as one kind.
+    Two remarks on an input are of one kind if they differ only in numbers and quoted names. The kinds after the
+    first `MAX_KINDS` kinds of an input count as one kind. An input is a topic, or with ROS4HRI the topics of all
+    bodies: their ids never end.
     """
 
     def __init__(self, logger: Logger) -> None:
         self._logger = logger
-        self._counts_by_topic: dict[str, Counter[str]] = {}  # of each kind
+        self._counts_by_input: dict[str, Counter[str]] = {}  # of each kind
 
     def report(self, topic: str, number: int, remark: str, *, is_error: bool = True) -> None:
         """Log a remark on a message, unless remarks of its kind are being held back.
@@ -48,9 +50,10 @@ class ThrottledLog:
             remark: What is wrong with the message.
             is_error: Whether the remark is logged as an error instead of a warning.
         """
-        counts = self._counts_by_topic.setdefault(topic, Counter())
+        name = BODY_SUFFIX if topic.endswith(BODY_SUFFIX) else topic
+        counts = self._counts_by_input.setdefault(name, Counter())
         kind = find_kind(remark)
-        if kind not in counts and len(counts) >= MAX_KINDS_PER_TOPIC:
+        if kind not in counts and len(counts) >= MAX_KINDS:
             kind = ''
         counts[kind] += 1
         if not _is_power_of_ten(counts[kind]):

@@ -19,7 +19,14 @@ from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import FrameDropped, InputError
 from mocap_ros.formats.coco_json import load_coco
-from mocap_ros.formats.detections import Detections, Video, associate_people, select_person
+from mocap_ros.formats.detections import (
+    Detections,
+    Video,
+    arrange_sequence,
+    associate_people,
+    assume_image_size,
+    select_person,
+)
 from mocap_ros.formats.openpose_json import load_openpose
 from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence
 from mocap_ros.keypoints.image_size import resolve_image_size
@@ -110,7 +117,8 @@ def load_people(
     try:
         if not long_tracks:
             raise InputError(f'nobody is seen in {MIN_FRAMES} frames or more')
-        sequences = [select_person(detections, track.id)[0] for track in long_tracks]
+        detections = assume_image_size(detections)
+        sequences = [arrange_sequence(detections, track) for track in long_tracks]
         for sequence in sequences:
             _check_image_size(sequence, video.image_size)
     except InputError as error:

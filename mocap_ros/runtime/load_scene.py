@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 
 from mocap_ros.config import Config, format_value, load_yaml
 from mocap_ros.errors import InputError, SkeletonError
-from mocap_ros.formats.detections import Detections, Video, associate_people, select_person
+from mocap_ros.formats.detections import (
+    Detections,
+    Video,
+    arrange_sequence,
+    associate_people,
+    assume_image_size,
+    select_person,
+)
 from mocap_ros.formats.npz_arrays import ArrayReader, read_arrays
 from mocap_ros.formats.result_file import load_result_file
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
@@ -140,18 +147,14 @@ def _select_people(detections: Detections, person: str | None) -> tuple[list[Key
     if not tracks:
         raise InputError('nobody is seen in any frame')
     chosen = [t for t in tracks if len(t.detection_by_frame) >= MIN_PERSON_FRAMES][:MAX_PEOPLE] or tracks[:1]
+    detections = assume_image_size(detections)
     lines = list(detections.remarks)
     if len(chosen) < len(tracks):
         lines.append(
             f'{len(tracks) - len(chosen)} more people are not shown, who are seen less or in fewer than '
             f'{MIN_PERSON_FRAMES} frames'
         )
-    sequences = []
-    for track in chosen:
-        sequence, said = select_person(detections, track.id)
-        sequences.append(sequence)
-        lines += [line for line in said if line.startswith('image size') and line not in lines]
-    return sequences, lines
+    return [arrange_sequence(detections, track) for track in chosen], lines
 
 
 def _reconstruct_sequences(

@@ -47,7 +47,7 @@ def draw_corpus_figure(
         panel.set_ylabel(counted)
         if len(values):
             panel.yaxis.get_major_locator().set_params(integer=True)
-            panel.hist(np.asarray(values, float), bins=min(BINS, len(values)), color=COLOUR)
+            panel.hist(np.asarray(values, float), bins=BINS, color=COLOUR)
         else:
             panel.text(0.5, 0.5, 'none', ha='center', transform=panel.transAxes)
     return figure

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -40,6 +41,12 @@ def make_tree() -> TransformTree:
     for tenth in range(11):
         tree.add(make_transforms(('odom', 'base', tenth * SECOND_NS // 10, (tenth / 10, 0, 0))), is_static=False)
     return tree
+
+
+def names_of(tree: TransformTree) -> set[str]:
+    """Return the frames of a tree that have a parent."""
+    messages = itertools.chain(*tree.encode_all())
+    return {t.child_frame_id for message in messages for t in decode(message, TRANSFORMS).transforms}
 
 
 def make_standing_person(person_id: str) -> Person3D:
@@ -210,6 +217,32 @@ def test_names_that_never_end_fill_no_memory() -> None:
         tree.add(make_transforms(*(('map', n, second * SECOND_NS, (0, 0, 0)) for n in names)), is_static=False)
     with pytest.raises(InputError, match=f'more than {MAX_FRAMES} frames'):
         tree.add(make_transforms(*(('map', f'c{i}', 0, (0, 0, 0)) for i in range(MAX_FRAMES + 1))), is_static=True)
+
+
+def test_frames_that_pause_and_come_back_with_others_never_exceed_the_limit() -> None:
+    """Frames of the message itself are among those that are forgotten; they count as new then."""
+
+    def make_crowd(count: int, second: int) -> bytes:
+        return make_transforms(*(('map', f'body_{i}', second * SECOND_NS, (0, 0, 0)) for i in range(count)))
+
+    tree = TransformTree()
+    tree.add(make_crowd(MAX_FRAMES - 100, 100), is_static=False)
+    tree.add(make_transforms(('map', 'robot', 120 * SECOND_NS, (1, 0, 0))), is_static=False)
+    with pytest.raises(InputError, match=f'more than {MAX_FRAMES} frames'):
+        tree.add(make_crowd(MAX_FRAMES, 120), is_static=False)
+    tree.add(make_crowd(MAX_FRAMES - 1, 120), is_static=False)
+    tree.add(make_transforms(('map', 'robot', 121 * SECOND_NS, (2, 0, 0))), is_static=False)
+    assert tree.find('map', 'robot', 121 * SECOND_NS, 0.1).translation[0] == 2
+    assert len(names_of(tree)) == MAX_FRAMES
+
+
+def test_a_full_tree_takes_the_frames_of_a_later_time() -> None:
+    """Otherwise a full tree would stay full: it would accept no message that says how late it is."""
+    tree = TransformTree()
+    for second in (100, 200):
+        names = [f'body_{second}_{i}' for i in range(MAX_FRAMES)]
+        tree.add(make_transforms(*(('map', n, second * SECOND_NS, (0, 0, 0)) for n in names)), is_static=False)
+    assert names_of(tree) == set(names)
 
 
 def test_transforms_of_people_are_known_by_their_names() -> None:

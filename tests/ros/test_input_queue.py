@@ -139,6 +139,17 @@ def test_a_forgotten_topic_takes_no_memory_and_is_numbered_anew() -> None:
     assert take_all(queue) == [('/keypoints', 1, False)]
 
 
+def test_a_topic_that_left_while_a_message_waited_is_forgotten_with_the_next() -> None:
+    queue = InputQueue()
+    for topic in ('/keypoints', '/tf'):
+        put(queue, topic)
+        queue.forget(topic)
+    put(queue, '/tf')  # somebody subscribes again
+    assert take_all(queue) == [('/keypoints', 1, False), ('/tf', 1, False), ('/tf', 2, False)]
+    queue.forget('/camera_info')
+    assert set(queue._received) == set(queue._first_waiting) == {'/tf'}
+
+
 def test_messages_of_people_alone_are_skipped() -> None:
     queue = InputQueue()
     put(queue, '/camera_info')

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from mocap_ros.ros.throttled_log import MAX_KINDS_PER_TOPIC, MAX_LINE_LENGTH, ThrottledLog
+from mocap_ros.ros.throttled_log import MAX_KINDS, MAX_LINE_LENGTH, ThrottledLog
 from tests.support.line_log import LineLog
 
 
@@ -24,10 +24,19 @@ def test_ever_new_kinds_of_remarks_do_not_flood_the_log() -> None:
     throttled = ThrottledLog(log)
     for i in range(1000):
         throttled.report('/keypoints', i, f'a kind of its own: {chr(500 + i)}')
-    assert len(log.lines) == MAX_KINDS_PER_TOPIC + 3  # and of all further kinds the 1st, 10th and 100th
+    assert len(log.lines) == MAX_KINDS + 3  # and of all further kinds the 1st, 10th and 100th
     assert 'further kinds of errors on this topic are not listed' in log.lines[-1]
     throttled.report('/camera_info', 1, 'another topic')
     assert log.lines[-1] == 'error /camera_info: message 1: another topic'
+
+
+def test_ever_new_bodies_do_not_flood_the_log() -> None:
+    log = LineLog()
+    throttled = ThrottledLog(log)
+    for i in range(1000):
+        throttled.report(f'/humans/bodies/b{i}/skeleton2d', 1, 'the same of every body')
+    assert len(log.lines) == 4
+    assert log.lines[-1].startswith('error /humans/bodies/b999/skeleton2d: message 1: the same of every body')
 
 
 def test_a_line_is_printable_and_of_limited_length() -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,13 @@ import mocap_ros
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError
-from mocap_ros.formats.detections import Video
+from mocap_ros.formats import detections
+from mocap_ros.formats.detections import Detections, PersonTrack, Video, associate_people
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.runtime.load_keypoints import load_input, load_sequence_file
+from mocap_ros.runtime import load_keypoints
+from mocap_ros.runtime.load_keypoints import load_input, load_people, load_sequence_file
 from mocap_ros.units import NS_PER_S
 from tests.support.camera_infos import camera_info
 from tests.support.keypoint_files import FPS, FRAMES, LIMITS, make_walker
@@ -146,3 +149,27 @@ def test_of_several_cameras_of_a_bag_one_is_chosen(tmp_path: Path) -> None:
         load_input(bag, Video(), LIMITS, camera_info='/back')
     with pytest.raises(mocap_ros.InputError, match='choose one with camera_info: '):
         mocap_ros.read(bag)
+
+
+def test_people_without_ids_are_associated_once_however_many_there_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each association takes as long as the whole input has people, so one for each person would take hours."""
+    walker = make_walker()
+    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
+        for frame in range(FRAMES):
+            stamp, person = (frame + 1) * NS_PER_S // 25, walker.person(frame)
+            people = [replace(person, points=person.points + [x, 0]) for x in (0, 500, 1000)]
+            recorder.write('/k', KEYPOINTS, encode_keypoints(Header(stamp, ''), (0, 0), people), stamp, stamp)
+    calls = []
+
+    def associate(found: Detections) -> list[PersonTrack]:
+        calls.append(found)
+        return associate_people(found)
+
+    for module in (detections, load_keypoints):
+        monkeypatch.setattr(module, 'associate_people', associate)
+    sequences, lines = load_people(tmp_path / 'bag', Video(), LIMITS)
+    assert [s.person_id for s in sequences] == ['person_1', 'person_2', 'person_3']
+    assert len({s.image_size for s in sequences}) == len(calls) == 1
+    assert [line for line in lines if 'image size not known' in line] == lines

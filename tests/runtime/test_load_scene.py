@@ -303,6 +303,44 @@ def test_a_long_bag_whose_stamps_are_all_equal_is_drawn() -> None:
     assert rows.build('equal').stamps_ns == [0]
 
 
+def record_images(folder: Path, encodings: dict[str, str], keypoints: str) -> None:
+    """Record an image of one grey on each topic, the darker the later the topic, and a message of keypoints."""
+    header = Header(10**9, 'camera')
+    with Recorder(folder, RecorderConfig()) as recorder:
+        for i, (topic, encoding) in enumerate(encodings.items()):
+            image = create_message(
+                IMAGE,
+                header=create_header(header),
+                height=1,
+                width=1,
+                encoding=encoding,
+                is_bigendian=0,
+                step=4,
+                data=np.full(4, 200 - 100 * i, np.uint8),
+            )
+            recorder.write(topic, IMAGE, encode(image, IMAGE), 1, 1)
+        recorder.write(keypoints, KEYPOINTS, encode_keypoints(header, (640, 480), []), 1, 1)
+
+
+@pytest.mark.parametrize(
+    ('encodings', 'keypoints', 'grey'),
+    [
+        ({'/front/image': 'mono8', '/rear/image': 'mono8'}, '/rear/keypoints', 100),
+        ({'/camera/depth/image_raw': '16UC1', '/camera/color/image_raw': 'mono8'}, '/camera/keypoints', 100),
+        ({'/camera/stereo/image': '32FC1', '/camera/color/image_raw': 'mono8'}, '/camera/keypoints', 100),
+        ({'/camera/depth/image_raw': 'mono8'}, '/camera/keypoints', 200),
+        ({'/front/image': 'mono8', '/rear/image': '32FC1'}, '/rear/keypoints', None),
+    ],
+)
+def test_images_of_another_camera_or_of_depth_are_not_drawn_where_others_are(
+    tmp_path: Path, encodings: dict[str, str], keypoints: str, grey: int | None
+) -> None:
+    record_images(tmp_path / 'bag', encodings, keypoints)
+    images = list(read_images(tmp_path / 'bag', [10**9], NodeConfig()))
+    found = [int(np.asarray(Image.open(io.BytesIO(image.data)))[0, 0, 0]) for image in images]
+    assert found == ([] if grey is None else [pytest.approx(grey, abs=5)])
+
+
 def test_images_of_a_bag_are_those_beside_the_keypoints(tmp_path: Path) -> None:
     pixels = np.zeros((4, 6, 3), np.uint8)
     pixels[:, :3] = [250, 10, 10]

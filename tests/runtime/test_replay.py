@@ -460,7 +460,7 @@ def test_internal_errors_cost_their_frame_and_are_told_once(
     write_bag(tmp_path / 'bag', stream)
     assert main(['replay', str(tmp_path / 'bag'), '-o', str(tmp_path / 'out'), *FAST_ARGUMENTS]) == 0
     out, err = capsys.readouterr()
-    assert f'{len(stream) - 3} frames accepted, 2 dropped, 1 invalid' in out
+    assert f'{len(stream) - 3} messages of people accepted, 2 dropped, 1 invalid' in out
     assert err.count('Traceback (most recent call last)') == 2
     assert "\nKeyError: 'a fault of the deferred work'\n" in err
     assert '\nZeroDivisionError: a fault of the tracker\n' in err

@@ -66,6 +66,7 @@ STRAIGHT_SINE = 0.05  # 1; sine of 3 degrees: of a straighter limb, the axis of 
 LIMB_RADIUS_M = 0.03  # m; of the cylinders that draw limbs, as in human_description
 MAX_LENGTH_CHANGE = 0.1  # share of a length; a body that changes more is described again
 CORE = len(CMU15.joints)  # joints of a person that the model is made of; they come first
+MAX_ID_CHARACTERS = 200  # of a body's id; the middleware refuses names of topics of more than 247
 EFFORT, SPEED = '1000', '0.5'  # limits that URDF demands; nobody drives these joints
 
 
@@ -154,9 +155,12 @@ _NO_LENGTHS = np.full(len(LENGTHS), np.nan)  # of a body that was not described
 
 
 def make_body_id(person_id: str) -> str:
-    """Return an id that can be part of the names of topics and frames: a letter, then letters, digits and _."""
+    """Return an id that can be part of the names of topics and frames: a letter, then letters, digits and _.
+
+    A longer one than `MAX_ID_CHARACTERS` is cut.
+    """
     valid = re.sub(r'\W', '_', person_id, flags=re.ASCII)
-    return valid if valid[:1].isalpha() else f'p{valid}'
+    return (valid if valid[:1].isalpha() else f'p{valid}')[:MAX_ID_CHARACTERS]
 
 
 class BodyNames:

@@ -38,6 +38,7 @@ from mocap_ros.skeleton import CMU15
 from tests.support.people import make_person_3d
 from tests.support.swinging_body import STANDING
 
+MAX_TOPIC_CHARACTERS = 247  # of the name of a topic, more than which the middleware refuses
 HEADER = Header(12_345_678_901, 'map')
 OWN_LENGTHS = np.array([0.5, 0.25, 0.18, 0.1, 0.3, 0.26, 0.42, 0.4])  # m, in the order of `LENGTHS`
 # Joints of REP-155's model, as hri_fullbody and human_description name them.
@@ -223,6 +224,15 @@ def test_people_keep_their_names_while_they_are_there_and_none_after_a_reset(pub
 @pytest.mark.parametrize(('given_id', 'body_id'), [('anna', 'anna'), ('7', 'p7'), ('a-b c', 'a_b_c'), ('ä', 'p_')])
 def test_ids_are_made_names_of_topics(given_id: str, body_id: str) -> None:
     assert make_body_id(given_id) == body_id
+
+
+def test_topics_of_bodies_are_not_longer_than_the_middleware_allows() -> None:
+    encoder, names = BodiesEncoder(), BodyNames()
+    people = [make_person_3d('x' * 1000), make_person_3d('x' * 1001)]
+    assigned = names.assign([p.id for p in people])
+    assert len(set(assigned.values())) == len(people)
+    topics = [m.topic for m in encoder.encode_update(HEADER, people, assigned)]
+    assert max(map(len, topics)) <= MAX_TOPIC_CHARACTERS
 
 
 def compute_limb_angles_slowly(places: dict[str, np.ndarray], side: str) -> list[float]:
