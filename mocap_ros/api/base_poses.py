@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from mocap_ros.api.arguments import name_argument, read_joint_names, read_numbers, read_path
 from mocap_ros.config import format_value
 from mocap_ros.errors import InputError, ModelError
-from mocap_ros.formats.text_files import guard_output
+from mocap_ros.formats.text_files import replace_output
 from mocap_ros.models import base_poses, model_file
 from mocap_ros.skeleton import CMU15, canonical_joint_names
 from mocap_ros.training.base_poses import fit_base_poses
@@ -126,8 +126,8 @@ class BasePoses(base_poses.BasePoses):
             MocapError: the file cannot be written.
         """
         path = read_path('path', path)
-        with guard_output(path):
-            model_file.save_base_poses(self, path)
+        with replace_output(path) as unfinished:
+            model_file.save_base_poses(self, unfinished)
 
     @classmethod
     def _extend(cls, model: base_poses.BasePoses) -> BasePoses:

@@ -15,7 +15,7 @@ from mocap_ros.config import NodeConfig, format_value
 from mocap_ros.errors import InputError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import KeypointSequence, make_camera_arrays, save_sequence
-from mocap_ros.formats.text_files import guard_output
+from mocap_ros.formats.text_files import replace_output
 from mocap_ros.runtime import save_results
 from mocap_ros.runtime.load_keypoints import load_input
 from mocap_ros.skeleton import keypoint_layout
@@ -83,7 +83,7 @@ def write(path: str | Path, result: PoseSequence | KeypointSequence) -> None:
     `.osim`. Keypoints are written as `.npz`, with the camera and the truth if there are any.
 
     Args:
-        path: the file, which is overwritten if it exists.
+        path: the file, which is replaced if it exists, once all of the new one is written.
         result: a result of `mocap_ros.reconstruct`, or keypoints.
 
     Raises:
@@ -98,11 +98,11 @@ def write(path: str | Path, result: PoseSequence | KeypointSequence) -> None:
     suffixes = save_results.SUFFIXES if isinstance(result, PoseSequence) else ('.npz',)
     if not path.name.endswith(suffixes):
         raise InputError(f'path: {path}: unknown file type; expected {", ".join(suffixes)}')
-    with guard_output(path):
+    with replace_output(path) as unfinished:
         if isinstance(result, PoseSequence):
-            save_results.save(path, result._reconstruction)
+            save_results.save(unfinished, result._reconstruction)
         else:
-            save_sequence(path, check_sequence(result))
+            save_sequence(unfinished, check_sequence(result))
             if result.calibration is not None and make_camera_arrays(result)[0] is None:
                 LOGGER.warning('%s: without the camera, because a sequence file holds no fisheye lens', path)
 

@@ -30,7 +30,7 @@ from mocap_ros.demo.scene import motion_name_at
 from mocap_ros.errors import MocapError
 from mocap_ros.evaluation import metrics
 from mocap_ros.formats.sequence_file import KeypointSequence
-from mocap_ros.formats.text_files import guard_output
+from mocap_ros.formats.text_files import replace_output
 from mocap_ros.messages.cdr import decode, read_stamp
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.load_keypoints import load_sequence_file
@@ -108,10 +108,11 @@ def run(args: argparse.Namespace) -> int:
     sequence = load_sequence_file(recording)
     joints, inferred = read_first_person(new_bags[-1], sequence)
     picture = args.output / 'demo.png'
-    _draw_picture(sequence, joints, inferred, picture)
+    with replace_output(picture) as unfinished:
+        _draw_picture(sequence, joints, inferred, unfinished)
     page = args.output / 'demo.html'
-    with guard_output(page):
-        page.write_text(build_page(load_demo_scene(new_bags[-1], sequence)), encoding='utf-8')
+    with replace_output(page) as unfinished:
+        unfinished.write_text(build_page(load_demo_scene(new_bags[-1], sequence)), encoding='utf-8')
     print(f'Bag:     {new_bags[-1]}')
     print(f'Picture: {picture}')
     print(f'Page:    {page} (opens in any browser)')

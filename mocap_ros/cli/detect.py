@@ -15,12 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from mocap_ros.cli.interrupts import interrupt_between_items
+from mocap_ros.cli.keypoint_input import list_sources
 from mocap_ros.cli.options import derive_output_stem, parse_count, parse_positive
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import InputError, tell_installation
 from mocap_ros.formats.detections import Detections, select_person
 from mocap_ros.formats.sequence_file import describe_frames, save_sequence
-from mocap_ros.formats.text_files import check_output, guard_output
+from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.formats.video import VideoImage, find_camera
 from mocap_ros.runtime.detection import ShowProgress, detect_in_video
 from mocap_ros.runtime.input_kind import InputKind, require_kind
@@ -83,7 +84,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f'{output}: unknown file type; expected {", ".join(SUFFIXES)}')
     if output.suffix == BAG_SUFFIX and args.person is not None:
         raise InputError(f'{output}: holds all people; --person applies to a .npz')
-    check_output(output, *([] if camera else [path]))
+    sources = list_sources(args)
+    check_output(output, *sources)
     if camera is None:
         require_kind(path, [InputKind.VIDEO], 'a video, or the number or the device of a camera')
 
@@ -99,8 +101,8 @@ def run(args: argparse.Namespace) -> int:
         detections = _detect_until_interrupted(camera, args, limit_and_show)
     if output.suffix == BAG_SUFFIX:
         lines, times = list(detections.remarks), np.array([stamp / NS_PER_S for stamp in detections.stamps_ns])
-        with guard_output(output):
-            save_detections(output, detections)
+        with replace_output(output, *sources) as unfinished:
+            save_detections(unfinished, detections)
         what = f'{len({p.id for people in detections.people for p in people})} people'
     else:
         try:
@@ -108,8 +110,8 @@ def run(args: argparse.Namespace) -> int:
         except InputError as error:
             raise InputError(f'{path}: {error}') from None
         times = sequence.timestamps
-        with guard_output(output):
-            save_sequence(output, sequence)
+        with replace_output(output, *sources) as unfinished:
+            save_sequence(unfinished, sequence)
         what = f'{len(sequence.joint_names)} keypoints of {sequence.person_id}'
     for line in lines:
         print(f'mocap-ros: {path}: {line}', file=sys.stderr)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.cli.keypoint_input import (
     add_model_option,
+    list_sources,
     load_models,
     name_file_in_errors,
 )
@@ -38,7 +39,7 @@ from mocap_ros.evaluation.evaluate import (
 )
 from mocap_ros.formats.result_file import StoredResult
 from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence, check_timestamps
-from mocap_ros.formats.text_files import check_output, guard_output
+from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.runtime.input_kind import InputKind, require_kind
 from mocap_ros.runtime.load_keypoints import load_sequence_file
@@ -112,10 +113,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate every input, and print a table of the errors."""
-    sources = [*args.input, *([] if args.truth is None else [args.truth])]
+    config = load_config(args)
+    sources = list_sources(args, config)
     if args.json is not None:
         check_output(args.json, *sources)
-    config = load_config(args)
     models = load_models(args, config)
     given_truth = None if args.truth is None else _load_truth(args.truth)
     truths = {} if given_truth is None else {args.truth: given_truth}
@@ -145,8 +146,8 @@ def run(args: argparse.Namespace) -> int:
             print(f'mocap-ros: {path}: {warning}', file=sys.stderr)
         records.append({'file': path.name, **evaluation.as_dict(), **coverage, **timing})
     if args.json is not None:
-        with guard_output(args.json, *sources):
-            args.json.write_text(_format_json(records), encoding='utf-8')
+        with replace_output(args.json, *sources) as unfinished:
+            unfinished.write_text(_format_json(records), encoding='utf-8')
     print_table(records)
     print_coverage(records)
     for path, sequence in truths.items():

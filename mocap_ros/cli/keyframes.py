@@ -8,9 +8,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.cli.keypoint_input import (
     add_input_options,
+    list_sources,
     load_input_sequence,
     name_file_in_errors,
 )
@@ -18,7 +18,7 @@ from mocap_ros.cli.options import add_config_options, derive_output_stem, load_c
 from mocap_ros.cli.progress import StageDisplay
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import extract_observations
-from mocap_ros.formats.text_files import check_output, guard_output
+from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
 from mocap_ros.offline.keyframes.reconstruct import find_keyframes, observe_plausible_points
 from mocap_ros.runtime.save_keyframes import format_yaml, list_keyframe_entries
@@ -55,9 +55,11 @@ def run(args: argparse.Namespace) -> int:
     output = args.output or Path(f'{derive_output_stem(args.input)}_keyframes.yaml')
     if output.suffix not in ('.yaml', '.yml'):
         raise InputError(f'{output}: unknown file type; expected .yaml')
-    sources = (args.input, args.input / METADATA, *([] if args.config is None else [args.config]))
-    check_output(output, *sources)
     config = load_config(args)
+    sources = list_sources(args, config)
+    pictures = output.with_suffix('.png'), output.with_name(f'{output.stem}_distances.png')
+    for path in (output, *pictures):
+        check_output(path, *sources)
     sequence = load_input_sequence(args, config)
     with name_file_in_errors(args.input), StageDisplay() as set_stage:
         set_stage('keypoints')
@@ -67,13 +69,12 @@ def run(args: argparse.Namespace) -> int:
         set_stage('pictures')
         poses = draw_keyframes_figure(observed, keyframes, args.input.name)
         distances = draw_distances_figure(observed, keyframes, config.keyframes.beta, args.input.name)
-    pictures = {output.with_suffix('.png'): poses, output.with_name(f'{output.stem}_distances.png'): distances}
-    with guard_output(output, *sources):
+    with replace_output(output, *sources) as unfinished:
         name, start_ns = plots.make_printable(args.input.name), sequence.stamps_ns[0]
-        output.write_text(format_yaml(observed, keyframes, name, start_ns), encoding='utf-8')
-    for path, figure in pictures.items():
-        with guard_output(path):
-            plots.save_figure(figure, path)
+        unfinished.write_text(format_yaml(observed, keyframes, name, start_ns), encoding='utf-8')
+    for path, figure in zip(pictures, (poses, distances), strict=True):
+        with replace_output(path, *sources) as unfinished:
+            plots.save_figure(figure, unfinished)
     print_table(observed, keyframes)
     print(*(str(path) for path in (output, *pictures)), sep='\n')
     return 0

@@ -14,11 +14,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.bags.reader import list_bag_files
+from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.cli.options import parse_positive
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.detections import Video
+from mocap_ros.formats.mocap.trials import MANIFEST_NAME, list_files
 from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX, KeypointSequence
 from mocap_ros.formats.video import VideoImage
 from mocap_ros.models.base_poses import BasePoses
@@ -28,7 +31,34 @@ from mocap_ros.skeleton import LAYOUT_NAMES
 
 Array = NDArray[np.float64]
 
+# Options of all commands that name files to read; a name that is no file does no harm.
+FILE_OPTIONS = (
+    *('input', 'config', 'model', 'detector', 'choices', 'keyframes', 'truth'),
+    *('manifest', 'markers', 'start_from'),
+)
 MAX_IMAGE_SIZE_CHARACTERS = 20  # characters of --image-size; guards int() below against thousands of digits
+
+
+def list_sources(args: argparse.Namespace, config: Config | None = None) -> list[Path]:
+    """Return the files that a command reads, which its output must not overwrite; not all of them need exist.
+
+    Args:
+        args: options of any command.
+        config: the parameters of the command, which may name a model and a lifter; None if it has none.
+
+    Raises:
+        InputError: a folder of motion capture holds none.
+    """
+    paths: list[Path] = []
+    for option in FILE_OPTIONS:
+        value = getattr(args, option, None) or []
+        paths += map(Path, value if isinstance(value, list) else [value])
+    if config is not None:
+        paths += [Path(config.tracker.model), Path(config.solver.prior)]
+    motions = [file for path in getattr(args, 'data', []) for file in list_files(path)]
+    for folder in {motion.parent for motion in motions}:
+        paths += [folder / MANIFEST_NAME, *folder.glob('*.[aA][sS][fF]')]
+    return [*motions, *(file for path in paths for file in (path, path / METADATA, *list_bag_files(path)))]
 
 
 def add_model_option(parser: argparse.ArgumentParser) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from mocap_ros.cli.keypoint_input import (
     add_input_options,
     add_model_option,
+    list_sources,
     load_input_sequence,
     load_models,
     name_file_in_errors,
@@ -23,7 +24,7 @@ from mocap_ros.cli.reconstruct import reconstruct_file
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
 from mocap_ros.formats.detections import Video
-from mocap_ros.formats.text_files import check_output, guard_output
+from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 from mocap_ros.runtime.load_keypoints import load_input
 from mocap_ros.runtime.load_results import holds_result, load_result
@@ -66,21 +67,22 @@ def run(args: argparse.Namespace) -> int:
     if not 1 <= args.poses <= MAX_POSES:
         raise InputError(f'--poses {args.poses}: expected 1 to {MAX_POSES}')
     require_kind(args.input, (*KEYPOINT_KINDS, InputKind.RESULT), f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)')
-    check_output(output, args.input)
-    drawn = _load_result(args) if holds_result(args.input) else _reconstruct(args)
+    config = load_config(args)
+    sources = list_sources(args, config)
+    check_output(output, *sources)
+    drawn = _load_result(args) if holds_result(args.input) else _reconstruct(args, config)
     count = min(args.poses, len(drawn.times))
     frames = np.linspace(0, len(drawn.times) - 1, count).round().astype(int).tolist()
     labels = [f'{drawn.times[f] - drawn.times[0]:.2f} s' for f in frames]
     figure = plots.draw_poses_figure(drawn, frames, args.input.name, labels)
-    with guard_output(output, args.input):
-        plots.save_figure(figure, output)
+    with replace_output(output, *sources) as unfinished:
+        plots.save_figure(figure, unfinished)
     print(output)
     return 0
 
 
-def _reconstruct(args: argparse.Namespace) -> plots.PlotData:
+def _reconstruct(args: argparse.Namespace, config: Config) -> plots.PlotData:
     """Reconstruct the keypoints of the input."""
-    config = load_config(args)
     models = load_models(args, config)
     sequence = load_input_sequence(args, config)
     with name_file_in_errors(args.input):

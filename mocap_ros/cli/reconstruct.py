@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_ros.bags.reader import list_bag_files
 from mocap_ros.cli.keypoint_input import (
     add_input_options,
     add_model_option,
+    list_sources,
     load_input_people,
     load_input_sequence,
     load_models,
@@ -29,7 +29,7 @@ from mocap_ros.config import Config, load_yaml
 from mocap_ros.errors import InputError
 from mocap_ros.formats.export.bvh import BLENDER_IMPORT
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
-from mocap_ros.formats.text_files import check_output, guard_output, read_text
+from mocap_ros.formats.text_files import check_output, read_text, replace_output
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.keyframes import reconstruct
 from mocap_ros.offline.keyframes.taylor import DepthChoice, parse_depth_choices
@@ -89,15 +89,16 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Reconstruct the input, save the result, and print its residual."""
     outputs = args.output or [Path(f'{derive_output_stem(args.input)}_3d.npz')]
+    config = load_config(args)
+    sources = list_sources(args, config)
     for output in outputs:
         if not save_results.find_suffix(output):
             raise InputError(f'{output}: unknown file type; expected {", ".join(save_results.SUFFIXES)}')
-        check_output(output, args.input, *list_bag_files(args.input))
+        check_output(output, *sources)
     if args.all_people and args.person is not None:
         raise InputError(f'{args.input}: --person and --all-people exclude each other')
     if args.choices is not None and args.method != 'keyframes':
         raise InputError(f'{args.choices}: --choices needs --method keyframes')
-    config = load_config(args)
     models = load_models(args, config)
     if args.all_people:
         sequences = load_input_people(args, config)
@@ -157,8 +158,8 @@ def _reconstruct_and_save(
             result = reconstruct_file(sequence, models, config)
         summary = f'{result.solution.iterations} iterations'
     for output in outputs:
-        with guard_output(output, args.input, *list_bag_files(args.input)):
-            save_results.save(output, save_results.ReconstructedSequence(sequence, result))
+        with replace_output(output, *list_sources(args, config)) as unfinished:
+            save_results.save(unfinished, save_results.ReconstructedSequence(sequence, result))
     solution = result.solution
     warning = '' if solution.success else f'. {solution.message}'
     missing = int(np.isnan(result.joints).any(axis=(1, 2)).sum())

@@ -8,12 +8,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from mocap_ros.cli.keypoint_input import list_sources
 from mocap_ros.cli.options import parse_positive
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import MocapError
 from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, load_marker_map
-from mocap_ros.formats.mocap.trials import TrialOptions, list_files, load_trials, select_trials
-from mocap_ros.formats.text_files import check_output, guard_output
+from mocap_ros.formats.mocap.trials import TrialOptions, load_trials, select_trials
+from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.models import model_file
 from mocap_ros.training.balance import balance_trials
 from mocap_ros.training.base_poses import fit_base_poses
@@ -111,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
     """Train and save a model, and print a summary of it."""
     if min(args.components, args.every) < 1 or (args.bodies or 0) < 0:
         raise MocapError('--components and --every must be positive, and --bodies must not be negative')
-    sources = [file for path in args.data for file in list_files(path)]
+    sources = list_sources(args)
     check_output(args.output, *sources)
     markers = None if args.markers is None else load_marker_map(args.markers)
     options = TrialOptions(args.manifest, markers, args.unit, args.every)
@@ -143,8 +144,8 @@ def run(args: argparse.Namespace) -> int:
             'trials': [t.name for t in trials],
         },
     )
-    with guard_output(args.output, *sources):
-        model_file.save_base_poses(model, args.output)
+    with replace_output(args.output, *sources) as unfinished:
+        model_file.save_base_poses(model, unfinished)
     explained_by_ten = model.explained[min(9, len(model.explained) - 1)]
     print(
         f'{args.output}: {len(model.std)} base poses from {len(trials)} trials, '

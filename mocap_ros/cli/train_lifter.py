@@ -6,16 +6,19 @@
 from __future__ import annotations
 
 import argparse
+import io
+import os
 import pickle
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from mocap_ros.cli.keypoint_input import list_sources
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import MocapError, tell_installation
-from mocap_ros.formats.mocap.trials import TrialOptions, list_files, load_trials, select_trials
-from mocap_ros.formats.text_files import check_output, guard_output
+from mocap_ros.formats.mocap.trials import TrialOptions, load_trials, select_trials
+from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.models import model_file
 from mocap_ros.training.balance import balance_trials
 
@@ -88,10 +91,12 @@ def run(args: argparse.Namespace) -> int:
         raise MocapError('--steps, --threads and --every must be positive')
     if not 0 <= args.seed <= MAX_SEED:
         raise MocapError(f'--seed {args.seed}: expected 0 to {MAX_SEED}')
-    sources = [file for path in args.data for file in list_files(path)]
+    sources = list_sources(args)
     for path in (args.output, args.checkpoint):
         if path is not None:
             check_output(path, *sources)
+    if args.checkpoint is not None and os.path.realpath(args.output) == os.path.realpath(args.checkpoint):
+        raise MocapError(f'{args.output}: not written, because it is the checkpoint as well')
     try:
         import torch
 
@@ -131,11 +136,11 @@ def run(args: argparse.Namespace) -> int:
         provenance,
         start=start,
         checkpoint=None if path is None or not path.exists() else _load_checkpoint(path, args.steps),
-        keep=None if path is None else lambda state: _save_checkpoint(state, path),
+        keep=None if path is None else lambda state: _save_checkpoint(state, path, sources),
         progress=lambda steps: show_progress(steps, 'train'),
     )
-    with guard_output(args.output, *sources):
-        model_file.save_lifter(lifter, args.output)
+    with replace_output(args.output, *sources) as unfinished:
+        model_file.save_lifter(lifter, unfinished)
     frames = sum(len(t.poses) for t in trials)
     print(
         f'{args.output}: trained on {len(trials)} trials, {frames} poses; mean error '
@@ -161,11 +166,11 @@ def _load_checkpoint(path: Path, steps: int) -> Mapping[str, Any]:
     return checkpoint
 
 
-def _save_checkpoint(checkpoint: Mapping[str, Any], path: Path) -> None:
-    """Write a checkpoint; a file that was there is replaced only once the new one is complete."""
+def _save_checkpoint(checkpoint: Mapping[str, Any], path: Path, sources: Sequence[Path]) -> None:
+    """Write a checkpoint, which must be none of the sources, as `replace_output` writes a file."""
     import torch
 
-    with guard_output(path):
-        unfinished = path.with_name(path.name + '.part')
-        torch.save(dict(checkpoint), unfinished)
-        unfinished.replace(path)
+    content = io.BytesIO()  # PyTorch, writing a file by itself, hides why it cannot be written
+    torch.save(dict(checkpoint), content)
+    with replace_output(path, *sources) as unfinished:
+        unfinished.write_bytes(content.getbuffer())

@@ -12,10 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from mocap_ros.bags.reader import is_bag, list_bag_files
+from mocap_ros.bags.reader import is_bag
 from mocap_ros.cli.keypoint_input import (
     add_input_options,
     add_model_option,
+    list_sources,
     load_models,
     name_file_in_errors,
     show_detection_progress,
@@ -25,7 +26,7 @@ from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.result_file import is_result_file
-from mocap_ros.formats.text_files import check_output, guard_output
+from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.runtime.bag_images import read_images
 from mocap_ros.runtime.load_scene import SceneOptions, load_keyframe_marks, load_scene, place_marks
 from mocap_ros.viewing.page import build_page
@@ -98,14 +99,14 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f'{output}: unknown file type; expected {", ".join(SUFFIXES)}')
     if output.suffix == '.rrd':
         import_rerun()
-    sources = (args.input, *list_bag_files(args.input))
+    sources = list_sources(args, load_config(args))
     check_output(output, *sources)
     scene = _load(args)
-    with guard_output(output, *sources):
+    with replace_output(output, *sources) as unfinished:
         if output.suffix == '.rrd':
-            write_recording(scene, output, images=_read_images(args, scene))
+            write_recording(scene, unfinished, images=_read_images(args, scene))
         else:
-            output.write_text(build_page(scene), encoding='utf-8')
+            unfinished.write_text(build_page(scene), encoding='utf-8')
     print(output)
     return 0
 

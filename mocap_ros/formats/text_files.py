@@ -1,22 +1,27 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reading text and JSON files of limited size, and one-line errors for files that cannot be read or written."""
+"""Reading text and JSON files of limited size, replacing files by whole new ones, and one-line errors for both."""
 
 from __future__ import annotations
 
 import errno
 import json
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.input_file import NEITHER_FILE_NOR_FOLDER, open_input_file
 
 MAX_FILE_BYTES = 256 << 20  # guards the memory; an hour of one person's COCO results at 30 Hz is about 100 MB
+# Errors of folders where files may be written but neither created nor replaced: those of others, read-only ones,
+# and files that are mounted one by one, as in containers.
+IRREPLACEABLE = frozenset((errno.EACCES, errno.EPERM, errno.EROFS, errno.EBUSY))
 
 
 def read_text(path: Path, errors: str = 'strict', max_bytes: int = MAX_FILE_BYTES) -> str:
@@ -75,9 +80,8 @@ def check_output(path: Path, *sources: Path) -> None:
         raise MocapError(f'{path}: not written, because it is the input file')
     if path.is_dir():
         raise MocapError(f'{path}: cannot be written: is a folder')
-    if (
-        path.resolve().is_fifo()
-    ):  # opening it would wait for a reader; an open pipe such as /dev/stdout has no path
+    # Opening a named pipe would wait for a reader; an open pipe such as /dev/stdout has no path.
+    if Path(os.path.realpath(path)).is_fifo():
         raise MocapError(f'{path}: cannot be written: {NEITHER_FILE_NOR_FOLDER}')
     if not path.parent.is_dir():
         raise MocapError(f'{path}: cannot be written: there is no folder {path.parent}')
@@ -86,18 +90,75 @@ def check_output(path: Path, *sources: Path) -> None:
 
 
 @contextmanager
-def guard_output(path: Path, *sources: Path) -> Iterator[None]:
-    """Guard the code that writes a file.
+def replace_output(path: Path, *sources: Path) -> Iterator[Path]:
+    """Yield the path to which a file is to be written, and put that file in place when all of it is written.
+
+    The yielded path has the name of the file, in a temporary folder beside it. An error or an interrupt in the
+    block leaves the old file as it was, and nothing of the new one. A link stays, and the file that it points to
+    is replaced; an existing file keeps its permissions. A device, an open pipe, what is open as /dev/stdout, and a
+    file in a folder that takes no new files are written directly: then `path` itself is yielded.
 
     Args:
-        path: path of the file that is written.
+        path: path of the file.
         sources: input files, which must not be overwritten.
 
     Raises:
-        MocapError: `check_output` refuses the path, or the file cannot be written; the error names the file.
+        MocapError: `check_output` refuses the path, or the file cannot be written; the error names `path`, also if
+            the block raised it with the name of the temporary file.
     """
     check_output(path, *sources)
     try:
-        yield
+        folder = _create_folder_beside(path)
+        if folder is None:
+            yield path
+            return
+        with folder as name:
+            unfinished = Path(name) / path.name
+            try:
+                yield unfinished
+            except MocapError as error:
+                raise type(error)(str(error).replace(str(unfinished), str(path))) from None
+            _put_in_place(unfinished, Path(os.path.realpath(path)))
     except OSError as error:
         raise MocapError(f'{path}: cannot be written: {error.strerror or error}') from None
+
+
+def _create_folder_beside(path: Path) -> TemporaryDirectory[str] | None:
+    """Create a temporary folder beside the file that a path or a link names; None where the file is not replaced.
+
+    Raises:
+        OSError: the folder cannot be created, and there is no file that could be written directly.
+    """
+    if path.exists() and (not path.is_file() or _is_descriptor(path)):
+        return None
+    try:
+        return TemporaryDirectory(dir=Path(os.path.realpath(path)).parent, prefix='.mocap_ros_')
+    except OSError as error:
+        if error.errno in IRREPLACEABLE and path.exists():
+            return None
+        raise
+
+
+def _is_descriptor(path: Path) -> bool:
+    """Return whether a path that exists names what a process has open, as /dev/stdout does: maybe a file."""
+    while not (place := path.parent.resolve() / path.name).is_relative_to('/proc'):
+        if not place.is_symlink():
+            return False
+        path = place.parent / place.readlink()
+    return True
+
+
+def _put_in_place(new: Path, old: Path) -> None:
+    """Replace an old file, whose permissions are kept, by a new one; the old one need not exist.
+
+    Raises:
+        OSError: the old file can be neither replaced nor written.
+    """
+    if old.exists():
+        shutil.copymode(old, new)
+    try:
+        new.replace(old)
+    except OSError as error:
+        if error.errno not in IRREPLACEABLE or not old.exists():
+            raise
+        shutil.copyfile(new, old)

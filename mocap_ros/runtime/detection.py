@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -53,37 +53,35 @@ def detect_in_video(
         is_camera: whether `path` is a camera.
 
     Returns:
-        The people in each image. Their ids are those of `name_people`; the remarks name the detector and what was
-        left out.
+        The people in each image. Their ids are those of `name_people`; the remarks name the detector, what was
+        left out, and why the images ended early.
 
     Raises:
         InputError: the video cannot be decoded, is too long, or shows nobody; the error names it.
         ModelError: the model cannot be used; the error names it.
+        Both end the images of a camera instead, which nobody can show again, once somebody was detected.
     """
     with VideoReader(path, is_camera=is_camera) as reader:
         detector = load_detector(model, max_people)
         people: list[Sequence[Person2D]] = []
         stamps_ns: list[int] = []
         size = (0, 0)
+        ending = ''
         images = read_ahead(iter(reader))
         try:
-            for image, time_s in show_progress(images, reader.image_count):
-                if size not in ((0, 0), (image.shape[1], image.shape[0])):
-                    raise InputError(
-                        f'{path}: the size of the images changes from {size[0]} x {size[1]} px to '
-                        f'{image.shape[1]} x {image.shape[0]} px at {time_s:.3f} s'
-                    )
-                if len(people) == MAX_FRAMES:
-                    raise InputError(f'{path}: more than {MAX_FRAMES} images')
-                size = image.shape[1], image.shape[0]
-                people.append(detect_people(detector, image, time_s))
-                stamps_ns.append(round(time_s * NS_PER_S))
-        except ModelError as error:
-            raise ModelError(f'{model or detector.name}: {error}') from None
+            shown = show_progress(images, reader.image_count)
+            for item, found in _detect_in_images(shown, detector, path, model):
+                people.append(found)
+                stamps_ns.append(round(item.time_s * NS_PER_S))
+                size = item.image.shape[1], item.image.shape[0]
+        except (InputError, ModelError) as error:
+            if not (is_camera and any(people)):
+                raise
+            ending = f'warning: ended early: {str(error).removeprefix(f"{path}: ")}'
         finally:
             images.close()
             detector.close()
-        left_out, ending = reader.left_out, reader.ending
+        left_out, ending = reader.left_out, ending or reader.ending
     if not any(people):
         raise InputError(f'{path}: {NOBODY_SEEN} ({len(people)} images, {detector.name})')
     remarks = [f'keypoints by {detector.name}']
@@ -93,6 +91,31 @@ def detect_in_video(
         remarks.append(ending)
     detections, changes = name_people(Detections(people, stamps_ns, size))
     return replace(detections, remarks=(*remarks, *changes))
+
+
+def _detect_in_images(
+    images: Iterable[VideoImage], detector: Detector, path: Path, model: Path | None
+) -> Iterator[tuple[VideoImage, list[Person2D]]]:
+    """Yield each image of a video with the people in it; the arguments are those of `detect_in_video`.
+
+    Raises:
+        InputError: the size of the images changes, or there are more than `MAX_FRAMES`; the error names the video.
+        ModelError: the detector failed; the error names the model.
+    """
+    size = (0, 0)
+    for count, item in enumerate(images):
+        before, size = size, (item.image.shape[1], item.image.shape[0])
+        if count and size != before:
+            raise InputError(
+                f'{path}: the size of the images changes from {before[0]} x {before[1]} px to '
+                f'{size[0]} x {size[1]} px at {item.time_s:.3f} s'
+            )
+        if count == MAX_FRAMES:
+            raise InputError(f'{path}: more than {MAX_FRAMES} images')
+        try:
+            yield item, detect_people(detector, item.image, item.time_s)
+        except ModelError as error:
+            raise ModelError(f'{model or detector.name}: {error}') from None
 
 
 def name_people(detections: Detections) -> tuple[Detections, list[str]]:

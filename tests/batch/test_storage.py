@@ -13,7 +13,7 @@ import pytest
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.errors import DiskFull, InputError, MocapError, RecordingError
-from mocap_ros.formats.text_files import guard_output
+from mocap_ros.formats.text_files import replace_output
 from mocap_ros.runtime.save_results import SUFFIXES
 from tests.support.bag_corpus import read_outputs, write_demo_bag
 
@@ -139,9 +139,9 @@ def test_a_full_disk_is_told_from_other_errors() -> None:
 
 
 def test_a_full_disk_is_known_behind_the_error_of_a_file_that_could_not_be_written(tmp_path: Path) -> None:
-    with pytest.raises(MocapError) as told, guard_output(tmp_path / 'x.npz'):
+    with pytest.raises(MocapError) as told, replace_output(tmp_path / 'x.npz'):
         raise OSError(errno.ENOSPC, 'No space left on device')
     assert storage.is_disk_full(told.value)
-    with pytest.raises(MocapError) as told, guard_output(tmp_path / 'x.npz'):
+    with pytest.raises(MocapError) as told, replace_output(tmp_path / 'x.npz'):
         raise OSError(errno.EIO, 'Input/output error')
     assert not storage.is_disk_full(told.value)

@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +18,9 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.cli.main import main
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.detectors.detector import Detector, Image
+from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import GroundTruth, load_sequence
-from mocap_ros.formats.video import VideoReader
+from mocap_ros.formats.video import VideoImage, VideoReader
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
@@ -105,6 +108,32 @@ def test_an_interrupt_of_a_camera_keeps_what_was_detected(
         signal.signal(signal.SIGINT, before)
     assert '17 keypoints of person_1, 16 frames' in capsys.readouterr().out
     assert len(load_sequence(out)) == 20 - 4
+
+
+@pytest.mark.parametrize('suffix', ['.npz', '.mcap'])
+def test_a_camera_that_is_unplugged_keeps_what_was_detected(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], suffix: str
+) -> None:
+    """A video takes the place of the camera."""
+
+    class UnpluggedCamera(VideoReader):
+        def __init__(self, path: Path, *, is_camera: bool) -> None:
+            assert is_camera
+            super().__init__(path)
+
+        def __iter__(self) -> Iterator[VideoImage]:
+            yield from itertools.islice(super().__iter__(), 20)
+            raise InputError(f'{self._path}: the camera has gone (No such device)')
+
+    monkeypatch.setattr(detection, 'VideoReader', UnpluggedCamera)
+    monkeypatch.setattr('mocap_ros.cli.detect.find_camera', Path)
+    video, out = folder / 'walk.mp4', tmp_path / f'me{suffix}'
+    assert main(['detect', str(video), '--model', str(folder / 'movenet.onnx'), '-o', str(out)]) == 0
+    written = capsys.readouterr()
+    warning = 'warning: ended early: the camera has gone (No such device)'
+    assert f'mocap-ros: {video}: {warning}\n' in written.err
+    assert f', {16 if suffix == ".npz" else 20} frames' in written.out
+    assert out.stat().st_size
 
 
 def test_a_model_that_is_not_there_is_named_in_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

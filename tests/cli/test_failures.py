@@ -7,10 +7,15 @@ from __future__ import annotations
 
 import io
 import os
+import re
+import resource
 import shutil
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, BinaryIO
 
 import numpy as np
 import pytest
@@ -18,15 +23,31 @@ import pytest
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.cli.main import main
 from mocap_ros.cli.options import derive_output_stem
+from mocap_ros.cli.train_lifter import _save_checkpoint
 from mocap_ros.config import RecorderConfig
+from mocap_ros.errors import MocapError
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.bvh import save_bvh
 from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.messages.keypoints import KEYPOINTS
+from mocap_ros.runtime import save_results
 from mocap_ros.runtime.sequence_messages import encode_sequence
 from mocap_ros.skeleton import CMU15
 from tests.support.motion_files import Z_UP_TO_Y_UP, make_poses
 from tests.support.quick_options import QUICK_OPTIONS
+
+MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than any result has
+
+
+@contextmanager
+def limit_file_size() -> Iterator[None]:
+    """Let no file grow beyond `MAX_WRITTEN_BYTES`, in place of a disk that is full half-way."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_WRITTEN_BYTES, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @pytest.mark.parametrize(
@@ -286,6 +307,143 @@ def test_an_input_file_is_never_overwritten(
         message = capsys.readouterr().err.splitlines()[-1]
         assert message == f'mocap-ros: {out}: not written, because it is the input file'
         assert out.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'out'),
+    [
+        (['reconstruct', 'RECORDING', '--model', 'read.npz', '-o', 'read.npz'], 'read.npz'),
+        (['reconstruct', 'RECORDING', '--set', 'tracker.model=read.npz', '-o', 'read.npz'], 'read.npz'),
+        (['reconstruct', 'RECORDING', '--set', 'solver.prior=read.npz', '-o', 'read.npz'], 'read.npz'),
+        (['reconstruct', 'RECORDING', '--config', 'read.csv', '-o', 'a.npz', '-o', 'read.csv'], 'read.csv'),
+        (['reconstruct', 'RECORDING', '--config', 'parameters.yaml', '-o', 'read.npz'], 'read.npz'),
+        (['reconstruct', 'RECORDING', '--detector', 'read.npz', '-o', 'read.npz'], 'read.npz'),
+        (
+            ['reconstruct', 'RECORDING', '--method', 'keyframes', '--choices', 'read.csv', '-o', 'read.csv'],
+            'read.csv',
+        ),
+        (['plot', 'RECORDING', '--config', 'read.png', '-o', 'read.png'], 'read.png'),
+        (['plot', 'bag', '-o', 'bag/bag_0.png'], 'bag/bag_0.png'),
+        (['view', 'RECORDING', '--keyframes', 'read.html', '-o', 'read.html'], 'read.html'),
+        (['view', 'RECORDING', '--model', 'read.html', '-o', 'read.html'], 'read.html'),
+        (['keyframes', 'RECORDING', '--config', 'read.png', '-o', 'read.yaml'], 'read.png'),
+        (['keyframes', 'RECORDING', '--config', 'read_distances.png', '-o', 'read.yaml'], 'read_distances.png'),
+        (['evaluate', 'RECORDING', '--model', 'read.npz', '--json', 'read.npz'], 'read.npz'),
+        (['evaluate', 'RECORDING', '--config', 'read.csv', '--json', 'read.csv'], 'read.csv'),
+        (['evaluate', 'bag', '--truth', 'RECORDING', '--json', 'bag/bag_0.mcap'], 'bag/bag_0.mcap'),
+        (['evaluate', 'bag', '--truth', 'RECORDING', '--json', 'bag/metadata.yaml'], 'bag/metadata.yaml'),
+        (['detect', 'walk.mp4', '--model', 'read.npz', '-o', 'read.npz'], 'read.npz'),
+        (['train', 'walk', '--manifest', 'read.csv', '-o', 'read.csv'], 'read.csv'),
+        (['train', 'walk', '--markers', 'read.yaml', '-o', 'read.yaml'], 'read.yaml'),
+        (['train', 'walk', '-o', 'walk/manifest.csv'], 'walk/manifest.csv'),
+        (['train', 'walk', '-o', 'walk/anna.ASF'], 'walk/anna.ASF'),
+        (['train-lifter', 'walk', '--start-from', 'read.npz', '-o', 'read.npz'], 'read.npz'),
+        (['train-lifter', 'walk', '--start-from', 'read.npz', '-o', 'a', '--checkpoint', 'read.npz'], 'read.npz'),
+    ],
+)
+def test_no_file_that_a_command_reads_is_overwritten(
+    recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    out: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for folder in ('bag', 'walk'):
+        Path(folder).mkdir()
+    for name in (
+        *('read.npz', 'read.csv', 'read.png', 'read.html', 'read.yaml', 'read_distances.png'),
+        *('bag/bag_0.mcap', 'bag/metadata.yaml', 'walk/manifest.csv', 'walk/anna.ASF', 'walk/anna_1.amc'),
+    ):
+        Path(name).write_text('{}')
+    Path('bag/bag_0.png').symlink_to('bag_0.mcap')
+    Path('parameters.yaml').write_text('/**: {ros__parameters: {solver: {prior: read.npz}}}')
+    assert main([str(recording) if a == 'RECORDING' else a for a in arguments]) == 1
+    assert capsys.readouterr().err == f'mocap-ros: {out}: not written, because it is the input file\n'
+    assert Path(out).read_text() == '{}'
+
+
+def test_a_lifter_is_not_written_over_its_checkpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / 'link.npz').symlink_to(tmp_path / 'lifter.npz')
+    out, checkpoint = str(tmp_path / 'lifter.npz'), str(tmp_path / 'link.npz')
+    assert main(['train-lifter', 'anna_1.bvh', '-o', out, '--checkpoint', checkpoint]) == 1
+    assert capsys.readouterr().err == f'mocap-ros: {out}: not written, because it is the checkpoint as well\n'
+
+
+def test_a_checkpoint_is_replaced_when_the_new_one_is_complete(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PyTorch need not be installed; something else takes its place."""
+
+    def save(checkpoint: dict[str, int], file: BinaryIO) -> None:
+        file.write(b'step ' * checkpoint['step'])
+
+    monkeypatch.setitem(sys.modules, 'torch', SimpleNamespace(save=save))
+    place = tmp_path / 'state'
+    for step in (1, 2):
+        _save_checkpoint({'step': step}, place, [])
+    with limit_file_size(), pytest.raises(MocapError, match='state: cannot be written: File too large'):
+        _save_checkpoint({'step': 100}, place, [])
+    with pytest.raises(MocapError, match='state: not written, because it is the input file'):
+        _save_checkpoint({'step': 3}, place, [place])
+    assert place.read_text() == 'step step '
+    assert list(tmp_path.iterdir()) == [place]
+
+
+@pytest.mark.parametrize(
+    ('command', 'ending'),
+    [
+        *(('reconstruct', ending) for ending in save_results.SUFFIXES),
+        *(('plot', '.png'), ('view', '.html'), ('evaluate', '.json'), ('keyframes', '.yaml')),
+    ],
+)
+def test_a_disk_that_is_full_half_way_leaves_the_old_files(
+    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, ending: str
+) -> None:
+    out = tmp_path / 'out' / f'old{ending}'
+    out.parent.mkdir()
+    option = '--json' if command == 'evaluate' else '-o'
+    quick = [] if command == 'keyframes' else QUICK_OPTIONS
+    arguments = [command, str(short_recording), option, str(out), *quick]
+    assert main(arguments) == 0
+    capsys.readouterr()
+    before = {path: (path.read_bytes(), path.stat().st_ino) for path in out.parent.iterdir()}
+    assert out in before
+    with limit_file_size():
+        assert main(arguments) == 1
+    message = rf'^mocap-ros: {re.escape(str(out))}: (cannot be written: )?File too large$'
+    assert re.search(message, capsys.readouterr().err, re.MULTILINE)
+    assert {path: (path.read_bytes(), path.stat().st_ino) for path in out.parent.iterdir()} == before
+
+
+@pytest.mark.parametrize('ending', save_results.SUFFIXES)
+def test_an_interrupt_while_a_result_is_written_leaves_the_old_one(
+    short_recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    ending: str,
+) -> None:
+    out = tmp_path / 'out' / f'old{ending}'
+    out.parent.mkdir()
+    out.write_text('old')
+    write = save_results.WRITERS[ending]
+
+    def write_and_interrupt(path: Path, reconstruction: save_results.ReconstructedSequence) -> None:
+        write(path, reconstruction)
+        assert path.stat().st_size
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(save_results.WRITERS, ending, write_and_interrupt)
+    assert main(['reconstruct', str(short_recording), '-o', str(out), *QUICK_OPTIONS]) == 1
+    assert capsys.readouterr().err == 'mocap-ros: interrupted\n'
+    assert [(path, path.read_text()) for path in out.parent.iterdir()] == [(out, 'old')]
+
+
+def test_a_result_is_called_as_its_file(short_recording: Path, tmp_path: Path) -> None:
+    assert main(['reconstruct', str(short_recording), '-o', str(tmp_path / 'my.trc'), *QUICK_OPTIONS]) == 0
+    assert (tmp_path / 'my.trc').read_text().splitlines()[0] == 'PathFileType\t4\t(X/Y/Z)\tmy.trc'
 
 
 def test_a_name_that_the_terminal_cannot_show_is_no_failure(

@@ -71,6 +71,22 @@ def test_distortion_of_4_5_and_8_coefficients_is_read(tmp_path: Path, sequence: 
         assert camera.distortion.coefficients == (0.01,) * count
 
 
+def test_opencv_s_further_coefficients_are_left_out_where_they_are_0(
+    tmp_path: Path, sequence: KeypointSequence
+) -> None:
+    """As `cv2.calibrateCamera` returns them, with the rational model alone or with one of the two other models."""
+    for count in (12, 14):
+        coefficients = np.zeros(count)
+        coefficients[:8] = 0.01
+        save_sequence(tmp_path / 'walk.npz', replace(sequence, distortion=coefficients))
+        assert load_sequence(tmp_path / 'walk.npz').intrinsics(1.2).distortion.coefficients == (0.01,) * 8
+        for value in (1e-3, np.nan):
+            coefficients[-1] = value
+            save_sequence(tmp_path / 'walk.npz', replace(sequence, distortion=coefficients))
+            with pytest.raises(InputError, match=f'rational_polynomial takes 8 coefficients, not {count}'):
+                load_sequence(tmp_path / 'walk.npz')
+
+
 def test_joint_names_are_read_in_any_spelling(tmp_path: Path, sequence: KeypointSequence) -> None:
     joint_names = tuple(n.replace('l', 'left_', 1) if n[0] == 'l' else n.title() for n in JOINTS)
     truth = GroundTruth(np.ones((FRAMES, 2, 3)), ('Neck', 'pelvis'))

@@ -5,18 +5,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from mocap_ros.config import NodeConfig
+from mocap_ros.detectors.detector import Detector, Image
 from mocap_ros.errors import InputError, ModelError
 from mocap_ros.formats.detections import Detections, Video, create_person, select_person
-from mocap_ros.runtime.detection import detect_in_video, name_people
+from mocap_ros.formats.video import VideoImage
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.runtime import detection
+from mocap_ros.runtime.detection import detect_in_video, detect_people, name_people
 from mocap_ros.runtime.load_keypoints import load_input
 from tests.support.blob_people import draw, save_movenet, save_rtmpose, walk, write_video
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 FRAMES = 12
 STEP_NS = 40_000_000
@@ -94,6 +103,73 @@ def test_people_seen_together_are_no_change() -> None:
     named, lines = name_people(Detections(people, together.stamps_ns, (640, 480)))
     assert [[p.id for p in frame] for frame in named.people] == [['person_1', 'person_2']] * 3
     assert lines == []
+
+
+class BreakingCamera:
+    """Takes the place of a `VideoReader`: images of a walker, and then an end of them that a camera may have."""
+
+    image_count = None
+    left_out = 0
+    ending = ''
+    images: Sequence[Image] = ()
+    error: InputError | None = None
+
+    def __init__(self, *_: object, **__: object) -> None:
+        pass
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def __iter__(self) -> Iterator[VideoImage]:
+        for i, image in enumerate(self.images):
+            yield VideoImage(image, i / 25)
+        if self.error is not None:
+            raise self.error
+
+
+@pytest.mark.parametrize(
+    ('fault', 'reason'),
+    [
+        ('unplugged', 'the camera has gone (No such device)'),
+        ('resized', 'the size of the images changes from 640 x 480 px to 320 x 240 px at 0.240 s'),
+        ('endless', 'more than 6 images'),
+        ('overheated', 'movenet.onnx: the network failed (hot)'),
+    ],
+)
+def test_what_a_camera_showed_is_kept_when_it_breaks_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, reason: str
+) -> None:
+    path, model = Path('/dev/video0'), save_movenet(tmp_path / 'movenet.onnx')
+    seen = [draw([person]) for person in walk(6)]
+    further = {'unplugged': [], 'resized': [seen[0][::2, ::2]], 'endless': [seen[0]], 'overheated': [seen[0]]}
+
+    def detect_until_it_fails(detector: Detector, image: Image, time_s: float) -> list[Person2D]:
+        if fault == 'overheated' and round(25 * time_s) == 6:
+            raise ModelError('the network failed (hot)')
+        return detect_people(detector, image, time_s)
+
+    monkeypatch.setattr(detection, 'VideoReader', BreakingCamera)
+    monkeypatch.setattr(detection, 'detect_people', detect_until_it_fails)
+    monkeypatch.setattr(detection, 'MAX_FRAMES', 6 if fault == 'endless' else 100)
+    monkeypatch.setattr(BreakingCamera, 'images', [*seen, *further[fault]])
+    gone = InputError('/dev/video0: the camera has gone (No such device)')
+    monkeypatch.setattr(BreakingCamera, 'error', gone if fault == 'unplugged' else None)
+    found = detect_in_video(path, model, is_camera=True)
+    assert [[person.id for person in people] for people in found.people] == [['person_1']] * 6
+    assert found.stamps_ns == [STEP_NS * i for i in range(6)]
+    assert found.image_size == (640, 480)
+    assert found.remarks == (
+        'keypoints by MoveNet (movenet.onnx)',
+        f'warning: ended early: {reason}'.replace('movenet.onnx: the', f'{model}: the'),
+    )
+    with pytest.raises((InputError, ModelError), match=re.escape(reason)):
+        detect_in_video(path, model)
+    monkeypatch.setattr(BreakingCamera, 'images', [draw([])] * 6 + further[fault])
+    with pytest.raises((InputError, ModelError), match=re.escape(reason)):
+        detect_in_video(path, model, is_camera=True)
 
 
 def test_nobody_seen_and_wrong_files_are_named_in_one_line(tmp_path: Path) -> None:

@@ -1,0 +1,184 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Files that are written are there whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mocap_ros.errors import DiskFull, InputError, MocapError
+from mocap_ros.formats import text_files
+from mocap_ros.formats.text_files import check_output, replace_output
+
+
+@pytest.mark.parametrize('is_old', [False, True])
+@pytest.mark.parametrize(
+    ('error', 'told', 'message'),
+    [
+        (OSError(errno.ENOSPC, 'No space left'), MocapError, r'out\.npz: cannot be written: No space left$'),
+        (InputError('frame 3'), InputError, 'frame 3'),
+        (KeyboardInterrupt(), KeyboardInterrupt, '^$'),
+        (SystemExit(1), SystemExit, '1'),
+    ],
+)
+def test_an_error_leaves_the_old_file_and_nothing_else(
+    tmp_path: Path, error: BaseException, told: type[BaseException], message: str, is_old: bool
+) -> None:
+    path = tmp_path / 'out.npz'
+    if is_old:
+        path.write_text('old')
+
+    def write() -> None:
+        with replace_output(path) as unfinished:
+            assert unfinished.name == 'out.npz'
+            unfinished.write_text('ne')
+            raise error
+
+    with pytest.raises(told, match=message) as raised:
+        write()
+    assert type(raised.value) is told
+    assert [file.read_text() for file in tmp_path.iterdir()] == ['old'] * is_old
+
+
+def test_an_error_that_names_the_temporary_file_names_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(DiskFull, match=r'^out\.mcap: the disk is full$'), replace_output(Path('out.mcap')) as new:
+        raise DiskFull(f'{new}: the disk is full')
+    message = r'^out\.mcap: cannot be written: No such file or directory$'
+    with pytest.raises(MocapError, match=message), replace_output(Path('out.mcap')):
+        pass  # a writer that wrote nothing
+
+
+def test_an_existing_file_keeps_its_permissions_and_a_new_one_has_the_usual_ones(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        for name, mode in (('old.npz', 0o604), ('new.npz', None)):
+            path = tmp_path / name
+            if mode is not None:
+                path.write_text('old')
+                path.chmod(mode)
+            with replace_output(path) as unfinished:
+                unfinished.write_text('new')
+            assert path.read_text() == 'new'
+            assert stat.S_IMODE(path.stat().st_mode) == (mode or 0o640)
+    finally:
+        os.umask(before)
+
+
+def test_a_link_stays_and_its_file_is_replaced(tmp_path: Path) -> None:
+    for folder in ('here', 'there'):
+        (tmp_path / folder).mkdir()
+    link, file = tmp_path / 'here' / 'link.npz', tmp_path / 'there' / 'data'
+    link.symlink_to(file)
+    for content in ('first', 'second'):
+        with replace_output(link) as unfinished:
+            assert unfinished.name == 'link.npz'
+            assert unfinished.parent.parent == file.parent
+            unfinished.write_text(content)
+        assert link.is_symlink()
+        assert file.read_text() == content
+    assert set(tmp_path.rglob('*')) == {link.parent, file.parent, link, file}
+
+
+def test_links_that_lead_nowhere_are_no_failure_of_the_check(tmp_path: Path) -> None:
+    (tmp_path / 'a').symlink_to('b')
+    (tmp_path / 'b').symlink_to('a')
+    check_output(tmp_path / 'a')
+    (tmp_path / 'c').symlink_to('nowhere/c')
+    with pytest.raises(MocapError, match=r'/c: cannot be written: No such file'), replace_output(tmp_path / 'c'):
+        pass
+
+
+def test_a_source_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / 'in').write_text('old')
+    (tmp_path / 'out').symlink_to('in')
+    places = [tmp_path / name for name in ('out', 'other', 'in')]
+    message = 'out: not written, because it is the input file'
+    with pytest.raises(MocapError, match=message), replace_output(*places) as unfinished:
+        unfinished.write_text('new')
+    assert (tmp_path / 'in').read_text() == 'old'
+
+
+@pytest.mark.parametrize('name', ['/dev/stdout', '/proc/self/fd/1', '/dev/fd/1', 'link'])
+@pytest.mark.parametrize('is_file', [False, True])
+def test_the_standard_output_is_written_directly(tmp_path: Path, name: str, is_file: bool) -> None:
+    """Also where it leads to a file, which has no name that could be given to another one."""
+    (tmp_path / 'link').symlink_to('/dev/stdout')
+    code = (
+        'from pathlib import Path\n'
+        'from mocap_ros.formats.text_files import replace_output\n'
+        f'with replace_output(Path({name!r})) as place:\n'
+        f'    assert str(place) == {name!r}\n'
+        "    place.write_text('content')\n"
+    )
+    command = [sys.executable, '-c', code]
+    if is_file:
+        with (tmp_path / 'out').open('wb') as file:
+            inode = (tmp_path / 'out').stat().st_ino
+            subprocess.run(command, cwd=tmp_path, stdout=file, check=True)
+        assert (tmp_path / 'out').read_text() == 'content'
+        assert (tmp_path / 'out').stat().st_ino == inode
+    else:
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert done.stdout == 'content'
+
+
+def test_a_device_is_written_directly() -> None:
+    with replace_output(Path(os.devnull)) as place:
+        assert place == Path(os.devnull)
+        place.write_text('content')
+
+
+@pytest.mark.parametrize('number', [errno.EACCES, errno.EROFS, errno.ENOSPC])
+def test_a_file_in_a_folder_that_takes_no_new_files_is_written_directly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    """The folder is only said to take none, because tests may run as root; of a full disk the file is kept."""
+
+    def refuse(**_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(text_files, 'TemporaryDirectory', refuse)
+    path = tmp_path / 'out.npz'
+    with pytest.raises(MocapError, match=r'out\.npz: cannot be written'), replace_output(path):
+        pass
+    path.write_text('old')
+    if number == errno.ENOSPC:
+        with pytest.raises(MocapError, match='No space left'), replace_output(path):
+            pass
+        assert path.read_text() == 'old'
+        return
+    with replace_output(path) as place:
+        assert place == path
+        place.write_text('new')
+    assert path.read_text() == 'new'
+
+
+def test_a_file_that_cannot_be_replaced_is_overwritten_when_the_new_one_is_complete(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a file that is mounted by itself in a container."""
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
+
+    monkeypatch.setattr(Path, 'replace', refuse)
+    path = tmp_path / 'out.npz'
+    with pytest.raises(MocapError, match=r'out\.npz: cannot be written'), replace_output(path) as unfinished:
+        unfinished.write_text('new')
+    path.write_text('old')
+    with replace_output(path) as unfinished:
+        unfinished.write_text('new')
+        assert path.read_text() == 'old'
+    assert path.read_text() == 'new'
+    assert list(tmp_path.iterdir()) == [path]
