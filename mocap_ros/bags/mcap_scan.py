@@ -12,7 +12,7 @@ from __future__ import annotations
 import mmap
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -32,6 +32,8 @@ from mocap_ros.bags.mcap_layout import (
     CHUNK_HEADER,
     CHUNK_PATTERN,
     CRC_BYTES,
+    DATA_END_BYTES,
+    DATA_END_PREFIX,
     FOOTER,
     MAGIC,
     MAX_CHUNK_BYTES,
@@ -42,12 +44,15 @@ from mocap_ros.bags.mcap_layout import (
     PARSE_ERRORS,
     RECORD_PREFIX,
     Data,
+    RecordLocation,
     compute_chunk_length,
     decompress_records,
     iterate_records,
     open_content,
 )
 from mocap_ros.bags.write_ahead_log import OpenChunk, read_log
+
+MAX_OVERLAPS = 100  # records of wrong length in which a chunk is searched for; bounds the time for a crafted file
 
 
 class ScannedMessage(NamedTuple):
@@ -78,6 +83,8 @@ class McapScan:
         self.scanned_bytes = 0
         self._reached_data_end = False
         self._chunk_count = 0
+        self._search_start = 0  # byte from which on a chunk is searched for where the next record is damaged
+        self._overlap_count = 0  # records of wrong length that contained the start of a chunk
         self._log: OpenChunk | None = read_log(path)
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
@@ -88,6 +95,12 @@ class McapScan:
 
     @property
     def is_mcap(self) -> bool:
+        """Whether the file starts or ends as an MCAP file does, or has a log or a complete chunk."""
+        has_mark = self._has_intact_start or self.is_finished or self._log is not None
+        return has_mark or self._find_next_chunk(0) is not None
+
+    @property
+    def _has_intact_start(self) -> bool:
         """Whether the file starts as an MCAP file does."""
         return self._data[: len(MAGIC)] == MAGIC
 
@@ -97,6 +110,8 @@ class McapScan:
         return self.size > 2 * len(MAGIC) and self._data[-len(MAGIC) :] == MAGIC
 
     def __iter__(self) -> Iterator[ScannedMessage | Attachment | Metadata]:
+        if not self._has_intact_start:
+            self.losses.append(f'its first {len(MAGIC)} bytes are not those of an MCAP file')
         expected = self._read_summary()
         message_count = 0
         for item in self._scan_data():
@@ -122,14 +137,19 @@ class McapScan:
                 return
             saved = list(self._read_cut_chunk(self.scanned_bytes))
             yield from saved
-            resume_at = self._find_next_chunk(self.scanned_bytes + 1)
-            gap_end = self.size if resume_at is None else resume_at
-            self._report_gap(self.scanned_bytes, gap_end, len(saved), is_last=resume_at is None)
+            resume_at = self._find_next_chunk(self._search_start)
+            gap_start, gap_end = self.scanned_bytes, self.size if resume_at is None else resume_at
+            if gap_end < gap_start:
+                self._overlap_count += 1
+                gap_start = max(self._search_start - 1, 0)
+            self._report_gap(gap_start, gap_end, len(saved), is_last=resume_at is None)
 
     def _read_intact_records(self) -> Iterator[ScannedMessage | Attachment | Metadata]:
         """Yield the messages, attachments and metadata from byte `scanned_bytes` on, and advance `scanned_bytes`.
 
-        Stop at the end of the data section, or at the first record that is incomplete or whose length is wrong.
+        Stop at the end of the data section, or at the first record that is incomplete or whose length is wrong. A
+        record before it whose checksum does not match, or that has none, may have a wrong length as well and
+        contain the start of a chunk.
         """
         for record in iterate_records(self._data, self.scanned_bytes):
             content = self._data[record.content_start : record.end]
@@ -138,14 +158,16 @@ class McapScan:
                 record.opcode == Opcode.CHUNK and compute_chunk_length(content) != len(content)
             ):
                 return
+            is_length_certain = self._overlap_count >= MAX_OVERLAPS
             if record.opcode == Opcode.CHUNK:
                 self._chunk_count += 1
-                yield from self._read_chunk(content, record.start)
+                is_length_certain |= yield from self._read_chunk(content, record.start)
             elif record.opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
-                yield from self._read_attachment_or_metadata(record.opcode, content, record.start)
+                is_length_certain |= yield from self._read_attachment_or_metadata(record, content)
             elif record.opcode != Opcode.MESSAGE or not self._chunk_count:
                 yield from self._read_message(record.opcode, content)
             self.scanned_bytes = record.end
+            self._search_start = record.end if is_length_certain else record.start + 1
 
     def _read_log(self) -> Iterator[ScannedMessage]:
         """Yield the messages of the open chunk of a file that was not finished, unless the file holds them."""
@@ -194,11 +216,8 @@ class McapScan:
         footer = self.size - len(MAGIC) - FOOTER.size - RECORD_PREFIX.size
         if not self.is_finished or footer < 0 or self._data[footer] != Opcode.FOOTER:
             return None
-        start, _, crc = FOOTER.unpack_from(self._data, footer + RECORD_PREFIX.size)
-        if not 0 < start < footer:
-            return None
-        if crc and zlib.crc32(self._data[start : self.size - len(MAGIC) - CRC_BYTES]) != crc:
-            self.losses.append('the summary at the end of the file is damaged and was not used')
+        start = self._find_summary(footer)
+        if start is None:
             return None
         expected = None
         for record in iterate_records(self._data, start, footer):
@@ -209,6 +228,29 @@ class McapScan:
             else:
                 list(self._read_message(record.opcode, content))
         return expected
+
+    def _find_summary(self, footer: int) -> int | None:
+        """Return the start of the summary section before the footer; None where there is none or it is damaged.
+
+        It is where the footer states, unless bytes before it were removed or added; it always follows DataEnd.
+        """
+        stated, _, crc = FOOTER.unpack_from(self._data, footer + RECORD_PREFIX.size)
+        if not stated or self._is_summary(stated, footer, crc):
+            return stated or None
+        found = self._data.rfind(DATA_END_PREFIX, 0, footer) + DATA_END_BYTES
+        if found >= DATA_END_BYTES and self._is_summary(found, footer, crc):
+            return found
+        self.losses.append('the summary at the end of the file is damaged and was not used')
+        return None
+
+    def _is_summary(self, start: int, footer: int, crc: int) -> bool:
+        """Return whether the records of the summary reach from `start` to the footer, by their checksum if any."""
+        if crc:
+            return zlib.crc32(self._data[start : self.size - len(MAGIC) - CRC_BYTES]) == crc
+        end = 0
+        for record in iterate_records(self._data, start, footer):
+            end = record.end
+        return end == footer
 
     def _read_message(self, opcode: int, content: bytes) -> Iterator[ScannedMessage]:
         """Yield the message of a message record; remember a schema or channel; ignore all other records."""
@@ -229,28 +271,29 @@ class McapScan:
         except PARSE_ERRORS:
             self.losses.append(f'a {Opcode(opcode).name.lower()} record is invalid')
 
-    def _read_chunk(self, content: bytes, start: int) -> Iterator[ScannedMessage]:
-        """Yield the messages of a chunk whose checksum matches."""
+    def _read_chunk(self, content: bytes, start: int) -> Generator[ScannedMessage, None, bool]:
+        """Yield the messages of a chunk whose checksum matches; return whether it does."""
         where = f'chunk at byte {start}'
         try:
             chunk = Chunk.read(open_content(content))
         except PARSE_ERRORS:
             lost = self._describe_indexed_messages(start, content)
             self.losses.append(f'{where} ({lost}): its header is damaged')
-            return
+            return False
         payload = decompress_records(chunk.data, chunk.compression, chunk.uncompressed_size)
         crc = chunk.uncompressed_crc
         if payload is None or len(payload) != chunk.uncompressed_size or (crc and zlib.crc32(payload) != crc):
             lost = self._describe_indexed_messages(start, content)
             reason = 'its checksum does not match' if payload else 'it cannot be decompressed'
             self.losses.append(f'{where} ({lost}): {reason}')
-            return
+            return False
         end = 0
         for record in iterate_records(payload, 0):
             yield from self._read_message(record.opcode, payload[record.content_start : record.end])
             end = record.end
         if end < len(payload):
             self.losses.append(f'{where}: its last {len(payload) - end} bytes are no complete record')
+        return True
 
     def _describe_indexed_messages(self, start: int, content: bytes) -> str:
         """Return in words how many messages the message indexes behind a chunk list."""
@@ -289,15 +332,18 @@ class McapScan:
         return None
 
     def _read_attachment_or_metadata(
-        self, opcode: int, content: bytes, start: int
-    ) -> Iterator[Attachment | Metadata]:
-        """Yield the attachment, where its checksum matches, or the metadata of a record."""
+        self, record: RecordLocation, content: bytes
+    ) -> Generator[Attachment | Metadata, None, bool]:
+        """Yield an attachment whose checksum matches, or metadata; return whether a checksum matches."""
         try:
-            if opcode == Opcode.METADATA:
+            if record.opcode == Opcode.METADATA:
                 yield Metadata.read(open_content(content))
-                return
+                return False
             if zlib.crc32(content[:-CRC_BYTES]) != int.from_bytes(content[-CRC_BYTES:], 'little'):
                 raise ValueError
             yield Attachment.read(open_content(content))
         except PARSE_ERRORS:
-            self.losses.append(f'the {Opcode(opcode).name.lower()} record at byte {start} is damaged')
+            kind = Opcode(record.opcode).name.lower()
+            self.losses.append(f'the {kind} record at byte {record.start} is damaged')
+            return False
+        return True

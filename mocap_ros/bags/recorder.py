@@ -232,6 +232,19 @@ class Recorder:
         """Use other limits of files and disk space from now on, and of chunks from the next file on."""
         self._config = config
 
+    def begin_file(self) -> None:
+        """Continue the bag in a further file, which repeats no messages.
+
+        Does nothing while the current file holds no message, or where the bag has as many files as it may have.
+
+        Raises:
+            RecordingError: The disk is full or fails, or the bag is closed.
+        """
+        file = self._open_file
+        if file.statistics.first_ns >= 0 and self._has_room_for_file:
+            with self._finish_on_disk_error():
+                self._begin_next_file(file)
+
     def add_attachment(self, attachment: Attachment, time_ns: int) -> None:
         """Attach a file to the current file of the bag.
 
@@ -358,6 +371,11 @@ class Recorder:
             raise RecordingError(f'{self.folder}: the recording is closed')
         return self._file
 
+    @property
+    def _has_room_for_file(self) -> bool:
+        """Whether the bag may have another file after the current one."""
+        return len(self._finished_files) < MAX_FILES - 1
+
     def _create_file(self) -> McapFile:
         path = self.folder / f'{self._name}_{len(self._finished_files)}.mcap'
         return McapFile(path, self._config, has_log=self._has_log)
@@ -375,16 +393,22 @@ class Recorder:
         seconds = (log_time_ns - file.statistics.first_ns) / NS_PER_S
         is_large = config.split_mb and file.written_bytes - self._begun_bytes >= config.split_mb * MB
         is_due = is_large or 0 < config.split_seconds <= seconds
-        if may_begin and is_due and len(self._finished_files) < MAX_FILES - 1:
-            self._finish_file(file)
-            file = self._file = self._create_file()
-            for topic in self._topics.values():
-                file.add_topic(topic)
+        if may_begin and is_due and self._has_room_for_file:
+            file = self._begin_next_file(file)
             file.add_attachments(self._attachments, log_time_ns)
             for message in chain.from_iterable(self._messages_to_repeat.values()):
                 file.write(message.topic, message.data, log_time_ns, message.publish_time_ns)
             file.flush()
             self._begun_bytes = file.written_bytes
+        return file
+
+    def _begin_next_file(self, file: McapFile) -> McapFile:
+        """Finish the current file; create the next one with all topics, make it the current one and return it."""
+        self._finish_file(file)
+        file = self._file = self._create_file()
+        self._begun_bytes = 0
+        for topic in self._topics.values():
+            file.add_topic(topic)
         return file
 
     def _finish_file(self, file: McapFile) -> None:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -25,8 +26,9 @@ from mocap_ros.bags.reader import MAX_METADATA_BYTES, ROS2_SUFFIXES, find_number
 from mocap_ros.bags.reader_limits import PIECE_BYTES, LimitedFile, describe_error, parse_qos, unpack
 from mocap_ros.bags.recorder import Recorder, choose_partial_path, remove_partial
 from mocap_ros.bags.rosbag2 import METADATA, ROSBAG2, Topic, make_topic
-from mocap_ros.bags.sqlite_scan import SQLITE_ERRORS, MessageRows
+from mocap_ros.bags.sqlite_scan import SQLITE_ERRORS, MessageRows, has_log, open_database
 from mocap_ros.bags.sqlite_schema import describe_unusual_tables
+from mocap_ros.bags.write_ahead_log import find_log
 from mocap_ros.config import RecorderConfig, load_yaml
 from mocap_ros.errors import ConfigError, InputError, RecordingError
 from mocap_ros.messages.cdr import typestore
@@ -35,6 +37,7 @@ from mocap_ros.messages.recorded_types import load_recorded_types
 DEFINITION_ENCODINGS = ('ros2msg', 'ros2idl')  # of message definitions that can be parsed
 PACKED_SUFFIX = '.zstd'  # that rosbag2 adds to the name of a file that it has compressed as a whole
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # first bytes of a compressed message; a message as CDR begins with 0
+NO_LIMITS = RecorderConfig(min_free_mb=0, split_seconds=0.0, split_mb=0)  # the new bag has the files of the other
 
 # A function that receives the number of processed bytes and of all bytes.
 ReportProgress = Callable[[int, int], None]
@@ -54,11 +57,12 @@ class RecoveryReport:
 
 
 def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: None) -> RecoveryReport:
-    """Write a new bag with everything that can be read of another bag.
+    """Write a new bag with everything that can be read of another bag, and nothing else.
 
-    The new bag names the distribution that the other bag names, or none where that is lost. It is written as
-    `<out>.partial` and renamed when it is complete. If the recovery fails or is interrupted, the new bag is
-    deleted; what a killed recovery left there is deleted by the next one.
+    Each file of the other bag with a readable message becomes a file of the new bag. The new bag names the
+    distribution that the other bag names, or none where that is lost. It is written as `<out>.partial` and renamed
+    when it is complete. If the recovery fails or is interrupted, the new bag is deleted; what a killed recovery
+    left there is deleted by the next one.
 
     Args:
         path: Bag folder, or a .mcap or .db3 file; it is not changed.
@@ -78,14 +82,15 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
     sizes = [_get_size(f) for f in files]
     remove_partial(out)
     partial = choose_partial_path(out)
-    with Recorder(partial, RecorderConfig(min_free_mb=0), name=out.name) as recorder:
+    with Recorder(partial, NO_LIMITS, name=out.name) as recorder:
         try:
             recorder.ros_distro = _read_ros_distro(path / METADATA)
             for number, file in enumerate(files):
                 bytes_before = sum(sizes[:number])
-                with _provide_unpacked(file, out.parent, report) as unpacked:
-                    recovery = _FileRecovery(unpacked, recorder, report, name=file)
-                    steps = recovery.recover_mcap() if unpacked.suffix == '.mcap' else recovery.recover_sqlite()
+                recorder.begin_file()
+                with _provide_readable(file, out.parent, report) as readable:
+                    recovery = _FileRecovery(readable, recorder, report, name=file)
+                    steps = recovery.recover_mcap() if readable.suffix == '.mcap' else recovery.recover_sqlite()
                     for processed_bytes in steps:
                         report_progress(bytes_before + min(processed_bytes, sizes[number]), sum(sizes))
             if not report.messages:
@@ -115,21 +120,35 @@ def list_recoverable_files(path: Path) -> list[Path]:
 
 
 @contextmanager
-def _provide_unpacked(file: Path, folder: Path, report: RecoveryReport) -> Iterator[Path]:
-    """Provide a file of a bag, unpacked into a temporary folder in `folder` if it is compressed as a whole."""
-    if file.suffix != PACKED_SUFFIX:
+def _provide_readable(file: Path, folder: Path, report: RecoveryReport) -> Iterator[Path]:
+    """Provide a file of a bag in a form that can be read without changing the folder of the bag.
+
+    A file that is compressed as a whole is unpacked into a temporary folder in `folder`. A database with a
+    write-ahead log is copied there with its log, because SQLite writes an index beside them.
+    """
+    is_packed = file.suffix == PACKED_SUFFIX
+    if not is_packed and not (file.suffix == '.db3' and has_log(file)):
         yield file
         return
     with TemporaryDirectory(dir=folder, prefix='.mocap_ros_') as temporary:
-        unpacked = Path(temporary) / file.stem
-        with file.open('rb') as packed, unpacked.open('wb') as stream:
-            source = LimitedFile(packed)
-            try:
-                while piece := source.read(PIECE_BYTES):
-                    stream.write(piece)
-            except (ValueError, zstandard.ZstdError) as error:
-                report.losses.append(f'{file}: the compressed file is damaged or too large: {error}')
-        yield unpacked
+        readable = Path(temporary) / (file.stem if is_packed else file.name)
+        if is_packed:
+            _unpack_file(file, readable, report)
+        else:
+            shutil.copyfile(file, readable)
+            shutil.copyfile(find_log(file), find_log(readable))
+        yield readable
+
+
+def _unpack_file(file: Path, unpacked: Path, report: RecoveryReport) -> None:
+    """Unpack a file as far as it can be unpacked."""
+    with file.open('rb') as packed, unpacked.open('wb') as stream:
+        source = LimitedFile(packed)
+        try:
+            while piece := source.read(PIECE_BYTES):
+                stream.write(piece)
+        except (ValueError, zstandard.ZstdError) as error:
+            report.losses.append(f'{file}: the compressed file is damaged or too large: {error}')
 
 
 def _read_ros_distro(metadata: Path) -> str:
@@ -223,7 +242,7 @@ class _FileRecovery:
         """Copy an SQLite3 file and its write-ahead log; yield the number of bytes read so far."""
         size = _get_size(self._file)
         try:
-            with closing(sqlite3.connect(f'{self._file.resolve().as_uri()}?mode=ro', uri=True)) as database:
+            with closing(open_database(self._file)) as database:
                 database.execute('PRAGMA writable_schema=ON')  # otherwise SQLite opens no file that was cut off
                 if unusual := describe_unusual_tables(database):
                     self._report_loss(unusual)
@@ -295,7 +314,7 @@ class _FileRecovery:
             except (ValueError, zstandard.ZstdError):
                 self._rejected[topic, 'they cannot be decompressed'] += 1
                 return
-        self._recorder.write(topic, msgtype, data, log_time_ns, publish_time_ns)
+        self._recorder.write(topic, msgtype, data, log_time_ns, publish_time_ns, repeat_keys=None)
         self._report.messages[topic] += 1
 
     def _report_rejected(self) -> None:

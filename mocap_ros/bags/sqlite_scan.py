@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
+
+from mocap_ros.bags.write_ahead_log import find_log
 
 MAX_ROWS_PER_QUERY = 1000  # bounds memory; a range with an unreadable row is halved down to that row, ten times
 MAX_EMPTY_RANGES = 100  # in a row; ends the scan where a damaged file claims row numbers far beyond its last row
@@ -15,6 +18,24 @@ MIN_ROW_BYTES = 8  # below any row of a message (SQLite needs 9 for its headers 
 
 # What SQLite and its Python module raise for damaged files. A damaged length may look like a lack of memory.
 SQLITE_ERRORS = (sqlite3.Error, ValueError, TypeError, MemoryError)
+
+
+def has_log(file: Path) -> bool:
+    """Return whether a database has a write-ahead log that is not empty."""
+    log = find_log(file)
+    return log.is_file() and log.stat().st_size > 0
+
+
+def open_database(file: Path) -> sqlite3.Connection:
+    """Open a database that is read only, with its write-ahead log where it has one.
+
+    SQLite writes an index of the log beside the database (-shm). Nothing is written where there is no log.
+
+    Raises:
+        sqlite3.Error: The file cannot be opened.
+    """
+    options = 'mode=ro' if has_log(file) else 'mode=ro&immutable=1'
+    return sqlite3.connect(f'{file.resolve().as_uri()}?{options}', uri=True)
 
 
 class MessageRows:

@@ -10,6 +10,7 @@ from pathlib import Path
 from mocap_ros.bags.journal import Entry, Journal, Verdict, decode_entry, encode_entry, read_run
 from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import Recorder
+from mocap_ros.bags.recovery import recover
 from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.bags.topics import Source, make_repeat_keys
 from mocap_ros.config import RecorderConfig
@@ -92,6 +93,21 @@ def test_a_split_bag_has_the_inputs_and_events_of_the_run(tmp_path: Path) -> Non
     assert run.parameters == PARAMETERS
     assert run.skipped_inputs == {1 + SKIPPED + 1}
     assert {n: [e.kind for e in events] for n, events in run.events.items()} == {1 + RESET_AFTER + 1: ['reset']}
+
+
+def test_a_recovered_split_bag_has_the_inputs_and_events_of_the_run(tmp_path: Path) -> None:
+    """Together, and each file alone, which begins with what the recorder repeated."""
+    folder = record_split_run(tmp_path / 'bag')
+    assert recover(folder, tmp_path / 'out').losses == []
+    files = {
+        folder / f.name: tmp_path / 'out' / f'out_{n}.mcap' for n, f in enumerate(sorted(folder.glob('*.mcap')))
+    }
+    for path, recovered_path in {folder: tmp_path / 'out', **files}.items():
+        with Bag(path) as bag, Bag(recovered_path) as recovered:
+            assert list(recovered.messages(recovered.topics)) == list(bag.messages(bag.topics))
+            assert read_run(recovered) == read_run(bag)
+            assert number_inputs(recovered) == number_inputs(bag)
+    assert len(list((tmp_path / 'out').glob('*.mcap'))) == len(files)
 
 
 def test_a_further_file_alone_has_its_inputs_after_the_repeated_ones(tmp_path: Path) -> None:

@@ -215,6 +215,28 @@ def test_the_last_file_that_a_bag_may_have_takes_the_rest(tmp_path: Path, monkey
     assert len(list((tmp_path / 'bag').glob('*.mcap'))) == 3
 
 
+def test_a_file_that_is_begun_repeats_nothing_and_is_no_empty_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('mocap_ros.bags.recorder.MAX_FILES', 3)
+    attachment = Attachment('a.txt', 'text/plain', b'in each file')
+    with Recorder(tmp_path / 'bag', RecorderConfig(), [attachment]) as recorder:
+        recorder.declare_topic('/latched', SKELETON_DEFINITION, latched=True)
+        for i in range(5):
+            recorder.begin_file()
+            recorder.begin_file()
+            recorder.write('/latched', SKELETON_DEFINITION, bytes([i]), START_NS + i, START_NS)
+    contents = []
+    for file in sorted((tmp_path / 'bag').glob('*.mcap')):
+        with file.open('rb') as stream:
+            reader = make_reader(stream)
+            assert [a.data for a in reader.iter_attachments()] == [b'in each file']
+            contents.append([m.data for _, _, m in reader.iter_messages()])
+    assert contents == [[b'\0'], [b'\1'], [b'\2', b'\3', b'\4']]
+    with pytest.raises(RecordingError, match='the recording is closed'):
+        recorder.begin_file()
+
+
 def test_a_bag_is_not_written_into_another_one(tmp_path: Path) -> None:
     with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
         recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)

@@ -21,7 +21,14 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from mocap_ros.bags.mcap_file import Attachment
-from mocap_ros.bags.mcap_layout import CHUNK_HEADER, CRC_BYTES, RECORD_PREFIX
+from mocap_ros.bags.mcap_layout import (
+    CHUNK_HEADER,
+    CRC_BYTES,
+    MAGIC,
+    MIN_CHUNK_BYTES,
+    RECORD_PREFIX,
+)
+from mocap_ros.bags.mcap_scan import MAX_OVERLAPS, McapScan
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.recovery import recover
@@ -31,7 +38,8 @@ from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
 from mocap_ros.messages.cdr import Header, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.messages.skeletons import SKELETON_DEFINITION, SKELETONS
+from mocap_ros.units import NS_PER_S
 
 FRAMES = 120  # enough for several chunks and, with a limit of 1 s, several files
 STEP_NS = 33_000_000  # between two frames; about 30 Hz
@@ -194,6 +202,120 @@ def test_attachments_and_qos_of_a_split_bag_are_recovered(
     assert {a.data for a in attachments} == {b'kept'}
 
 
+def read_files(bag: Path) -> list[tuple[list[tuple[str, int, int, bytes]], list[tuple[str, bytes]]]]:
+    """Return the messages (topic, log time and publish time in ns, data) and attachments of each file of a bag."""
+    content = []
+    for file in sorted(bag.glob('*.mcap')):
+        with file.open('rb') as stream:
+            reader = make_reader(stream)
+            messages = [
+                (channel.topic, message.log_time, message.publish_time, message.data)
+                for _, channel, message in reader.iter_messages(log_time_order=False)
+            ]
+            content.append((messages, [(a.name, a.data) for a in reader.iter_attachments()]))
+    return content
+
+
+@pytest.mark.parametrize('split_seconds', [0.0, 1800.0])
+def test_a_recovered_bag_has_the_files_and_messages_of_the_other_and_no_more(
+    tmp_path: Path, split_seconds: float
+) -> None:
+    """Also of a long recording, and with messages of a latched topic that further files repeat by their keys."""
+    attachment = Attachment('a.txt', 'text/plain', b'kept')
+    with Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=split_seconds), [attachment]) as recorder:
+        recorder.declare_topic('/latched', SKELETON_DEFINITION, latched=True)
+        for key in 'ab':
+            recorder.write('/latched', SKELETON_DEFINITION, key.encode(), 0, 0, frozenset(key))
+        for i, raw in enumerate(MESSAGES):
+            recorder.write('/keypoints', KEYPOINTS, raw, i * 60 * NS_PER_S, i)
+    report = recover(tmp_path / 'bag', tmp_path / 'out')
+    assert read_files(tmp_path / 'out') == read_files(tmp_path / 'bag')
+    number_of_files = 4 if split_seconds else 1
+    assert len(list((tmp_path / 'out').glob('*.mcap'))) == number_of_files
+    assert report.messages == {'/keypoints': FRAMES, '/latched': 2 * number_of_files}
+
+
+def test_a_file_without_messages_is_left_out(tmp_path: Path) -> None:
+    with Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=1.0)) as recorder:
+        for i, raw in enumerate(MESSAGES):
+            recorder.write('/keypoints', KEYPOINTS, raw, i * STEP_NS, i)
+    written = read_files(tmp_path / 'bag')
+    for number in (0, 2):
+        (tmp_path / 'bag' / f'bag_{number}.mcap').write_bytes(b'')
+    recover(tmp_path / 'bag', tmp_path / 'out')
+    assert read_files(tmp_path / 'out') == [written[1], written[3]]
+
+
+def find_first_chunk(bag: Path) -> int:
+    """Return the byte at which the first chunk of a bag's file starts."""
+    with (bag / f'{bag.name}_0.mcap').open('rb') as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    return summary.chunk_indexes[0].chunk_start_offset
+
+
+@pytest.mark.parametrize('is_cut', [False, True])
+def test_every_chunk_behind_a_damaged_start_is_recovered(tmp_path: Path, is_cut: bool) -> None:
+    data = write_bag(tmp_path / 'bag')
+    first_chunk = find_first_chunk(tmp_path / 'bag')
+    if is_cut:
+        data = data[: find_chunks(tmp_path / 'bag')[-1][0]]
+    for number, damaged in enumerate(
+        (
+            bytes([data[0], data[1] ^ 1]) + data[2:],
+            bytes(first_chunk) + data[first_chunk:],
+            data[first_chunk:],
+            data[first_chunk - 4 :],
+        )
+    ):
+        frames, losses = recover_frames(damaged, tmp_path / str(number))
+        assert frames == list(range(FRAMES))
+        assert losses[0].endswith(': its first 8 bytes are not those of an MCAP file')
+
+
+@pytest.mark.parametrize('compression', ['zstd', 'none'])
+@pytest.mark.parametrize('has_checksum', [True, False])
+def test_only_the_chunk_loses_messages_whose_bytes_are_missing_or_too_many(
+    tmp_path: Path, compression: str, has_checksum: bool
+) -> None:
+    """The next chunk seems to lie within it, and the end of the file is not where it states it is."""
+    data = write_bag(tmp_path / 'bag', compression)
+    if not has_checksum:  # of the summary
+        data = data[: -len(MAGIC) - CRC_BYTES] + bytes(CRC_BYTES) + data[-len(MAGIC) :]
+    ends = [end for end, _ in find_chunks(tmp_path / 'bag')]
+    for number in (0, 5):
+        middle = ends[number] - 180  # more bytes than the message index behind the chunk has
+        for name, damaged in {
+            'short': data[:middle] + data[middle + 170 :],
+            'long': data[:middle] + random.Random(3).randbytes(50) + data[middle:],
+        }.items():
+            frames, losses = recover_frames(damaged, tmp_path / f'{name}{number}')
+            first_lost = number * MAX_FRAMES_PER_CHUNK
+            assert set(range(FRAMES)) - set(frames) == set(range(first_lost, first_lost + MAX_FRAMES_PER_CHUNK))
+            assert losses[-1].endswith(f': {MAX_FRAMES_PER_CHUNK} of {FRAMES} messages are missing')
+
+
+def test_a_chunk_behind_a_shortened_attachment_is_recovered(tmp_path: Path) -> None:
+    data = write_bag(tmp_path / 'bag')
+    start = data.index(b'kept')
+    frames, losses = recover_frames(data[:start] + data[start + 3 :], tmp_path / 'x')
+    assert frames == list(range(FRAMES))
+    assert 'the attachment record' in losses[0]
+
+
+def test_chunks_within_one_another_are_read_a_limited_number_of_times(tmp_path: Path) -> None:
+    """Otherwise the time would grow with the square of the size of a crafted file."""
+    content = b''
+    for _ in range(10 * MAX_OVERLAPS):
+        length = len(content) + MIN_CHUNK_BYTES
+        header = CHUNK_HEADER.pack(0, 0, 0, 1, 0) + struct.pack('<Q', len(content))
+        content = RECORD_PREFIX.pack(Opcode.CHUNK, length) + header + content
+    (tmp_path / 'x.mcap').write_bytes(MAGIC + content)
+    scan = McapScan(tmp_path / 'x.mcap')
+    assert list(scan) == []
+    assert sum(loss.endswith('its checksum does not match') for loss in scan.losses) == MAX_OVERLAPS + 1
+
+
 def test_the_command_says_what_it_could_not_recover(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = write_bag(tmp_path / 'bag')
     file = tmp_path / 'cut.mcap'
@@ -219,13 +341,38 @@ def test_messages_of_the_write_ahead_log_are_recovered(tmp_path: Path) -> None:
         [(i * STEP_NS, MESSAGES[i]) for i in range(50, FRAMES)],
     )
     database.commit()
-    for name in ('bag.db3', 'bag.db3-wal'):  # the files as a killed recorder leaves them
-        (tmp_path / name).write_bytes((bag / name).read_bytes())
+    killed, names = tmp_path / 'killed', ['bag.db3', 'bag.db3-wal']  # as a killed recorder leaves them
+    killed.mkdir()
+    for name in names:
+        (killed / name).write_bytes((bag / name).read_bytes())
     database.close()
     with pytest.raises(InputError, match=r'cut off: bag\.db3-wal holds messages .* `mocap-ros recover'):
-        Bag(tmp_path / 'bag.db3')
-    assert recover(tmp_path / 'bag.db3', tmp_path / 'whole').losses == []
+        Bag(killed / 'bag.db3')
+    listings = set()
+
+    def list_files(*_: int) -> None:
+        listings.add(tuple(sorted(f.name for f in killed.iterdir())))
+
+    assert recover(killed / 'bag.db3', tmp_path / 'whole', list_files).losses == []
+    list_files()
+    assert listings == {tuple(names)}  # SQLite would write an index of the log, bag.db3-shm
     assert read_frames(tmp_path / 'whole') == list(range(FRAMES))
+    assert sorted(f.name for f in tmp_path.iterdir()) == ['bag', 'killed', 'whole']
+
+
+def test_a_database_whose_write_ahead_log_is_lost_is_read_without_a_change(tmp_path: Path) -> None:
+    with Writer(tmp_path / 'bag', version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection('/keypoints', KEYPOINTS, typestore=typestore())
+        for i, raw in enumerate(MESSAGES):
+            writer.write(connection, i * STEP_NS, raw)
+    with sqlite3.connect(tmp_path / 'bag' / 'bag.db3') as database:
+        database.execute('PRAGMA journal_mode=WAL')
+    database.close()
+    before = sorted((tmp_path / 'bag').iterdir())
+    listings = set()
+    recover(tmp_path / 'bag', tmp_path / 'out', lambda *_: listings.add(tuple((tmp_path / 'bag').iterdir())))
+    assert [sorted(listing) for listing in listings] == [before]
+    assert read_frames(tmp_path / 'out') == list(range(FRAMES))
 
 
 def test_readable_rows_of_a_damaged_database_are_recovered(tmp_path: Path) -> None:
@@ -448,12 +595,14 @@ def test_paths_without_messages_are_refused_and_leave_no_bag(tmp_path: Path) -> 
     (tmp_path / 'empty').mkdir()
     os.mkfifo(tmp_path / 'pipe.mcap')
     (tmp_path / 'x.mcap').write_bytes(b'')
-    (tmp_path / 'y.mcap').write_bytes(b'\x89MCAP0\r\n' + bytes(500))
+    (tmp_path / 'y.mcap').write_bytes(MAGIC + bytes(500))
+    (tmp_path / 'z.mcap').write_bytes(random.Random(4).randbytes(1_000_000))
     for name, reason in {
         'empty': 'no bag folder',
         'none.mcap': 'No such file',
         'x.mcap': 'no MCAP',
         'y.mcap': 'cut off at byte 8: 500 bytes are no complete record',
+        'z.mcap': 'no MCAP file',
         'pipe.mcap': 'not a file',
     }.items():
         with pytest.raises(InputError, match=f'{name}.*{reason}'):

@@ -52,6 +52,21 @@ def leave_open(folder: Path, config: RecorderConfig) -> Path:
     return bag
 
 
+@pytest.mark.parametrize('content', [b'', bytes(100)])
+def test_the_log_of_a_file_that_never_reached_the_disk_is_recovered(tmp_path: Path, content: bytes) -> None:
+    """As a power failure may leave it."""
+    recorder = Recorder(tmp_path / 'bag', IN_ONE_CHUNK, has_log=True)
+    record_keypoints(recorder, OPEN_FRAMES)
+    recorder.write_ahead()
+    file, records = tmp_path / 'bag' / 'bag_0.mcap', find_log(tmp_path / 'bag' / 'bag_0.mcap').read_bytes()
+    recorder.close()
+    file.write_bytes(content)
+    find_log(file).write_bytes(records)
+    frames, losses = recover_frames(tmp_path / 'bag')
+    assert frames == [make_keypoints(i) for i in range(OPEN_FRAMES)]
+    assert losses == ['its first 8 bytes are not those of an MCAP file', UNFINISHED]
+
+
 @pytest.fixture
 def open_bag(tmp_path: Path) -> Path:
     """The bag of `leave_open` with chunks of the usual compression."""
