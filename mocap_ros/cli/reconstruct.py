@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
     errors = []
     for sequence, ending in zip(sequences, endings, strict=True):
         paths = [add_ending(path, ending) for path in outputs]
-        error = _find_error(partial(_reconstruct_and_save, args, sequence, models, config, paths))
+        error = _find_error(partial(_reconstruct_and_save, args, sequence, models, config, paths, sources))
         if error is not None:
             errors.append(error)
             if len(errors) < len(sequences):
@@ -149,6 +149,7 @@ def _reconstruct_and_save(
     models: Mapping[str, BasePoses],
     config: Config,
     outputs: Sequence[Path],
+    sources: Sequence[Path],
 ) -> None:
     """Reconstruct one person, write the files, and print a line about each."""
     if args.method == 'keyframes':
@@ -158,7 +159,7 @@ def _reconstruct_and_save(
             result = reconstruct_file(sequence, models, config)
         summary = f'{result.solution.iterations} iterations'
     for output in outputs:
-        with replace_output(output, *list_sources(args, config)) as unfinished:
+        with replace_output(output, *sources) as unfinished:
             save_results.save(unfinished, save_results.ReconstructedSequence(sequence, result))
     solution = result.solution
     warning = '' if solution.success else f'. {solution.message}'

@@ -23,6 +23,7 @@ from mocap_ros.cli.keypoint_input import (
 )
 from mocap_ros.cli.options import add_config_options, load_config
 from mocap_ros.cli.progress import show_progress
+from mocap_ros.config import Config
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.result_file import is_result_file
@@ -99,12 +100,13 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f'{output}: unknown file type; expected {", ".join(SUFFIXES)}')
     if output.suffix == '.rrd':
         import_rerun()
-    sources = list_sources(args, load_config(args))
+    config = load_config(args)
+    sources = list_sources(args, config)
     check_output(output, *sources)
-    scene = _load(args)
+    scene = _load(args, config)
     with replace_output(output, *sources) as unfinished:
         if output.suffix == '.rrd':
-            write_recording(scene, unfinished, images=_read_images(args, scene))
+            write_recording(scene, unfinished, images=_read_images(args, config, scene))
         else:
             unfinished.write_text(build_page(scene), encoding='utf-8')
     print(output)
@@ -115,10 +117,11 @@ def _show(args: argparse.Namespace) -> int:
     """Show the scene in a window of Rerun until the window is closed."""
     import_rerun()
     require_display()
-    scene = _load(args)
+    config = load_config(args)
+    scene = _load(args, config)
     with TemporaryDirectory(prefix='mocap_ros_') as folder:
         recording = Path(folder) / 'scene.rrd'
-        write_recording(scene, recording, images=_read_images(args, scene))
+        write_recording(scene, recording, images=_read_images(args, config, scene))
         with start_viewer(recording) as (viewer, _):
             viewer.wait()
     return 0
@@ -150,18 +153,17 @@ def _show_live(args: argparse.Namespace) -> int:
     return 0
 
 
-def _read_images(args: argparse.Namespace, scene: Scene) -> Iterable[SceneImage]:
+def _read_images(args: argparse.Namespace, config: Config, scene: Scene) -> Iterable[SceneImage]:
     """Read the images of a bag with a progress bar; nothing else holds images."""
     if not is_bag(args.input):
         return []
-    images = read_images(args.input, scene.stamps_ns, load_config(args).node, args.topic or '')
+    images = read_images(args.input, scene.stamps_ns, config.node, args.topic)
     return show_progress(images, 'images')
 
 
-def _load(args: argparse.Namespace) -> Scene:
+def _load(args: argparse.Namespace, config: Config) -> Scene:
     """Load the scene that the options describe, and print on stderr what was left out."""
     marks, marks_start_ns = ([], None) if args.keyframes is None else load_keyframe_marks(args.keyframes)
-    config = load_config(args)
     options = SceneOptions(
         config=config,
         models=load_models(args, config),

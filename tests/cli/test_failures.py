@@ -8,11 +8,8 @@ from __future__ import annotations
 import io
 import os
 import re
-import resource
 import shutil
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, BinaryIO
@@ -33,21 +30,11 @@ from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.runtime import save_results
 from mocap_ros.runtime.sequence_messages import encode_sequence
 from mocap_ros.skeleton import CMU15
+from tests.support.full_disk import limit_file_size
 from tests.support.motion_files import Z_UP_TO_Y_UP, make_poses
 from tests.support.quick_options import QUICK_OPTIONS
 
 MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than any result has
-
-
-@contextmanager
-def limit_file_size() -> Iterator[None]:
-    """Let no file grow beyond `MAX_WRITTEN_BYTES`, in place of a disk that is full half-way."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_WRITTEN_BYTES, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @pytest.mark.parametrize(
@@ -383,7 +370,10 @@ def test_a_checkpoint_is_replaced_when_the_new_one_is_complete(
     place = tmp_path / 'state'
     for step in (1, 2):
         _save_checkpoint({'step': step}, place, [])
-    with limit_file_size(), pytest.raises(MocapError, match='state: cannot be written: File too large'):
+    with (
+        limit_file_size(MAX_WRITTEN_BYTES),
+        pytest.raises(MocapError, match='state: cannot be written: File too large'),
+    ):
         _save_checkpoint({'step': 100}, place, [])
     with pytest.raises(MocapError, match='state: not written, because it is the input file'):
         _save_checkpoint({'step': 3}, place, [place])
@@ -410,7 +400,7 @@ def test_a_disk_that_is_full_half_way_leaves_the_old_files(
     capsys.readouterr()
     before = {path: (path.read_bytes(), path.stat().st_ino) for path in out.parent.iterdir()}
     assert out in before
-    with limit_file_size():
+    with limit_file_size(MAX_WRITTEN_BYTES):
         assert main(arguments) == 1
     message = rf'^mocap-ros: {re.escape(str(out))}: (cannot be written: )?File too large$'
     assert re.search(message, capsys.readouterr().err, re.MULTILINE)

@@ -7,11 +7,8 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import resource
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -22,6 +19,7 @@ import pytest
 
 from mocap_ros.compiled import kernel as kernels
 from mocap_ros.compiled.kernel import CompilationReport, compile_kernels
+from tests.support.full_disk import limit_file_size
 from tests.support.paths import ROOT
 
 CALLER = """
@@ -203,17 +201,6 @@ def test_a_full_disk_leaves_nothing_behind(sources: Sources) -> None:
     assert module.advance(1.0) == 2.0
     assert 'File too large), so every start compiles them' in sources.warnings[1]
     assert not sources.files()
-
-
-@contextmanager
-def limit_file_size(size: int) -> Iterator[None]:
-    """Let the system refuse larger files, as a full disk does; Python ignores the signal."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_kernel_with_a_large_constant_array_is_refused(sources: Sources) -> None:
