@@ -133,7 +133,7 @@ colcon: setup  ## build both packages with colcon, into install/
 
 clean:  ## remove all that was made here
 	rm -rf .venv build dist install log demo_output docs/project docs/reference *.egg-info
-	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .coverage .hypothesis .mypy_cache .pytest_cache .ruff_cache config/page/node_modules
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 $(ENVIRONMENT): config/env/requirements-ros-$(WHEELS).txt

@@ -34,7 +34,7 @@ MOVING_CAMERA = {'orbit': 30.0, 'shake': 5.0}  # degrees/s and degrees, options 
 LEFT_OUT_SUBJECTS = ('35', '09', '07', '16')
 LIFTER_FILE = common.ROOT / 'build' / 'lifter_heldout_gait.npz'
 # The command that makes this lifter.
-TRAINING_COMMAND = ['mocap-ros', 'train-lifter', 'cmu15_30fps.npz', '-o', LIFTER_FILE.name] + [
+TRAINING_COMMAND = ['mocap-ros', 'train-lifter', 'cmu15_30fps.npz', '-o', str(LIFTER_FILE)] + [
     word for s in LEFT_OUT_SUBJECTS for word in ('--without-subject', s)
 ]
 DISTURBANCES = {'clean': {}, '20 % missing': {'missing': 0.2}, '20 % noise': {'noise': 0.2}}
@@ -173,10 +173,7 @@ def measure_periodic(targets: Targets, trials: Sequence[tuple[str, str]]) -> Non
 def measure_learned_prior(report: Report, headings: Sequence[int]) -> dict[str, Any]:
     """Measure the views with the default prior; the lifter and the base poses have not seen these subjects."""
     if not LIFTER_FILE.is_file():
-        report.text(
-            f'The learned prior was skipped: build/ has no {LIFTER_FILE.name}; '
-            f'`{" ".join(TRAINING_COMMAND)}` makes it.'
-        )
+        print(f'The learned prior is left out, since there is no {LIFTER_FILE}; make it by', *TRAINING_COMMAND)
         return {}
     report.text(
         """The same views with the default prior: a lifter and the base poses of all motions, both trained without
