@@ -214,7 +214,9 @@ def describe_results(found: Mapping[str, Any], root: Path) -> dict[str, Any]:
     """Return the part of an entry that follows from the JSON of a benchmark and from where it runs."""
     about = ('begun', 'command', 'machine', 'pictures', 'quick', 'tables', 'results')
     text = json.dumps(found.get('results', {k: v for k, v in found.items() if k not in about}))
-    results = json.loads(re.sub(r'(/[\w.+-]+)+/(?=(build|mocap_ros|benchmarks)/)', '', text))  # no path of the machine
+    results = json.loads(
+        re.sub(r'(/[\w.+-]+)+/(?=(build|mocap_ros|benchmarks)/)', '', text)
+    )  # no path of the machine
     return {
         'commit': describe_commit(root),
         'machine': found.get('machine', platform.platform()),

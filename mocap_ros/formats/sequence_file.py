@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.formats.npz_arrays import ArrayReader, list_keys, read_arrays
-from mocap_ros.geometry.distortion import COEFFICIENT_COUNTS, Distortion
+from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
@@ -331,17 +331,11 @@ def _read_distortion(arrays: ArrayReader) -> Array:
 def _create_distortion(distortion: Array | None) -> Distortion:
     """Create the distortion from coefficients in OpenCV's order: k1, k2, p1, p2, then k3, then k4, k5, k6.
 
-    OpenCV's calibration may return four more, of a thin prism, and two more, of a tilted sensor; they are left out
-    where all of them are 0.
-
     Raises:
         InputError: there is another number of coefficients, or one of them is not finite.
     """
     coefficients = () if distortion is None else tuple(distortion.tolist())
     model = 'plumb_bob' if len(coefficients) <= MAX_PLUMB_BOB_COEFFICIENTS else 'rational_polynomial'
-    held = max(COEFFICIENT_COUNTS[model])
-    if not any(coefficients[held:]):
-        coefficients = coefficients[:held]
     return Distortion.from_coefficients(model, coefficients)
 
 

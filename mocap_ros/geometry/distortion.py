@@ -42,6 +42,7 @@ MIN_RADIUS = 1e-12  # focal lengths; guards the divisions by the radius at the o
 ANGLE_STEP = 1e-6  # rad; step of the central difference, far below any pixel
 MIN_SLOPE = 1e-3  # 1; guards the Newton step where the fisheye polynomial is flat
 MAX_RAY = math.tan(MAX_RAY_ANGLE)  # 1; largest x / z or y / z of a ray
+MAX_NAME_CHARACTERS = 60  # of an unknown model in an error
 
 
 @kernel(FLOAT(FLOAT, INPUT_1D))
@@ -124,7 +125,9 @@ class Distortion:
     def from_coefficients(model: str, coefficients: tuple[float, ...]) -> Distortion:
         """Check a model name and its coefficients and return the distortion.
 
-        No coefficients, or only zeros, mean no distortion, whatever the model name is.
+        No coefficients, or only zeros, mean no distortion, whatever the model name is. OpenCV's rational model may have
+        four more coefficients, of a thin prism, and two more, of a tilted sensor. These, and all others beyond those of
+        the model, are left out where they are 0.
 
         Raises:
             InputError: The model is unknown, has another number of coefficients, or one of them is not finite.
@@ -132,9 +135,14 @@ class Distortion:
         if not any(coefficients):
             return Distortion()
         if model not in COEFFICIENT_COUNTS:
-            raise InputError(f'distortion model {model!r:.60}: expected {", ".join(COEFFICIENT_COUNTS)}')
-        if len(coefficients) not in COEFFICIENT_COUNTS[model]:
-            expected = ' or '.join(map(str, COEFFICIENT_COUNTS[model]))
+            raise InputError(
+                f'distortion model {model[:MAX_NAME_CHARACTERS]!r}: expected {", ".join(COEFFICIENT_COUNTS)}'
+            )
+        counts = COEFFICIENT_COUNTS[model]
+        if not any(coefficients[max(counts) :]):
+            coefficients = coefficients[: max(counts)]
+        if len(coefficients) not in counts:
+            expected = ' or '.join(map(str, counts))
             raise InputError(f'distortion: {model} takes {expected} coefficients, not {len(coefficients)}')
         if not np.isfinite(coefficients).all():
             raise InputError('distortion: a coefficient is not finite')

@@ -240,7 +240,7 @@ class WeightEquations:
     """Gauss-Newton equations (blockdiag(blocks) - coupling_weight G G^T) step = gradient of all weights.
 
     Attributes:
-        blocks: (F, K, K) diagonal block of each frame, positive definite.
+        blocks: (F, K, K) diagonal block of each frame, positive definite, or 0 where nothing determines its weights.
         gradient: (F, K) half the gradient of the objective.
         coupling: (F, K, B) the rows of G that belong to each frame.
         coupling_weight: beta / F.
@@ -264,16 +264,18 @@ def solve_coupled_blocks(
         x = D^-1 r + D^-1 G (I / c - G^T D^-1 G)^-1 G^T D^-1 r
 
     Args:
-        blocks: (F, K, K) blocks of D before damping, positive definite.
+        blocks: (F, K, K) blocks of D before damping, positive semidefinite.
         coupling: (F, K, B) the rows of G that belong to each block.
         coupling_weight: c; below `MIN_COUPLING` the second term is left out.
         right: (F, K) right-hand side r.
-        damping: relative increase of the diagonal of D (Levenberg-Marquardt).
+        damping: relative increase of the diagonal of D (Levenberg-Marquardt); zeros on the diagonal, as of a frame of
+            which nothing is seen, without a prior, become this number, so that its unknowns stay as they are.
 
     Returns:
         The solution x, (F, K).
     """
-    damped = blocks + damping * np.einsum('fii->fi', blocks)[..., None] * np.eye(blocks.shape[-1])
+    diagonal = np.einsum('fii->fi', blocks)
+    damped = blocks + damping * np.where(diagonal > 0, diagonal, 1.0)[..., None] * np.eye(blocks.shape[-1])
     solved = np.linalg.solve(damped, np.concatenate([right[..., None], coupling], axis=-1))
     uncoupled, solved_coupling = solved[..., 0], solved[..., 1:]
     if coupling_weight < MIN_COUPLING:

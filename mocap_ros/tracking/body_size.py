@@ -30,6 +30,7 @@ A foot on a step would make a person larger than anybody is: such frames count f
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -63,6 +64,7 @@ MAX_RISE_M_S = 0.3  # m/s; of a foot that stands; depth trembles, and lets stand
 MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 SIZE_RANGE = math.log(0.4), math.log(1.25)  # 1; range of ln r: from children of 0.7 m to adults of 2.1 m
 MIN_DROP_SHARE = 0.1  # of the camera's height; a foot that seems higher than this below the camera tells nothing
+FORGOTTEN_COMMA = re.compile(r'=\s*[\d.]+[\s;]')  # in what should be an id: a height is in it
 MAX_REMEMBERED = 200  # people whose size is remembered, the newest; bounds the memory
 ANKLES = CMU15.index('lankle'), CMU15.index('rankle')
 
@@ -163,10 +165,11 @@ def read_body_heights(text: str) -> Mapping[str, float]:
             height = float(number)
         except ValueError:
             height = math.nan
-        if not (sign and person_id and HEIGHT_RANGE_M[0] <= height <= HEIGHT_RANGE_M[1]):
+        is_one = sign and person_id and not FORGOTTEN_COMMA.search(person_id)
+        if not (is_one and HEIGHT_RANGE_M[0] <= height <= HEIGHT_RANGE_M[1]):
             raise ConfigError(
                 f'tracker.body_heights: {part.strip()!r}: expected an id and a height of {HEIGHT_RANGE_M[0]:g} to '
-                f'{HEIGHT_RANGE_M[1]:g} m, such as 7=1.82'
+                f'{HEIGHT_RANGE_M[1]:g} m, such as 7=1.82, with commas between them'
             )
         if person_id in heights:
             raise ConfigError(f'tracker.body_heights: {person_id!r} has two heights')

@@ -22,6 +22,7 @@ from mocap_ros.keypoints.extremities import Extremities, exchange_body_sides
 from mocap_ros.keypoints.left_right import SwapFilter
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.solvers.observed_window import ObservedWindow
+from mocap_ros.tracking.delayed_output import find_oldest_needed_ns
 from mocap_ros.tracking.detection import Detection
 from mocap_ros.units import NS_PER_S
 
@@ -101,7 +102,7 @@ class SeenFrames:
     def count_older_frames(self, stamp_ns: int, window_s: float, lag_s: float) -> int:
         """Return the number of frames that are too old for a window that ends at a stamp.
 
-        With a lag, the newest frame that is old enough to be put out stays, also in a shorter window.
+        With a lag, the frames that are still to be put out stay, also in a shorter window.
 
         Args:
             stamp_ns: ns, end of the window.
@@ -111,7 +112,7 @@ class SeenFrames:
         older = bisect_left(self.stamps_ns, stamp_ns - window_s * NS_PER_S)
         if lag_s == 0:
             return older
-        return min(older, max(bisect_right(self.stamps_ns, stamp_ns - lag_s * NS_PER_S) - 1, 0))
+        return min(older, max(bisect_right(self.stamps_ns, find_oldest_needed_ns(stamp_ns, lag_s)) - 1, 0))
 
     def add_frame(self, stamp_ns: int, detection: Detection, dropped: int) -> SeenFrames:
         """Return the window with one more frame and without the oldest ones.

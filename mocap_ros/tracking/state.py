@@ -49,6 +49,7 @@ class TrackerState:
         output_stamp_ns: ns, stamp of the frame whose people `Tracker.update` last returned; with `tracker.lag`, an
             older one.
         waiting_ns: ns, with `tracker.lag` the stamps of the frame that is put out and of those after it.
+        has_output_begun: with `tracker.lag`, whether a frame was old enough to be put out since anybody was there.
         is_work_pending: whether the slices of deferred work that follow the newest frame are still to be done.
         begun_work: the piece of deferred work that has begun and is not finished; None if there is none.
         pose_memory: key poses of people who were lost.
@@ -71,6 +72,7 @@ class TrackerState:
     newest_stamp_ns: int | None = None
     output_stamp_ns: int = 0
     waiting_ns: tuple[int, ...] = ()
+    has_output_begun: bool = False
     is_work_pending: bool = False
     begun_work: BegunWork | None = None
     pose_memory: KeyPoseMemory = field(default_factory=KeyPoseMemory)

@@ -15,7 +15,7 @@ this way.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -51,6 +51,7 @@ from mocap_ros.tracking.body_size import (
     resize,
 )
 from mocap_ros.tracking.deferred_work import FRAME_BUDGET, FRAME_BUDGET_WITHOUT_LIFTER, DeferredWork
+from mocap_ros.tracking.delayed_output import find_delayed_frame
 from mocap_ros.tracking.detection import Detection
 from mocap_ros.tracking.hypotheses import HypothesisChecker
 from mocap_ros.tracking.matching import match_detections
@@ -480,26 +481,26 @@ class Tracker:
     def _wait_for_lag(self, state: TrackerState, stamp_ns: int) -> TrackerState:
         """Return the state with the frames that wait to be put out because of `tracker.lag`, stamp in ns.
 
-        The first of them is the newest that is old enough, or the first frame since anybody was there.
+        The first of them is the one that is put out, or the first frame since anybody was there.
         """
-        if self.config.tracker.lag == 0:
+        lag_s = self.config.tracker.lag
+        if lag_s == 0:
             return state.drop_shown(stamp_ns)
-        stamps_ns = (*state.waiting_ns, stamp_ns) if state.newest_person_ns is not None else (stamp_ns,)
-        old_enough = bisect_right(stamps_ns, self._newest_allowed_ns(stamp_ns))
-        waiting_ns = stamps_ns[max(old_enough - 1, 0) :]
-        return replace(state, waiting_ns=waiting_ns).drop_shown(waiting_ns[0])
-
-    def _newest_allowed_ns(self, stamp_ns: int) -> float:
-        """Return the newest stamp that is put out after a frame with a stamp in ns."""
-        return stamp_ns - self.config.tracker.lag * NS_PER_S
+        if state.newest_person_ns is None:
+            state = replace(state, waiting_ns=(), has_output_begun=False)
+        stamps_ns = (*state.waiting_ns, stamp_ns)
+        first, has_begun = find_delayed_frame(stamps_ns, lag_s, has_begun=state.has_output_begun)
+        return replace(state, waiting_ns=stamps_ns[first:], has_output_begun=has_begun).drop_shown(
+            stamps_ns[first]
+        )
 
     def _choose_output(
         self, stamp_ns: int, state: TrackerState, detected: Sequence[Track]
     ) -> tuple[int, list[tuple[Track, int]]]:
         """Return the stamp of the frame that is put out, and who was detected in it, each with its index.
 
-        It is this frame or, with `tracker.lag`, the newest that is old enough; before there is one, the first
-        frame, without its people.
+        It is this frame or, with `tracker.lag`, an older one (`delayed_output.py`); before one is old enough, the
+        first frame, without its people.
 
         Args:
             stamp_ns: ns, stamp of this frame.
@@ -509,7 +510,7 @@ class Tracker:
         if self.config.tracker.lag == 0:
             return stamp_ns, [(t, len(t.seen.stamps_ns) - 1) for t in detected]
         shown_ns = state.waiting_ns[0]
-        if shown_ns > self._newest_allowed_ns(stamp_ns):
+        if not state.has_output_begun:
             return shown_ns, []
         return shown_ns, [
             (t, t.seen.stamps_ns.index(shown_ns))

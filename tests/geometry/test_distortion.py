@@ -76,5 +76,7 @@ def test_invalid_coefficients_are_refused() -> None:
     assert Distortion.from_coefficients('', (0.0, 0.0)) == Distortion()
     with pytest.raises(InputError, match="'thin_prism': expected plumb_bob, rational_polynomial, equidistant"):
         Distortion.from_coefficients('thin_prism', (0.1,))
+    with pytest.raises(InputError, match=f"distortion model '{'x' * 60}': expected plumb_bob"):
+        Distortion.from_coefficients('x' * 1000, (0.1,))
     with pytest.raises(InputError, match='plumb_bob takes 4 or 5 coefficients, not 2'):
         Distortion.from_coefficients('plumb_bob', (0.1, 0.2))

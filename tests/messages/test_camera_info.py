@@ -41,3 +41,13 @@ def test_coefficients_that_no_lens_has_are_refused(model: str) -> None:
     assert decode_camera_info(camera_info(model=model, d=(1e5, 0, 0, 0))).intrinsics.distortion.coefficients
     with pytest.raises(InputError, match=r'^d: -1e\+300, more than a lens has \(1e\+06\)$'):
         decode_camera_info(camera_info(model=model, d=(1.0, -1e300, 0, 0)))
+
+
+@pytest.mark.parametrize('count', [12, 14])
+def test_opencv_s_further_coefficients_are_left_out_where_they_are_0(count: int) -> None:
+    """Drivers such as DepthAI's send all 14 of OpenCV's."""
+    coefficients = (0.1, -0.2, 0.001, 0.002, 0.03, 0.04, 0.05, 0.06, *[0.0] * (count - 8))
+    camera = decode_camera_info(camera_info(model='rational_polynomial', d=coefficients))
+    assert camera.intrinsics.distortion.coefficients == coefficients[:8]
+    with pytest.raises(InputError, match=f'takes 8 coefficients, not {count}'):
+        decode_camera_info(camera_info(model='rational_polynomial', d=(*coefficients[:-1], 0.01)))

@@ -22,7 +22,8 @@ from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT
 from mocap_ros.solvers.extremities import ExtremityEvidence, ExtremityState, attach, correction, smooth_extremities
-from mocap_ros.solvers.extremities.parts import ANCHORS, PART_OF, PARTS, SIZE_OF, TEMPLATE
+from mocap_ros.solvers.extremities.following import MAX_SIZE_STDS
+from mocap_ros.solvers.extremities.parts import ANCHORS, PART_OF, PARTS, SIZE_OF, SIZE_STD, TEMPLATE
 from tests.support.evaluation_data import shared
 from tests.support.upright_body import UPRIGHT
 
@@ -231,6 +232,7 @@ def test_any_evidence_gives_finite_points_and_rotations(
             assert np.isfinite(getattr(state, field.name)).all(), field.name
         assert np.linalg.norm(state.quaternions, axis=1) == pytest.approx(np.ones(CORE_COUNT))
         assert (state.offset_std > 0).all()
+        assert (np.abs(state.sizes[:, 0]) <= MAX_SIZE_STDS * SIZE_STD).all()
 
 
 @pytest.mark.parametrize('kind', ['lifted', 'ray'])

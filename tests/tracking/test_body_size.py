@@ -272,6 +272,8 @@ def test_a_height_counts_from_when_the_detector_tells_who_it_is() -> None:
         ('7=nan', r"'7=nan': expected"),
         ('=1.8', r"'=1\.8': expected"),
         ('7=tall', r"'7=tall': expected"),
+        ('7=1.82 anna=1.65', r"'7=1.82 anna=1.65': expected .* with commas between them"),
+        ('7=1.82; anna=1.65', r"'7=1.82; anna=1.65': expected"),
         ('7=1.8, 7=1.9', r"'7' has two heights"),
     ],
 )

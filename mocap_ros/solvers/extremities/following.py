@@ -13,7 +13,8 @@ it (`correction.py`). The sizes follow from the sums of i and j of its correctio
 
     b_k <- b_k - j / (I + i + 1 / s_b^2)
 
-where I is the sum of earlier i, which fades over `SIZE_MEMORY_S`, and s_b the spread of people.
+where I is the sum of earlier i, which fades over `SIZE_MEMORY_S`, and s_b the spread of people. A step beyond the range
+in which it is linear could give a part any size: b_k stays within `MAX_SIZE_STDS` s_b of 0.
 """
 
 from __future__ import annotations
@@ -65,6 +66,7 @@ from mocap_ros.solvers.extremities.small_matrices import write_vector
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+MAX_SIZE_STDS = 5.0  # standard deviations of people's sizes; nobody has such a face, foot or hand
 SIZE_MEMORY_S = 60.0  # s; a person's size does not change, but the detector may
 TURN_TOLD_RAD = math.radians(25)  # rad; a part whose turn about its axis is known no better is flagged
 ANGULAR_SPEED_STD = 1.5  # rad/s; of heads, feet and hands about their anchors, for the deviation of velocities
@@ -180,7 +182,9 @@ def advance(
         for kind in range(SIZE_COUNT):
             earlier = sizes[kind, 1] * math.exp(-min(step_s, SIZE_MEMORY_S) / SIZE_MEMORY_S)
             sizes[kind, 1] = earlier + sums[kind, 0]
-            sizes[kind, 0] += sums[kind, 1] / (sizes[kind, 1] + 1 / SIZE_STD[kind] ** 2)
+            size = sizes[kind, 0] + sums[kind, 1] / (sizes[kind, 1] + 1 / SIZE_STD[kind] ** 2)
+            limit = MAX_SIZE_STDS * SIZE_STD[kind]
+            sizes[kind, 0] = min(max(size, -limit), limit)
 
 
 @kernel(

@@ -1,0 +1,48 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which frame is put out with `tracker.lag`.
+
+Let t_0 < ... < t_n be the stamps of the frame that was put out last and of all frames after it. Their mean interval
+is h = (t_n - t_0) / n, the lag is L, and
+
+    s = min(h, L) / 2
+
+The next frame is put out if it is older than L - s, and frames are left out only where a later one is older than
+L + s. So one frame follows another while the stamps keep their mean interval, whatever their jitter below h / 2 and
+also where the lag is a whole number of intervals, and each frame is put out L - s to L + s + h after it was taken.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+
+from mocap_ros.units import NS_PER_S
+
+
+def find_delayed_frame(stamps_ns: Sequence[int], lag_s: float, *, has_begun: bool) -> tuple[int, bool]:
+    """Return the index of the frame that is put out, and whether the output has begun.
+
+    Until a frame is old enough it is the first one, and the output has not begun.
+
+    Args:
+        stamps_ns: (n + 1,) ns, increasing stamps of the frame that was put out last, or of the first frame, and of
+            all frames after it.
+        lag_s: s, L, positive.
+        has_begun: whether the first of these frames was put out.
+    """
+    lag_ns = lag_s * NS_PER_S
+    newest_ns = stamps_ns[-1]
+    interval_ns = (newest_ns - stamps_ns[0]) / max(len(stamps_ns) - 1, 1)
+    tolerance_ns = min(interval_ns, lag_ns) / 2
+    due_ns, overdue_ns = newest_ns - lag_ns + tolerance_ns, newest_ns - lag_ns - tolerance_ns
+    if not has_begun and stamps_ns[0] > due_ns:
+        return 0, False
+    is_next_due = has_begun and len(stamps_ns) > 1 and stamps_ns[1] <= due_ns
+    return max(bisect_right(stamps_ns, overdue_ns) - 1, int(is_next_due)), True
+
+
+def find_oldest_needed_ns(newest_ns: int, lag_s: float) -> float:
+    """Return a stamp in ns; of the frames up to it, only the newest may be put out now or later."""
+    return newest_ns - 1.5 * lag_s * NS_PER_S

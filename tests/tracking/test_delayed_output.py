@@ -1,0 +1,61 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tests of the choice of the frame that is put out with a lag."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocap_ros.tracking.delayed_output import find_delayed_frame, find_oldest_needed_ns
+
+INTERVAL_NS = 33_333_333
+
+
+def put_out(stamps_ns: list[int], lag_s: float) -> list[tuple[int, int]]:
+    """Return the stamp of each frame with that of the frame that is put out after it, both in ns."""
+    waiting: list[int] = []
+    out, has_begun = [], False
+    for stamp_ns in stamps_ns:
+        waiting.append(stamp_ns)
+        first, has_begun = find_delayed_frame(waiting, lag_s, has_begun=has_begun)
+        waiting = waiting[first:]
+        if has_begun:
+            out.append((stamp_ns, waiting[0]))
+    return out
+
+
+@pytest.mark.parametrize('lag_s', [0.02, 1 / 30, 0.05, 0.1, 0.2, 0.22, 0.5])
+@pytest.mark.parametrize('jitter_ms', [0.0, 1.0, 8.0])
+def test_one_frame_follows_another_whatever_the_jitter_and_the_lag(lag_s: float, jitter_ms: float) -> None:
+    jitter = np.random.default_rng(0).uniform(-jitter_ms, jitter_ms, 400) * 1e6
+    stamps_ns = [int(i * INTERVAL_NS + j) for i, j in enumerate(jitter)]
+    shown = [s for _, s in put_out(stamps_ns, lag_s)]
+    delay = round((stamps_ns[-1] - shown[-1]) / INTERVAL_NS)
+    settled = shown[20:]
+    assert settled == stamps_ns[len(stamps_ns) - delay - len(settled) : len(stamps_ns) - delay]
+
+
+@given(
+    steps_ms=st.lists(st.integers(1, 400), min_size=2, max_size=60),
+    lag_s=st.floats(0.001, 1.0),
+)
+def test_stamps_never_go_back_and_delays_are_bounded(steps_ms: list[int], lag_s: float) -> None:
+    stamps_ns = [int(s) for s in np.cumsum(steps_ms) * 1_000_000]
+    out = put_out(stamps_ns, lag_s)
+    shown = [s for _, s in out]
+    assert shown == sorted(shown)
+    for now_ns, shown_ns in out[1:]:
+        index = stamps_ns.index(shown_ns)
+        assert now_ns - shown_ns >= lag_s / 2 * 1e9 - 1
+        following_ns = stamps_ns[index + 1] if index + 1 < len(stamps_ns) else now_ns
+        assert now_ns - following_ns <= 1.5 * lag_s * 1e9 + 1, 'a later frame is older than the lag by a half'
+        needed = [s for s in stamps_ns if s <= find_oldest_needed_ns(now_ns, lag_s)]
+        assert not needed or shown_ns >= needed[-1]
+
+
+def test_a_frame_that_is_not_old_enough_is_not_put_out() -> None:
+    assert find_delayed_frame([0], 0.1, has_begun=False) == (0, False)
+    assert find_delayed_frame([0, INTERVAL_NS], 0.1, has_begun=False) == (0, False)
+    assert find_delayed_frame([0, 10**9], 0.1, has_begun=False) == (0, True)
