@@ -259,11 +259,30 @@ def select_person(detections: Detections, person_id: str | None = None) -> tuple
         f'person {selected.id!r}, seen in {len(selected.detection_by_frame)} of {len(detections.people)} frames'
         + (f'; {len(tracks) - 1} more, choose by --person: {_list_people(tracks)}' if len(tracks) > 1 else '')
     ]
-    sized = assume_image_size(detections)
-    return arrange_sequence(sized, selected), [*lines, *sized.remarks]
+    (sequence,), remarks = arrange_people(detections, [selected])
+    return sequence, [*lines, *remarks]
 
 
-def assume_image_size(detections: Detections) -> Detections:
+def arrange_people(
+    detections: Detections, tracks: Sequence[PersonTrack]
+) -> tuple[list[KeypointSequence], tuple[str, ...]]:
+    """Arrange the keypoints of some people, each from the first frame with that person to the last.
+
+    Args:
+        detections: all people.
+        tracks: the people, some of the tracks of `associate_people`.
+
+    Returns:
+        A sequence for each of them, and remarks on the detections and what was assumed of them.
+
+    Raises:
+        InputError: the keypoints are not in px, or somebody has more than `MAX_KEYPOINTS`.
+    """
+    sized = _assume_image_size(detections)
+    return [_arrange_sequence(sized, track) for track in tracks], sized.remarks
+
+
+def _assume_image_size(detections: Detections) -> Detections:
     """Return detections with an image size: where it is not known, one that holds everybody, and a remark."""
     if all(detections.image_size):
         return detections
@@ -275,7 +294,7 @@ def assume_image_size(detections: Detections) -> Detections:
     return replace(detections, image_size=size, remarks=(*detections.remarks, remark))
 
 
-def arrange_sequence(detections: Detections, track: PersonTrack) -> KeypointSequence:
+def _arrange_sequence(detections: Detections, track: PersonTrack) -> KeypointSequence:
     """Arrange the keypoints of one person, from the first frame with that person to the last.
 
     Args:

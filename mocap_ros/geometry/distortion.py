@@ -125,9 +125,9 @@ class Distortion:
     def from_coefficients(model: str, coefficients: tuple[float, ...]) -> Distortion:
         """Check a model name and its coefficients and return the distortion.
 
-        No coefficients, or only zeros, mean no distortion, whatever the model name is. OpenCV's rational model may have
-        four more coefficients, of a thin prism, and two more, of a tilted sensor. These, and all others beyond those of
-        the model, are left out where they are 0.
+        No coefficients, or only zeros, mean no distortion, whatever the model name is. OpenCV's rational model may
+        have four more coefficients, of a thin prism, and two more, of a tilted sensor. These, and all others
+        beyond those of the model, are left out where they are 0.
 
         Raises:
             InputError: The model is unknown, has another number of coefficients, or one of them is not finite.

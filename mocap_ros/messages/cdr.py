@@ -192,9 +192,8 @@ def read_stamp_ns(raw: bytes) -> int:
         The stamp, whatever it is; 0 where the bytes end before it, as the decoder will report.
     """
     try:
-        seconds, nanoseconds = struct.Struct('>iI' if raw[:2] == BIG_ENDIAN else '<iI').unpack_from(
-            raw, len(ENCAPSULATION)
-        )
+        order = '>' if raw[:2] == BIG_ENDIAN else '<'
+        seconds, nanoseconds = struct.unpack_from(f'{order}iI', raw, len(ENCAPSULATION))
     except struct.error:
         return 0
     return int(seconds) * NS_PER_S + int(nanoseconds)

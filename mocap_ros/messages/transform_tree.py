@@ -138,7 +138,7 @@ class TransformTree:
         names = {child for child, *_ in added}
         links = self._links
         if len(links.keys() | names) > MAX_FRAMES:
-            links = self._select_recent(self._newest_ns if is_static or not added else added[-1][2])
+            links = self._select_recent(self._newest_ns if is_static else added[-1][2])
         if len(links.keys() | names) > MAX_FRAMES:
             raise InputError(f'transforms: more than {MAX_FRAMES} frames')
         self._links = links

@@ -45,9 +45,8 @@ from mocap_ros.units import NS_PER_S
 
 NODE_NAME = 'mocap_node'
 RECORDING_PARAMETER = 'recorder.enabled'  # switched by the service ~/record, too
-MAX_STAMP_NS = (
-    2**31 - 1
-) * NS_PER_S  # ns; the seconds of a stamp are int32, and with use_sim_time anyone sets the time
+# ns; the seconds of a stamp are int32, and with use_sim_time anyone sets the time
+MAX_STAMP_NS = (2**31 - 1) * NS_PER_S
 DIAGNOSTICS_PERIOD_S = 1.0  # s; the usual period of /diagnostics
 RELEASE_PERIOD_S = 60.0  # s between two collections of garbage, after which free memory goes back to the system
 SILENCE_CHECK_PERIOD_S = 0.5  # s; bounds the delay of the warning that no input arrives

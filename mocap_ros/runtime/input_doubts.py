@@ -3,12 +3,7 @@
 
 """Mistakes in valid input: joints in another order, images of another size, misspelt names of joints.
 
-The first two are doubted once they are so for most people over seconds. With x_i the share of the people of frame
-i for whom it is so, and dt_i the time for which that frame stands,
-
-    n = sum_i k_i dt_i,    m = sum_i k_i dt_i x_i,    k_i = exp(-(t - t_i) / T),
-
-that is once n is at least S and m at least the share P of it. Frames without people do not count.
+The first two are doubted once they are so for most people over seconds (`tracking/lasting_doubt.py`).
 """
 
 from __future__ import annotations
@@ -25,12 +20,10 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import CMU15, KEYPOINT_LAYOUTS, canonical_joint_names
-from mocap_ros.units import NS_PER_S
+from mocap_ros.tracking.lasting_doubt import LastingDoubt
 
-MEMORY_S = 5.0  # s; T: a corrected mistake is forgotten soon
-LEAST_S = 2.5  # s; S: longer than a burst of wrong points, such as while somebody enters the image
-LEAST_SHARE = 0.8  # 1; P: one person with right points among several shows that the order is right
-MAX_STEP_S = 0.2  # s; longest time that one frame stands for
+MEMORY_S = 5.0  # s; a corrected mistake is forgotten soon
+LEAST_S = 2.5  # s; longer than a burst of wrong points, such as while somebody enters the image
 # 1; RMS residual divided by the body radius. With it, none of 150 recordings of motion capture with the errors of
 # three detectors is doubted, and all of 50 with joints reversed, one on, or in random order are.
 MAX_RESIDUAL = 0.25
@@ -39,38 +32,11 @@ MAX_CACHED_NAMES = 64  # lists of joint names; guards memory against messages th
 KNOWN_JOINTS = frozenset(j for layout in KEYPOINT_LAYOUTS.values() for j in layout.joints)
 
 
-class LastingDoubt:
-    """Whether something is so for most people over seconds."""
-
-    def __init__(self) -> None:
-        self._seconds = self._doubted_seconds = 0.0  # n and m of the module
-        self._stamp_ns: int | None = None
-
-    def advance(self, stamp_ns: int, is_so: Sequence[bool]) -> bool:
-        """Return whether something is doubted.
-
-        Args:
-            stamp_ns: ns, stamp of the frame.
-            is_so: For each person in it, whether it is so.
-        """
-        age_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / NS_PER_S
-        self._stamp_ns = stamp_ns
-        if age_s < 0:  # the stamps began anew
-            self._seconds = self._doubted_seconds = age_s = 0.0
-        kept, step = math.exp(-age_s / MEMORY_S), min(age_s, MAX_STEP_S)
-        self._seconds *= kept
-        self._doubted_seconds *= kept
-        if is_so:
-            self._seconds += step
-            self._doubted_seconds += step * sum(is_so) / len(is_so)
-        return self._seconds >= LEAST_S and self._doubted_seconds >= LEAST_SHARE * self._seconds
-
-
 class InputDoubts:
     """Checks of the keypoints of successive images of one camera."""
 
     def __init__(self) -> None:
-        self._joint_order, self._image_size = LastingDoubt(), LastingDoubt()
+        self._joint_order, self._image_size = (LastingDoubt(MEMORY_S, LEAST_S) for _ in range(2))
 
     def advance(
         self,

@@ -22,9 +22,8 @@ from mocap_ros.formats.coco_json import load_coco
 from mocap_ros.formats.detections import (
     Detections,
     Video,
-    arrange_sequence,
+    arrange_people,
     associate_people,
-    assume_image_size,
     select_person,
 )
 from mocap_ros.formats.openpose_json import load_openpose
@@ -117,15 +116,14 @@ def load_people(
     try:
         if not long_tracks:
             raise InputError(f'nobody is seen in {MIN_FRAMES} frames or more')
-        detections = assume_image_size(detections)
-        sequences = [arrange_sequence(detections, track) for track in long_tracks]
+        sequences, remarks = arrange_people(detections, long_tracks)
         for sequence in sequences:
             _check_image_size(sequence, video.image_size)
     except InputError as error:
         raise InputError(f'{path}: {error}') from None
     left_out = len(tracks) - len(long_tracks)
     lines = [f'{left_out} people are left out, who are seen in less than {MIN_FRAMES} frames'] if left_out else []
-    return sequences, [f'{path}: {line}' for line in (*detections.remarks, *lines)]
+    return sequences, [f'{path}: {line}' for line in (*remarks, *lines)]
 
 
 def load_detections(

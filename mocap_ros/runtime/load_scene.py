@@ -21,9 +21,8 @@ from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.formats.detections import (
     Detections,
     Video,
-    arrange_sequence,
+    arrange_people,
     associate_people,
-    assume_image_size,
     select_person,
 )
 from mocap_ros.formats.npz_arrays import ArrayReader, read_arrays
@@ -48,19 +47,14 @@ from mocap_ros.viewing.scene import Mark, MarkKind, Scene, SceneKeypoints, Scene
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
-MIN_PERSON_FRAMES = (
-    10  # frames; people who are seen in fewer are left out of a reconstruction, unless nobody is more
-)
+MIN_PERSON_FRAMES = 10  # frames; whoever is seen in fewer is left out, unless nobody is seen in more
 MAX_PEOPLE = 16  # people who are reconstructed; those who are seen most, since each one takes seconds
 VIEWED_FORMATS = f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)'
 VIEWED_KINDS = (*KEYPOINT_KINDS, InputKind.RESULT)
 MAX_STAMP_NS = 2**63 - 1  # ns; stamps are int64
 STAMP_TOLERANCE_S = 1e-3  # s; times that are written in s since the epoch are exact to 1e-6 s
 MAX_KEYFRAMES_BYTES = 16 << 20  # bytes; guards against parsing a huge file as keyframes
-RESULT_CAMERA_KEYS = (
-    'scale',
-    'translation',
-)  # of a result file: (F,) px/m and (F, 2) px, as `reconstruct` writes them
+RESULT_CAMERA_KEYS = 'scale', 'translation'  # of a result file: (F,) px/m and (F, 2) px
 VERTICAL_KEY = 'vertical'  # of a result file: (F, 3), as `SequenceResult` has it
 
 
@@ -147,14 +141,14 @@ def _select_people(detections: Detections, person: str | None) -> tuple[list[Key
     if not tracks:
         raise InputError('nobody is seen in any frame')
     chosen = [t for t in tracks if len(t.detection_by_frame) >= MIN_PERSON_FRAMES][:MAX_PEOPLE] or tracks[:1]
-    detections = assume_image_size(detections)
-    lines = list(detections.remarks)
+    sequences, remarks = arrange_people(detections, chosen)
+    lines = list(remarks)
     if len(chosen) < len(tracks):
         lines.append(
             f'{len(tracks) - len(chosen)} more people are not shown, who are seen less or in fewer than '
             f'{MIN_PERSON_FRAMES} frames'
         )
-    return [arrange_sequence(detections, track) for track in chosen], lines
+    return sequences, lines
 
 
 def _reconstruct_sequences(

@@ -244,7 +244,6 @@ class Pipeline:
         self._assembler = FrameAssembler()
         self._consecutive_errors = 0
         self._begin_checks()
-        self._newest_seen_ns = 0  # stamp of the newest image in which somebody was detected
         self._camera_switch = CameraSwitch()
         self.header = self.output_header = Header(0, '')
         self.people: tuple[Person3D, ...] = ()
@@ -252,6 +251,7 @@ class Pipeline:
     def _begin_checks(self) -> None:
         """Forget what the checks of the input have found so far, and which remarks were made."""
         self._vertical_check, self._input_doubts = VerticalCheck(), InputDoubts()
+        self._newest_seen_ns = 0  # stamp of the newest image in which somebody was detected
         self._noted: set[str] = set()  # kinds of remarks that are made once
         self.doubts: tuple[str, ...] = ()
 
@@ -490,7 +490,6 @@ class Pipeline:
         self._tracker.reset()
         self._assembler.reset()
         self._begin_checks()
-        self._newest_seen_ns = 0
         self.people = ()
         cleared = self._outputs.encode_clear(self.output_header)
         self.header, self._camera_switch = Header(0, ''), CameraSwitch()

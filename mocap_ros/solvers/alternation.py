@@ -240,7 +240,7 @@ class WeightEquations:
     """Gauss-Newton equations (blockdiag(blocks) - coupling_weight G G^T) step = gradient of all weights.
 
     Attributes:
-        blocks: (F, K, K) diagonal block of each frame, positive definite, or 0 where nothing determines its weights.
+        blocks: (F, K, K) diagonal block of each frame, positive semidefinite; 0 where nothing tells the weights.
         gradient: (F, K) half the gradient of the objective.
         coupling: (F, K, B) the rows of G that belong to each frame.
         coupling_weight: beta / F.
@@ -268,8 +268,8 @@ def solve_coupled_blocks(
         coupling: (F, K, B) the rows of G that belong to each block.
         coupling_weight: c; below `MIN_COUPLING` the second term is left out.
         right: (F, K) right-hand side r.
-        damping: relative increase of the diagonal of D (Levenberg-Marquardt); zeros on the diagonal, as of a frame of
-            which nothing is seen, without a prior, become this number, so that its unknowns stay as they are.
+        damping: relative increase of the diagonal of D (Levenberg-Marquardt). Zeros on the diagonal, as of a frame
+            of which nothing is seen, without a prior, become this number, so that its unknowns stay as they are.
 
     Returns:
         The solution x, (F, K).

@@ -3,14 +3,14 @@
 
 """Which frame is put out with `tracker.lag`.
 
-Let t_0 < ... < t_n be the stamps of the frame that was put out last and of all frames after it. Their mean interval
-is h = (t_n - t_0) / n, the lag is L, and
+Let t_0 < ... < t_n be the stamps of the frame that was put out last and of all frames after it. Their mean
+interval is h = (t_n - t_0) / n, the lag is L, and
 
     s = min(h, L) / 2
 
 The next frame is put out if it is older than L - s, and frames are left out only where a later one is older than
-L + s. So one frame follows another while the stamps keep their mean interval, whatever their jitter below h / 2 and
-also where the lag is a whole number of intervals, and each frame is put out L - s to L + s + h after it was taken.
+L + s. So one frame follows another while the stamps keep their mean interval, whatever their jitter below h / 2,
+and also where the lag is a whole number of intervals. A frame is put out L - s to L + s + h after it was taken.
 """
 
 from __future__ import annotations

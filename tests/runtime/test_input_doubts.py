@@ -20,7 +20,7 @@ from mocap_ros.config import with_values
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.runtime.input_doubts import LEAST_S, InputDoubts, LastingDoubt, describe_misspelt_joint
+from mocap_ros.runtime.input_doubts import LEAST_S, InputDoubts, describe_misspelt_joint
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, with_stamp
@@ -86,30 +86,6 @@ def test_a_mistake_is_remarked_once_and_kept_until_it_is_mended(
 
 def test_nothing_is_remarked_on_right_points(stream: list[bytes]) -> None:
     assert not any(list_remarks(Pipeline(FAST_CONFIG), stream))
-
-
-def advance(doubt: LastingDoubt, is_so: list[bool], seconds: float, first: int = 0) -> bool:
-    frames = range(first, first + round(seconds / STEP_S) + 1)
-    return [doubt.advance(round(i * STEP_S * 1e9), is_so) for i in frames][-1]
-
-
-def test_a_doubt_needs_most_people_for_seconds() -> None:
-    assert not advance(LastingDoubt(), [True], LEAST_S - STEP_S)
-    assert advance(LastingDoubt(), [True], LEAST_S + 2)
-    assert advance(LastingDoubt(), [True] * 9 + [False], LEAST_S + 2)
-    assert not advance(LastingDoubt(), [True, True, False], 60)
-    assert not advance(LastingDoubt(), [], 60)
-    one_frame_a_minute = [LastingDoubt().advance(t, [True]) for t in range(0, 10**12, 60 * 10**9)]
-    assert not any(one_frame_a_minute)
-
-
-def test_a_doubt_ends_with_its_cause_and_with_stamps_that_begin_anew() -> None:
-    doubt = LastingDoubt()
-    assert advance(doubt, [True], 60)
-    assert not advance(doubt, [False], 3, first=300)
-    doubt = LastingDoubt()
-    assert advance(doubt, [True], 60)
-    assert not doubt.advance(0, [True])
 
 
 def make_detection(xs: list[float], score: float = 1.0) -> Person2D:

@@ -13,8 +13,8 @@ it (`correction.py`). The sizes follow from the sums of i and j of its correctio
 
     b_k <- b_k - j / (I + i + 1 / s_b^2)
 
-where I is the sum of earlier i, which fades over `SIZE_MEMORY_S`, and s_b the spread of people. A step beyond the range
-in which it is linear could give a part any size: b_k stays within `MAX_SIZE_STDS` s_b of 0.
+where I is the sum of earlier i, which fades over `SIZE_MEMORY_S`, and s_b the spread of people. A step beyond the
+range in which it is linear could give a part any size: b_k stays within `MAX_SIZE_STDS` s_b of 0.
 """
 
 from __future__ import annotations
