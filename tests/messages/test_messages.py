@@ -104,7 +104,10 @@ INVALID = {
         r'people\[1\].joint_names: .* fewer than four',
     ),
     'infinite': (set_element('x', 4, np.inf), r'people\[1\].x\[4\]: inf'),
-    'score far above one': (set_element('score', 2, 1.3), r'people\[1\].score\[2\]: 1.3, expected a score in \[0, 1\]$'),
+    'score far above one': (
+        set_element('score', 2, 1.3),
+        r'people\[1\].score\[2\]: 1.3, expected a score in \[0, 1\]$',
+    ),
     'score above percent': (
         set_element('score', 2, 130),
         r'people\[1\].score\[2\]: 130, expected a score in \[0, 1\]$',
