@@ -13,7 +13,7 @@ from pathlib import Path
 from mocap_ros.cli.keypoint_input import add_camera_info_option
 from mocap_ros.cli.options import parse_positive
 from mocap_ros.cli.progress import show_progress
-from mocap_ros.errors import MocapError
+from mocap_ros.errors import ConfigError, MocapError
 from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
 from mocap_ros.runtime.playback import Playback
 
@@ -68,11 +68,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Play the input and print how many messages were published."""
     try:
+        from mocap_ros.ros.names import find_name_fault
         from mocap_ros.ros.player import PlaybackOptions, Player
     except ImportError as error:
         raise MocapError(
             f'play needs ROS 2, which this Python does not have ({error}); `make setup` installs it'
         ) from None
+    if fault := find_name_fault(args.to):
+        raise ConfigError(f'--to {args.to!r}: {fault}')
     kinds = [InputKind.BAG, InputKind.SEQUENCE]
     kind = require_kind(args.input, kinds, f'{BAG_FORMATS} or a sequence file (.npz)')
     if args.topic and kind is InputKind.SEQUENCE:

@@ -24,7 +24,7 @@ from mocap_ros.cli.keypoint_input import (
 from mocap_ros.cli.options import add_config_options, load_config
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.config import Config
-from mocap_ros.errors import InputError, MocapError
+from mocap_ros.errors import ConfigError, InputError, MocapError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.result_file import is_result_file
 from mocap_ros.formats.text_files import check_output, replace_output
@@ -138,17 +138,23 @@ def _show_live(args: argparse.Namespace) -> int:
     require_display()
     try:
         from mocap_ros.ros.live_view import KEYPOINTS_TOPIC, watch
+        from mocap_ros.ros.names import find_name_fault
     except ImportError as error:
         raise MocapError(
             f'--live needs ROS 2, which this Python does not have ({error}); `make setup` installs it'
         ) from None
+    topic = args.topic or KEYPOINTS_TOPIC
+    for option, name, fault in (
+        ('--namespace', args.namespace, find_name_fault(KEYPOINTS_TOPIC, args.namespace)),
+        ('--topic', topic, find_name_fault(topic, args.namespace)),
+    ):
+        if fault:
+            raise ConfigError(f'{option} {name!r}: {fault}')
     recording = rr.RecordingStream(APPLICATION, send_properties=False)
     with start_viewer() as (viewer, address):
         recording.connect_grpc(address)
         print('Waiting for skeletons; close the window or press Ctrl+C to end', flush=True)
-        line = watch(
-            LiveDrawing(recording), lambda: viewer.poll() is None, args.namespace, args.topic or KEYPOINTS_TOPIC
-        )
+        line = watch(LiveDrawing(recording), lambda: viewer.poll() is None, args.namespace, topic)
     print(line)
     return 0
 

@@ -19,6 +19,7 @@ from mocap_ros.errors import ConfigError, MocapError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import typestore
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
+from mocap_ros.ros.names import find_name_fault
 from mocap_ros.ros.qos import choose_playback_profile
 from mocap_ros.runtime.playback import Playback, PlaybackMessage, PlayedTopic
 from mocap_ros.units import NS_PER_S
@@ -66,7 +67,8 @@ class Player:
 
     Attributes:
         published_count: Number of messages published so far.
-        skipped_topics: A line for each topic whose message type is not installed, or cannot hold the messages.
+        skipped_topics: A line for each topic whose name is not valid, or whose message type is not installed or
+            cannot hold the messages.
     """
 
     def __init__(self, playback: Playback, options: PlaybackOptions) -> None:
@@ -95,7 +97,7 @@ class Player:
             announce: Called with a line that says for what the player waits, as soon as it waits.
 
         Raises:
-            MocapError: No subscriber appeared in time, or no message type is installed.
+            MocapError: No subscriber appeared in time, or all topics were skipped.
         """
         context = rclpy.Context()
         rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
@@ -126,6 +128,9 @@ class Player:
 
     def _find_class(self, topic: PlayedTopic) -> Any:
         """Return the message class of a topic; if it cannot be used, return None and note that it is skipped."""
+        if fault := find_name_fault(topic.name):
+            self.skipped_topics.append(f'{topic.name}: {fault}')
+            return None
         try:
             if topic.type in typestore().types:
                 self._versions.add_output(topic.type)

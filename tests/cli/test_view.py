@@ -66,6 +66,26 @@ def test_wrong_options_are_one_line(
     assert {path.name for path in tmp_path.iterdir()} == {'in.npz'}
 
 
+@pytest.mark.parametrize(
+    ('option', 'name', 'fault'),
+    [
+        ('--namespace', 'a b', 'namespace must not contain characters other than'),
+        ('--topic', 'a b', 'topic name must not contain characters other than'),
+        ('--topic', 'a//b', "topic name must not contain repeated '/'"),
+        ('--topic', '{foo}/a', 'no name of a topic'),
+    ],
+)
+def test_a_name_that_ros_refuses_is_named_with_its_option(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], option: str, name: str, fault: str
+) -> None:
+    pytest.importorskip('rclpy')
+    for requirement in ('import_rerun', 'require_display'):  # neither is needed to refuse a name
+        monkeypatch.setattr(f'mocap_ros.cli.view.{requirement}', lambda: None)
+    assert main(['view', '--live', option, name]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f'mocap-ros: {option} {name!r}: {fault}')
+
+
 def test_an_option_that_does_nothing_to_a_result_is_refused(
     short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -17,13 +17,16 @@ import pytest
 
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.rosbag2 import make_topic
+from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig
 from mocap_ros.demo.scene import make_recording
+from mocap_ros.errors import MocapError
 from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION, encode_skeleton_definition
 from mocap_ros.ros.message_types import load_interface_class
+from mocap_ros.runtime.playback import Playback
 from mocap_ros.skeleton import CMU15
 from tests.support.ros_node import TIMEOUT_S, Peer, keypoints_at, run_cli
 
@@ -47,6 +50,27 @@ def test_a_sequence_has_no_topic_to_choose(env: dict[str, str], tmp_path: Path) 
     done = run_cli(env, 'play', tmp_path / 'demo.npz', '--topic', '/people')
     assert done.returncode == 1
     assert done.stderr == 'mocap-ros: --topic: a sequence file has no topics; --to /people publishes on this one\n'
+
+
+def test_a_name_that_ros_refuses_is_named_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_sequence(tmp_path / 'demo.npz', make_recording().sequence())
+    assert main(['play', str(tmp_path / 'demo.npz'), '--to', 'key points']) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("mocap-ros: --to 'key points': topic name must not contain characters")
+
+
+def test_a_topic_whose_name_ros_refuses_is_left_out_of_all(tmp_path: Path) -> None:
+    from mocap_ros.ros.player import PlaybackOptions, Player
+
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        for topic in ('/keypoints', '/key points'):
+            recorder.add_topic(make_topic(topic, KEYPOINTS))
+            recorder.write(topic, KEYPOINTS, keypoints_at(0), 10**9, 10**9)
+    player = Player(Playback(tmp_path / 'bag', everything=True), PlaybackOptions(wait=0.1))
+    with pytest.raises(MocapError, match='nobody subscribed to /keypoints within'):
+        player.play()
+    (skipped,) = player.skipped_topics
+    assert skipped.startswith('/key points: topic name must not contain characters')
 
 
 def test_a_sequence_plays_on_the_topic_that_is_named(env: dict[str, str], peer: Peer, tmp_path: Path) -> None:
