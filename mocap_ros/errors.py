@@ -3,22 +3,21 @@
 
 """Exceptions of the package, and texts for them. Libraries raise them; programs print them as one line."""
 
-MAX_MESSAGE_CHARACTERS = 2000  # of an error; longer ones, which quote what a stranger wrote, lose their middle
+MAX_MESSAGE_CHARACTERS = 2000  # of a line; longer ones, which quote what a stranger wrote, lose their middle
 
 
 class MocapError(Exception):
     """Base of all exceptions that this package raises on purpose; the message says what is wrong and where.
 
-    Messages quote names from files and messages of strangers. Therefore the message is one line, at most
-    `MAX_MESSAGE_CHARACTERS` long, in which characters that a terminal would obey are written as Python escapes
-    them.
+    Messages quote names from files and messages of strangers. Therefore the message is what `make_printable_line`
+    makes of it.
 
     Args:
         message: what is wrong and where.
     """
 
     def __init__(self, message: str) -> None:
-        super().__init__(_make_clear(message))
+        super().__init__(make_printable_line(message))
 
 
 class ConfigError(MocapError):
@@ -53,8 +52,12 @@ class DiskFull(RecordingError):
     """A disk without space, or with less than `recorder.min_free_mb`."""
 
 
-def _make_clear(message: str) -> str:
-    """Return a message as one printable line of at most `MAX_MESSAGE_CHARACTERS`."""
+def make_printable_line(message: str) -> str:
+    """Return a message as one line for a terminal, at most `MAX_MESSAGE_CHARACTERS` long.
+
+    All that a program prints with names from files and messages of strangers goes through here: characters that a
+    terminal would obey are written as Python escapes them.
+    """
     if len(message) > MAX_MESSAGE_CHARACTERS:
         half = MAX_MESSAGE_CHARACTERS // 2 - 3
         message = f'{message[:half]} ... {message[-half:]}'

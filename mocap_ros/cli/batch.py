@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from mocap_ros.cli.keypoint_input import add_camera_info_option, add_video_options
 from mocap_ros.cli.options import add_config_options, load_config_file, parse_changes, parse_count, parse_positive
-from mocap_ros.errors import InputError, MocapError, tell_installation
+from mocap_ros.errors import InputError, MocapError, make_printable_line, tell_installation
 from mocap_ros.formats.detections import Video
 from mocap_ros.runtime.save_results import SUFFIXES
 
@@ -118,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
         print(line)
     failed = [outcome for outcome in outcomes if outcome.status is Status.FAILED]
     for outcome in failed:
-        print(f'mocap-ros: {outcome.reason}', file=sys.stderr)
+        print(make_printable_line(f'mocap-ros: {outcome.reason}'), file=sys.stderr)
     return 1 if failed else 0
 
 

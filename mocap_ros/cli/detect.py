@@ -18,7 +18,7 @@ from mocap_ros.cli.interrupts import interrupt_between_items
 from mocap_ros.cli.keypoint_input import list_sources
 from mocap_ros.cli.options import derive_output_stem, parse_count, parse_positive
 from mocap_ros.cli.progress import show_progress
-from mocap_ros.errors import InputError, tell_installation
+from mocap_ros.errors import InputError, make_printable_line, tell_installation
 from mocap_ros.formats.detections import Detections, select_person
 from mocap_ros.formats.sequence_file import describe_frames, save_sequence
 from mocap_ros.formats.text_files import check_output, replace_output
@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
             save_sequence(unfinished, sequence)
         what = f'{len(sequence.joint_names)} keypoints of {sequence.person_id}'
     for line in lines:
-        print(f'mocap-ros: {path}: {line}', file=sys.stderr)
+        print(make_printable_line(f'mocap-ros: {path}: {line}'), file=sys.stderr)
     print(f'{output}: {what}, {describe_frames(times)}')
     return 0
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from mocap_ros.cli.keypoint_input import add_camera_info_option
 from mocap_ros.cli.options import parse_positive
 from mocap_ros.cli.progress import show_progress
-from mocap_ros.errors import ConfigError, MocapError
+from mocap_ros.errors import ConfigError, MocapError, make_printable_line
 from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
 from mocap_ros.runtime.playback import Playback
 
@@ -88,6 +88,6 @@ def run(args: argparse.Namespace) -> int:
             lambda line: print(f'{args.input}: {line}', flush=True),
         )
     for reason in player.skipped_topics:
-        print(f'not played: {reason}', file=sys.stderr)
+        print(make_printable_line(f'not played: {reason}'), file=sys.stderr)
     print(f'{args.input}: {player.published_count} messages published on {", ".join(player.published_topics)}')
     return 0

@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from mocap_ros.bags.recovery import list_recoverable_files, recover
 from mocap_ros.cli.options import name_bag
+from mocap_ros.errors import make_printable_line
 from mocap_ros.runtime.input_kind import InputKind, require_kind
 
 
@@ -48,6 +49,6 @@ def run(args: argparse.Namespace) -> int:
 
         found = recover(args.bag, out, watch)
     for loss in found.losses:
-        print(loss, file=sys.stderr)
+        print(make_printable_line(loss), file=sys.stderr)
     print(f'{out}: {found.messages.total()} messages on {len(found.messages)} topics')
     return 0

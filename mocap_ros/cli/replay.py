@@ -18,7 +18,7 @@ from mocap_ros.cli.interrupts import interrupt_between_items
 from mocap_ros.cli.keypoint_input import add_camera_info_option
 from mocap_ros.cli.options import add_config_options, load_config_file, name_bag, parse_changes
 from mocap_ros.cli.progress import show_progress
-from mocap_ros.errors import InputError, MocapError, RecordingError
+from mocap_ros.errors import InputError, MocapError, RecordingError, make_printable_line
 from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
 from mocap_ros.runtime.replay import ReplayOptions, ReplayResult, replay
 
@@ -141,11 +141,12 @@ def _print_summary(job: _Job, result: ReplayResult, seconds: float) -> None:
     """Print the counters of a replay that took some seconds on stdout, and its faults and losses on stderr."""
     counts = result.counters
     for traceback in result.tracebacks:
-        print(traceback, file=sys.stderr)
+        print(*map(make_printable_line, traceback.splitlines()), sep='\n', file=sys.stderr)
     if result.first_rejection:
-        print(f'first message that was not accepted: {result.first_rejection}', file=sys.stderr)
+        line = f'first message that was not accepted: {result.first_rejection}'
+        print(make_printable_line(line), file=sys.stderr)
     for remark in result.remarks:
-        print(remark, file=sys.stderr)
+        print(make_printable_line(remark), file=sys.stderr)
     if result.unrecorded_inputs:
         print(
             f'{job.bag}: {result.unrecorded_inputs} inputs are missing because the disk was too slow for the '

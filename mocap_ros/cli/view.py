@@ -24,7 +24,7 @@ from mocap_ros.cli.keypoint_input import (
 from mocap_ros.cli.options import add_config_options, load_config
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.config import Config
-from mocap_ros.errors import ConfigError, InputError, MocapError
+from mocap_ros.errors import ConfigError, InputError, MocapError, make_printable_line
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.result_file import is_result_file
 from mocap_ros.formats.text_files import check_output, replace_output
@@ -181,7 +181,7 @@ def _load(args: argparse.Namespace, config: Config) -> Scene:
     )
     scene, lines = load_scene(args.input, options, lambda items, total: show_progress(items, 'view', total))
     for line in lines:
-        print(f'mocap-ros: {line}', file=sys.stderr)
+        print(make_printable_line(f'mocap-ros: {line}'), file=sys.stderr)
     if marks_start_ns is not None:
         with name_file_in_errors(args.keyframes):
             marks = place_marks(marks, marks_start_ns, scene.stamps_ns)

@@ -477,6 +477,17 @@ def test_messages_of_another_type_than_their_topic_are_counted(tmp_path: Path) -
     assert loss == f'1 messages of /people are lost, because {reason}'
 
 
+def test_a_topic_that_a_terminal_would_obey_is_escaped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / 'bag').mkdir()
+    for number, msgtype in enumerate((KEYPOINTS, SKELETONS)):
+        with Recorder(tmp_path / f'bag{number}', RecorderConfig()) as recorder:
+            recorder.write('/a\x1b]0;x\x07', msgtype, MESSAGES[number], number, number)
+        (tmp_path / f'bag{number}' / f'bag{number}_0.mcap').rename(tmp_path / 'bag' / f'bag_{number}.mcap')
+    assert main(['recover', str(tmp_path / 'bag')]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert r'1 messages of /a\x1b]0;x\x07 are lost' in line
+
+
 def test_rows_that_hold_no_message_are_counted(tmp_path: Path) -> None:
     writer = Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.SQLITE3)
     writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)

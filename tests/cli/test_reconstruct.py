@@ -253,6 +253,18 @@ def test_all_people_are_written_into_files_of_their_own(
     assert (right['pelvis_tx_m'] > left['pelvis_tx_m'] + 0.5).all()
 
 
+@pytest.mark.parametrize('arguments', [['reconstruct', '-o', 'a.npz'], ['view', '--person', 'a', '-o', 'a.html']])
+def test_an_id_that_a_terminal_would_obey_is_escaped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_two_people(tmp_path / 'two.mcap', ('a', '\x1b]0;x\x07'))
+    assert main([*arguments, 'two.mcap', *QUICK_OPTIONS]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.isprintable()
+    assert r'\x1b]0;x\x07' in line
+
+
 def test_one_who_cannot_be_reconstructed_does_not_stop_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -471,6 +471,17 @@ def test_internal_errors_cost_their_frame_and_are_told_once(
     assert sum('people: the reconstruction failed (singular)' in reason for reason in reasons) == 1
 
 
+def test_a_topic_that_a_terminal_would_obey_is_escaped(
+    tmp_path: Path, stream: list[bytes], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        for i in range(2):  # the second repeats the stamp of the first
+            recorder.write('/a\x1b]0;x\x07', KEYPOINTS, stream[0], START_NS + i, START_NS)
+    assert main(['replay', str(tmp_path / 'bag'), '-o', str(tmp_path / 'out'), *FAST_ARGUMENTS]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert r'bag: /a\x1b]0;x\x07: input 2 of the bag: ' in line
+
+
 def test_bags_of_one_name_are_replayed_apart(
     tmp_path: Path, stream: list[bytes], capsys: pytest.CaptureFixture[str]
 ) -> None:
