@@ -20,7 +20,7 @@ from mocap_ros.cli.options import derive_output_stem, parse_count, parse_positiv
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import InputError, make_printable_line, tell_installation
 from mocap_ros.formats.detections import Detections, select_person
-from mocap_ros.formats.sequence_file import describe_frames, save_sequence
+from mocap_ros.formats.sequence_file import KeypointSequence, describe_frames, save_sequence
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.formats.video import VideoImage, find_camera
 from mocap_ros.runtime.detection import ShowProgress, detect_in_video
@@ -57,7 +57,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '-o', '--output', type=Path, metavar='OUT', help='.npz or .mcap (default: IN_2d.npz in the current folder)'
     )
     parser.add_argument(
-        '--person', metavar='ID', help='person to write to a .npz (default: the person seen in most images)'
+        '--person',
+        metavar='ID',
+        help='person to write to a .npz; if a camera saw nobody of this id, the person seen in most images is '
+        'written (default: the person seen in most images)',
     )
     parser.add_argument(
         '--max-people',
@@ -106,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
         what = f'{len({p.id for people in detections.people for p in people})} people'
     else:
         try:
-            sequence, lines = select_person(detections, args.person)
+            sequence, lines = _select_person(detections, args.person, is_camera=camera is not None)
         except InputError as error:
             raise InputError(f'{path}: {error}') from None
         times = sequence.timestamps
@@ -117,6 +120,25 @@ def run(args: argparse.Namespace) -> int:
         print(make_printable_line(f'mocap-ros: {path}: {line}'), file=sys.stderr)
     print(f'{output}: {what}, {describe_frames(times)}')
     return 0
+
+
+def _select_person(
+    detections: Detections, person_id: str | None, *, is_camera: bool
+) -> tuple[KeypointSequence, list[str]]:
+    """Return what `select_person` does; of a camera, without the person of that id, the one who is seen most.
+
+    Nobody can show the images of a camera again, or know an id before it is given.
+
+    Raises:
+        InputError: nobody can be selected.
+    """
+    try:
+        return select_person(detections, person_id)
+    except InputError as error:
+        if not is_camera or person_id is None:
+            raise
+        sequence, lines = select_person(detections)
+        return sequence, [f'warning: {error}; written is the one who was seen most', *lines]
 
 
 def _detect_until_interrupted(camera: Path, args: argparse.Namespace, limit_and_show: ShowProgress) -> Detections:

@@ -110,6 +110,23 @@ def test_an_interrupt_of_a_camera_keeps_what_was_detected(
     assert len(load_sequence(out)) == 20 - 4
 
 
+def test_a_camera_that_did_not_see_the_person_keeps_the_one_it_saw(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A video takes the place of the camera; of a video, which can be read again, it is an error."""
+    out = tmp_path / 'me.npz'
+    video = str(folder / 'walk.mp4')
+    command = ['detect', video, '--model', str(folder / 'movenet.onnx'), '--person', 'person_2', '-o', str(out)]
+    assert main(command) == 1
+    assert capsys.readouterr().err == f"mocap-ros: {video}: no person 'person_2'; there are person_1 (40)\n"
+    monkeypatch.setattr(detection, 'VideoReader', lambda path, is_camera: VideoReader(path))  # noqa: ARG005
+    monkeypatch.setattr('mocap_ros.cli.detect.find_camera', Path)
+    assert main(command) == 0
+    warning = "warning: no person 'person_2'; there are person_1 (40); written is the one who was seen most"
+    assert f'mocap-ros: {video}: {warning}\n' in capsys.readouterr().err
+    assert len(load_sequence(out)) == FRAMES
+
+
 @pytest.mark.parametrize('suffix', ['.npz', '.mcap'])
 def test_a_camera_that_is_unplugged_keeps_what_was_detected(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], suffix: str
