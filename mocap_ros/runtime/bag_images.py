@@ -89,11 +89,18 @@ def read_images(
 
 
 def _read_image(raw: bytes, msgtype: str, limits: NodeConfig) -> tuple[int, bytes]:
-    """Return the stamp in ns and the compressed image."""
+    """Return the stamp in ns and the compressed image.
+
+    Raises:
+        InputError: the message is not valid, or JPEG cannot hold its image, as one with a side above 65,500 px.
+    """
     if msgtype == COMPRESSED_IMAGE:
         message = decode(raw, msgtype)
         return validate_header(message.header, limits).stamp_ns, message.data.tobytes()
     header, pixels = decode_image(raw, msgtype, limits)
     stream = io.BytesIO()
-    Pillow.fromarray(pixels).save(stream, 'JPEG', quality=JPEG_QUALITY)
+    try:
+        Pillow.fromarray(pixels).save(stream, 'JPEG', quality=JPEG_QUALITY)
+    except OSError as error:
+        raise InputError(f'the image cannot be written as JPEG ({error})') from None
     return header.stamp_ns, stream.getvalue()

@@ -303,7 +303,7 @@ def test_a_long_bag_whose_stamps_are_all_equal_is_drawn() -> None:
     assert rows.build('equal').stamps_ns == [0]
 
 
-def record_images(folder: Path, encodings: dict[str, str], keypoints: str) -> None:
+def record_images(folder: Path, encodings: dict[str, str], keypoints: str, width: int = 1) -> None:
     """Record an image of one grey on each topic, the darker the later the topic, and a message of keypoints."""
     header = Header(10**9, 'camera')
     with Recorder(folder, RecorderConfig()) as recorder:
@@ -312,11 +312,11 @@ def record_images(folder: Path, encodings: dict[str, str], keypoints: str) -> No
                 IMAGE,
                 header=create_header(header),
                 height=1,
-                width=1,
+                width=width,
                 encoding=encoding,
                 is_bigendian=0,
-                step=4,
-                data=np.full(4, 200 - 100 * i, np.uint8),
+                step=4 * width,
+                data=np.full(4 * width, 200 - 100 * i, np.uint8),
             )
             recorder.write(topic, IMAGE, encode(image, IMAGE), 1, 1)
         recorder.write(keypoints, KEYPOINTS, encode_keypoints(header, (640, 480), []), 1, 1)
@@ -339,6 +339,11 @@ def test_images_of_another_camera_or_of_depth_are_not_drawn_where_others_are(
     images = list(read_images(tmp_path / 'bag', [10**9], NodeConfig()))
     found = [int(np.asarray(Image.open(io.BytesIO(image.data)))[0, 0, 0]) for image in images]
     assert found == ([] if grey is None else [pytest.approx(grey, abs=5)])
+
+
+def test_an_image_that_jpeg_cannot_hold_is_left_out(tmp_path: Path) -> None:
+    record_images(tmp_path / 'bag', {'/image': 'mono8'}, '/keypoints', width=65_501)
+    assert list(read_images(tmp_path / 'bag', [10**9], NodeConfig())) == []
 
 
 def test_images_of_a_bag_are_those_beside_the_keypoints(tmp_path: Path) -> None:
