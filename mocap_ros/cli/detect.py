@@ -156,7 +156,16 @@ def _detect_until_interrupted(camera: Path, args: argparse.Namespace, limit_and_
             with suppress(KeyboardInterrupt):
                 yield from limit_and_show(stop_at_interrupt(images), count)
 
-        found.append(detect_in_video(camera, args.model, args.max_people, show_until_interrupted, is_camera=True))
+        found.append(
+            detect_in_video(
+                camera,
+                args.model,
+                args.max_people,
+                show_until_interrupted,
+                is_camera=True,
+                is_interrupted=lambda: stop_at_interrupt.is_requested,
+            )
+        )
     if not found:
         raise KeyboardInterrupt
     return found[0]

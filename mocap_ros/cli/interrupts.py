@@ -10,7 +10,7 @@ SystemError, and inside a callback it is lost, so that work which reports the er
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import TypeVar
@@ -18,25 +18,36 @@ from typing import TypeVar
 T = TypeVar('T')
 
 
-@contextmanager
-def interrupt_between_items() -> Iterator[Callable[[Iterable[T]], Iterator[T]]]:
-    """Let SIGINT end an iteration between two items only; a second SIGINT is raised at once.
+class StopAtInterrupt:
+    """Function that yields items until SIGINT comes, and raises KeyboardInterrupt in place of the next item.
 
-    Entering the context, which only the main thread may do, returns the function that wraps the items. It raises
-    KeyboardInterrupt in place of the item that follows the signal. Where SIGINT is ignored, it stays ignored.
+    Attributes:
+        is_requested: whether SIGINT has come; for items that could be waited for without an end.
     """
-    is_requested = False
 
-    def request(_number: int, _frame: FrameType | None) -> None:
-        nonlocal is_requested
-        is_requested = True
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    def __init__(self) -> None:
+        self.is_requested = False
 
-    def wrap(items: Iterable[T]) -> Iterator[T]:
+    def __call__(self, items: Iterable[T]) -> Iterator[T]:
+        """Yield the items; raises KeyboardInterrupt in place of the item that follows the signal."""
         for item in items:
-            if is_requested:
+            if self.is_requested:
                 raise KeyboardInterrupt
             yield item
+
+
+@contextmanager
+def interrupt_between_items() -> Iterator[StopAtInterrupt]:
+    """Let SIGINT end an iteration between two items only; a second SIGINT is raised at once.
+
+    Entering the context, which only the main thread may do, returns the function that wraps the items. Where
+    SIGINT is ignored, it stays ignored.
+    """
+    wrap = StopAtInterrupt()
+
+    def request(_number: int, _frame: FrameType | None) -> None:
+        wrap.is_requested = True
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:  # ignored, or handled by somebody else
         yield wrap
@@ -46,7 +57,7 @@ def interrupt_between_items() -> Iterator[Callable[[Iterable[T]], Iterator[T]]]:
         yield wrap
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    if is_requested:
+    if wrap.is_requested:
         raise KeyboardInterrupt
 
 

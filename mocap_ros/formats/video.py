@@ -6,9 +6,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import suppress
 from pathlib import Path
-from queue import Full, Queue
+from queue import Empty, Full, Queue
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -29,7 +30,8 @@ READ_AHEAD = 4  # images that are decoded while the detector works; more would o
 QUARTER_TURN_DEG = 90  # degrees; videos are stored turned by multiples of it
 MICROSECONDS = 1e6  # in a second; the unit of the times of a container
 MAX_MISSING_S = 1.0  # s; the sound of a video may be longer than its images by less
-POLL_S = 0.1  # s; bounds how long the decoder outlives a reader who has gone
+POLL_S = 0.1  # s; bounds how long the decoder outlives a reader who has gone, and how long an end goes unnoticed
+JOIN_S = 0.5  # s; the decoder of a camera that gives no more images is left after this, far above an image's time
 
 
 class VideoImage(NamedTuple):
@@ -82,6 +84,7 @@ class VideoReader:
         self.left_out = 0
         self.ending = ''
         self._is_camera = is_camera
+        self._container_lock = threading.Lock()  # held while FFmpeg reads, which a camera may keep for ever
         try:  # `file:` and the list of protocols keep a name or a playlist from opening anything but files
             self._container: Any = (
                 av.open(str(path), format=CAMERA_FORMAT)
@@ -105,7 +108,9 @@ class VideoReader:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._container.close()
+        # Closing what another thread reads would crash. The lock stays locked: nobody may read what is closed.
+        if self._container_lock.acquire(blocking=False):
+            self._container.close()
 
     def _count_images(self) -> int | None:
         """Return the number of images that the file states, or that its duration and rate give."""
@@ -150,7 +155,8 @@ class VideoReader:
         packets = self._container.demux(self._stream)
         while True:
             try:
-                packet = next(packets)
+                with self._container_lock:
+                    packet = next(packets)
             except StopIteration:
                 return
             except self._errors as error:  # the rest of the file is missing or damaged
@@ -159,12 +165,16 @@ class VideoReader:
                 self.left_out += 1
                 return
             try:
-                yield from packet.decode()
+                with self._container_lock:
+                    frames = packet.decode()
+                yield from frames
             except self._errors:
                 self.left_out += 1
 
 
-def read_ahead(items: Iterator[T], depth: int = READ_AHEAD) -> Generator[T]:
+def read_ahead(
+    items: Iterator[T], depth: int = READ_AHEAD, is_ended: Callable[[], bool] | None = None
+) -> Generator[T]:
     """Yield the items, which another thread takes from their iterator meanwhile.
 
     An error of the iterator is raised after the items before it.
@@ -172,6 +182,8 @@ def read_ahead(items: Iterator[T], depth: int = READ_AHEAD) -> Generator[T]:
     Args:
         items: the iterator.
         depth: number of items that wait at most.
+        is_ended: tells, while no item is there, whether to wait no longer; a thread whose iterator does not return
+            within `JOIN_S` is left behind. By default every item is waited for, and so is the end of the thread.
     """
     queue: Queue[tuple[bool, Any]] = Queue(depth)
     is_closed = threading.Event()
@@ -197,15 +209,26 @@ def read_ahead(items: Iterator[T], depth: int = READ_AHEAD) -> Generator[T]:
     thread.start()
     try:
         while True:
-            is_item, value = queue.get()
+            is_item, value = _take(queue, is_ended)
             if not is_item:
                 break
             yield value
     finally:
         is_closed.set()
-        thread.join()
+        thread.join(None if is_ended is None else JOIN_S)
     if value is not None:
         raise value
+
+
+def _take(queue: Queue[tuple[bool, Any]], is_ended: Callable[[], bool] | None) -> tuple[bool, Any]:
+    """Return the next entry of a queue of `read_ahead`; if `is_ended` tells to wait no longer, that of the end."""
+    if is_ended is None:
+        return queue.get()
+    while True:
+        with suppress(Empty):
+            return queue.get(timeout=POLL_S)
+        if is_ended():
+            return False, None
 
 
 def _describe(error: Exception) -> str:

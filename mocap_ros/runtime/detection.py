@@ -42,6 +42,7 @@ def detect_in_video(
     show_progress: ShowProgress = lambda images, _: images,
     *,
     is_camera: bool = False,
+    is_interrupted: Callable[[], bool] = lambda: False,
 ) -> Detections:
     """Run a detector on all images of a video.
 
@@ -51,6 +52,7 @@ def detect_in_video(
         max_people: largest number of people to find in an image.
         show_progress: function that shows progress, and that may end a camera's images.
         is_camera: whether `path` is a camera.
+        is_interrupted: tells whether to end while a camera gives no image.
 
     Returns:
         The people in each image. Their ids are those of `name_people`; the remarks name the detector, what was
@@ -67,7 +69,7 @@ def detect_in_video(
         stamps_ns: list[int] = []
         size = (0, 0)
         ending = ''
-        images = read_ahead(iter(reader))
+        images = read_ahead(iter(reader), is_ended=is_interrupted if is_camera else None)
         try:
             shown = show_progress(images, reader.image_count)
             for item, found in _detect_in_images(shown, detector, path, model):

@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 import itertools
+import os
 import signal
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -32,6 +34,7 @@ from tests.support.mediapipe_models import load_portrait, require_mediapipe, sav
 
 FRAMES = 40
 FPS = 30.0  # Hz, that of the demo
+TIMEOUT_S = 20.0  # s; far above what anything here takes on a busy machine
 
 
 @pytest.fixture(scope='module')
@@ -107,6 +110,47 @@ def test_an_interrupt_of_a_camera_keeps_what_was_detected(
     finally:
         signal.signal(signal.SIGINT, before)
     assert '17 keypoints of person_1, 16 frames' in capsys.readouterr().out
+    assert len(load_sequence(out)) == 20 - 4
+
+
+def test_an_interrupt_of_a_camera_that_gives_no_more_images_keeps_what_was_detected(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A video takes the place of the camera, whose driver delivers nothing after 20 images, without an error."""
+    all_detected, has_ended, was_waited_for = threading.Event(), threading.Event(), threading.Event()
+    seen = 0
+
+    class SilentCamera(VideoReader):
+        def __init__(self, path: Path, *, is_camera: bool) -> None:
+            assert is_camera
+            super().__init__(path)
+
+        def __iter__(self) -> Iterator[VideoImage]:
+            yield from itertools.islice(super().__iter__(), 20)
+            all_detected.wait(TIMEOUT_S)
+            os.kill(os.getpid(), signal.SIGINT)
+            if not has_ended.wait(TIMEOUT_S):
+                was_waited_for.set()
+
+    def detect_and_count(detector: Detector, image: Image, time_s: float) -> list[Person2D]:
+        nonlocal seen
+        seen += 1
+        if seen == 20:
+            all_detected.set()
+        return detect_people(detector, image, time_s)
+
+    monkeypatch.setattr(detection, 'detect_people', detect_and_count)
+    monkeypatch.setattr(detection, 'VideoReader', SilentCamera)
+    monkeypatch.setattr('mocap_ros.cli.detect.find_camera', Path)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    out = tmp_path / 'me.npz'
+    try:
+        command = ['detect', str(folder / 'walk.mp4'), '--model', str(folder / 'movenet.onnx'), '-o', str(out)]
+        assert main(command) == 0
+    finally:
+        has_ended.set()
+        signal.signal(signal.SIGINT, before)
+    assert not was_waited_for.is_set()
     assert len(load_sequence(out)) == 20 - 4
 
 

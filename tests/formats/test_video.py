@@ -9,6 +9,7 @@ import struct
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -161,6 +162,23 @@ def test_who_stops_reading_stops_the_thread() -> None:
     assert next(numbers) == 0
     numbers.close()
     assert 'read_ahead' not in [thread.name for thread in threading.enumerate()]
+
+
+def test_a_camera_that_gives_no_image_is_not_closed_while_it_is_read(tmp_path: Path) -> None:
+    """FFmpeg would crash; a video takes the place of the camera."""
+    is_read, is_released = threading.Event(), threading.Event()
+    closed: list[bool] = []
+
+    def demux(_: object) -> Iterator[None]:
+        is_read.set()
+        is_released.wait(20)  # s, far above what the test takes
+        yield from ()
+
+    with VideoReader(write_video(tmp_path / 'a.mkv', make_images(), TIMES_S)) as reader:
+        reader._container = SimpleNamespace(demux=demux, close=lambda: closed.append(True))
+        assert list(read_ahead(iter(reader), is_ended=is_read.is_set)) == []
+    assert not closed
+    is_released.set()
 
 
 def test_a_video_that_was_cut_off_says_where_it_ended(tmp_path: Path) -> None:
