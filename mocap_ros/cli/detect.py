@@ -54,7 +54,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'with MediaPipe 0.10.14)',
     )
     parser.add_argument(
-        '-o', '--output', type=Path, metavar='OUT', help='.npz or .mcap (default: IN_2d.npz in the current folder)'
+        '-o',
+        '--output',
+        type=Path,
+        metavar='OUT',
+        help='.npz or .mcap (default: IN_2d.npz, of a camera camera_2d.npz, in the current folder)',
     )
     parser.add_argument(
         '--person',

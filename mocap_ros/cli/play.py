@@ -41,7 +41,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--topic', metavar='NAME', help='topic of the keypoints in the bag (default: the only one in the bag)'
     )
     add_camera_info_option(parser)
-    parser.add_argument('--to', default='keypoints', metavar='NAME', help='topic to publish the keypoints on')
+    parser.add_argument(
+        '--to',
+        default='keypoints',
+        metavar='NAME',
+        help='topic to publish the keypoints on; the topics of ROS4HRI keep their names',
+    )
     parser.add_argument(
         '--all',
         action='store_true',
