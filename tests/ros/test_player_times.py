@@ -48,8 +48,8 @@ class NodeWithTopics:
 
 
 def make_player(options: PlaybackOptions, *types: str) -> Player:
-    """Return a player of topics /0, /1 and so on, of these types."""
-    topics = [PlayedTopic(f'/{i}', msgtype) for i, msgtype in enumerate(types)]
+    """Return a player of topics /topic0, /topic1 and so on, of these types."""
+    topics = [PlayedTopic(f'/topic{i}', msgtype) for i, msgtype in enumerate(types)]
     return Player(cast(Any, SimpleNamespace(topics=topics, count=0)), options)
 
 
@@ -63,15 +63,15 @@ def test_the_rate_divides_the_times_between_messages(monkeypatch: pytest.MonkeyP
     raw = bytes(typestore().serialize_cdr(typestore().types[POINT](1.0, 2.0, 3.0), POINT))
     due = [(0.0, 2), (0.5, 0), (0.6, 1), (3.0, 2)]  # s and topic
     tested._publish_once(PlaybackMessage(START_NS + round(s * 1e9), raw, topic) for s, topic in due)
-    assert [topic for _, topic in node.published] == ['/2', '/0', '/2']
+    assert [topic for _, topic in node.published] == ['/topic2', '/topic0', '/topic2']
     assert [s for s, _ in node.published] == pytest.approx([0.0, 0.5 / rate, 3.0 / rate])
     assert tested.published_count == 3
-    assert tested.published_topics == ['/0', '/2']
+    assert tested.published_topics == ['/topic0', '/topic2']
     (skipped,) = tested.skipped_topics
-    assert skipped.startswith('/1: type nowhere/msg/Unknown is not installed')
+    assert skipped.startswith('/topic1: type nowhere/msg/Unknown is not installed')
 
 
 def test_a_bag_of_unknown_types_is_refused() -> None:
     tested = make_player(PlaybackOptions(), 'nowhere/msg/A', 'nowhere/msg/B')
-    with pytest.raises(MocapError, match=r'^nothing to play: /0: type nowhere/msg/A is not installed'):
+    with pytest.raises(MocapError, match=r'^nothing to play: /topic0: type nowhere/msg/A is not installed'):
         tested._create_publishers(NodeWithTopics(SteadyClock()))
