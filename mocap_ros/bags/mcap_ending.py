@@ -55,8 +55,8 @@ class ChannelStatistics(NamedTuple):
 
     Attributes:
         counts: Number of messages by channel id.
-        first_ns: Log time of the first message, in ns.
-        last_ns: Log time of the last message, in ns.
+        first_ns: Log time of the first message, in ns; -1 where there is no message.
+        last_ns: Log time of the last message, in ns; -1 where there is no message.
     """
 
     counts: Mapping[int, int]
@@ -93,9 +93,9 @@ def write_missing_end(
             _append_chunk(file, index.data_end, open_chunk.records)
             index = _read_index(file)
         totals = index.statistics
-        statistics = ChannelStatistics(
-            totals.channel_message_counts, totals.message_start_time, totals.message_end_time
-        )
+        counts = totals.channel_message_counts
+        times_ns = (totals.message_start_time, totals.message_end_time) if any(counts.values()) else (-1, -1)
+        statistics = ChannelStatistics(counts, *times_ns)
         for metadata in ([make_metadata(statistics)], []):
             file.truncate(index.data_end)
             file.seek(index.data_end)

@@ -299,6 +299,25 @@ def test_a_split_that_fails_leaves_a_whole_bag(tmp_path: Path, monkeypatch: pyte
         assert [m.raw for m in bag.messages(['/keypoints'])] == [make_keypoints(0)]
 
 
+def test_a_disk_that_fails_at_the_start_of_a_further_file_leaves_the_times_as_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = RecorderConfig(split_seconds=1.0)
+    recorder = Recorder(tmp_path / 'bag', config, [Attachment('a.txt', 'text/plain', b'kept')])
+    recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)
+
+    def fail(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr('mocap_ros.bags.mcap_file.McapFile.add_attachments', fail)
+    with pytest.raises(RecordingError, match=f'bag: {os.strerror(errno.ENOSPC)}$'):
+        recorder.write('/keypoints', KEYPOINTS, make_keypoints(1), START_NS + NS_PER_S, START_NS)
+    description = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+    assert description['starting_time'] == {'nanoseconds_since_epoch': START_NS}
+    assert description['duration'] == {'nanoseconds': 0}
+    assert [file['message_count'] for file in description['files']] == [1, 0]
+
+
 def test_unwritable_and_existing_folders_are_refused(tmp_path: Path) -> None:
     (tmp_path / 'file').write_text('')
     with pytest.raises(RecordingError, match=r'file: is no folder'):
