@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
-import shutil
+import errno
 import sqlite3
+import stat
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,7 +29,7 @@ from mocap_ros.bags.recorder import Recorder, choose_partial_path, remove_partia
 from mocap_ros.bags.rosbag2 import METADATA, ROSBAG2, Topic, make_topic
 from mocap_ros.bags.sqlite_scan import SQLITE_ERRORS, MessageRows, has_log, open_database
 from mocap_ros.bags.sqlite_schema import describe_unusual_tables
-from mocap_ros.bags.write_ahead_log import find_log
+from mocap_ros.bags.write_ahead_log import find_log, write_all
 from mocap_ros.config import RecorderConfig, load_yaml
 from mocap_ros.errors import ConfigError, InputError, RecordingError
 from mocap_ros.messages.cdr import typestore
@@ -59,10 +60,10 @@ class RecoveryReport:
 def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: None) -> RecoveryReport:
     """Write a new bag with everything that can be read of another bag, and nothing else.
 
-    Each file of the other bag with a readable message becomes a file of the new bag. The new bag names the
-    distribution that the other bag names, or none where that is lost. It is written as `<out>.partial` and renamed
-    when it is complete. If the recovery fails or is interrupted, the new bag is deleted; what a killed recovery
-    left there is deleted by the next one.
+    Each file of the other bag with a readable message becomes a file of the new bag; one that cannot be opened is
+    a loss. The new bag names the distribution that the other bag names, or none where that is lost. It is written
+    as `<out>.partial` and renamed when it is complete. If the recovery fails or is interrupted, the new bag is
+    deleted; what a killed recovery left there is deleted by the next one.
 
     Args:
         path: Bag folder, or a .mcap or .db3 file; it is not changed.
@@ -79,20 +80,21 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
     if path.is_dir() and out.parent.resolve() == path.resolve():
         raise RecordingError(f'{out}: {path} is a bag; write beside it, not into it')
     report = RecoveryReport()
-    sizes = [_get_size(f) for f in files]
+    sizes: dict[Path, int] = {}  # of the files that can be read, in bytes
+    for file in files:
+        with _note_unreadable(file, report):
+            sizes[file] = _get_size(file)
     remove_partial(out)
     partial = choose_partial_path(out)
     with Recorder(partial, NO_LIMITS, name=out.name) as recorder:
         try:
             recorder.ros_distro = _read_ros_distro(path / METADATA)
-            for number, file in enumerate(files):
-                bytes_before = sum(sizes[:number])
-                recorder.begin_file()
-                with _provide_readable(file, out.parent, report) as readable:
-                    recovery = _FileRecovery(readable, recorder, report, name=file)
-                    steps = recovery.recover_mcap() if readable.suffix == '.mcap' else recovery.recover_sqlite()
+            bytes_before, all_bytes = 0, sum(sizes.values())
+            for file, size in sizes.items():
+                with closing(_recover_file(file, out.parent, recorder, report)) as steps:
                     for processed_bytes in steps:
-                        report_progress(bytes_before + min(processed_bytes, sizes[number]), sum(sizes))
+                        report_progress(bytes_before + min(processed_bytes, size), all_bytes)
+                bytes_before += size
             if not report.messages:
                 reasons = '; '.join(report.losses) or f'{path}: the bag has no messages'
                 raise InputError(f'nothing can be recovered: {reasons}')
@@ -120,6 +122,44 @@ def list_recoverable_files(path: Path) -> list[Path]:
 
 
 @contextmanager
+def _note_unreadable(file: Path, report: RecoveryReport) -> Iterator[None]:
+    """Add to the losses that a file cannot be read, where the block raises OSError."""
+    try:
+        yield
+    except OSError as error:
+        report.losses.append(f'{file}: {error.strerror or error}')
+
+
+@contextmanager
+def _name_folder(folder: Path) -> Iterator[None]:
+    """Raise RecordingError where the block cannot write into a folder."""
+    try:
+        yield
+    except OSError as error:
+        raise RecordingError(f'{folder}: {error.strerror or error}') from None
+
+
+def _recover_file(
+    file: Path, folder: Path, recorder: Recorder, report: RecoveryReport
+) -> Generator[int, None, None]:
+    """Copy everything that can be read of one file into the new bag; yield the number of bytes read so far.
+
+    Args:
+        file: File to read.
+        folder: Folder for temporary files.
+        recorder: Recorder of the new bag.
+        report: Report to which recovered messages and losses are added.
+
+    Raises:
+        RecordingError: The new bag or a temporary file cannot be written.
+    """
+    recorder.begin_file()
+    with _note_unreadable(file, report), _provide_readable(file, folder, report) as readable:
+        recovery = _FileRecovery(readable, recorder, report, name=file)
+        yield from recovery.recover_mcap() if readable.suffix == '.mcap' else recovery.recover_sqlite()
+
+
+@contextmanager
 def _provide_readable(file: Path, folder: Path, report: RecoveryReport) -> Iterator[Path]:
     """Provide a file of a bag in a form that can be read without changing the folder of the bag.
 
@@ -130,25 +170,40 @@ def _provide_readable(file: Path, folder: Path, report: RecoveryReport) -> Itera
     if not is_packed and not (file.suffix == '.db3' and has_log(file)):
         yield file
         return
-    with TemporaryDirectory(dir=folder, prefix='.mocap_ros_') as temporary:
-        readable = Path(temporary) / (file.stem if is_packed else file.name)
+    with _name_folder(folder):
+        temporary = TemporaryDirectory(dir=folder, prefix='.mocap_ros_')
+    with temporary as place:
+        readable = Path(place) / (file.stem if is_packed else file.name)
         if is_packed:
             _unpack_file(file, readable, report)
         else:
-            shutil.copyfile(file, readable)
-            shutil.copyfile(find_log(file), find_log(readable))
+            _copy_file(file, readable)
+            _copy_file(find_log(file), find_log(readable))
         yield readable
 
 
+def _copy_file(file: Path, copy: Path) -> None:
+    with file.open('rb') as source:
+        _write_pieces(source.read, copy)
+
+
 def _unpack_file(file: Path, unpacked: Path, report: RecoveryReport) -> None:
-    """Unpack a file as far as it can be unpacked."""
-    with file.open('rb') as packed, unpacked.open('wb') as stream:
-        source = LimitedFile(packed)
+    """Unpack a file as far as it can be read and unpacked."""
+    with _note_unreadable(file, report), file.open('rb') as packed:
         try:
-            while piece := source.read(PIECE_BYTES):
-                stream.write(piece)
+            _write_pieces(LimitedFile(packed).read, unpacked)
         except (ValueError, zstandard.ZstdError) as error:
             report.losses.append(f'{file}: the compressed file is damaged or too large: {error}')
+
+
+def _write_pieces(read: Callable[[int], bytes], path: Path) -> None:
+    """Write a new file of what a function reads piece by piece; it is complete up to where the function fails."""
+    with _name_folder(path.parent):
+        stream = path.open('xb', buffering=0)
+    with stream:
+        while piece := read(PIECE_BYTES):
+            with _name_folder(path.parent):
+                write_all(stream, piece)
 
 
 def _read_ros_distro(metadata: Path) -> str:
@@ -177,15 +232,12 @@ def _get_size(file: Path) -> int:
     """Return the size of a file in bytes.
 
     Raises:
-        InputError: The path does not exist or is not a regular file.
+        OSError: The path does not exist or is not a regular file.
     """
-    try:
-        size = file.stat().st_size
-    except OSError as error:
-        raise InputError(f'{file}: {error.strerror}') from None
-    if not file.is_file():
-        raise InputError(f'{file}: not a file')
-    return size
+    status = file.stat()
+    if not stat.S_ISREG(status.st_mode):
+        raise OSError(errno.EINVAL, 'not a file')
+    return status.st_size
 
 
 class _FileRecovery:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import random
 import re
@@ -244,6 +245,51 @@ def test_a_file_without_messages_is_left_out(tmp_path: Path) -> None:
         (tmp_path / 'bag' / f'bag_{number}.mcap').write_bytes(b'')
     recover(tmp_path / 'bag', tmp_path / 'out')
     assert read_files(tmp_path / 'out') == [written[1], written[3]]
+
+
+def raise_io_error(*_: object) -> bytes:
+    """Raise EIO, as a disk with a bad sector does."""
+    raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+
+@pytest.mark.parametrize('fault', ['open', 'link', 'packed'])
+def test_a_file_that_cannot_be_read_costs_no_other_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
+) -> None:
+    with Recorder(tmp_path / 'bag', RecorderConfig(split_seconds=1.0)) as recorder:
+        for i, raw in enumerate(MESSAGES):
+            recorder.write('/keypoints', KEYPOINTS, raw, i * STEP_NS, i)
+    written = read_files(tmp_path / 'bag')
+    file, reason = tmp_path / 'bag' / 'bag_1.mcap', os.strerror(errno.EIO)
+    if fault == 'link':
+        file.unlink()
+        file.symlink_to('nowhere')
+        reason = os.strerror(errno.ENOENT)
+    elif fault == 'packed':
+        file = file.rename(f'{file}.zstd')
+        monkeypatch.setattr('mocap_ros.bags.recovery.LimitedFile.read', raise_io_error)
+    else:
+        scan = McapScan
+        monkeypatch.setattr(
+            'mocap_ros.bags.recovery.McapScan', lambda f: raise_io_error() if f == file else scan(f)
+        )
+    report = recover(tmp_path / 'bag', tmp_path / 'out')
+    monkeypatch.undo()
+    assert f'{file}: {reason}' in report.losses
+    assert read_files(tmp_path / 'out') == [written[0], *written[2:]]
+
+
+def test_a_temporary_file_that_cannot_be_written_is_no_loss_of_the_bag(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_bag(tmp_path / 'bag')
+    whole = tmp_path / 'bag' / 'bag_0.mcap'
+    whole.with_name('bag_0.mcap.zstd').write_bytes(zstandard.compress(whole.read_bytes()))
+    whole.unlink()
+    monkeypatch.setattr('mocap_ros.bags.recovery.write_all', raise_io_error)
+    with pytest.raises(RecordingError, match=rf'{tmp_path}/.*: {os.strerror(errno.EIO)}$'):
+        recover(tmp_path / 'bag', tmp_path / 'out')
+    assert [f.name for f in tmp_path.iterdir()] == ['bag']
 
 
 def find_first_chunk(bag: Path) -> int:
