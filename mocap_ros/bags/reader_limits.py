@@ -4,7 +4,8 @@
 """Limits that the bag readers of rosbags lack: a small bag from a stranger could fill the memory or the disk.
 
 rosbags unpacks whatever a file holds and compares with the stated size afterwards, and it parses the QoS profiles
-of every topic anew. Its functions are replaced in its modules, because they are no parameters of its readers.
+of every topic anew. It also refuses the bags in which rosbag2 states that it has found no definition of a type.
+Its functions are replaced in its modules, because they are no parameters of its readers.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from functools import lru_cache, partial
 from types import SimpleNamespace
 from typing import IO, Any, BinaryIO
 
+import apsw
 import lz4.frame
 import zstandard
-from rosbags.interfaces import Qos
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat, Qos
 from rosbags.rosbag1 import reader as ros1_reader
 from rosbags.rosbag2 import metadata, storage_mcap, storage_sqlite3
 from rosbags.rosbag2 import reader as ros2_reader
@@ -149,10 +151,37 @@ def _limit_length(read: Callable[[BinaryIO, int], bytes]) -> Callable[[BinaryIO,
     return read_at_most_all
 
 
+def _allow_unknown(get_definition: Callable[[Any], MessageDefinition]) -> Callable[[Any], MessageDefinition]:
+    """Return a function that returns the definition of a schema, none where its language is unknown."""
+
+    def get_known_definition(schema: Any) -> MessageDefinition:
+        try:
+            return get_definition(schema)
+        except KeyError:  # rosbag2 writes `unknown` where it has found no definition
+            return MessageDefinition(MessageDefinitionFormat.NONE, '')
+
+    return get_known_definition
+
+
+class _Database(apsw.Connection):
+    """A database of a bag, without the definitions of message types in languages that rosbags does not know."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        # SQLite looks for a name among what is temporary first, also in a database that is read only.
+        self.execute(
+            'CREATE TEMP VIEW message_definitions AS SELECT * FROM main.message_definitions '
+            "WHERE encoding IN ('ros2msg', 'ros2idl')"
+        )
+
+
 def limit_readers() -> None:
     """Give the readers of rosbags their limits; once in a process, because they wrap what they replace."""
     storage: Any = storage_mcap
     storage.read_exact = _limit_length(storage_mcap.read_exact)
+    storage.get_msgdef = _allow_unknown(storage_mcap.get_msgdef)
+    storage = storage_sqlite3
+    storage.apsw = SimpleNamespace(**{**vars(apsw), 'Connection': _Database})
     storage = ros1_reader
     storage.read_bytes = _limit_length(ros1_reader.read_bytes)
     storage_mcap.DECOMPRESSORS.update({name: _unpack_mcap(name) for name in ('zstd', 'lz4')})

@@ -11,7 +11,7 @@ import stat
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -35,7 +35,7 @@ from mocap_ros.errors import ConfigError, InputError, RecordingError
 from mocap_ros.messages.cdr import typestore
 from mocap_ros.messages.recorded_types import load_recorded_types
 
-DEFINITION_ENCODINGS = ('ros2msg', 'ros2idl')  # of message definitions that can be parsed
+DEFINITION_ENCODINGS = ('ros2msg', 'ros2idl', 'omgidl')  # of message definitions that can be parsed
 PACKED_SUFFIX = '.zstd'  # that rosbag2 adds to the name of a file that it has compressed as a whole
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # first bytes of a compressed message; a message as CDR begins with 0
 NO_LIMITS = RecorderConfig(min_free_mb=0, split_seconds=0.0, split_mb=0)  # the new bag has the files of the other
@@ -394,10 +394,13 @@ def _convert_topic(item: ScannedMessage) -> Topic:
 
 
 def _repair_definition(topic: Topic) -> Topic:
-    """Replace a missing or damaged definition by this package's own definition of the type, where it has one."""
-    if topic.type not in typestore().types or _has_valid_definition(topic):
-        return topic
-    return make_topic(topic.name, topic.type, qos=topic.qos)
+    """Replace a missing or damaged definition by this package's own definition of the type, where it has one.
+
+    Of other types, a definition in an unknown language is left out, because readers refuse bags that state one.
+    """
+    if topic.type in typestore().types:
+        return topic if _has_valid_definition(topic) else make_topic(topic.name, topic.type, qos=topic.qos)
+    return topic if topic.encoding in DEFINITION_ENCODINGS else replace(topic, definition='', encoding='')
 
 
 def _has_valid_definition(topic: Topic) -> bool:
@@ -405,7 +408,7 @@ def _has_valid_definition(topic: Topic) -> bool:
     if not topic.definition or topic.encoding not in DEFINITION_ENCODINGS:
         return False
     try:
-        is_idl = topic.encoding == 'ros2idl'
+        is_idl = topic.encoding != 'ros2msg'
         load_recorded_types(topic.definition, topic.type, is_idl=is_idl).generate_msgdef(topic.type)
     except Exception:  # the parser may raise anything for damaged text
         return False

@@ -52,7 +52,7 @@ class Topic:
         name: Absolute name.
         type: Message type, such as `sensor_msgs/msg/CameraInfo`.
         definition: Text of the message type and of all types that it contains.
-        encoding: Language of the definition, `ros2msg` or `ros2idl`.
+        encoding: Language of the definition, such as `ros2msg`; empty where there is no definition.
         type_hash: Hash of the message type (RIHS01); empty where it is unknown.
         qos: QoS profiles that the publishers offer, by rosbag2's names of the policies.
     """

@@ -11,6 +11,7 @@ import random
 import re
 import sqlite3
 import struct
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -769,3 +770,48 @@ def test_only_definitions_that_cannot_be_parsed_are_replaced(
     assert (recovered.encoding, recovered.data.decode()) == (
         (encoding, text) if is_kept else (own.encoding, own.definition)
     )
+
+
+@pytest.mark.parametrize('storage', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_bag_with_a_type_that_rosbag2_could_not_define_is_read_and_recovered(
+    tmp_path: Path, storage: StoragePlugin
+) -> None:
+    bag, foreign = tmp_path / 'bag', 'foreign_msgs/msg/Foreign'
+    with Writer(bag, version=9, storage_plugin=storage) as writer:
+        connection = writer.add_connection('/keypoints', KEYPOINTS, typestore=typestore())
+        other = writer.add_connection('/foreign', foreign, msgdef='string data', rihs01='RIHS01_' + 64 * '0')
+        for i, raw in enumerate(MESSAGES):
+            writer.write(connection, i + 1, raw)
+        writer.write(other, FRAMES, MESSAGES[0])
+    if storage == StoragePlugin.SQLITE3:
+        with closing(sqlite3.connect(bag / 'bag.db3')) as database, database:
+            query = "UPDATE message_definitions SET encoding = 'unknown', encoded_message_definition = ''"
+            database.execute(f'{query} WHERE topic_type = ?', (foreign,))
+    else:
+        copy_with_unknown_encoding(bag / 'bag.mcap', foreign)
+    recover(bag, tmp_path / 'out')
+    for path in (bag, tmp_path / 'out', next(bag.glob('bag.*'))):
+        assert read_frames(path) == list(range(FRAMES))
+        with Bag(path) as opened:
+            assert [(m.type, m.raw) for m in opened.messages(['/foreign'])] == [(foreign, MESSAGES[0])]
+    with (tmp_path / 'out' / 'out_0.mcap').open('rb') as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert {s.name: s.encoding for s in summary.schemas.values()} == {KEYPOINTS: 'ros2msg', foreign: ''}
+
+
+def copy_with_unknown_encoding(file: Path, msgtype: str) -> None:
+    """Write a file anew as rosbag2 writes it where it finds no definition of a message type."""
+    with file.open('rb') as stream:
+        items = list(make_reader(stream).iter_messages())
+    writer = McapWriter(str(file))
+    writer.start('ros2', 'test')
+    channels: dict[str, int] = {}
+    for schema, channel, message in items:
+        assert schema is not None
+        if channel.topic not in channels:
+            encoding, text = ('unknown', b'') if schema.name == msgtype else (schema.encoding, schema.data)
+            schema_id = writer.register_schema(schema.name, encoding, text)
+            channels[channel.topic] = writer.register_channel(channel.topic, 'cdr', schema_id, channel.metadata)
+        writer.add_message(channels[channel.topic], message.log_time, message.data, message.publish_time)
+    writer.finish()  # type: ignore[no-untyped-call]
