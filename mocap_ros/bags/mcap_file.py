@@ -34,11 +34,19 @@ DescribeFile = Callable[['McapFile'], dict[str, Any]]
 
 
 class Attachment(NamedTuple):
-    """A file that is attached to each file of a bag."""
+    """A file that is attached to each file of a bag.
+
+    Attributes:
+        name: Name of the file.
+        media_type: Media type (MIME).
+        data: Content.
+        create_time_ns: Time at which the file was created, in ns; by default, that at which it is attached.
+    """
 
     name: str
     media_type: str
     data: bytes
+    create_time_ns: int | None = None
 
 
 class McapFile:
@@ -125,9 +133,10 @@ class McapFile:
             self.flush()
 
     def add_attachments(self, attachments: Iterable[Attachment], time_ns: int) -> None:
-        """Add attachments with a log time and creation time in ns."""
-        for name, media_type, data in attachments:
-            self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
+        """Add attachments with a log time in ns."""
+        for name, media_type, data, create_time_ns in attachments:
+            created_ns = time_ns if create_time_ns is None else create_time_ns
+            self._writer.add_attachment(created_ns, time_ns, name, media_type, data)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record."""

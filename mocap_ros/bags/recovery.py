@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -60,10 +61,10 @@ class RecoveryReport:
 def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: None) -> RecoveryReport:
     """Write a new bag with everything that can be read of another bag, and nothing else.
 
-    Each file of the other bag with a readable message becomes a file of the new bag; one that cannot be opened is
-    a loss. The new bag names the distribution that the other bag names, or none where that is lost. It is written
-    as `<out>.partial` and renamed when it is complete. If the recovery fails or is interrupted, the new bag is
-    deleted; what a killed recovery left there is deleted by the next one.
+    Each file of the other bag with a readable message, attachment or metadata becomes a file of the new bag; one
+    that cannot be opened is a loss. The new bag names the distribution that the other bag names, or none where that
+    is lost. It is written as `<out>.partial` and renamed when it is complete. If the recovery fails or is
+    interrupted, the new bag is deleted; what a killed recovery left there is deleted by the next one.
 
     Args:
         path: Bag folder, or a .mcap or .db3 file; it is not changed.
@@ -153,7 +154,6 @@ def _recover_file(
     Raises:
         RecordingError: The new bag or a temporary file cannot be written.
     """
-    recorder.begin_file()
     with _note_unreadable(file, report), _provide_readable(file, folder, report) as readable:
         recovery = _FileRecovery(readable, recorder, report, name=file)
         yield from recovery.recover_mcap() if readable.suffix == '.mcap' else recovery.recover_sqlite()
@@ -256,6 +256,7 @@ class _FileRecovery:
         self._recorder = recorder
         self._report = report
         self._rejected: Counter[tuple[str, str]] = Counter()  # messages by topic and reason for the rejection
+        self._has_begun = False  # whether anything of the file is in the new bag
 
     def recover_mcap(self) -> Iterator[int]:
         """Copy an MCAP file; yield the number of bytes read so far."""
@@ -263,15 +264,18 @@ class _FileRecovery:
         if not scan.is_mcap:
             self._report_loss('the file is no MCAP file')
             return
-        attachment_names = set()
+        attached = set()  # names of the attachments and checksums of their content
         for item in scan:
             if isinstance(item, AttachmentRecord):
-                if item.name not in attachment_names:
-                    attachment_names.add(item.name)
-                    attachment = Attachment(item.name, item.media_type, item.data)
+                key = item.name, sha256(item.data).digest()
+                if key not in attached:
+                    attached.add(key)
+                    attachment = Attachment(item.name, item.media_type, item.data, item.create_time)
+                    self._begin_file()
                     self._recorder.add_attachment(attachment, item.log_time)
             elif isinstance(item, MetadataRecord):
                 if item.name != ROSBAG2:
+                    self._begin_file()
                     self._recorder.add_metadata(item.name, item.metadata)
                 elif ros_distro := _parse_ros_distro(item.metadata.get('serialized_metadata', '')):
                     self._recorder.ros_distro = ros_distro
@@ -366,8 +370,15 @@ class _FileRecovery:
             except (ValueError, zstandard.ZstdError):
                 self._rejected[topic, 'they cannot be decompressed'] += 1
                 return
+        self._begin_file()
         self._recorder.write(topic, msgtype, data, log_time_ns, publish_time_ns, repeat_keys=None)
         self._report.messages[topic] += 1
+
+    def _begin_file(self) -> None:
+        """Begin a file of the new bag with the first of what can be read."""
+        if not self._has_begun:
+            self._recorder.begin_file()
+            self._has_begun = True
 
     def _report_rejected(self) -> None:
         for (topic, reason), number in self._rejected.items():

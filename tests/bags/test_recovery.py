@@ -248,6 +248,42 @@ def test_a_file_without_messages_is_left_out(tmp_path: Path) -> None:
     assert read_files(tmp_path / 'out') == [written[1], written[3]]
 
 
+@pytest.mark.parametrize('storage', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_file_whose_messages_cannot_be_read_is_left_out(tmp_path: Path, storage: StoragePlugin) -> None:
+    suffix = 'mcap' if storage == StoragePlugin.MCAP else 'db3'
+    for number in range(3):
+        with Writer(tmp_path / f'bag{number}', version=9, storage_plugin=storage) as writer:
+            connection = writer.add_connection('/keypoints', KEYPOINTS, typestore=typestore())
+            if number < 2:
+                writer.write(connection, number, MESSAGES[number])
+    (tmp_path / 'bag').mkdir()
+    for number in range(3):
+        file = tmp_path / f'bag{number}' / f'bag{number}.{suffix}'
+        file.rename(tmp_path / 'bag' / f'bag_{number}.{suffix}')
+    recover(tmp_path / 'bag', tmp_path / 'out')
+    assert [[m[3] for m in messages] for messages, _ in read_files(tmp_path / 'out')] == [
+        [MESSAGES[0]],
+        [MESSAGES[1]],
+    ]
+
+
+def test_attachments_of_one_name_and_their_times_are_kept(tmp_path: Path) -> None:
+    topic = make_topic('/keypoints', KEYPOINTS)
+    with (tmp_path / 'x.mcap').open('wb') as stream:
+        writer = McapWriter(stream)
+        writer.start('ros2', 'test')
+        schema = writer.register_schema(KEYPOINTS, topic.encoding, topic.definition.encode())
+        channel = writer.register_channel('/keypoints', 'cdr', schema, topic.channel_metadata)
+        writer.add_message(channel, 1, MESSAGES[0], 1)
+        for create_ns, content in ((5, b'first'), (6, b'second'), (7, b'first')):
+            writer.add_attachment(create_ns, 9, 'notes.txt', 'text/plain', content)
+        writer.finish()  # type: ignore[no-untyped-call]
+    recover(tmp_path / 'x.mcap', tmp_path / 'out')
+    with (tmp_path / 'out' / 'out_0.mcap').open('rb') as stream:
+        attachments = list(make_reader(stream).iter_attachments())
+    assert [(a.create_time, a.log_time, a.data) for a in attachments] == [(5, 9, b'first'), (6, 9, b'second')]
+
+
 def raise_io_error(*_: object) -> bytes:
     """Raise EIO, as a disk with a bad sector does."""
     raise OSError(errno.EIO, os.strerror(errno.EIO))
