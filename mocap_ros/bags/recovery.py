@@ -62,8 +62,8 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
     """Write a new bag with everything that can be read of another bag, and nothing else.
 
     Each file of the other bag with a readable message, attachment or metadata becomes a file of the new bag; one
-    that cannot be opened is a loss. The new bag names the distribution that the other bag names, or none where that
-    is lost. It is written as `<out>.partial` and renamed when it is complete. If the recovery fails or is
+    that cannot be opened is a loss. The new bag names the distribution that the other bag names, or none where
+    that is lost. It is written as `<out>.partial` and renamed when it is complete. If the recovery fails or is
     interrupted, the new bag is deleted; what a killed recovery left there is deleted by the next one.
 
     Args:

@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from pathlib import Path
 
 from tqdm import tqdm
 
 from mocap_ros.bags.recovery import list_recoverable_files, recover
+from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.cli.options import name_bag
 from mocap_ros.errors import make_printable_line
 from mocap_ros.runtime.input_kind import InputKind, require_kind
@@ -30,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--output',
         type=Path,
         metavar='OUTBAG',
-        help='folder of the new bag, which must not exist (default: BAG_recovered)',
+        help='folder of the new bag, which must not exist (default: BAG_recovered, beside the bag)',
     )
     parser.set_defaults(run=run)
 
@@ -39,8 +41,7 @@ def run(args: argparse.Namespace) -> int:
     """Recover a bag, and print what was recovered and what was not."""
     if not (args.bag.exists() and list_recoverable_files(args.bag)):
         require_kind(args.bag, [InputKind.BAG], 'a bag of ROS 2 (folder, .mcap or .db3)')
-    place = args.bag if args.bag.name not in ('', '..') else args.bag.resolve()  # of the present folder as `.`
-    out = args.output or place.with_name(f'{name_bag(args.bag)}_recovered')
+    out = args.output or _choose_output(args.bag)
     with tqdm(desc='recover', unit='B', unit_scale=True, disable=not sys.stderr.isatty(), leave=False) as bar:
 
         def watch(done: int, size: int) -> None:
@@ -52,3 +53,13 @@ def run(args: argparse.Namespace) -> int:
         print(make_printable_line(loss), file=sys.stderr)
     print(f'{out}: {found.messages.total()} messages on {len(found.messages)} topics')
     return 0
+
+
+def _choose_output(bag: Path) -> Path:
+    """Return the default path of the new bag: beside the damaged bag, also where only a file of it is given."""
+    folder = bag.absolute().parent
+    is_in_bag = (folder / METADATA).is_file() or re.match(rf'{re.escape(folder.name)}_\d+\.', bag.name)
+    place = bag.parent if is_in_bag and not bag.is_dir() else bag
+    if place.name in ('', '..'):  # the present folder is `.`
+        place = place.resolve()
+    return place.with_name(f'{name_bag(bag)}_recovered')

@@ -752,6 +752,19 @@ def test_the_bag_in_the_present_folder_is_recovered_beside_it(
     assert read_frames(tmp_path / 'bag.1_recovered') == list(range(FRAMES))
 
 
+@pytest.mark.parametrize('has_metadata', [True, False])
+@pytest.mark.parametrize('is_present_folder', [True, False])
+def test_one_file_of_a_bag_is_recovered_beside_the_bag(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_metadata: bool, is_present_folder: bool
+) -> None:
+    write_bag(tmp_path / 'bag')
+    if not has_metadata:
+        (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    monkeypatch.chdir(tmp_path / 'bag' if is_present_folder else tmp_path)
+    assert main(['recover', 'bag_0.mcap' if is_present_folder else 'bag/bag_0.mcap']) == 0
+    assert read_frames(tmp_path / 'bag_0_recovered') == list(range(FRAMES))
+
+
 def test_a_folder_of_compressed_files_without_a_description_is_accepted_by_the_command(tmp_path: Path) -> None:
     write_bag(tmp_path / 'bag')
     (tmp_path / 'bag' / 'metadata.yaml').unlink()
