@@ -98,12 +98,8 @@ def compute_chunk_length(content: bytes) -> int:
     """
     if len(content) < MIN_CHUNK_BYTES:
         return -1
-    *_, size, _, name_length = CHUNK_HEADER.unpack_from(content)
-    if (
-        name_length > MAX_COMPRESSION_NAME_BYTES
-        or size > MAX_CHUNK_BYTES
-        or len(content) < MIN_CHUNK_BYTES + name_length
-    ):
+    *_, name_length = CHUNK_HEADER.unpack_from(content)
+    if name_length > MAX_COMPRESSION_NAME_BYTES or len(content) < MIN_CHUNK_BYTES + name_length:
         return -1
     (compressed,) = struct.unpack_from('<Q', content, CHUNK_HEADER.size + name_length)
     return int(MIN_CHUNK_BYTES + name_length + compressed)

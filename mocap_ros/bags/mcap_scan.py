@@ -280,6 +280,11 @@ class McapScan:
             lost = self._describe_indexed_messages(start, content)
             self.losses.append(f'{where} ({lost}): its header is damaged')
             return False
+        if chunk.uncompressed_size > MAX_CHUNK_BYTES:
+            lost = self._describe_indexed_messages(start, content)
+            limit = f'the limit of {MAX_CHUNK_BYTES >> 20} MiB'
+            self.losses.append(f'{where} ({lost}): it holds {chunk.uncompressed_size} bytes, more than {limit}')
+            return False
         payload = decompress_records(chunk.data, chunk.compression, chunk.uncompressed_size)
         crc = chunk.uncompressed_crc
         if payload is None or len(payload) != chunk.uncompressed_size or (crc and zlib.crc32(payload) != crc):
@@ -312,7 +317,8 @@ class McapScan:
             return
         content = self._data[start + RECORD_PREFIX.size : start + MAX_CHUNK_BYTES]
         *_, size, _, name_length = CHUNK_HEADER.unpack_from(content)
-        if len(content) < MIN_CHUNK_BYTES + name_length or len(content) >= compute_chunk_length(content):
+        is_cut = MIN_CHUNK_BYTES + name_length <= len(content) < compute_chunk_length(content)
+        if not is_cut or size > MAX_CHUNK_BYTES:
             return
         compression = content[CHUNK_HEADER.size : CHUNK_HEADER.size + name_length].decode()
         payload = decompress_records(content[MIN_CHUNK_BYTES + name_length :], compression, size) or b''

@@ -27,6 +27,7 @@ from mocap_ros.bags.mcap_layout import (
     CHUNK_HEADER,
     CRC_BYTES,
     MAGIC,
+    MAX_CHUNK_BYTES,
     MIN_CHUNK_BYTES,
     RECORD_PREFIX,
 )
@@ -652,6 +653,25 @@ def test_what_is_whole_in_a_damaged_chunk_is_recovered(tmp_path: Path, case: str
     report = recover(tmp_path / 'x.mcap', tmp_path / 'out')
     assert read_frames(tmp_path / 'out') == frames
     assert any(re.search(loss, line) for line in report.losses), report.losses
+
+
+def test_a_chunk_above_the_limit_is_told_and_skipped(tmp_path: Path) -> None:
+    topic = make_topic('/keypoints', KEYPOINTS)
+    with (tmp_path / 'x.mcap').open('wb') as stream:
+        writer = McapWriter(stream, chunk_size=1)  # a chunk for each message
+        writer.start('ros2', 'test')
+        schema = writer.register_schema(KEYPOINTS, topic.encoding, topic.definition.encode())
+        channel = writer.register_channel('/keypoints', 'cdr', schema, topic.channel_metadata)
+        for number, raw in enumerate((MESSAGES[0], bytes(MAX_CHUNK_BYTES), MESSAGES[2])):
+            writer.add_message(channel, number, raw, number)
+        writer.finish()  # type: ignore[no-untyped-call]
+    losses = recover(tmp_path / 'x.mcap', tmp_path / 'out').losses
+    assert read_frames(tmp_path / 'out') == [0, 2]
+    told = (
+        rf'chunk at byte \d+ \(1 messages\): it holds {MAX_CHUNK_BYTES + 31} bytes, more than the limit of 128 MiB'
+    )
+    assert re.search(told, losses[0])
+    assert losses[1:] == [f'{tmp_path}/x.mcap: 1 of 3 messages are missing']
 
 
 def test_an_interrupted_recovery_leaves_no_bag(tmp_path: Path) -> None:
