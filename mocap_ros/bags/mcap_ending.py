@@ -11,7 +11,6 @@ complete records.
 from __future__ import annotations
 
 import errno
-import mmap
 import os
 import zlib
 from collections import Counter
@@ -39,6 +38,7 @@ from mcap.records import (
     Statistics,
 )
 
+from mocap_ros.bags.file_bytes import FileBytes
 from mocap_ros.bags.mcap_layout import (
     MAGIC,
     Data,
@@ -111,10 +111,9 @@ def write_missing_end(
 
 
 def _read_index(file: FileIO) -> _RebuiltIndex:
-    """Return the index of what a file holds; raise OSError where it does not hold the start of an MCAP file."""
+    """Return the index of what a file holds; raise OSError where it cannot be read or starts as no MCAP file."""
     if os.fstat(file.fileno()).st_size > len(MAGIC):
-        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            index = _RebuiltIndex(data)
+        index = _RebuiltIndex(FileBytes(file.fileno()))
         if index.data_end > len(MAGIC):
             return index
     raise OSError(errno.EIO, 'not even the start of the file was written')

@@ -16,7 +16,6 @@ All integers are little-endian; a string is preceded by its length in bytes as u
 
 from __future__ import annotations
 
-import mmap
 import re
 import struct
 from collections.abc import Iterator
@@ -28,6 +27,8 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+
+from mocap_ros.bags.file_bytes import FileBytes
 
 MAGIC = b'\x89MCAP0\r\n'  # first and last 8 bytes of every file
 RECORD_PREFIX = struct.Struct('<BQ')  # opcode; length of the content in bytes
@@ -46,13 +47,14 @@ MESSAGE_INDEX_HEADER_BYTES = 6  # channel id uint16, length of the entries uint3
 MESSAGE_INDEX_ENTRY_BYTES = 16  # log time uint64, offset uint64
 
 # The start of a chunk: opcode 6, a content length below 2**40, 28 further bytes, the name of the compression.
+MAX_CHUNK_PATTERN_BYTES = 45  # with the name `zstd`
 CHUNK_PATTERN = re.compile(rb'\x06.{5}\0{3}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd)', re.DOTALL)
 
 # What the record classes of `mcap` and the decompressors raise for damaged data.
 PARSE_ERRORS = (struct.error, ValueError, KeyError, EOFError, RuntimeError, McapError, zstandard.ZstdError)
 
-# A file in memory, or the content of one of its records.
-Data = bytes | mmap.mmap
+# A file, or the content of one of its records.
+Data = bytes | FileBytes
 
 
 class RecordLocation(NamedTuple):
@@ -75,8 +77,8 @@ def iterate_records(data: Data, start: int = len(MAGIC), end: int | None = None)
     """Locate consecutive records up to the first one that is incomplete or invalid."""
     end = len(data) if end is None else end
     while start + RECORD_PREFIX.size <= end:
-        opcode, length = RECORD_PREFIX.unpack_from(data, start)
         content_start = start + RECORD_PREFIX.size
+        opcode, length = RECORD_PREFIX.unpack(data[start:content_start])
         if not 0 < opcode <= Opcode.DATA_END and opcode < FIRST_PRIVATE_OPCODE:
             return
         if content_start + length > end or length != FIXED_RECORD_BYTES.get(opcode, length):

@@ -9,7 +9,6 @@ scan reports the fault and continues behind it.
 
 from __future__ import annotations
 
-import mmap
 import zlib
 from collections import Counter
 from collections.abc import Generator, Iterator
@@ -28,6 +27,7 @@ from mcap.records import (
     Statistics,
 )
 
+from mocap_ros.bags.file_bytes import FileBytes
 from mocap_ros.bags.mcap_layout import (
     CHUNK_HEADER,
     CHUNK_PATTERN,
@@ -37,13 +37,13 @@ from mocap_ros.bags.mcap_layout import (
     FOOTER,
     MAGIC,
     MAX_CHUNK_BYTES,
+    MAX_CHUNK_PATTERN_BYTES,
     MAX_COMPRESSION_NAME_BYTES,
     MESSAGE_INDEX_ENTRY_BYTES,
     MESSAGE_INDEX_HEADER_BYTES,
     MIN_CHUNK_BYTES,
     PARSE_ERRORS,
     RECORD_PREFIX,
-    Data,
     RecordLocation,
     compute_chunk_length,
     decompress_records,
@@ -75,7 +75,7 @@ class McapScan:
         size: Size of the file in bytes.
 
     Raises:
-        OSError: The file cannot be opened.
+        OSError: The file cannot be opened. To iterate raises it where the disk is gone altogether.
     """
 
     def __init__(self, path: Path) -> None:
@@ -89,9 +89,9 @@ class McapScan:
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
         self._messages_without_channel: Counter[int] = Counter()  # by channel id
-        self.size = path.stat().st_size
         with path.open('rb') as file:
-            self._data: Data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if self.size else b''
+            self._data = FileBytes(file.fileno(), keep_going=True)
+        self.size = len(self._data)
 
     @property
     def is_mcap(self) -> bool:
@@ -124,6 +124,8 @@ class McapScan:
             self.losses.append(
                 f'{lost} messages are lost, because the description of their channel {channel} is lost'
             )
+        for start, end, error in self._data.unreadable:
+            self.losses.append(f'{end - start} bytes from byte {start} on cannot be read: {error}')
         if expected is not None and message_count < expected:
             self.losses.append(f'{expected - message_count} of {expected} messages are missing')
 
@@ -153,6 +155,9 @@ class McapScan:
         """
         for record in iterate_records(self._data, self.scanned_bytes):
             content = self._data[record.content_start : record.end]
+            if not self._data.is_readable(record.start, record.end):
+                self._search_start = record.start + 1
+                return
             self._reached_data_end = record.opcode == Opcode.DATA_END
             if self._reached_data_end or (
                 record.opcode == Opcode.CHUNK and compute_chunk_length(content) != len(content)
@@ -214,7 +219,7 @@ class McapScan:
     def _read_summary(self) -> int | None:
         """Read schemas and channels from the summary section; return the number of messages that it states."""
         footer = self.size - len(MAGIC) - FOOTER.size - RECORD_PREFIX.size
-        if not self.is_finished or footer < 0 or self._data[footer] != Opcode.FOOTER:
+        if not self.is_finished or footer < 0 or self._data[footer : footer + 1] != bytes([Opcode.FOOTER]):
             return None
         start = self._find_summary(footer)
         if start is None:
@@ -234,10 +239,10 @@ class McapScan:
 
         It is where the footer states, unless bytes before it were removed or added; it always follows DataEnd.
         """
-        stated, _, crc = FOOTER.unpack_from(self._data, footer + RECORD_PREFIX.size)
+        stated, _, crc = FOOTER.unpack(self._data[footer + RECORD_PREFIX.size : self.size - len(MAGIC)])
         if not stated or self._is_summary(stated, footer, crc):
             return stated or None
-        found = self._data.rfind(DATA_END_PREFIX, 0, footer) + DATA_END_BYTES
+        found = self._data.find_last(DATA_END_PREFIX, footer) + DATA_END_BYTES
         if found >= DATA_END_BYTES and self._is_summary(found, footer, crc):
             return found
         self.losses.append('the summary at the end of the file is damaged and was not used')
@@ -317,6 +322,8 @@ class McapScan:
             return
         content = self._data[start + RECORD_PREFIX.size : start + MAX_CHUNK_BYTES]
         *_, size, _, name_length = CHUNK_HEADER.unpack_from(content)
+        if not self._data.is_readable(start, start + MAX_CHUNK_BYTES):
+            return
         is_cut = MIN_CHUNK_BYTES + name_length <= len(content) < compute_chunk_length(content)
         if not is_cut or size > MAX_CHUNK_BYTES:
             return
@@ -327,14 +334,12 @@ class McapScan:
 
     def _find_next_chunk(self, start: int) -> int | None:
         """Return the offset of the next complete chunk, or None where there is none."""
-        while match := CHUNK_PATTERN.search(self._data, start):
-            chunk_start = match.start()
-            _, length = RECORD_PREFIX.unpack_from(self._data, chunk_start)
+        for chunk_start in self._data.find_all(CHUNK_PATTERN, MAX_CHUNK_PATTERN_BYTES, start):
             content_start = chunk_start + RECORD_PREFIX.size
+            _, length = RECORD_PREFIX.unpack(self._data[chunk_start:content_start])
             header = self._data[content_start : content_start + MIN_CHUNK_BYTES + MAX_COMPRESSION_NAME_BYTES]
             if content_start + length <= self.size and compute_chunk_length(header) == length:
                 return chunk_start
-            start = chunk_start + 1
         return None
 
     def _read_attachment_or_metadata(

@@ -256,6 +256,7 @@ class _FileRecovery:
         self._recorder = recorder
         self._report = report
         self._rejected: Counter[tuple[str, str]] = Counter()  # messages by topic and reason for the rejection
+        self._attached: set[tuple[str, bytes]] = set()  # names of the attachments and checksums of their content
         self._has_begun = False  # whether anything of the file is in the new bag
 
     def recover_mcap(self) -> Iterator[int]:
@@ -264,26 +265,31 @@ class _FileRecovery:
         if not scan.is_mcap:
             self._report_loss('the file is no MCAP file')
             return
-        attached = set()  # names of the attachments and checksums of their content
-        for item in scan:
-            if isinstance(item, AttachmentRecord):
-                key = item.name, sha256(item.data).digest()
-                if key not in attached:
-                    attached.add(key)
-                    attachment = Attachment(item.name, item.media_type, item.data, item.create_time)
-                    self._begin_file()
-                    self._recorder.add_attachment(attachment, item.log_time)
-            elif isinstance(item, MetadataRecord):
-                if item.name != ROSBAG2:
-                    self._begin_file()
-                    self._recorder.add_metadata(item.name, item.metadata)
-                elif ros_distro := _parse_ros_distro(item.metadata.get('serialized_metadata', '')):
-                    self._recorder.ros_distro = ros_distro
-            else:
-                self._copy_mcap_message(item)
-            yield scan.scanned_bytes
-        self._report_rejected()
-        self._report.losses += [f'{self._name}: {loss}' for loss in scan.losses]
+        try:
+            for item in scan:
+                self._copy_mcap_item(item)
+                yield scan.scanned_bytes
+        finally:  # also where the disk is gone half-way
+            self._report_rejected()
+            self._report.losses += [f'{self._name}: {loss}' for loss in scan.losses]
+
+    def _copy_mcap_item(self, item: ScannedMessage | AttachmentRecord | MetadataRecord) -> None:
+        """Copy a message, an attachment that is not there yet, or metadata other than those of rosbag2."""
+        if isinstance(item, AttachmentRecord):
+            key = item.name, sha256(item.data).digest()
+            if key not in self._attached:
+                self._attached.add(key)
+                self._begin_file()
+                attachment = Attachment(item.name, item.media_type, item.data, item.create_time)
+                self._recorder.add_attachment(attachment, item.log_time)
+        elif isinstance(item, MetadataRecord):
+            if item.name != ROSBAG2:
+                self._begin_file()
+                self._recorder.add_metadata(item.name, item.metadata)
+            elif ros_distro := _parse_ros_distro(item.metadata.get('serialized_metadata', '')):
+                self._recorder.ros_distro = ros_distro
+        else:
+            self._copy_mcap_message(item)
 
     def _copy_mcap_message(self, item: ScannedMessage) -> None:
         """Copy a message, or count it as rejected where it is not a message of ROS 2."""

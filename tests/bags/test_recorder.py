@@ -318,6 +318,22 @@ def test_a_disk_that_fails_at_the_start_of_a_further_file_leaves_the_times_as_th
     assert [file['message_count'] for file in description['files']] == [1, 0]
 
 
+def test_a_disk_that_also_fails_to_read_ends_the_recording_with_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorder = Recorder(tmp_path / 'bag', RecorderConfig())
+    recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)
+    recorder.flush()
+
+    def fail(*_: object) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr('mocap_ros.bags.mcap_file.McapFile.flush', fail)
+    monkeypatch.setattr('os.pread', fail)
+    with pytest.raises(RecordingError, match=rf'bag: {os.strerror(errno.EIO)}; `mocap-ros recover'):
+        recorder.flush()
+
+
 def test_unwritable_and_existing_folders_are_refused(tmp_path: Path) -> None:
     (tmp_path / 'file').write_text('')
     with pytest.raises(RecordingError, match=r'file: is no folder'):

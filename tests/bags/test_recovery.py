@@ -674,6 +674,50 @@ def test_a_chunk_above_the_limit_is_told_and_skipped(tmp_path: Path) -> None:
     assert losses[1:] == [f'{tmp_path}/x.mcap: 1 of 3 messages are missing']
 
 
+@pytest.mark.parametrize('has_checksum', [True, False])
+def test_only_the_chunk_is_lost_in_which_the_disk_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, has_checksum: bool
+) -> None:
+    topic = make_topic('/keypoints', KEYPOINTS)
+    with (tmp_path / 'x.mcap').open('wb') as stream:
+        writer = McapWriter(stream, chunk_size=10_000, compression=CompressionType.NONE, enable_crcs=has_checksum)
+        writer.start('ros2', 'test')
+        schema = writer.register_schema(KEYPOINTS, topic.encoding, topic.definition.encode())
+        channel = writer.register_channel('/keypoints', 'cdr', schema, topic.channel_metadata)
+        for i in range(20 * FRAMES):
+            writer.add_message(channel, i, MESSAGES[i % FRAMES], i)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with (tmp_path / 'x.mcap').open('rb') as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    bad = summary.chunk_indexes[4].chunk_start_offset + 5000
+    page = bad // 4096 * 4096
+    lost = [c for c in summary.chunk_indexes if c.chunk_start_offset < page + 4096]
+    lost = [c for c in lost if c.chunk_start_offset + c.chunk_length > page]
+    read = os.pread
+
+    def read_or_fail(descriptor: int, size: int, start: int) -> bytes:
+        return raise_io_error() if start <= bad < start + size else read(descriptor, size, start)
+
+    monkeypatch.setattr('os.pread', read_or_fail)
+    losses = recover(tmp_path / 'x.mcap', tmp_path / 'out').losses
+    monkeypatch.undo()
+    ranges = [range(c.message_start_time, c.message_end_time + 1) for c in lost]
+    expected = [i % FRAMES for i in range(20 * FRAMES) if not any(i in r for r in ranges)]
+    assert read_frames(tmp_path / 'out') == expected
+    reason = f'4096 bytes from byte {page} on cannot be read: {os.strerror(errno.EIO)}'
+    assert f'{tmp_path}/x.mcap: {reason}' in losses
+
+
+def test_a_file_that_becomes_shorter_while_it_is_read_does_not_end_the_process(tmp_path: Path) -> None:
+    write_bag(tmp_path / 'bag')
+    file = tmp_path / 'bag' / 'bag_0.mcap'
+    scan = McapScan(file)
+    os.truncate(file, 8192)
+    assert list(scan)
+    assert any('the file was cut off while it was read' in loss for loss in scan.losses)
+
+
 def test_an_interrupted_recovery_leaves_no_bag(tmp_path: Path) -> None:
     write_bag(tmp_path / 'bag')
 

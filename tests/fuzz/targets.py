@@ -297,7 +297,10 @@ _MESSAGES = (
 )
 _NPZ = ('formats.npz_arrays', 'formats.sequence_file', 'formats.result_file', 'npz_file', 'models.model_file')
 _BAGS = ('bags.reader', 'messages.versions', 'messages.recorded_types')
-_RECOVERY = ('bags.recovery', 'bags.mcap_scan', 'bags.mcap_layout', 'bags.sqlite_s', 'bags.write_ahead')
+_RECOVERY = (
+    *('bags.recovery', 'bags.mcap_scan', 'bags.mcap_layout', 'bags.file_bytes'),
+    *('bags.sqlite_s', 'bags.write_ahead'),
+)
 TARGETS = {
     'messages': Target(read_message, _MESSAGES),
     'json': Target(read_json, ('formats.coco_json', 'formats.openpose_json', 'formats.detections')),
