@@ -80,6 +80,7 @@ setup(
         'scipy>=1.10,<2',
         'numba>=0.58,<1',
         'mcap>=1.6,<2',
+        'apsw>=3.46,<4',  # which rosbags reads SQLite3 bags with
         'rosbags>=0.11.9,<0.12',
         'matplotlib>=3.6,<4',
         'PyYAML>=6.0,<7',
