@@ -687,8 +687,8 @@ def test_only_the_chunk_is_lost_in_which_the_disk_fails(
         for i in range(20 * FRAMES):
             writer.add_message(channel, i, MESSAGES[i % FRAMES], i)
         writer.finish()  # type: ignore[no-untyped-call]
-    with (tmp_path / 'x.mcap').open('rb') as stream:
-        summary = make_reader(stream).get_summary()
+    with (tmp_path / 'x.mcap').open('rb') as source:
+        summary = make_reader(source).get_summary()
     assert summary is not None
     bad = summary.chunk_indexes[4].chunk_start_offset + 5000
     page = bad // 4096 * 4096
