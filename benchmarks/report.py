@@ -13,12 +13,14 @@ import argparse
 import json
 import os
 import platform
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import common
@@ -146,6 +148,7 @@ def run(
     if add_options is not None:
         add_options(parser)
     args = parser.parse_args()
+    signal.signal(signal.SIGTERM, _exit_at_signal)
     if one_core and hasattr(os, 'sched_setaffinity'):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     protocol = common.data_path('bench', 'protocol.py')
@@ -166,6 +169,11 @@ def run(
     else:
         measure(args, report)
     report.add()
+
+
+def _exit_at_signal(number: int, _frame: FrameType | None) -> None:
+    """End the process as at its end, so that the nodes that it has started do not remain."""
+    sys.exit(128 + number)
 
 
 def add_sections(parser: argparse.ArgumentParser, sections: Iterable[str]) -> None:
