@@ -142,7 +142,7 @@ def _select_person(
         if not is_camera or person_id is None:
             raise
         sequence, lines = select_person(detections)
-        return sequence, [f'warning: {error}; written is the one who was seen most', *lines]
+        return sequence, [f'warning: {error}; the one who was seen most is written', *lines]
 
 
 def _detect_until_interrupted(camera: Path, args: argparse.Namespace, limit_and_show: ShowProgress) -> Detections:

@@ -11,8 +11,10 @@ import random
 import re
 import sqlite3
 import struct
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zstandard
@@ -51,6 +53,18 @@ MAX_FRAMES_PER_CHUNK = 9  # frames in `CHUNK_SECONDS`
 MESSAGES = [  # one message for each frame
     encode_keypoints(Header(i * STEP_NS, f'frame {i}'), (640, 480), []) for i in range(FRAMES)
 ]
+
+
+@contextmanager
+def write_mcap(path: Path, **options: Any) -> Iterator[tuple[McapWriter, int]]:
+    """Write an MCAP file of keypoints with the writer of `mcap`; yields it and the id of the channel."""
+    topic = make_topic('/keypoints', KEYPOINTS)
+    with path.open('wb') as stream:
+        writer = McapWriter(stream, **options)
+        writer.start('ros2', 'test')
+        schema = writer.register_schema(KEYPOINTS, topic.encoding, topic.definition.encode())
+        yield writer, writer.register_channel('/keypoints', 'cdr', schema, topic.channel_metadata)
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def write_bag(folder: Path, compression: str = 'zstd') -> bytes:
@@ -120,15 +134,10 @@ def test_complete_messages_of_an_incomplete_chunk_are_recovered(tmp_path: Path) 
 @pytest.mark.parametrize('compression', [CompressionType.ZSTD, CompressionType.LZ4, CompressionType.NONE])
 def test_complete_blocks_of_a_cut_chunk_are_recovered(tmp_path: Path, compression: CompressionType) -> None:
     """A large chunk is compressed in blocks of 64 or 128 KiB; those before the cut can be read."""
-    topic, count = make_topic('/keypoints', KEYPOINTS), 8000
-    with (tmp_path / 'x.mcap').open('wb') as stream:
-        writer = McapWriter(stream, chunk_size=1 << 24, compression=compression)
-        writer.start('ros2', 'test')
-        schema = writer.register_schema(KEYPOINTS, topic.encoding, topic.definition.encode())
-        channel = writer.register_channel('/keypoints', 'cdr', schema, topic.channel_metadata)
+    count = 8000
+    with write_mcap(tmp_path / 'x.mcap', chunk_size=1 << 24, compression=compression) as (writer, channel):
         for i in range(count):
             writer.add_message(channel, i, MESSAGES[i % FRAMES], i)
-        writer.finish()  # type: ignore[no-untyped-call]
     with (tmp_path / 'x.mcap').open('rb') as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
@@ -269,16 +278,10 @@ def test_a_file_whose_messages_cannot_be_read_is_left_out(tmp_path: Path, storag
 
 
 def test_attachments_of_one_name_and_their_times_are_kept(tmp_path: Path) -> None:
-    topic = make_topic('/keypoints', KEYPOINTS)
-    with (tmp_path / 'x.mcap').open('wb') as stream:
-        writer = McapWriter(stream)
-        writer.start('ros2', 'test')
-        schema = writer.register_schema(KEYPOINTS, topic.encoding, topic.definition.encode())
-        channel = writer.register_channel('/keypoints', 'cdr', schema, topic.channel_metadata)
+    with write_mcap(tmp_path / 'x.mcap') as (writer, channel):
         writer.add_message(channel, 1, MESSAGES[0], 1)
         for create_ns, content in ((5, b'first'), (6, b'second'), (7, b'first')):
             writer.add_attachment(create_ns, 9, 'notes.txt', 'text/plain', content)
-        writer.finish()  # type: ignore[no-untyped-call]
     recover(tmp_path / 'x.mcap', tmp_path / 'out')
     with (tmp_path / 'out' / 'out_0.mcap').open('rb') as stream:
         attachments = list(make_reader(stream).iter_attachments())
@@ -656,15 +659,9 @@ def test_what_is_whole_in_a_damaged_chunk_is_recovered(tmp_path: Path, case: str
 
 
 def test_a_chunk_above_the_limit_is_told_and_skipped(tmp_path: Path) -> None:
-    topic = make_topic('/keypoints', KEYPOINTS)
-    with (tmp_path / 'x.mcap').open('wb') as stream:
-        writer = McapWriter(stream, chunk_size=1)  # a chunk for each message
-        writer.start('ros2', 'test')
-        schema = writer.register_schema(KEYPOINTS, topic.encoding, topic.definition.encode())
-        channel = writer.register_channel('/keypoints', 'cdr', schema, topic.channel_metadata)
+    with write_mcap(tmp_path / 'x.mcap', chunk_size=1) as (writer, channel):  # a chunk for each message
         for number, raw in enumerate((MESSAGES[0], bytes(MAX_CHUNK_BYTES), MESSAGES[2])):
             writer.add_message(channel, number, raw, number)
-        writer.finish()  # type: ignore[no-untyped-call]
     losses = recover(tmp_path / 'x.mcap', tmp_path / 'out').losses
     assert read_frames(tmp_path / 'out') == [0, 2]
     told = (
@@ -678,15 +675,11 @@ def test_a_chunk_above_the_limit_is_told_and_skipped(tmp_path: Path) -> None:
 def test_only_the_chunk_is_lost_in_which_the_disk_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, has_checksum: bool
 ) -> None:
-    topic = make_topic('/keypoints', KEYPOINTS)
-    with (tmp_path / 'x.mcap').open('wb') as stream:
-        writer = McapWriter(stream, chunk_size=10_000, compression=CompressionType.NONE, enable_crcs=has_checksum)
-        writer.start('ros2', 'test')
-        schema = writer.register_schema(KEYPOINTS, topic.encoding, topic.definition.encode())
-        channel = writer.register_channel('/keypoints', 'cdr', schema, topic.channel_metadata)
+    with write_mcap(
+        tmp_path / 'x.mcap', chunk_size=10_000, compression=CompressionType.NONE, enable_crcs=has_checksum
+    ) as (writer, channel):
         for i in range(20 * FRAMES):
             writer.add_message(channel, i, MESSAGES[i % FRAMES], i)
-        writer.finish()  # type: ignore[no-untyped-call]
     with (tmp_path / 'x.mcap').open('rb') as source:
         summary = make_reader(source).get_summary()
     assert summary is not None

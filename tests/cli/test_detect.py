@@ -47,6 +47,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+class FilmedCamera(VideoReader):
+    """A video in the place of a camera."""
+
+    def __init__(self, path: Path, *, is_camera: bool) -> None:
+        assert is_camera
+        super().__init__(path)
+
+
+def replace_camera(monkeypatch: pytest.MonkeyPatch, camera: type[FilmedCamera] = FilmedCamera) -> None:
+    """Have the commands take the path of any video for that of a camera."""
+    monkeypatch.setattr(detection, 'VideoReader', camera)
+    monkeypatch.setattr('mocap_ros.cli.detect.find_camera', Path)
+
+
 def test_a_video_becomes_a_skeleton_in_one_command(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -100,8 +114,7 @@ def test_an_interrupt_of_a_camera_keeps_what_was_detected(
         return detect_people(detector, image, time_s)
 
     monkeypatch.setattr(detection, 'detect_people', detect_and_interrupt)
-    monkeypatch.setattr(detection, 'VideoReader', lambda path, is_camera: VideoReader(path))  # noqa: ARG005
-    monkeypatch.setattr('mocap_ros.cli.detect.find_camera', Path)
+    replace_camera(monkeypatch)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     out = tmp_path / 'me.npz'
     try:
@@ -120,11 +133,7 @@ def test_an_interrupt_of_a_camera_that_gives_no_more_images_keeps_what_was_detec
     all_detected, has_ended, was_waited_for = threading.Event(), threading.Event(), threading.Event()
     seen = 0
 
-    class SilentCamera(VideoReader):
-        def __init__(self, path: Path, *, is_camera: bool) -> None:
-            assert is_camera
-            super().__init__(path)
-
+    class SilentCamera(FilmedCamera):
         def __iter__(self) -> Iterator[VideoImage]:
             yield from itertools.islice(super().__iter__(), 20)
             all_detected.wait(TIMEOUT_S)
@@ -140,8 +149,7 @@ def test_an_interrupt_of_a_camera_that_gives_no_more_images_keeps_what_was_detec
         return detect_people(detector, image, time_s)
 
     monkeypatch.setattr(detection, 'detect_people', detect_and_count)
-    monkeypatch.setattr(detection, 'VideoReader', SilentCamera)
-    monkeypatch.setattr('mocap_ros.cli.detect.find_camera', Path)
+    replace_camera(monkeypatch, SilentCamera)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     out = tmp_path / 'me.npz'
     try:
@@ -163,10 +171,9 @@ def test_a_camera_that_did_not_see_the_person_keeps_the_one_it_saw(
     command = ['detect', video, '--model', str(folder / 'movenet.onnx'), '--person', 'person_2', '-o', str(out)]
     assert main(command) == 1
     assert capsys.readouterr().err == f"mocap-ros: {video}: no person 'person_2'; there are person_1 (40)\n"
-    monkeypatch.setattr(detection, 'VideoReader', lambda path, is_camera: VideoReader(path))  # noqa: ARG005
-    monkeypatch.setattr('mocap_ros.cli.detect.find_camera', Path)
+    replace_camera(monkeypatch)
     assert main(command) == 0
-    warning = "warning: no person 'person_2'; there are person_1 (40); written is the one who was seen most"
+    warning = "warning: no person 'person_2'; there are person_1 (40); the one who was seen most is written"
     assert f'mocap-ros: {video}: {warning}\n' in capsys.readouterr().err
     assert len(load_sequence(out)) == FRAMES
 
@@ -177,17 +184,12 @@ def test_a_camera_that_is_unplugged_keeps_what_was_detected(
 ) -> None:
     """A video takes the place of the camera."""
 
-    class UnpluggedCamera(VideoReader):
-        def __init__(self, path: Path, *, is_camera: bool) -> None:
-            assert is_camera
-            super().__init__(path)
-
+    class UnpluggedCamera(FilmedCamera):
         def __iter__(self) -> Iterator[VideoImage]:
             yield from itertools.islice(super().__iter__(), 20)
             raise InputError(f'{self._path}: the camera has gone (No such device)')
 
-    monkeypatch.setattr(detection, 'VideoReader', UnpluggedCamera)
-    monkeypatch.setattr('mocap_ros.cli.detect.find_camera', Path)
+    replace_camera(monkeypatch, UnpluggedCamera)
     video, out = folder / 'walk.mp4', tmp_path / f'me{suffix}'
     assert main(['detect', str(video), '--model', str(folder / 'movenet.onnx'), '-o', str(out)]) == 0
     written = capsys.readouterr()
