@@ -15,7 +15,7 @@ import re
 from collections.abc import Iterator
 from weakref import finalize
 
-PAGE_BYTES = 4096  # that are unreadable together; of the sector of a disk and of the memory's pages
+PAGE_BYTES = 4096  # bytes that are taken to be unreadable together: a sector of a disk, a page of the memory
 FIRST_PIECE_BYTES = 1 << 12  # of a search; it often ends soon, and a crafted file may need many
 MAX_PIECE_BYTES = 1 << 20  # of a search; the pieces double up to here, so that few calls are needed
 MAX_UNREADABLE_PAGES = 10_000  # 40 MB; with more, the disk is gone, and to try every page of it may take days

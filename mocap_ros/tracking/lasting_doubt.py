@@ -22,7 +22,7 @@ MAX_STEP_S = 0.2  # s; longest time that one frame stands for
 
 
 class LastingDoubt:
-    """The sums of one doubt.
+    """Whether something has been so for most people over the last seconds; it is told frame by frame.
 
     Args:
         memory_s: s, T.
