@@ -1,11 +1,14 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Copies of immutable objects."""
+"""Copies of immutable objects, and of numbers of strangers."""
 
 from __future__ import annotations
 
 from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 Instance = TypeVar('Instance')
 
@@ -23,3 +26,12 @@ def copy_with(instance: Instance, **changes: Any) -> Instance:
     copy = object.__new__(type(instance))
     vars(copy).update(vars(instance), **changes)
     return copy
+
+
+def copy_as_float64(numbers: ArrayLike) -> NDArray[np.float64]:
+    """Return numbers as a new array of float64.
+
+    NumPy warns of a signalling NaN of float32, which only damaged inputs hold; here it becomes NaN as any other.
+    """
+    with np.errstate(invalid='ignore'):
+        return np.array(numbers, np.float64)

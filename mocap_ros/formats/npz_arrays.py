@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.copying import copy_as_float64
 from mocap_ros.errors import InputError, describe_read_error
 from mocap_ros.input_file import open_input_file
 from mocap_ros.npz_file import open_npz
@@ -90,7 +91,7 @@ class ArrayReader:
         if array.dtype.kind not in 'fiu':
             raise InputError(f'{key}: holds {array.dtype}, expected numbers')
         self._check_shape(key, shape)
-        return array.astype(np.float64)
+        return copy_as_float64(array)
 
     def read_flags(self, key: str, shape: tuple[int | None, ...]) -> NDArray[np.bool_]:
         """Return the array of a key that holds true or false.

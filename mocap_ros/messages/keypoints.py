@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.config import NodeConfig
+from mocap_ros.copying import copy_as_float64
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
@@ -119,9 +120,7 @@ def _read_people(entries: Sequence[Any], image_width: int, limits: NodeConfig) -
     names = [_read_names(entry, index, limits) for index, entry in enumerate(entries)]
     people: list[Person2D] = []
     for _, equally_long in groupby(entries, lambda entry: len(entry.x)):  # mostly all of them
-        numbers = np.array([(entry.x, entry.y, entry.score) for entry in equally_long])
-        with np.errstate(invalid='ignore'):  # some NaN of float32 have no equal in float64
-            numbers = numbers.astype(np.float64)
+        numbers = copy_as_float64([(entry.x, entry.y, entry.score) for entry in equally_long])
         points, score = _check_and_mark(
             np.ascontiguousarray(numbers[:, :2].swapaxes(1, 2)), numbers[:, 2], image_width, len(people)
         )

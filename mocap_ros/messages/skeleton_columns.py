@@ -20,6 +20,8 @@ from mocap_ros.skeleton import Skeleton, keypoint_layout
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+MAX_COMPONENT = 2.0  # of a unit vector, far beyond its rounding; a larger one is damaged
+
 
 class SkeletonMessages(NamedTuple):
     """N messages, whether there are people in them or not.
@@ -81,8 +83,9 @@ def read_skeletons(raws: Sequence[bytes]) -> Iterator[SkeletonMessages]:
     """
     for columns in read_columns(raws, SKELETONS):
         to_optical = _read_transforms(columns)
-        vertical = to_optical.rotate(columns.read('vertical').astype(np.float64))
-        vertical[~(np.linalg.norm(vertical, axis=1) > 0)] = np.nan
+        vertical = columns.read('vertical')
+        is_known = (np.abs(vertical) <= MAX_COMPONENT).all(axis=1) & vertical.any(axis=1)
+        vertical = to_optical.rotate(np.where(is_known[:, None], vertical, np.nan))
         people = [p for i in range(columns.count('people')) for p in _read_person(columns, i, to_optical)]
         yield SkeletonMessages(columns.rows, read_stamps(columns), vertical, people)
 

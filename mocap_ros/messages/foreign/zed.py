@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mocap_ros.config import NodeConfig
+from mocap_ros.copying import copy_as_float64
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.keypoints.person import Person2D
@@ -54,12 +55,11 @@ def read_object(zed_object: Any, size: ImageSize, _: NodeConfig) -> Person2D | N
     if not 0 <= zed_object.body_format < len(BODY_FORMATS):
         raise InputError(f'body_format: {zed_object.body_format}, expected 0 to {len(BODY_FORMATS) - 1}')
     indices = BODY_FORMATS[zed_object.body_format]
-    points = np.array([zed_object.skeleton_2d.keypoints[i].kp for i in indices.values()], np.float64)
+    points = copy_as_float64([zed_object.skeleton_2d.keypoints[i].kp for i in indices.values()])
     seen = np.isfinite(points).all(axis=1) & (points >= 0).all(axis=1) & (points != 0).any(axis=1)
     if not 0 <= zed_object.confidence <= MAX_CONFIDENCE:
         raise InputError(f'confidence: {zed_object.confidence:g}, expected 0 to {MAX_CONFIDENCE}')
-    with np.errstate(invalid='ignore'):  # a signalling NaN of a damaged message
-        confidence = np.asarray(zed_object.skeleton_keypoint_confidence, np.float64)
+    confidence = copy_as_float64(zed_object.skeleton_keypoint_confidence)
     score = confidence[list(indices.values())] / MAX_CONFIDENCE
     if not (score > 0).any():
         score = np.full(len(indices), zed_object.confidence / MAX_CONFIDENCE)
