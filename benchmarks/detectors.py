@@ -17,7 +17,7 @@ lifter were not trained on the tested people; the program trains them if they ar
     recordings  the recorded detections of `data/detections`, 12 joints of the limbs
     ghosts      people published who are not there
     extremities where heads and feet point, and how far off toes, hands and faces are
-    pictures    best, median and worst sequence of all detectors, into docs/img/detectors
+    pictures    median and worst sequence of all detectors, into docs/img/detectors
 
 `--persons training` tests other people, for tuning. `--against FILE` compares with the `--json` of an earlier run,
 view by view. `--quick` takes four minutes, all sections an hour; `--only`, `--detectors` and `--seeds` split it.

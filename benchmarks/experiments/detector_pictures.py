@@ -53,9 +53,9 @@ def draw_cases(
     config: Config,
     folder: Path,
 ) -> None:
-    """Draw the best, the median and the worst case of some records, each of the view at its place in `options`."""
+    """Draw the median and the worst case of some records, each of the view at its place in `options`."""
     order = sorted(range(len(records)), key=lambda i: records[i]['mpjpe_mm'])
-    for name, index in (('best', order[0]), ('median', order[len(order) // 2]), ('worst', order[-1])):
+    for name, index in (('median', order[len(order) // 2]), ('worst', order[-1])):
         record, chosen = records[index], options[index]
         seen = make_view(chosen)
         title = (
