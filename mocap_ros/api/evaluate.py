@@ -11,7 +11,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mocap_ros.api.arguments import ARGUMENT_KEYS, Array, read_joint_names, read_numbers, read_times, rename_key
+from mocap_ros.api.arguments import (
+    ARGUMENT_KEYS,
+    Array,
+    read_array,
+    read_joint_names,
+    read_numbers,
+    read_times,
+    rename_key,
+)
 from mocap_ros.api.poses import PoseSequence
 from mocap_ros.errors import InputError
 from mocap_ros.evaluation import evaluate as evaluation
@@ -60,7 +68,8 @@ def evaluate(
     else:
         if limbs_only:
             raise InputError('limbs_only: needs a result of reconstruct, which knows the seen joints')
-        skeleton = BODY26 if np.shape(joints)[1:2] == (len(BODY26.joints),) else CMU15
+        joints = read_array('joints', joints)
+        skeleton = BODY26 if joints.shape[1:2] == (len(BODY26.joints),) else CMU15
         predicted = read_numbers('joints', joints, (None, len(skeleton.joints), 3))
         residual, names, scores = np.full(len(predicted), math.nan), (), None
         frame_times = np.zeros(1) if times is None else read_times(times, len(predicted))

@@ -16,7 +16,7 @@ from mocap_ros.units import NS_PER_S
 
 @dataclass
 class Appearance:
-    """A person from the first to the last time of being seen.
+    """A person from the first to the last time of being seen, or predicted.
 
     Attributes:
         person: id of the person.

@@ -83,11 +83,11 @@ class BodyAssembler:
     """The incomplete image of ROS4HRI bodies, and the ids of the bodies that it is waiting for."""
 
     def __init__(self) -> None:
+        self._tracked_ids: frozenset[str] = frozenset()
         self.reset()
 
     def reset(self) -> None:
-        """Discard the incomplete image and forget the tracked bodies and all stamps."""
-        self._tracked_ids: frozenset[str] = frozenset()
+        """Discard the incomplete image and all stamps; the list of bodies, which is sent on changes, stays."""
         self._header: Header | None = None
         self._people: dict[str, Person2D] = {}
         self._newest_complete_ns = -1

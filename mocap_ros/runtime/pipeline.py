@@ -37,7 +37,7 @@ from mocap_ros.messages.transform_tree import TransformTree
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
-from mocap_ros.runtime.camera_switch import CameraSwitch
+from mocap_ros.runtime.camera_switch import MAX_DISPLACED, CameraSwitch
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_doubts import InputDoubts
 from mocap_ros.runtime.outputs import OutputEncoder
@@ -236,6 +236,9 @@ class Pipeline:
                 )
         self._prediction_times = read_prediction_times(config)
         self._camera: CameraInfo | None = None
+        self._other_cameras: dict[
+            str, tuple[CameraInfo, bytes]
+        ] = {}  # of cameras that are not in use, by `frame_id`
         self.models = models or load_base_pose_models(config.tracker.model)
         self._make_tracker = make_tracker
         self._tracker = make_tracker(self.models, config)
@@ -323,7 +326,8 @@ class Pipeline:
             if is_stamp_missing(frame.header.stamp_ns, self.header.stamp_ns):
                 raise FrameDropped(MISSING_STAMP)
             camera_remark = self._camera_switch.check(frame.header)
-            intrinsics = self._find_intrinsics(frame)
+            in_use = self._choose_camera_info(frame.header) if camera_remark else (self._camera, self.camera_info)
+            intrinsics = self._find_intrinsics(frame, in_use[0])
             floor, floor_remark = self._find_floor(frame.header, intrinsics)
             if camera_remark:
                 self._tracker.reset()
@@ -340,6 +344,8 @@ class Pipeline:
                 error = FrameDropped(MISSING_STAMP)
             return _reject(error)
         self.header, self.output_header, self.people = frame.header, header, people
+        if camera_remark:
+            self._change_camera_info(*in_use)
         self._camera_switch.accept(frame.header)
         back_s = self._tracker.backward_jump_s
         if back_s:
@@ -474,11 +480,39 @@ class Pipeline:
         camera = decode_camera_info(raw, rectified=self.config.node.rectified_input)
         name, held = self._camera_switch.name, self._camera
         if held and name and held.frame_id == name and camera.frame_id not in ('', name):
+            self._remember_camera(camera, raw)
             raise InputError(
                 f'header.frame_id: {camera.frame_id!r}, but the people of {name!r} are being tracked, whose '
                 'CameraInfo is known; run a node for each camera'
             )
         self._camera, self.camera_info = camera, raw
+
+    def _choose_camera_info(self, header: Header) -> tuple[CameraInfo | None, bytes | None]:
+        """Return the CameraInfo of a camera that takes over, decoded and as CDR; None if none is known.
+
+        It is the camera's own if that has come, or else the one in use, unless that is the displaced camera's.
+        """
+        if header.frame_id in self._other_cameras:
+            return self._other_cameras[header.frame_id]
+        is_displaced = self._camera is not None and self._camera.frame_id == self._camera_switch.name
+        return (None, None) if is_displaced else (self._camera, self.camera_info)
+
+    def _change_camera_info(self, camera: CameraInfo | None, raw: bytes | None) -> None:
+        """Use the CameraInfo of a camera that has taken over, and keep the one in use for its return."""
+        if camera is self._camera:
+            return
+        if self._camera is not None and self.camera_info is not None:
+            self._remember_camera(self._camera, self.camera_info)
+        if camera is not None:
+            self._other_cameras.pop(camera.frame_id, None)
+        self._camera, self.camera_info = camera, raw
+
+    def _remember_camera(self, camera: CameraInfo, raw: bytes) -> None:
+        """Keep the newest CameraInfo of a camera that is not in use."""
+        self._other_cameras.pop(camera.frame_id, None)
+        self._other_cameras[camera.frame_id] = camera, raw
+        if len(self._other_cameras) > MAX_DISPLACED:
+            del self._other_cameras[next(iter(self._other_cameras))]
 
     def note_backlog(self) -> ProcessingResult:
         """Count an input that is skipped because newer inputs are waiting, and return its result."""
@@ -517,11 +551,13 @@ class Pipeline:
             return None
         return self._make_tracker(self.models, config)
 
-    def _find_intrinsics(self, frame: KeypointsFrame) -> Intrinsics:
-        """Return the intrinsics of CameraInfo, or nominal ones from the size in the message or the parameters."""
-        camera, node = self._camera, self.config.node
+    def _find_intrinsics(self, frame: KeypointsFrame, camera: CameraInfo | None) -> Intrinsics:
+        """Return the intrinsics of a CameraInfo, or nominal ones from the size in the message or parameters."""
+        node, before = self.config.node, self._camera
         if camera is not None:
-            check_image_size(frame, camera)
+            # The first image of a camera that takes over has the other one's size where its message states none.
+            if camera is before or before is None or (frame.image_width, frame.image_height) != before.size:
+                check_image_size(frame, camera)
             return camera.intrinsics
         stated, configured = (frame.image_width, frame.image_height), (node.image_width, node.image_height)
         size = resolve_image_size(stated=stated, configured=configured)

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from mocap_ros.units import NS_PER_S
 
 LEAST_SHARE = 0.8  # 1; P: one person among several for whom it is not so speaks against the doubt
-MAX_STEP_S = 0.2  # s; longest time that one frame stands for
+MAX_STEP_S = 1.0  # s; longest time that one frame stands for, so that a stream of 1 Hz still reaches S
 
 
 class LastingDoubt:

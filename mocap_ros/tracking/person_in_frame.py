@@ -37,7 +37,7 @@ def make_person(track: Track, frame: int, model: BasePoses) -> Person3D:
         std=find_joint_std(track, frame, found.root),
         inferred=_find_inferred(track, frame),
         scale=float(intrinsics.focal / found.root[2]),
-        rotation=solution.rotation[frame],
+        rotation=solution.rotation[frame].copy(),  # the caller may change it
         translation=intrinsics.project(found.root),
         motion=Motion(motion.kind, category, solution.residual, motion.cadence),
         residual=float(solution.frame_residuals[frame]),

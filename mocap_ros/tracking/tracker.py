@@ -57,6 +57,7 @@ from mocap_ros.tracking.hypotheses import HypothesisChecker
 from mocap_ros.tracking.matching import match_detections
 from mocap_ros.tracking.pose_memory import KeyPoseMemory
 from mocap_ros.tracking.prediction import predict_ahead, predict_person
+from mocap_ros.tracking.same_camera import is_same_camera
 from mocap_ros.tracking.solver_input import build_refinement_window
 from mocap_ros.tracking.state import TrackerState
 from mocap_ros.tracking.track import Track
@@ -205,7 +206,8 @@ class Tracker:
         Args:
             stamp_ns: ns, time of the image.
             people: all people detected in the image, possibly none.
-            intrinsics: intrinsics of the camera.
+            intrinsics: intrinsics of the camera. Those of the frame before are used where these hardly differ
+                (`same_camera`).
             floor: floor that the people stand on, which tells how tall they are; None if it is not known.
 
         Returns:
@@ -221,6 +223,7 @@ class Tracker:
         """
         settings = self.config.tracker
         backward_jump_s = self._measure_backward_jump(stamp_ns)
+        intrinsics = self._choose_intrinsics(stamp_ns, intrinsics, backward_jump_s)
         converted = [Detection.from_person(p, intrinsics, settings.min_score, settings.min_joints) for p in people]
         detections = [d for d in converted if d is not None]
         self.run_deferred_work()
@@ -299,6 +302,13 @@ class Tracker:
             raise FrameDropped(f'stamp {stamp_ns} ns {relation} the newest accepted, {newest_stamp_ns} ns')
         return 0.0
 
+    def _choose_intrinsics(self, stamp_ns: int, given: Intrinsics, backward_jump_s: float) -> Intrinsics:
+        """Return the intrinsics in use, or those given if they are of another camera, or nobody is known."""
+        used = self._state.intrinsics
+        if used is None or backward_jump_s > 0 or self._is_all_forgotten(self._state, stamp_ns):
+            return given
+        return used if is_same_camera(used, given) else given
+
     def _change_camera(self, state: TrackerState, intrinsics: Intrinsics) -> TrackerState:
         """Return the state with all tracks converted to the intrinsics of this frame, if these have changed."""
         if state.intrinsics in (None, intrinsics):
@@ -316,9 +326,11 @@ class Tracker:
 
         The state remembers some of their poses. Tentative tracks are forgotten sooner and without a trace.
         """
-        oldest_kept = stamp_ns - self.config.tracker.forget_after * NS_PER_S
+        longest_ns = self.config.tracker.forget_after * NS_PER_S
         lost = [
-            t for t in state.tracks if t.seen.stamps_ns[-1] < oldest_kept or self._is_nobody(state, t, stamp_ns)
+            t
+            for t in state.tracks
+            if stamp_ns - t.seen.stamps_ns[-1] > longest_ns or self._is_nobody(state, t, stamp_ns)
         ]
         if not lost:
             return state
@@ -334,11 +346,14 @@ class Tracker:
         Poses and names of earlier people then have no influence on what follows, so a recording that is cut in
         two after such an absence gives the same people as the whole.
         """
-        settings = self.config.tracker
-        newest_ns = state.newest_person_ns
-        if newest_ns is None or stamp_ns - newest_ns <= find_absence(settings) * NS_PER_S:
+        if not self._is_all_forgotten(state, stamp_ns):
             return state
         return replace(state.forget_everybody(), newest_stamp_ns=state.newest_stamp_ns)
+
+    def _is_all_forgotten(self, state: TrackerState, stamp_ns: int) -> bool:
+        """Return whether nobody was there for so long that everything is forgotten."""
+        newest_ns = state.newest_person_ns
+        return newest_ns is not None and stamp_ns - newest_ns > find_absence(self.config.tracker) * NS_PER_S
 
     @staticmethod
     def _is_nobody(state: TrackerState, track: Track, stamp_ns: int) -> bool:
@@ -599,8 +614,8 @@ class Tracker:
         settings = self.config.tracker
         if settings.lag > 0:
             return []
-        oldest_ns = stamp_ns - settings.predict_for * NS_PER_S
-        return [t for t in state.tracks if not t.is_tentative and t.seen.stamps_ns[-1] >= oldest_ns]
+        longest_ns = settings.predict_for * NS_PER_S
+        return [t for t in state.tracks if not t.is_tentative and stamp_ns - t.seen.stamps_ns[-1] <= longest_ns]
 
 
 def find_absence(settings: TrackerConfig) -> float:

@@ -90,6 +90,10 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     'no truth for an array': ({'joints': np.zeros((40, 15, 3))}, 'truth: missing'),
     'times for a result': ({'times': np.arange(40)}, 'times: the PoseSequence has its own'),
     'other joints': ({'joints': np.zeros((40, 17, 3))}, r'joints: shape \(40, 17, 3\), expected \(n, 15, 3\)'),
+    'ragged joints': (
+        {'joints': [np.zeros((15, 3)).tolist(), np.zeros((14, 3)).tolist()]},
+        'joints: rows of different lengths',
+    ),
     'limbs of an array': ({'joints': np.zeros((40, 15, 3)), 'limbs_only': True}, 'limbs_only: needs a result'),
     'other frames': ({'truth': np.ones((39, 15, 3))}, r'truth: shape \(39, 15, 3\), expected \(40, 15, 3\)'),
     'other names': ({'truth': np.ones((40, 3, 3)), 'truth_names': ['a', 'b']}, r'truth: shape \(40, 3, 3\)'),

@@ -103,6 +103,14 @@ def test_a_late_body_is_dropped() -> None:
     assert len(assembler.add_body(make_header(1), person, IMAGE_SIZE, 1.0)) == 1  # a bag that loops
 
 
+def test_the_list_of_bodies_outlives_a_reset() -> None:
+    assembler = BodyAssembler()
+    assembler.set_tracked_ids(make_header(0), ['a'], IMAGE_SIZE, 1.0)
+    assembler.reset()
+    person = Person2D('a', COCO17, make_people(0)[0].points, make_people(0)[0].score)
+    assert len(assembler.add_body(make_header(1), person, IMAGE_SIZE, 1.0)) == 1, 'a publisher sends it on changes'
+
+
 def test_an_empty_list_after_time_went_back_is_an_image_without_people() -> None:
     assembler = BodyAssembler()
     late, early = Header(10 * 10**9, ''), make_header(1)

@@ -26,6 +26,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_key
 from mocap_ros.messages.marker_writer import MARKERS
 from mocap_ros.messages.markers import MarkerEncoder
 from mocap_ros.messages.point_cloud import POINT_DTYPE, POINTS
+from mocap_ros.runtime.camera_switch import MAX_DISPLACED
 from mocap_ros.runtime.pipeline import MAX_CONSECUTIVE_ERRORS, Pipeline
 from mocap_ros.skeleton import BODY26, CORE_COUNT, keypoint_layout
 from mocap_ros.tracking.tracker import Tracker
@@ -163,6 +164,41 @@ def test_a_camera_info_of_another_camera_is_refused_where_that_of_the_images_is_
     assert pipeline.feed(Source.CAMERA_INFO, of_camera('other', 502.0)).verdict is Verdict.ACCEPTED, (
         'what has no name, or another one, tells nothing of which camera it is'
     )
+
+
+def test_a_camera_that_takes_over_brings_its_camera_info(stream: list[bytes]) -> None:
+    def of_camera(raw: bytes, msgtype: str, name: str, seconds: float = 0.0, focal_length: float = 0.0) -> bytes:
+        message = decode(raw, msgtype)
+        message.header = create_header(Header(round(seconds * 1e9), name))
+        if focal_length:
+            message.k = message.k * np.array([focal_length / message.k[0], *[1.0] * 8])
+        return encode(message, msgtype)
+
+    def send(pipeline: Pipeline, name: str, second: float) -> Any:
+        return process(pipeline, of_camera(stream[0], KEYPOINTS, name, second))
+
+    def inform(pipeline: Pipeline, name: str, focal_length: float) -> Verdict:
+        return pipeline.feed(
+            Source.CAMERA_INFO, of_camera(camera_info(), CAMERA_INFO, name, focal_length=focal_length)
+        ).verdict
+
+    alone = {}
+    for second, name, focal_length in ((5.0, 'back', 900.0), (10.0, 'front', 500.0), (15.0, 'side', 0.0)):
+        pipeline = Pipeline(FAST_CONFIG)
+        if focal_length:
+            inform(pipeline, name, focal_length)
+        alone[name] = send(pipeline, name, second)
+    pipeline = Pipeline(FAST_CONFIG)
+    inform(pipeline, 'front', 500.0)
+    send(pipeline, 'front', 1.0)
+    assert inform(pipeline, 'back', 900.0) is Verdict.INVALID, 'the people of the other camera are being tracked'
+    for second, name in ((5.0, 'back'), (10.0, 'front'), (15.0, 'side')):
+        assert send(pipeline, name, second) == alone[name]
+    assert pipeline.camera_info is None, 'of the last camera nothing is known'
+    for number in range(100):
+        inform(pipeline, f'camera{number}', 700.0)
+        send(pipeline, f'camera{number}', 20.0 + 5 * number)
+    assert len(pipeline._other_cameras) <= MAX_DISPLACED
 
 
 def test_a_person_with_one_visible_joint_is_not_tracked() -> None:

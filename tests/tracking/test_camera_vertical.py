@@ -84,6 +84,26 @@ def test_a_new_camera_or_a_restart_forgets_what_was_found() -> None:
     assert tracker.vertical is None
 
 
+def test_intrinsics_that_hardly_differ_are_of_the_same_camera() -> None:
+    steady, drifting = make_tracker(), make_tracker()
+    for frame in range(FRAMES):
+        expected = feed(steady, frame, frame + 1)
+        near = replace(
+            CAMERA,
+            focal=CAMERA.focal * (1 + 5e-4 * (-1) ** frame),
+            center=(CAMERA.center[0] + 0.1, CAMERA.center[1]),
+        )
+        assert np.array_equal(feed(drifting, frame, frame + 1, near if frame else CAMERA), expected)
+    known, found = steady.vertical, drifting.vertical
+    assert known is not None
+    assert found is not None
+    assert found.std == known.std
+    feed(drifting, FRAMES, FRAMES + 1, replace(CAMERA, focal=1.002 * CAMERA.focal))
+    begun = drifting.vertical
+    assert begun is not None
+    assert begun.std > known.std, 'this is another camera'
+
+
 def test_a_camera_that_changes_while_nobody_is_there_forgets_what_was_found() -> None:
     tracker = make_tracker(forget_after=0.1)
     feed(tracker, 0, 10)

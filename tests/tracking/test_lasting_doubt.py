@@ -3,6 +3,8 @@
 
 """Tests of what must be so for most people over seconds."""
 
+import pytest
+
 from mocap_ros.tracking.lasting_doubt import LastingDoubt
 
 STEP_S = 0.1
@@ -22,6 +24,12 @@ def test_a_doubt_needs_most_people_for_seconds() -> None:
     assert not advance(LastingDoubt(MEMORY_S, LEAST_S), [], 60)
     one_frame_a_minute = [LastingDoubt(MEMORY_S, LEAST_S).advance(t, [True]) for t in range(0, 10**12, 60 * 10**9)]
     assert not any(one_frame_a_minute)
+
+
+@pytest.mark.parametrize('hz', [1, 2, 5, 200])
+def test_a_doubt_comes_at_any_rate(hz: int) -> None:
+    doubt = LastingDoubt(MEMORY_S, LEAST_S)
+    assert [doubt.advance(i * 10**9 // hz, [True]) for i in range(10 * hz)][-1]
 
 
 def test_a_doubt_ends_with_its_cause_and_with_stamps_that_begin_anew() -> None:

@@ -140,6 +140,14 @@ def test_ahead_of_the_newest_image_and_through_a_gap_are_one_prediction(walk_mod
     assert from_gap.id == at_gap.id
 
 
+def test_whoever_is_seen_is_predicted_ahead_without_predictions_through_gaps(walk_model: BasePoses) -> None:
+    tracker = Tracker(walk_model, with_values(Config(), {'solver.components': 8, 'tracker.predict_for': 0.0}))
+    for frame, joints in enumerate(make_scene(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, 0.0])):
+        stamp_ns = 1_700_000_000_000_000_001 + frame * STEP_NS  # which no float holds
+        people = tracker.update(stamp_ns, [Person2D('', CMU15.joints, CAMERA.project(joints), ONES)], CAMERA)
+        assert len(tracker.predict((0.2,))[0]) == sum(not p.tentative for p in people)
+
+
 def test_nobody_is_predicted_before_the_first_image_while_tentative_or_with_a_lag(walk_model: BasePoses) -> None:
     tracker = Tracker(walk_model, with_values(Config(), {'solver.components': 8}))
     assert tracker.predict((0.2, 0.4)) == [[], []]

@@ -5,6 +5,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -382,6 +383,20 @@ def test_arbitrary_keypoints_give_finite_output(walk_model: BasePoses, data: st.
         for person in tracker.update(frame * STEP_NS, seen, CAMERA):
             assert np.isfinite(person.joints).all()
             assert person.rotation @ person.rotation.T == pytest.approx(np.eye(3), abs=1e-6)
+
+
+def test_what_is_put_out_belongs_to_the_caller(walk_model: BasePoses, walk: Walk) -> None:
+    _, _, points, _ = walk
+    tracker, other = Tracker(walk_model, CONFIG), Tracker(walk_model, CONFIG)
+    for frame in range(8):
+        given = people(points, frame)
+        (expected,) = tracker.update(frame * STEP_NS, given, CAMERA)
+        (found,) = other.update(frame * STEP_NS, given, CAMERA)
+        for field in fields(found):
+            value, before = getattr(found, field.name), getattr(expected, field.name)
+            if isinstance(value, np.ndarray):
+                np.testing.assert_array_equal(value, before)
+                value[...] = -7
 
 
 def test_early_deferred_work_does_not_change_the_output(walk_model: BasePoses, walk: Walk) -> None:

@@ -149,7 +149,10 @@ def reconstruct(
     for choice in choices:
         apply_depth_choice(choice, keyframes, key_directions, plausible, lengths)
     if not any(np.isfinite(k).all(axis=(1, 2)).any() for k in key_directions):
-        raise InputError('no key poses: too few joints are seen, or too few poses are alike (keyframes.beta)')
+        raise InputError(
+            'no key poses: too few joints are seen, too few poses are alike (keyframes.beta), or too small a '
+            'share of the frames is to be represented (keyframes.alpha)'
+        )
     motion = interpolate_key_poses(plausible, keyframes, key_directions, poses, lengths, parameters)
     start = align_motion(motion, plausible.points, plausible.weight, times, observed.focal)
     displacement = _compute_displacement(start, observed.points, observed.focal)
