@@ -32,6 +32,7 @@ from mocap_ros.keypoints.validation import describe_points_outside
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import AUTO, load_base_pose_models
 from mocap_ros.skeleton import keypoint_layout
+from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 Parameters = Mapping[str, object] | Config | None  # argument `parameters`: values by name, or a configuration
@@ -198,13 +199,30 @@ def check_sequence(sequence: KeypointSequence) -> KeypointSequence:
         checked = validate_sequence(arrays)
     except InputError as error:
         raise rename_key(error, TRUTH_KEYS) from None
+    for argument, name in (('person_id', sequence.person_id), ('frame_id', sequence.frame_id)):
+        if not isinstance(name, str):
+            raise InputError(f'{argument}: {format_value(name)}, expected a text')
+    if sequence.calibration is not None:
+        if not isinstance(sequence.calibration, Intrinsics):
+            raise InputError(f'calibration: {format_value(sequence.calibration)}, expected Intrinsics')
+        if sequence.camera_matrix is not None or sequence.distortion is not None:
+            raise InputError('calibration: given beside camera_matrix or distortion; set it to None to use those')
     return replace(
         checked,
         person_id=sequence.person_id,
         frame_id=sequence.frame_id,
-        recorded_ns=sequence.recorded_ns,
+        recorded_ns=_keep_exact_stamps(sequence.recorded_ns, checked.timestamps),
         calibration=sequence.calibration,
     )
+
+
+def _keep_exact_stamps(recorded_ns: Sequence[int], timestamps: Array) -> tuple[int, ...]:
+    """Return the stamps in ns of a recording, or none if the timestamps (F,) in s have been changed since."""
+    stamps = read_array('recorded_ns', recorded_ns)
+    if stamps.shape != timestamps.shape or stamps.dtype.kind not in 'iu':
+        return ()
+    is_same = np.array_equal(stamps.astype(np.int64) / NS_PER_S, timestamps)
+    return tuple(stamps.tolist()) if is_same else ()
 
 
 def make_intrinsics(

@@ -6,10 +6,11 @@
 from __future__ import annotations
 
 import json
+import numbers
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from numpy.typing import ArrayLike
 
@@ -91,8 +92,9 @@ class BasePoses(base_poses.BasePoses):
             arrays = list(trials)
         except TypeError:
             raise ModelError(f'trials: {format_value(trials)}, expected a sequence of arrays (F, J, 3)') from None
-        for argument, count, least in (('components', components, 1), ('bodies', bodies, 0)):
-            if not isinstance(count, int) or count < least:
+        counts: tuple[tuple[str, Any, int], ...] = (('components', components, 1), ('bodies', bodies, 0))
+        for argument, count, least in counts:
+            if not isinstance(count, numbers.Integral) or isinstance(count, bool) or count < least:
                 raise InputError(f'{argument}: {count!r}, expected a whole number of at least {least}')
         if alignment not in ('rotation', 'heading'):
             raise InputError(f'alignment: {alignment!r}, expected rotation or heading')
@@ -104,15 +106,18 @@ class BasePoses(base_poses.BasePoses):
         motions = [
             read_numbers(f'trials[{i}]', trial, (None, len(names), 3))[:, order] for i, trial in enumerate(arrays)
         ]
+        for i, motion in enumerate(motions):
+            if not len(motion):
+                raise InputError(f'trials[{i}]: no frames')
         model = name_argument(
             'trials',
             lambda: fit_base_poses(
                 motions,
                 name=name,
-                components=components,
+                components=int(components),
                 alignment=alignment,
                 mirror=mirror,
-                bodies=bodies,
+                bodies=int(bodies),
                 provenance=provenance,
             ),
         )

@@ -20,7 +20,8 @@ Array = NDArray[np.float64]
 class PoseSequence:
     """One person's 3D poses over time, which `mocap_ros.reconstruct` returns.
 
-    F frames, J = 26 joints of the layout `body26` (15 of `cmu15` with `tracker.skeleton: cmu15`), K base poses.
+    F frames, J = 26 joints of the layout `body26` (15 of `cmu15` with `tracker.skeleton: cmu15`, or by
+    the method `keyframes`), K base poses.
     Coordinates are in metres in the camera's optical frame: x to the right, y down, z forward.
     """
 

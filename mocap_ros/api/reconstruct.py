@@ -81,7 +81,8 @@ def reconstruct(
             action with outliers.
 
     Returns:
-        The poses, with joints (F, J, 3) in m in the camera's optical frame, those of `tracker.skeleton`.
+        The poses, with joints (F, J, 3) in m in the camera's optical frame, those of `tracker.skeleton`, but for
+        the method `keyframes` always the 15 of `cmu15`.
 
     Raises:
         InputError: an argument is not valid, or the keypoints do not suffice; the error names the argument.
@@ -117,7 +118,8 @@ def reconstruct(
         else:
             result = reconstruct_sequence(*observations, models, config)
     except InputError as error:
-        raise InputError(f'keypoints: {error}') from None
+        message = str(error)
+        raise InputError(message if message.startswith('keypoints:') else f'keypoints: {message}') from None
     except np.linalg.LinAlgError as error:
         raise InputError(f'keypoints: the reconstruction failed ({error})') from None
     return PoseSequence(ReconstructedSequence(sequence, result))

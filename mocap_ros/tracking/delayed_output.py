@@ -9,8 +9,9 @@ interval is h = (t_n - t_0) / n, the lag is L, and
     s = min(h, L) / 2
 
 The next frame is put out if it is older than L - s, and frames are left out only where a later one is older than
-L + s. So one frame follows another while the stamps keep their mean interval, whatever their jitter below h / 2,
-and also where the lag is a whole number of intervals. A frame is put out L - s to L + s + h after it was taken.
+L + s. So one frame follows another while the stamps keep their mean interval, if none is more than h / 4 early or
+late, and also where the lag is a whole number of intervals. A frame is put out L - s to L + s + h after it was
+taken.
 """
 
 from __future__ import annotations

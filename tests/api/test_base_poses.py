@@ -72,6 +72,8 @@ def test_saved_base_poses_reconstruct(
 WRONG: dict[str, tuple[dict[str, Any], type[mocap_ros.MocapError], str]] = {
     'mm': ({'scale': 1000}, mocap_ros.ModelError, 'trials: trial 0: joints more than'),
     'one trial without brackets': ({'trials': 'bare'}, mocap_ros.InputError, r'trials\[0\]: shape \(15, 3\)'),
+    'a trial without frames': ({'trials': 'empty'}, mocap_ros.InputError, r'trials\[1\]: no frames'),
+    'true components': ({'components': True}, mocap_ros.InputError, 'components: True, expected a whole number'),
     'no trial': ({'trials': []}, mocap_ros.ModelError, 'trials: training needs at least two poses'),
     'other joints': ({'joint_names': 'coco17'}, mocap_ros.InputError, 'joint_names: head, neck, pelvis missing'),
     'unknown layout': ({'joint_names': 'cmu'}, mocap_ros.SkeletonError, 'joint_names: unknown keypoint layout'),
@@ -103,6 +105,8 @@ def test_a_wrong_argument_is_one_error_that_names_it(trial: np.ndarray, case: st
         arguments['trials'] = [trial * arguments.pop('scale')]
     if case == 'one trial without brackets':
         arguments['trials'] = trial
+    if case == 'a trial without frames':
+        arguments['trials'] = [trial, trial[:0]]
     with pytest.raises(mocap_ros.MocapError, match=message) as caught:
         mocap_ros.BasePoses.fit(**arguments)
     assert type(caught.value) is kind

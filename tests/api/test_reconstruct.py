@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -275,6 +276,11 @@ WRONG: dict[str, tuple[dict[str, Any], type[mocap_ros.MocapError], str]] = {
         mocap_ros.InputError,
         "method: 'frames', expected whole or keyframes",
     ),
+    'one place': (
+        {'keypoints': np.tile([300.0, 200.0, 1.0], (40, 17, 1))},
+        mocap_ros.InputError,
+        '^keypoints: all seen points lie in one place$',
+    ),
     'nobody seen': ({'score': 0.0}, mocap_ros.InputError, 'keypoints: no frame has four seen joints'),
 }
 
@@ -301,6 +307,38 @@ def test_a_sequence_brings_its_own_arguments(sequence: mocap_ros.KeypointSequenc
     given: dict[str, Any] = {argument: (640, 480)}
     with pytest.raises(mocap_ros.InputError, match=f'{argument}: the KeypointSequence has its own'):
         mocap_ros.reconstruct(sequence, **given)
+
+
+WRONG_FIELDS: dict[str, tuple[dict[str, Any], str]] = {
+    'id': ({'person_id': 7}, 'person_id: 7, expected a text'),
+    'frame': ({'frame_id': None}, 'frame_id: None, expected a text'),
+    'calibration': ({'calibration': 3}, 'calibration: 3, expected Intrinsics'),
+    'two cameras': ({'camera_matrix': np.eye(3) * 500}, 'calibration: given beside camera_matrix or distortion'),
+}
+
+
+@pytest.mark.parametrize('case', WRONG_FIELDS)
+def test_a_wrong_field_of_a_sequence_is_one_error_that_names_it(
+    sequence: mocap_ros.KeypointSequence, case: str
+) -> None:
+    change, message = WRONG_FIELDS[case]
+    calibrated = replace(sequence, camera_matrix=None, distortion=None, calibration=sequence.intrinsics(1.0))
+    with pytest.raises(mocap_ros.InputError, match=message):
+        mocap_ros.reconstruct(replace(calibrated, **change))
+
+
+def test_stamps_of_a_recording_are_used_as_long_as_the_timestamps_are_theirs(
+    sequence: mocap_ros.KeypointSequence,
+) -> None:
+    stamps = tuple(1_700_000_000_000_000_001 + 33_333_333 * i for i in range(len(sequence)))
+    recorded = replace(sequence, timestamps=np.array(stamps) / 1e9, recorded_ns=stamps)
+    whole = mocap_ros.reconstruct(recorded, parameters=QUICK).sequence
+    assert whole.stamps_ns == list(stamps)
+    cut = replace(recorded, keypoints=recorded.keypoints[10:], timestamps=recorded.timestamps[10:], truth=None)
+    moved = replace(recorded, timestamps=recorded.timestamps + 1000)
+    for changed in (cut, moved):
+        found = mocap_ros.reconstruct(changed, parameters=QUICK).sequence
+        assert found.stamps_ns == [round(t * 1e9) for t in changed.timestamps.tolist()]
 
 
 @pytest.mark.parametrize(
