@@ -94,7 +94,7 @@ class BasePoses(base_poses.BasePoses):
             raise ModelError(f'trials: {format_value(trials)}, expected a sequence of arrays (F, J, 3)') from None
         counts: tuple[tuple[str, Any, int], ...] = (('components', components, 1), ('bodies', bodies, 0))
         for argument, count, least in counts:
-            if not isinstance(count, numbers.Integral) or isinstance(count, bool) or count < least:
+            if isinstance(count, bool) or not isinstance(count, numbers.Integral) or count < least:
                 raise InputError(f'{argument}: {count!r}, expected a whole number of at least {least}')
         if alignment not in ('rotation', 'heading'):
             raise InputError(f'alignment: {alignment!r}, expected rotation or heading')
