@@ -70,11 +70,13 @@ def rename_key(error: InputError, names: Mapping[str, str]) -> InputError:
 
 
 def read_array(argument: str, given: ArrayLike) -> NDArray[np.generic]:
-    """Convert an argument to an array.
+    """Convert an argument to an array; masked numbers become NaN.
 
     Raises:
         InputError: the values do not form an array.
     """
+    if isinstance(given, np.ma.MaskedArray) and given.dtype.kind in 'fiu':
+        return np.where(np.ma.getmaskarray(given), np.nan, np.ma.getdata(given))
     try:
         return np.asarray(given)
     except (TypeError, ValueError):

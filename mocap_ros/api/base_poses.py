@@ -79,7 +79,8 @@ class BasePoses(base_poses.BasePoses):
                 the vertical only, for one kind of upright motion.
             mirror: True to add the mirror image of every pose.
             bodies: number of bodies with random bone lengths to which each trial is transferred in addition.
-            provenance: origin of the data, to be saved with the model; values that JSON can hold.
+            provenance: origin of the data, to be saved with the model; values that JSON can hold. What the
+                training states itself, such as `alignment`, replaces entries of the same name.
 
         Raises:
             InputError: an argument is not valid; the error names it.

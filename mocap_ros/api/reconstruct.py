@@ -118,8 +118,7 @@ def reconstruct(
         else:
             result = reconstruct_sequence(*observations, models, config)
     except InputError as error:
-        message = str(error)
-        raise InputError(message if message.startswith('keypoints:') else f'keypoints: {message}') from None
+        raise InputError(f'keypoints: {error}') from None
     except np.linalg.LinAlgError as error:
         raise InputError(f'keypoints: the reconstruction failed ({error})') from None
     return PoseSequence(ReconstructedSequence(sequence, result))

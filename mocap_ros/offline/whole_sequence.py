@@ -55,7 +55,7 @@ class SequenceResult:
     Attributes:
         joints: (F, J, 3) m, real camera's optical frame, joints of `skeleton`; NaN before the first and after the
             last frame in which a joint was seen, where nobody knows whether the person is there.
-        seen: (F, J) True where the joint was seen in the image, False where it was inferred.
+        seen: (F, J) True where the joint was seen in the image, False where it was inferred or is NaN.
         skeleton: skeleton of the joints.
         category: name of the base poses used.
         solution: weights, cameras and residuals in the images of the virtual cameras, before the body was scaled
@@ -206,10 +206,20 @@ def _complete(result: SequenceResult, observed: ObservedWindow, config: TrackerC
 
 
 def _blank_frames(result: SequenceResult, is_blank: NDArray[np.bool_]) -> SequenceResult:
-    """Return a result whose joints and orientations are NaN in the frames of a mask (F,)."""
-    blank = is_blank[:, None, None]
-    orientation = None if result.orientation is None else np.where(blank, np.nan, result.orientation)
-    return replace(result, joints=np.where(blank, np.nan, result.joints), orientation=orientation)
+    """Return a result without joints and orientations in the frames of a mask (F,): NaN, not seen, inferred."""
+    of_joints = is_blank[:, None]
+    blanked = replace(
+        result,
+        joints=np.where(of_joints[..., None], np.nan, result.joints),
+        seen=result.seen & ~of_joints,
+    )
+    if result.orientation is None or result.turn_inferred is None:
+        return blanked
+    return replace(
+        blanked,
+        orientation=np.where(of_joints[..., None], np.nan, result.orientation),
+        turn_inferred=result.turn_inferred | of_joints,
+    )
 
 
 def find_frames_in_sight(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -253,7 +253,7 @@ def observe_sequence(
     compile_kernels()
     if (span_s := float(times[-1] - times[0])) > MAX_SPAN_S:
         raise InputError(
-            f'times: they span {span_s:.0f} s, at most {MAX_SPAN_S:.0f} s expected; is a stamp not set?'
+            f'the times span {span_s:.0f} s, at most {MAX_SPAN_S:.0f} s expected; is a stamp not set?'
         )
     given = keypoints[..., :2], keypoints[..., 2], joint_names, intrinsics, config.min_score
     extremities = None
@@ -262,7 +262,7 @@ def observe_sequence(
     else:
         rays, weight = convert_to_rays(*given, skeleton)
     require_camera_frame(weight)
-    rays, weight = _exclude_frames_in_one_place(rays, weight)
+    rays, weight, extremities = _exclude_frames_in_one_place(rays, weight, extremities)
     if config.undo_swaps:
         sides = BodySides.of(skeleton)
         shots = find_shots(rays, weight, times) if find_shots is not None else [slice(None)]
@@ -275,8 +275,10 @@ def observe_sequence(
     return ObservedWindow.facing_person(times, rays, weight, intrinsics, focal, extremities)
 
 
-def _exclude_frames_in_one_place(rays: Array, weight: Array) -> tuple[Array, Array]:
-    """Set the joints of the frames that show all of them in one place to not seen.
+def _exclude_frames_in_one_place(
+    rays: Array, weight: Array, extremities: Extremities | None
+) -> tuple[Array, Array, Extremities | None]:
+    """Set all points of the frames that show all joints of the core in one place to not seen.
 
     Frames with fewer than `MIN_JOINTS_FOR_CAMERA` seen joints stay: so few may be in one place in the image of a
     person.
@@ -284,9 +286,10 @@ def _exclude_frames_in_one_place(rays: Array, weight: Array) -> tuple[Array, Arr
     Args:
         rays: (F, J, 2) rays; some frame has `MIN_JOINTS_FOR_CAMERA` seen joints.
         weight: (F, J) confidence scores.
+        extremities: those of the same frames, if there are any.
 
     Returns:
-        The rays and the scores, 0 in these frames.
+        The rays, the scores and the extremities, all 0 in these frames.
 
     Raises:
         InputError: No other frame has `MIN_JOINTS_FOR_CAMERA` seen joints.
@@ -294,6 +297,13 @@ def _exclude_frames_in_one_place(rays: Array, weight: Array) -> tuple[Array, Arr
     frames = np.flatnonzero((weight > 0).sum(axis=1) >= MIN_JOINTS_FOR_CAMERA)
     in_one_place = np.array([measure_extent(rays[frame], weight[frame]).is_one_place for frame in frames])
     if in_one_place.all():
-        raise InputError('keypoints: all seen points lie in one place')
-    excluded = np.isin(np.arange(len(weight)), frames[in_one_place])
-    return np.where(excluded[:, None, None], 0.0, rays), np.where(excluded[:, None], 0.0, weight)
+        raise InputError('all seen points lie in one place')
+    excluded = np.isin(np.arange(len(weight)), frames[in_one_place])[:, None]
+    if extremities is not None:
+        extremities = Extremities(*_clear(*extremities, excluded))
+    return *_clear(rays, weight, excluded), extremities
+
+
+def _clear(rays: Array, weight: Array, excluded: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return rays (F, J, 2) and scores (F, J), 0 in the frames of a mask (F, 1)."""
+    return np.where(excluded[..., None], 0.0, rays), np.where(excluded, 0.0, weight)

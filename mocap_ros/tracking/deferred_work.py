@@ -32,8 +32,8 @@ from mocap_ros.tracking.take_over import is_outdated, take_over
 from mocap_ros.tracking.track import Track
 
 FRAME_BUDGET = 75_000  # elements; 2 to 3 ms of a core, so that the next frame does not wait (docs/tracker.md)
-# The same without a lifter, up to 11 ms. Only the checks then find the model and the heading, and with a smaller
-# budget they come too late: with half of it the error of the newest frame rises by 5 to 15 %.
+# The same without a lifter, about 10 ms: only the checks then find the model and the heading, and with a smaller
+# budget they come too late (docs/tracker.md)
 FRAME_BUDGET_WITHOUT_LIFTER = 300_000
 WINDOW_COST = 20_000  # elements; building the windows of a piece of work, its first slice, takes as long
 

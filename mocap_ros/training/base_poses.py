@@ -135,7 +135,8 @@ def fit_base_poses(
         alignment: `rotation` to align poses by any rotation, `heading` to rotate them about the vertical only.
         mirror: whether to add the mirror image of every pose.
         bodies: number of bodies with random bone lengths to which each trial is transferred in addition.
-        provenance: further entries of the model's provenance.
+        provenance: further entries of the model's provenance; those of the training itself replace any of the same
+            name.
         labels: names of the trials for error messages; their numbers by default.
 
     Raises:
@@ -174,13 +175,13 @@ def fit_base_poses(
         explained=np.cumsum(variance) / total_variance,
         stature=float(trial_shares @ [estimate_stature(t, skeleton) for t in trials]),
         provenance={
+            **(provenance or {}),
             'alignment': alignment,
             'mirror': mirror,
             'bodies': bodies,
             'body_spread': BODY_SPREAD if bodies else 0.0,
             'seed': BODY_SEED,
             'poses': int(sum(map(len, trials))),
-            **(provenance or {}),
         },
     )
 

@@ -63,6 +63,16 @@ def test_the_result_is_that_of_the_solver(sequence: mocap_ros.KeypointSequence, 
     assert result.turn_inferred.shape == (40, joints)
 
 
+def test_masked_keypoints_are_not_seen(sequence: mocap_ros.KeypointSequence) -> None:
+    hidden = np.zeros(sequence.keypoints.shape, bool)
+    hidden[10:14] = True
+    given = {**arguments_of(sequence), 'model': 'walk'}
+    unseen = mocap_ros.reconstruct(**{**given, 'keypoints': np.where(hidden, np.nan, sequence.keypoints)})
+    masked = mocap_ros.reconstruct(**{**given, 'keypoints': np.ma.MaskedArray(sequence.keypoints, hidden)})
+    np.testing.assert_array_equal(masked.joints, unseen.joints)
+    assert not masked.seen[10:14].any()
+
+
 def test_the_core_alone_has_the_orientations_that_it_has_with_face_feet_and_hands(
     sequence: mocap_ros.KeypointSequence,
 ) -> None:

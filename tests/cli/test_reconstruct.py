@@ -129,7 +129,7 @@ def test_keypoints_in_one_place_are_refused_in_one_line(
     suffix = '.png' if command == ['plot'] else '.npz'
     assert main([*command, str(path), '-o', str(tmp_path / f'o{suffix}'), *QUICK_OPTIONS]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.endswith('d.npz: keypoints: all seen points lie in one place')
+    assert line.endswith('d.npz: all seen points lie in one place')
 
 
 def test_a_picture_explains_its_colours_and_lines(recording: Path) -> None:

@@ -15,7 +15,7 @@ from mocap_ros.models.model_file import load_base_pose_models, load_base_poses, 
 from mocap_ros.offline import second_lift
 from mocap_ros.offline.keyframes.reconstruct import reconstruct
 from mocap_ros.offline.whole_sequence import reconstruct_sequence, reconstruct_window
-from mocap_ros.skeleton import CMU15, estimate_stature
+from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, estimate_stature
 from mocap_ros.solvers.observed_window import observe_sequence
 from tests.support.swinging_body import make_swinging_body
 from tests.support.synthetic_walk import make_walk
@@ -94,6 +94,25 @@ def test_out_of_sight_there_are_no_poses_and_no_cameras(walk_model: BasePoses) -
     all_frames = reconstruct_window(observed, {'walk': walk_model}, CONFIG).joints
     assert np.isfinite(all_frames).all(), 'a window may be part of a longer sequence'
     assert (all_frames[~out_of_sight] == result.core[~out_of_sight]).all()
+
+
+def test_where_nobody_is_no_joint_was_seen(walk_model: BasePoses) -> None:
+    _, _, points, times = make_walk(walk_model)
+    anchors = [CMU15.index(side + joint) for joint in ('ankle', 'wrist') for side in 'lr']
+    toes_heels_hands = points[:, [*anchors[:2], *anchors]] + 3.0  # px
+    body = np.concatenate([points, toes_heels_hands, np.repeat(points[:, :1], 5, axis=1)], axis=1)
+    keypoints = np.concatenate([body, np.ones((*body.shape[:2], 1))], axis=-1)
+    keypoints[:3, :CORE_COUNT, 2] = 0  # face, feet and hands alone
+    keypoints[20] = 100, 100, 1  # all in one place
+    result = reconstruct_sequence(keypoints, BODY26.joints, times, CAMERA, walk_model, CONFIG)
+    assert np.flatnonzero(np.isnan(result.joints).any(axis=(1, 2))).tolist() == [0, 1, 2]
+    assert np.flatnonzero(~result.seen.any(axis=1)).tolist() == [0, 1, 2, 20]
+    assert result.seen[3].all()
+    assert result.orientation is not None
+    assert result.turn_inferred is not None
+    assert np.isnan(result.orientation[:3]).all()
+    assert result.turn_inferred[:3].all()
+    assert not result.turn_inferred[3:].all()
 
 
 @pytest.mark.parametrize('values', [{}, {'solver.prior': 'learned'}, {'solver.method': 'alternation'}])
