@@ -58,6 +58,7 @@ PIECE_ROWS = 4096  # rows that are sent at a time, as many as the viewer keeps t
 TRAIL_S = 2.0  # s; length of the trails
 DEVIATION_ALPHA = 40  # of 255; joints are seen through the ellipsoids
 CAMERA_PLANE_M = 0.5  # m; distance of the image plane in the picture of the camera
+WRITE_TIMEOUT_S = 60.0  # s; Rerun waits without an end for its writer after that has failed, as on a full disk
 MAX_LIVE_PEOPLE = 32  # people; of those who are gone, only the last are kept in a live drawing's layout
 BACKGROUND = (255, 255, 255)  # white, as in the page, because the colours were chosen for it
 # Place of the first view in distances from the camera to the people: beside, above and a little behind the camera,
@@ -116,18 +117,21 @@ def write_recording(
         images: images of the camera, which are drawn behind the 2D input.
 
     Raises:
-        MocapError: Rerun is not installed.
+        MocapError: Rerun is not installed, or it could not write the file.
     """
     rr = import_rerun()
     title = make_printable(scene.title)
     recording = rr.RecordingStream(APPLICATION, recording_id=title, send_properties=False)
-    recording.save(path, default_blueprint=build_blueprint(scene, play_state))
-    recording.send_recording_name(title)
-    send_scene(recording, scene)
-    for image in images:
-        recording.set_time(TIMELINE, duration=image.time_s)
-        recording.log('world/camera/photo', rr.EncodedImage(contents=image.data, media_type=image.media_type))
-    recording.flush()
+    try:
+        recording.save(path, default_blueprint=build_blueprint(scene, play_state))
+        recording.send_recording_name(title)
+        send_scene(recording, scene)
+        for image in images:
+            recording.set_time(TIMELINE, duration=image.time_s)
+            recording.log('world/camera/photo', rr.EncodedImage(contents=image.data, media_type=image.media_type))
+        recording.flush(timeout_sec=WRITE_TIMEOUT_S)
+    except RuntimeError as error:  # of Rerun's writer, which logs the cause itself
+        raise MocapError(f'{path.name}: Rerun could not write it ({error}); is the disk full?') from None
     recording.disconnect()
 
 
@@ -153,7 +157,7 @@ def send_scene(recording: Any, scene: Scene) -> None:
         is_whole = _all_known(person.joints), _all_known(person.image)
         writer.send_looks(choose_person_colour(scene, index), *is_whole)
         writer.send(person, times)
-        recording.flush()  # so that what waits for being written takes no memory
+        recording.flush(timeout_sec=WRITE_TIMEOUT_S)  # so that what waits for being written takes no memory
         for lane, states in name_states(person, scene.swapped[index]).items():
             if lane != 'motion' or scene.has_motion:
                 writer.send_states(lane, find_changes(times, person.frames, states))

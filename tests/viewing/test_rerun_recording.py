@@ -32,6 +32,7 @@ from mocap_ros.viewing.rerun_recording import (
 from mocap_ros.viewing.rerun_viewer import disable_telemetry, require_display, start_viewer
 from mocap_ros.viewing.scene import Scene, SceneKeypoints
 from tests.support.browser import count_colours
+from tests.support.full_disk import limit_file_size
 from tests.support.recording_of_rerun import count_rows, run_rerun
 from tests.support.scenes import make_scene, make_scene_person
 from tests.support.virtual_display import open_display
@@ -85,6 +86,13 @@ def test_without_a_display_the_error_says_what_to_do(monkeypatch: pytest.MonkeyP
 @pytest.fixture
 def scene() -> Scene:
     return make_scene()
+
+
+def test_a_full_disk_is_one_clear_error(scene: Scene, tmp_path: Path) -> None:
+    pytest.importorskip('rerun', reason='rerun-sdk is not installed')
+    path = tmp_path / 'scene.rrd'
+    with limit_file_size(2_000), pytest.raises(MocapError, match=r'^scene\.rrd: Rerun could not write it'):
+        write_recording(scene, path)
 
 
 def test_rerun_reads_what_was_written(scene: Scene, tmp_path: Path) -> None:
