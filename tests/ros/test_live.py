@@ -513,7 +513,11 @@ def test_the_limits_of_a_recording_may_be_changed_while_it_runs(
     live.run.reconfigure(with_values(config, {'recorder.backlog': 100}))
     live.enqueue(*stream[4:8])
     live.wait_for_frames(8)
+    with live.run._pipeline_lock:  # the last frame has been published, and now it waits to be written as well
+        recorder = live.run._recording._recorder
+    assert recorder is not None
     disk_is_ready.set()
+    wait_until(lambda: recorder.waiting_count == 0)  # what waits when the disk is found to be full is not written
     (bag,) = (tmp_path / 'live').iterdir()
     no_disk = 1_000_000  # MB that no disk here has left
     live.run.reconfigure(with_values(config, {'recorder.min_free_mb': no_disk}))
