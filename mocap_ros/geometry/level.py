@@ -6,23 +6,25 @@
 The smallest rotation R that takes the vertical u, in a camera's optical frame, to e = (0, -1, 0), which is upwards
 in the optical frame of a level camera:
 
-    R = I + [v]x + [v]x^2 / (1 + c),    v = u x e,    c = u . e
+    R = exp([a v / |v|]x),    v = u x e,    a = atan2(|v|, u . e)
 
-It keeps the heading of the camera. Where u = -e, it is half a turn about the optical axis.
+It keeps the heading of the camera. Where u = -e, the axis is not determined, and R is half a turn about the optical axis.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.geometry.rotations import cross_matrix
+from mocap_ros.geometry.rotations import rotation_from_vector
 
 Array = NDArray[np.float64]
 
 LEVEL_UP = np.array([0.0, -1.0, 0.0])  # upwards in the optical frame of a level camera
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # about the optical axis
-MIN_COSINE = -1 + 1e-9  # 1; below it the vertical is opposite to that of a level camera, up to rounding
+MIN_SINE = 1e-12  # 1; below it u is e or -e, up to rounding
 
 
 def average_vertical(vertical: Array) -> Array:
@@ -42,8 +44,8 @@ def rotation_to_level(vertical: Array) -> Array:
     """
     if not np.isfinite(vertical).all():
         return np.eye(3)
-    cosine = float(vertical @ LEVEL_UP)
-    if cosine < MIN_COSINE:
-        return HALF_TURN
-    cross = cross_matrix(np.cross(vertical, LEVEL_UP))
-    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))
+    axis, cosine = np.cross(vertical, LEVEL_UP), float(vertical @ LEVEL_UP)
+    sine = float(np.linalg.norm(axis))
+    if sine < MIN_SINE:
+        return np.eye(3) if cosine > 0 else HALF_TURN
+    return rotation_from_vector(axis * (math.atan2(sine, cosine) / sine))
