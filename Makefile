@@ -41,6 +41,7 @@ endif
 MOTION ?=
 SECONDS ?= 60
 SOURCES ?=
+ROUNDS ?= 10
 OF_MOTION = '$(MOTION)' \
     --source 'CMU Graphics Lab Motion Capture Database, UI-PRMD and Perfume motion capture; 15 joints, 30 Hz, \
 wrists where the hands bend' \
@@ -48,7 +49,7 @@ wrists where the hands bend' \
 The database was created with funding from NSF EIA-0196217. UI-PRMD (A. Vakanski et al., University of Idaho) is in \
 the public domain (Open Data Commons PDDL). Perfume motion data: MIT License, Copyright (c) 2012 Perfume Dev Team.'
 
-.PHONY: help setup demo test lint format bench figures release-check models page architecture docs links fuzz lock audit sbom colcon clean
+.PHONY: help setup demo test lint format bench figures release-check models page architecture docs links fuzz properties lock audit sbom colcon clean
 
 help:  ## show this
 	@sed -n 's/^\([a-z-]*\):.*##/make \1\t/p' Makefile | expand -t 20
@@ -108,6 +109,10 @@ links: $(STAMPS)/docs  ## check the links of the documentation to other sites
 
 fuzz: setup  ## fuzz the readers of inputs from strangers, SECONDS for each of SOURCES (wants the extra fuzz)
 	@$(BIN)/python -m tests.fuzz.run $(SOURCES) --seconds $(SECONDS)
+
+properties: setup  ## run the property tests ROUNDS times with random inputs; failures are kept and come first next time
+	@for round in $$(seq $(ROUNDS)); do echo "round $$round of $(ROUNDS)"; \
+	    $(BIN)/python -m pytest --quiet --hypothesis-profile random -m 'hypothesis and not ros' || exit; done
 
 lock: setup  ## write versions and hashes of what is installed, for `make setup LOCKED=1`
 	@$(BIN)/python config/env/lock.py > build/locked.txt
