@@ -8,7 +8,8 @@ in the optical frame of a level camera:
 
     R = exp([a v / |v|]x),    v = u x e,    a = atan2(|v|, u . e)
 
-It keeps the heading of the camera. Where u = -e, the axis is not determined, and R is half a turn about the optical axis.
+It keeps the heading of the camera. Where u = -e, the axis is not determined, and R is half a turn about the
+optical axis.
 """
 
 from __future__ import annotations
