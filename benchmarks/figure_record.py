@@ -76,7 +76,7 @@ class Benchmark:
             FileNotFoundError: one of them does not exist.
         """
         folder = root / 'benchmarks'
-        files = [folder / self.script, *_follow_imports(folder / (self.part or self.script), folder)]
+        files = [folder / self.script, *follow_imports(folder / (self.part or self.script), folder)]
         for source in self.sources:
             path = root / source
             if path.is_dir():
@@ -96,8 +96,12 @@ class Benchmark:
         return total.hexdigest()
 
 
-def _follow_imports(file: Path, folder: Path) -> set[Path]:
-    """Return a file and the files of a folder that it imports, directly or not."""
+def follow_imports(file: Path, folder: Path) -> set[Path]:
+    """Return a file and the files of a folder that it imports, directly or not.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+    """
     if not file.is_file():
         raise FileNotFoundError(f'there is no {file}')
     found, waiting = set[Path](), {file}

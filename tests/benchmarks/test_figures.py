@@ -9,6 +9,7 @@ import ast
 import json
 import os
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from figure_record import (
     Benchmark,
     find_cell,
     find_differences,
+    follow_imports,
     list_stale,
     list_unmarked,
     load_record,
@@ -370,6 +372,15 @@ def test_every_benchmark_is_registered_with_sources_that_exist() -> None:
         if isinstance(n, ast.ImportFrom) and n.module == 'report' and 'run' in [name.name for name in n.names]
     }
     assert programs == {b.script for b in figures.BENCHMARKS}
+
+
+@pytest.mark.parametrize('sources', [figures.SOLVERS, figures.TRACKER], ids=['solvers', 'tracker'])
+def test_what_solvers_and_tracker_use_of_the_geometry_is_a_source(sources: Sequence[str]) -> None:
+    files = {f for s in sources for f in ((ROOT / s).rglob('*.py') if (ROOT / s).is_dir() else [ROOT / s])}
+    geometry = ROOT / 'mocap_ros' / 'geometry'
+    used = {u for f in files for u in follow_imports(f, ROOT) if u.is_relative_to(geometry)}
+    assert geometry / 'rotations.py' in used
+    assert used - files == set()
 
 
 def test_every_section_of_the_paper_is_measured_from_its_module() -> None:
