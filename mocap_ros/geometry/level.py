@@ -19,13 +19,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.geometry.rotations import rotation_from_vector
+from mocap_ros.geometry.rotations import MIN_SINE, rotation_from_vector
 
 Array = NDArray[np.float64]
 
 LEVEL_UP = np.array([0.0, -1.0, 0.0])  # upwards in the optical frame of a level camera
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # about the optical axis
-MIN_SINE = 1e-12  # 1; below it u is e or -e, up to rounding
 
 
 def average_vertical(vertical: Array) -> Array:
