@@ -111,7 +111,7 @@ fuzz: setup  ## fuzz the readers of inputs from strangers, SECONDS for each of S
 	@$(BIN)/python -m tests.fuzz.run $(SOURCES) --seconds $(SECONDS)
 
 properties: setup  ## run the property tests ROUNDS times with random inputs; failures are kept and come first next time
-	@for round in $$(seq $(ROUNDS)); do echo "round $$round of $(ROUNDS)"; \
+	@rounds=$$(seq $(ROUNDS)) || exit; for round in $$rounds; do echo "round $$round of $(ROUNDS)"; \
 	    $(BIN)/python -m pytest --quiet --hypothesis-profile random -m 'hypothesis and not ros' || exit; done
 
 lock: setup  ## write versions and hashes of what is installed, for `make setup LOCKED=1`
