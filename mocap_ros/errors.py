@@ -78,6 +78,16 @@ def describe_read_error(error: Exception) -> str:
     return message or type(error).__name__
 
 
+def describe_parse_error(error: Exception) -> str:
+    """Return in one line why a text could not be parsed.
+
+    Python's advice to allow longer numbers is left out, because it is for programmers.
+    """
+    if isinstance(error, RecursionError):
+        return 'nested too deep'
+    return ' '.join(str(error).split()).partition('; use sys.')[0]
+
+
 def tell_installation(extra: str) -> str:
     """Return the commands that install an optional part of this package, such as `view`."""
     return f"pip install 'mocap_ros[{extra}]' (in its source folder: pip install -e '.[{extra}]')"

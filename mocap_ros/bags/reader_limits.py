@@ -3,8 +3,8 @@
 
 """Limits that the bag readers of rosbags lack: a small bag from a stranger could fill the memory or the disk.
 
-rosbags unpacks whatever a file holds and compares with the stated size afterwards, and it parses the QoS profiles
-of every topic anew. It also refuses the bags in which rosbag2 states that it has found no definition of a type.
+rosbags unpacks whatever a file holds and compares with the stated size afterwards, it parses the QoS profiles of
+every topic anew, and it takes most values of a metadata.yaml for what they should be. It also refuses the bags in which rosbag2 states that it has found no definition of a type.
 Its functions are replaced in its modules, because they are no parameters of its readers.
 """
 
@@ -26,7 +26,10 @@ from rosbags.rosbag2 import metadata, storage_mcap, storage_sqlite3
 from rosbags.rosbag2 import reader as ros2_reader
 
 from mocap_ros.bags.mcap_layout import MAX_CHUNK_BYTES
+from mocap_ros.bags.metadata_check import check_description, check_qos_profiles
+from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.config import load_yaml
+from mocap_ros.errors import describe_parse_error
 
 UNPACKED_FILE_BYTES = 1 << 26  # of a compressed file of a bag, of any size
 UNPACKED_PER_BYTE = 100  # bytes that a byte of a larger compressed file may unpack to; bags pack to a tenth
@@ -42,7 +45,9 @@ def describe_error(error: Exception) -> str:
     """
     if isinstance(error, MemoryError):
         return 'a length in it is damaged, or there is too little memory'
-    return ' '.join(str(error).split()).rstrip('.') or type(error).__name__
+    if isinstance(error, UnicodeDecodeError):
+        return 'a text in it is not UTF-8'
+    return describe_parse_error(error).rstrip('.') or type(error).__name__
 
 
 def unpack(data: bytes, compression: str, max_bytes: int = MAX_CHUNK_BYTES) -> bytes:
@@ -124,16 +129,42 @@ def parse_qos(profiles: Any) -> list[Qos]:
 
     Raises:
         ConfigError: the text is not YAML.
-        Exception: the parser raises exceptions of many types for what is no profile.
+        ValueError: there is too much text, or it holds something else.
     """
-    return list(_parse_qos_text(profiles)) if isinstance(profiles, str) else metadata.parse_qos(profiles)
+    return list(_parse_qos_text(profiles)) if isinstance(profiles, str) else _parse_qos_list(profiles)
 
 
 @lru_cache(MAX_QOS_TEXTS)
 def _parse_qos_text(text: str) -> tuple[Qos, ...]:
     if len(text) > MAX_QOS_CHARACTERS:
         raise ValueError(f'QoS profiles of {len(text)} characters, more than {MAX_QOS_CHARACTERS}')
-    return tuple(metadata.parse_qos(load_yaml(text, 'QoS profiles')))
+    return tuple(_parse_qos_list(load_yaml(text, 'QoS profiles')))
+
+
+def _parse_qos_list(profiles: Any) -> list[Qos]:
+    """Parse QoS profiles that are no text; None stands for none."""
+    if profiles is not None:
+        check_qos_profiles(profiles)
+    return metadata.parse_qos(profiles)
+
+
+def _check_loaded(make_parser: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that returns a parser of YAML, which checks that it has read the text of a metadata.yaml."""
+
+    def make_checking_parser(**options: Any) -> Any:
+        parser = make_parser(**options)
+
+        def load(text: str) -> Any:
+            try:
+                content = parser.load(text)
+                check_description(content)
+            except (ValueError, RecursionError) as error:  # also numbers and dates that Python refuses
+                raise ValueError(f'{METADATA}: {describe_error(error)}') from None
+            return content
+
+        return SimpleNamespace(load=load)
+
+    return make_checking_parser
 
 
 def _limit_length(read: Callable[[BinaryIO, int], bytes]) -> Callable[[BinaryIO, int], bytes]:
@@ -189,6 +220,7 @@ def limit_readers() -> None:
     modules: tuple[Any, ...] = (storage_mcap, storage_sqlite3, ros2_reader)
     for module in modules:
         module.parse_qos = parse_qos
+    modules[-1].YAML = _check_loaded(modules[-1].YAML)
     modules[-1].zstd = SimpleNamespace(
         open=lambda file, _mode: LimitedFile(file), decompress=partial(unpack, compression='zstd')
     )

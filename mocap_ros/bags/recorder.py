@@ -33,6 +33,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from mocap_ros.bags.mcap_file import Attachment, McapFile
 from mocap_ros.bags.reader import ROS2_SUFFIXES
 from mocap_ros.bags.rosbag2 import (
+    BAG_INFORMATION,
     METADATA,
     MessageStatistics,
     Topic,
@@ -423,7 +424,7 @@ class Recorder:
     def _write_metadata(self) -> None:
         """Write metadata.yaml under a temporary name and rename it, so that it is never incomplete."""
         description = describe_bag(self._topics.values(), self._finished_files, self.ros_distro)
-        content = {'rosbag2_bagfile_information': description}
+        content = {BAG_INFORMATION: description}
         temporary = self.folder / f'{METADATA}.tmp'
         temporary.write_text(encode_yaml(content), encoding='utf-8')
         temporary.replace(self.folder / METADATA)

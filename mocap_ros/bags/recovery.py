@@ -27,7 +27,7 @@ from mocap_ros.bags.mcap_scan import McapScan, ScannedMessage
 from mocap_ros.bags.reader import MAX_METADATA_BYTES, ROS2_SUFFIXES, find_number_and_name, list_bag_files
 from mocap_ros.bags.reader_limits import PIECE_BYTES, LimitedFile, describe_error, parse_qos, unpack
 from mocap_ros.bags.recorder import Recorder, choose_partial_path, remove_partial
-from mocap_ros.bags.rosbag2 import METADATA, ROSBAG2, Topic, make_topic
+from mocap_ros.bags.rosbag2 import BAG_INFORMATION, METADATA, ROSBAG2, Topic, make_topic
 from mocap_ros.bags.sqlite_scan import SQLITE_ERRORS, MessageRows, has_log, open_database
 from mocap_ros.bags.sqlite_schema import describe_unusual_tables
 from mocap_ros.bags.write_ahead_log import find_log, write_all
@@ -223,7 +223,7 @@ def _parse_ros_distro(description: str) -> str:
     except ConfigError:
         return ''
     if isinstance(content, dict):
-        content = content.get('rosbag2_bagfile_information', content)
+        content = content.get(BAG_INFORMATION, content)
     ros_distro = content.get('ros_distro') if isinstance(content, dict) else None
     return ros_distro if isinstance(ros_distro, str) else ''
 

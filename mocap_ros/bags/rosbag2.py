@@ -24,6 +24,7 @@ except ImportError:
     from yaml import SafeDumper  # type: ignore[assignment]
 
 METADATA = 'metadata.yaml'  # name of the file that describes a bag folder
+BAG_INFORMATION = 'rosbag2_bagfile_information'  # the one key of that file
 METADATA_VERSION = 9  # layout of metadata.yaml; version 9 lists QoS profiles with the names of their policies
 ROSBAG2 = 'rosbag2'  # name of the metadata record that holds the same description inside an MCAP file
 # Distribution by the first two numbers of the version of rclpy, which differ between all distributions.

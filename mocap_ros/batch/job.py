@@ -26,7 +26,7 @@ from distributed import get_worker
 from mocap_ros.api.files import write
 from mocap_ros.api.reconstruct import reconstruct
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.rosbag2 import METADATA, encode_yaml, join_descriptions
+from mocap_ros.bags.rosbag2 import BAG_INFORMATION, METADATA, encode_yaml, join_descriptions
 from mocap_ros.batch.file_systems import find_file_system, is_local
 from mocap_ros.batch.recordings import DISTANCES_SUFFIX, Recording, Work, compute_content_key
 from mocap_ros.batch.storage import (
@@ -480,13 +480,13 @@ def _join(job: Job, outcomes: Sequence[Outcome]) -> Outcome:
             fs, path = find_file_system(url)
             fs.invalidate_cache()
             description = yaml.safe_load(fs.cat_file(f'{path}/{METADATA}'))
-            descriptions.append(description['rosbag2_bagfile_information'])
+            descriptions.append(description[BAG_INFORMATION])
             for name in descriptions[-1]['relative_file_paths']:
                 if is_local(url):
                     _link_or_copy(f'{path}/{name}', folder / name)
                 else:
                     fs.get_file(f'{path}/{name}', str(folder / name))
-        content = {'rosbag2_bagfile_information': join_descriptions(descriptions)}
+        content = {BAG_INFORMATION: join_descriptions(descriptions)}
         (folder / METADATA).write_text(encode_yaml(content), encoding='utf-8')
         publish(folder, job.result_url)
     rows = _add_up([row for o in outcomes for row in o.rows], seconds)

@@ -15,7 +15,7 @@ import yaml
 from mocap_ros.config.access import Parameter, format_value, parameters, values, with_values
 from mocap_ros.config.defaults import Config, Value
 from mocap_ros.config.renamed import REMOVED_SINCE_0_1
-from mocap_ros.errors import ConfigError
+from mocap_ros.errors import ConfigError, describe_parse_error
 
 COMMENT_WIDTH = 90  # characters of a comment line, so that a line with its indentation stays below 100
 MAX_DEPTH = 50  # levels of a YAML text; parameter files have 4
@@ -84,10 +84,8 @@ def load_yaml(text: str, source: str) -> Any:
     except yaml.MarkedYAMLError as error:
         line = f'line {error.problem_mark.line + 1}: ' if error.problem_mark else ''
         raise ConfigError(f'{source}: not YAML: {line}{error.problem}') from None
-    except yaml.YAMLError as error:
-        raise ConfigError(f'{source}: not YAML: {" ".join(str(error).split())}') from None
-    except ValueError as error:  # numbers and dates that Python refuses
-        raise ConfigError(f'{source}: not YAML: {error}') from None
+    except (yaml.YAMLError, ValueError) as error:  # also numbers and dates that Python refuses
+        raise ConfigError(f'{source}: not YAML: {describe_parse_error(error)}') from None
 
 
 def from_yaml(text: str, source: str) -> Config:

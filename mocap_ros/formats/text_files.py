@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from mocap_ros.errors import InputError, MocapError
+from mocap_ros.errors import InputError, MocapError, describe_parse_error
 from mocap_ros.input_file import NEITHER_FILE_NOR_FOLDER, open_input_file
 
 MAX_FILE_BYTES = 256 << 20  # guards the memory; an hour of one person's COCO results at 30 Hz is about 100 MB
@@ -59,10 +59,8 @@ def read_json(path: Path) -> Any:
     text = read_text(path)
     try:
         return json.loads(text)
-    except ValueError as error:
-        raise InputError(f'{path}: not JSON: {error}') from None
-    except RecursionError:
-        raise InputError(f'{path}: not JSON: nested too deep') from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f'{path}: not JSON: {describe_parse_error(error)}') from None
 
 
 def check_output(path: Path, *sources: Path) -> None:

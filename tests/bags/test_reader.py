@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,36 @@ def test_a_bag_without_metadata_recommends_recover(tmp_path: Path) -> None:
         Bag(tmp_path / 'bag')
     with Bag(tmp_path / 'bag' / 'bag_0.mcap') as bag:
         assert bag.count(bag.topics) == FRAMES + 1
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'error'),
+    [
+        (r'message_count: \d+', 'message_count: many', "message_count is 'many', expected an integer from 0"),
+        (r'message_count: \d+', 'message_count: -1', 'message_count is -1, expected an integer from 0'),
+        (r'\n    message_count: \d+', '', r'topics_with_message_count\[0\]\.message_count is missing'),
+        (r'message_count: \d+', f'message_count: {"9" * 5000}', r'value has 5000 digits$'),
+        ('version: 9', 'version: new', "version is 'new', expected an integer"),
+        ('storage_identifier: mcap', 'storage_identifier: [mcap]', r"storage_identifier is \['mcap'\], expected text"),
+        (r'  - bag_0\.mcap\n', '  - bag_0.mcap\n' * 2, "'bag_0.mcap' occurs 2 times"),
+        ('name: /keypoints', 'name:', r'\[1\]\.topic_metadata\.name is empty, expected text'),
+        ('depth: 10', 'depth: deep', r"offered_qos_profiles\[0\]\.depth is 'deep', expected an integer"),
+        ('(?s).*', '', 'expected a mapping with the key rosbag2_bagfile_information'),
+        ('(?s).*', '- 1', 'expected a mapping with the key rosbag2_bagfile_information'),
+        ('(?s).*', '[' * 100_000, 'nested too deep'),
+    ],
+)
+def test_the_error_about_a_damaged_metadata_names_the_value(tmp_path: Path, old: str, new: str, error: str) -> None:
+    write_bag(tmp_path / 'bag', RecorderConfig())
+    metadata = tmp_path / 'bag' / 'metadata.yaml'
+    text = metadata.read_text()
+    metadata.write_text(damaged := re.sub(old, new, text, count=1))
+    assert damaged != text
+    with pytest.raises(InputError) as raised:
+        Bag(tmp_path / 'bag')
+    reason, _, advice = str(raised.value).partition('; ')
+    assert re.search(f'metadata.*{error}', reason)
+    assert advice == f'`mocap-ros recover {tmp_path / "bag"}` saves the messages that can be read'
 
 
 def test_duration_and_counts(tmp_path: Path) -> None:

@@ -103,6 +103,27 @@ def test_yaml(content: dict[str, Any], mark: str) -> None:
     check('yaml', (f'{mark}{yaml.safe_dump(content)}').encode())
 
 
+def list_places(content: Any) -> list[tuple[Any, Any]]:
+    """Return every mapping or list in a content with each of its keys or indices."""
+    keys = content if isinstance(content, dict) else range(len(content)) if isinstance(content, list) else ()
+    places = [(content, key) for key in keys]
+    return places + [place for key in keys for place in list_places(content[key])]
+
+
+@QUICK
+@given(st.data(), yaml_values)
+def test_metadata(data: st.DataObject, value: object) -> None:
+    """A value of the description of a bag is replaced or missing."""
+    text, _, messages = EXAMPLES_BY_SOURCE['folder'][0].partition(FILE_SEPARATOR)
+    content = yaml.safe_load(text)
+    place, key = data.draw(st.sampled_from(list_places(content)))
+    if data.draw(st.booleans()):
+        del place[key]
+    else:
+        place[key] = value
+    check('folder', yaml.safe_dump(content).encode() + FILE_SEPARATOR + messages)
+
+
 def test_names_are_those_of_parameters() -> None:
     assert set(values(Config())) == {parameter.name for parameter in parameters()}
 
