@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from pathlib import PurePath
-from typing import Any, NamedTuple, Union
+from typing import Any, NamedTuple
 
 from mocap_ros.bags.rosbag2 import BAG_INFORMATION
 from mocap_ros.config import format_value
@@ -37,13 +37,11 @@ _BOOL = _Kind('true or false', lambda value: isinstance(value, bool))
 _COUNT = _Kind('an integer from 0 to 2**64 - 1', lambda value: type(value) is int and 0 <= value < 1 << 64)
 _NANOSECONDS = _Kind('an integer of 64 bits', lambda value: type(value) is int and -1 << 63 <= value < 1 << 63)
 _POLICY = _Kind('the name or the number of a policy', lambda value: type(value) in (str, int))
-_TEXT_OR_LIST_OR_EMPTY = _Kind(
-    'text or a list', lambda value: value is None or isinstance(value, (str, list))
-)
+_TEXT_OR_LIST_OR_EMPTY = _Kind('text or a list', lambda value: value is None or isinstance(value, (str, list)))
 
-# The form of a value: its kind; for a list, the form of each of its items; for a mapping, the form of each value by
-# key. A key with a question mark may be missing, as it is in older versions of the layout.
-_Form = Union[_Kind, list['_Form'], dict[str, '_Form']]
+# The form of a value: its kind; for a list, the form of each of its items; for a mapping, the form of each value
+# by key. A key with a question mark may be missing, as it is in older versions of the layout.
+_Form = _Kind | list['_Form'] | dict[str, '_Form']
 
 _TIME: _Form = {'sec': _COUNT, 'nsec': _COUNT}
 _QOS_PROFILES: _Form = [

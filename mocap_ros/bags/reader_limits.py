@@ -4,7 +4,8 @@
 """Limits that the bag readers of rosbags lack: a small bag from a stranger could fill the memory or the disk.
 
 rosbags unpacks whatever a file holds and compares with the stated size afterwards, it parses the QoS profiles of
-every topic anew, and it takes most values of a metadata.yaml for what they should be. It also refuses the bags in which rosbag2 states that it has found no definition of a type.
+every topic anew, and it takes most values of a metadata.yaml for what they should be. It also refuses the bags in
+which rosbag2 states that it has found no definition of a type.
 Its functions are replaced in its modules, because they are no parameters of its readers.
 """
 
@@ -149,7 +150,7 @@ def _parse_qos_list(profiles: Any) -> list[Qos]:
 
 
 def _check_loaded(make_parser: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that returns a parser of YAML, which checks that it has read the text of a metadata.yaml."""
+    """Return a function that returns a parser of a metadata.yaml, which checks what the YAML holds."""
 
     def make_checking_parser(**options: Any) -> Any:
         parser = make_parser(**options)

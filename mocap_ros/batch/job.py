@@ -48,7 +48,7 @@ from mocap_ros.offline.keyframes.reconstruct import find_keyframes, observe_plau
 from mocap_ros.people import MotionKind
 from mocap_ros.runtime.appearances import Appearance
 from mocap_ros.runtime.cpu_setup import configure_process
-from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
+from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, find_input_kind, require_kind
 from mocap_ros.runtime.load_keypoints import load_input
 from mocap_ros.runtime.parts import Part, find_parts
 from mocap_ros.runtime.provenance import provenance_attachments
@@ -421,11 +421,25 @@ def _describe_appearance(appearance: Appearance) -> dict[str, Any]:
     }
 
 
+def _select_options(settings: Settings, kind: InputKind) -> tuple[Video, str | None, str | None]:
+    """Return the options that apply to a kind of input, because a corpus may hold several kinds.
+
+    Returns:
+        Options of a video and of JSON, the topic of the keypoints and that of the CameraInfo.
+    """
+    if kind is InputKind.SEQUENCE:
+        return Video(), None, None
+    if kind is InputKind.VIDEO:
+        return Video(detector=settings.video.detector), None, None
+    topics = (settings.topic, settings.camera_info) if kind is InputKind.BAG else (None, None)
+    return replace(settings.video, detector=None), *topics
+
+
 def _load_sequence(path: Path, job: Job) -> tuple[KeypointSequence, dict[str, Any]]:
     """Load the keypoints of the person who is seen most; return them, and the columns that describe them."""
-    settings, config = job.settings, job.settings.parameters
-    topics = settings.topic, settings.camera_info
-    sequence, lines = load_input(path, settings.video, config.node, None, *topics)
+    config = job.settings.parameters
+    video, *topics = _select_options(job.settings, find_input_kind(path))
+    sequence, lines = load_input(path, video, config.node, None, *topics)
     stamps = sequence.stamps_ns
     appearance = Appearance(sequence.person_id or '', int(stamps[0]), int(stamps[-1]))
     appearance.seconds['unknown'] = (stamps[-1] - stamps[0]) / NS_PER_S

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import PurePosixPath
@@ -57,7 +57,9 @@ class Recording:
     size_bytes: int
 
 
-def find_recordings(source: str, work: Work, leave_out: Sequence[str] = ()) -> list[Recording]:
+def find_recordings(
+    source: str, work: Work, leave_out: Sequence[str] = (), report: Callable[[str], None] = lambda _: None
+) -> list[Recording]:
     """Find the recordings in a folder, or those that a pattern or a list names, largest first.
 
     Links are followed, and a recording that is reached in several ways is taken once.
@@ -67,6 +69,7 @@ def find_recordings(source: str, work: Work, leave_out: Sequence[str] = ()) -> l
             (`.txt`) with one of these in each line. Each of them a path or a URL of fsspec.
         work: what is to be done; only bags are replayed.
         leave_out: paths or URLs of folders that are not searched, as those of the results.
+        report: function that is called with a line about files that are no bags, where only bags are taken.
 
     Raises:
         InputError: there is nothing, it cannot be read, or the results of two recordings
@@ -84,6 +87,8 @@ def find_recordings(source: str, work: Work, leave_out: Sequence[str] = ()) -> l
     if not groups:
         kind = 'bag' if work is Work.REPLAY else 'bag or file of keypoints'
         raise InputError(f'{source}: there is no {kind}')
+    if work is Work.REPLAY and (others := len(_group_files(sizes, Work.RECONSTRUCT).keys() - groups)):
+        report(f'{source}: {others} other files or folders are not replayed; --work reconstruct takes them')
     base = _find_base(sources, list(groups))
     names = {url: _make_name(url, base, is_folder=files != [url]) for url, files in groups.items()}
     name, count = Counter(names.values()).most_common(1)[0]

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 from tqdm import tqdm
 
 from mocap_ros.cli.keypoint_input import add_camera_info_option, add_video_options
+from mocap_ros.cli.lines import print_remark, print_result
 from mocap_ros.cli.options import add_config_options, load_config_file, parse_changes, parse_count, parse_positive
-from mocap_ros.errors import InputError, MocapError, make_printable_line, tell_installation
+from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.formats.detections import Video
 from mocap_ros.runtime.save_results import SUFFIXES
 
@@ -97,14 +98,14 @@ def run(args: argparse.Namespace) -> int:
             '--workers and --memory are for this machine; the workers of a --scheduler have their own'
         )
     settings = _make_settings(args)
-    recordings = find_recordings(args.source, settings.work, list_own_folders(settings))
+    recordings = find_recordings(args.source, settings.work, list_own_folders(settings), print_remark)
     start = time.monotonic()
     outcomes: list[Outcome] = []
     with (
         connect(args.scheduler, args.workers, args.memory) as client,
         tqdm(desc='batch', total=len(recordings), disable=not sys.stderr.isatty(), leave=False) as bar,
     ):
-        print(f'mocap-ros: {len(recordings)} recordings; dashboard: {client.dashboard_link}', file=sys.stderr)
+        print_remark(f'{len(recordings)} recordings; dashboard: {client.dashboard_link}')
 
         def report(outcome: Outcome) -> None:
             outcomes.append(outcome)
@@ -113,12 +114,12 @@ def run(args: argparse.Namespace) -> int:
         lost_workers = run_jobs(client, [Job(recording, settings) for recording in recordings], report)
     remove_unfinished(settings)
     for path in save_report(outcomes, settings):
-        print(path)
+        print_result(path)
     for line in summarise(outcomes, time.monotonic() - start, lost_workers):
-        print(line)
+        print_result(line)
     failed = [outcome for outcome in outcomes if outcome.status is Status.FAILED]
     for outcome in failed:
-        print(make_printable_line(f'mocap-ros: {outcome.reason}'), file=sys.stderr)
+        print_remark(outcome.reason)
     return 1 if failed else 0
 
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.cli.compile import compile_all
+from mocap_ros.cli.lines import print_result
 from mocap_ros.cli.options import parse_positive
 from mocap_ros.config import Config
 from mocap_ros.demo.scene import motion_name_at
@@ -85,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     old_bags = set(_list_bags(args.output))
     with reserve_domain() as domain, _run_node(args.output, environment := {**os.environ, **domain}) as node:
         duration_s = _measure_duration(recording)
-        print(f'Playing {recording.name} (synthetic, {duration_s:.0f} s) to the node ...', flush=True)
+        print_result(f'Playing {recording.name} (synthetic, {duration_s:.0f} s) to the node ...', flush=True)
         player_command = [
             sys.executable,
             '-m',
@@ -113,9 +114,9 @@ def run(args: argparse.Namespace) -> int:
     page = args.output / 'demo.html'
     with replace_output(page) as unfinished:
         unfinished.write_text(build_page(load_demo_scene(new_bags[-1], sequence)), encoding='utf-8')
-    print(f'Bag:     {new_bags[-1]}')
-    print(f'Picture: {picture}')
-    print(f'Page:    {page} (opens in any browser)')
+    print_result(f'Bag:     {new_bags[-1]}')
+    print_result(f'Picture: {picture}')
+    print_result(f'Page:    {page} (opens in any browser)')
     _print_report(sequence, joints, new_bags[-1])
     return 0
 
@@ -240,7 +241,7 @@ def _print_report(sequence: KeypointSequence, joints: Array, bag: Path) -> None:
         raise MocapError(f'{bag}: contains no skeletons')
     empty_frames = int((~(sequence.keypoints[..., 2] > 0).any(axis=1)).sum())
     reconstructed_frames = errors['frames'] - errors['failed_frames']
-    print(
+    print_result(
         f'Mean 3D error: {errors["mpjpe_mm"]:.0f} mm (MPJPE, one scale for the sequence), '
         f'{errors["pa_mpjpe_mm"]:.0f} mm after one similarity transform per frame; '
         f'{reconstructed_frames:.0f} of {errors["frames"]:.0f} frames have a skeleton, '

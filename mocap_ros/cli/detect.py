@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -16,9 +15,10 @@ import numpy as np
 
 from mocap_ros.cli.interrupts import interrupt_between_items
 from mocap_ros.cli.keypoint_input import list_sources
+from mocap_ros.cli.lines import print_remark, print_result
 from mocap_ros.cli.options import derive_output_stem, parse_count, parse_positive
 from mocap_ros.cli.progress import show_progress
-from mocap_ros.errors import InputError, make_printable_line, tell_installation
+from mocap_ros.errors import InputError, tell_installation
 from mocap_ros.formats.detections import Detections, select_person
 from mocap_ros.formats.sequence_file import KeypointSequence, describe_frames, save_sequence
 from mocap_ros.formats.text_files import check_output, replace_output
@@ -121,8 +121,8 @@ def run(args: argparse.Namespace) -> int:
             save_sequence(unfinished, sequence)
         what = f'{len(sequence.joint_names)} keypoints of {sequence.person_id}'
     for line in lines:
-        print(make_printable_line(f'mocap-ros: {path}: {line}'), file=sys.stderr)
-    print(f'{output}: {what}, {describe_frames(times)}')
+        print_remark(f'{path}: {line}')
+    print_result(f'{output}: {what}, {describe_frames(times)}')
     return 0
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,6 +22,7 @@ from mocap_ros.cli.keypoint_input import (
     load_models,
     name_file_in_errors,
 )
+from mocap_ros.cli.lines import print_remark, print_result
 from mocap_ros.cli.options import add_config_options, load_config
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.cli.reconstruct import reconstruct_file
@@ -143,7 +143,7 @@ def run(args: argparse.Namespace) -> int:
             evaluation = compare_with_truth(result, truth, args.joints == 'limbs')
             coverage = check_covariances(result, truth)
         if warning := describe_few_matches(result, truth):
-            print(f'mocap-ros: {path}: {warning}', file=sys.stderr)
+            print_remark(f'{path}: {warning}')
         records.append({'file': path.name, **evaluation.as_dict(), **coverage, **timing})
     if args.json is not None:
         with replace_output(args.json, *sources) as unfinished:
@@ -152,7 +152,7 @@ def run(args: argparse.Namespace) -> int:
     print_coverage(records)
     for path, sequence in truths.items():
         if sequence.truth is not None and measure_person_size(sequence.truth.joints) > MAX_PERSON_SIZE_M:
-            print(f'mocap-ros: {path}: joints3d: the values look like mm, but m are expected', file=sys.stderr)
+            print_remark(f'{path}: joints3d: the values look like mm, but m are expected')
     return 0
 
 
@@ -297,8 +297,8 @@ def print_table(records: list[dict[str, Any]]) -> None:
     ]
     first, *others = (max(map(len, column)) for column in zip(*cells, strict=True))
     for name, *numbers in cells:
-        print(f'{name:<{first}}', *(f'{cell:>{width + 1}}' for cell, width in zip(numbers, others, strict=True)))
-    print(LEGEND)
+        print_result(f'{name:<{first}} ' + ' '.join(f'{c:>{w + 1}}' for c, w in zip(numbers, others, strict=True)))
+    print_result(LEGEND)
 
 
 def print_coverage(records: Sequence[Mapping[str, Any]]) -> None:
@@ -309,7 +309,7 @@ def print_coverage(records: Sequence[Mapping[str, Any]]) -> None:
             found = [record[key] for p in SHARES if (key := f'{kind}{100 * p:.0f}') in record]
             if found:
                 shares = ' and '.join(f'{100 * share:.0f}' for share in found)
-                print(
+                print_result(
                     f'{record["file"]}: covariances: {shares} of 100 true {what} are in the ellipsoids that '
                     f'should hold {wanted}'
                 )

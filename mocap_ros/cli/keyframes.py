@@ -14,6 +14,7 @@ from mocap_ros.cli.keypoint_input import (
     load_input_sequence,
     name_file_in_errors,
 )
+from mocap_ros.cli.lines import print_result
 from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
 from mocap_ros.cli.progress import StageDisplay
 from mocap_ros.errors import InputError
@@ -76,20 +77,23 @@ def run(args: argparse.Namespace) -> int:
         with replace_output(path, *sources) as unfinished:
             plots.save_figure(figure, unfinished)
     print_table(observed, keyframes)
-    print(*(str(path) for path in (output, *pictures)), sep='\n')
+    for path in (output, *pictures):
+        print_result(path)
     return 0
 
 
 def print_table(observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet]) -> None:
     """Print a table with a line for each keyframe, and the coverage of each half of the body."""
-    print(f'{"half":<6} {"time, s":>9} {"frames":>7}  spans, s')
+    print_result(f'{"half":<6} {"time, s":>9} {"frames":>7}  spans, s')
     for entry in list_keyframe_entries(observed, keyframes):
         spans = [f'{start:.1f}-{end:.1f}' for start, end in entry['spans'][:MAX_PRINTED_SPANS]]
         more = ', ...' if len(entry['spans']) > MAX_PRINTED_SPANS else ''
-        print(f'{entry["half"]:<6} {entry["time"]:>9.2f} {entry["represents"]:>7}  {", ".join(spans)}{more}')
+        print_result(
+            f'{entry["half"]:<6} {entry["time"]:>9.2f} {entry["represents"]:>7}  {", ".join(spans)}{more}'
+        )
     seconds = float(observed.times[-1] - observed.times[0])
     for half in keyframes:
-        print(
+        print_result(
             f'{half.body_half.name} body: {len(half.frames)} keyframes cover {half.coverage:.1%} of '
             f'{int(half.has_pose.sum())} frames, {seconds:.1f} s'
         )

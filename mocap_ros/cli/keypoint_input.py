@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,10 +15,11 @@ from numpy.typing import NDArray
 
 from mocap_ros.bags.reader import list_bag_files
 from mocap_ros.bags.rosbag2 import METADATA
+from mocap_ros.cli.lines import print_remark
 from mocap_ros.cli.options import parse_positive
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.config import Config
-from mocap_ros.errors import InputError, MocapError, make_printable_line
+from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.mocap.trials import MANIFEST_NAME, list_files
 from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX, KeypointSequence
@@ -148,7 +148,7 @@ def load_input_sequence(args: argparse.Namespace, config: Config) -> KeypointSeq
     topics = args.topic, args.camera_info
     sequence, lines = load_input(args.input, video, config.node, args.person, *topics, show_detection_progress)
     for line in lines:
-        print(make_printable_line(f'mocap-ros: {line}'), file=sys.stderr)
+        print_remark(line)
     return sequence
 
 
@@ -158,7 +158,7 @@ def load_input_people(args: argparse.Namespace, config: Config) -> list[Keypoint
     topics = args.topic, args.camera_info
     sequences, lines = load_people(args.input, video, config.node, *topics, show_detection_progress)
     for line in lines:
-        print(make_printable_line(f'mocap-ros: {line}'), file=sys.stderr)
+        print_remark(line)
     return sequences
 
 

@@ -18,7 +18,8 @@ from importlib import import_module
 from typing import Any
 
 from mocap_ros.cli.interrupts import is_interrupt
-from mocap_ros.errors import MocapError, make_printable_line
+from mocap_ros.cli.lines import print_remark
+from mocap_ros.errors import MocapError
 from mocap_ros.runtime.cpu_setup import configure_process
 
 # The line of each subcommand in the help, by its name, which is also the name of its module in this folder.
@@ -126,7 +127,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _report_failure(message: str) -> int:
     """Print the message as one line on stderr and return the exit code of a failure."""
-    print(make_printable_line(f'mocap-ros: {message}'), file=sys.stderr)
+    print_remark(message)
     return 1
 
 

@@ -6,14 +6,14 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from contextlib import suppress
 from pathlib import Path
 
 from mocap_ros.cli.keypoint_input import add_camera_info_option
+from mocap_ros.cli.lines import print_remark, print_result
 from mocap_ros.cli.options import parse_positive
 from mocap_ros.cli.progress import show_progress
-from mocap_ros.errors import ConfigError, MocapError, make_printable_line
+from mocap_ros.errors import ConfigError, MocapError
 from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
 from mocap_ros.runtime.playback import Playback
 
@@ -90,9 +90,11 @@ def run(args: argparse.Namespace) -> int:
     with suppress(*([KeyboardInterrupt] if args.loop else [])):  # an interrupt is the only way to end a loop
         player.play(
             lambda messages, total: show_progress(messages, 'play', total),
-            lambda line: print(f'{args.input}: {line}', flush=True),
+            lambda line: print_result(f'{args.input}: {line}', flush=True),
         )
     for reason in player.skipped_topics:
-        print(make_printable_line(f'not played: {reason}'), file=sys.stderr)
-    print(f'{args.input}: {player.published_count} messages published on {", ".join(player.published_topics)}')
+        print_remark(f'not played: {reason}')
+    print_result(
+        f'{args.input}: {player.published_count} messages published on {", ".join(player.published_topics)}'
+    )
     return 0

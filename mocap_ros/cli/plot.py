@@ -19,6 +19,7 @@ from mocap_ros.cli.keypoint_input import (
     load_models,
     name_file_in_errors,
 )
+from mocap_ros.cli.lines import print_result
 from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
 from mocap_ros.cli.reconstruct import reconstruct_file
 from mocap_ros.config import Config
@@ -77,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     figure = plots.draw_poses_figure(drawn, frames, args.input.name, labels)
     with replace_output(output, *sources) as unfinished:
         plots.save_figure(figure, unfinished)
-    print(output)
+    print_result(output)
     return 0
 
 

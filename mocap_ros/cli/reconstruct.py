@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from mocap_ros.cli.keypoint_input import (
     load_models,
     name_file_in_errors,
 )
+from mocap_ros.cli.lines import print_remark, print_result
 from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
 from mocap_ros.cli.progress import StageDisplay
 from mocap_ros.config import Config, load_yaml
@@ -112,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
         if error is not None:
             errors.append(error)
             if len(errors) < len(sequences):
-                print(f'mocap-ros: {error} (person {sequence.person_id!r} is left out)', file=sys.stderr)
+                print_remark(f'{error} (person {sequence.person_id!r} is left out)')
     if len(errors) == len(sequences):
         raise errors[-1]
     return 0
@@ -158,22 +159,41 @@ def _reconstruct_and_save(
         with name_file_in_errors(args.input):
             result = reconstruct_file(sequence, models, config)
         summary = f'{result.solution.iterations} iterations'
-    for output in outputs:
-        with replace_output(output, *sources) as unfinished:
-            save_results.save(unfinished, save_results.ReconstructedSequence(sequence, result))
+    _save_all(args.input, save_results.ReconstructedSequence(sequence, result), outputs, sources)
     solution = result.solution
     warning = '' if solution.success else f'. {solution.message}'
     missing = int(np.isnan(result.joints).any(axis=(1, 2)).sum())
     if missing:
         line = f'{missing} frames before the first and after the last sight of the person have no skeleton'
-        print(f'mocap-ros: {args.input}: {line}', file=sys.stderr)
+        print_remark(f'{args.input}: {line}')
     for output in outputs:
-        print(
+        print_result(
             f'{output}: {len(sequence)} frames, base poses {result.category}, residual '
             f'{np.nanmean(solution.residual):.2f} px, {summary}{warning}'
         )
         if output.suffix == '.bvh':
-            print(f'{output}: in cm, y up, as for a level camera. In Blender: {BLENDER_IMPORT}')
+            print_result(f'{output}: in cm, y up, as for a level camera. In Blender: {BLENDER_IMPORT}')
+
+
+def _save_all(
+    source: Path,
+    reconstruction: save_results.ReconstructedSequence,
+    outputs: Sequence[Path],
+    sources: Sequence[Path],
+) -> None:
+    """Write the files, and put them in place when all of them are written.
+
+    Raises:
+        InputError: the times of the input, which the error names, do not fit a format.
+        MocapError: a file cannot be written.
+    """
+    with ExitStack() as replacements:
+        for output in outputs:
+            unfinished = replacements.enter_context(replace_output(output, *sources))
+            try:
+                save_results.save(unfinished, reconstruction)
+            except InputError as error:
+                raise InputError(f'{source}: {error}') from None
 
 
 def _reconstruct_by_keyframes(

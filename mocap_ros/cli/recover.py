@@ -14,8 +14,8 @@ from tqdm import tqdm
 
 from mocap_ros.bags.recovery import list_recoverable_files, recover
 from mocap_ros.bags.rosbag2 import METADATA
+from mocap_ros.cli.lines import print_remark, print_result
 from mocap_ros.cli.options import name_bag
-from mocap_ros.errors import make_printable_line
 from mocap_ros.runtime.input_kind import InputKind, require_kind
 
 
@@ -50,8 +50,8 @@ def run(args: argparse.Namespace) -> int:
 
         found = recover(args.bag, out, watch)
     for loss in found.losses:
-        print(make_printable_line(loss), file=sys.stderr)
-    print(f'{out}: {found.messages.total()} messages on {len(found.messages)} topics')
+        print_remark(loss)
+    print_result(f'{out}: {found.messages.total()} messages on {len(found.messages)} topics')
     return 0
 
 

@@ -16,6 +16,7 @@ from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import remove_partial
 from mocap_ros.cli.interrupts import interrupt_between_items
 from mocap_ros.cli.keypoint_input import add_camera_info_option
+from mocap_ros.cli.lines import print_remark, print_result
 from mocap_ros.cli.options import add_config_options, load_config_file, name_bag, parse_changes
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import InputError, MocapError, RecordingError, make_printable_line
@@ -108,7 +109,7 @@ def _prepare_to_resume(job: _Job) -> bool:
     An interrupted replay starts again from the beginning, since the same bag gives the same results.
     """
     if job.out.exists():
-        print(f'{job.out}: already replayed')
+        print_result(f'{job.out}: already replayed')
         return False
     remove_partial(job.out)
     return True
@@ -119,7 +120,7 @@ def _try_replay(job: _Job) -> bool:
     try:
         _replay_one(job)
     except MocapError as error:
-        print(f'mocap-ros: {" ".join(str(error).split())}', file=sys.stderr)
+        print_remark(error)
         return False
     return True
 
@@ -144,16 +145,15 @@ def _print_summary(job: _Job, result: ReplayResult, seconds: float) -> None:
         print(*map(make_printable_line, traceback.splitlines()), sep='\n', file=sys.stderr)
     if result.first_rejection:
         line = f'first message that was not accepted: {result.first_rejection}'
-        print(make_printable_line(line), file=sys.stderr)
+        print_remark(line)
     for remark in result.remarks:
-        print(make_printable_line(remark), file=sys.stderr)
+        print_remark(remark)
     if result.unrecorded_inputs:
-        print(
+        print_remark(
             f'{job.bag}: {result.unrecorded_inputs} inputs are missing because the disk was too slow for the '
-            'recorder; the results after the first missing input differ from the live ones',
-            file=sys.stderr,
+            'recorder; the results after the first missing input differ from the live ones'
         )
-    print(
+    print_result(
         f'{job.out}: {counts.accepted} messages of people accepted, {counts.dropped.total()} dropped, '
         f'{counts.invalid} invalid, {seconds:.1f} s'
     )

@@ -9,6 +9,7 @@ import argparse
 from pathlib import Path
 
 from mocap_ros.cli.keypoint_input import list_sources
+from mocap_ros.cli.lines import print_result
 from mocap_ros.cli.options import parse_positive
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import MocapError
@@ -147,7 +148,7 @@ def run(args: argparse.Namespace) -> int:
     with replace_output(args.output, *sources) as unfinished:
         model_file.save_base_poses(model, unfinished)
     explained_by_ten = model.explained[min(9, len(model.explained) - 1)]
-    print(
+    print_result(
         f'{args.output}: {len(model.std)} base poses from {len(trials)} trials, '
         f'{sum(len(t.poses) for t in trials)} poses; the first ten base poses explain '
         f'{explained_by_ten:.1%} of the variance'

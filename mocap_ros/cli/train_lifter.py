@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mocap_ros.cli.keypoint_input import list_sources
+from mocap_ros.cli.lines import print_result
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import MocapError, tell_installation
 from mocap_ros.formats.mocap.trials import TrialOptions, load_trials, select_trials
@@ -142,7 +143,7 @@ def run(args: argparse.Namespace) -> int:
     with replace_output(args.output, *sources) as unfinished:
         model_file.save_lifter(lifter, unfinished)
     frames = sum(len(t.poses) for t in trials)
-    print(
+    print_result(
         f'{args.output}: trained on {len(trials)} trials, {frames} poses; mean error '
         f'{lifter.provenance["error_mm"]} mm on the last examples'
     )

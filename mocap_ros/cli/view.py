@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -21,10 +20,11 @@ from mocap_ros.cli.keypoint_input import (
     name_file_in_errors,
     show_detection_progress,
 )
+from mocap_ros.cli.lines import print_remark, print_result
 from mocap_ros.cli.options import add_config_options, load_config
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.config import Config
-from mocap_ros.errors import ConfigError, InputError, MocapError, make_printable_line
+from mocap_ros.errors import ConfigError, InputError, MocapError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.result_file import is_result_file
 from mocap_ros.formats.text_files import check_output, replace_output
@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
             write_recording(scene, unfinished, images=_read_images(args, config, scene))
         else:
             unfinished.write_text(build_page(scene), encoding='utf-8')
-    print(output)
+    print_result(output)
     return 0
 
 
@@ -153,9 +153,9 @@ def _show_live(args: argparse.Namespace) -> int:
     recording = rr.RecordingStream(APPLICATION, send_properties=False)
     with start_viewer() as (viewer, address):
         recording.connect_grpc(address)
-        print('Waiting for skeletons; close the window or press Ctrl+C to end', flush=True)
+        print_result('Waiting for skeletons; close the window or press Ctrl+C to end', flush=True)
         line = watch(LiveDrawing(recording), lambda: viewer.poll() is None, args.namespace, topic)
-    print(line)
+    print_result(line)
     return 0
 
 
@@ -181,7 +181,7 @@ def _load(args: argparse.Namespace, config: Config) -> Scene:
     )
     scene, lines = load_scene(args.input, options, lambda items, total: show_progress(items, 'view', total))
     for line in lines:
-        print(make_printable_line(f'mocap-ros: {line}'), file=sys.stderr)
+        print_remark(line)
     if marks_start_ns is not None:
         with name_file_in_errors(args.keyframes):
             marks = place_marks(marks, marks_start_ns, scene.stamps_ns)

@@ -142,6 +142,8 @@ def _check_frame_number(number: int) -> int:
 
 def _parse_frame_number(name: Any) -> int:
     """Return the frame number in an image's name or id."""
+    if isinstance(name, bool):
+        raise TypeError
     if isinstance(name, int):
         return _check_frame_number(name)
     digits = re.findall(r'\d+', PurePath(name).stem)

@@ -44,6 +44,7 @@ LAYOUT_BY_KEYPOINT_COUNT = {
     136: 'halpe26',
 }
 
+MAX_FRAME_RATE_HZ = 10_000.0  # far above that of any video of people; keeps times that are rounded to 1 us apart
 MAX_FRAMES = 1_000_000  # guards the memory against frame numbers that are not of one video; 9 h at 30 Hz
 MAX_KEYPOINTS = 50_000_000  # of a person over time; guards the memory; 9 h of body25 have half of it
 MAX_GAP_S = 3.0  # s without a detection after which a track without an id ends; documented in docs/files.md
@@ -158,12 +159,15 @@ def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Vi
         video: the frame rate, which is required, and the size of the images.
 
     Raises:
-        InputError: there are no frames or no frame rate, or the numbers are too far apart for one video.
+        InputError: there are no frames, the frame rate is missing or above `MAX_FRAME_RATE_HZ`, or the numbers are
+            too far apart for one video.
     """
     if not people_by_number:
         raise InputError('no frames')
     if video.fps is None:
         raise InputError('the file has no timestamps; give the frame rate (--fps)')
+    if video.fps > MAX_FRAME_RATE_HZ:
+        raise InputError(f'--fps: {video.fps:g} Hz, at most {MAX_FRAME_RATE_HZ:g} Hz expected')
     numbers = sorted(people_by_number)
     step = gcd(*(b - a for a, b in pairwise(numbers))) or 1
     all_numbers = range(numbers[0], numbers[-1] + 1, step)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mocap_ros.bags.recorder import RECOVERY_HINT, Recorder
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
-from mocap_ros.formats.detections import Detections
+from mocap_ros.formats.detections import MAX_FRAME_RATE_HZ, Detections
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.bvh import save_bvh
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, compute_joint_angles
@@ -44,6 +44,7 @@ Array = NDArray[np.float64]
 ONE_FILE = RecorderConfig(min_free_mb=0, split_seconds=0.0)  # of a bag that is written as a single file
 DEFAULT_PERSON_ID = 'person_1'  # id in the messages of a bag, if the sequence does not name its person
 MAX_RESAMPLED_FRAMES = 1_000_000  # frames; guards the memory against two frames that are years apart
+RATE_TOLERANCE = 0.01  # 1; seconds since 1970 as doubles are rounded to 0.2 us
 HALF_TURN = np.array([1.0, 0.0, 0.0, 0.0])  # quaternion x, y, z, w of `CAMERA_TO_Y_UP`, half a turn about x
 SMALLEST_NORM = 1e-9  # 1; guards the normalisation of mixed quaternions
 CAMERA_TO_Y_UP = np.array([1.0, -1.0, -1.0])  # factors of x, y, z: optical frame (y down, z forward) to y up
@@ -274,7 +275,12 @@ def _resample_at_constant_rate(reconstruction: ReconstructedSequence) -> tuple[f
     has_skeleton = np.asarray(np.isfinite(result.joints).all(axis=(1, 2)))
     if len(times) < 2:
         return 1.0, stand_upright(result), has_skeleton
-    frame_count = round(float(times[-1] / np.median(np.diff(times)))) + 1
+    step = float(np.median(np.diff(times)))
+    if step * MAX_FRAME_RATE_HZ < 1.0 - RATE_TOLERANCE:
+        raise InputError(
+            f'timestamps: {step:.3g} s from frame to frame; at most {MAX_FRAME_RATE_HZ:g} Hz can be written'
+        )
+    frame_count = round(float(times[-1]) / step) + 1
     if frame_count > MAX_RESAMPLED_FRAMES:
         raise InputError(f'timestamps: {times[-1]:.0f} s would be {frame_count} frames at a constant rate')
     grid = np.linspace(0.0, times[-1], frame_count)

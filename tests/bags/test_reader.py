@@ -34,7 +34,7 @@ def test_a_bag_without_metadata_recommends_recover(tmp_path: Path) -> None:
         (r'\n    message_count: \d+', '', r'topics_with_message_count\[0\]\.message_count is missing'),
         (r'message_count: \d+', f'message_count: {"9" * 5000}', r'value has 5000 digits$'),
         ('version: 9', 'version: new', "version is 'new', expected an integer"),
-        ('storage_identifier: mcap', 'storage_identifier: [mcap]', r"storage_identifier is \['mcap'\], expected text"),
+        ('identifier: mcap', 'identifier: [mcap]', r"storage_identifier is \['mcap'\], expected text"),
         (r'  - bag_0\.mcap\n', '  - bag_0.mcap\n' * 2, "'bag_0.mcap' occurs 2 times"),
         ('name: /keypoints', 'name:', r'\[1\]\.topic_metadata\.name is empty, expected text'),
         ('depth: 10', 'depth: deep', r"offered_qos_profiles\[0\]\.depth is 'deep', expected an integer"),
@@ -43,7 +43,7 @@ def test_a_bag_without_metadata_recommends_recover(tmp_path: Path) -> None:
         ('(?s).*', '[' * 100_000, 'nested too deep'),
     ],
 )
-def test_the_error_about_a_damaged_metadata_names_the_value(tmp_path: Path, old: str, new: str, error: str) -> None:
+def test_the_error_about_damaged_metadata_names_the_value(tmp_path: Path, old: str, new: str, error: str) -> None:
     write_bag(tmp_path / 'bag', RecorderConfig())
     metadata = tmp_path / 'bag' / 'metadata.yaml'
     text = metadata.read_text()

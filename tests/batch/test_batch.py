@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import json
 import os
 import signal
 import subprocess
@@ -29,7 +30,9 @@ from mocap_ros.cli.main import main
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence
+from mocap_ros.units import NS_PER_S
 from tests.support.bag_corpus import FAST_ARGUMENTS, read_outputs, write_corpus, write_demo_bag
+from tests.support.keypoint_files import FPS, flatten_keypoints, make_walker
 from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import FAST_CONFIG
 
@@ -306,6 +309,22 @@ def test_the_key_has_the_content_of_the_model_of_a_detector_and_not_its_name(tmp
     assert key(tmp_path / 'a.onnx') == key(tmp_path / 'c.onnx')
     with pytest.raises(InputError, match=r'no\.onnx: No such file or directory$'):
         key(tmp_path / 'no.onnx')
+
+
+def test_options_apply_to_those_recordings_that_need_them(client: Any, tmp_path: Path) -> None:
+    corpus = tmp_path / 'in'
+    write_demo_bag(corpus / 'bag', 12)
+    sequence = make_walker()
+    save_sequence(corpus / 'sequence.npz', sequence)
+    keypoints = flatten_keypoints(sequence)
+    (corpus / 'coco.json').write_text(
+        json.dumps([{'image_id': i, 'keypoints': k} for i, k in enumerate(keypoints)])
+    )
+    options = {'work': Work.KEYFRAMES, 'video': Video(fps=FPS), 'topic': '/keypoints'}
+    outcomes = run(client, corpus, tmp_path / 'out', **options)
+    assert statuses(outcomes) == dict.fromkeys(('bag', 'sequence', 'coco'), 'done')
+    (row,) = outcomes['coco'].rows
+    assert row['to_ns'] - row['from_ns'] == pytest.approx((len(sequence) - 1) / FPS * NS_PER_S)
 
 
 def test_what_changes_no_result_keeps_their_key() -> None:

@@ -56,6 +56,15 @@ def test_the_bags_of_a_folder_are_found_largest_first(root: str) -> None:
     assert names(root, Work.RECONSTRUCT) == ['day2/b', 'day1/bag_a', 'day2/walk', 'day2/old', 'day2/c']
 
 
+def test_what_is_not_replayed_is_said(root: str) -> None:
+    lines: list[str] = []
+    find_recordings(root, Work.REPLAY, (), lines.append)
+    assert lines == [f'{root}: 1 other files or folders are not replayed; --work reconstruct takes them']
+    find_recordings(root, Work.RECONSTRUCT, (), lines.append)
+    find_recordings(f'{root}/day1', Work.REPLAY, (), lines.append)
+    assert len(lines) == 1
+
+
 def test_a_folder_may_have_the_characters_of_a_pattern_in_its_name(tmp_path: Path) -> None:
     (tmp_path / 'corpus[2024]').mkdir()
     (tmp_path / 'corpus[2024]' / 'y.mcap').write_bytes(b'y')

@@ -227,6 +227,34 @@ def test_several_files_of_one_reconstruction_agree(short_recording: Path, tmp_pa
     assert sorted(marker.get('name', '') for marker in markers) == sorted(CMU15.joints)
 
 
+def test_files_are_replaced_when_all_of_them_are_written(
+    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sequence = load_sequence(short_recording)
+    path, outputs = tmp_path / 'fast.npz', [tmp_path / 'r.csv', tmp_path / 'r.bvh']
+    save_sequence(path, replace(sequence, timestamps=sequence.timestamps * 1e-6))
+    for output in outputs:
+        output.write_text('old')
+    command = ['reconstruct', str(path), *(word for output in outputs for word in ('-o', str(output)))]
+    assert main([*command, *QUICK_OPTIONS]) == 1
+    reason = 'timestamps: 3.33e-08 s from frame to frame; at most 10000 Hz can be written'
+    assert capsys.readouterr().err == f'mocap-ros: {path}: {reason}\n'
+    assert {p: p.read_text() for p in tmp_path.iterdir() if p not in (path, short_recording)} == dict.fromkeys(
+        outputs, 'old'
+    )
+
+
+def test_a_name_that_a_terminal_would_obey_is_escaped(
+    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / 'a\x1b[2J\nb.csv'
+    assert main(['reconstruct', str(short_recording), '-o', str(out), *QUICK_OPTIONS]) == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.isprintable()
+    assert line.startswith(f'{tmp_path}/a\\x1b[2J b.csv: 20 frames')
+    assert out.is_file()
+
+
 def write_two_people(path: Path, ids: tuple[str, str]) -> None:
     """Write a bag of a walker, a second person beside the walker, and one who is seen for three frames."""
     sequence = make_recording().sequence()

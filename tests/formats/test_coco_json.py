@@ -185,6 +185,11 @@ INVALID = {
     'openpose frame': ('{"people": []}', 'one frame of OpenPose, give its folder'),
     'empty': ('[]', 'no frames'),
     'no image': ('[{"keypoints": [1, 2, 3]}]', r'\[0\]: expected image_id'),
+    'a number of thousands of digits': (f'[{"9" * 5000}]', r'value has 5000 digits$'),
+    'an image that is true': (
+        json.dumps([{'image_id': True, 'keypoints': [1.0, 2.0, 1.0] * 17}]),
+        r'\[0\]: expected image_id',
+    ),
     'text': ('[{"image_id": 1, "keypoints": "abc"}]', r'\[0\]: keypoints: expected x, y, score'),
     'odd length': ('[{"image_id": 1, "keypoints": [1, 2, 3, 4]}]', r'\[0\]: keypoints: expected x, y, score'),
     'one number': ('[{"image_id": 1, "keypoints": 7}]', r'\[0\]: keypoints: expected x, y, score'),

@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mocap_ros.errors import InputError
 from mocap_ros.formats.coco_json import load_coco
 from mocap_ros.formats.detections import (
+    MAX_FRAME_RATE_HZ,
     Detections,
     Video,
     arrange_frames,
@@ -83,6 +85,15 @@ def test_frames_are_as_far_apart_as_their_numbers_allow() -> None:
     arranged = arrange_frames(people, Video(fps=50.0))
     assert arranged.stamps_ns == [round(t * NS_PER_S) for t in (0, 0.04, 0.08, 0.12, 0.16)]
     assert [len(frame) for frame in arranged.people] == [1, 1, 1, 0, 1]
+
+
+@pytest.mark.parametrize('fps', [1.1 * MAX_FRAME_RATE_HZ, 1e10, 1e300])
+def test_a_rate_that_no_camera_has_is_refused(fps: float) -> None:
+    people = {number: [make_standing_person(100)] for number in range(3)}
+    with pytest.raises(InputError, match=r'^--fps: .* Hz, at most 10000 Hz expected$'):
+        arrange_frames(people, Video(fps=fps))
+    times = select_person(arrange_frames(people, Video(fps=MAX_FRAME_RATE_HZ)))[0].timestamps
+    assert np.diff(times) == pytest.approx(1 / MAX_FRAME_RATE_HZ)
 
 
 @pytest.mark.parametrize('file_format', ['openpose', 'coco'])
