@@ -438,8 +438,8 @@ def _select_options(settings: Settings, kind: InputKind) -> tuple[Video, str | N
 def _load_sequence(path: Path, job: Job) -> tuple[KeypointSequence, dict[str, Any]]:
     """Load the keypoints of the person who is seen most; return them, and the columns that describe them."""
     config = job.settings.parameters
-    video, *topics = _select_options(job.settings, find_input_kind(path))
-    sequence, lines = load_input(path, video, config.node, None, *topics)
+    video, topic, camera_info = _select_options(job.settings, find_input_kind(path))
+    sequence, lines = load_input(path, video, config.node, None, topic, camera_info)
     stamps = sequence.stamps_ns
     appearance = Appearance(sequence.person_id or '', int(stamps[0]), int(stamps[-1]))
     appearance.seconds['unknown'] = (stamps[-1] - stamps[0]) / NS_PER_S

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Mistakes in valid input: joints in another order, images of another size, misspelt names of joints.
+"""Mistakes in valid input: joints in another order, images of another size, misspelt names, impossible lenses.
 
 The first two are doubted once they are so for most people over seconds (`tracking/lasting_doubt.py`).
 """
@@ -16,6 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
 from mocap_ros.people import Person3D
@@ -28,6 +29,12 @@ LEAST_S = 2.5  # s; longer than a burst of wrong points, such as while somebody 
 # three detectors is doubted, and all of 50 with joints reversed, one on, or in random order are.
 MAX_RESIDUAL = 0.25
 LEAST_LIKENESS = 0.8  # 1, of difflib; one or two letters of a joint's name
+GRID_SIZE = 9  # points in each direction of the image, at which a lens is checked
+MAX_LENS_ERROR = 0.01  # image widths; far above the errors of the inversion where there is an inverse
+# 1; part of the image. Calibrations that are poor in the corners, and fisheyes that see what is beside the camera,
+# have no inverse in up to a third of it.
+MAX_SHARE_WITHOUT_INVERSE = 0.5
+MAX_CACHED_LENSES = 4  # cameras in turn before one node
 MAX_CACHED_NAMES = 64  # lists of joint names; guards memory against messages that name ever new ones
 KNOWN_JOINTS = frozenset(j for layout in KEYPOINT_LAYOUTS.values() for j in layout.joints)
 
@@ -43,7 +50,7 @@ class InputDoubts:
         stamp_ns: int,
         detections: Sequence[Person2D],
         people: Sequence[Person3D],
-        image_size: tuple[int, int] | None,
+        intrinsics: Intrinsics,
     ) -> tuple[str, ...]:
         """Return what is doubted, each in words; usually nothing.
 
@@ -51,8 +58,9 @@ class InputDoubts:
             stamp_ns: ns, stamp of the image.
             detections: The people whom the detector saw in it.
             people: The people who were reconstructed up to it.
-            image_size: px, width and height of the image; None if they are unknown.
+            intrinsics: The intrinsics of the camera.
         """
+        image_size = intrinsics.image_size
         residuals = [p.motion.residual for p in people if not p.predicted and math.isfinite(p.motion.residual)]
         doubts = []
         if self._joint_order.advance(stamp_ns, [r > MAX_RESIDUAL for r in residuals]) and residuals:
@@ -68,7 +76,7 @@ class InputDoubts:
                 'gives points in px from the upper left corner'
             )
         misspelt = next(filter(None, (describe_misspelt_joint(p.joints) for p in detections)), '')
-        return (*doubts, misspelt) if misspelt else tuple(doubts)
+        return *doubts, *filter(None, (misspelt, describe_impossible_lens(intrinsics)))
 
 
 def describe_outside(person: Person2D, image_size: tuple[int, int]) -> str:
@@ -76,6 +84,30 @@ def describe_outside(person: Person2D, image_size: tuple[int, int]) -> str:
     keypoints = person.points, person.score, image_size
     outside = describe_points_outside(*keypoints)
     return outside and (describe_transposed_size(*keypoints) or outside)
+
+
+def describe_impossible_lens(intrinsics: Intrinsics) -> str:
+    """Describe that the distortion of a lens has no inverse in most of the image; empty if it has."""
+    if intrinsics.image_size is None or not intrinsics.distortion.coefficients:
+        return ''
+    share = _measure_share_without_inverse(intrinsics, intrinsics.image_size)
+    if share <= MAX_SHARE_WITHOUT_INVERSE:
+        return ''
+    return (
+        f'distortion of the camera: it cannot be undone in {share:.0%} of the image, where keypoints have wrong '
+        'directions; check the coefficients'
+    )
+
+
+@lru_cache(maxsize=MAX_CACHED_LENSES)
+def _measure_share_without_inverse(intrinsics: Intrinsics, image_size: tuple[int, int]) -> float:
+    """Return the share of an image, in px, where the camera does not show the ray of a point at that point."""
+    width, height = image_size
+    x, y = np.meshgrid(np.linspace(0, width, GRID_SIZE), np.linspace(0, height, GRID_SIZE))
+    points = np.stack([x, y], axis=-1)
+    rays = intrinsics.pixels_to_rays(points)
+    shown = intrinsics.project(np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1))
+    return float((np.linalg.norm(shown - points, axis=-1) > MAX_LENS_ERROR * width).mean())
 
 
 @lru_cache(maxsize=MAX_CACHED_NAMES)

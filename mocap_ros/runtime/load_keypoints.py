@@ -34,6 +34,7 @@ from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.runtime.detection import ShowProgress, detect_in_video
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
+from mocap_ros.runtime.input_doubts import describe_impossible_lens
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 
 Array = NDArray[np.float64]
@@ -85,6 +86,9 @@ def load_input(
             raise InputError(f'{path}: {error}') from None
     outside = describe_points_outside(*_split_keypoints(sequence), sequence.image_size)
     lines += [f'image size: {outside}'] if outside else []
+    # Any focal length will do, because only cameras that are known have a distortion.
+    lens = describe_impossible_lens(sequence.intrinsics(1.0))
+    lines += [lens] if lens else []
     return sequence, [f'{path}: {line}' for line in lines]
 
 

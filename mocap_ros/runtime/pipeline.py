@@ -426,7 +426,7 @@ class Pipeline:
             self._newest_seen_ns = stamp_ns
         elif self.header.stamp_ns - self._newest_seen_ns > find_absence(self.config.tracker) * NS_PER_S:
             self._begin_checks()
-        found = self._input_doubts.advance(stamp_ns, frame.people, people, intrinsics.image_size)
+        found = self._input_doubts.advance(stamp_ns, frame.people, people, intrinsics)
         self.doubts = tuple(filter(None, (self._doubt_vertical(people, floor), *found)))
         return [self._note_once(r) for r in (floor_remark if frame.people else '', *self.doubts)]
 

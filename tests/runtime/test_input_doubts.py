@@ -17,15 +17,24 @@ import pytest
 
 from mocap_ros.bags.topics import Source
 from mocap_ros.config import with_values
+from mocap_ros.geometry.distortion import Distortion
+from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
+from mocap_ros.messages.camera_info import CameraInfo, encode_camera_info
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.runtime.input_doubts import LEAST_S, InputDoubts, describe_misspelt_joint
+from mocap_ros.runtime.input_doubts import (
+    LEAST_S,
+    InputDoubts,
+    describe_impossible_lens,
+    describe_misspelt_joint,
+)
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, with_stamp
 
 STEP_S = 0.2  # between the frames
+CAMERA = Intrinsics.from_image_size(640, 480, 1.2)
 COCO17 = keypoint_layout('coco17').joints
 SPELT_OUT = tuple(
     {'l': 'left_', 'r': 'right_'}[j[0]] + j[1:] if j != 'nose' else j for j in COCO17
@@ -107,16 +116,39 @@ def make_detection(xs: list[float], score: float = 1.0) -> Person2D:
 def test_points_outside_the_image_are_doubted_if_they_are_most(xs: list[float], *, is_doubted: bool) -> None:
     found, unknown = InputDoubts(), InputDoubts()
     stamps = [round(i * STEP_S * 1e9) for i in range(30)]
-    results = [found.advance(t, [make_detection(xs)], (), (640, 480)) for t in stamps]
+    results = [found.advance(t, [make_detection(xs)], (), CAMERA) for t in stamps]
     assert bool(results[-1]) == is_doubted
     assert sum(bool(a) != bool(b) for a, b in pairwise(results)) == int(is_doubted)
-    assert not any(unknown.advance(t, [make_detection(xs)], (), None) for t in stamps)
+    assert not any(unknown.advance(t, [make_detection(xs)], (), replace(CAMERA, image_size=None)) for t in stamps)
+
+
+@pytest.mark.parametrize(
+    ('model', 'coefficients', 'focal_in_widths', 'is_doubted'),
+    [
+        ('plumb_bob', (-5.0, 3.0, 0.0, 0.0, -9.0), 1.2, True),
+        ('plumb_bob', (-2.0, 0.0, 0.0, 0.0), 1.2, True),
+        ('plumb_bob', (), 0.5, False),
+        ('plumb_bob', (-0.28, 0.07, 0.0002, 0.00002, 0.0), 0.5, False),
+        ('rational_polynomial', (2.0, 1.5, 0.0004, -0.0003, 0.1, 2.3, 2.2, 0.5), 0.4, False),
+        ('equidistant', (-0.01, 0.02, -0.02, 0.005), 0.34, False),  # sees behind the camera in its corners
+    ],
+)
+def test_a_distortion_without_inverse_is_remarked_once(
+    model: str, coefficients: tuple[float, ...], focal_in_widths: float, *, is_doubted: bool
+) -> None:
+    lens = Distortion.from_coefficients(model, coefficients)
+    camera = replace(CAMERA, focal=focal_in_widths * 640, is_focal_known=True, distortion=lens)
+    assert bool(describe_impossible_lens(camera)) == is_doubted
+    pipeline = Pipeline(FAST_CONFIG)
+    assert pipeline.feed(Source.CAMERA_INFO, encode_camera_info(Header(0, ''), CameraInfo((640, 480), camera)))
+    remarks = list_remarks(pipeline, encode_demo_frames(3))
+    assert ['distortion of the camera: it cannot be undone' in remark for remark in remarks] == [is_doubted, 0, 0]
 
 
 def test_an_image_whose_sides_are_exchanged_is_told() -> None:
     doubts, person = InputDoubts(), make_detection([300.0, 310.0, 320.0, 330.0])
     person = replace(person, points=person.points + [0, 500])
-    results = [doubts.advance(round(i * STEP_S * 1e9), [person], (), (640, 480)) for i in range(30)]
+    results = [doubts.advance(round(i * STEP_S * 1e9), [person], (), CAMERA) for i in range(30)]
     assert 'inside 480 x 640 px: width and height look transposed' in results[-1][0]
 
 

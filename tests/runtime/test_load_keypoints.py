@@ -19,6 +19,7 @@ from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError
 from mocap_ros.formats import detections
 from mocap_ros.formats.detections import Detections, PersonTrack, Video, associate_people
+from mocap_ros.formats.sequence_file import save_sequence
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
@@ -114,6 +115,14 @@ def test_a_transposed_image_size_is_refused_and_a_wrong_one_is_named(tmp_path: P
     assert len(load((1100, 480))) == 1
     _, warning = load((320, 240))
     assert re.fullmatch(r'.*walk\.json: image size: \d+% of the seen keypoints lie outside 320 x 240 px', warning)
+
+
+def test_a_distortion_without_inverse_is_named(tmp_path: Path) -> None:
+    matrix = np.array([[700.0, 0.0, 320.0], [0.0, 700.0, 240.0], [0.0, 0.0, 1.0]])
+    sequence = replace(make_walker(), camera_matrix=matrix, distortion=np.array([-5.0, 3.0, 0.0, 0.0, -9.0]))
+    save_sequence(tmp_path / 'walk.npz', sequence)
+    _, (line,) = load_input(tmp_path / 'walk.npz', Video(), LIMITS)
+    assert re.search(r'walk\.npz: distortion of the camera: it cannot be undone in \d\d% of the image', line)
 
 
 def test_images_of_another_camera_are_left_out(tmp_path: Path) -> None:
