@@ -409,7 +409,7 @@ def test_the_command_says_what_it_could_not_recover(tmp_path: Path, capsys: pyte
     file.write_bytes(data[: len(data) // 3])
     assert main(['recover', str(file)]) == 0
     out, err = capsys.readouterr()
-    assert re.fullmatch(rf'{file}: the file is cut off at byte \d+: .*\n', err)
+    assert re.fullmatch(rf'mocap-ros: {file}: the file is cut off at byte \d+: .*\n', err)
     count = len(read_frames(tmp_path / 'cut_recovered'))
     assert 0 < count < FRAMES
     assert out == f'{tmp_path}/cut_recovered: {count} messages on 1 topics\n'

@@ -464,7 +464,9 @@ def test_internal_errors_cost_their_frame_and_are_told_once(
     assert err.count('Traceback (most recent call last)') == 2
     assert "\nKeyError: 'a fault of the deferred work'\n" in err
     assert '\nZeroDivisionError: a fault of the tracker\n' in err
-    assert re.search(r'\nmocap-ros: first message that was not accepted: .*: internal error: ZeroDivisionError: a fault', err)
+    assert re.search(
+        r'\nmocap-ros: first message that was not accepted: .*: internal error: ZeroDivisionError: a fault', err
+    )
     with Bag(tmp_path / 'out') as bag:
         assert bag.count(['/skeletons']) == len(stream) - 3
         reasons = [decode_entry(m.raw).reason for m in bag.messages(bag.topics_of_type([JOURNAL]))]
