@@ -34,8 +34,9 @@ _TEXT_OR_EMPTY = _Kind('text', lambda value: value is None or isinstance(value, 
 _LIST = _Kind('a list', lambda value: isinstance(value, list))
 _MAPPING = _Kind('a mapping', lambda value: isinstance(value, dict))
 _BOOL = _Kind('true or false', lambda value: isinstance(value, bool))
-# Messages, versions and queues are counted in 64 bits without a sign, times in ns in 64 bits with one.
+# Messages, versions and depths of queues have 64 bits without a sign.
 _COUNT = _Kind('an integer from 0 to 2**64 - 1', lambda value: type(value) is int and 0 <= value < 1 << 64)
+# ns; times and durations have 64 bits with a sign.
 _NANOSECONDS = _Kind('an integer of 64 bits', lambda value: type(value) is int and -1 << 63 <= value < 1 << 63)
 _POLICY = _Kind('the name or the number of a policy', lambda value: type(value) in (str, int))
 _TEXT_OR_LIST_OR_EMPTY = _Kind('text or a list', lambda value: value is None or isinstance(value, (str, list)))
