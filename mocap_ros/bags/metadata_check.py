@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import PurePath
 from typing import Any, NamedTuple
 
-from mocap_ros.bags.rosbag2 import BAG_INFORMATION
+from mocap_ros.bags.rosbag2 import BAG_INFORMATION, METADATA_VERSION
 from mocap_ros.config import format_value
 
 
@@ -36,8 +36,10 @@ _MAPPING = _Kind('a mapping', lambda value: isinstance(value, dict))
 _BOOL = _Kind('true or false', lambda value: isinstance(value, bool))
 # Messages, versions and depths of queues have 64 bits without a sign.
 _COUNT = _Kind('an integer from 0 to 2**64 - 1', lambda value: type(value) is int and 0 <= value < 1 << 64)
-# ns; times and durations have 64 bits with a sign.
-_NANOSECONDS = _Kind('an integer of 64 bits', lambda value: type(value) is int and -1 << 63 <= value < 1 << 63)
+# ns; times have 64 bits with a sign in rosbag2, and without one in MCAP.
+_NANOSECONDS = _Kind(
+    'an integer from -2**63 to 2**64 - 1', lambda value: type(value) is int and -1 << 63 <= value < 1 << 64
+)
 _POLICY = _Kind('the name or the number of a policy', lambda value: type(value) in (str, int))
 _TEXT_OR_LIST_OR_EMPTY = _Kind('text or a list', lambda value: value is None or isinstance(value, (str, list)))
 
@@ -55,7 +57,6 @@ _QOS_PROFILES: _Form = [
     }
 ]
 _DESCRIPTION: _Form = {
-    'version': _COUNT,
     'storage_identifier': _TEXT,
     'relative_file_paths': [_TEXT],
     'starting_time': {'nanoseconds_since_epoch': _NANOSECONDS},
@@ -70,7 +71,7 @@ _DESCRIPTION: _Form = {
                 'type': _TEXT,
                 'serialization_format': _TEXT,
                 'offered_qos_profiles?': _TEXT_OR_LIST_OR_EMPTY,
-                'type_description_hash?': _TEXT,
+                'type_description_hash?': _TEXT_OR_EMPTY,
             },
             'message_count': _COUNT,
         }
@@ -80,18 +81,21 @@ _DESCRIPTION: _Form = {
 
 
 def check_description(content: object) -> None:
-    """Check the parts of a metadata.yaml that readers use, whatever the version of its layout.
+    """Check the parts of a metadata.yaml that readers use, except QoS profiles.
 
     Args:
         content: what the YAML text holds.
 
     Raises:
-        ValueError: a value is missing or has another form, or a file is named twice, so that its messages would be
-            read twice; the message names the value.
+        ValueError: the version of the layout is later than `METADATA_VERSION`, a value is missing or has another
+            form, or a file is named twice, so that its messages would be read twice; the message names the value.
     """
     bag = content.get(BAG_INFORMATION) if isinstance(content, dict) else None
     if not isinstance(bag, dict):
         raise ValueError(f'expected a mapping with the key {BAG_INFORMATION}')
+    _check(bag, {'version': _COUNT})
+    if bag['version'] > METADATA_VERSION:
+        raise ValueError(f'version is {bag["version"]}, and versions up to {METADATA_VERSION} are known')
     _check(bag, _DESCRIPTION)
     names = Counter(PurePath(path).name for path in bag['relative_file_paths'])
     for name, count in names.most_common(1):

@@ -84,15 +84,12 @@ class Bag:
         if self.path.exists() and not (self.path.is_dir() or self.path.is_file()):
             raise InputError(f'{self.path}: neither a file nor a folder')
         self._raise_fault(_find_fault(self.path))
-        metadata = self.path / METADATA
-        if metadata.is_file() and metadata.stat().st_size > MAX_METADATA_BYTES:
-            raise InputError(
-                f'{metadata}: larger than {MAX_METADATA_BYTES >> 20} MiB, as the bag has too many topics or '
-                'files; its files can be read one by one'
-            )
         try:
+            _check_metadata_text(self.path / METADATA)
             self._reader: Any = Ros1Reader(self.path) if self._is_ros1 else Ros2Reader(self.path)
             self._reader.open()
+        except InputError:
+            raise
         except Exception as error:  # the reader of a damaged file may raise anything
             raise self._make_read_error(error) from None
 
@@ -277,6 +274,21 @@ def find_number_and_name(name: str) -> tuple[int, str]:
     """Return the number at the end of the stem of a file's name, -1 where there is none, and the name."""
     number = re.search(r'(\d+)$', PurePosixPath(name).stem)
     return int(number[1]) if number else -1, name
+
+
+def _check_metadata_text(path: Path) -> None:
+    """Raise InputError if a metadata.yaml, where there is one, is too large or not UTF-8."""
+    if not path.is_file():
+        return
+    if path.stat().st_size > MAX_METADATA_BYTES:
+        raise InputError(
+            f'{path}: larger than {MAX_METADATA_BYTES >> 20} MiB, as the bag has too many topics or files; its '
+            'files can be read one by one'
+        )
+    try:
+        path.read_text(encoding='utf-8')
+    except UnicodeDecodeError as error:
+        raise InputError(f'{path}: not UTF-8 at byte {error.start}; {_recommend_repair(path.parent)}') from None
 
 
 def _count_shared_namespaces(topic: str, reference: str) -> int:

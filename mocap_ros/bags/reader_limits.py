@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import bz2
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache, partial
 from types import SimpleNamespace
 from typing import IO, Any, BinaryIO
@@ -28,9 +28,9 @@ from rosbags.rosbag2 import reader as ros2_reader
 
 from mocap_ros.bags.mcap_layout import MAX_CHUNK_BYTES
 from mocap_ros.bags.metadata_check import check_description, check_qos_profiles
-from mocap_ros.bags.rosbag2 import METADATA
+from mocap_ros.bags.rosbag2 import BAG_INFORMATION, METADATA
 from mocap_ros.config import load_yaml
-from mocap_ros.errors import describe_parse_error
+from mocap_ros.errors import ConfigError, describe_parse_error
 
 UNPACKED_FILE_BYTES = 1 << 26  # of a compressed file of a bag, of any size
 UNPACKED_PER_BYTE = 100  # bytes that a byte of a larger compressed file may unpack to; bags pack to a tenth
@@ -47,7 +47,7 @@ def describe_error(error: Exception) -> str:
     if isinstance(error, MemoryError):
         return 'a length in it is damaged, or there is too little memory'
     if isinstance(error, UnicodeDecodeError):
-        return 'a text in it is not UTF-8'
+        return f'not UTF-8 at byte {error.start} of a text in it'
     return describe_parse_error(error).rstrip('.') or type(error).__name__
 
 
@@ -149,23 +149,35 @@ def _parse_qos_list(profiles: Any) -> list[Qos]:
     return metadata.parse_qos(profiles)
 
 
-def _check_loaded(make_parser: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that returns a parser of a metadata.yaml, which checks what the YAML holds."""
+def parse_description(text: str, parse: Callable[[str], Any]) -> Any:
+    """Parse a metadata.yaml and check it.
 
-    def make_checking_parser(**options: Any) -> Any:
-        parser = make_parser(**options)
+    Args:
+        text: the YAML text.
+        parse: function that parses YAML.
 
-        def load(text: str) -> Any:
-            try:
-                content = parser.load(text)
-                check_description(content)
-            except (ValueError, RecursionError) as error:  # also numbers and dates that Python refuses
-                raise ValueError(f'{METADATA}: {describe_error(error)}') from None
-            return content
+    Raises:
+        ValueError: the content is not what a bag has; the message names the file and the value.
+    """
+    try:
+        content = parse(text)
+    except (ValueError, LookupError, RecursionError) as error:  # of numbers, dates and tags that mean nothing
+        raise ValueError(f'{METADATA}: not YAML: {describe_error(error)}') from None
+    try:
+        check_description(content)
+        for index, topic in enumerate(content[BAG_INFORMATION]['topics_with_message_count']):
+            _check_topic_qos(topic['topic_metadata'], f'topics_with_message_count[{index}]')
+    except ValueError as error:
+        raise ValueError(f'{METADATA}: {error}') from None
+    return content
 
-        return SimpleNamespace(load=load)
 
-    return make_checking_parser
+def _check_topic_qos(topic: Mapping[str, Any], place: str) -> None:
+    """Raise ValueError, which names the place, if the QoS profiles of a topic cannot be parsed."""
+    try:
+        parse_qos(topic.get('offered_qos_profiles'))
+    except (ConfigError, ValueError) as error:
+        raise ValueError(f'{place} ({topic["name"]}): {error}') from None
 
 
 def _limit_length(read: Callable[[BinaryIO, int], bytes]) -> Callable[[BinaryIO, int], bytes]:
@@ -218,10 +230,12 @@ def limit_readers() -> None:
     storage.read_bytes = _limit_length(ros1_reader.read_bytes)
     storage_mcap.DECOMPRESSORS.update({name: _unpack_mcap(name) for name in ('zstd', 'lz4')})
     ros1_reader.decompressors.update({name: partial(unpack, compression=name) for name in ('bz2', 'lz4')})
-    modules: tuple[Any, ...] = (storage_mcap, storage_sqlite3, ros2_reader)
+    reader: Any = ros2_reader
+    modules: tuple[Any, ...] = (storage_mcap, storage_sqlite3, reader)
     for module in modules:
         module.parse_qos = parse_qos
-    modules[-1].YAML = _check_loaded(modules[-1].YAML)
-    modules[-1].zstd = SimpleNamespace(
+    parse_yaml = reader.YAML(typ='safe').load
+    reader.YAML = lambda **_: SimpleNamespace(load=partial(parse_description, parse=parse_yaml))
+    reader.zstd = SimpleNamespace(
         open=lambda file, _mode: LimitedFile(file), decompress=partial(unpack, compression='zstd')
     )

@@ -431,8 +431,9 @@ def _select_options(settings: Settings, kind: InputKind) -> tuple[Video, str | N
         return Video(), None, None
     if kind is InputKind.VIDEO:
         return Video(detector=settings.video.detector), None, None
-    topics = (settings.topic, settings.camera_info) if kind is InputKind.BAG else (None, None)
-    return replace(settings.video, detector=None), *topics
+    if kind is InputKind.BAG:
+        return Video(), settings.topic, settings.camera_info
+    return replace(settings.video, detector=None), None, None
 
 
 def _load_sequence(path: Path, job: Job) -> tuple[KeypointSequence, dict[str, Any]]:

@@ -88,7 +88,7 @@ def find_recordings(
         kind = 'bag' if work is Work.REPLAY else 'bag or file of keypoints'
         raise InputError(f'{source}: there is no {kind}')
     if work is Work.REPLAY and (others := len(_group_files(sizes, Work.RECONSTRUCT).keys() - groups)):
-        report(f'{source}: {others} other files or folders are not replayed; --work reconstruct takes them')
+        report(f'{source}: {others} recordings are no bags and are left out; --work reconstruct takes them')
     base = _find_base(sources, list(groups))
     names = {url: _make_name(url, base, is_folder=files != [url]) for url, files in groups.items()}
     name, count = Counter(names.values()).most_common(1)[0]

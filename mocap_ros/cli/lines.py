@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Lines that the commands print: names from files and messages of strangers reach a terminal only through here."""
+"""Lines that the commands print: whatever names they hold, a terminal obeys none of them."""
 
 from __future__ import annotations
 

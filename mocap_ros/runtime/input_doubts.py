@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Mistakes in valid input: joints in another order, images of another size, misspelt names, impossible lenses.
+"""Mistakes in valid input: joints in another order, images of another size, misspelt names, unusable distortions.
 
 The first two are doubted once they are so for most people over seconds (`tracking/lasting_doubt.py`).
 """
@@ -31,10 +31,10 @@ MAX_RESIDUAL = 0.25
 LEAST_LIKENESS = 0.8  # 1, of difflib; one or two letters of a joint's name
 GRID_SIZE = 9  # points in each direction of the image, at which a lens is checked
 MAX_LENS_ERROR = 0.01  # image widths; far above the errors of the inversion where there is an inverse
-# 1; part of the image. Calibrations that are poor in the corners, and fisheyes that see what is beside the camera,
-# have no inverse in up to a third of it.
-MAX_SHARE_WITHOUT_INVERSE = 0.5
-MAX_CACHED_LENSES = 4  # cameras in turn before one node
+# 1; part of the image. Distortions of poor calibrations, and of fisheyes that see what is beside the camera,
+# cannot be undone in up to a third of it.
+MAX_DISTORTED_SHARE = 0.5
+MAX_CACHED_LENSES = 4  # lenses of the cameras of one node
 MAX_CACHED_NAMES = 64  # lists of joint names; guards memory against messages that name ever new ones
 KNOWN_JOINTS = frozenset(j for layout in KEYPOINT_LAYOUTS.values() for j in layout.joints)
 
@@ -76,7 +76,7 @@ class InputDoubts:
                 'gives points in px from the upper left corner'
             )
         misspelt = next(filter(None, (describe_misspelt_joint(p.joints) for p in detections)), '')
-        return *doubts, *filter(None, (misspelt, describe_impossible_lens(intrinsics)))
+        return *doubts, *filter(None, (misspelt, describe_unusable_distortion(intrinsics)))
 
 
 def describe_outside(person: Person2D, image_size: tuple[int, int]) -> str:
@@ -86,28 +86,30 @@ def describe_outside(person: Person2D, image_size: tuple[int, int]) -> str:
     return outside and (describe_transposed_size(*keypoints) or outside)
 
 
-def describe_impossible_lens(intrinsics: Intrinsics) -> str:
-    """Describe that the distortion of a lens has no inverse in most of the image; empty if it has."""
+def describe_unusable_distortion(intrinsics: Intrinsics) -> str:
+    """Describe that the distortion of a lens is not undone in most of the image; empty if it is."""
     if intrinsics.image_size is None or not intrinsics.distortion.coefficients:
         return ''
-    share = _measure_share_without_inverse(intrinsics, intrinsics.image_size)
-    if share <= MAX_SHARE_WITHOUT_INVERSE:
+    share = _measure_distorted_share(intrinsics, intrinsics.image_size)
+    if share <= MAX_DISTORTED_SHARE:
         return ''
     return (
         f'distortion of the camera: it cannot be undone in {share:.0%} of the image, where keypoints have wrong '
-        'directions; check the coefficients'
+        'directions; check its coefficients'
     )
 
 
 @lru_cache(maxsize=MAX_CACHED_LENSES)
-def _measure_share_without_inverse(intrinsics: Intrinsics, image_size: tuple[int, int]) -> float:
+def _measure_distorted_share(intrinsics: Intrinsics, image_size: tuple[int, int]) -> float:
     """Return the share of an image, in px, where the camera does not show the ray of a point at that point."""
     width, height = image_size
     x, y = np.meshgrid(np.linspace(0, width, GRID_SIZE), np.linspace(0, height, GRID_SIZE))
     points = np.stack([x, y], axis=-1)
-    rays = intrinsics.pixels_to_rays(points)
-    shown = intrinsics.project(np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1))
-    return float((np.linalg.norm(shown - points, axis=-1) > MAX_LENS_ERROR * width).mean())
+    with np.errstate(all='ignore'):  # coefficients of 1e200 overflow
+        rays = intrinsics.pixels_to_rays(points)
+        shown = intrinsics.project(np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1))
+        is_undone = np.linalg.norm(shown - points, axis=-1) <= MAX_LENS_ERROR * width
+    return float(1 - is_undone.mean())
 
 
 @lru_cache(maxsize=MAX_CACHED_NAMES)

@@ -34,7 +34,7 @@ from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.runtime.detection import ShowProgress, detect_in_video
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
-from mocap_ros.runtime.input_doubts import describe_impossible_lens
+from mocap_ros.runtime.input_doubts import describe_unusable_distortion
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 
 Array = NDArray[np.float64]
@@ -86,9 +86,7 @@ def load_input(
             raise InputError(f'{path}: {error}') from None
     outside = describe_points_outside(*_split_keypoints(sequence), sequence.image_size)
     lines += [f'image size: {outside}'] if outside else []
-    # Any focal length will do, because only cameras that are known have a distortion.
-    lens = describe_impossible_lens(sequence.intrinsics(1.0))
-    lines += [lens] if lens else []
+    lines += _describe_lens(sequence)
     return sequence, [f'{path}: {line}' for line in lines]
 
 
@@ -123,6 +121,7 @@ def load_people(
         sequences, remarks = arrange_people(detections, long_tracks)
         for sequence in sequences:
             _check_image_size(sequence, video.image_size)
+        remarks = (*remarks, *_describe_lens(sequences[0]))
     except InputError as error:
         raise InputError(f'{path}: {error}') from None
     left_out = len(tracks) - len(long_tracks)
@@ -156,6 +155,12 @@ def load_detections(
 def _split_keypoints(sequence: KeypointSequence) -> tuple[Array, Array]:
     """Return the image points (F, J, 2) in px and the scores (F, J) of a sequence."""
     return sequence.keypoints[..., :2], sequence.keypoints[..., 2]
+
+
+def _describe_lens(sequence: KeypointSequence) -> list[str]:
+    """Return a line about the lens of the camera, if its distortion cannot be used."""
+    # Any focal length will do, because only cameras that are known have a distortion.
+    return list(filter(None, [describe_unusable_distortion(sequence.intrinsics(1.0))]))
 
 
 def _check_image_size(sequence: KeypointSequence, option: tuple[int, int] | None) -> None:

@@ -67,7 +67,7 @@ def save(path: Path, reconstruction: ReconstructedSequence) -> None:
     """Write a reconstruction; the suffix of `path`, one of `SUFFIXES`, selects the format.
 
     Raises:
-        InputError: The frames are too far apart in time for a format with a constant frame rate.
+        InputError: The frames are too far apart in time, or too close, for a format with a constant frame rate.
         RecordingError: A bag cannot be written.
         OSError: A file of another format, or a temporary folder beside the bag, cannot be written.
     """
@@ -278,7 +278,7 @@ def _resample_at_constant_rate(reconstruction: ReconstructedSequence) -> tuple[f
     step = float(np.median(np.diff(times)))
     if step * MAX_FRAME_RATE_HZ < 1.0 - RATE_TOLERANCE:
         raise InputError(
-            f'timestamps: {step:.3g} s from frame to frame; at most {MAX_FRAME_RATE_HZ:g} Hz can be written'
+            f'timestamps: {step:.3g} s from frame to frame; at most {MAX_FRAME_RATE_HZ:g} Hz fit the format'
         )
     frame_count = round(float(times[-1]) / step) + 1
     if frame_count > MAX_RESAMPLED_FRAMES:

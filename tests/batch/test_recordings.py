@@ -59,7 +59,7 @@ def test_the_bags_of_a_folder_are_found_largest_first(root: str) -> None:
 def test_what_is_not_replayed_is_said(root: str) -> None:
     lines: list[str] = []
     find_recordings(root, Work.REPLAY, (), lines.append)
-    assert lines == [f'{root}: 1 other files or folders are not replayed; --work reconstruct takes them']
+    assert lines == [f'{root}: 1 recordings are no bags and are left out; --work reconstruct takes them']
     find_recordings(root, Work.RECONSTRUCT, (), lines.append)
     find_recordings(f'{root}/day1', Work.REPLAY, (), lines.append)
     assert len(lines) == 1

@@ -237,7 +237,7 @@ def test_files_are_replaced_when_all_of_them_are_written(
         output.write_text('old')
     command = ['reconstruct', str(path), *(word for output in outputs for word in ('-o', str(output)))]
     assert main([*command, *QUICK_OPTIONS]) == 1
-    reason = 'timestamps: 3.33e-08 s from frame to frame; at most 10000 Hz can be written'
+    reason = 'timestamps: 3.33e-08 s from frame to frame; at most 10000 Hz fit the format'
     assert capsys.readouterr().err == f'mocap-ros: {path}: {reason}\n'
     assert {p: p.read_text() for p in tmp_path.iterdir() if p not in (path, short_recording)} == dict.fromkeys(
         outputs, 'old'

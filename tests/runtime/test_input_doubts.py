@@ -26,8 +26,8 @@ from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.runtime.input_doubts import (
     LEAST_S,
     InputDoubts,
-    describe_impossible_lens,
     describe_misspelt_joint,
+    describe_unusable_distortion,
 )
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
@@ -127,18 +127,19 @@ def test_points_outside_the_image_are_doubted_if_they_are_most(xs: list[float], 
     [
         ('plumb_bob', (-5.0, 3.0, 0.0, 0.0, -9.0), 1.2, True),
         ('plumb_bob', (-2.0, 0.0, 0.0, 0.0), 1.2, True),
+        ('rational_polynomial', (1e6,) * 4 + (-1e6,) * 4, 1.2, True),
         ('plumb_bob', (), 0.5, False),
         ('plumb_bob', (-0.28, 0.07, 0.0002, 0.00002, 0.0), 0.5, False),
         ('rational_polynomial', (2.0, 1.5, 0.0004, -0.0003, 0.1, 2.3, 2.2, 0.5), 0.4, False),
         ('equidistant', (-0.01, 0.02, -0.02, 0.005), 0.34, False),  # sees behind the camera in its corners
     ],
 )
-def test_a_distortion_without_inverse_is_remarked_once(
+def test_a_distortion_that_cannot_be_undone_is_remarked_once(
     model: str, coefficients: tuple[float, ...], focal_in_widths: float, *, is_doubted: bool
 ) -> None:
     lens = Distortion.from_coefficients(model, coefficients)
     camera = replace(CAMERA, focal=focal_in_widths * 640, is_focal_known=True, distortion=lens)
-    assert bool(describe_impossible_lens(camera)) == is_doubted
+    assert bool(describe_unusable_distortion(camera)) == is_doubted
     pipeline = Pipeline(FAST_CONFIG)
     assert pipeline.feed(Source.CAMERA_INFO, encode_camera_info(Header(0, ''), CameraInfo((640, 480), camera)))
     remarks = list_remarks(pipeline, encode_demo_frames(3))
