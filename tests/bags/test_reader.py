@@ -78,15 +78,9 @@ def test_metadata_that_are_not_utf_8_are_refused(tmp_path: Path) -> None:
         Bag(tmp_path / 'bag')
 
 
-# What each version of metadata.yaml was the first to have, as the keys that lead to it.
-FIRST_IN_VERSION = {
-    3: [('compression_format',), ('compression_mode',)],
-    4: [('topic_metadata', 'offered_qos_profiles')],
-    5: [('files',)],
-    6: [('custom_data',)],
-    7: [('topic_metadata', 'type_description_hash')],
-    8: [('ros_distro',)],
-}
+# The first version of metadata.yaml that has a key, by key: of the bag, and of a topic.
+BAG_KEYS = {'compression_format': 3, 'compression_mode': 3, 'files': 5, 'custom_data': 6, 'ros_distro': 8}
+TOPIC_KEYS = {'offered_qos_profiles': 4, 'type_description_hash': 7}
 
 
 @pytest.mark.parametrize('version', range(1, 9))
@@ -99,14 +93,15 @@ def test_all_versions_of_metadata_are_read(tmp_path: Path, version: int) -> None
     bag['version'] = version
     if version < 4:
         bag['relative_file_paths'] = [f'bag/{name}' for name in bag['relative_file_paths']]
-    for topic in bag['topics_with_message_count']:
+    topics = [topic['topic_metadata'] for topic in bag['topics_with_message_count']]
+    for topic in topics:
         numbers = {'history': 1, 'reliability': 1, 'durability': 2, 'liveliness': 1}
-        profiles = [{**profile, **numbers} for profile in topic['topic_metadata']['offered_qos_profiles']]
-        topic['topic_metadata']['offered_qos_profiles'] = yaml.safe_dump(profiles)
-    for first, paths in FIRST_IN_VERSION.items():
-        for *parents, key in paths if version < first else ():
-            for place in bag['topics_with_message_count'] if parents else [bag]:
-                del (place[parents[0]] if parents else place)[key]
+        profiles = [{**profile, **numbers} for profile in topic['offered_qos_profiles']]
+        topic['offered_qos_profiles'] = yaml.safe_dump(profiles)
+    for keys, places in ((BAG_KEYS, [bag]), (TOPIC_KEYS, topics)):
+        for place in places:
+            for key in [key for key, first in keys.items() if version < first]:
+                del place[key]
     path.write_text(yaml.safe_dump(content))
     with Bag(tmp_path / 'bag') as reader:
         assert reader.count(reader.topics) == len(written)
