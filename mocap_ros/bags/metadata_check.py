@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from datetime import date
 from pathlib import PurePath
 from typing import Any, NamedTuple
 
@@ -31,6 +32,8 @@ class _Kind(NamedTuple):
 
 _TEXT = _Kind('text', lambda value: isinstance(value, str))
 _TEXT_OR_EMPTY = _Kind('text', lambda value: value is None or isinstance(value, str))
+_CDR = _Kind("'cdr'", lambda value: value == 'cdr')
+_FILE = _Kind('the name of a file', lambda value: isinstance(value, str) and bool(PurePath(value).name))
 _LIST = _Kind('a list', lambda value: isinstance(value, list))
 _MAPPING = _Kind('a mapping', lambda value: isinstance(value, dict))
 _BOOL = _Kind('true or false', lambda value: isinstance(value, bool))
@@ -58,7 +61,7 @@ _QOS_PROFILES: _Form = [
 ]
 _DESCRIPTION: _Form = {
     'storage_identifier': _TEXT,
-    'relative_file_paths': [_TEXT],
+    'relative_file_paths': [_FILE],
     'starting_time': {'nanoseconds_since_epoch': _NANOSECONDS},
     'duration': {'nanoseconds': _NANOSECONDS},
     'message_count': _COUNT,
@@ -69,7 +72,7 @@ _DESCRIPTION: _Form = {
             'topic_metadata': {
                 'name': _TEXT,
                 'type': _TEXT,
-                'serialization_format': _TEXT,
+                'serialization_format': _CDR,
                 'offered_qos_profiles?': _TEXT_OR_LIST_OR_EMPTY,
                 'type_description_hash?': _TEXT_OR_EMPTY,
             },
@@ -97,6 +100,8 @@ def check_description(content: object) -> None:
     if bag['version'] > METADATA_VERSION:
         raise ValueError(f'version is {bag["version"]}, and versions up to {METADATA_VERSION} are known')
     _check(bag, _DESCRIPTION)
+    if bag.get('compression_mode', '').lower() not in ('', 'none') and bag.get('compression_format') != 'zstd':
+        raise ValueError(f"compression_format is {format_value(bag.get('compression_format'))}, expected 'zstd'")
     names = Counter(PurePath(path).name for path in bag['relative_file_paths'])
     for name, count in names.most_common(1):
         if count > 1:
@@ -119,7 +124,8 @@ def _check(value: Any, form: _Form, place: str = '') -> None:
     """Raise ValueError unless a value has a form; the message names the place of what has not."""
     kind = _LIST if isinstance(form, list) else _MAPPING if isinstance(form, dict) else form
     if not kind.accepts(value):
-        raise ValueError(f'{place} is {"empty" if value is None else format_value(value)}, expected {kind.name}')
+        shown = 'empty' if value is None else str(value) if isinstance(value, date) else format_value(value)
+        raise ValueError(f'{place} is {shown}, expected {kind.name}')
     if isinstance(form, list):
         for index, item in enumerate(value):
             _check(item, form[0], f'{place}[{index}]')

@@ -92,6 +92,7 @@ class Bag:
             raise
         except Exception as error:  # the reader of a damaged file may raise anything
             raise self._make_read_error(error) from None
+        self._refuse_hidden_messages()
 
     def __enter__(self) -> Self:
         return self
@@ -193,6 +194,20 @@ class Bag:
         is_whole = start_ns is None and stop_ns is None
         if is_whole and message_count < expected:
             self._raise_fault(f'only {message_count} of {expected} messages on {", ".join(topics)} could be read')
+
+    def _refuse_hidden_messages(self) -> None:
+        """Raise InputError if the files of a bag folder hold messages on a topic that has none by its metadata.
+
+        Readers would take the topic for empty.
+        """
+        described = {(c.topic, c.msgtype) for c in self._connections() if c.msgcount}
+        for storage in () if self._is_ros1 else getattr(self._reader.storage, 'storages', ()):
+            for c in storage.connections:
+                if c.msgcount and (c.topic, c.msgtype) not in described:
+                    self.close()
+                    self._raise_fault(
+                        f'{METADATA} has no messages of {c.msgtype} on {c.topic}, of which a file has {c.msgcount}'
+                    )
 
     def _connections(self) -> list[Connection]:
         connections: list[Connection] = self._reader.connections

@@ -161,8 +161,10 @@ def parse_description(text: str, parse: Callable[[str], Any]) -> Any:
     """
     try:
         content = parse(text)
-    except (ValueError, LookupError, RecursionError) as error:  # of numbers, dates and tags that mean nothing
-        raise ValueError(f'{METADATA}: not YAML: {describe_error(error)}') from None
+    except RecursionError:
+        raise ValueError(f'{METADATA}: nested too deep') from None
+    except (ValueError, LookupError, TypeError):
+        raise ValueError(f'{METADATA}: a number, a date or a tag in it has no meaning') from None
     try:
         check_description(content)
         for index, topic in enumerate(content[BAG_INFORMATION]['topics_with_message_count']):

@@ -40,7 +40,7 @@ from mocap_ros.batch.storage import (
     write_whole,
 )
 from mocap_ros.config import Config, Value, to_yaml, with_values
-from mocap_ros.errors import InputError, MocapError
+from mocap_ros.errors import InputError, MocapError, make_printable_line
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.models.model_file import load_base_pose_models
@@ -282,7 +282,7 @@ def _describe_error(error: Exception, url: str) -> str:
     """Return in one line why the work on a recording failed."""
     text = ' '.join(str(error).split())
     if isinstance(error, MocapError):
-        return text if url in text else f'{url}: {text}'
+        return text if make_printable_line(url) in text else f'{url}: {text}'
     if isinstance(error, OSError):
         return f'{url}: {error.strerror or text or type(error).__name__}'
     return f'{url}: internal error: {type(error).__name__}: {text}'

@@ -15,11 +15,11 @@ import os
 import sys
 from collections.abc import Collection, Sequence
 from importlib import import_module
-from typing import Any
+from typing import Any, NoReturn
 
 from mocap_ros.cli.interrupts import is_interrupt
 from mocap_ros.cli.lines import print_remark
-from mocap_ros.errors import MocapError
+from mocap_ros.errors import MocapError, make_printable_line
 from mocap_ros.runtime.cpu_setup import configure_process
 
 # The line of each subcommand in the help, by its name, which is also the name of its module in this folder.
@@ -55,6 +55,10 @@ class _Parser(argparse.ArgumentParser):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options, formatter_class=_HelpFormatter)
+
+    def error(self, message: str) -> NoReturn:
+        """Print the usage and a message, which may hold any argument, and exit."""
+        super().error(make_printable_line(message))
 
 
 class _PrintVersion(argparse.Action):

@@ -167,13 +167,13 @@ def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Vi
     if video.fps is None:
         raise InputError('the file has no timestamps; give the frame rate (--fps)')
     if video.fps > MAX_FRAME_RATE_HZ:
-        raise InputError(f'--fps: {video.fps:g} Hz, at most {MAX_FRAME_RATE_HZ:g} Hz expected')
+        raise InputError(f'--fps: {video.fps:.10g} Hz, at most {MAX_FRAME_RATE_HZ:g} Hz expected')
     numbers = sorted(people_by_number)
     step = gcd(*(b - a for a, b in pairwise(numbers))) or 1
     all_numbers = range(numbers[0], numbers[-1] + 1, step)
     duration_s = (numbers[-1] - numbers[0]) / video.fps
     if (numbers[-1] - numbers[0]) // step >= MAX_FRAMES or duration_s >= MAX_TIMESTAMP_S:
-        raise InputError(f'frames are numbered {numbers[0]} to {numbers[-1]}: not those of one video')
+        raise InputError(f'frames are numbered {numbers[0]} to {numbers[-1]}: not one video of {video.fps:g} Hz')
     stamps = [round((number - numbers[0]) / video.fps * NS_PER_S) for number in all_numbers]
     repeated = _find_repeated_ids(people_by_number.values())
     people = [

@@ -24,6 +24,7 @@ from mocap_ros.keypoints.validation import (
     looks_normalised,
     mark_unseen,
 )
+from mocap_ros.messages.camera_info import check_coefficients
 from mocap_ros.npz_file import write_npz
 from mocap_ros.units import NS_PER_S
 
@@ -332,11 +333,14 @@ def _create_distortion(distortion: Array | None) -> Distortion:
     """Create the distortion from coefficients in OpenCV's order: k1, k2, p1, p2, then k3, then k4, k5, k6.
 
     Raises:
-        InputError: there is another number of coefficients, or one of them is not finite.
+        InputError: there is another number of coefficients, or one of them is not finite, or beyond those of any
+            lens.
     """
     coefficients = () if distortion is None else tuple(distortion.tolist())
     model = 'plumb_bob' if len(coefficients) <= MAX_PLUMB_BOB_COEFFICIENTS else 'rational_polynomial'
-    return Distortion.from_coefficients(model, coefficients)
+    lens = Distortion.from_coefficients(model, coefficients)
+    check_coefficients(lens, 'distortion')
+    return lens
 
 
 def _read_truth(arrays: ArrayReader, frames: int) -> GroundTruth:

@@ -114,14 +114,20 @@ def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:
     if not rectified:
         coefficients = tuple(map(float, message.d))
         distortion = Distortion.from_coefficients(message.distortion_model, coefficients)
-        if distortion.coefficients and max(map(abs, coefficients)) > MAX_COEFFICIENT:
-            raise InputError(f'd: {max(coefficients, key=abs):g}, more than a lens has ({MAX_COEFFICIENT:g})')
+        check_coefficients(distortion, 'd')
     size, matrix = _select_region(message, matrix)
     try:
         intrinsics = Intrinsics.from_matrix(matrix, distortion, size if all(size) else None)
     except InputError as error:
         raise InputError(f'{name}: {error}; the camera is not calibrated') from None
     return CameraInfo(size, intrinsics, message.header.frame_id)
+
+
+def check_coefficients(distortion: Distortion, name: str) -> None:
+    """Raise InputError, which begins with the name, if a coefficient is beyond those of any lens."""
+    largest = max(distortion.coefficients, key=abs, default=0.0)
+    if abs(largest) > MAX_COEFFICIENT:
+        raise InputError(f'{name}: {largest:g}, more than a lens has ({MAX_COEFFICIENT:g})')
 
 
 def _select_region(message: Any, matrix: Array) -> tuple[ImageSize, Array]:

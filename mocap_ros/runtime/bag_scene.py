@@ -49,7 +49,8 @@ class _BagReader:
         with suppress(InputError):  # without keypoints the skeletons are drawn nevertheless
             self._sources = find_people_topics(bag, topic)
             self._node = replace(self._node, input_type=find_people_type(bag, self._sources))
-            self.camera = find_camera(bag, next(iter(self._sources)), self._node, camera_info)
+            self.camera, remark = find_camera(bag, next(iter(self._sources)), self._node, camera_info)
+            self.rows.faults += filter(None, [remark])
         if topic is not None and not self._sources:
             find_people_topics(bag, topic)  # raises the error
         if camera_info is not None and self.camera is None:

@@ -29,11 +29,12 @@ LEAST_S = 2.5  # s; longer than a burst of wrong points, such as while somebody 
 # three detectors is doubted, and all of 50 with joints reversed, one on, or in random order are.
 MAX_RESIDUAL = 0.25
 LEAST_LIKENESS = 0.8  # 1, of difflib; one or two letters of a joint's name
-GRID_SIZE = 9  # points in each direction of the image, at which a lens is checked
-MAX_LENS_ERROR = 0.01  # image widths; far above the errors of the inversion where there is an inverse
-# 1; part of the image. Distortions of poor calibrations, and of fisheyes that see what is beside the camera,
-# cannot be undone in up to a third of it.
-MAX_DISTORTED_SHARE = 0.5
+GRID_SIZE = 9  # points in each direction of the middle of the image, at which a lens is checked
+# 1; radius of the middle of the image, of half the shorter side. A fisheye whose image circle fits the image shows
+# there what is up to 63 degrees from its axis, if it sees half of the space, and up to 86, if it sees 246 degrees.
+MIDDLE_RADIUS = 0.7
+MAX_LENS_ERROR = 0.01  # of half the shorter side; far above the errors of the inversion where there is an inverse
+MAX_DISTORTED_SHARE = 0.2  # 1; part of the middle of the image, in all of which lenses have an inverse
 MAX_CACHED_LENSES = 4  # lenses of the cameras of one node
 MAX_CACHED_NAMES = 64  # lists of joint names; guards memory against messages that name ever new ones
 KNOWN_JOINTS = frozenset(j for layout in KEYPOINT_LAYOUTS.values() for j in layout.joints)
@@ -87,28 +88,29 @@ def describe_outside(person: Person2D, image_size: tuple[int, int]) -> str:
 
 
 def describe_unusable_distortion(intrinsics: Intrinsics) -> str:
-    """Describe that the distortion of a lens is not undone in most of the image; empty if it is."""
+    """Describe that the distortion of a lens is not undone in the middle of the image; empty if it is."""
     if intrinsics.image_size is None or not intrinsics.distortion.coefficients:
         return ''
     share = _measure_distorted_share(intrinsics, intrinsics.image_size)
     if share <= MAX_DISTORTED_SHARE:
         return ''
     return (
-        f'distortion of the camera: it cannot be undone in {share:.0%} of the image, where keypoints have wrong '
-        'directions; check its coefficients'
+        f'distortion of the camera: it cannot be undone in {share:.0%} of the middle of the image, where '
+        'keypoints have wrong directions; check its coefficients'
     )
 
 
 @lru_cache(maxsize=MAX_CACHED_LENSES)
 def _measure_distorted_share(intrinsics: Intrinsics, image_size: tuple[int, int]) -> float:
-    """Return the share of an image, in px, where the camera does not show the ray of a point at that point."""
-    width, height = image_size
-    x, y = np.meshgrid(np.linspace(0, width, GRID_SIZE), np.linspace(0, height, GRID_SIZE))
-    points = np.stack([x, y], axis=-1)
+    """Return the share of the middle of an image, in px, where the camera shows the ray of a point elsewhere."""
+    half_side = min(image_size) / 2
+    x, y = np.meshgrid(*[np.linspace(-MIDDLE_RADIUS, MIDDLE_RADIUS, GRID_SIZE)] * 2)
+    offsets = np.stack([x, y], axis=-1)[np.hypot(x, y) <= MIDDLE_RADIUS]
+    points = np.array(image_size) / 2 + half_side * offsets
     with np.errstate(all='ignore'):  # coefficients of 1e200 overflow
         rays = intrinsics.pixels_to_rays(points)
         shown = intrinsics.project(np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1))
-        is_undone = np.linalg.norm(shown - points, axis=-1) <= MAX_LENS_ERROR * width
+        is_undone = np.linalg.norm(shown - points, axis=-1) <= MAX_LENS_ERROR * half_side
     return float(1 - is_undone.mean())
 
 

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from contextlib import suppress
 from dataclasses import replace
 from math import inf
 from pathlib import Path
@@ -211,7 +210,7 @@ def load_bag(
     with Bag(path) as bag:
         topics = find_people_topics(bag, topic)
         node = replace(limits, input_type=find_people_type(bag, topics))
-        camera = find_camera(bag, next(iter(topics)), node, camera_info)
+        camera, camera_remark = find_camera(bag, next(iter(topics)), node, camera_info)
         camera_size, configured = camera.size if camera else None, (node.image_width, node.image_height)
         size = resolve_image_size(camera=camera_size, configured=configured)
         frames, skipped_count, first_reason = _decode_frames(bag, topics, node, camera, size)
@@ -231,7 +230,12 @@ def load_bag(
         image_size=resolve_image_size(stated=stated, camera=camera_size, configured=configured),
         intrinsics=camera.intrinsics if camera else None,
         frame_id=next((f.header.frame_id for f in frames.values() if f.header.frame_id), ''),
-        remarks=(f'{skipped_count} messages left out; {first_reason}',) if skipped_count else (),
+        remarks=tuple(
+            filter(
+                None,
+                (f'{skipped_count} messages left out; {first_reason}' if skipped_count else '', camera_remark),
+            )
+        ),
     )
 
 
@@ -302,8 +306,8 @@ def _check_camera(frame: KeypointsFrame, camera: CameraInfo | None, name: str) -
 
 def find_camera(
     bag: Bag, keypoints_topic: str, node: NodeConfig, camera_info: str | None = None
-) -> CameraInfo | None:
-    """Return the first usable CameraInfo that belongs to a topic of keypoints, or None if there is none.
+) -> tuple[CameraInfo | None, str]:
+    """Find the first usable CameraInfo that belongs to a topic of keypoints.
 
     Args:
         bag: The bag.
@@ -311,11 +315,17 @@ def find_camera(
         node: How the keypoints were found in the image.
         camera_info: Topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
 
+    Returns:
+        The CameraInfo, or None if there is none, and a remark on the first that cannot be used, or an empty text.
+
     Raises:
         InputError: There is no such topic, or several topics share equally much of the namespace.
     """
     topic = bag.find_camera_info_topic(keypoints_topic, camera_info)
-    for message in bag.messages([topic] if topic else []):
-        with suppress(InputError):
-            return decode_camera_info(message.raw, rectified=node.rectified_input)
-    return None
+    reason = ''
+    for number, message in enumerate(bag.messages([topic] if topic else []), 1):
+        try:
+            return decode_camera_info(message.raw, rectified=node.rectified_input), reason
+        except InputError as error:  # noqa: PERF203
+            reason = reason or f'{topic}: message {number} cannot be used: {error}'
+    return None, reason

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -146,7 +147,10 @@ def _record_file(path: Path) -> Iterator[Recorder]:
             reason = str(error).rpartition(': ')[2].partition(RECOVERY_HINT)[0]  # the folder does not remain
             raise RecordingError(f'{path}: {reason}') from None
         (file,) = bag.glob('*.mcap')
-        file.replace(path)
+        if path.exists():  # a device
+            shutil.copyfile(file, path)
+        else:
+            file.replace(path)
 
 
 def _record(recorder: Recorder, reconstruction: ReconstructedSequence) -> None:

@@ -77,6 +77,7 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) 
         (['x.npz', 'plot'], "'x.npz' comes before the command; write: mocap-ros plot"),
         (['x.npz'], "no command 'x.npz'; there are demo, reconstruct"),
         (['reconstruct', 'x.json', '--fps', 'fast'], "argument --fps: 'fast' is not a number"),
+        (['compile', '\x1b[31m\r\n\u202e'], r'unrecognized arguments: \x1b[31m \u202e'),
         (
             ['batch', 'x', '-o', 'y', '--workers', 'two'],
             "argument --workers: 'two' is not a positive whole number",

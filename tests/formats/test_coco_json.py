@@ -200,7 +200,7 @@ INVALID = {
     ),
     'far apart': (
         json.dumps([{'image_id': i, 'keypoints': [100.0, 100.0, 1.0] * 17} for i in (1, 2, 10**9)]),
-        'frames are numbered 1 to 1000000000',
+        'frames are numbered 1 to 1000000000: not one video of 25 Hz',
     ),
     'normalised': (
         json.dumps([{'image_id': i, 'keypoints': [0.5, 0.5, 1.0] * 17} for i in (1, 2)]),

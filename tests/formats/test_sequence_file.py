@@ -87,6 +87,12 @@ def test_opencv_s_further_coefficients_are_left_out_where_they_are_0(
                 load_sequence(tmp_path / 'walk.npz')
 
 
+def test_a_coefficient_beyond_any_lens_is_refused(tmp_path: Path, sequence: KeypointSequence) -> None:
+    save_sequence(tmp_path / 'walk.npz', replace(sequence, distortion=np.array([0.1, -1e300, 0, 0])))
+    with pytest.raises(InputError, match=r'walk\.npz: distortion: -1e\+300, more than a lens has'):
+        load_sequence(tmp_path / 'walk.npz')
+
+
 def test_joint_names_are_read_in_any_spelling(tmp_path: Path, sequence: KeypointSequence) -> None:
     joint_names = tuple(n.replace('l', 'left_', 1) if n[0] == 'l' else n.title() for n in JOINTS)
     truth = GroundTruth(np.ones((FRAMES, 2, 3)), ('Neck', 'pelvis'))
