@@ -149,18 +149,18 @@ def _parse_qos_list(profiles: Any) -> list[Qos]:
     return metadata.parse_qos(profiles)
 
 
-def parse_description(text: str, parse: Callable[[str], Any]) -> Any:
+def parse_description(text: str, make_parser: Callable[[], Any]) -> Any:
     """Parse a metadata.yaml and check it.
 
     Args:
         text: the YAML text.
-        parse: function that parses YAML.
+        make_parser: function that returns a parser of YAML.
 
     Raises:
         ValueError: the content is not what a bag has; the message names the file and the value.
     """
     try:
-        content = parse(text)
+        content = make_parser().load(text)
     except RecursionError:
         raise ValueError(f'{METADATA}: nested too deep') from None
     except (ValueError, LookupError, TypeError):
@@ -236,8 +236,8 @@ def limit_readers() -> None:
     modules: tuple[Any, ...] = (storage_mcap, storage_sqlite3, reader)
     for module in modules:
         module.parse_qos = parse_qos
-    parse_yaml = reader.YAML(typ='safe').load
-    reader.YAML = lambda **_: SimpleNamespace(load=partial(parse_description, parse=parse_yaml))
+    make_parser = partial(reader.YAML, typ='safe')
+    reader.YAML = lambda **_: SimpleNamespace(load=partial(parse_description, make_parser=make_parser))
     reader.zstd = SimpleNamespace(
         open=lambda file, _mode: LimitedFile(file), decompress=partial(unpack, compression='zstd')
     )

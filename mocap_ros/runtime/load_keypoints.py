@@ -221,6 +221,7 @@ def load_bag(
         first_reason = (
             first_reason or f'{next(iter(topics))}: {other_count} images have another size than the others'
         )
+    skipped = f'{skipped_count} messages left out; {first_reason}' if skipped_count else ''
     stamps = sorted(frames)
     last = frames[stamps[-1]]
     stated = (last.image_width, last.image_height)
@@ -230,12 +231,7 @@ def load_bag(
         image_size=resolve_image_size(stated=stated, camera=camera_size, configured=configured),
         intrinsics=camera.intrinsics if camera else None,
         frame_id=next((f.header.frame_id for f in frames.values() if f.header.frame_id), ''),
-        remarks=tuple(
-            filter(
-                None,
-                (f'{skipped_count} messages left out; {first_reason}' if skipped_count else '', camera_remark),
-            )
-        ),
+        remarks=tuple(filter(None, (skipped, camera_remark))),
     )
 
 
