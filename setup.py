@@ -8,7 +8,7 @@ from pathlib import Path
 
 from setuptools import find_packages, setup
 
-ROOT = Path(__file__).parent
+ROOT = Path(__file__).resolve().parent  # also where colcon links this file from its build folder
 PACKAGE = ET.parse(ROOT / 'package.xml').getroot()
 NAME = PACKAGE.findtext('name')
 VERSION = PACKAGE.findtext('version')
@@ -17,6 +17,7 @@ IS_UNRELEASED = f'## {VERSION} (unreleased)' in (ROOT / 'CHANGELOG.md').read_tex
 MAINTAINER = PACKAGE.find('maintainer')
 # What `mocap-ros batch` needs, on this machine and on the workers: 60 MB to download, 48 of them pyarrow.
 CLUSTER = ['distributed>=2024.2', 'fsspec>=2024.2', 'universal-pathlib>=0.2.2,<0.4', 'pyarrow>=15']
+VIDEO = ['av>=14.2,<19', 'Pillow>=9.1']
 URLS = {url.get('type'): url.text for url in PACKAGE.findall('url')}
 # A package index shows the README elsewhere, so its links to files of the repository name the repository there.
 README = re.sub(
@@ -92,7 +93,11 @@ setup(
         'cluster': CLUSTER,
         'collision': ['coal>=3.0.2,<4'],  # distances between capsules, in one test; 400 MB with its libraries
         'fuzz': ['atheris>=2.3,<4'],  # coverage-guided fuzzing, 35 MB; its tests do without
-        'mediapipe': ['av>=14.2,<19', 'mediapipe>=0.10.14,<2', 'Pillow>=9.1'],
+        'mediapipe': [
+            "mediapipe==0.10.21; python_version < '3.13'",  # the last version whose wheels hold a model
+            "mediapipe>=0.10.30,<2; python_version >= '3.13'",  # needs a model file
+            *VIDEO,
+        ],
         'train': ['torch>=2.4,<3'],
         'test': [
             *CLUSTER,
@@ -116,7 +121,7 @@ setup(
         'docs': ['furo>=2024.8', 'myst-parser>=4,<6', 'sphinx>=8.1,<10'],
         's3': ['s3fs>=2024.2'],
         'view': ["rerun-sdk==0.41.*; python_version >= '3.11'"],  # a viewer reads files of its own minor version
-        'video': ['av>=14.2,<19', 'onnxruntime>=1.18,<2', 'Pillow>=9.1'],
+        'video': [*VIDEO, 'onnxruntime>=1.18,<2'],
     },
     zip_safe=False,
 )

@@ -111,3 +111,10 @@ def test_from_the_folder_above_a_clone_the_package_is_found(tmp_path: Path) -> N
         [sys.executable, '-c', code], cwd=tmp_path, capture_output=True, text=True, check=True
     )
     assert printed.stdout.strip().endswith('__init__.py')
+
+
+def test_setup_runs_where_colcon_links_it_into_a_build_folder(tmp_path: Path) -> None:
+    (tmp_path / 'setup.py').symlink_to(ROOT / 'setup.py')
+    command = [sys.executable, 'setup.py', '--quiet', '--version']
+    printed = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert printed.stdout.splitlines()[-1].startswith('0.')

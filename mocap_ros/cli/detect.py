@@ -51,7 +51,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar='FILE',
         help="MediaPipe's pose landmarker (.task), or RTMPose or MoveNet (.onnx) (default: the model that comes "
-        'with MediaPipe 0.10.14)',
+        'with MediaPipe 0.10.21)',
     )
     parser.add_argument(
         '-o',

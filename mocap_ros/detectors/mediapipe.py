@@ -95,7 +95,7 @@ class MediaPipe:
 
 
 class BundledMediaPipe:
-    """The model for one person that comes with MediaPipe up to 0.10.14.
+    """The model for one person that comes with MediaPipe up to 0.10.21.
 
     Raises:
         ModelError: MediaPipe is not installed, or its version comes without a model.
@@ -103,12 +103,12 @@ class BundledMediaPipe:
 
     def __init__(self) -> None:
         place = 'no model file is given (--model, of other commands --detector; docs/video.md), and '
-        mediapipe = _import_mediapipe(f'{place}the model that comes with MediaPipe 0.10.14 ')
+        mediapipe = _import_mediapipe(f'{place}the model that comes with MediaPipe 0.10.21 ')
         solutions = getattr(mediapipe, 'solutions', None)
         if solutions is None:
             raise ModelError(
                 f'{place}MediaPipe {mediapipe.__version__} comes without one; give the file of a model, or '
-                'pip install mediapipe==0.10.14'
+                'pip install mediapipe==0.10.21, for Python 3.10 to 3.12'
             )
         self.name = f'MediaPipe {mediapipe.__version__}'
         try:

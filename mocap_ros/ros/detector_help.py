@@ -16,7 +16,7 @@ IMAGE_TOPIC, KEYPOINTS_TOPIC = 'image', 'keypoints'  # relative names
 MAX_PEOPLE = 100  # people; far above what a detector finds
 # Default and description of each parameter; all are fixed when the node starts.
 PARAMETERS: dict[str, tuple[str | int, str]] = {
-    'model': ('', f'file of the model: {MODEL_FORMATS}; empty for the model that comes with MediaPipe 0.10.14'),
+    'model': ('', f'file of the model: {MODEL_FORMATS}; empty for the model that comes with MediaPipe 0.10.21'),
     'max_people': (1, 'largest number of people to find in an image, by models that find several'),
     'image_type': (IMAGE, f'type of the images: {" or ".join(IMAGE_TYPES)}'),
 }

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""MediaPipe where it is installed with its model, which versions up to 0.10.14 are, and a picture of a person."""
+"""MediaPipe where it is installed with its model, which versions up to 0.10.21 are, and a picture of a person."""
 
 from __future__ import annotations
 
@@ -23,11 +23,9 @@ NETWORKS = {
 
 def require_mediapipe() -> Any:
     """Return the module `mediapipe`, or skip the test where it is missing or has no model."""
-    mediapipe = pytest.importorskip(
-        'mediapipe', reason="needs MediaPipe 0.10.14: pip install 'mediapipe==0.10.14'"
-    )
+    mediapipe = pytest.importorskip('mediapipe', reason="needs MediaPipe: pip install 'mocap_ros[mediapipe]'")
     if not hasattr(mediapipe, 'solutions'):
-        pytest.skip(f'MediaPipe {mediapipe.__version__} has no model; needs 0.10.14')
+        pytest.skip(f'MediaPipe {mediapipe.__version__} has no model; needs 0.10.21')
     return mediapipe
 
 
