@@ -11,11 +11,12 @@ import os
 import pickle
 import zipfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from mocap_ros.cli.keypoint_input import list_sources
-from mocap_ros.cli.lines import print_result
+from mocap_ros.cli.lines import print_remark, print_result
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.errors import MocapError, tell_installation
 from mocap_ros.formats.mocap.trials import TrialOptions, load_trials, select_trials
@@ -67,8 +68,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--start-from',
         type=Path,
         metavar='LIFTER.npz',
-        help='lifter whose weights the training begins with; give another --seed than it had, so that the '
-        'examples are new (default: random weights)',
+        help='lifter whose weights the training begins with, at a lower learning rate and with its batch norms as '
+        'they are; give another --seed than it had, so that the examples are new (default: random weights)',
     )
     parser.add_argument(
         '--seed', type=int, default=0, metavar='N', help='random seed of the initial weights and the examples'
@@ -101,7 +102,12 @@ def run(args: argparse.Namespace) -> int:
     try:
         import torch
 
-        from mocap_ros.training.lifter import TrainingSettings, train_lifter
+        from mocap_ros.training.lifter import (
+            START_FROM_RATE,
+            TrainingSettings,
+            find_fastest_precision,
+            train_lifter,
+        )
     except ImportError as error:
         raise MocapError(f'{error}: training needs PyTorch: {tell_installation("train")}') from None
     torch.set_num_threads(args.threads)
@@ -128,15 +134,21 @@ def run(args: argparse.Namespace) -> int:
     shares = balance_trials(
         [t.category for t in trials], [t.subject for t in trials], [len(t.poses) for t in trials]
     )
-    settings = TrainingSettings(steps=args.steps, seed=args.seed)
+    rate = TrainingSettings.rate if start is None else START_FROM_RATE
+    settings = TrainingSettings(steps=args.steps, seed=args.seed, rate=rate)
     path = args.checkpoint
+    checkpoint = None if path is None or not path.exists() else _load_checkpoint(path, args.steps)
+    # a training that goes on keeps its precision, also on another processor
+    precision = find_fastest_precision(settings) if checkpoint is None else checkpoint['fixed']['precision']
+    settings = replace(settings, precision=precision)
+    print_remark(f'the network is trained in {settings.precision}')
     lifter = train_lifter(
         [t.all_joints for t in trials],
         shares,
         settings,
         provenance,
         start=start,
-        checkpoint=None if path is None or not path.exists() else _load_checkpoint(path, args.steps),
+        checkpoint=checkpoint,
         keep=None if path is None else lambda state: _save_checkpoint(state, path, sources),
         progress=lambda steps: show_progress(steps, 'train'),
     )
@@ -160,8 +172,8 @@ def _load_checkpoint(path: Path, steps: int) -> Mapping[str, Any]:
             checkpoint = torch.load(path, weights_only=True)
     except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
         raise MocapError(f'{path}: no checkpoint of a training: {error}') from None
-    if not isinstance(checkpoint, dict) or 'fixed' not in checkpoint:
-        raise MocapError(f'{path}: no checkpoint of a training')
+    if not isinstance(checkpoint, dict) or 'precision' not in checkpoint.get('fixed', ''):
+        raise MocapError(f'{path}: no checkpoint of a training by this version')
     if checkpoint['step'] > steps:
         raise MocapError(f'{path}: has made {checkpoint["step"]} steps already, more than --steps {steps}')
     return checkpoint

@@ -12,8 +12,9 @@ so that it is constant for most of the training, and a training that was stopped
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,10 @@ EXTREMITY_WEIGHT = (
 )
 MIN_SQUARED_DISTANCE = 1e-8  # squared unit of the features; keeps the gradient of the distance finite at zero
 ERROR_AVERAGE_RATE = 0.01  # 1 per step; the error in the provenance is averaged over about the last 100 steps
+# 1; the highest learning rate of a training that starts from a lifter. The usual one destroys what it has learned.
+START_FROM_RATE = 1.5e-4
+TIMED_STEPS = 3  # steps by which the precisions are compared, after one that allocates memory
+MIN_SPEED_UP = 1.25  # 1; bfloat16 rounds to three digits, so it has to be worth it
 CALIBRATION_BATCHES = 16  # batches of examples that tell mean and variance of each unit of a lifter that exists
 
 
@@ -61,6 +66,7 @@ class TrainingSettings:
         uncertainty: weight of the likelihood of the standard deviations in the objective.
         average: decay per step of the running average of the weights, which becomes the lifter.
         seed: seed of the examples, the initial weights and dropout.
+        precision: number format of the network's products, `float32` or `bfloat16`.
     """
 
     steps: int = 60000
@@ -74,6 +80,7 @@ class TrainingSettings:
     uncertainty: float = 0.02
     average: float = 0.998
     seed: int = 0
+    precision: str = 'float32'
 
 
 class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]
@@ -197,6 +204,33 @@ def compute_loss(out: Tensor, batch: ExampleBatch, uncertainty: float) -> tuple[
     return (weight * cost).sum() / (CORE_COUNT * len(out)), distance.detach().mean(dim=0)
 
 
+def find_fastest_precision(settings: TrainingSettings) -> str:
+    """Return the `precision` in which a step takes less time on this processor: many have no bfloat16 at all."""
+    seconds = {p: _time_steps(replace(settings, precision=p)) for p in ('float32', 'bfloat16')}
+    return 'bfloat16' if MIN_SPEED_UP * seconds['bfloat16'] < seconds['float32'] else 'float32'
+
+
+def _time_steps(settings: TrainingSettings) -> float:
+    """Return the time in s that `TIMED_STEPS` steps of the network take."""
+    network, features = _make_network(settings), torch.zeros(settings.batch, FEATURE_COUNT)
+    begin = 0.0
+    for step in range(1 + TIMED_STEPS):
+        if step == 1:
+            begin = time.perf_counter()
+        _evaluate(network, features, settings).sum().backward()
+    return time.perf_counter() - begin
+
+
+def _make_network(settings: TrainingSettings) -> LifterNetwork:
+    return LifterNetwork(settings.width, settings.blocks, settings.dropout)
+
+
+def _evaluate(network: LifterNetwork, features: Tensor, settings: TrainingSettings) -> Tensor:
+    """Return the outputs of a network, computed in the precision of the settings."""
+    with torch.autocast('cpu', torch.bfloat16, enabled=settings.precision == 'bfloat16'):
+        return network(features).float()
+
+
 def train_lifter(
     trials: Sequence[Array],
     shares: Array,
@@ -216,7 +250,8 @@ def train_lifter(
         shares: (N,) share of each trial in the examples, as from `balance.balance_trials`.
         settings: settings of the training.
         provenance: entries of the lifter's provenance; the settings and the last mean error on examples are added.
-        start: lifter whose weights are the initial ones; by default they are random.
+        start: lifter whose weights are the initial ones, and whose batch norms stay as they are; by default the
+            weights are random.
         checkpoint: state of a training with the same arguments, which goes on from there; only the number of steps
             may differ.
         keep: function that is given a checkpoint every `CHECKPOINT_BLOCKS` blocks of examples.
@@ -237,6 +272,8 @@ def train_lifter(
         training.restore(checkpoint)
     elif start is not None:
         training.start_from(start)
+    if start is not None:
+        training.freeze_batch_norms()
     block_steps = BLOCK_BATCHES * settings.passes
     for step in progress(range(training.step, settings.steps)):
         training.step_once()
@@ -263,7 +300,7 @@ class _Training:
     def __init__(self, synthesiser: ExampleSynthesiser, settings: TrainingSettings) -> None:
         self.step, self.mean_error = 0, 0.0
         self._synthesiser, self._settings = synthesiser, settings
-        self._network = LifterNetwork(settings.width, settings.blocks, settings.dropout)
+        self._network = _make_network(settings)
         self.averaged = LifterNetwork(settings.width, settings.blocks, 0.0).eval()
         self.averaged.load_state_dict(self._network.state_dict())
         self._optimiser = torch.optim.AdamW(
@@ -281,9 +318,8 @@ class _Training:
         self.step += 1
         for group in self._optimiser.param_groups:
             group['lr'] = settings.rate * _rate_factor(self.step, settings.steps)
-        with torch.autocast('cpu', torch.bfloat16):
-            out = self._network(torch.from_numpy(batch.features))
-        loss, distance = compute_loss(out.float(), batch, settings.uncertainty)
+        out = _evaluate(self._network, torch.from_numpy(batch.features), settings)
+        loss, distance = compute_loss(out, batch, settings.uncertainty)
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
         nn.utils.clip_grad_norm_(self._network.parameters(), MAX_GRADIENT_NORM)
@@ -311,6 +347,12 @@ class _Training:
         batches = [self._synthesiser.make_batch(self._settings.batch).features for _ in range(CALIBRATION_BATCHES)]
         self._network.take_over(lifter, torch.from_numpy(np.concatenate(batches)))
         self.averaged.load_state_dict(self._network.state_dict())
+
+    def freeze_batch_norms(self) -> None:
+        """Keep mean, variance, factor and offset of all batch norms as they are."""
+        for layer in self._network.modules():
+            if isinstance(layer, nn.BatchNorm1d):
+                layer.eval().requires_grad_(requires_grad=False)
 
     def restore(self, checkpoint: Mapping[str, Any]) -> None:
         """Take over a state of `to_checkpoint`."""

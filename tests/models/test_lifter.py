@@ -344,6 +344,18 @@ def test_training_is_repeatable_and_reduces_the_error(
     assert errors[1] < errors[0]
 
 
+@pytest.mark.parametrize(('bfloat16_s', 'precision'), [(0.1, 'bfloat16'), (0.9, 'float32'), (17.0, 'float32')])
+def test_bfloat16_is_used_only_where_a_step_is_clearly_faster_with_it(
+    bfloat16_s: float, precision: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip('torch', reason='training is optional: pip install mocap_ros[train]')
+    from mocap_ros.training import lifter as training
+
+    seconds = {'float32': 1.0, 'bfloat16': bfloat16_s}
+    monkeypatch.setattr(training, '_time_steps', lambda settings: seconds[settings.precision])
+    assert training.find_fastest_precision(training.TrainingSettings()) == precision
+
+
 def test_an_interrupted_training_gives_the_same_lifter(
     walk_model: BasePoses, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -394,6 +406,12 @@ def test_a_training_can_start_from_a_lifter(walk_model: BasePoses, rng: np.rando
         data, EQUAL_SHARES, training.TrainingSettings(steps=5, batch=64, width=32, seed=1), {}
     )
     assert float(str(further.provenance['error_mm'])) < float(str(anew.provenance['error_mm']))
+    still = training.train_lifter(
+        data, EQUAL_SHARES, training.TrainingSettings(steps=5, batch=64, width=32, rate=0.0), {}, start=trained
+    )
+    for (weight, bias), (same, same_bias) in zip(trained.layers, still.layers, strict=True):
+        assert same == pytest.approx(weight, abs=1e-5), 'the batch norms do not move'
+        assert same_bias == pytest.approx(bias, abs=1e-5)
     with pytest.raises(MocapError, match='other sizes'):
         training.LifterNetwork(16, 2, 0.0).take_over(trained, torch.from_numpy(features))
 
