@@ -33,8 +33,8 @@ class Detector(Protocol):
             time_s: s, time of the image, later than that of the image before.
 
         Returns:
-            (P, J, 3) x to the right and y down in px, and the score in [0, 1], of the J keypoints of P people. The
-            number of keypoints tells their layout, as for the files of detectors
+            (P, J, 3) x to the right and y down in px, and the score, at least 0, of the J keypoints of P people.
+            The number of keypoints tells their layout, as for the files of detectors
             (`formats.detections.LAYOUT_BY_KEYPOINT_COUNT`).
         """
 

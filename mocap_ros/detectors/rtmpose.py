@@ -97,7 +97,7 @@ class RtmPose:
         bins = np.stack([columns[0].argmax(axis=1), rows[0].argmax(axis=1)], axis=1)
         score = (columns[0].max(axis=1) + rows[0].max(axis=1)) / 2
         pixels = bins / BINS_PER_PX + 0.5  # the centre of the first pixel is at 0.5, and its bin is 0
-        return np.column_stack([region.place(pixels / size), np.clip(score, 0.0, 1.0)])
+        return np.column_stack([region.place(pixels / size), np.maximum(score, 0.0)])
 
 
 def _is_seen(keypoints: Array) -> bool:

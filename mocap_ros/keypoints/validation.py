@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 MIN_SCORE = -1e-3  # no unit; tolerates a score of 0 that rounding made negative
-MAX_SCORE = 1.25  # no unit; the scores of some detectors exceed 1 a little
+MAX_SCORE = 100.0  # no unit; heads that classify coordinates (SimCC, RTMPose) give up to 10, percentages 100
+UNSEEN_POINTS_PX = (0.0, -1.0)  # px; x = y = one of these is what detectors write for a point that they do not see
 NORMALISED_RANGE = -0.5, 1.5  # shares of the image; a normalised point may lie outside the image by half of it
 TINY_IMAGE_WIDTH = 16  # px; in an image up to this wide, real px look like normalised coordinates
 MAX_COORDINATE_PX = 1e6  # px; far outside any image
@@ -55,24 +57,35 @@ def find_first_fault(points: Array, score: Array) -> Fault | None:
     ):
         if is_faulty.any():
             index = tuple(int(i) for i in np.argwhere(is_faulty)[0])
-            expected = 'a score in [0, 1]' if field == 'score' else 'a finite number of px'
+            expected = f'a score in [0, {MAX_SCORE:g}]' if field == 'score' else 'a finite number of px'
             return Fault(field, index, f'{values[index]:g}, expected {expected}')
     return None
 
 
 def mark_unseen(points: Array, score: Array) -> tuple[Array, Array]:
-    """Mark a joint as not seen in both arrays if either of them says so, and clip scores at 1.
+    """Mark a joint as not seen in both arrays if either of them says so, and bring scores to [0, 1].
+
+    The scores of a person in an image are divided by the largest of them where that exceeds 1.
 
     Args:
-        points: (..., J, 2) px; NaN for a joint that was not seen.
+        points: (..., J, 2) px; NaN, (0, 0) or (-1, -1) for a joint that was not seen.
         score: (..., J) confidence scores; 0, less than 0 or NaN for a joint that was not seen.
 
     Returns:
         points: (..., J, 2) px; NaN for a joint that was not seen.
         score: (..., J) in [0, 1]; 0 for a joint that was not seen.
     """
-    seen = (score > 0) & np.isfinite(points).all(axis=-1)
-    return np.where(seen[..., None], points, np.nan), np.where(seen, np.minimum(score, 1.0), 0.0)
+    seen = find_seen(points, score)
+    score = np.where(seen, score, 0.0)
+    largest = score.max(axis=-1, keepdims=True, initial=1.0)
+    return np.where(seen[..., None], points, np.nan), score / largest
+
+
+def find_seen(points: NDArray[np.floating[Any]], score: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
+    """Return which keypoints (..., J) a detector has seen; arguments as of `mark_unseen`."""
+    x, y = points[..., 0], points[..., 1]
+    is_placeholder = (x == y) & ((x == UNSEEN_POINTS_PX[0]) | (x == UNSEEN_POINTS_PX[1]))
+    return (score > 0) & np.isfinite(x) & np.isfinite(y) & ~is_placeholder
 
 
 def looks_normalised(points: Array, score: Array, image_width: int) -> bool:

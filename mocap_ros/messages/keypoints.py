@@ -189,8 +189,7 @@ def _check_and_mark(
     fault = find_first_fault(points, score)
     if fault is not None:
         person, joint = fault.index
-        hint = '; is it in percent?' if fault.field == 'score' and 2 < score[person, joint] <= 100 else ''
-        raise InputError(f'{name(person)}{fault.field}[{joint}]: {fault.what}{hint}')
+        raise InputError(f'{name(person)}{fault.field}[{joint}]: {fault.what}')
     points, score = mark_unseen(points, score)
     may_be_normalised = np.fmax.reduce(points, axis=(1, 2)) <= NORMALISED_RANGE[1]
     for index in np.flatnonzero(may_be_normalised).tolist():

@@ -15,10 +15,12 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, resolve_image_size
+from mocap_ros.keypoints.validation import find_seen
 from mocap_ros.messages.camera_info import CameraInfo
 from mocap_ros.messages.keypoint_columns import KeypointMessages, read_keypoints
 from mocap_ros.messages.keypoints import KeypointsFrame
@@ -208,7 +210,14 @@ class SceneRows:
         size = self._image_size if all(self._image_size) else FALLBACK_SIZE
         stamps = self._list_stamps()
         keypoints = tuple(_finish_keypoints(names, rows, stamps) for names, rows in self._detections.items())
-        return Scene('live', stamps.tolist(), (), keypoints, size, Intrinsics.from_image_size(*size, 1.0))
+        return Scene(
+            'live',
+            stamps.tolist(),
+            (),
+            keypoints,
+            size,
+            Intrinsics.from_image_size(*size, TrackerConfig().nominal_focal_length),
+        )
 
     def build(self, title: str, camera: CameraInfo | None = None) -> Scene:
         """Return the scene of what was collected, which has a skeleton; the rows are given up, to save memory.
@@ -354,8 +363,9 @@ class SceneRows:
         self, joints: tuple[str, ...], stamps: Stamps, places: Stamps, numbers: NDArray[np.floating[Any]]
     ) -> None:
         """Add detections (N, J, 3), whose points are NaN from here on where a keypoint was not seen."""
-        is_seen = (numbers[..., 2:] > 0) & (np.abs(numbers[..., :2]) < MAX_POINT_PX).all(axis=2, keepdims=True)
-        points = np.where(is_seen, numbers[..., :2], np.float32(np.nan)).astype(np.float32)
+        is_drawn = (np.abs(numbers[..., :2]) < MAX_POINT_PX).all(axis=2)
+        is_drawn &= find_seen(numbers[..., :2], numbers[..., 2])
+        points = np.where(is_drawn[..., None], numbers[..., :2], np.float32(np.nan)).astype(np.float32)
         if joints not in self._detections:
             self._detections[joints] = _Numbers(max(DETECTIONS_PER_FRAME * self._frames, FIRST_ROWS))
         self._keep(self._detections[joints], stamps, places, points)

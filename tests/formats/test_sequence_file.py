@@ -141,9 +141,9 @@ INVALID: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
         lambda a: set_element(a, 'keypoints', (3, 7, 1), np.inf),
         'keypoints: frame 3: y of lelbow is inf',
     ),
-    'score above one': (
-        lambda a: set_element(a, 'keypoints', (4, 0, 2), 1.5),
-        'keypoints: frame 4: score of nose is 1.5',
+    'score above percent': (
+        lambda a: set_element(a, 'keypoints', (4, 0, 2), 150),
+        'keypoints: frame 4: score of nose is 150',
     ),
     'negative score': (
         lambda a: set_element(a, 'keypoints', (4, 0, 2), -0.5),

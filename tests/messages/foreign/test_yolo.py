@@ -26,8 +26,8 @@ INVALID = {
     'keypoint id twice': (set_keypoint_id(17), r'detections\[1\].keypoints.data\[2\].id: 17 twice'),
     'person id twice': (lambda m: setattr(m.detections[1], 'id', 'b0'), "detections: id 'b0' twice"),
     'score': (
-        lambda m: setattr(m.detections[0].keypoints.data[0], 'score', 7.0),
-        r'detections\[0\].keypoints: score\[16\]: 7, expected',
+        lambda m: setattr(m.detections[0].keypoints.data[0], 'score', 700.0),
+        r'detections\[0\].keypoints: score\[16\]: 700, expected',
     ),
 }
 
