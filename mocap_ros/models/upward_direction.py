@@ -11,6 +11,12 @@ direction ahead: feet carry the body a little in front of the ankles. The masses
 joints, with their centres of mass, by Winter ("Biomechanics and Motor Control of Human Movement", 4th edition,
 table 4.1).
 
+Who sits tells no direction upwards, for the feet do not carry the body. Whether somebody stands shows in the
+flexion phi of the straighter hip, the smaller angle between the trunk and a thigh; who bows or squats deeply does
+not count as standing either:
+
+    share = (PHI_1 - phi) / (PHI_1 - PHI_0), between 0 and 1
+
 Over the motion capture of training persons (stands, walks, jumps, exercises, games) half of the angles between u
 and the vertical are below 3.2 degrees, two thirds below 5, and 3 % above 27 (lying, sitting, tumbling). A linear
 regression on all coordinates of the joints is no better.
@@ -39,6 +45,9 @@ _LIMB_SEGMENTS = (
     ('hip', 'knee', 0.100, 0.433),
     ('knee', 'ankle', 0.061, 0.606),  # with the foot
 )
+# PHI_0 and PHI_1, degrees: of those who walk or run, 95 of 100 frames are below the first; on a chair, hips are
+# bent by 70 to 110, of which lifted poses show some 20 less where the thighs point towards the camera.
+STANDING_FLEXION_DEG, SEATED_FLEXION_DEG = 40.0, 60.0
 MIN_LENGTH = 1e-9  # guards divisions by lengths, far below those of bodies in any unit
 
 
@@ -66,6 +75,21 @@ def find_upward(joints: Array) -> Array:
         joints: joints of `CMU15`, or of `BODY26`, in any unit; NaN where they are not known, which gives NaN.
     """
     return _find_upward(np.ascontiguousarray(joints), MASSES)
+
+
+def find_standing(joints: Array) -> Array:
+    """Return the shares (N,) to which poses stand, 1 with a straight hip and 0 if both are bent as on a chair.
+
+    Args:
+        joints: as of `find_upward`; NaN gives NaN.
+    """
+    trunk = joints[:, None, _NECK] - joints[:, None, _PELVIS]
+    thighs = joints[:, [_LHIP, _RHIP]] - joints[:, [_LKNEE, _RKNEE]]
+    lengths = np.linalg.norm(trunk, axis=-1) * np.linalg.norm(thighs, axis=-1)
+    cosines = (trunk * thighs).sum(axis=-1) / np.maximum(lengths, MIN_LENGTH)
+    flexion_deg = np.degrees(np.arccos(cosines.max(axis=1).clip(-1, 1)))
+    share = (SEATED_FLEXION_DEG - flexion_deg) / (SEATED_FLEXION_DEG - STANDING_FLEXION_DEG)
+    return np.asarray(share.clip(0, 1))
 
 
 @kernel(FLOATS_2D(INPUT_3D, INPUT_1D))

@@ -28,7 +28,7 @@ from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.lifter import LiftedPoses, Lifter
 from mocap_ros.models.model_file import load_prior_lifter
-from mocap_ros.models.upward_direction import find_upward
+from mocap_ros.models.upward_direction import find_standing, find_upward
 from mocap_ros.offline.second_lift import draw_points, hide_unexplained_points, turn_like
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton, estimate_stature
 from mocap_ros.solvers import alternation, joint
@@ -40,6 +40,7 @@ from mocap_ros.solvers.vertical import (
     AUTO,
     Vertical,
     find_vertical,
+    lift_under_vertical,
     read_given_vertical,
     turn_towards_vertical,
 )
@@ -176,7 +177,7 @@ def _reconstruct(
     joints = camera.to_real_camera(solution.joints) + root[:, None]
     joints *= body_height / estimate_stature(solution.joints, skeleton)
     if vertical is None:
-        vertical = choose_vertical(observed.times, find_upward(joints), config.tracker)
+        vertical = choose_vertical(observed.times, joints, config.tracker)
     result = SequenceResult(joints, observed.weight > 0, skeleton, category, solution, camera, *vertical)
     return result, observed
 
@@ -243,16 +244,16 @@ class Verticals(NamedTuple):
     std: Array
 
 
-def choose_vertical(times: Array, upward: Array, config: TrackerConfig) -> Verticals:
+def choose_vertical(times: Array, joints: Array, config: TrackerConfig) -> Verticals:
     """Return the vertical in each frame as `tracker.vertical` says: given, found, or NaN.
 
     Args:
         times: (F,) s.
-        upward: (F, 3) directions upwards that the poses tell, in the real camera's optical frame.
+        joints: (F, J, 3) poses in any unit, in the axes of the real camera.
         config: parameters; `vertical` applies.
     """
     if config.vertical == AUTO:
-        return Verticals(*find_vertical(times, upward))
+        return Verticals(*find_vertical(times, find_upward(joints), find_standing(joints)))
     given, frames = read_given_vertical(config), len(times)
     if given is None:
         return Verticals(np.full((frames, 3), np.nan), np.full(frames, np.nan))
@@ -269,7 +270,7 @@ def _lift(
 ) -> tuple[LiftedPoses, Verticals]:
     """Return lifted poses that are turned towards the vertical, in the virtual cameras' axes, and the vertical.
 
-    The lifter is told a vertical that is given.
+    The lifter gets a vertical that is given, for those who stand.
 
     Args:
         observed: the person's joints in F frames, not lifted yet.
@@ -278,16 +279,14 @@ def _lift(
         known: the vertical, if it was found before.
     """
     camera, given = observed.virtual_camera, read_given_vertical(config)
-    told: tuple[Array | None, Array | None] = (None, None)
+    given_in_frames: tuple[Array | None, Array | None] = (None, None)
     if given is not None:
         known = _repeat_vertical(given, len(observed.times))
-        told = camera.to_virtual_camera(known.direction[:, None])[:, 0], known.std
-    lifted = lifter.lift(*observed.sample_unlifted_histories(), RAY_FOCAL, *told)
-    upward = find_upward(lifted.joints)
-    in_real_camera = camera.to_real_camera(upward[:, None])[:, 0]
-    vertical = known or choose_vertical(observed.times, in_real_camera, config)
+        given_in_frames = camera.to_virtual_camera(known.direction[:, None])[:, 0], known.std
+    lifted = lift_under_vertical(lifter, *observed.sample_unlifted_histories(), RAY_FOCAL, *given_in_frames)
+    vertical = known or choose_vertical(observed.times, camera.to_real_camera(lifted.joints), config)
     direction = camera.to_virtual_camera(vertical.direction[:, None])[:, 0]
-    return turn_towards_vertical(lifted, upward, direction, vertical.std), vertical
+    return turn_towards_vertical(lifted, direction, vertical.std), vertical
 
 
 def _solve_with_lifter(

@@ -9,23 +9,24 @@ tells a direction upwards u (`models.upward_direction`), which is off by the lea
 the person does. The vertical v is the mean of these directions over all people and some time, robust and with
 weights that fade:
 
-    v_t = normalise(sum_i k_i u_i),    k_i = exp(-|t - t_i| / T) dt_i / (1 + (angle(u_i, v) / A)^2)
-    s_v = min(S sqrt(C / sum_i k_i), MAX_STD_DEG)
+    v_t = normalise(sum_i max(p_i, P) k_i u_i),    k_i = exp(-|t - t_i| / T) dt_i / (1 + (angle(u_i, v) / A)^2)
+    s_v = min(S sqrt(C / sum_i p_i k_i), MAX_STD_DEG)
 
-with dt_i the time to the next frame; live, the sums are over the frames before t alone. Directions of one person
-within the time C have nearly the same error, so sum_i k_i / C counts the independent ones, and s_v is the standard
-deviation of their mean.
+with p_i the share to which the pose stands and dt_i the time to the next frame; live, the sums are over the frames
+before t alone. Directions of one person within the time C have nearly the same error, so sum_i p_i k_i / C counts
+the independent ones, and s_v is the standard deviation of their mean.
 
 Each lifted pose y is then turned about the horizontal axis of its virtual camera, as the probabilities demand:
 
-    y' = R_x(g phi / (1 + (phi / B)^2)) y,    g = s_y^2 / (s_y^2 + s_u^2 + s_v^2)
+    y' = R_x(p g phi / (1 + (phi / B)^2)) y,    g = s_y^2 / (s_y^2 + s_u^2 + s_v^2)
 
 with phi the angle about that axis from u to v, s_y = KAPPA sigma_z / r the standard deviation of the lean of a
 lifted pose of radius r and depths of standard deviation sigma_z, and s_u that of the angle from u to the vertical
 in true poses. Turns about the line of sight and about the vertical are left to the image.
 
-A vertical that is given is told to the lifter besides. One that was found is not, for it rests on the lifter's own
-poses: told, it makes whole sequences of left-out persons 1 mm worse, where the turns make them 0.3 mm better.
+The lifter gets a vertical that is given as well, to the share p to which its own pose stands: its training shows
+hardly anybody who sits, and it takes them for people who lean. It does not get a vertical that was found, which
+rests on its own poses and makes whole sequences of left-out persons 1 mm worse; the turns make them 0.3 mm better.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ from numpy.typing import NDArray
 from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, FLOATS_3D, INPUT_1D, INPUT_2D, INPUT_3D, kernel
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import ConfigError
-from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.models.lifter import LiftedPoses, Lifter
+from mocap_ros.models.upward_direction import find_standing, find_upward
 from mocap_ros.skeleton import CORE_COUNT
 from mocap_ros.units import NS_PER_S
 
@@ -52,8 +54,9 @@ AUTO, NONE = 'auto', 'none'  # values of `tracker.vertical` besides three number
 MEMORY_S = 20.0  # s; T: long for people who turn about, short enough for a camera that is moved
 DIRECTION_STD_DEG = 8.0  # S: of the direction that a lifted pose tells
 CORRELATION_S = 4.0  # s; C: means over so long still differ by almost as much as those of single frames
-OUTLIER_DEG = 10.0  # A: who lies, sits or tumbles does not tell the vertical
-MAX_STD_DEG = 16.0  # of a vertical of which next to nothing is known
+OUTLIER_DEG = 10.0  # A: who lies or tumbles does not tell the vertical
+MIN_STANDING = 0.02  # 1; P: where nobody stands at all, a vertical is better than none
+MAX_STD_DEG = 25.0  # of a vertical of which next to nothing is known: that of people who sit all the time
 LEAN_PER_DEPTH = 0.36  # 1; KAPPA: share of the depths' errors that is a lean of the whole body
 BALANCE_STD_DEG = 6.0  # s_u
 MAX_TURN_DEG = 20.0  # B: a larger angle is rather a person who does not stand
@@ -69,14 +72,16 @@ class Vertical:
 
     Attributes:
         direction: (3,) unit vector upwards in the camera's optical frame.
-        seconds: s, for how long people have been seen, those of long ago counting less; infinite where it is
-            given.
+        seconds: s, for how long people have been seen standing, those of long ago counting less; infinite where
+            it is given.
+        weight: s, the same, in which those who do not stand count at least `MIN_STANDING`.
         stamp_ns: ns, stamp of the newest frame that it rests on.
     """
 
     direction: Array
     seconds: float
     stamp_ns: int = 0
+    weight: float = 0.0
 
     @property
     def std(self) -> float:
@@ -97,19 +102,23 @@ class Vertical:
         total = upward.sum(axis=0)
         return Vertical(total / max(float(np.linalg.norm(total)), 1e-9), 0.0, stamp_ns)
 
-    def advance(self, stamp_ns: int, upward: Array) -> Vertical:
+    def advance(self, stamp_ns: int, upward: Array, standing: Array) -> Vertical:
         """Return the vertical after another frame.
 
         Args:
             stamp_ns: ns, stamp of the frame, later than those before.
             upward: (P, 3) directions upwards that the poses of P >= 0 people tell, in the camera's optical frame.
+            standing: (P,) shares to which they stand.
         """
         if self.is_given:
             return self
         age_s = (stamp_ns - self.stamp_ns) / NS_PER_S
-        kept = self.seconds * math.exp(-age_s / MEMORY_S)
-        direction, seconds = _advance(self.direction, kept, min(age_s, MAX_STEP_S), np.ascontiguousarray(upward))
-        return Vertical(direction, seconds, stamp_ns)
+        faded = math.exp(-age_s / MEMORY_S)
+        kept = self.direction * (faded * self.weight)
+        direction, weight, seconds = _advance(
+            self.direction, kept, min(age_s, MAX_STEP_S), np.ascontiguousarray(upward), standing
+        )
+        return Vertical(direction, faded * self.seconds + seconds, stamp_ns, faded * self.weight + weight)
 
     def forget(self) -> Vertical | None:
         """Return what is left when the camera may have changed: a vertical that was given."""
@@ -137,32 +146,48 @@ def read_given_vertical(config: TrackerConfig) -> Vertical | None:
     return Vertical(direction / np.linalg.norm(direction), math.inf)
 
 
-def turn_towards_vertical(lifted: LiftedPoses, upward: Array, vertical: Array, std: Array) -> LiftedPoses:
+def lift_under_vertical(
+    lifter: Lifter, points: Array, weight: Array, focal: float, vertical: Array | None, std: Array | None
+) -> LiftedPoses:
+    """Lift poses under a vertical that is given, to the share to which the poses without it stand.
+
+    The arguments are those of `Lifter.lift`; the vertical is None where none is given.
+    """
+    plain = lifter.lift(points, weight, focal)
+    if vertical is None:
+        return plain
+    under = lifter.lift(points, weight, focal, vertical, std)
+    share = find_standing(plain.joints)[:, None, None]
+    return LiftedPoses(*(a + share * (b - a) for a, b in ((plain.joints, under.joints), (plain.std, under.std))))
+
+
+def turn_towards_vertical(lifted: LiftedPoses, vertical: Array, std: Array) -> LiftedPoses:
     """Return lifted poses turned towards the vertical (formulas of this module).
 
     Args:
         lifted: poses of F frames in the axes of their virtual cameras; NaN where they are not known.
-        upward: (F, 3) directions upwards that these poses tell, in the same axes.
         vertical: (F, 3) vertical in the same axes.
         std: (F,) rad, standard deviation of the vertical.
     """
     joints = _turn(
         np.ascontiguousarray(lifted.joints),
         np.ascontiguousarray(lifted.std),
-        np.ascontiguousarray(upward),
+        find_upward(lifted.joints),
         np.ascontiguousarray(vertical),
         np.ascontiguousarray(std),
+        find_standing(lifted.joints),
     )
     return LiftedPoses(joints, lifted.std)
 
 
-def find_vertical(times: Array, upward: Array) -> tuple[Array, Array]:
+def find_vertical(times: Array, upward: Array, standing: Array) -> tuple[Array, Array]:
     """Return the vertical of a whole sequence, found from all its frames.
 
     Args:
         times: (F,) s, increasing.
         upward: (F, 3) directions upwards that the poses of one person tell, in the optical frame of the camera;
             NaN where there is no pose.
+        standing: (F,) shares to which the poses stand.
 
     Returns:
         (F, 3) unit vectors and (F,) rad, their standard deviations; NaN where no frame has a pose.
@@ -173,7 +198,8 @@ def find_vertical(times: Array, upward: Array) -> tuple[Array, Array]:
     steps = np.minimum(np.diff(times, append=times[-1]), MAX_STEP_S)
     steps[-1] = steps[-2] if len(steps) > 1 else MAX_STEP_S
     weight = np.where(known, np.maximum(steps, 1e-9), 0.0)
-    directions, seconds = _find(times, np.where(known[:, None], upward, 0.0), weight)
+    shares = np.where(known, standing, 0.0)
+    directions, seconds = _find(times, np.where(known[:, None], upward, 0.0), weight, shares)
     std_deg = DIRECTION_STD_DEG * np.sqrt(CORRELATION_S / np.maximum(seconds, 1e-9))
     return directions, np.radians(np.minimum(std_deg, MAX_STD_DEG))
 
@@ -186,36 +212,42 @@ def _discount(direction: Array, upward: Array, row: int) -> float:
     return 1 / (1 + (angle / OUTLIER_DEG) ** 2)
 
 
-@kernel(types.Tuple((FLOATS_1D, FLOAT))(INPUT_1D, FLOAT, FLOAT, INPUT_2D))
-def _advance(direction: Array, kept: float, step: float, upward: Array) -> tuple[Array, float]:
-    """Return the new direction (3,) and its seconds.
+@kernel(types.Tuple((FLOATS_1D, FLOAT, FLOAT))(INPUT_1D, INPUT_1D, FLOAT, INPUT_2D, INPUT_1D))
+def _advance(
+    direction: Array, kept: Array, step: float, upward: Array, standing: Array
+) -> tuple[Array, float, float]:
+    """Return the new direction (3,), and what the new frame adds to the weight and the seconds.
 
     Args:
         direction: (3,) of the frame before.
-        kept: s, seconds that it counts for now.
+        kept: (3,) s, the direction times the weight that it has now.
         step: s, time that the new frame stands for.
         upward: (P, 3) directions of the new frame.
+        standing: (P,) shares to which these people stand.
     """
-    old, out, seconds = direction.copy(), kept * direction, kept
+    old, out, total, seconds = direction.copy(), kept.copy(), 0.0, 0.0
     for p in range(len(upward)):
-        weight = step * _discount(old, upward, p)
-        if not weight >= 0:  # not known
+        discounted = step * _discount(old, upward, p)
+        if not (discounted >= 0 and standing[p] >= 0):  # not known
             continue
-        seconds += weight
+        weight = discounted * max(standing[p], MIN_STANDING)
+        total += weight
+        seconds += discounted * standing[p]
         for i in range(3):
             out[i] += weight * upward[p, i]
     norm = math.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
-    return (out / norm if norm > 0 else old), seconds
+    return (out / norm if norm > 0 else old), total, seconds
 
 
-@kernel(types.Tuple((FLOATS_2D, FLOATS_1D))(INPUT_1D, INPUT_2D, INPUT_1D))
-def _find(times: Array, upward: Array, weight: Array) -> tuple[Array, Array]:
+@kernel(types.Tuple((FLOATS_2D, FLOATS_1D))(INPUT_1D, INPUT_2D, INPUT_1D, INPUT_1D))
+def _find(times: Array, upward: Array, weight: Array, standing: Array) -> tuple[Array, Array]:
     """Return the directions (F, 3) and their seconds (F,) of a whole sequence.
 
     Args:
         times: (F,) s.
         upward: (F, 3) directions that poses tell.
         weight: (F,) s, time that each frame stands for; 0 where it tells nothing.
+        standing: (F,) shares to which the poses stand.
     """
     frames = len(times)
     directions, seconds, robust = np.empty((frames, 3)), np.empty(frames), weight.copy()
@@ -225,16 +257,16 @@ def _find(times: Array, upward: Array, weight: Array) -> tuple[Array, Array]:
         for t in range(frames):  # frames before t and itself
             if t > 0:
                 total *= math.exp((times[t - 1] - times[t]) / MEMORY_S)
-            total[3] += robust[t]
+            total[3] += standing[t] * robust[t]
             for i in range(3):
-                total[i] += robust[t] * upward[t, i]
+                total[i] += max(standing[t], MIN_STANDING) * robust[t] * upward[t, i]
                 directions[t, i] = total[i]
             seconds[t] = total[3]
         total[:] = 0.0
         for t in range(frames - 2, -1, -1):  # frames after t
-            total[3] += robust[t + 1]
+            total[3] += standing[t + 1] * robust[t + 1]
             for i in range(3):
-                total[i] += robust[t + 1] * upward[t + 1, i]
+                total[i] += max(standing[t + 1], MIN_STANDING) * robust[t + 1] * upward[t + 1, i]
             total *= math.exp((times[t] - times[t + 1]) / MEMORY_S)
             for i in range(3):
                 directions[t, i] += total[i]
@@ -247,9 +279,11 @@ def _find(times: Array, upward: Array, weight: Array) -> tuple[Array, Array]:
     return directions, seconds
 
 
-@kernel(FLOATS_3D(INPUT_3D, INPUT_3D, INPUT_2D, INPUT_2D, INPUT_1D))
-def _turn(joints: Array, std: Array, upward: Array, vertical: Array, vertical_std: Array) -> Array:
-    """Compute `turn_towards_vertical`: joints and std (F, J, 3), upward and vertical (F, 3), vertical_std (F,)."""
+@kernel(FLOATS_3D(INPUT_3D, INPUT_3D, INPUT_2D, INPUT_2D, INPUT_1D, INPUT_1D))
+def _turn(
+    joints: Array, std: Array, upward: Array, vertical: Array, vertical_std: Array, standing: Array
+) -> Array:
+    """Compute `turn_towards_vertical`: joints and std (F, J, 3), upward and vertical (F, 3), the others (F,)."""
     out = joints.copy()
     count = joints.shape[1]
     for t in range(len(joints)):
@@ -260,7 +294,7 @@ def _turn(joints: Array, std: Array, upward: Array, vertical: Array, vertical_st
             spread += std[t, j, 2] ** 2
             radius += joints[t, j, 1] ** 2 + joints[t, j, 2] ** 2
         lean = LEAN_PER_DEPTH**2 * spread / max(radius, 1e-300)
-        share = lean / (lean + math.radians(BALANCE_STD_DEG) ** 2 + vertical_std[t] ** 2)
+        share = standing[t] * lean / (lean + math.radians(BALANCE_STD_DEG) ** 2 + vertical_std[t] ** 2)
         turn = share * angle / (1 + (angle / math.radians(MAX_TURN_DEG)) ** 2)
         if not math.isfinite(turn):
             continue

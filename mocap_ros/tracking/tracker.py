@@ -32,7 +32,7 @@ from mocap_ros.keypoints.left_right import BodySides, SwapFilter
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
 from mocap_ros.models.model_file import load_prior_lifter
-from mocap_ros.models.upward_direction import find_upward
+from mocap_ros.models.upward_direction import find_standing, find_upward
 from mocap_ros.models.velocity_correction import load_velocity_correction
 from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
 from mocap_ros.skeleton import keypoint_layout
@@ -41,7 +41,12 @@ from mocap_ros.solvers.leading_prior import can_base_poses_lead, let_base_poses_
 from mocap_ros.solvers.observed_window import RAY_FOCAL
 from mocap_ros.solvers.vertical import AUTO as AUTO_VERTICAL
 from mocap_ros.solvers.vertical import NONE as NO_VERTICAL
-from mocap_ros.solvers.vertical import Vertical, read_given_vertical, turn_towards_vertical
+from mocap_ros.solvers.vertical import (
+    Vertical,
+    lift_under_vertical,
+    read_given_vertical,
+    turn_towards_vertical,
+)
 from mocap_ros.tracking.body_size import (
     MAX_REMEMBERED,
     BodySize,
@@ -403,8 +408,8 @@ class Tracker:
     ) -> tuple[TrackerState, list[Track]]:
         """Return the tracks with their new frames lifted, all in one batch, if there is a lifter.
 
-        The lifter is told a vertical that is given. The lifted poses are turned towards the vertical as it was
-        known before; the state has it as it is known now, stamp in ns.
+        The lifter gets a vertical that is given, for those who stand. The lifted poses are turned towards the
+        vertical as it was known before; the state has it as it is known now, stamp in ns.
         """
         if self._lifter is None or not tracks:
             return state, tracks
@@ -416,22 +421,22 @@ class Tracker:
         if known is not None:
             direction = np.repeat([camera @ known.direction for camera in cameras], counts, axis=0)
             std = np.full(len(direction), known.std)
-        told = (direction, std) if known is not None and known.is_given else (None, None)
-        lifted = self._lifter.lift(points, weight, RAY_FOCAL, *told)
+        given = (direction, std) if known is not None and known.is_given else (None, None)
+        lifted = lift_under_vertical(self._lifter, points, weight, RAY_FOCAL, *given)
+        ends = np.cumsum(counts)
         if self.config.tracker.vertical != NO_VERTICAL:
-            upward = find_upward(lifted.joints)
+            newest = lifted.joints[ends - 1]
             if direction is not None and std is not None:
-                lifted = turn_towards_vertical(lifted, upward, direction, std)
-            state = self._update_vertical(state, stamp_ns, tracks, upward[np.cumsum(counts) - 1], cameras)
-        ends = np.cumsum(counts).tolist()
+                lifted = turn_towards_vertical(lifted, direction, std)
+            state = self._update_vertical(state, stamp_ns, tracks, newest, cameras)
         return state, [
             track.append_lifted(lifted.select_frames(slice(end - count, end)))
-            for track, count, end in zip(tracks, counts, ends, strict=True)
+            for track, count, end in zip(tracks, counts, ends.tolist(), strict=True)
         ]
 
     @staticmethod
     def _update_vertical(
-        state: TrackerState, stamp_ns: int, tracks: Sequence[Track], upward: Array, cameras: Sequence[Array]
+        state: TrackerState, stamp_ns: int, tracks: Sequence[Track], joints: Array, cameras: Sequence[Array]
     ) -> TrackerState:
         """Return the state with what the newest poses of people who are not tentative tell of the vertical.
 
@@ -439,19 +444,18 @@ class Tracker:
             state: state before.
             stamp_ns: ns, stamp of the newest frame.
             tracks: P tracks of the people in it.
-            upward: (P, 3) directions upwards that their newest poses tell, in the axes of the virtual cameras.
+            joints: (P, J, 3) their newest poses, in the axes of the virtual cameras.
             cameras: P rotations (3, 3) from the real camera to the virtual cameras.
         """
-        told = [
-            u @ camera
-            for track, u, camera in zip(tracks, upward, cameras, strict=True)
-            if not track.is_tentative and math.isfinite(u[0])
-        ]
-        if not told:
+        directions = find_upward(joints)
+        known = [p for p, track in enumerate(tracks) if not track.is_tentative and math.isfinite(directions[p, 0])]
+        if not known:
             return state
+        upward = np.array([directions[p] @ cameras[p] for p in known])
         if state.vertical is None:
-            return replace(state, vertical=Vertical.begin(stamp_ns, np.array(told)))
-        return replace(state, vertical=state.vertical.advance(stamp_ns, np.array(told)))
+            return replace(state, vertical=Vertical.begin(stamp_ns, upward))
+        standing = find_standing(joints[known])
+        return replace(state, vertical=state.vertical.advance(stamp_ns, upward, standing))
 
     def _initialise_tracks(self, tracks: Sequence[Track], memory: KeyPoseMemory) -> list[Track]:
         """Return the tracks with a first solution where there is none, all new people in one batch a model."""

@@ -4,8 +4,9 @@
 """Check of a given vertical against how people stand: where they contradict it, it is wrong, or they all lie.
 
 The directions upwards that poses tell (`models.upward_direction`) are compared with it in every frame. A
-difference of more than `MAX_ANGLE_DEG` that lasts is a doubt (`lasting_doubt.py`). A wrong vertical is told to the
-lifter, so poses lean towards it, and errors below 60 degrees are hardly seen; a wrong sign or axis is.
+difference of more than `MAX_ANGLE_DEG` that lasts is a doubt (`lasting_doubt.py`). The lifter takes a wrong
+vertical for a right one, so poses lean towards it, and errors below 60 degrees are hardly seen; a wrong sign or
+axis is.
 """
 
 from __future__ import annotations

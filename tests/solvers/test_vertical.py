@@ -15,9 +15,18 @@ from scipy.spatial.transform import Rotation
 
 from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import ConfigError
-from mocap_ros.models.lifter import LiftedPoses
+from mocap_ros.models.lifter import LiftedPoses, Lifter
+from mocap_ros.models.model_file import load_prior_lifter
+from mocap_ros.models.upward_direction import find_standing, find_upward
+from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers import vertical as module
-from mocap_ros.solvers.vertical import Vertical, find_vertical, read_given_vertical, turn_towards_vertical
+from mocap_ros.solvers.vertical import (
+    Vertical,
+    find_vertical,
+    lift_under_vertical,
+    read_given_vertical,
+    turn_towards_vertical,
+)
 
 UP = np.array([0.0, -math.cos(0.3), -math.sin(0.3)])  # of a camera that looks down by 17 degrees
 STEP_NS = 33_333_333  # ns; 30 frames per second
@@ -32,13 +41,13 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
     return math.degrees(math.acos(float(np.clip(a @ b, -1, 1))))
 
 
-def advance(vertical: Vertical | None, upward: np.ndarray) -> Vertical:
+def advance(vertical: Vertical | None, upward: np.ndarray, standing: float = 1.0) -> Vertical:
     """Frame by frame, upward (F, P, 3)."""
     for told in upward:
         if vertical is None:
             vertical = Vertical.begin(STEP_NS, told)
         else:
-            vertical = vertical.advance(vertical.stamp_ns + STEP_NS, told)
+            vertical = vertical.advance(vertical.stamp_ns + STEP_NS, told, np.full(len(told), standing))
     assert vertical is not None
     return vertical
 
@@ -58,22 +67,37 @@ def test_who_lies_does_not_tell_the_vertical(rng: np.random.Generator) -> None:
     misled = advance(learned, lying[:100, None])
     assert angle_deg(misled.direction, UP) < 3
     both = np.concatenate([lying[:100], upright])
-    directions, _ = find_vertical(np.arange(400) / 30, both)
+    directions, _ = find_vertical(np.arange(400) / 30, both, np.ones(400))
     assert max(angle_deg(d, UP) for d in directions) < 3
+
+
+def test_who_sits_hardly_tells_the_vertical_and_makes_it_no_surer(rng: np.random.Generator) -> None:
+    leaning = Rotation.from_rotvec([math.radians(22), 0, 0]).apply(UP)
+    seated, upright = scatter(rng, 1800, 4.0, leaning), scatter(rng, 150, 4.0)
+    only_seated = advance(None, seated.reshape(450, 4, 3), standing=0.0)
+    assert angle_deg(only_seated.direction, leaning) < 2, 'better than none'
+    assert only_seated.std == math.radians(module.MAX_STD_DEG), 'however many sit, and however long'
+    alone = advance(None, seated[:, None], standing=0.0)
+    assert angle_deg(advance(alone, upright[:, None]).direction, UP) < 4
+    both, standing = np.concatenate([seated, upright]), np.repeat([0.0, 1.0], [1800, 150])
+    directions, std = find_vertical(np.arange(1950) / 30, both, standing)
+    assert angle_deg(directions[-1], UP) < 4
+    assert std[-1] < math.radians(9)
+    assert std[0] == math.radians(module.MAX_STD_DEG)
 
 
 def test_a_camera_that_was_tilted_is_forgotten(rng: np.random.Generator) -> None:
     tilted = np.array([0.0, -math.cos(0.6), -math.sin(0.6)])  # by 17 degrees more
     before, after = scatter(rng, 600, 4.0), scatter(rng, 1800, 4.0, tilted)
     assert angle_deg(advance(advance(None, before[:, None]), after[:, None]).direction, tilted) < 2
-    directions, _ = find_vertical(np.arange(2400) / 30, np.concatenate([before, after]))
+    directions, _ = find_vertical(np.arange(2400) / 30, np.concatenate([before, after]), np.ones(2400))
     assert angle_deg(directions[0], UP) < 9, 'half of the tilt: later frames count a little'
     assert angle_deg(directions[-1], tilted) < 2
 
 
 def test_time_without_people_makes_it_less_certain(rng: np.random.Generator) -> None:
     known = advance(None, scatter(rng, 600, 4.0)[:, None])
-    later = known.advance(known.stamp_ns + 30 * 10**9, scatter(rng, 1, 4.0))
+    later = known.advance(known.stamp_ns + 30 * 10**9, scatter(rng, 1, 4.0), np.ones(1))
     assert later.std > known.std
 
 
@@ -82,30 +106,76 @@ def test_whole_sequences_do_not_depend_on_the_direction_of_time(rng: np.random.G
     upward = scatter(rng, 100, 6.0)
     upward[10:20] = np.nan
     steady = np.arange(100) / 30
-    forward, std = find_vertical(steady, upward)
-    backward, _ = find_vertical(steady, upward[::-1].copy())
+    forward, std = find_vertical(steady, upward, np.ones(100))
+    backward, _ = find_vertical(steady, upward[::-1].copy(), np.ones(100))
     assert forward == pytest.approx(backward[::-1], abs=1e-6)
     assert np.isfinite(std).all()
-    assert np.isfinite(find_vertical(times, upward)[0]).all(), 'the vertical is known where the person is not'
-    unknown, unknown_std = find_vertical(times, np.full((100, 3), np.nan))
+    assert np.isfinite(find_vertical(times, upward, np.ones(100))[0]).all(), (
+        'the vertical is known where the person is not'
+    )
+    unknown, unknown_std = find_vertical(times, np.full((100, 3), np.nan), np.full(100, np.nan))
     assert np.isnan(unknown).all()
     assert np.isnan(unknown_std).all()
-    assert np.isfinite(find_vertical(times[:1], upward[:1])[0]).all(), 'one frame'
+    assert np.isfinite(find_vertical(times[:1], upward[:1], np.ones(1))[0]).all(), 'one frame'
 
 
 def make_lifted(rng: np.random.Generator, frames: int, depth_std: float) -> LiftedPoses:
     std = np.full((frames, 15, 3), 0.02)
     std[..., 2] = depth_std
-    return LiftedPoses(rng.normal(scale=0.4, size=(frames, 15, 3)), std)
+    return LiftedPoses(POSES['standing'] + rng.normal(scale=0.03, size=(frames, 15, 3)), std)
+
+
+def make_pose(knee: tuple[float, float], ankle: tuple[float, float]) -> np.ndarray:
+    """(15, 3) m in optical axes, of somebody who faces the camera, with y and z of knees and ankles."""
+    pose = np.zeros((15, 3))
+    for joint, *yz in (('neck', -0.5, 0.0), ('knee', *knee), ('ankle', *ankle)):
+        for name in (joint, 'l' + joint, 'r' + joint):
+            if name in CMU15.joints:
+                pose[CMU15.joints.index(name), 1:] = yz
+    return pose
+
+
+POSES = {'standing': make_pose((0.4, 0.0), (0.8, 0.0)), 'seated': make_pose((0.05, -0.4), (0.45, -0.4))}
+
+
+def test_thighs_and_trunk_tell_whether_somebody_stands() -> None:
+    walking = POSES['standing'].copy()
+    walking[CMU15.joints.index('lknee')] = POSES['seated'][CMU15.joints.index('lknee')]  # one leg is raised
+    unknown = np.full((15, 3), np.nan)
+    shares = find_standing(np.stack([*POSES.values(), walking, unknown]))
+    assert shares[:3].tolist() == [1, 0, 1]
+    assert np.isnan(shares[3])
+
+
+def test_the_lifter_gets_a_vertical_for_those_who_stand_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    poses = np.stack([*POSES.values()])
+
+    def lift(_: Lifter, *args: np.ndarray | float) -> LiftedPoses:  # 1 m higher under a vertical
+        is_told = len(args) > 3
+        return LiftedPoses(poses - [0, is_told, 0], np.full_like(poses, 2.0 if is_told else 1.0))
+
+    monkeypatch.setattr(Lifter, 'lift', lift)
+    lifter, history = load_prior_lifter('learned', CMU15), (np.zeros((2, 1, 15, 2)), np.ones((2, 1, 15)), 1.0)
+    assert lifter is not None
+    lifted = lift_under_vertical(lifter, *history, np.tile(UP, (2, 1)), np.full(2, 0.02))
+    assert lifted.joints == pytest.approx(np.stack([POSES['standing'] - [0, 1, 0], POSES['seated']]))
+    assert lifted.std[:, 0, 0].tolist() == [2, 1]
+    assert lift_under_vertical(lifter, *history, None, None).joints == pytest.approx(poses)
+
+
+def test_who_sits_is_not_turned() -> None:
+    lifted = LiftedPoses(POSES['seated'][None], np.full((1, 15, 3), 0.1))
+    assert np.array_equal(turn_towards_vertical(lifted, UP[None], np.full(1, 0.02)).joints, lifted.joints)
 
 
 def test_poses_are_turned_about_the_horizontal_axis_by_the_share_of_the_formula(rng: np.random.Generator) -> None:
     lifted = make_lifted(rng, 4, 0.1)
-    upward = np.array([Rotation.from_rotvec([a, 0, 0]).apply(UP) for a in (-0.2, -0.01, 0.0, 0.05)])
-    turned = turn_towards_vertical(lifted, upward, np.tile(UP, (4, 1)), np.full(4, 0.03))
-    for pose, std, angle, result in zip(
-        lifted.joints, lifted.std, (0.2, 0.01, 0.0, -0.05), turned.joints, strict=True
-    ):
+    angles = (0.2, 0.01, 0.0, -0.05)
+    vertical = [
+        Rotation.from_rotvec([a, 0, 0]).apply(u) for a, u in zip(angles, find_upward(lifted.joints), strict=True)
+    ]
+    turned = turn_towards_vertical(lifted, np.array(vertical), np.full(4, 0.03))
+    for pose, std, angle, result in zip(lifted.joints, lifted.std, angles, turned.joints, strict=True):
         radius = math.sqrt((pose[:, 1:] ** 2).sum() / 15)
         lean = module.LEAN_PER_DEPTH * math.sqrt((std[:, 2] ** 2).mean()) / radius
         share = lean**2 / (lean**2 + math.radians(module.BALANCE_STD_DEG) ** 2 + 0.03**2)
@@ -117,10 +187,10 @@ def test_poses_are_turned_about_the_horizontal_axis_by_the_share_of_the_formula(
 def test_what_is_not_known_turns_nothing(rng: np.random.Generator) -> None:
     lifted = make_lifted(rng, 2, 0.1)
     up = np.tile(UP, (2, 1))
-    unknown = turn_towards_vertical(lifted, up, np.full((2, 3), np.nan), np.full(2, np.nan))
+    unknown = turn_towards_vertical(lifted, np.full((2, 3), np.nan), np.full(2, np.nan))
     assert np.array_equal(unknown.joints, lifted.joints)
     lost = LiftedPoses(np.full((2, 15, 3), np.nan), lifted.std)
-    assert np.isnan(turn_towards_vertical(lost, np.full((2, 3), np.nan), up, np.full(2, 0.1)).joints).all()
+    assert np.isnan(turn_towards_vertical(lost, up, np.full(2, 0.1)).joints).all()
 
 
 def test_a_given_vertical_is_never_changed_by_what_people_do(rng: np.random.Generator) -> None:
@@ -128,7 +198,7 @@ def test_a_given_vertical_is_never_changed_by_what_people_do(rng: np.random.Gene
     assert given_vertical is not None
     assert given_vertical.direction == pytest.approx([0, -0.8, -0.6])
     assert given_vertical.std == pytest.approx(math.radians(module.GIVEN_STD_DEG))
-    assert given_vertical.advance(10**9, scatter(rng, 3, 5.0)) is given_vertical
+    assert given_vertical.advance(10**9, scatter(rng, 3, 5.0), np.ones(3)) is given_vertical
     assert given_vertical.forget() is given_vertical
     assert advance(None, scatter(rng, 3, 5.0)[:, None]).forget() is None
     assert read_given_vertical(TrackerConfig()) is None
@@ -147,7 +217,7 @@ def test_a_vertical_that_is_no_unit_vector_is_refused(text: str) -> None:
 def test_no_direction_makes_the_vertical_unusable(direction: list[float]) -> None:
     told = np.array([direction])
     with np.errstate(all='ignore'):
-        vertical = Vertical.begin(1, np.array([UP])).advance(STEP_NS, told)
+        vertical = Vertical.begin(1, np.array([UP])).advance(STEP_NS, told, np.ones(1))
         norm = float(np.linalg.norm(direction))
     if abs(norm - 1) < 1e-6 or math.isnan(norm):
         assert np.linalg.norm(vertical.direction) == pytest.approx(1)

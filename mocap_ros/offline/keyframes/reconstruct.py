@@ -21,7 +21,6 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.upward_direction import find_upward
 from mocap_ros.offline.keyframes.body_halves import estimate_torso_lengths, extract_half_poses, split_into_halves
 from mocap_ros.offline.keyframes.detector_offsets import estimate_joint_offsets, subtract_offsets
 from mocap_ros.offline.keyframes.filters import interpolate_gaps
@@ -351,5 +350,5 @@ def _build_result(
     camera = observed.virtual_camera
     in_camera = camera.to_real_camera(joints) + camera.root_positions(cameras, translation)[:, None]
     in_camera[~in_sight] = np.nan
-    vertical = choose_vertical(observed.times, find_upward(in_camera), config)
+    vertical = choose_vertical(observed.times, in_camera, config)
     return SequenceResult(in_camera, seen, CMU15, category, solution, camera, *vertical)
