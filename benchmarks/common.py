@@ -62,7 +62,9 @@ HELD_OUT_LIFTER = ROOT / 'benchmarks' / 'models' / 'lifter_heldout.npz'
 CAPTURE_FILES = {'cmu': ('cmu', 'cmu15_30fps.npz'), 'motion': ('motion', 'body26_30fps.npz')}
 _chosen_capture = ['cmu']
 RECORDED_DETECTORS, CAMERAS = ('openpose', 'mediapipe'), (1, 2, 3)  # of the recorded detections
-ORTHOGRAPHIC_FOCAL_LENGTH = 20.0  # image widths; so long that perspective looks orthographic, as in the views
+ORTHOGRAPHIC_FOCAL_LENGTH = (
+    20.0  # longer sides of the image; so long that perspective looks orthographic, as in the views
+)
 # The fixed amount of linear algebra by which machines are compared.
 REFERENCE_KERNEL = '200 Cholesky factorisations of a 512 x 512 matrix'
 

@@ -13,7 +13,7 @@ from mocap_ros.api.arguments import check_image_size, check_positive, check_sequ
 from mocap_ros.api.poses import PoseSequence
 from mocap_ros.config import NodeConfig, format_value
 from mocap_ros.errors import InputError
-from mocap_ros.formats.detections import Video
+from mocap_ros.formats.detections import HFOV_RANGE_DEG, Video
 from mocap_ros.formats.sequence_file import KeypointSequence, make_camera_arrays, save_sequence
 from mocap_ros.formats.text_files import replace_output
 from mocap_ros.runtime import save_results
@@ -33,6 +33,8 @@ def read(
     image_size: tuple[int, int] | None = None,
     layout: str = '',
     detector: str | Path | None = None,
+    hfov: float | None = None,
+    focal: float | None = None,
 ) -> KeypointSequence:
     """Read one person's keypoints from a sequence file, a bag, OpenPose files, COCO keypoints, or a video.
 
@@ -41,7 +43,7 @@ def read(
 
     Args:
         path: sequence file (`.npz`), bag of ROS 2 or ROS 1, folder of OpenPose's JSON, or COCO keypoints
-            (`.json`), or video. A sequence file takes none of the other arguments.
+            (`.json`), or video. A sequence file takes none of the other arguments but `hfov` and `focal`.
         person: id of the person; by default the person who is seen in most frames.
         topic: topic of the keypoints; needed only for a bag with several.
         camera_info: topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
@@ -49,7 +51,10 @@ def read(
         image_size: (width, height) in px, where JSON does not state it.
         layout: name of the keypoint layout of JSON; by default the one with that number of keypoints.
         detector: file of the model that finds the keypoints in a video: MediaPipe's pose landmarker (`.task`), or
-            RTMPose or MoveNet (`.onnx`); by default the one that comes with MediaPipe 0.10.14.
+            RTMPose or MoveNet (`.onnx`); by default the one that comes with MediaPipe.
+        hfov: degrees, horizontal field of view of a camera without calibration; by default a nominal focal length
+            is assumed, to which distances from the camera are proportional.
+        focal: px, focal length of a camera without calibration, in place of `hfov`.
 
     Raises:
         InputError: the file has none of these formats, or its content or an argument is not valid; the error names
@@ -62,11 +67,19 @@ def read(
         fps = check_positive('fps', fps)
     if image_size is not None:
         image_size = check_image_size(image_size)
+    if focal is not None:
+        focal = check_positive('focal', focal)
+    if hfov is not None:
+        hfov, (low, high) = check_positive('hfov', hfov), HFOV_RANGE_DEG
+        if not low <= hfov <= high:
+            raise InputError(f'hfov: {hfov:g}, expected {low:g} to {high:g} degrees')
+        if focal is not None:
+            raise InputError('focal: hfov is given as well')
     if layout:
         name_argument('layout', lambda: keypoint_layout(layout))
     model = None if detector is None else read_path('detector', detector)
     try:
-        video = Video(fps, image_size, layout, model)
+        video = Video(fps, image_size, layout, model, hfov, focal)
         sequence, lines = load_input(path, video, NodeConfig(), person, topic, camera_info)
     except InputError as error:
         raise InputError(_name_arguments(str(error))) from None

@@ -63,9 +63,10 @@ def reconstruct(
     """Reconstruct one person in 3D over a whole sequence, so that every frame supports the others.
 
     Args:
-        keypoints: (F, J, 3) x to the right and y down in px, and confidence score in [0, 1]; NaN or score 0 where
-            a keypoint was not seen. Or a `KeypointSequence`, as `mocap_ros.read` returns it; then only `model`,
-            `parameters` and `method` may be given as well.
+        keypoints: (F, J, 3) x to the right and y down in px, and confidence score in [0, 1]; NaN, x = y = 0 or
+            score 0 where a keypoint was not seen; where scores exceed 1, those of the frame are divided by the
+            largest. Or a `KeypointSequence`, as `mocap_ros.read` returns it; then only `model`, `parameters` and
+            `method` may be given as well.
         joint_names: (J,) names of the keypoints in any common spelling (`left_shoulder`, `LShoulder`), or the name
             of a keypoint layout, such as `coco17`.
         times: (F,) s, increasing.

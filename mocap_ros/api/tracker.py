@@ -106,7 +106,7 @@ class Tracker:
             time_s: s, time of the image, later than that of the frame before. A time that is earlier by more than
                 `tracker.restart_after` restarts the tracking.
             people: (P, J, 3) keypoints of the P people in the image, possibly none: x to the right and y down in
-                px, and confidence score in [0, 1]; NaN or score 0 where a keypoint was not seen.
+                px, and confidence score in [0, 1]; NaN, x = y = 0 or score 0 where a keypoint was not seen.
             ids: (P,) names that the detector gives the people, empty where it gives none; by default, or with
                 None, people are told apart by their positions.
 

@@ -427,12 +427,13 @@ def _select_options(settings: Settings, kind: InputKind) -> tuple[Video, str | N
     Returns:
         Options of a video and of JSON, the topic of the keypoints and that of the CameraInfo.
     """
+    lens = Video(hfov=settings.video.hfov, focal=settings.video.focal)
     if kind is InputKind.SEQUENCE:
-        return Video(), None, None
+        return lens, None, None
     if kind is InputKind.VIDEO:
-        return Video(detector=settings.video.detector), None, None
+        return replace(lens, detector=settings.video.detector), None, None
     if kind is InputKind.BAG:
-        return Video(), settings.topic, settings.camera_info
+        return lens, settings.topic, settings.camera_info
     return replace(settings.video, detector=None), None, None
 
 

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
-from mocap_ros.cli.keypoint_input import add_camera_info_option, add_video_options
+from mocap_ros.cli.keypoint_input import add_camera_info_option, add_video_options, read_video_options
 from mocap_ros.cli.lines import print_remark, print_result
 from mocap_ros.cli.options import add_config_options, load_config_file, parse_changes, parse_count, parse_positive
 from mocap_ros.errors import InputError, MocapError, tell_installation
-from mocap_ros.formats.detections import Video
 from mocap_ros.runtime.save_results import SUFFIXES
 
 if TYPE_CHECKING:
@@ -128,6 +127,10 @@ def _make_settings(args: argparse.Namespace) -> Settings:
     from mocap_ros.batch.job import Settings
     from mocap_ros.batch.recordings import Work
 
+    if args.work == Work.REPLAY.value and (args.hfov or args.focal):
+        raise InputError(
+            '--hfov and --focal do not apply to --work replay; set tracker.nominal_focal_length instead'
+        )
     settings = Settings(
         Work(args.work),
         args.output if '://' in args.output else str(Path(args.output).resolve()),
@@ -135,7 +138,7 @@ def _make_settings(args: argparse.Namespace) -> Settings:
         changes=parse_changes(args),
         topic=args.topic,
         camera_info=args.camera_info,
-        video=Video(args.fps, args.image_size, args.layout or '', args.detector),
+        video=read_video_options(args),
         suffix=args.suffix,
         cut_seconds=(args.cut or 0.0) * MINUTE_S,
         copy_limit_bytes=round(args.copy_limit * GB),

@@ -20,7 +20,7 @@ from mocap_ros.cli.options import parse_positive
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError, MocapError
-from mocap_ros.formats.detections import Video
+from mocap_ros.formats.detections import HFOV_RANGE_DEG, Video
 from mocap_ros.formats.mocap.trials import MANIFEST_NAME, list_files
 from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX, KeypointSequence
 from mocap_ros.formats.video import VideoImage
@@ -109,7 +109,7 @@ def add_camera_info_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_video_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options for what JSON files do not state."""
+    """Add the options for what JSON files, and the camera of any input, do not state."""
     parser.add_argument(
         '--fps',
         type=parse_positive,
@@ -122,6 +122,20 @@ def add_video_options(parser: argparse.ArgumentParser) -> None:
         metavar='WxH',
         help='px, size of the image if JSON does not give it (default: a common size that contains all points)',
     )
+    lens = parser.add_mutually_exclusive_group()
+    lens.add_argument(
+        '--hfov',
+        type=_parse_hfov,
+        metavar='DEG',
+        help='degrees, horizontal field of view of a camera without calibration, 65 to 70 of most webcams '
+        '(default: the parameter tracker.nominal_focal_length)',
+    )
+    lens.add_argument(
+        '--focal',
+        type=parse_positive,
+        metavar='PX',
+        help='px, focal length of a camera without calibration, in place of --hfov (default: likewise)',
+    )
     parser.add_argument(
         '--layout',
         choices=LAYOUT_NAMES,
@@ -132,8 +146,13 @@ def add_video_options(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar='FILE',
         help='model that finds the keypoints in a video, as for `mocap-ros detect --model` (default: the one that '
-        'comes with MediaPipe 0.10.14)',
+        'comes with MediaPipe 0.10.21)',
     )
+
+
+def read_video_options(args: argparse.Namespace) -> Video:
+    """Return what the options of `add_video_options` state."""
+    return Video(args.fps, args.image_size, args.layout or '', args.detector, args.hfov, args.focal)
 
 
 def load_input_sequence(args: argparse.Namespace, config: Config) -> KeypointSequence:
@@ -144,7 +163,7 @@ def load_input_sequence(args: argparse.Namespace, config: Config) -> KeypointSeq
     Raises:
         InputError: the input cannot be used; the message names the place.
     """
-    video = Video(args.fps, args.image_size, args.layout or '', args.detector)
+    video = read_video_options(args)
     topics = args.topic, args.camera_info
     sequence, lines = load_input(args.input, video, config.node, args.person, *topics, show_detection_progress)
     for line in lines:
@@ -154,7 +173,7 @@ def load_input_sequence(args: argparse.Namespace, config: Config) -> KeypointSeq
 
 def load_input_people(args: argparse.Namespace, config: Config) -> list[KeypointSequence]:
     """Load the sequences of all people in the input, as `load_input_sequence` loads that of one."""
-    video = Video(args.fps, args.image_size, args.layout or '', args.detector)
+    video = read_video_options(args)
     topics = args.topic, args.camera_info
     sequences, lines = load_people(args.input, video, config.node, *topics, show_detection_progress)
     for line in lines:
@@ -165,6 +184,14 @@ def load_input_people(args: argparse.Namespace, config: Config) -> list[Keypoint
 def show_detection_progress(images: Iterable[VideoImage], count: int | None) -> Iterable[VideoImage]:
     """Show how many of the images of a video the detector has seen."""
     return show_progress(images, 'detect', count)
+
+
+def _parse_hfov(text: str) -> float:
+    """Parse a horizontal field of view in degrees for argparse."""
+    hfov, (low, high) = parse_positive(text), HFOV_RANGE_DEG
+    if not low <= hfov <= high:
+        raise argparse.ArgumentTypeError(f'{text} degrees; expected {low:g} to {high:g}')
+    return hfov
 
 
 def _parse_image_size(text: str) -> tuple[int, int]:

@@ -109,11 +109,11 @@ def _load_result(args: argparse.Namespace) -> plots.PlotData:
     Raises:
         InputError: the result cannot be read, or an option is given that only applies to a reconstruction.
     """
-    read_options = args.topic, args.camera_info, args.fps, args.image_size, args.layout
+    read_options = args.topic, args.camera_info, args.fps, args.image_size, args.layout, args.hfov, args.focal
     if any((*read_options, args.model, args.config, args.set)):
         raise InputError(
             f'{args.input}: holds a result, which is drawn as it is; --topic, --camera-info, --fps, --image-size, '
-            '--layout, --model, --config and --set apply to keypoints only'
+            '--hfov, --focal, --layout, --model, --config and --set apply to keypoints only'
         )
     result, person = load_result(args.input, args.person)
     drawn = plots.PlotData(result.times, result.joints, result.seen, result.skeleton)

@@ -18,6 +18,7 @@ from mocap_ros.cli.keypoint_input import (
     list_sources,
     load_models,
     name_file_in_errors,
+    read_video_options,
     show_detection_progress,
 )
 from mocap_ros.cli.lines import print_remark, print_result
@@ -25,7 +26,6 @@ from mocap_ros.cli.options import add_config_options, load_config
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.config import Config
 from mocap_ros.errors import ConfigError, InputError, MocapError
-from mocap_ros.formats.detections import Video
 from mocap_ros.formats.result_file import is_result_file
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.runtime.bag_images import read_images
@@ -38,8 +38,8 @@ from mocap_ros.viewing.scene import Scene, SceneImage
 SUFFIXES = ('.html', '.rrd')  # of the files that this command writes
 # Options that say how an input is read and reconstructed.
 OPTIONS_OF_INPUTS = (
-    *('--person', '--camera-info', '--fps', '--image-size', '--layout', '--detector', '--keyframes'),
-    *('--model', '--config', '--set'),
+    *('--person', '--camera-info', '--fps', '--image-size', '--hfov', '--focal', '--layout', '--detector'),
+    *('--keyframes', '--model', '--config', '--set'),
 )
 
 
@@ -173,7 +173,7 @@ def _load(args: argparse.Namespace, config: Config) -> Scene:
     options = SceneOptions(
         config=config,
         models=load_models(args, config),
-        video=Video(args.fps, args.image_size, args.layout or '', args.detector),
+        video=read_video_options(args),
         person=args.person,
         topic=args.topic,
         camera_info=args.camera_info,

@@ -108,7 +108,7 @@ class SolverConfig:
         'that were aligned by heading; only a turn of the camera changes that projection',
     )
     scale_weight: float = define_weight(
-        0.02, "m^2 s, weight of the squared change of the logarithm of the camera's scale between frames"
+        0.2, "m^2 s, weight of the squared change of the logarithm of the camera's scale between frames"
     )
     smooth_weight: float = define_weight(
         3e-6, 'm^2 s, weight of the squared change of the base-pose weights between frames, in standard deviations'
@@ -297,7 +297,11 @@ class TrackerConfig:
     )
     perspective: bool = define_parameter(True, 'use the true perspective projection where CameraInfo is known')
     nominal_focal_length: float = define_parameter(
-        1.0, 'image widths, focal length that is assumed where no CameraInfo is known', low=0.1, high=20.0
+        0.75,
+        'longer sides of the image, focal length that is assumed where no calibration is known: 0.75 is that of '
+        'webcams and telephones (67 degrees); distances from the camera are proportional to it',
+        low=0.1,
+        high=20.0,
     )
 
 

@@ -9,6 +9,7 @@ People with an id are identified by it. People without an id are associated by p
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -48,12 +49,13 @@ MAX_FRAME_RATE_HZ = 10_000.0  # far above that of any video of people; keeps tim
 MAX_FRAMES = 1_000_000  # guards the memory against frame numbers that are not of one video; 9 h at 30 Hz
 MAX_KEYPOINTS = 50_000_000  # of a person over time; guards the memory; 9 h of body25 have half of it
 MAX_GAP_S = 3.0  # s without a detection after which a track without an id ends; documented in docs/files.md
+HFOV_RANGE_DEG = 1.0, 170.0  # degrees; fields of view of lenses without a distortion that has to be known
 MAX_LISTED_PEOPLE = 5  # people named in a line of output
 
 
 @dataclass(frozen=True)
 class Video:
-    """The properties of a video that a detector's files do not state, and the detector for a video itself.
+    """What an input does not state: the properties of a video, its detector, and the focal length of the camera.
 
     Attributes:
         fps: frame rate in Hz, or None where unknown.
@@ -62,12 +64,38 @@ class Video:
             tells the layout.
         detector: file of the model that finds keypoints in a video; None for the one that comes with some versions
             of MediaPipe.
+        hfov: degrees, horizontal field of view of the camera, or None where it is not given.
+        focal: px, focal length of the camera, or None where it is not given; only one of the two is given.
     """
 
     fps: float | None = None
     image_size: ImageSize | None = None
     layout: str = ''
     detector: Path | None = None
+    hfov: float | None = None
+    focal: float | None = None
+
+    @property
+    def fits_any_input(self) -> bool:
+        """Whether nothing is given but the focal length, which may be given of any input."""
+        return replace(self, hfov=None, focal=None) == Video()
+
+    def find_focal_length(self, image_width: int) -> float | None:
+        """Return the focal length in px, in images of this width in px; None where neither it nor hfov is given.
+
+        Raises:
+            InputError: it is no focal length in px in an image of this width.
+        """
+        if self.hfov is not None:
+            return image_width / 2 / math.tan(math.radians(self.hfov / 2))
+        if self.focal is not None:
+            hfov = math.degrees(2 * math.atan2(image_width / 2, self.focal))
+            if not HFOV_RANGE_DEG[0] <= hfov <= HFOV_RANGE_DEG[1]:
+                raise InputError(
+                    f'--focal: {self.focal:g} px in an image {image_width} px wide are {hfov:.3g} degrees; '
+                    f'{HFOV_RANGE_DEG[0]:g} to {HFOV_RANGE_DEG[1]:g} expected'
+                )
+        return self.focal
 
 
 @dataclass(frozen=True, eq=False)

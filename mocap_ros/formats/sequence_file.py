@@ -108,13 +108,19 @@ class KeypointSequence:
         return len(self.timestamps)
 
     def __repr__(self) -> str:
-        is_camera_known = self.camera_matrix is not None or self.calibration is not None
         return (
             f'KeypointSequence: {describe_frames(self.timestamps)}, {len(self.joint_names)} joints '
             f'({(self.keypoints[..., 2] > 0).mean():.0%} seen) in {self.image_size[0]} x {self.image_size[1]} px, '
-            f'camera {"known" if is_camera_known else "unknown"}, '
+            f'camera {"known" if self.is_camera_known else "unknown"}, '
             f'{"no truth" if self.truth is None else f"truth of {len(self.truth.joint_names)} joints"}'
         )
+
+    @property
+    def is_camera_known(self) -> bool:
+        """Whether the focal length is known, and not nominal."""
+        if self.calibration is not None:
+            return self.calibration.is_focal_known
+        return self.camera_matrix is not None
 
     @property
     def stamps_ns(self) -> list[int]:
@@ -126,30 +132,30 @@ class KeypointSequence:
         keypoints = self.keypoints[frame]
         return Person2D(person_id, self.joint_names, keypoints[:, :2], keypoints[:, 2])
 
-    def intrinsics(self, focal_in_widths: float) -> Intrinsics:
+    def intrinsics(self, focal_in_sides: float) -> Intrinsics:
         """Return the intrinsics of the camera.
 
         Args:
-            focal_in_widths: focal length in image widths that is assumed where the camera is unknown.
+            focal_in_sides: focal length in longer sides of the image that is assumed where the camera is unknown.
         """
         if self.calibration is not None:
             return self.calibration
-        return create_intrinsics(self.image_size, self.camera_matrix, self.distortion, focal_in_widths)
+        return create_intrinsics(self.image_size, self.camera_matrix, self.distortion, focal_in_sides)
 
 
 def extract_observations(
-    sequence: KeypointSequence, focal_in_widths: float
+    sequence: KeypointSequence, focal_in_sides: float
 ) -> tuple[Array, tuple[str, ...], Array, Intrinsics]:
     """Return the arguments of a reconstruction: keypoints, joint names, times and camera intrinsics.
 
     Args:
         sequence: the sequence.
-        focal_in_widths: focal length in image widths that is assumed where the camera is unknown.
+        focal_in_sides: focal length in longer sides of the image that is assumed where the camera is unknown.
 
     Returns:
         Keypoints (F, J, 3) with x, y in px and a score, the J joint names, times (F,) in s, and the intrinsics.
     """
-    intrinsics = sequence.intrinsics(focal_in_widths)
+    intrinsics = sequence.intrinsics(focal_in_sides)
     return sequence.keypoints, sequence.joint_names, sequence.timestamps, intrinsics
 
 
@@ -159,7 +165,7 @@ def describe_frames(times: Array) -> str:
 
 
 def create_intrinsics(
-    image_size: tuple[int, int], camera_matrix: Array | None, distortion: Array | None, focal_in_widths: float
+    image_size: tuple[int, int], camera_matrix: Array | None, distortion: Array | None, focal_in_sides: float
 ) -> Intrinsics:
     """Return the intrinsics of a camera matrix or, where there is none, nominal ones for the image size.
 
@@ -167,11 +173,11 @@ def create_intrinsics(
         image_size: (width, height) in px.
         camera_matrix: (3, 3) px, or None where the camera is unknown.
         distortion: distortion coefficients in OpenCV's order, or None.
-        focal_in_widths: focal length in image widths that is assumed where the camera is unknown.
+        focal_in_sides: focal length in longer sides of the image that is assumed where the camera is unknown.
     """
     if camera_matrix is not None:
         return Intrinsics.from_matrix(camera_matrix, _create_distortion(distortion), image_size)
-    return Intrinsics.from_image_size(*image_size, focal_in_widths)
+    return Intrinsics.from_image_size(*image_size, focal_in_sides)
 
 
 def make_camera_arrays(sequence: KeypointSequence) -> tuple[Array | None, Array | None]:

@@ -80,13 +80,14 @@ class Intrinsics:
         return replace(self, focal=scale * self.focal, center=(float(x), float(y)), image_size=other.image_size)
 
     @staticmethod
-    def from_image_size(width: int, height: int, focal_in_widths: float) -> Intrinsics:
+    def from_image_size(width: int, height: int, focal_in_sides: float) -> Intrinsics:
         """Return nominal intrinsics for an image of `width` by `height` px.
 
-        The focal length is `focal_in_widths` image widths and the principal point is the image centre.
+        The focal length is `focal_in_sides` times the longer side, so that it is the same for a telephone held
+        upright or across, and the principal point is the image centre.
         """
-        size = width, height
-        return Intrinsics(focal_in_widths * width, (width / 2, height / 2), is_focal_known=False, image_size=size)
+        focal, size = focal_in_sides * max(width, height), (width, height)
+        return Intrinsics(focal, (width / 2, height / 2), is_focal_known=False, image_size=size)
 
     @staticmethod
     def from_matrix(

@@ -69,7 +69,7 @@ def load_input(
     """
     kind = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS)
     if kind is InputKind.SEQUENCE:
-        if person or topic or camera_info or video != Video():
+        if person or topic or camera_info or not video.fits_any_input:
             raise InputError(
                 f'{path}: --person, --topic, --camera-info, --fps, --image-size, --layout and --detector do not '
                 'apply to a sequence file'
@@ -85,7 +85,11 @@ def load_input(
             raise InputError(f'{path}: {error}') from None
     outside = describe_points_outside(*_split_keypoints(sequence), sequence.image_size)
     lines += [f'image size: {outside}'] if outside else []
-    lines += _describe_lens(sequence)
+    try:
+        (sequence,), lens_lines = give_focal_length([sequence], video)
+    except InputError as error:
+        raise InputError(f'{path}: {error}') from None
+    lines += [*lens_lines, *_describe_lens(sequence)]
     return sequence, [f'{path}: {line}' for line in lines]
 
 
@@ -120,7 +124,8 @@ def load_people(
         sequences, remarks = arrange_people(detections, long_tracks)
         for sequence in sequences:
             _check_image_size(sequence, video.image_size)
-        remarks = (*remarks, *_describe_lens(sequences[0]))
+        sequences, lens_lines = give_focal_length(sequences, video)
+        remarks = (*remarks, *lens_lines, *_describe_lens(sequences[0]))
     except InputError as error:
         raise InputError(f'{path}: {error}') from None
     left_out = len(tracks) - len(long_tracks)
@@ -143,12 +148,33 @@ def load_detections(
     if kind is InputKind.BAG:
         return load_bag(path, limits, topic, camera_info)
     if kind is InputKind.VIDEO:
-        if topic or camera_info or replace(video, detector=None) != Video():
+        if topic or camera_info or not replace(video, detector=None).fits_any_input:
             raise InputError(
                 f'{path}: --topic, --camera-info, --fps, --image-size and --layout do not apply to a video'
             )
         return detect_in_video(path, video.detector, show_progress=show_progress)
-    return load_openpose(path, video) if kind is InputKind.OPENPOSE else load_coco(path, video)
+    detections = load_openpose(path, video) if kind is InputKind.OPENPOSE else load_coco(path, video)
+    if not all(detections.image_size) and (video.hfov or video.focal):
+        raise InputError(f'{path}: --hfov and --focal need --image-size, as the input does not state it')
+    return detections
+
+
+def give_focal_length(sequences: list[KeypointSequence], video: Video) -> tuple[list[KeypointSequence], list[str]]:
+    """Return the sequences of a camera with the focal length of `video` or, if they have another, with a line.
+
+    The principal point is then in the middle of the image, and the lens has no distortion.
+
+    Raises:
+        InputError: the focal length of `video` is none in px.
+    """
+    width, height = sequences[0].image_size
+    focal = video.find_focal_length(width)
+    if focal is None:
+        return sequences, []
+    if sequences[0].is_camera_known:
+        return sequences, ['has a calibrated camera; --hfov and --focal are not used']
+    matrix = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    return [replace(sequence, camera_matrix=matrix) for sequence in sequences], []
 
 
 def _split_keypoints(sequence: KeypointSequence) -> tuple[Array, Array]:

@@ -37,7 +37,7 @@ from mocap_ros.people import MotionKind
 from mocap_ros.runtime.bag_scene import ProgressWrapper, load_bag_scene
 from mocap_ros.runtime.detection import ShowProgress
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
-from mocap_ros.runtime.load_keypoints import load_detections, load_input
+from mocap_ros.runtime.load_keypoints import give_focal_length, load_detections, load_input
 from mocap_ros.runtime.load_results import holds_result
 from mocap_ros.runtime.scene_rows import recover_intrinsics
 from mocap_ros.skeleton import CMU15, Skeleton, skeleton_from_joints
@@ -56,6 +56,7 @@ STAMP_TOLERANCE_S = 1e-3  # s; times that are written in s since the epoch are e
 MAX_KEYFRAMES_BYTES = 16 << 20  # bytes; guards against parsing a huge file as keyframes
 RESULT_CAMERA_KEYS = 'scale', 'translation'  # of a result file: (F,) px/m and (F, 2) px
 VERTICAL_KEY = 'vertical'  # of a result file: (F, 3), as `SequenceResult` has it
+SCALE_KNOWN_KEY = 'scale_known'  # of a result file: False where the focal length was nominal
 
 
 @dataclass(frozen=True)
@@ -101,8 +102,8 @@ def load_scene(
     is_result = kind in (InputKind.RESULT, InputKind.BAG) and holds_result(path)
     if is_result and options.video != Video():
         raise InputError(
-            f'{path}: holds a result, which is shown as it is; --fps, --image-size and --layout apply to '
-            'keypoints only'
+            f'{path}: holds a result, which is shown as it is; --fps, --image-size, --hfov, --focal and --layout '
+            'apply to keypoints only'
         )
     if kind is InputKind.RESULT:
         return _load_result_scene(path, options), []
@@ -125,6 +126,8 @@ def load_scene(
             options.show_detection,
         )
         sequences, lines = _select_people(detections, options.person)
+        sequences, lens_lines = give_focal_length(sequences, options.video)
+        lines += lens_lines
         scene = _reconstruct_sequences(path.name, sequences, options, progress, lines)
     except (InputError, SkeletonError, np.linalg.LinAlgError) as error:
         prefix = '' if str(error).startswith(str(path)) else f'{path}: '
@@ -342,18 +345,21 @@ def _load_result_scene(path: Path, options: SceneOptions) -> Scene:
     has_skeleton = np.isfinite(result.joints).all(axis=(1, 2))
     if not has_skeleton.any():
         raise InputError(f'{path}: no frame has a skeleton')
-    arrays = ArrayReader(read_arrays(path, (*RESULT_CAMERA_KEYS, VERTICAL_KEY), 'a result of reconstruct'))
+    keys = (*RESULT_CAMERA_KEYS, VERTICAL_KEY, SCALE_KNOWN_KEY)
+    arrays = ArrayReader(read_arrays(path, keys, 'a result of reconstruct'))
     try:
         scale = arrays.read_numbers('scale', (len(result.times),))[has_skeleton]
         translation = arrays.read_numbers('translation', (len(result.times), 2))[has_skeleton]
         vertical = np.full(3, np.nan)
         if VERTICAL_KEY in arrays:  # version 0.1 wrote none
             vertical = average_vertical(arrays.read_numbers(VERTICAL_KEY, (len(result.times), 3)))
+        is_focal_known = SCALE_KNOWN_KEY not in arrays or bool(arrays.read_flags(SCALE_KNOWN_KEY, ()))
     except InputError as error:
         raise InputError(f'{path}: {error}') from None
     joints = result.joints[has_skeleton]
     core = [result.skeleton.index(joint) for joint in CMU15.joints]
     intrinsics, image_size = recover_intrinsics(joints[:, core].mean(axis=1), scale, translation)
+    intrinsics = replace(intrinsics, is_focal_known=is_focal_known)
     frames = np.flatnonzero(has_skeleton)
     person = _make_plain_person(
         'person_1', frames, joints, result.seen[has_skeleton], result.residual[has_skeleton], intrinsics

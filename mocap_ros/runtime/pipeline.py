@@ -49,6 +49,7 @@ from mocap_ros.units import NS_PER_S
 
 CAMERA_MOTION_S = 0.1  # s; over which the motion of the camera is found: as long as velocities are smoothed over
 TRACKER_GROUPS = 'solver', 'classifier', 'tracker'  # fields of `Config` that a tracker reads when it is made
+CALIBRATION_WAIT_S = 2.5  # s; a CameraInfo comes within it, if at all: publishers send it with every image
 MAX_CONSECUTIVE_ERRORS = 3  # messages; after as many internal errors in a row the tracker's state is discarded
 BACKLOG_REASON = (
     'the message was skipped because newer messages were waiting, as the node cannot keep up with its input; '
@@ -255,6 +256,7 @@ class Pipeline:
         """Forget what the checks of the input have found so far, and which remarks were made."""
         self._vertical_check, self._input_doubts = VerticalCheck(), InputDoubts()
         self._newest_seen_ns = 0  # stamp of the newest image in which somebody was detected
+        self._first_nominal_ns: int | None = None  # stamp of the first image of people without a CameraInfo
         self._noted: set[str] = set()  # kinds of remarks that are made once
         self.doubts: tuple[str, ...] = ()
 
@@ -428,7 +430,26 @@ class Pipeline:
             self._begin_checks()
         found = self._input_doubts.advance(stamp_ns, frame.people, people, intrinsics)
         self.doubts = tuple(filter(None, (self._doubt_vertical(people, floor), *found)))
-        return [self._note_once(r) for r in (floor_remark if frame.people else '', *self.doubts)]
+        remarks = self.doubts
+        if frame.people:
+            remarks = (floor_remark, self._describe_missing_calibration(stamp_ns, intrinsics), *remarks)
+        return [self._note_once(r) for r in remarks]
+
+    def _describe_missing_calibration(self, stamp_ns: int, intrinsics: Intrinsics) -> str:
+        """Return a remark if people are seen for `CALIBRATION_WAIT_S` without a CameraInfo."""
+        if intrinsics.is_focal_known:
+            self._first_nominal_ns = None
+            return ''
+        if self._first_nominal_ns is None or stamp_ns < self._first_nominal_ns:
+            self._first_nominal_ns = stamp_ns
+        if stamp_ns - self._first_nominal_ns < CALIBRATION_WAIT_S * NS_PER_S:
+            return ''
+        focal = self.config.tracker.nominal_focal_length
+        return (
+            f'no CameraInfo: a nominal focal length of {focal:g} longer sides of the image '
+            f'({math.degrees(2 * math.atan(0.5 / focal)):.0f} degrees) is assumed, to which distances from the '
+            'camera are proportional; publish camera_info or set tracker.nominal_focal_length'
+        )
 
     def _doubt_vertical(self, people: Sequence[Person3D], floor: Floor | None) -> str:
         """Return a remark if people contradict the vertical that a parameter or the output frame gives."""

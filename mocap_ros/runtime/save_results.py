@@ -92,6 +92,7 @@ def _save_npz(path: Path, reconstruction: ReconstructedSequence) -> None:
         'scale': cameras.scale,
         'rotation': cameras.rotation,
         'translation': translation,
+        'scale_known': np.array(result.virtual_camera.intrinsics.is_focal_known),
         'residual_px': result.solution.residual,
         'theta': result.solution.theta,
         'vertical': result.vertical,

@@ -50,7 +50,7 @@ from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
 
-FOCAL_SHARE = 0.2  # 1; usual focal lengths are 0.8 to 1.2 image widths, and the nominal one is 1 image width
+FOCAL_SHARE = 0.2  # 1; usual focal lengths are 0.6 to 0.9 of the longer side of the image, the nominal one is 0.75
 POSE_SHARE = 0.04  # 1; s_pose, measured on training persons of known height seen by four detectors
 KNOWN_HEIGHT_STD_M = 0.02  # m; of a height that somebody stated, shoes and posture included
 HEIGHT_RANGE_M = 0.3, 2.6  # m; range of body heights, as of `tracker.body_height`

@@ -133,6 +133,7 @@ def _describe_scene(scene: Scene, packer: _Packer) -> dict[str, Any]:
         'camera': {
             'imageSize': list(scene.image_size),
             'corners': scene.frustum_corners.tolist(),
+            'isNominal': not scene.intrinsics.is_focal_known,
             'fovDeg': float(
                 np.degrees(2 * np.arctan2(scene.image_size[1] / 2, scene.intrinsics.focal_lengths[1]))
             ),

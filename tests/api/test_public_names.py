@@ -68,6 +68,7 @@ PUBLIC: dict[str, dict[str, str] | str] = {
         '': '(keypoints, joint_names, timestamps, image_size, camera_matrix=None, '
         "distortion=None, truth=None, person_id='', frame_id='', recorded_ns=(), "
         'calibration=None)',
+        'is_camera_known': 'attribute',
         'stamps_ns': 'attribute',
     },
     'MocapError': 'Exception',
@@ -136,7 +137,7 @@ PUBLIC: dict[str, dict[str, str] | str] = {
     },
     'evaluate': "(joints, truth=None, *, truth_names='cmu15', times=None, limbs_only=False)",
     'read': "(path, *, person=None, topic=None, camera_info=None, fps=None, image_size=None, layout='', "
-    'detector=None)',
+    'detector=None, hfov=None, focal=None)',
     'reconstruct': '(keypoints, joint_names=None, times=None, *, image_size=None, camera_matrix=None, '
     "distortion=None, model='auto', parameters=None, method='whole')",
     'write': '(path, result)',

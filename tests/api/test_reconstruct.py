@@ -33,7 +33,7 @@ def arguments_of(sequence: mocap_ros.KeypointSequence) -> dict[str, Any]:
 @pytest.mark.parametrize('method', ['whole', 'keyframes'])
 def test_the_result_is_that_of_the_solver(sequence: mocap_ros.KeypointSequence, method: str) -> None:
     config = mocap_ros.Config()
-    observations = sequence.keypoints, sequence.joint_names, sequence.timestamps, sequence.intrinsics(1.0)
+    observations = sequence.keypoints, sequence.joint_names, sequence.timestamps, sequence.intrinsics(0.75)
     models = {'walk': mocap_ros.BasePoses.load('walk')}
     if method == 'whole':
         expected = reconstruct_sequence(*observations, models, config)
@@ -126,7 +126,7 @@ def test_parameters_and_models_have_an_effect(sequence: mocap_ros.KeypointSequen
     taller = mocap_ros.reconstruct(sequence, parameters={**QUICK, 'tracker.body_height': 1.9})
     usual = mocap_ros.reconstruct(sequence, parameters=QUICK)
     assert taller.joints[..., 2].mean() > 1.1 * usual.joints[..., 2].mean()
-    longer = mocap_ros.reconstruct(sequence, parameters={**QUICK, 'tracker.nominal_focal_length': 2.0})
+    longer = mocap_ros.reconstruct(sequence, parameters={**QUICK, 'tracker.nominal_focal_length': 1.5})
     assert longer.joints[..., 2].mean() == pytest.approx(2 * usual.joints[..., 2].mean(), rel=0.05)
     walk = mocap_ros.BasePoses.load('walk')
     by_object = mocap_ros.reconstruct(sequence, model=walk, parameters=QUICK)
@@ -332,7 +332,7 @@ def test_a_wrong_field_of_a_sequence_is_one_error_that_names_it(
     sequence: mocap_ros.KeypointSequence, case: str
 ) -> None:
     change, message = WRONG_FIELDS[case]
-    calibrated = replace(sequence, camera_matrix=None, distortion=None, calibration=sequence.intrinsics(1.0))
+    calibrated = replace(sequence, camera_matrix=None, distortion=None, calibration=sequence.intrinsics(0.75))
     with pytest.raises(mocap_ros.InputError, match=message):
         mocap_ros.reconstruct(replace(calibrated, **change))
 

@@ -31,7 +31,7 @@ def test_the_people_are_those_of_the_node_s_tracker(sequence: mocap_ros.Keypoint
     inside = Tracker(load_base_pose_models('auto'), mocap_ros.Config())
     tracker = make_tracker()
     for frame, (time_s, stamp_ns) in enumerate(zip(sequence.timestamps, sequence.stamps_ns, strict=True)):
-        expected = inside.update(stamp_ns, [sequence.person(frame)], sequence.intrinsics(1.0))
+        expected = inside.update(stamp_ns, [sequence.person(frame)], sequence.intrinsics(0.75))
         people = tracker.update(time_s, [sequence.keypoints[frame]])
         assert isinstance(people, list)
         assert len(people) == len(expected) == 1
@@ -80,7 +80,7 @@ def test_a_camera_gives_the_true_scale(sequence: mocap_ros.KeypointSequence) -> 
     (known,) = make_tracker(camera_matrix=matrix).update(0.0, [sequence.keypoints[0]])
     (unknown,) = make_tracker().update(0.0, [sequence.keypoints[0]])
     assert (known.scale_known, unknown.scale_known) == (True, False)
-    assert known.joints[:, 2].mean() == pytest.approx(1200 / 640 * unknown.joints[:, 2].mean(), rel=0.05)
+    assert known.joints[:, 2].mean() == pytest.approx(1200 / 480 * unknown.joints[:, 2].mean(), rel=0.05)
 
 
 def test_resetting_forgets_people_and_times(sequence: mocap_ros.KeypointSequence) -> None:
@@ -138,7 +138,7 @@ WRONG_FRAME: dict[str, tuple[dict[str, Any], str]] = {
     ),
     'other joints': ({'people': np.zeros((1, 18, 3))}, r'people: shape \(1, 18, 3\), expected \(1, 17, 3\)'),
     'ragged': ({'people': [np.zeros((17, 3)), np.zeros((18, 3))]}, 'people: rows of different lengths'),
-    'score above 1': ({'people': np.full((1, 17, 3), 50.0)}, r'people\[0\]: score\[0\]: 50, expected a score'),
+    'score above 100': ({'people': np.full((1, 17, 3), 150.0)}, r'people\[0\]: score\[0\]: 150, expected a score'),
     'shares': ({'people': np.full((1, 17, 3), 0.5)}, r'people\[0\]: x, y: looks normalised; px expected'),
     'two ids': ({'ids': ['anna', 'ben']}, 'ids: 2 names for 1 people'),
     'time of truth': ({'time_s': True}, 'time_s: True, expected s'),

@@ -86,6 +86,21 @@ def test_the_summary_says_that_the_solver_did_not_converge(
     assert capsys.readouterr().out.endswith(' iterations\n')
 
 
+def test_the_summary_says_that_distances_are_nominal_unless_a_field_of_view_is_given(
+    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / 'r.npz'
+    command = ['reconstruct', str(short_recording), '-o', str(out), *QUICK_OPTIONS]
+    for options, is_known in (([], False), (['--hfov', '56'], True), (['--focal', '600'], True)):
+        assert main([*command, *options]) == 0
+        assert ('nominal focal length' in capsys.readouterr().out) != is_known
+        with np.load(out) as arrays:
+            assert bool(arrays['scale_known']) == is_known
+    for wrong in (['--hfov', '0.5'], ['--hfov', '56', '--focal', '600']):
+        with pytest.raises(SystemExit, match='2'):
+            main([*command, *wrong])
+
+
 def test_the_options_for_blender_are_printed_with_a_bvh_file(
     short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,10 +22,11 @@ def test_points_and_rays_follow_the_camera_matrix() -> None:
     assert camera.is_focal_known
 
 
-def test_a_nominal_focal_length_is_in_image_widths() -> None:
-    camera = Intrinsics.from_image_size(640, 480, 1.2)
-    assert camera.focal == pytest.approx(768)
-    assert (camera.center, camera.aspect) == ((320, 240), 1)
+@pytest.mark.parametrize('size', [(640, 480), (480, 640)])
+def test_a_nominal_focal_length_is_in_longer_sides_of_the_image(size: tuple[int, int]) -> None:
+    camera = Intrinsics.from_image_size(*size, 0.75)
+    assert camera.focal == pytest.approx(480)
+    assert (camera.center, camera.aspect) == ((size[0] / 2, size[1] / 2), 1)
     assert not camera.is_focal_known
 
 

@@ -32,7 +32,7 @@ X = np.arange(17, dtype='f4')
 # Bad messages, and the reason that the node logs for each.
 BAD_MESSAGES = {
     keypoints_at(10, x=np.where(X == 3, np.inf, X)): r'people\[0\]\.x\[3\]: inf',
-    keypoints_at(10, score=np.full(17, 1.5, 'f4')): r'people\[0\]\.score\[0\]: 1\.5',
+    keypoints_at(10, score=np.full(17, 150, 'f4')): r'people\[0\]\.score\[0\]: 150',
     keypoints_at(10, score=np.full(17, -1, 'f4')): r'people\[0\]\.score\[0\]: -1',
     keypoints_at(10, y=X[:5]): r'people\[0\]\.x, y, score: unequal lengths 17, 5, 17',
     keypoints_at(10, skeleton='coco99'): r"people\[0\]\.skeleton: unknown .* 'coco99'; known: .*coco17",
@@ -58,7 +58,7 @@ def test_each_bad_message_is_logged_once_and_good_ones_are_processed(peer: Peer,
     for raw in (unseen, nobody, keypoints_at(52)):
         peer.keypoints.publish(raw)
     peer.wait_for_frames(len(sent) + 3)
-    lines = stop_node(node, signal.SIGINT)
+    lines = [line for line in stop_node(node, signal.SIGINT) if 'no CameraInfo' not in line]
 
     assert peer.received_stamps('skeletons') == [s * 10**9 for s in (*sent, 50, 51, 52)]
     assert len(lines) == len(BAD_MESSAGES)

@@ -31,6 +31,7 @@ from mocap_ros.runtime.input_doubts import (
 )
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.skeleton import KEYPOINT_LAYOUTS, keypoint_layout
+from tests.support.camera_infos import camera_info
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, with_stamp
 
 STEP_S = 0.2  # between the frames
@@ -63,6 +64,8 @@ def enlarge(person: Any) -> None:
 
 
 def list_remarks(pipeline: Pipeline, frames: list[bytes]) -> list[str]:
+    if pipeline.camera_info is None:  # of which there would be a remark that is not meant here
+        pipeline.set_camera_info(camera_info())
     return [pipeline.feed(Source.KEYPOINTS, raw).reason for raw in frames]
 
 
@@ -186,6 +189,7 @@ def test_misspelt_joints_that_are_missing_are_told(
 
 def test_ever_new_misspellings_fill_no_memory(stream: list[bytes]) -> None:
     pipeline = Pipeline(FAST_CONFIG)
+    pipeline.set_camera_info(camera_info())
     reasons = []
     for i, raw in enumerate(stream):
         names = ['lsh' + 'é' * i + 'older' if j == 'lshoulder' else j for j in COCO17]

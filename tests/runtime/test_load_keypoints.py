@@ -118,6 +118,31 @@ def test_a_transposed_image_size_is_refused_and_a_wrong_one_is_named(tmp_path: P
     assert re.fullmatch(r'.*walk\.json: image size: \d+% of the seen keypoints lie outside 320 x 240 px', warning)
 
 
+def test_a_focal_length_is_given_where_none_is_known(tmp_path: Path) -> None:
+    save_sequence(tmp_path / 'a.npz', make_walker())  # 640 px wide
+    assert not load_input(tmp_path / 'a.npz', Video(), LIMITS)[0].is_camera_known
+    for video, focal in ((Video(hfov=90.0), 320), (Video(focal=500.0), 500)):
+        known, lines = load_input(tmp_path / 'a.npz', video, LIMITS)
+        camera = known.intrinsics(1.0)
+        assert camera.focal == pytest.approx(focal)
+        assert (camera.center, camera.is_focal_known) == ((320, 240), True)
+        assert not lines
+    with pytest.raises(InputError, match=r'a\.npz: --focal: 26 px in an image 640 px wide are 171 degrees'):
+        load_input(tmp_path / 'a.npz', Video(focal=26.0), LIMITS)
+    flat = make_walker().keypoints.reshape(FRAMES, -1)
+    people = [{'image_id': f, 'keypoints': np.nan_to_num(k).tolist(), 'score': 1.0} for f, k in enumerate(flat)]
+    (tmp_path / 'c.json').write_text(json.dumps(people))
+    with pytest.raises(InputError, match=r'c\.json: --hfov and --focal need --image-size'):
+        load_input(tmp_path / 'c.json', Video(fps=FPS, hfov=60.0), LIMITS)
+    save_sequence(tmp_path / 'b.npz', known)
+    calibrated, (line,) = load_input(tmp_path / 'b.npz', Video(hfov=90.0), LIMITS)
+    assert calibrated.intrinsics(1.0).focal == pytest.approx(500)
+    assert '--hfov and --focal are not used' in line
+    assert mocap_ros.read(tmp_path / 'a.npz', hfov=90.0).intrinsics(1.0).focal == pytest.approx(320)
+    with pytest.raises(mocap_ros.InputError, match='hfov: 200'):
+        mocap_ros.read(tmp_path / 'a.npz', hfov=200.0)
+
+
 @pytest.mark.filterwarnings('error')
 def test_a_distortion_that_cannot_be_undone_is_named(tmp_path: Path) -> None:
     matrix = np.array([[700.0, 0.0, 320.0], [0.0, 700.0, 240.0], [0.0, 0.0, 1.0]])

@@ -128,7 +128,13 @@ def test_a_bag_of_keypoints_shows_all_people(bag: Path) -> None:
     assert anna.predicted[anna.frames == 12].all()
 
 
-def test_a_sequence_file_and_its_results_look_the_same(sequence: KeypointSequence, tmp_path: Path) -> None:
+@pytest.mark.parametrize('is_calibrated', [False, True])
+def test_a_sequence_file_and_its_results_look_the_same(
+    sequence: KeypointSequence, tmp_path: Path, *, is_calibrated: bool
+) -> None:
+    if is_calibrated:
+        matrix = np.array([[480.0, 0, 320], [0, 480, 240], [0, 0, 1]])
+        sequence = replace(sequence, camera_matrix=matrix)
     save_sequence(tmp_path / 'in.npz', sequence)
     whole, _ = load_scene(tmp_path / 'in.npz', OPTIONS)
     (person,) = whole.people
@@ -137,6 +143,7 @@ def test_a_sequence_file_and_its_results_look_the_same(sequence: KeypointSequenc
         sequence.keypoints, sequence.joint_names, sequence.timestamps, intrinsics, MODELS, OPTIONS.config
     )
     assert person.joints == pytest.approx(result.joints, abs=1e-4)
+    assert whole.intrinsics.is_focal_known == is_calibrated
     for suffix in ('.npz', '.mcap'):
         path = tmp_path / f'result{suffix}'
         save_results.save(path, save_results.ReconstructedSequence(sequence, result))
@@ -147,6 +154,7 @@ def test_a_sequence_file_and_its_results_look_the_same(sequence: KeypointSequenc
         assert stored.inferred.tolist() == person.inferred.tolist()
         assert scene.image_size == pytest.approx(sequence.image_size, abs=1)
         assert bool(scene.keypoints) == (suffix == '.mcap')
+        assert scene.intrinsics.is_focal_known == is_calibrated
 
 
 def test_json_of_two_people_is_reconstructed(sequence: KeypointSequence, tmp_path: Path) -> None:
@@ -185,7 +193,7 @@ def test_who_cannot_be_reconstructed_is_left_out_by_name(sequence: KeypointSeque
 
 
 def test_options_that_an_input_does_not_need_are_refused(bag: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match='--fps, --image-size and --layout apply to keypoints only'):
+    with pytest.raises(InputError, match='--hfov, --focal and --layout apply to keypoints only'):
         load_scene(bag, replace(OPTIONS, video=Video(fps=30.0)))
     save_sequence(tmp_path / 'in.npz', make_walker())
     with pytest.raises(InputError, match='do not apply to a sequence file'):

@@ -221,16 +221,33 @@ def test_image_size_comes_from_message_then_camera_then_parameters(stream: list[
         assert person.scale_source == scale_source
         return float(np.mean([j.z for j in person.joints[:CORE_COUNT]]))
 
-    nominal = depth(Pipeline(FAST_CONFIG), stream[0], scale_source=0)  # the focal length is 640 px, the width
+    config = with_values(FAST_CONFIG, {'tracker.nominal_focal_length': 1.0})  # 640 px, the width
+    nominal = depth(Pipeline(config), stream[0], scale_source=0)
     longer = with_values(FAST_CONFIG, {'tracker.nominal_focal_length': 2.0})
     assert depth(Pipeline(longer), stream[0], scale_source=0) == pytest.approx(2 * nominal, rel=0.016)
-    wide = replace(FAST_CONFIG, node=replace(FAST_CONFIG.node, image_width=1280, image_height=960))
+    wide = replace(config, node=replace(config.node, image_width=1280, image_height=960))
     assert depth(Pipeline(wide), stream[0], scale_source=0) == nominal
     assert depth(Pipeline(wide), raw, scale_source=0) == pytest.approx(2 * nominal, rel=0.016)  # measured: 0.014
     calibrated = Pipeline(wide)
     calibrated.set_camera_info(camera_info(focal=320))
     assert depth(calibrated, raw, scale_source=1) == pytest.approx(nominal / 2, rel=0.025)  # measured: 0.018
     assert decode_camera_info(camera_info()).size == (640, 480)
+
+
+@pytest.mark.parametrize(('focal', 'is_told'), [(0.0, True), (600.0, False)])
+def test_a_nominal_focal_length_is_remarked_once_after_seconds_of_people(
+    focal: float, *, is_told: bool, stream: list[bytes]
+) -> None:
+    pipeline = Pipeline(FAST_CONFIG)
+    if focal:
+        pipeline.set_camera_info(camera_info(focal=focal))
+    message, stamps_s = decode(stream[0], KEYPOINTS), np.arange(1, 9, 0.5)
+    reasons = []
+    for stamp_s in stamps_s:
+        message.header.stamp.sec, message.header.stamp.nanosec = int(stamp_s), round(stamp_s % 1 * 1e9)
+        reasons.append(pipeline.feed(Source.KEYPOINTS, encode(message, KEYPOINTS)).reason)
+    told = [float(s) for s, reason in zip(stamps_s, reasons, strict=True) if 'no CameraInfo' in reason]
+    assert told == ([3.5] if is_told else [])
 
 
 def test_a_camera_info_that_does_not_fit_is_rejected(stream: list[bytes]) -> None:

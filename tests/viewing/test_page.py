@@ -187,12 +187,16 @@ def test_what_is_not_known_of_anybody_has_no_row_and_a_tilted_camera_leaves_peop
     plain = replace(
         anna, joints=joints, cadence=anna.cadence * nan, std=anna.std * nan, motion=np.zeros_like(anna.motion)
     )
-    tilted = replace(scene, people=(plain,), keypoints=(), marks=(), vertical=turn @ [0.0, -1.0, 0.0])
+    camera = replace(scene.intrinsics, is_focal_known=False)
+    tilted = replace(
+        scene, people=(plain,), keypoints=(), marks=(), vertical=turn @ [0.0, -1.0, 0.0], intrinsics=camera
+    )
     with open_browser() as page:
         write_and_open(page, tmp_path / 'page.html', build_page(tilted))
         page.wait_for_selector('body[data-ready]')
         shown = page.evaluate('mocapPage.showTime(0)')
         assert not page.is_visible('#clouds')
+        assert 'nominal focal length' in page.inner_text('#image-caption')
     assert shown['rows'] == ['residual, px', 'not detected']
     assert (shown['jointsDrawn'], shown['bonesDrawn']) == (14, 13)
     (heights,) = shown['heights']

@@ -369,6 +369,9 @@
       this.canvas = $('image-view');
       $('image-caption').textContent = scene.keypoints.length
         ? '2D input (black) and the 3D result in the image (colours)' : 'the 3D result in the image; the input is not known';
+      if (scene.camera.isNominal) {
+        $('image-caption').textContent += '; nominal focal length: all distances are proportional to it';
+      }
     }
 
     resize() { this.context = fitCanvas(this.canvas); }
