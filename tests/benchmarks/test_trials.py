@@ -15,7 +15,7 @@ import pytest
 from tests.support.paths import ROOT
 
 NAME = re.compile(r"'([0-9A-Z]{2,3}_\d\dx?)'")
-ON_MOTION = ('engine.py', 'experiments/past_only.py', 'lifter.py', 'tracker.py')
+ON_MOTION = ('engine.py', 'experiments/past_only.py', 'golden.py', 'lifter.py', 'tracker.py')
 FILES = [f for f in sorted((ROOT / 'benchmarks').rglob('*.py')) if NAME.search(f.read_text(encoding='utf-8'))]
 
 
