@@ -120,7 +120,6 @@ setup(
         ],
         'docs': ['furo>=2024.8', 'myst-parser>=4,<6', 'sphinx>=8.1,<10'],
         's3': ['s3fs>=2024.2'],
-        'view': ["rerun-sdk==0.41.*; python_version >= '3.11'"],  # a viewer reads files of its own minor version
         'video': [*VIDEO, 'onnxruntime>=1.18,<2'],
     },
     zip_safe=False,

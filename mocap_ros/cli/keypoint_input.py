@@ -71,20 +71,13 @@ def add_model_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_input_options(parser: argparse.ArgumentParser, is_required: bool = True) -> None:
-    """Add the input file and the options that describe its keypoints.
-
-    Args:
-        parser: parser of the subcommand.
-        is_required: whether there must be an input.
-    """
+def add_input_options(parser: argparse.ArgumentParser) -> None:
+    """Add the input file and the options that describe its keypoints."""
     parser.add_argument(
         'input',
         type=Path,
         metavar='IN',
-        nargs=None if is_required else '?',
-        help='sequence file (.npz), bag, folder of OpenPose JSON, COCO keypoints (.json), or video'
-        + ('' if is_required else ' (default: none)'),
+        help='sequence file (.npz), bag, folder of OpenPose JSON, COCO keypoints (.json), or video',
     )
     parser.add_argument(
         '--person',

@@ -41,7 +41,7 @@ class _BagReader:
         skeletons = bag.topics_of_type([SKELETONS])
         if len(skeletons) != 1:
             raise InputError(f'the bag has several topics of skeletons: {", ".join(skeletons)}')
-        self.rows = SceneRows(person, bag.count(skeletons))
+        self.rows = SceneRows(person)
         self._journals = [t for t in bag.topics_of_type([JOURNAL]) if t.endswith('/journal')]
         self._sources: dict[str, Source] = {}
         self._node = limits
@@ -137,6 +137,4 @@ def load_bag_scene(
     lines = []
     if reader.rows.faults:
         lines.append(f'{path}: {len(reader.rows.faults)} messages left out; {reader.rows.faults[0]}')
-    if reader.rows.stride > 1:
-        lines.append(f'{path}: long; one frame in {reader.rows.stride} is shown')
     return scene, lines

@@ -3,8 +3,7 @@
 
 """The skeletons and keypoints of messages, collected as numbers, and the scene that they make.
 
-A bag is collected as a whole, a live view frame by frame. Messages are decoded many at a time
-(`messages/columns.py`). What is kept is bounded: when it exceeds `MAX_KEPT_BYTES`, every second frame is left out.
+Messages are decoded many at a time (`messages/columns.py`).
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.config import TrackerConfig
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical
@@ -34,18 +32,11 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Indices = NDArray[np.intp]
 Stamps = NDArray[np.int64]
-Kept = NDArray[np.bool_]
 T = TypeVar('T', SkeletonMessages, KeypointMessages)
 
 BATCH_MESSAGES = 512  # messages that are decoded at a time; more are not faster, and take memory
 BATCH_BYTES = 4 << 20  # bytes of messages that are decoded at a time
-MAX_KEPT_BYTES = 119_000_000  # bytes; half an hour of five people at 30 Hz, with 15 joints each
-FIRST_ROWS = 64  # rows for which there is room at first, of an unknown number
-ROOMY_PEOPLE = 16  # people for each of whom there is room in all frames; of more, most are seen shortly
-DETECTIONS_PER_FRAME = 6  # detections in a frame for which there is room at first
 MAX_POINT_PX = 1e6  # px; image points farther away are garbage and not drawn
-FALLBACK_SIZE = (640, 480)  # px, of a live view before anybody is seen
-MAX_STRIDE = 1 << 20  # frames; nothing is longer
 CAMERA_ROWS = 10_000  # skeletons whose cameras tell the intrinsics; more would tell the same
 
 
@@ -74,54 +65,21 @@ def recover_intrinsics(roots: Array, scale: Array, translation: Array) -> tuple[
     return Intrinsics(focal, (float(centre[0]), float(centre[1])), is_focal_known=False), size
 
 
-class _Numbers:
-    """Columns of rows that are added in pieces: stamps in ns, places among all messages, and any others.
+class _Rows:
+    """Columns of rows that are added in pieces: stamps in ns, places among all messages, and any others."""
 
-    Args:
-        room: rows for which there is room at first. Unused room takes no memory; more is made by copying.
-    """
+    def __init__(self) -> None:
+        self._pieces: list[tuple[NDArray[Any], ...]] = []
 
-    def __init__(self, room: int) -> None:
-        self._room = room
-        self._columns: list[NDArray[Any]] = []  # with room for more than `_count` rows
-        self._count = 0
-
-    def add(self, *columns: NDArray[Any]) -> int:
-        """Add rows; return how many bytes they take."""
-        if not self._columns:
-            self._columns = [np.empty((self._room, *column.shape[1:]), column.dtype) for column in columns]
-        end = self._count + len(columns[0])
-        for number, column in enumerate(columns):
-            room = self._columns[number]
-            if len(room) < end:
-                self._columns[number] = np.empty((end + end // 2, *room.shape[1:]), room.dtype)
-                self._columns[number][: self._count] = room[: self._count]
-            self._columns[number][self._count : end] = column
-        self._count = end
-        return sum(column.nbytes for column in columns)
-
-    def thin(self, choose: Callable[[Stamps], Kept]) -> int:
-        """Keep the rows whose stamps are chosen; return how many bytes they take."""
-        kept = choose(self._columns[0][: self._count])
-        size = int(kept.sum())
-        for number, column in enumerate(self._columns):
-            self._columns[number] = np.empty((size + size // 2, *column.shape[1:]), column.dtype)
-            np.compress(kept, column[: self._count], axis=0, out=self._columns[number][:size])
-        self._count = size
-        return sum(column[:size].nbytes for column in self._columns)
+    def add(self, *columns: NDArray[Any]) -> None:
+        """Add rows."""
+        self._pieces.append(columns)
 
     def finish(self) -> list[NDArray[Any]]:
-        """Return the columns but that of the places, by stamp and then by place; they are given up here."""
-        stamps, places = (column[: self._count] for column in self._columns[:2])
+        """Return the columns but that of the places, by stamp and then by place."""
+        stamps, places, *others = (np.concatenate(column) for column in zip(*self._pieces, strict=True))
         order = np.lexsort((places, stamps))
-        finished, columns = [stamps[order]], self._columns[2:]
-        self._columns.clear()
-        is_ordered = bool((np.diff(order) > 0).all())
-        while columns:
-            column = columns.pop(0)[: self._count]
-            finished.append(column if is_ordered else column[order])
-            del column
-        return finished
+        return [column[order] for column in (stamps, *others)]
 
 
 class _Buffer(NamedTuple):
@@ -132,27 +90,21 @@ class _Buffer(NamedTuple):
 
 
 class SceneRows:
-    """Collects the messages of a recording, or of one frame.
+    """Collects the messages of a recording.
 
     Args:
         person: id of the only person to show; None for all.
-        frames: number of frames that are expected; 0 if it is not known.
-        max_bytes: of what is kept, above which every second frame is left out.
 
     Attributes:
         faults: descriptions of the messages that could not be read.
-        stride: the frames of which one is kept, in the mean; 1 if none are left out.
     """
 
-    def __init__(self, person: str | None = None, frames: int = 0, max_bytes: int = MAX_KEPT_BYTES) -> None:
+    def __init__(self, person: str | None = None) -> None:
         self.faults: list[str] = []
-        self.stride = 1
         self._person = person
-        self._frames = frames
-        self._max_bytes = max_bytes
         self._skeletons, self._keypoints = _Buffer([], []), _Buffer([], [])
-        self._people: dict[str, _Numbers] = {}
-        self._detections: dict[tuple[str, ...], _Numbers] = {}
+        self._people: dict[str, _Rows] = {}
+        self._detections: dict[tuple[str, ...], _Rows] = {}
         self._stamps: list[Stamps] = []
         self._vertical: list[Array] = []
         self._cameras: list[Array] = []
@@ -161,14 +113,6 @@ class SceneRows:
         self._skeleton: Skeleton | None = None
         self._newest_ns = 0
         self._order = 0  # number of messages so far
-        self._bytes = 0
-        self._cell_ns = 0  # ns; time between two frames, as soon as frames are left out
-
-    @property
-    def newest_ns(self) -> int:
-        """Stamp of the last skeletons in ns; 0 before the first."""
-        self._decode_skeletons()
-        return self._newest_ns
 
     @property
     def has_people(self) -> bool:
@@ -202,25 +146,8 @@ class SceneRows:
         """Add an input that was dropped after the last skeletons."""
         self._skeletons.drops.append((len(self._skeletons.raws), reason))
 
-    def build_frame(self) -> Scene:
-        """Return the scene of one frame, which may show nobody, as a live view draws it."""
-        if self.has_people:
-            return self.build('live')
-        self._decode_keypoints()
-        size = self._image_size if all(self._image_size) else FALLBACK_SIZE
-        stamps = self._list_stamps()
-        keypoints = tuple(_finish_keypoints(names, rows, stamps) for names, rows in self._detections.items())
-        return Scene(
-            'live',
-            stamps.tolist(),
-            (),
-            keypoints,
-            size,
-            Intrinsics.from_image_size(*size, TrackerConfig().nominal_focal_length),
-        )
-
     def build(self, title: str, camera: CameraInfo | None = None) -> Scene:
-        """Return the scene of what was collected, which has a skeleton; the rows are given up, to save memory.
+        """Return the scene of what was collected, which has a skeleton.
 
         Args:
             title: title of the scene.
@@ -231,7 +158,7 @@ class SceneRows:
         """
         self._decode_skeletons()
         self._decode_keypoints()
-        stamps = self._list_stamps()
+        stamps = np.unique(np.concatenate(self._stamps))
         if len(stamps) > 1 and is_stamp_missing(int(stamps[0]), int(stamps[-1])):
             stamps = stamps[1:]
         roots, scale, translation = np.split(np.concatenate(self._cameras), [3, 4], axis=1)
@@ -240,10 +167,8 @@ class SceneRows:
             stated=self._image_size, camera=camera.size if camera else None, configured=implied_size
         )
         intrinsics = camera.intrinsics if camera else intrinsics
-        people = [_finish_person(i, self._people.pop(i), stamps, intrinsics) for i in list(self._people)]
-        keypoints = [
-            _finish_keypoints(names, self._detections.pop(names), stamps) for names in list(self._detections)
-        ]
+        people = [_finish_person(i, rows, stamps, intrinsics) for i, rows in self._people.items()]
+        keypoints = [_finish_keypoints(names, rows, stamps) for names, rows in self._detections.items()]
         return Scene(
             title=title,
             stamps_ns=stamps.tolist(),
@@ -255,9 +180,6 @@ class SceneRows:
             skeleton=self._skeleton or CMU15,
             vertical=average_vertical(np.array(self._vertical)),
         )
-
-    def _list_stamps(self) -> Stamps:
-        return np.unique(np.concatenate([*self._stamps, np.empty(0, np.int64)]))
 
     def _decode_skeletons(self) -> None:
         """Decode the skeletons that wait, and place the drops beside them."""
@@ -315,8 +237,7 @@ class SceneRows:
             add(group, first + group.rows)
 
     def _add_skeleton_messages(self, messages: SkeletonMessages, places: Stamps) -> None:
-        kept = self._choose(messages.stamps_ns)
-        self._stamps.append(messages.stamps_ns[kept])
+        self._stamps.append(messages.stamps_ns)
         direction = average_vertical(messages.vertical)
         if np.isfinite(direction).all():
             self._vertical.append(direction)
@@ -345,16 +266,13 @@ class SceneRows:
             person.predicted,
             person.tentative,
         )
-        if person.id not in self._people:
-            is_usual = len(self._people) < ROOMY_PEOPLE
-            self._people[person.id] = _Numbers(max(self._frames if is_usual else 0, FIRST_ROWS))
-        self._keep(self._people[person.id], stamps, places, *columns)
+        self._people.setdefault(person.id, _Rows()).add(stamps, places, *columns)
 
     def _add_keypoint_messages(self, messages: KeypointMessages, places: Stamps) -> None:
         stated = messages.image_size[messages.image_size.all(axis=1)]
         if len(stated):
             self._image_size = int(stated[-1, 0]), int(stated[-1, 1])
-        self._stamps.append(messages.stamps_ns[self._choose(messages.stamps_ns)])
+        self._stamps.append(messages.stamps_ns)
         for people in messages.people:
             stamps = messages.stamps_ns[people.rows]
             self._add_detections(people.joints, stamps, places[people.rows], people.numbers)
@@ -366,28 +284,7 @@ class SceneRows:
         is_drawn = (np.abs(numbers[..., :2]) < MAX_POINT_PX).all(axis=2)
         is_drawn &= find_seen(numbers[..., :2], numbers[..., 2])
         points = np.where(is_drawn[..., None], numbers[..., :2], np.float32(np.nan)).astype(np.float32)
-        if joints not in self._detections:
-            self._detections[joints] = _Numbers(max(DETECTIONS_PER_FRAME * self._frames, FIRST_ROWS))
-        self._keep(self._detections[joints], stamps, places, points)
-
-    def _keep(self, numbers: _Numbers, stamps: Stamps, places: Stamps, *columns: NDArray[Any]) -> None:
-        """Keep rows; where they are too many, leave every second frame out of all that is kept."""
-        kept = self._choose(stamps)
-        self._bytes += numbers.add(stamps[kept], places[kept], *(column[kept] for column in columns))
-        while self._bytes > self._max_bytes and self.stride < MAX_STRIDE:
-            if self.stride == 1:
-                steps_ns = np.diff(self._list_stamps())  # none where all stamps are equal
-                self._cell_ns = max(int(np.median(steps_ns)), 1) if len(steps_ns) else 1
-            self.stride *= 2
-            everything = [*self._people.values(), *self._detections.values()]
-            self._bytes = sum(each.thin(self._choose) for each in everything)
-            self._stamps = [own[self._choose(own)] for own in self._stamps]
-
-    def _choose(self, stamps: Stamps) -> Kept:
-        """Return (N,) True for the frames that are kept; of all topics the same, by their stamps alone."""
-        if self.stride == 1:
-            return np.ones(len(stamps), bool)
-        return np.asarray(stamps // self._cell_ns % self.stride == 0)
+        self._detections.setdefault(joints, _Rows()).add(stamps, places, points)
 
 
 def _make_drops(drops: Sequence[tuple[int, str]], stamps: Stamps) -> list[Mark]:
@@ -397,7 +294,7 @@ def _make_drops(drops: Sequence[tuple[int, str]], stamps: Stamps) -> list[Mark]:
     return [Mark(float(time), MarkKind.DROP, reason) for time, (_, reason) in zip(times, drops, strict=True)]
 
 
-def _finish_person(person_id: str, rows: _Numbers, stamps: Stamps, intrinsics: Intrinsics) -> ScenePerson:
+def _finish_person(person_id: str, rows: _Rows, stamps: Stamps, intrinsics: Intrinsics) -> ScenePerson:
     """Return the person of the collected rows; of several rows with one stamp the last is kept."""
     own, joints, std, inferred, residual, cadence, motion, predicted, tentative = rows.finish()
     kept = (np.diff(own, append=np.iinfo(np.int64).max) > 0) & (own >= stamps[0])
@@ -420,7 +317,7 @@ def _finish_person(person_id: str, rows: _Numbers, stamps: Stamps, intrinsics: I
     )
 
 
-def _finish_keypoints(names: tuple[str, ...], rows: _Numbers, stamps: Stamps) -> SceneKeypoints:
+def _finish_keypoints(names: tuple[str, ...], rows: _Rows, stamps: Stamps) -> SceneKeypoints:
     """Return the detections of the collected rows in the order of their stamps."""
     own, points = rows.finish()
     kept = own >= stamps[0]

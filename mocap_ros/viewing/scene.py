@@ -1,26 +1,24 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The scene: all that the viewers draw of a recording, with the colours in which they draw it.
+"""The scene: all that the page (`viewing/page.py`) draws of a recording, with the colours in which it draws it.
 
-The page (`viewing/page.py`) and the Rerun recording (`viewing/rerun_recording.py`) both read it, so that they show
-the same. Joints are in m in the camera's optical frame (x right, y down, z forward), image points in px.
+Joints are in m in the camera's optical frame (x right, y down, z forward), image points in px.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import rotation_to_level
-from mocap_ros.people import MotionKind
 from mocap_ros.skeleton import CMU15, Skeleton, canonical_joint_names
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.plots import MIDDLE_COLOUR, TRUTH_COLOUR, choose_side_colour
@@ -31,7 +29,6 @@ Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 PALE_COLOUR = '#a8a8a8'  # grey; people who are predicted or tentative
-INPUT_COLOUR = '#000000'  # black; the detector's keypoints
 # Colours of several people, which people with defective colour vision can tell apart as well (Okabe and Ito 2008),
 # without the orange of inferred joints
 PERSON_COLOURS = ('#0072b2', '#009e73', '#cc79a7', '#a6761d', '#56b4e9', '#7a5195', '#66a61e', '#b2182b')
@@ -79,20 +76,6 @@ class Mark:
     text: str
 
 
-class SceneImage(NamedTuple):
-    """An image of the camera.
-
-    Attributes:
-        time_s: s from the beginning of the scene.
-        data: the image as JPEG or PNG.
-        media_type: `image/jpeg` or `image/png`.
-    """
-
-    time_s: float
-    data: bytes
-    media_type: str
-
-
 @dataclass(frozen=True, eq=False)
 class ScenePerson:
     """A reconstructed person in the N frames in which there is a skeleton.
@@ -122,11 +105,6 @@ class ScenePerson:
     motion: NDArray[np.uint8]
     predicted: Mask
     tentative: Mask
-
-    def cut(self, rows: slice) -> ScenePerson:
-        """Return the person in some of the rows only."""
-        own: dict[str, Any] = {name: v[rows] for name, v in vars(self).items() if isinstance(v, np.ndarray)}
-        return replace(self, **own)
 
     @property
     def image(self) -> Array32:
@@ -222,11 +200,6 @@ class Scene:
         """(N,) for each person, True in the frames in which an exchange of left and right was undone."""
         inputs = [SidedPoints.find(keypoints) for keypoints in self.keypoints]
         return tuple(find_undone_swaps(person, inputs, self.skeleton) for person in self.people)
-
-    @cached_property
-    def has_motion(self) -> bool:
-        """Whether the kind of motion is known of anybody at any time."""
-        return any((person.motion != MotionKind.UNKNOWN).any() for person in self.people)
 
     @property
     def frustum_corners(self) -> Array:

@@ -23,9 +23,17 @@ from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from tests.support.quick_options import QUICK_OPTIONS
 
 
-def test_it_writes_a_page(short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    output = tmp_path / 'page.html'
-    assert main(['view', str(short_recording), '-o', str(output), *QUICK_OPTIONS]) == 0
+@pytest.mark.parametrize('options', [[], ['-o', 'page.html']])
+def test_it_writes_a_page(
+    short_recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    output = Path(options[-1] if options else f'{short_recording.stem}.html')
+    assert main(['view', str(short_recording), *options, *QUICK_OPTIONS]) == 0
     assert capsys.readouterr().out == f'{output}\n'
     assert short_recording.name in output.read_text(encoding='utf-8')
 
@@ -41,12 +49,7 @@ def test_the_input_is_never_overwritten(short_recording: Path, tmp_path: Path) -
 @pytest.mark.parametrize(
     ('options', 'message'),
     [
-        ([], 'give an input to show, or --live to show what a running node publishes'),
-        (['in.npz', '--live'], '--live shows what a node publishes; it takes no input and no -o'),
-        (['-o', 'page.html', '--live'], '--live shows what a node publishes; it takes no input and no -o'),
-        (['--live', '--model', 'walk'], '--model applies to an input only'),
-        (['--live', '--set', 'tracker.lag=0.2'], '--set applies to an input only'),
-        (['in.npz', '-o', 'page.pdf'], 'page.pdf: unknown file type; expected .html, .rrd'),
+        (['in.npz', '-o', 'page.pdf'], 'page.pdf: unknown file type; expected .html'),
         (['in.npz', '-o', 'page.html', '--set', 'tracker.lag'], "--set 'tracker.lag': expected NAME=VALUE"),
     ],
 )
@@ -64,26 +67,6 @@ def test_wrong_options_are_one_line(
     assert message in err
     assert err.count('\n') == 1
     assert {path.name for path in tmp_path.iterdir()} == {'in.npz'}
-
-
-@pytest.mark.parametrize(
-    ('option', 'name', 'fault'),
-    [
-        ('--namespace', 'a b', 'namespace must not contain characters other than'),
-        ('--topic', 'a b', 'topic name must not contain characters other than'),
-        ('--topic', 'a//b', "topic name must not contain repeated '/'"),
-        ('--topic', '{foo}/a', 'no name of a topic'),
-    ],
-)
-def test_a_name_that_ros_refuses_is_named_with_its_option(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], option: str, name: str, fault: str
-) -> None:
-    pytest.importorskip('rclpy')
-    for requirement in ('import_rerun', 'require_display'):  # neither is needed to refuse a name
-        monkeypatch.setattr(f'mocap_ros.cli.view.{requirement}', lambda: None)
-    assert main(['view', '--live', option, name]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f'mocap-ros: {option} {name!r}: {fault}')
 
 
 def test_an_option_that_does_nothing_to_a_result_is_refused(

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 from dataclasses import replace
@@ -14,31 +13,28 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
-from mocap_ros.config import Config, NodeConfig, RecorderConfig, with_values
+from mocap_ros.config import Config, RecorderConfig, with_values
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError
 from mocap_ros.formats.detections import Detections, Video
 from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
-from mocap_ros.messages.cdr import Header, create_header, create_message, decode, encode
-from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE
+from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.messages.skeletons import SKELETONS, encode_skeletons
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.runtime import save_results
-from mocap_ros.runtime.bag_images import read_images
 from mocap_ros.runtime.load_scene import SceneOptions, load_keyframe_marks, load_scene, place_marks
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from mocap_ros.runtime.save_results import save_detections
 from mocap_ros.runtime.scene_rows import SceneRows
 from mocap_ros.runtime.sequence_messages import DEFAULT_FRAME_ID
 from mocap_ros.viewing.page import build_page
-from mocap_ros.viewing.scene import Mark, MarkKind, SceneImage
+from mocap_ros.viewing.scene import Mark, MarkKind
 from tests.support.keypoint_files import flatten_keypoints, make_walker
 from tests.support.people import make_person_3d
 from tests.support.pipeline_inputs import FAST_CONFIG
@@ -286,106 +282,8 @@ def test_joints_that_are_not_finite_are_left_out_alone(bag: Path, tmp_path: Path
     assert 'NaN' not in build_page(scene).partition('id="data"')[0]
 
 
-def test_of_a_long_bag_the_same_frames_of_all_topics_are_kept(bag: Path) -> None:
-    rows, whole = SceneRows(max_bytes=9000), SceneRows()
-    with Bag(bag) as recorded:
-        for message in recorded.messages(['/keypoints', '/skeletons']):
-            for each in (rows, whole):
-                (each.add_keypoints if message.type == KEYPOINTS else each.add_skeletons)(message.raw)
-    expected, scene = whole.build('whole'), rows.build('thinned')
-    assert rows.stride > 1
-    assert len(expected.stamps_ns) / rows.stride == pytest.approx(len(scene.stamps_ns), abs=2)
-    kept = np.searchsorted(expected.stamps_ns, scene.stamps_ns)
-    assert [expected.stamps_ns[frame] for frame in kept] == scene.stamps_ns
-    for person, other in zip(scene.people, expected.people, strict=True):
-        assert kept[person.frames].tolist() == [frame for frame in other.frames if frame in kept]
-        assert (person.joints == other.joints[np.isin(other.frames, kept)]).all()
-    (keypoints,), (others,) = scene.keypoints, expected.keypoints
-    assert kept[keypoints.frames].tolist() == [frame for frame in others.frames if frame in kept]
-
-
-def test_a_long_bag_whose_stamps_are_all_equal_is_drawn() -> None:
-    rows = SceneRows(max_bytes=100)
+def test_a_bag_whose_stamps_are_all_equal_is_drawn() -> None:
+    rows = SceneRows()
     for _ in range(3):
         rows.add_skeletons(encode_skeletons(Header(0, 'camera'), [make_person_3d('a')]))
     assert rows.build('equal').stamps_ns == [0]
-
-
-def record_images(folder: Path, encodings: dict[str, str], keypoints: str, width: int = 1) -> None:
-    """Record an image of one grey on each topic, the darker the later the topic, and a message of keypoints."""
-    header = Header(10**9, 'camera')
-    with Recorder(folder, RecorderConfig()) as recorder:
-        for i, (topic, encoding) in enumerate(encodings.items()):
-            image = create_message(
-                IMAGE,
-                header=create_header(header),
-                height=1,
-                width=width,
-                encoding=encoding,
-                is_bigendian=0,
-                step=4 * width,
-                data=np.full(4 * width, 200 - 100 * i, np.uint8),
-            )
-            recorder.write(topic, IMAGE, encode(image, IMAGE), 1, 1)
-        recorder.write(keypoints, KEYPOINTS, encode_keypoints(header, (640, 480), []), 1, 1)
-
-
-@pytest.mark.parametrize(
-    ('encodings', 'keypoints', 'grey'),
-    [
-        ({'/front/image': 'mono8', '/rear/image': 'mono8'}, '/rear/keypoints', 100),
-        ({'/camera/depth/image_raw': '16UC1', '/camera/color/image_raw': 'mono8'}, '/camera/keypoints', 100),
-        ({'/camera/stereo/image': '32FC1', '/camera/color/image_raw': 'mono8'}, '/camera/keypoints', 100),
-        ({'/camera/depth/image_raw': 'mono8'}, '/camera/keypoints', 200),
-        ({'/front/image': 'mono8', '/rear/image': '32FC1'}, '/rear/keypoints', None),
-    ],
-)
-def test_images_of_another_camera_or_of_depth_are_not_drawn_where_others_are(
-    tmp_path: Path, encodings: dict[str, str], keypoints: str, grey: int | None
-) -> None:
-    record_images(tmp_path / 'bag', encodings, keypoints)
-    images = list(read_images(tmp_path / 'bag', [10**9], NodeConfig()))
-    found = [int(np.asarray(Image.open(io.BytesIO(image.data)))[0, 0, 0]) for image in images]
-    assert found == ([] if grey is None else [pytest.approx(grey, abs=5)])
-
-
-def test_an_image_that_jpeg_cannot_hold_is_left_out(tmp_path: Path) -> None:
-    record_images(tmp_path / 'bag', {'/image': 'mono8'}, '/keypoints', width=65_501)
-    assert list(read_images(tmp_path / 'bag', [10**9], NodeConfig())) == []
-
-
-def test_images_of_a_bag_are_those_beside_the_keypoints(tmp_path: Path) -> None:
-    pixels = np.zeros((4, 6, 3), np.uint8)
-    pixels[:, :3] = [250, 10, 10]
-    stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, 'PNG')
-    second = 10**9
-    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        for stamp in (1, 2, 3):
-            header = create_header(Header(stamp * second, 'camera'))
-            raw_image = create_message(
-                IMAGE,
-                header=header,
-                height=4,
-                width=6,
-                encoding='rgb8',
-                is_bigendian=0,
-                step=18,
-                data=pixels.ravel(),
-            )
-            data = np.frombuffer(stream.getvalue() if stamp < 3 else b'no image', np.uint8)
-            packed = create_message(COMPRESSED_IMAGE, header=header, format='png', data=data)
-            recorder.write('/left/image', IMAGE, encode(raw_image, IMAGE), stamp, stamp)
-            recorder.write('/right/image', COMPRESSED_IMAGE, encode(packed, COMPRESSED_IMAGE), stamp, stamp)
-    stamps = [second, 3 * second]
-    packed_images = list(read_images(tmp_path / 'bag', stamps, NodeConfig(), '/right/keypoints'))
-    assert packed_images == [
-        SceneImage(0.0, stream.getvalue(), 'image/png'),
-        SceneImage(1.0, stream.getvalue(), 'image/png'),
-    ]
-    images = list(read_images(tmp_path / 'bag', stamps[:1], NodeConfig(), '/left/keypoints'))
-    assert [(image.time_s, image.media_type) for image in images] == [(0.0, 'image/jpeg')]
-    shown = np.asarray(Image.open(io.BytesIO(images[0].data)))
-    assert shown.shape == pixels.shape
-    assert shown[0, 0, 0] > 200
-    assert shown[0, 5].max() < 60
