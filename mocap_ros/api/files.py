@@ -92,8 +92,8 @@ def write(path: str | Path, result: PoseSequence | KeypointSequence) -> None:
     """Write a result in the format that the suffix of the path names, or keypoints as a sequence file.
 
     The formats of results are those of `mocap-ros reconstruct`: `.npz` and `.csv` (m, optical frame), `.mcap` (a
-    bag of messages), `.bvh` (cm, y up), `.trc` (mm, y up), `.angles.csv` (degrees), and OpenSim's `.mot` and
-    `.osim`. Keypoints are written as `.npz`, with the camera and the truth if there are any.
+    bag of messages), `.bvh` (cm, y up), `.trc` (mm, y up), and `.angles.csv` (degrees). Keypoints are written as
+    `.npz`, with the camera and the truth if there are any.
 
     Args:
         path: the file, which is replaced if it exists, once all of the new one is written.

@@ -47,9 +47,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'Reconstructs one person over a whole sequence, so that every frame supports the others. The '
         'input is a sequence file, a bag, OpenPose JSON, COCO keypoints or a video. The ending of the output file '
         'selects its format: .npz, .csv, .mcap (a bag of skeletons, cameras and markers), .bvh (for animation, in '
-        'cm), .angles.csv (joint angles), or for OpenSim .trc (markers, in mm), .mot (joint angles) and .osim (a '
-        'model with the bones of the person). In .bvh and the files for OpenSim, y points up and the frame rate '
-        'is constant.'
+        'cm), .angles.csv (joint angles), or .trc (markers for OpenSim, in mm). In .bvh and .trc, y points up and '
+        'the frame rate is constant.'
     )
     add_input_options(parser)
     parser.add_argument(

@@ -18,7 +18,7 @@ from mocap_ros.input_file import NEITHER_FILE_NOR_FOLDER, is_special_file
 
 VIDEO_SUFFIXES = ('.mp4', '.m4v', '.mov', '.avi', '.mkv', '.webm', '.mpg', '.mpeg', '.wmv', '.flv', '.gif')
 IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.bmp', '.tif', '.tiff', '.webp', '.heic')
-WRITTEN_SUFFIXES = ('.csv', '.bvh', '.trc', '.mot', '.osim')  # of files that are written, but not read
+WRITTEN_SUFFIXES = ('.csv', '.bvh', '.trc')  # of files that are written, but not read
 
 # What the commands read, in the words of messages.
 KEYPOINT_FORMATS = 'a sequence file (.npz), a bag, a folder of OpenPose JSON, COCO keypoints (.json), or a video'

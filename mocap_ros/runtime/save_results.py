@@ -24,7 +24,6 @@ from mocap_ros.formats.detections import MAX_FRAME_RATE_HZ, Detections
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.bvh import save_bvh
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, compute_joint_angles
-from mocap_ros.formats.export.opensim_model import place_markers, save_mot, save_osim
 from mocap_ros.formats.export.trc import save_trc
 from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.geometry.differences import central_velocity
@@ -242,24 +241,12 @@ def _save_trc(path: Path, reconstruction: ReconstructedSequence) -> None:
     save_trc(path, reconstruction.result.skeleton.joints, joints, fps)
 
 
-def _save_mot(path: Path, reconstruction: ReconstructedSequence) -> None:
-    fps, joints, in_sight = _resample_at_constant_rate(reconstruction)
-    times = np.flatnonzero(in_sight) / fps  # those of the same frames in a .trc file
-    save_mot(path, compute_joint_angles(joints[in_sight], fps), times)
-
-
-def _save_osim(path: Path, reconstruction: ReconstructedSequence) -> None:
-    fps, joints, in_sight = _resample_at_constant_rate(reconstruction)
-    places = place_markers(joints[in_sight], compute_joint_angles(joints[in_sight], fps))
-    save_osim(path, reconstruction.sequence.person_id or DEFAULT_PERSON_ID, places)
-
-
 def _save_angles(path: Path, reconstruction: ReconstructedSequence) -> None:
     times, joints = reconstruction.sequence.timestamps, stand_upright(reconstruction.result)
     known = np.isfinite(joints).all(axis=(1, 2))
     values = np.full((len(times), len(COORDINATES)), np.nan)
     fps = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    values[known] = compute_joint_angles(joints[known], fps).values
+    values[known] = compute_joint_angles(joints[known], fps)
     units = ['m' if name in POSITIONS else 'deg' for name in COORDINATES]
     with path.open('w', newline='', encoding='utf-8') as file:
         writer = csv.writer(file)
@@ -320,7 +307,5 @@ WRITERS: dict[str, Callable[[Path, ReconstructedSequence], None]] = {
     '.bvh': _save_bvh,
     '.trc': _save_trc,
     '.angles.csv': _save_angles,
-    '.mot': _save_mot,
-    '.osim': _save_osim,
 }
 SUFFIXES = tuple(WRITERS)  # the file suffixes that `save` accepts

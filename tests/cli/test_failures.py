@@ -55,7 +55,6 @@ MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than 
             "'solver.bone_wait'; did you mean 'solver.bone_weight'?",
         ),
         (['config', '--set', 'tracker.iteration=1'], "'tracker.iteration'; did you mean 'tracker.iterations'?"),
-        (['view', '--live', '--person', '3'], '--live shows what a node publishes; --person applies to an input'),
         (['evaluate', 'BAG'], 'bag: the bag cannot be read'),
         (['replay', 'BAG', '-o', 'bag'], 'bag: exists already; choose another -o'),
         (['reconstruct', 'RECORDING', '-o', '/nowhere/x.npz'], '/nowhere/x.npz'),

@@ -35,8 +35,6 @@ Joint positions determine the segments like this:
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
@@ -67,23 +65,10 @@ COORDINATES = (
 )  # fmt: skip
 
 
-class JointAngles(NamedTuple):
-    """The coordinates of a motion, and the orientations of the segments whose children are not on one line.
+def compute_joint_angles(joints: Array, fps: float) -> Array:
+    """Return the coordinates (F, C) of a motion, in the order of `COORDINATES`.
 
-    Attributes:
-        values: (F, C) angles in degrees, without jumps by a full turn, and positions in m, in the order of
-            `COORDINATES`.
-        pelvis: (F,) rotations from the axes of the pelvis to the ground.
-        torso: (F,) rotations from the axes of the torso to the ground.
-    """
-
-    values: Array
-    pelvis: Rotation
-    torso: Rotation
-
-
-def compute_joint_angles(joints: Array, fps: float) -> JointAngles:
-    """Compute the joint angles of a motion.
+    They are angles in degrees, without jumps by a full turn, and positions in m.
 
     Args:
         joints: (F, 15, 3) m, y up, in the order of `skeleton.CMU15`, all finite.
@@ -117,7 +102,7 @@ def compute_joint_angles(joints: Array, fps: float) -> JointAngles:
             angles |= {f'{name}_{side}': v for name, v in zip(names, values, strict=True)}
     columns = {name: np.degrees(values) for name, values in angles.items()}
     columns |= dict(zip(POSITIONS, at['pelvis'].T, strict=True))
-    return JointAngles(np.column_stack([columns[name] for name in COORDINATES]), pelvis, torso)
+    return np.column_stack([columns[name] for name in COORDINATES])
 
 
 def _align(across: Array, up: Array, *, is_up_exact: bool) -> Rotation:

@@ -1,18 +1,16 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where the markers of the model for OpenSim are, by its formulas, and OpenSim itself where it is installed."""
+"""Where the joints of a body are, given its joint angles, by the formulas of `formats/export/joint_angles.py`."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 from mocap_ros.formats.export.joint_angles import COORDINATES
-from mocap_ros.formats.export.trc import MM_PER_M
 from mocap_ros.skeleton import CMU15
 
 Array = np.ndarray
@@ -54,17 +52,3 @@ def compute_joints(values: Array, places: dict[str, Any]) -> Array:
         place(f'{side}elbow', arm, f'{side}shoulder')
         place(f'{side}wrist', arm * turn('z', f'elbow_flex_{side}'), f'{side}elbow')
     return np.stack([at[joint] for joint in CMU15.joints], axis=1)
-
-
-def require_opensim() -> Any:
-    """Return the module `opensim`, which logs errors only, or skip the test."""
-    opensim = pytest.importorskip('opensim', reason='needs OpenSim: pip install opensim')
-    opensim.Logger.setLevelString('error')
-    return opensim
-
-
-def read_markers(opensim: Any, trc: str) -> Array:
-    """Return the markers (F, 15, 3) in m of a .trc file."""
-    table = opensim.TimeSeriesTableVec3(trc)
-    rows = [table.getRowAtIndex(i) for i in range(table.getNumRows())]
-    return np.array([[row.getElt(0, j).to_numpy() for j in range(len(CMU15.joints))] for row in rows]) / MM_PER_M
