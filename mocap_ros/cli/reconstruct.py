@@ -165,13 +165,15 @@ def _reconstruct_and_save(
     if missing:
         line = f'{missing} frames before the first and after the last sight of the person have no skeleton'
         print_remark(f'{args.input}: {line}')
-    scale = ''
+    distance = f'{np.nanmedian(result.joints[..., 2]):.1f} m away'
     if not sequence.is_camera_known:
-        scale = ', distances proportional to a nominal focal length (--hfov or --focal gives the true one)'
+        distance += (
+            ' by a nominal focal length, to which it is proportional (--hfov or --focal gives the true one)'
+        )
     for output in outputs:
         print_result(
             f'{output}: {len(sequence)} frames, base poses {result.category}, residual '
-            f'{np.nanmean(solution.residual):.2f} px{scale}, {summary}{warning}'
+            f'{np.nanmean(solution.residual):.2f} px, {distance}, {summary}{warning}'
         )
         if output.suffix == '.bvh':
             print_result(f'{output}: in cm, y up, as for a level camera. In Blender: {BLENDER_IMPORT}')

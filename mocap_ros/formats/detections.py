@@ -93,7 +93,7 @@ class Video:
             if not HFOV_RANGE_DEG[0] <= hfov <= HFOV_RANGE_DEG[1]:
                 raise InputError(
                     f'--focal: {self.focal:g} px in an image {image_width} px wide are {hfov:.3g} degrees; '
-                    f'{HFOV_RANGE_DEG[0]:g} to {HFOV_RANGE_DEG[1]:g} expected'
+                    f'{HFOV_RANGE_DEG[0]:g} to {HFOV_RANGE_DEG[1]:g} expected, and px, not mm'
                 )
         return self.focal
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.topics import PEOPLE_SOURCES, TRANSFORM_SOURCES, Source
-from mocap_ros.config import Config
+from mocap_ros.config import Config, TrackerConfig
 from mocap_ros.errors import ConfigError, FrameDropped, InputError, SkeletonError
 from mocap_ros.geometry.floor import Floor, is_level
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -436,15 +436,15 @@ class Pipeline:
         return [self._note_once(r) for r in remarks]
 
     def _describe_missing_calibration(self, stamp_ns: int, intrinsics: Intrinsics) -> str:
-        """Return a remark if people are seen for `CALIBRATION_WAIT_S` without a CameraInfo."""
-        if intrinsics.is_focal_known:
+        """Return a remark if people are seen for `CALIBRATION_WAIT_S` by the default nominal focal length."""
+        focal = self.config.tracker.nominal_focal_length
+        if intrinsics.is_focal_known or focal != TrackerConfig().nominal_focal_length:
             self._first_nominal_ns = None
             return ''
         if self._first_nominal_ns is None or stamp_ns < self._first_nominal_ns:
             self._first_nominal_ns = stamp_ns
         if stamp_ns - self._first_nominal_ns < CALIBRATION_WAIT_S * NS_PER_S:
             return ''
-        focal = self.config.tracker.nominal_focal_length
         return (
             f'no CameraInfo: a nominal focal length of {focal:g} longer sides of the image '
             f'({math.degrees(2 * math.atan(0.5 / focal)):.0f} degrees) is assumed, to which distances from the '
