@@ -74,6 +74,7 @@ environment() {
     [[ $ros = wheels-* ]] || options+=(--system-site-packages)
     step "Making .venv with $("$PYTHON" --version)" "$PYTHON" -m venv "${options[@]}" .venv
     if [ -n "${LOCKED:-}" ]; then
+        [ "$ros" = wheels-jazzy ] || fail "The locked versions are those of Jazzy's wheels, not of $ros."
         step 'Installing the locked versions' \
             .venv/bin/pip install --no-deps --require-hashes -r "config/env/locked-$(.venv/bin/python config/env/lock.py --tag).txt"
     fi
