@@ -42,14 +42,6 @@ def test_yaml_round_trip() -> None:
     ('text', 'message'),
     [
         ('solver: {bone_wait: 1}', r"f\.yaml: unknown parameter 'solver\.bone_wait'"),
-        (
-            'solver: {norm: frobenius}',
-            r"'solver\.norm'; version 0\.2 removed it .* benchmarks/experiments/variants$",
-        ),
-        (
-            'solver: {paper_sines: false}',
-            r"unknown parameter 'solver\.paper_sines'; version 0\.2 removed it .*; remove this line$",
-        ),
         ('solver: 3', r"f\.yaml: solver: is a group of parameters; names are dotted, such as 'solver\.\w+'"),
         ('solver: {hypotheses: 3}', r'solver\.hypotheses = 3: expected 1 to 2'),
         ('solver: {components: many}', r'solver\.components = .many.: expected an int'),

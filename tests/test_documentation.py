@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-from mocap_ros.config import RENAMED_SINCE_0_1
 from tests.support.paths import ROOT
 
 PACKAGE = ROOT / 'mocap_ros'
@@ -51,11 +50,6 @@ def test_every_page_is_in_the_table_of_contents_of_the_site() -> None:
 def test_the_glossary_has_every_folder_of_the_mathematics() -> None:
     named = {path.split('/')[0] for path in code_paths(ROOT / 'docs' / 'glossary.md')}
     assert named >= {'geometry', 'keypoints', 'models', 'solvers', 'tracking', 'offline', 'evaluation', 'training'}
-
-
-def test_the_changelog_lists_every_renamed_parameter() -> None:
-    changelog = (ROOT / 'CHANGELOG.md').read_text(encoding='utf-8')
-    assert dict(re.findall(r'\| `(\S+\.\S+)` \| `(\S+)` \|', changelog)) == RENAMED_SINCE_0_1
 
 
 @pytest.mark.parametrize('module', MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))

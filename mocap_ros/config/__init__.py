@@ -14,12 +14,9 @@ from mocap_ros.config.defaults import (
     TrackerConfig,
     Value,
 )
-from mocap_ros.config.renamed import REMOVED_SINCE_0_1, RENAMED_SINCE_0_1, current_names
 from mocap_ros.config.yaml_file import from_yaml, load_yaml, to_yaml
 
 __all__ = [
-    'REMOVED_SINCE_0_1',
-    'RENAMED_SINCE_0_1',
     'ClassifierConfig',
     'Config',
     'KeyframesConfig',
@@ -29,7 +26,6 @@ __all__ = [
     'SolverConfig',
     'TrackerConfig',
     'Value',
-    'current_names',
     'format_value',
     'from_yaml',
     'load_yaml',

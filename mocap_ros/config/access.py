@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any, cast, get_type_hints
 
 from mocap_ros.config.defaults import Config, Value
-from mocap_ros.config.renamed import REMOVED_SINCE_0_1, RENAMED_SINCE_0_1, describe_removal
 from mocap_ros.errors import ConfigError
 
 MAX_SHOWN_CHARACTERS = 60  # characters of a value in an error message; keeps the message on one readable line
@@ -132,10 +131,6 @@ def suggest_parameter(unknown_name: str, names: Iterable[str]) -> str:
         unknown_name: the name that is none of a parameter.
         names: names of the parameters.
     """
-    if unknown_name in RENAMED_SINCE_0_1:
-        return f'it is {RENAMED_SINCE_0_1[unknown_name]!r} since version 0.2'
-    if unknown_name in REMOVED_SINCE_0_1:
-        return describe_removal(unknown_name)
     group = unknown_name.partition('.')[0]
     those_of_group_last = sorted(names, key=lambda name: name.partition('.')[0] == group)  # the last one counts
     name_of_field = {name.rpartition('.')[2]: name for name in those_of_group_last}

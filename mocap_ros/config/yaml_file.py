@@ -14,7 +14,6 @@ import yaml
 
 from mocap_ros.config.access import Parameter, format_value, parameters, values, with_values
 from mocap_ros.config.defaults import Config, Value
-from mocap_ros.config.renamed import REMOVED_SINCE_0_1
 from mocap_ros.errors import ConfigError, describe_parse_error
 
 COMMENT_WIDTH = 90  # characters of a comment line, so that a line with its indentation stays below 100
@@ -111,19 +110,9 @@ def from_yaml(text: str, source: str) -> Config:
     groups = {parameter.name.partition('.')[0] for parameter in parameters()}
     tree = {name: value for name, value in tree.items() if value is not None or name not in groups}
     try:
-        value_by_name = dict(_flatten(tree))
-        _refuse_needless_lines(value_by_name)
-        return with_values(Config(), value_by_name)
+        return with_values(Config(), dict(_flatten(tree)))
     except ConfigError as error:
         raise ConfigError(f'{source}: {error}') from None
-
-
-def _refuse_needless_lines(value_by_name: Mapping[str, object]) -> None:
-    """Refuse removed parameters with the value that the package always uses now, and say that they can go."""
-    for name, default in REMOVED_SINCE_0_1.items():
-        if name in value_by_name and value_by_name[name] == default:
-            reason = f'version 0.2 removed it and always computes as with {default!r}'
-            raise ConfigError(f'unknown parameter {format_value(name)}; {reason}; remove this line')
 
 
 def _flatten(tree: Mapping[object, object], prefix: str = '') -> Iterator[tuple[str, object]]:

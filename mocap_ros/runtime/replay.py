@@ -15,7 +15,7 @@ from typing import Any
 
 from rosbags.rosbag2.metadata import dump_qos_v9
 
-from mocap_ros.bags.journal import RESET, Journal, Verdict, read_run
+from mocap_ros.bags.journal import PARAMETERS, RESET, Journal, Verdict, read_run
 from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import Recorder, choose_partial_path
 from mocap_ros.bags.rosbag2 import make_topic
@@ -27,7 +27,7 @@ from mocap_ros.bags.topics import (
     find_transform_topics,
     make_repeat_keys,
 )
-from mocap_ros.config import Config, Value, current_names, values, with_values
+from mocap_ros.config import Config, Value, values, with_values
 from mocap_ros.errors import ConfigError, FolderTaken, InputError, RecordingError
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transform_tree import is_of_people_only
@@ -41,6 +41,7 @@ from mocap_ros.runtime.remarks import find_kind
 
 JOURNAL_TOPIC = '/mocap_replay/journal'  # ends as the journal of a live run, so that a replay can be replayed
 INPUT_TYPE_PARAMETER = 'node.input_type'  # set to the type of the bag's keypoints, whatever the parameters say
+UNKNOWN_PARAMETERS = 'unknown parameters'  # kind of the remark about them
 PREFIX_PARAMETER = 'node.frame_prefix'  # by which the people of the recorded run are known on /tf
 
 # A function that shows progress while the messages it is given are iterated; its second argument is their number.
@@ -138,6 +139,7 @@ class _Replay:
 
     def __init__(self, bag: Bag, options: ReplayOptions) -> None:
         self._bag = bag
+        self._remarks: dict[str, str] = {}  # by what is left of them without numbers
         self._part = options.part or Part(0, None, None, 0, None)
         self._inputs = find_people_topics(bag, options.topic)
         keypoints_type = find_people_type(bag, self._inputs)
@@ -164,7 +166,6 @@ class _Replay:
         self._appearances = AppearanceLog(settings.forget_all_after, settings.forget_after)
         self._bodies = RecordedBodies()
         self._first_rejection = ''
-        self._remarks: dict[str, str] = {}  # by what is left of them without numbers
         self._tracebacks: dict[str, str] = {}  # by what identifies the error, in order of occurrence
 
     def run(self, folder: Path, name: str, progress: ProgressWrapper) -> ReplayResult:
@@ -217,11 +218,19 @@ class _Replay:
                 for output in self._pipeline.reset():
                     self._write(output, now_ns)
             elif self._repeats_parameters:
+                if entry.kind != PARAMETERS:
+                    raise InputError(
+                        f'{self._bag.path}: the run was recorded by another version (event {entry.kind!r}); '
+                        'give all parameters by --config'
+                    )
                 self._pipeline.reconfigure(self._apply_parameters(self._pipeline.config, entry.parameters))
                 self._recorder.write(*self._journal.make_parameters_record(values(self._pipeline.config), now_ns))
 
     def _apply_parameters(self, config: Config, recorded: Mapping[str, Value]) -> Config:
         """Return the parameters of a recorded run, but for those that the options of the replay give."""
+        if unknown := ', '.join(sorted(recorded.keys() - values(config).keys())):
+            line = f'{self._bag.path}: recorded by another version, whose {unknown} this one does not have'
+            self._remarks.setdefault(UNKNOWN_PARAMETERS, line)
         return _apply_recorded_parameters(config, recorded, self._changes, self._bag)
 
     def _write_result(self, number: int, message: BagMessage, result: ProcessingResult) -> None:
@@ -288,6 +297,8 @@ def _apply_recorded_parameters(
 ) -> Config:
     """Return the parameters of a recorded run, but for those in `changes`, which have the values given there.
 
+    Those that this version does not have are left out.
+
     Model and prior of the run must be shipped ones, so that a bag cannot make the replay read a file of its
     choice; the user, who gives `changes`, may choose any.
     """
@@ -303,7 +314,8 @@ def _apply_recorded_parameters(
                 f'give another by --set {name}=VALUE, or all parameters by --config'
             )
     try:
-        kept = {name: value for name, value in current_names(recorded).items() if name not in changes}
+        names = values(config).keys() - changes.keys()
+        kept = {name: value for name, value in recorded.items() if name in names}
         config = with_values(config, kept)
     except ConfigError as error:
         raise InputError(

@@ -376,6 +376,22 @@ def test_events_that_this_version_does_not_know_are_refused_unless_a_file_gives_
     assert replay_skeletons(tmp_path / 'later', tmp_path / 'out') == skeletons
 
 
+def test_parameters_that_no_longer_exist_are_named_once_and_have_no_effect(
+    tmp_path: Path, stream: list[bytes]
+) -> None:
+    journal = Journal('/mocap_node/journal')
+    gone: dict[str, Value] = {'tracker.refine': 0.2, 'solver.norm': 'squared'}
+    parameters = values(with_values(Config(), RECORDED))
+    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
+        recorder.write(*journal.make_parameters_record({**parameters, **gone}, START_NS))
+        for number, raw in enumerate(stream[:5]):
+            recorder.write('/keypoints', KEYPOINTS, raw, START_NS + number, START_NS + number)
+    with Bag(tmp_path / 'bag') as bag:
+        result = replay(bag, tmp_path / 'out')
+    assert [r for r in result.remarks if 'another version, whose solver.norm, tracker.refine this one' in r]
+    assert read_parameters(tmp_path / 'out') == [parameters]
+
+
 def test_set_on_a_bag_without_a_run_changes_the_defaults(tmp_path: Path, stream: list[bytes]) -> None:
     write_bag(tmp_path / 'bag', stream)
     assert main(['replay', str(tmp_path / 'bag'), '-o', str(tmp_path / 'out'), *FAST_ARGUMENTS]) == 0
