@@ -99,12 +99,11 @@ def test_a_person_who_comes_towards_the_camera_is_not_predicted_behind_it(walk_m
     (track,) = tracker.snapshot().tracks
     solution, model = track.solved, tracker.models[track.solved.model_name]
     stamp_ns = (FRAMES + 8) * STEP_NS
-    depth = make_person(track, FRAMES - 1, model).joints[:, 2]
+    last = make_person(track, FRAMES - 1, model)
+    depth = last.joints[:, 2]
     assert predict_person(track, stamp_ns, model).joints[:, 2].mean() < depth.mean() - 0.2
-    depth = make_person(replace(track, motion_filter=None), FRAMES - 1, model).joints[:, 2]
     nearer = [0.0, 0.0, depth.max() - 2 * depth.mean() + 0.15]  # m; then the body nearly touches the camera
-    roots = solution.roots + solution.stature_ratio * np.array(nearer)
-    near = replace(track, solution=replace(solution, roots=roots), motion_filter=None)
+    near = replace(track, solution=replace(solution, roots=solution.roots + nearer), motion_filter=None)
     stopped, before = predict_person(near, stamp_ns, model), make_person(near, FRAMES - 1, model)
     depth = stopped.joints[:CORE_COUNT, 2]
     assert 2 * depth.mean() - depth.max() == pytest.approx(MIN_CLEARANCE_M)
