@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from reconstruction import reconstruct_whole, track
 from report import Record, Report, Section, group, run
 
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import MotionKind
 from mocap_ros.skeleton import CMU15, estimate_stature
@@ -54,7 +54,7 @@ def train_models(categories: Iterable[str] = (*CATEGORIES, '')) -> dict[str, Bas
 
 def make_tracker_config(prior: str, **values: Any) -> Config:
     """Return the default configuration with this prior and with parameters given as `group__field`."""
-    return with_values(Config(), {'solver.prior': prior, **{k.replace('__', '.'): v for k, v in values.items()}})
+    return with_settings(Config(), {'solver.prior': prior, **{k.replace('__', '.'): v for k, v in values.items()}})
 
 
 PRIORS = {'learned': str(common.HELD_OUT_LIFTER), 'pca': 'pca'}

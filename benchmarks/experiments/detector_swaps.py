@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from reconstruction import Models, track
 
 from experiments.detector_views import DetectedView
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import observe_sequence
 
@@ -42,7 +42,7 @@ def find_exchanged(way: str, seen: DetectedView, models: Models, config: Config)
                 view.joint_names,
                 seen.times,
                 view.intrinsics,
-                with_values(config, {'tracker.undo_swaps': on}).tracker,
+                with_settings(config, {'tracker.undo_swaps': on}).tracker,
             )
             for on in (False, True)
         )

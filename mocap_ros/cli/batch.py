@@ -62,7 +62,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=parse_positive,
         metavar='MIN',
         help='cut bags that are longer into parts of at least this length in min, where nobody was there for '
-        'tracker.forget_all_after (default: never)',
+        'a minute without anybody (default: never)',
     )
     parser.add_argument(
         '--copy-limit',

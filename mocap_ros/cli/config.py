@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""`mocap-ros config`: print a parameter file that sets every parameter."""
+"""`mocap-ros config`: print a parameter file."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from mocap_ros.config import to_yaml
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Describe the subcommand and add its options."""
     parser.description = (
-        'Prints every parameter with its meaning, its range and its value as a ROS parameter file. '
+        'Prints the parameters that many users set, with meanings, ranges and values, as a ROS parameter file. '
         'Pass the file to `mocap_node --ros-args --params-file` or to the option `--config` of the other '
         'commands.'
     )
+    parser.add_argument('--all', action='store_true', help='print every parameter')
     add_config_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the effective configuration as a ROS parameter file."""
-    print(to_yaml(load_config(args)), end='')
+    print(to_yaml(load_config(args), shows_all=args.all), end='')
     return 0

@@ -3,7 +3,16 @@
 
 """The configuration: every parameter with its default, access by name, and parameter files."""
 
-from mocap_ros.config.access import Parameter, format_value, parameters, suggest_parameter, values, with_values
+from mocap_ros.config.access import (
+    Parameter,
+    format_value,
+    parameters,
+    settings,
+    suggest_parameter,
+    values,
+    with_settings,
+    with_values,
+)
 from mocap_ros.config.defaults import (
     ClassifierConfig,
     Config,
@@ -30,8 +39,10 @@ __all__ = [
     'from_yaml',
     'load_yaml',
     'parameters',
+    'settings',
     'suggest_parameter',
     'to_yaml',
     'values',
+    'with_settings',
     'with_values',
 ]

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, cast, get_type_hints
 
 from mocap_ros.config.defaults import Config, Value
@@ -36,6 +37,7 @@ class Parameter:
         choices: valid values of a text; empty if any text is valid.
         read_only: whether the value is fixed when the node starts.
         takes_numbers: whether a number may be given for a text.
+        is_common: whether many users set it.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Parameter:
     choices: tuple[str, ...]
     read_only: bool
     takes_numbers: bool
+    is_common: bool
 
     def check(self, value: object) -> Value:
         """Return the value in the parameter's own type.
@@ -95,6 +98,8 @@ def parameters() -> Iterator[Parameter]:
         group_type = type(getattr(Config(), group.name))
         types = get_type_hints(group_type)
         for field in dataclasses.fields(group_type):
+            if not field.metadata:  # a constant
+                continue
             name = f'{group.name}.{field.name}'
             yield Parameter(name, types[field.name], cast(Value, field.default), **field.metadata)
 
@@ -110,6 +115,7 @@ def with_values(config: Config, values: Mapping[str, object]) -> Config:
         ConfigError: a name is unknown, or a value has the wrong type or is out of range.
     """
     parameter_of = {parameter.name: parameter for parameter in parameters()}
+    checked: dict[str, Value] = {}
     for name, value in values.items():
         if name not in parameter_of:
             in_group = next((known for known in parameter_of if known.startswith(f'{name}.')), '')
@@ -117,9 +123,20 @@ def with_values(config: Config, values: Mapping[str, object]) -> Config:
                 raise ConfigError(f'{name}: is a group of parameters; names are dotted, such as {in_group!r}')
             suggestion = suggest_parameter(name, parameter_of)
             raise ConfigError(f'unknown parameter {format_value(name)}; {suggestion}')
+        checked[name] = parameter_of[name].check(value)
+    return with_settings(config, checked)
+
+
+def with_settings(config: Config, changes: Mapping[str, object]) -> Config:
+    """Return a copy of the configuration in which these fields, also constants, have these values, unchecked.
+
+    Args:
+        config: the configuration to copy.
+        changes: new values by name (`group.field`). Experiments and tests change constants by it.
+    """
+    for name, value in changes.items():
         group_name, field_name = name.split('.')
-        checked = parameter_of[name].check(value)
-        group = dataclasses.replace(getattr(config, group_name), **{field_name: checked})
+        group = dataclasses.replace(getattr(config, group_name), **{field_name: value})
         config = dataclasses.replace(config, **{group_name: group})
     return config
 
@@ -135,10 +152,15 @@ def suggest_parameter(unknown_name: str, names: Iterable[str]) -> str:
     those_of_group_last = sorted(names, key=lambda name: name.partition('.')[0] == group)  # the last one counts
     name_of_field = {name.rpartition('.')[2]: name for name in those_of_group_last}
     close = difflib.get_close_matches(unknown_name.rpartition('.')[2], name_of_field, n=1)
-    return f'did you mean {name_of_field[close[0]]!r}?' if close else '`mocap-ros config` lists all parameters'
+    return f'did you mean {name_of_field[close[0]]!r}?' if close else '`mocap-ros config --all` lists all of them'
 
 
 def values(config: Config) -> dict[str, Value]:
     """Return the value of every parameter, by name."""
+    return {parameter.name: attrgetter(parameter.name)(config) for parameter in parameters()}
+
+
+def settings(config: Config) -> dict[str, Value]:
+    """Return the value of every parameter and of every constant, by name."""
     groups = dataclasses.asdict(config)
     return {f'{group}.{field}': value for group, fields in groups.items() for field, value in fields.items()}

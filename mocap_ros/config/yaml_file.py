@@ -23,7 +23,7 @@ ANY_NODE = '/**'  # name in a ROS parameter file that stands for each node that 
 TEXT_TAG = 'tag:yaml.org,2002:str'  # tag of texts in YAML, written as !!str
 
 HEADER = """\
-# Every parameter of the node with its value. Made by `mocap-ros config`.
+# Parameters of the node with their values. `mocap-ros config` prints those that many users set, with `--all` all.
 # The comment of a parameter gives its unit first, if it has one, and its range or choices last, in brackets.
 """
 
@@ -125,12 +125,20 @@ def _flatten(tree: Mapping[object, object], prefix: str = '') -> Iterator[tuple[
             yield name, value
 
 
-def to_yaml(config: Config) -> str:
-    """Return a commented ROS parameter file that sets every parameter of the node to its value in `config`."""
+def to_yaml(config: Config, *, shows_all: bool = True) -> str:
+    """Return a commented ROS parameter file that sets parameters of the node to their values in `config`.
+
+    Args:
+        config: the configuration.
+        shows_all: whether all parameters are in the file; otherwise those that many users set and those that
+            differ from their defaults.
+    """
     lines = [*HEADER.splitlines(), f'{ANY_NODE}:', '  ros__parameters:']
     value_of = values(config)
     previous_group = ''
     for parameter in parameters():
+        if not (shows_all or parameter.is_common or value_of[parameter.name] != parameter.default):
+            continue
         group, _, field = parameter.name.partition('.')
         if group != previous_group:
             previous_group = group

@@ -25,7 +25,7 @@ MAX_REMEMBERED_FRAMES = 300  # frames; 10 s at 30 Hz, enough for a 99th percenti
 RATE_WINDOW_S = 2.0  # s; long enough for a steady figure, short enough to show a change soon
 UNUSABLE_DETECTIONS = (
     'detections were no person in the last second: their scores are below tracker.min_score, '
-    'or too few joints are seen (tracker.min_joints)'
+    'or fewer than six joints are seen'
 )
 
 

@@ -285,8 +285,7 @@ class LiveRun:
             self._throttled_log.report(
                 topic,
                 number,
-                'the message was processed but not recorded, as the disk is too slow; record to a faster disk or '
-                'raise recorder.backlog',
+                'the message was processed but not recorded, as the disk is too slow; record to a faster disk',
             )
 
     def _publish_and_record(self, outputs: Iterable[OutputMessage]) -> None:

@@ -170,7 +170,7 @@ class LiveRecording:
         if recorder.refused_count:
             self._logger.info(
                 f'the recording to {recorder.folder} is finished, but {recorder.refused_count} inputs are missing '
-                'in it, as the disk was too slow; record to a faster disk or raise recorder.backlog'
+                'in it, as the disk was too slow; record to a faster disk'
             )
         else:
             self._logger.info(f'the recording to {recorder.folder} is finished')
@@ -207,7 +207,7 @@ class LiveRecording:
             if not self._stalled_s:
                 self._logger.error(
                     f'the disk has taken nothing of the recording to {recorder.folder} for {stalled_s:.1f} s; '
-                    'inputs wait for it, up to recorder.backlog of them, and further ones will not be recorded'
+                    'some inputs wait for it, and further ones will not be recorded'
                 )
             self._stalled_s = stalled_s
         elif self._stalled_s:

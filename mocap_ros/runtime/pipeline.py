@@ -53,7 +53,7 @@ CALIBRATION_WAIT_S = 2.5  # s; a CameraInfo comes within it, if at all: publishe
 MAX_CONSECUTIVE_ERRORS = 3  # messages; after as many internal errors in a row the tracker's state is discarded
 BACKLOG_REASON = (
     'the message was skipped because newer messages were waiting, as the node cannot keep up with its input; '
-    'lower tracker.components, tracker.iterations or tracker.refine_seconds, send fewer frames or people, '
+    'lower tracker.components or tracker.iterations, send fewer frames or people, '
     'or use a CPU core that is faster or less busy with other processes'
 )
 

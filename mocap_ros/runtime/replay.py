@@ -27,7 +27,7 @@ from mocap_ros.bags.topics import (
     find_transform_topics,
     make_repeat_keys,
 )
-from mocap_ros.config import Config, Value, values, with_values
+from mocap_ros.config import Config, Value, settings, values, with_values
 from mocap_ros.errors import ConfigError, FolderTaken, InputError, RecordingError
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transform_tree import is_of_people_only
@@ -228,8 +228,14 @@ class _Replay:
 
     def _apply_parameters(self, config: Config, recorded: Mapping[str, Value]) -> Config:
         """Return the parameters of a recorded run, but for those that the options of the replay give."""
-        if unknown := ', '.join(sorted(recorded.keys() - values(config).keys())):
-            line = f'{self._bag.path}: recorded by another version, whose {unknown} this one does not have'
+        known, constants = values(config), settings(config)
+        changed = [
+            f'{name} = {value}'
+            for name, value in sorted(recorded.items())
+            if name not in known and constants.get(name, False) != value
+        ]
+        if changed:
+            line = f'{self._bag.path}: recorded by another version, with other constants: {", ".join(changed)}'
             self._remarks.setdefault(UNKNOWN_PARAMETERS, line)
         return _apply_recorded_parameters(config, recorded, self._changes, self._bag)
 

@@ -45,7 +45,7 @@ from mocap_ros.batch.cluster import run_jobs  # noqa: E402
 from mocap_ros.batch.job import Job, Outcome, Settings, Status  # noqa: E402
 from mocap_ros.batch.recordings import Work, find_recordings  # noqa: E402
 from mocap_ros.batch.report import save_report, summarise  # noqa: E402
-from mocap_ros.config import Config, from_yaml, to_yaml, values, with_values  # noqa: E402
+from mocap_ros.config import Config, from_yaml, to_yaml, values, with_settings  # noqa: E402
 from mocap_ros.runtime.parts import Part  # noqa: E402
 
 FRAMES = {'a': 40, 'sub/b': 25, 'c': 10}
@@ -149,12 +149,12 @@ def test_only_what_changed_is_done_again(client: Any, tmp_path: Path) -> None:
     (out / 'records' / 'replay' / 'd.json').write_text('{"content": ')
     expected = {'a': 'done before', 'b': 'done', 'c': 'done', 'd': 'done'}
     assert statuses(run(client, corpus, out)) == expected
-    other = with_values(FAST_CONFIG, {'tracker.window': 1.5})
+    other = with_settings(FAST_CONFIG, {'tracker.window': 1.5})
     assert set(statuses(run(client, corpus, out, config=other)).values()) == {'done'}
 
 
 def test_a_bag_that_is_cut_gives_the_messages_of_the_whole(client: Any, tmp_path: Path) -> None:
-    config = with_values(FAST_CONFIG, {'tracker.forget_all_after': 1.0})
+    config = with_settings(FAST_CONFIG, {'tracker.forget_all_after': 1.0})
     write_demo_bag(tmp_path / 'in' / 'long', 150, range(30, 100))
     write_demo_bag(tmp_path / 'in' / 'short', 20)
     whole = run(client, tmp_path / 'in', tmp_path / 'whole', config=config)
@@ -184,7 +184,7 @@ def test_parts_are_joined_on_a_file_system_without_hard_links(
         raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
 
     monkeypatch.setattr(os, 'link', refuse)
-    config = with_values(FAST_CONFIG, {'tracker.forget_all_after': 1.0})
+    config = with_settings(FAST_CONFIG, {'tracker.forget_all_after': 1.0})
     write_demo_bag(tmp_path / 'in' / 'long', 90, range(20, 70))
     settings = Settings(Work.REPLAY, str(tmp_path / 'out'), config=config, cut_seconds=0.5).seal()
     (recording,) = find_recordings(str(tmp_path / 'in'), Work.REPLAY)
@@ -217,7 +217,7 @@ def test_sequences_are_reconstructed_and_summarised(client: Any, tmp_path: Path,
     short = replace(demo, keypoints=demo.keypoints[:60], timestamps=demo.timestamps[:60], truth=None)
     save_sequence(tmp_path / 'in' / 'walk.npz', short)
     (tmp_path / 'in' / 'broken.npz').write_bytes(b'PK\x03\x04')
-    config = with_values(FAST_CONFIG, {'solver.max_iterations': 2})
+    config = with_settings(FAST_CONFIG, {'solver.max_iterations': 2})
     outcomes = run(client, tmp_path / 'in', tmp_path / 'out', work=work, config=config)
     assert statuses(outcomes) == {'walk': 'done', 'broken': 'failed'}
     assert outcomes['broken'].reason.startswith(f'{tmp_path}/in/broken.npz: ')
@@ -387,7 +387,7 @@ def test_the_summary_tells_of_lost_workers() -> None:
 
 
 def test_set_changes_single_parameters_of_the_recorded_runs(client: Any, tmp_path: Path) -> None:
-    recorded = with_values(FAST_CONFIG, {'tracker.window': 1.2})
+    recorded = with_settings(FAST_CONFIG, {'tracker.window': 1.2})
     write_demo_bag(tmp_path / 'plain', 5)
     with Bag(tmp_path / 'plain') as bag, Recorder(tmp_path / 'in' / 'a', recorded.recorder) as recorder:
         messages = list(bag.messages(bag.topics))
@@ -399,10 +399,10 @@ def test_set_changes_single_parameters_of_the_recorded_runs(client: Any, tmp_pat
         outcomes = run(client, tmp_path / 'in', tmp_path / 'out', config=None, changes=changes)
         assert statuses(outcomes) == {'a': 'done'}, 'the record of other parameters counts'
         with Bag(tmp_path / 'out' / 'results' / 'a') as bag:
-            assert read_run(bag).parameters == values(with_values(recorded, changes))
+            assert read_run(bag).parameters == values(with_settings(recorded, changes))
         table, _ = save_report(list(outcomes.values()), outcomes['a'].job.settings)
         metadata = parquet.read_table(table).schema.metadata[b'mocap_ros.yaml'].decode()
-        assert from_yaml(metadata, 'metadata') == with_values(Config(), changes)
+        assert from_yaml(metadata, 'metadata') == with_settings(Config(), changes)
         assert metadata.count('\n') == len(changes)
 
 
@@ -410,7 +410,7 @@ def test_the_table_holds_all_parameters_where_recordings_have_none_of_their_own(
     for work, config in ((Work.RECONSTRUCT, None), (Work.REPLAY, FAST_CONFIG)):
         settings = Settings(work, str(tmp_path), config, {'tracker.lag': 0.2}).seal()
         table, _ = save_report([], settings)
-        expected = to_yaml(with_values(config or Config(), {'tracker.lag': 0.2}))
+        expected = to_yaml(with_settings(config or Config(), {'tracker.lag': 0.2}))
         assert parquet.read_table(table).schema.metadata[b'mocap_ros.yaml'].decode() == expected
 
 

@@ -51,8 +51,8 @@ MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than 
             "unknown parameter 'solver.speed'; `mocap-ros config`",
         ),
         (
-            ['plot', 'RECORDING', '--set', 'solver.bone_wait=1'],
-            "'solver.bone_wait'; did you mean 'solver.bone_weight'?",
+            ['plot', 'RECORDING', '--set', 'solver.iterations=1'],
+            "'solver.iterations'; did you mean 'solver.max_iterations'?",
         ),
         (['config', '--set', 'tracker.iteration=1'], "'tracker.iteration'; did you mean 'tracker.iterations'?"),
         (['evaluate', 'BAG'], 'bag: the bag cannot be read'),
@@ -65,10 +65,10 @@ MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than 
         (['config', '--config', 'nowhere.yaml'], 'nowhere.yaml'),
         (['config', '--config', 'FOLDER'], 'folder: Is a directory'),
         (['config', '--config', 'BOMB'], 'bomb.yaml: not YAML: line 2: aliases are not allowed'),
-        (['config', '--set', f'solver.components=1{"0" * 400}'], 'expected 1 to 60'),
+        (['config', '--set', f'solver.max_iterations=1{"0" * 400}'], 'expected 1 to 10000'),
         (
-            ['config', '--set', f'solver.components={"[" * 9999}'],
-            '--set solver.components: not YAML: line 1: nested too deep',
+            ['config', '--set', f'solver.max_iterations={"[" * 9999}'],
+            '--set solver.max_iterations: not YAML: line 1: nested too deep',
         ),
         (
             ['reconstruct', 'FOLDER'],

@@ -6,7 +6,7 @@
 import numpy as np
 import pytest
 
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings
 from mocap_ros.evaluation.metrics import scale_to_reference
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
@@ -21,7 +21,7 @@ from tests.support.swinging_body import make_swinging_body
 from tests.support.synthetic_walk import make_walk
 
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
-CONFIG = with_values(Config(), {'solver.components': 12, 'solver.prior': 'pca'})
+CONFIG = with_settings(Config(), {'solver.components': 12, 'solver.prior': 'pca'})
 
 
 def test_the_most_probable_of_several_models_is_used() -> None:
@@ -33,7 +33,7 @@ def test_the_most_probable_of_several_models_is_used() -> None:
     alone = reconstruct_sequence(keypoints, CMU15.joints, times, CAMERA, models['walk'], CONFIG)
     assert (alone.joints == several.joints).all()
     assert alone.core[..., 2].mean() > 1
-    alternating = with_values(CONFIG, {'solver.method': 'alternation'})
+    alternating = with_settings(CONFIG, {'solver.method': 'alternation'})
     one, other = (
         reconstruct_sequence(keypoints, CMU15.joints, times, CAMERA, m, alternating).joints
         for m in (models, models['walk'])
@@ -122,7 +122,7 @@ def test_who_walks_on_unseen_is_on_the_way(walk_model: BasePoses, values: dict[s
     truth = poses + np.stack([1.4 * np.sin(2 * times), 0 * times, 4.0 + 0 * times], axis=-1)[:, None]
     keypoints = np.concatenate([CAMERA.project(truth), np.ones((90, 15, 1))], axis=-1)
     keypoints[40:55, :, 2] = 0
-    config = with_values(CONFIG, values)
+    config = with_settings(CONFIG, values)
     roots = reconstruct_sequence(keypoints, CMU15.joints, times, CAMERA, walk_model, config).core.mean(axis=1)
     direction = roots[:, :2] / roots[:, 2:]
     step = np.linalg.norm(np.diff(direction, axis=0), axis=1)
@@ -145,7 +145,7 @@ def test_the_learned_prior_is_better_than_the_base_poses_alone() -> None:
 
     both, alone = (
         reconstruct_sequence(
-            keypoints, CMU15.joints, times, unknown, m, with_values(Config(), {'solver.prior': p})
+            keypoints, CMU15.joints, times, unknown, m, with_settings(Config(), {'solver.prior': p})
         )
         for m, p in ((models, 'learned'), (models['all'], 'pca'))
     )

@@ -24,7 +24,7 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.bags.topics import Source
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings
 from mocap_ros.errors import RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header, OutputMessage, decode, typestore
@@ -133,7 +133,7 @@ def read_messages(bag_folder: Path, topic: str) -> list[bytes]:
 
 
 def recording_to(folder: Path, **values: object) -> Config:
-    return with_values(FAST_CONFIG, {'recorder.enabled': True, 'recorder.folder': str(folder), **values})
+    return with_settings(FAST_CONFIG, {'recorder.enabled': True, 'recorder.folder': str(folder), **values})
 
 
 def assert_replay_gives_the_same(bag_folder: Path, out: Path) -> None:
@@ -315,7 +315,7 @@ def test_while_messages_wait_the_newest_comes_first_until_the_run_has_caught_up(
             assert may_finish.acquire(timeout=TIMEOUT_S)
             return super().update(*frame)
 
-    live = CollectingRun(with_values(FAST_CONFIG, {'node.queue': 4}), SteppedTracker)
+    live = CollectingRun(with_settings(FAST_CONFIG, {'node.queue': 4}), SteppedTracker)
     sent = processed = 0
     for count in (1, 5, 3, 3, 0):  # messages that come while a frame is being processed
         live.enqueue(*stream[sent : sent + count])
@@ -510,7 +510,7 @@ def test_the_limits_of_a_recording_may_be_changed_while_it_runs(
     live.enqueue(*stream[:4])
     live.wait_for_frames(4)
     live.wait_for_lines('processed but not recorded')
-    live.run.reconfigure(with_values(config, {'recorder.backlog': 100}))
+    live.run.reconfigure(with_settings(config, {'recorder.backlog': 100}))
     live.enqueue(*stream[4:8])
     live.wait_for_frames(8)
     with live.run._pipeline_lock:  # the last frame has been published, and now it waits to be written as well
@@ -520,7 +520,7 @@ def test_the_limits_of_a_recording_may_be_changed_while_it_runs(
     wait_until(lambda: recorder.waiting_count == 0)  # what waits when the disk is found to be full is not written
     (bag,) = (tmp_path / 'live').iterdir()
     no_disk = 1_000_000  # MB that no disk here has left
-    live.run.reconfigure(with_values(config, {'recorder.min_free_mb': no_disk}))
+    live.run.reconfigure(with_settings(config, {'recorder.min_free_mb': no_disk}))
     live.wait_for_lines(f'less than recorder.min_free_mb ({no_disk})')
     live.run.stop()
     assert read_messages(bag, '/keypoints')[-4:] == stream[4:8]
@@ -608,7 +608,7 @@ def test_the_diagnostics_say_why_nothing_is_recorded_until_that_is_mended_or_not
     assert live.run.recorder_state.startswith('not recording: ')
     live.run.set_recording(False)
     assert (live.run.recorder_state, live.run.recorder_fault) == ('off', '')
-    live.run.reconfigure(with_values(FAST_CONFIG, {'recorder.folder': str(blocking / 'bags')}))
+    live.run.reconfigure(with_settings(FAST_CONFIG, {'recorder.folder': str(blocking / 'bags')}))
     with pytest.raises(RecordingError):  # the caller of the service knows, and the parameter is not set
         live.run.start_recording()
     assert (live.run.recorder_state, live.run.recorder_fault) == ('off', '')
@@ -644,7 +644,7 @@ def test_a_recording_that_fails_at_once_is_an_error(tmp_path: Path, monkeypatch:
 
 
 def test_a_repeated_error_is_logged_the_1st_10th_and_100th_time(stream: list[bytes]) -> None:
-    live = CollectingRun(with_values(FAST_CONFIG, {'node.queue': 1000}))
+    live = CollectingRun(with_settings(FAST_CONFIG, {'node.queue': 1000}))
     live.enqueue(*[stream[0][:40]] * 120, stream[0])
     live.wait_for_frames(1)
     live.run.stop()
@@ -728,7 +728,7 @@ def test_a_recording_that_cannot_be_finished_is_reported_as_a_failure(
     ('values', 'is_warned'), [({}, True), ({'node.output_frame': 'map', 'node.camera_pose': '0 0 1 0 0 0'}, False)]
 )
 def test_a_camera_without_a_name_is_told_if_people_have_no_frame(values: dict[str, str], is_warned: bool) -> None:
-    live = CollectingRun(with_values(FAST_CONFIG, values))
+    live = CollectingRun(with_settings(FAST_CONFIG, values))
     nobody = [encode_keypoints(Header(START_NS + i, ''), (640, 480), []) for i in range(2)]
     live.enqueue(*nobody)
     live.wait_for_frames(2)
@@ -741,7 +741,7 @@ def test_inputs_of_a_split_recording_are_read_whole_and_file_by_file(
     tmp_path: Path, stream: list[bytes], latched: tuple[bool, ...]
 ) -> None:
     """While an image is processed, inputs wait, which are recorded after its outputs with earlier times."""
-    config = with_values(FAST_CONFIG, {'recorder.folder': str(tmp_path), 'recorder.split_seconds': 1.0})
+    config = with_settings(FAST_CONFIG, {'recorder.folder': str(tmp_path), 'recorder.split_seconds': 1.0})
     names = NAMES | {'/tf': '/tf', '/tf_static': '/tf_static'}
     offered = [make_topic('/', TRANSFORMS, latched=is_latched).qos[0] for is_latched in latched]
     kept = make_topic('/', CAMERA_INFO, latched=True).qos
@@ -790,7 +790,7 @@ def test_inputs_of_a_split_recording_are_read_whole_and_file_by_file(
 
 
 def test_a_recording_begins_with_no_transforms_that_a_replay_takes_as_outputs(tmp_path: Path) -> None:
-    config = with_values(FAST_CONFIG, {'recorder.folder': str(tmp_path), 'node.frame_prefix': 'left_'})
+    config = with_settings(FAST_CONFIG, {'recorder.folder': str(tmp_path), 'node.frame_prefix': 'left_'})
     pipeline = Pipeline(config)
     people = [('camera', 'left_body_1', 0, (0, 0, 2)), ('left_body_1', 'left_torso_1', 0, (0, 0, 1))]
     pipeline.transforms.add(make_transforms(*people, ('map', 'base', 0, (1, 0, 0))), is_static=False)

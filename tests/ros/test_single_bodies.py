@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings
 from mocap_ros.messages.cdr import Header, OutputMessage
 from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
 from mocap_ros.messages.robots.bodies import BODIES, JOINT_STATES, TRACKED, encode_tracked
@@ -78,7 +78,7 @@ def node(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_bodies_are_followed_unless_their_ids_are_no_names(node: Any) -> None:
-    versions, limits = cast(Any, SameVersions()), with_values(Config(), {'node.max_text': 1000}).node
+    versions, limits = cast(Any, SameVersions()), with_settings(Config(), {'node.max_text': 1000}).node
     inputs = InputSubscriptions(node, HRI_SKELETON, versions, lambda: limits, cast(Any, None))
     for ids in (['b1', *NO_NAMES], ['b1', 'b' * 221], ['b1', 'B_2'], ['B_2', 'B_2'], NO_NAMES):
         inputs._follow_bodies(encode_tracked(HEADER, ids))

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from mocap_ros.bags.topics import Source
-from mocap_ros.config import with_values
+from mocap_ros.config import with_settings
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
@@ -204,7 +204,7 @@ def test_ever_new_misspellings_fill_no_memory(stream: list[bytes]) -> None:
 
 
 def test_a_remark_is_made_again_after_nobody_was_there_for_long(stream: list[bytes]) -> None:
-    config = with_values(FAST_CONFIG, {'tracker.forget_all_after': 2.0})
+    config = with_settings(FAST_CONFIG, {'tracker.forget_all_after': 2.0})
 
     wrong = [edit_people(raw, reverse_joints) for raw in stream]
 

@@ -14,7 +14,7 @@ import pytest
 from mocap_ros.bags.journal import JOURNAL, Entry, Journal, Verdict, encode_entry
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
-from mocap_ros.config import Config, RecorderConfig, values, with_values
+from mocap_ros.config import Config, RecorderConfig, values, with_settings
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
@@ -28,7 +28,7 @@ from tests.support.transforms import make_transforms
 
 COCO17 = keypoint_layout('coco17').joints
 ABSENCE_S = 2.0  # s, tracker.forget_all_after in these tests
-CONFIG = with_values(FAST_CONFIG, {'tracker.forget_all_after': ABSENCE_S})
+CONFIG = with_settings(FAST_CONFIG, {'tracker.forget_all_after': ABSENCE_S})
 HZ, START_NS = 10, 1_700_000_000_000_000_000  # images per second; ns since the epoch
 LATCHED = ('/skeleton_definition',)  # topics of which each file of a bag repeats the last message
 
@@ -124,15 +124,15 @@ def test_cuts_fall_where_nobody_was_there_for_long(tmp_path: Path, visits: str, 
     bag = write_bag(tmp_path / 'bag', visits)
     assert len(find(bag)) == 1 + cuts
     assert len(find(bag, min_seconds=60)) == 1
-    assert len(find(bag, config=with_values(CONFIG, {'tracker.forget_all_after': 30.0}))) == 1
+    assert len(find(bag, config=with_settings(CONFIG, {'tracker.forget_all_after': 30.0}))) == 1
 
 
 @pytest.mark.parametrize(
     ('event', 'cuts'),
     [
         (Entry('reset', 7), 0),
-        (Entry('parameters', 7, parameters=values(with_values(CONFIG, {'tracker.min_score': 0.3}))), 0),
-        (Entry('parameters', 7, parameters=values(with_values(CONFIG, {'recorder.enabled': True}))), 1),
+        (Entry('parameters', 7, parameters=values(with_settings(CONFIG, {'tracker.min_score': 0.3}))), 0),
+        (Entry('parameters', 7, parameters=values(with_settings(CONFIG, {'recorder.enabled': True}))), 1),
         (Entry('lost', 7, parameters={'lost': 2}), 0),
     ],
 )
@@ -153,7 +153,7 @@ def test_a_bag_is_not_cut_where_transforms_are_used(tmp_path: Path, output_frame
         recorder.write('/tf_static', TRANSFORMS, make_transforms(), START_NS, START_NS)
         for topic, msgtype, time_ns, raw in messages:
             recorder.write(topic, msgtype, raw, time_ns, time_ns)
-    config = with_values(CONFIG, {'node.output_frame': output_frame})
+    config = with_settings(CONFIG, {'node.output_frame': output_frame})
     assert len(find(tmp_path / 'moving', config=config)) == 1 + cuts
     assert len(find(bag, config=config)) == 2
 

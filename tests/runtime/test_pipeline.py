@@ -319,12 +319,11 @@ def test_the_distortion_of_camera_info_is_removed(model: str, stream: list[bytes
     ('change', 'restarts'),
     [
         ({'tracker.min_score': 0.5}, True),
-        ({'solver.components': 5}, True),
-        ({'classifier.walk_residual': 0.01}, True),
+        ({'solver.max_iterations': 5}, True),
         ({'node.marker_lifetime': 2.0}, False),
     ],
 )
-def test_parameters_of_tracker_solver_and_classifier_restart_the_tracker(
+def test_parameters_of_tracker_and_solver_restart_the_tracker(
     stream: list[bytes], change: dict[str, object], restarts: bool
 ) -> None:
     changed_config = with_values(FAST_CONFIG, change)

@@ -51,7 +51,7 @@ def digest_arrays(path: Path, *names: str) -> str:
 
 
 def test_a_bag_names_versions_models_and_parameters(tmp_path: Path) -> None:
-    config = with_values(FAST_CONFIG, {'solver.bone_weight': 7.5, 'solver.prior': 'learned'})
+    config = with_values(FAST_CONFIG, {'solver.max_iterations': 7, 'solver.prior': 'learned'})
     parameters, provenance = replay_and_read_attachments(tmp_path, config)
     assert parameters == config
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.config import Config, SolverConfig, with_values
+from mocap_ros.config import Config, SolverConfig, with_settings
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
@@ -50,7 +50,7 @@ def track_person(model: BasePoses) -> Array:
     """Return the joints (F, J, 3) m of the frames of the tracker."""
     _, _, points, _ = make_walk(model, frames=FRAMES)
     changed = {'tracker.iterations': 1, 'solver.max_iterations': ITERATIONS, 'solver.components': COMPONENTS}
-    tracker = Tracker(model, with_values(Config(), changed))
+    tracker = Tracker(model, with_settings(Config(), changed))
     joints = []
     for frame, image in enumerate(points):
         detection = Person2D('', CMU15.joints, image, np.ones(len(image)))

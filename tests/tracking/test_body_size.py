@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import ConfigError
 from mocap_ros.formats.sequence_file import load_sequence
@@ -169,7 +169,7 @@ def test_a_resized_person_has_the_same_image(ratio: float) -> None:
 def test_a_known_height_or_focal_length_makes_the_distance_surer() -> None:
     config = Config().tracker
     assert assume_size(config, is_focal_known=True) == pytest.approx(ASSUMED)
-    known = with_values(Config(), {'tracker.body_height_std': 0.02}).tracker
+    known = with_settings(Config(), {'tracker.body_height_std': 0.02}).tracker
     sizes = [assume_size(c, is_focal_known=f) for c, f in ((known, True), (config, True), (config, False))]
     shares = [math.hypot(size.share, size.focal_share) for size in sizes]
     assert shares == sorted(shares)
@@ -185,7 +185,7 @@ def test_the_tracker_puts_out_people_of_their_own_size(walk_model: BasePoses, he
     joints = poses + [0.0, 0.0, 4.0]
     lowest = (joints[:, list(ANKLES)] @ upward).min()
     floor = Floor(upward, float(ANKLE_SHARE * height - lowest))
-    tracker = Tracker(walk_model, with_values(Config(), {'solver.components': 8}))
+    tracker = Tracker(walk_model, with_settings(Config(), {'solver.components': 8}))
     distances = {}
     for name, known in (('floor', floor), ('nothing', None)):
         tracker.reset()
@@ -221,7 +221,7 @@ def test_the_floor_in_the_frame_of_the_outputs() -> None:
 @given(st.floats(0.5, 1.2), st.floats(0.8, 1.2))
 @settings(max_examples=20)
 def test_a_height_that_is_known_of_a_person_and_the_floor_are_weighed(ratio: float, known: float) -> None:
-    config = with_values(Config(), {'tracker.body_heights': f'7=1.50, a=b={known * 1.7:.4f}'}).tracker
+    config = with_settings(Config(), {'tracker.body_heights': f'7=1.50, a=b={known * 1.7:.4f}'}).tracker
     prior, others = (assume_size(config, i, is_focal_known=True) for i in ('a=b', '8'))
     assert prior.ratio == pytest.approx(known, abs=1e-4)
     assert others == assume_size(Config().tracker, is_focal_known=True)
@@ -238,7 +238,7 @@ def test_the_tracker_puts_out_persons_of_known_heights_where_they_are() -> None:
     sequence = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
     roots = []
     for text in ('', 'ann=1.36, bob=2.0'):
-        tracker = Tracker(model, with_values(Config(), {'tracker.body_heights': text}))
+        tracker = Tracker(model, with_settings(Config(), {'tracker.body_heights': text}))
         for frame in range(4):
             points = np.nan_to_num(sequence.keypoints[frame])
             seen = [Person2D('ann', sequence.joint_names, points[:, :2], points[:, 2])]
@@ -253,7 +253,7 @@ def test_a_height_counts_from_when_the_detector_tells_who_it_is() -> None:
     sequence = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
     places = []
     for text in ('', 'ann=1.36'):
-        tracker = Tracker(load_base_pose_models('all'), with_values(Config(), {'tracker.body_heights': text}))
+        tracker = Tracker(load_base_pose_models('all'), with_settings(Config(), {'tracker.body_heights': text}))
         for frame, name in enumerate(('', '', 'ann', '', 'ann_again')):
             points = np.nan_to_num(sequence.keypoints[frame])
             seen = [Person2D(name, sequence.joint_names, points[:, :2], points[:, 2])]
@@ -279,4 +279,4 @@ def test_a_height_counts_from_when_the_detector_tells_who_it_is() -> None:
 )
 def test_wrong_heights_are_refused_at_the_start(walk_model: BasePoses, text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        Tracker(walk_model, with_values(Config(), {'tracker.body_heights': text}))
+        Tracker(walk_model, with_settings(Config(), {'tracker.body_heights': text}))

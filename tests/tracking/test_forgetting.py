@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
@@ -25,7 +25,7 @@ FRAMES = 20  # of a visit
 
 def make_tracker(model: BasePoses, **values: float) -> Tracker:
     settings = {'solver.components': 8, 'solver.prior': 'pca', 'tracker.forget_all_after': FORGET_ALL_S, **values}
-    return Tracker(model, with_values(Config(), settings))
+    return Tracker(model, with_settings(Config(), settings))
 
 
 def visit(tracker: Tracker, first_frame: int, points: Array) -> list[tuple[Person3D, ...]]:

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import mocap_ros.tracking.hypotheses as hypotheses_module
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.keypoints.person import Person2D
@@ -34,7 +34,7 @@ from tests.support.synthetic_walk import Walk, make_walk
 from tests.support.tracks import CAMERA, STEP_NS, make_track, track_walk
 
 FRAMES = 45
-CONFIG = with_values(Config(), {'solver.prior': 'pca', 'tracker.components': 20})
+CONFIG = with_settings(Config(), {'solver.prior': 'pca', 'tracker.components': 20})
 
 
 @pytest.fixture(scope='module')
@@ -161,7 +161,7 @@ def test_the_tracker_finds_back_to_the_right_solution(tracker: Tracker, walk_mod
 def test_the_longest_time_between_checks_is_that_of_the_parameter(
     walk_model: BasePoses, parameter_s: float, interval_s: float
 ) -> None:
-    config = with_values(CONFIG, {'tracker.hypothesis_check_interval': parameter_s})
+    config = with_settings(CONFIG, {'tracker.hypothesis_check_interval': parameter_s})
     points = make_walk(walk_model, frames=round(30 * 1.5 * CHECK_INTERVAL_S / CHECK_INTERVAL_GROWTH))[2]
     (track,) = track_walk({'walk': walk_model}, config, points).snapshot().tracks
     assert track.schedule.check_interval_s == interval_s
@@ -214,18 +214,18 @@ def test_poses_that_look_different_are_remembered(track: Track, checker: Hypothe
 def test_a_short_window_is_not_classified(track: Track, checker: HypothesisChecker) -> None:
     assert finish_slices(checker.classify_motion(track)) is None, '1.5 s of 2 s'
     only_jump = HypothesisChecker({'jump': checker.models['jump'], 'all': checker.models['walk']}, CONFIG)
-    short = with_values(CONFIG, {'classifier.section': 1.0})
+    short = with_settings(CONFIG, {'classifier.section': 1.0})
     long_enough = replace(track, solution=replace(track.solved, model_name='all'))
     only_jump = replace(only_jump, config=short)
     assert finish_slices(only_jump.classify_motion(long_enough)) is None, 'no model is periodic'
 
 
 def test_a_walk_of_a_full_section_is_classified(track: Track, checker: HypothesisChecker) -> None:
-    config = with_values(CONFIG, {'classifier.section': 1.2, 'classifier.walk_residual': 0.2})
+    config = with_settings(CONFIG, {'classifier.section': 1.2, 'classifier.walk_residual': 0.2})
     classification = finish_slices(replace(checker, config=config).classify_motion(track))
     assert classification is not None
     assert (classification.motion.kind, classification.periodic_model_name) == (MotionKind.PERIODIC, 'walk')
-    strict = with_values(config, {'classifier.amplitude': 0.9})
+    strict = with_settings(config, {'classifier.amplitude': 0.9})
     other = finish_slices(replace(checker, config=strict).classify_motion(track))
     assert other is not None
     assert (other.motion.kind, other.periodic_model_name) == (MotionKind.NON_PERIODIC, '')
@@ -235,7 +235,7 @@ def test_a_walk_of_a_full_section_is_classified(track: Track, checker: Hypothesi
 def test_a_short_section_is_enough_for_somebody_who_has_walked_before(
     track: Track, checker: HypothesisChecker
 ) -> None:
-    config = with_values(CONFIG, {'classifier.walk_residual': 0.2})
+    config = with_settings(CONFIG, {'classifier.walk_residual': 0.2})
     checker = replace(checker, config=config)
     assert finish_slices(checker.classify_motion(track)) is None, '1.5 s of 2 s'
     other = classify_as_other(track)
@@ -260,7 +260,7 @@ def test_the_model_of_people_who_move_as_fast_is_fitted_first(
 
     monkeypatch.setattr(hypotheses_module, 'fit_periodic_stepwise', refuse)
     walk = checker.models['walk']
-    config = with_values(CONFIG, {'classifier.section': 1.2})
+    config = with_settings(CONFIG, {'classifier.section': 1.2})
     checker = HypothesisChecker({'run': walk, 'walk': walk, 'all': walk}, config)
     solution = replace(track.solved, model_name='all', theta=speed_up * track.solved.theta)
     for count in range(8):

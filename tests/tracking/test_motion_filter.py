@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
@@ -24,7 +24,7 @@ from tests.support.synthetic_walk import make_walk
 JOINTS = 15
 STEP_NS = 33_333_333
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
-CONFIG = with_values(Config(), {'solver.components': 8, 'solver.prior': 'pca'})
+CONFIG = with_settings(Config(), {'solver.components': 8, 'solver.prior': 'pca'})
 
 
 def filter_all(times: np.ndarray, joints: np.ndarray, image_noise: float = np.inf) -> np.ndarray:
@@ -187,7 +187,7 @@ def test_the_tracker_filters_what_it_puts_out_and_nothing_else(
     for lag in (0.0, 0.2):
         for steady in (False, True):
             tracker = Tracker(
-                walk_model, with_values(CONFIG, {'tracker.lag': lag, 'tracker.steady_output': steady})
+                walk_model, with_settings(CONFIG, {'tracker.lag': lag, 'tracker.steady_output': steady})
             )
             found = [tracker.update(i * STEP_NS, [person], CAMERA) for i, person in enumerate(people)]
             outputs[lag, steady] = np.array([frame[0].joints for frame in found if frame])

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.keypoints.person import Person2D
@@ -18,7 +18,7 @@ from mocap_ros.skeleton import BODY26, CMU15
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.synthetic_walk import make_walk
 
-CONFIG = with_values(Config(), {'solver.components': 8, 'solver.prior': 'learned'})
+CONFIG = with_settings(Config(), {'solver.components': 8, 'solver.prior': 'learned'})
 
 
 def track(model: BasePoses, size: float) -> Person3D:

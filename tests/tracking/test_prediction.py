@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
@@ -46,7 +46,7 @@ def track_walk(
 ) -> Tracker:
     """Return a tracker that has seen a walk; the arguments are those of `track_walker`, and parameters by name."""
     tracker = Tracker(
-        model, with_values(Config(), {'solver.components': 8, 'tracker.predict_for': 1.0, **(values or {})})
+        model, with_settings(Config(), {'solver.components': 8, 'tracker.predict_for': 1.0, **(values or {})})
     )
     for frame, joints in enumerate(make_scene(model, start, velocity)):
         tracker.update(frame * STEP_NS, [Person2D('', CMU15.joints, CAMERA.project(joints), ONES)], CAMERA)
@@ -141,7 +141,7 @@ def test_ahead_of_the_newest_image_and_through_a_gap_are_one_prediction(walk_mod
 
 
 def test_whoever_is_seen_is_predicted_ahead_without_predictions_through_gaps(walk_model: BasePoses) -> None:
-    tracker = Tracker(walk_model, with_values(Config(), {'solver.components': 8, 'tracker.predict_for': 0.0}))
+    tracker = Tracker(walk_model, with_settings(Config(), {'solver.components': 8, 'tracker.predict_for': 0.0}))
     for frame, joints in enumerate(make_scene(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, 0.0])):
         stamp_ns = 1_700_000_000_000_000_001 + frame * STEP_NS  # which no float holds
         people = tracker.update(stamp_ns, [Person2D('', CMU15.joints, CAMERA.project(joints), ONES)], CAMERA)
@@ -149,7 +149,7 @@ def test_whoever_is_seen_is_predicted_ahead_without_predictions_through_gaps(wal
 
 
 def test_nobody_is_predicted_before_the_first_image_while_tentative_or_with_a_lag(walk_model: BasePoses) -> None:
-    tracker = Tracker(walk_model, with_values(Config(), {'solver.components': 8}))
+    tracker = Tracker(walk_model, with_settings(Config(), {'solver.components': 8}))
     assert tracker.predict((0.2, 0.4)) == [[], []]
     joints = make_scene(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, 0.0])
     for frame in range(2):
@@ -160,7 +160,7 @@ def test_nobody_is_predicted_before_the_first_image_while_tentative_or_with_a_la
 
 
 def test_a_prediction_from_a_single_frame_is_finite(walk_model: BasePoses) -> None:
-    tracker = Tracker(walk_model, with_values(Config(), {'solver.components': 8}))
+    tracker = Tracker(walk_model, with_settings(Config(), {'solver.components': 8}))
     joints = make_scene(walk_model, [0.0, 0.0, 4.0], [0.0, 0.0, 0.0])[0]
     tracker.update(0, [Person2D('', CMU15.joints, CAMERA.project(joints), ONES)], CAMERA)
     (track,) = tracker.snapshot().tracks

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.people import Person3D
@@ -18,7 +18,7 @@ from mocap_ros.tracking.tracker import TENTATIVE_FORGET_S, Tracker
 from tests.support.synthetic_walk import make_walk
 from tests.support.tracks import CAMERA, STEP_NS
 
-CONFIG = with_values(Config(), {'solver.components': 8, 'solver.prior': 'pca'})
+CONFIG = with_settings(Config(), {'solver.components': 8, 'solver.prior': 'pca'})
 FRAMES = 60
 APART = np.array([400.0, 0.0])  # px
 UPPER = np.array(
@@ -171,7 +171,7 @@ def test_people_who_cross_keep_their_ids(
 
 
 def test_with_a_lag_those_who_have_become_certain_are(walk_model: BasePoses, points: Array) -> None:
-    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.09}))
+    tracker = Tracker(walk_model, with_settings(CONFIG, {'tracker.lag': 0.09}))
     for frame in range(12):
         seen = [see(points[frame])] + ([see(points[frame] + APART)] if frame == 6 else [])
         people = describe(tracker.update(frame * STEP_NS, seen, CAMERA))

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings
 from mocap_ros.errors import FrameDropped, SkeletonError
 from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.geometry.distortion import Distortion
@@ -29,7 +29,7 @@ from tests.support.synthetic_walk import Walk, make_walk
 DEMO = ROOT / 'mocap_ros' / 'demo' / 'demo.npz'
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
 STEP_NS = 33_333_333
-CONFIG = with_values(Config(), {'solver.components': 8, 'solver.prior_weight': 1e-5})
+CONFIG = with_settings(Config(), {'solver.components': 8, 'solver.prior_weight': 1e-5})
 
 
 def people(points: np.ndarray, frame: int, ids: Sequence[str] = ('',), apart: float = 400.0) -> list[Person2D]:
@@ -101,7 +101,7 @@ def test_a_large_backward_jump_of_stamps_restarts_the_tracker(
     walk_model: BasePoses, walk: Walk, restart_after: float
 ) -> None:
     _, _, points, _ = walk
-    config = with_values(CONFIG, {'tracker.restart_after': restart_after})
+    config = with_settings(CONFIG, {'tracker.restart_after': restart_after})
     tracker, fresh = Tracker(walk_model, config), Tracker(walk_model, config)
     limit_ns = round(restart_after * 1e9)
     for frame in range(4):
@@ -131,7 +131,7 @@ def test_the_newest_part_of_the_window_is_solved_again(
     walk_model: BasePoses, walk: Walk, values: dict[str, object], solved_again: int
 ) -> None:
     _, _, points, _ = walk
-    tracker = Tracker(walk_model, with_values(CONFIG, values))
+    tracker = Tracker(walk_model, with_settings(CONFIG, values))
     before, counts = np.zeros((0, 1)), []
     for frame in range(len(points)):
         tracker.update(frame * STEP_NS, people(points, frame), CAMERA)
@@ -156,7 +156,7 @@ def test_people_are_predicted_for_the_time_of_the_parameter(
     walk_model: BasePoses, walk: Walk, predict_for: float
 ) -> None:
     _, _, points, _ = walk
-    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.predict_for': predict_for}))
+    tracker = Tracker(walk_model, with_settings(CONFIG, {'tracker.predict_for': predict_for}))
     for frame in range(12):
         tracker.update(frame * STEP_NS, people(points, frame), CAMERA)
     last_ns = 11 * STEP_NS
@@ -218,7 +218,7 @@ def test_swapped_frames_are_undone_and_counted(walk_model: BasePoses) -> None:
 
 def test_the_output_is_delayed_by_the_lag(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
-    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.09}))
+    tracker = Tracker(walk_model, with_settings(CONFIG, {'tracker.lag': 0.09}))
     for frame in range(20):
         out = tracker.update(frame * STEP_NS, people(points, frame), CAMERA)
         assert len(out) == (1 if frame >= 3 else 0)
@@ -230,7 +230,7 @@ def test_each_frame_is_put_out_once_at_a_lag_of_whole_intervals_of_jittered_stam
     walk_model: BasePoses, walk: Walk
 ) -> None:
     _, _, points, _ = walk
-    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.2}))
+    tracker = Tracker(walk_model, with_settings(CONFIG, {'tracker.lag': 0.2}))
     jitter_ns = np.random.default_rng(2).integers(-5_000_000, 5_000_000, 60)
     stamps_ns = [int(STEP_NS * (frame + 1) + jitter_ns[frame]) for frame in range(60)]
     shown = []
@@ -245,7 +245,7 @@ def test_with_a_lag_stamps_never_go_back_and_nobody_is_put_out_after_leaving(
     walk_model: BasePoses, walk: Walk
 ) -> None:
     _, _, points, _ = walk
-    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.09}))
+    tracker = Tracker(walk_model, with_settings(CONFIG, {'tracker.lag': 0.09}))
     shown: dict[int, list[int]] = {}
     stamps_ns = []
     for frame in range(40):
@@ -260,7 +260,7 @@ def test_with_a_lag_stamps_never_go_back_and_nobody_is_put_out_after_leaving(
 
 def test_a_lag_that_is_longer_than_the_window_puts_everybody_out(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
-    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.3, 'tracker.window': 0.2}))
+    tracker = Tracker(walk_model, with_settings(CONFIG, {'tracker.lag': 0.3, 'tracker.window': 0.2}))
     for frame in range(15):
         out = tracker.update(frame * STEP_NS, people(points, frame), CAMERA)
         assert len(out) == (1 if frame > 8 else 0)
@@ -272,7 +272,7 @@ def test_a_lag_that_is_longer_than_the_window_puts_everybody_out(walk_model: Bas
 def test_a_visit_is_put_out_to_its_end_however_long_the_lag(walk_model: BasePoses, walk: Walk, lag: float) -> None:
     """The person is forgotten 1 s after the last detection."""
     _, _, points, _ = walk
-    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': lag}))
+    tracker = Tracker(walk_model, with_settings(CONFIG, {'tracker.lag': lag}))
     shown = set()
     for frame in range(150):
         if tracker.update(frame * STEP_NS, people(points, frame) if frame < 40 else [], CAMERA):
@@ -283,7 +283,7 @@ def test_a_visit_is_put_out_to_its_end_however_long_the_lag(walk_model: BasePose
 
 def test_an_id_that_is_given_to_somebody_else_hides_no_frame_that_waits(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
-    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.5}))
+    tracker = Tracker(walk_model, with_settings(CONFIG, {'tracker.lag': 0.5}))
     places = {}
     for frame in range(60):
         shift = 4000.0 if frame >= 30 else 0.0
@@ -299,7 +299,7 @@ def test_an_id_that_is_given_to_somebody_else_hides_no_frame_that_waits(walk_mod
 def test_with_a_lag_the_residual_is_that_of_the_frame_that_is_put_out(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
     points[20] += np.random.default_rng(0).normal(size=(15, 2)) * 12  # px
-    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.lag': 0.5}))
+    tracker = Tracker(walk_model, with_settings(CONFIG, {'tracker.lag': 0.5}))
     residuals = {}
     for frame in range(40):
         for person in tracker.update(frame * STEP_NS, people(points, frame), CAMERA):
@@ -319,7 +319,7 @@ def test_a_person_near_the_camera_and_off_its_axis_is_located(walk_model: BasePo
     theta, cameras, _, _ = make_walk(walk_model, frames=45)
     camera = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True, distortion=lens)
     size = CONFIG.tracker.body_height / walk_model.stature
-    tracker = Tracker(walk_model, with_values(CONFIG, {'tracker.steady_output': False}))
+    tracker = Tracker(walk_model, with_settings(CONFIG, {'tracker.steady_output': False}))
     for frame in range(45):
         joints = walk_model.poses(theta[frame]) @ cameras.rotation[frame].T * size
         joints = joints + [0.5 + 0.01 * frame, 0.1, 3.0]
@@ -428,7 +428,7 @@ def test_poses_of_a_lost_person_are_remembered(walk_model: BasePoses, walk: Walk
 @pytest.mark.parametrize('prior', ['learned', 'pca'])
 def test_a_walk_is_classified_as_periodic_and_a_jump_is_not(prior: str) -> None:
     sequence = load_sequence(DEMO)
-    tracker = Tracker(load_base_pose_models('auto'), with_values(Config(), {'solver.prior': prior}))
+    tracker = Tracker(load_base_pose_models('auto'), with_settings(Config(), {'solver.prior': prior}))
     camera = sequence.intrinsics(1.0)
     motions = {}
     for stamp, keypoints in zip(sequence.timestamps, sequence.keypoints, strict=True):
@@ -456,7 +456,7 @@ def test_infinite_scores_and_huge_points_count_as_not_seen(walk_model: BasePoses
 
 def test_a_known_id_far_away_belongs_to_another_person(walk_model: BasePoses, walk: Walk) -> None:
     _, _, points, _ = walk
-    alone = with_values(CONFIG, {'tracker.vertical': 'none'})  # else the first person tells it to the second
+    alone = with_settings(CONFIG, {'tracker.vertical': 'none'})  # else the first person tells it to the second
     tracker, fresh = Tracker(walk_model, alone), Tracker(walk_model, alone)
     for frame in range(10):
         tracker.update(frame * STEP_NS, people(points, frame, ['a']), CAMERA)

@@ -11,7 +11,7 @@ import yaml
 
 from mocap_ros.bags.reader import is_bag
 from mocap_ros.cli.main import main
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import Config, with_settings
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence, save_sequence
@@ -25,7 +25,7 @@ from tests.support.evaluation_data import shared
 from tests.support.swinging_body import make_swinging_body
 
 CAMERA = Intrinsics(900.0, (640.0, 360.0), is_focal_known=True)
-CONFIG = with_values(Config(), {'keyframes.poses': 'lifter'})
+CONFIG = with_settings(Config(), {'keyframes.poses': 'lifter'})
 MODELS = load_base_pose_models('all')
 
 
@@ -72,7 +72,7 @@ def test_a_projected_motion_is_reconstructed_with_and_without_outliers() -> None
 @pytest.mark.parametrize(('share', 'is_own'), [(0.0, False), (1.0, True)])
 def test_control_frames_have_the_key_pose_or_their_own(share: float, is_own: bool) -> None:
     keypoints, times, _ = make_walk(120)
-    config = with_values(CONFIG, {'keyframes.frame_pose_share': share, 'keyframes.gap': 0.1})
+    config = with_settings(CONFIG, {'keyframes.frame_pose_share': share, 'keyframes.gap': 0.1})
     result = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, config)
     for half in result.keyframes:
         bones = [CMU15.bones.index(bone) for bone in half.body_half.bones]
@@ -88,7 +88,7 @@ def test_the_fit_has_the_parameters(name: str, value: float) -> None:
     keypoints, times, _ = make_walk(60)
 
     def fit(values: dict[str, object]) -> tuple[np.ndarray, np.ndarray]:
-        found = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, with_values(CONFIG, values))
+        found = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, with_settings(CONFIG, values))
         return found.motion, found.result.joints
 
     (start, usual), (other_start, other) = fit({}), fit({f'keyframes.{name}': value})
@@ -126,14 +126,14 @@ def test_times_may_begin_at_any_time() -> None:
     keypoints, _, _ = make_walk(37)
     times = 1 + np.arange(37) / 30
     assert np.arange(times[0], times[-1], SOLVER_STEP_S)[-1] > times[-1], 'a step is rounded to after the end'
-    config = with_values(Config(), {'keyframes.poses': 'solver', 'solver.prior': 'pca'})
+    config = with_settings(Config(), {'keyframes.poses': 'solver', 'solver.prior': 'pca'})
     assert np.isfinite(reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, config).result.joints).all()
 
 
 def test_the_vertical_is_that_of_the_parameter() -> None:
     keypoints, times, _ = make_walk(40)
     for text, expected in (('0 -0.96 0.28', [0, -0.96, 0.28]), ('none', [np.nan] * 3)):
-        config = with_values(CONFIG, {'tracker.vertical': text})
+        config = with_settings(CONFIG, {'tracker.vertical': text})
         found = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, config).result.vertical
         np.testing.assert_allclose(found, np.tile(expected, (40, 1)), atol=1e-12)
 
