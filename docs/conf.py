@@ -135,8 +135,9 @@ def describe_parameters() -> str:
     introduction = textwrap.dedent("""\
         # Parameters
 
-        This is `config/mocap_ros.yaml`, which `mocap-ros config` prints: what many users set, with default, meaning
-        and range (`--all` prints every parameter). `--params-file` gives such a file to the node, `--config` to the commands, `--set` one value.
+        This is `config/mocap_ros.yaml`, which `mocap-ros config` prints: what many users set, with default,
+        meaning and range; `--all` prints every parameter. `--params-file` gives such a file to the node,
+        `--config` to the commands, `--set` one value.
         """)
     return f'{introduction}\n```yaml\n{parameters}```\n'
 

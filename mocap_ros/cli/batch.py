@@ -61,8 +61,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--cut',
         type=parse_positive,
         metavar='MIN',
-        help='cut bags that are longer into parts of at least this length in min, where nobody was there for '
-        'a minute without anybody (default: never)',
+        help='cut bags that are longer into parts of at least this length in min, where nobody was there for a minute '
+        '(default: never)',
     )
     parser.add_argument(
         '--copy-limit',

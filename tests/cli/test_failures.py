@@ -48,7 +48,7 @@ MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than 
         (['reconstruct', 'RECORDING', '--model', 'moonwalk'], "no base-pose model 'moonwalk'"),
         (
             ['reconstruct', 'RECORDING', '--set', 'solver.speed=1'],
-            "unknown parameter 'solver.speed'; `mocap-ros config`",
+            "unknown parameter 'solver.speed'; `mocap-ros config",
         ),
         (
             ['plot', 'RECORDING', '--set', 'solver.iterations=1'],
