@@ -61,7 +61,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--cut',
         type=parse_positive,
         metavar='MIN',
-        help='cut bags that are longer into parts of at least this length in min, where nobody was there for a minute '
+        help='cut bags that are longer into parts of at least this length in min, where it was empty for a minute '
         '(default: never)',
     )
     parser.add_argument(

@@ -51,8 +51,8 @@ MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than 
             "unknown parameter 'solver.speed'; `mocap-ros config",
         ),
         (
-            ['plot', 'RECORDING', '--set', 'solver.iterations=1'],
-            "'solver.iterations'; did you mean 'solver.max_iterations'?",
+            ['plot', 'RECORDING', '--set', 'solver.max_iteration=1'],
+            "'solver.max_iteration'; did you mean 'solver.max_iterations'?",
         ),
         (['config', '--set', 'tracker.iteration=1'], "'tracker.iteration'; did you mean 'tracker.iterations'?"),
         (['evaluate', 'BAG'], 'bag: the bag cannot be read'),
