@@ -34,7 +34,7 @@ from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header as MessageHeader
 from mocap_ros.messages.cdr import create_header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.messages.marker_writer import MARKERS
+from mocap_ros.messages.markers import MARKERS
 from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.runtime import replay as replaying

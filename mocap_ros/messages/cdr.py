@@ -1,12 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Conversion between message objects and CDR bytes, and the parts that all messages share.
-
-The messages that are published for every image are written field by field (`CdrWriter`) or filled into a template
-(`template.py`), because a message object for each of some hundred points would take ten times as long. All others
-are encoded from message objects.
-"""
+"""Conversion between message objects and CDR bytes, and the parts that all messages share."""
 
 from __future__ import annotations
 
@@ -17,7 +12,7 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -30,12 +25,19 @@ Array = NDArray[np.float64]
 
 DEFINITIONS_DISTRO = 'kilted'  # the distribution whose definitions of the standard messages are used
 CDR_ALIGNMENT_BYTES = 4  # DDS (RTPS) pads every payload to a multiple of this length
+# Guards the time of the decoder, which takes up to a second for so many bytes. A message of 20 people is below
+# 100 kB, and the outline of each of them below 20 kB.
+MAX_INPUT_BYTES = 4_000_000
 MOCAP_ROS_MSGS = 'mocap_ros_msgs/msg/'  # prefix of the type names of this package's own messages
 ENCAPSULATION = b'\0\1\0\0'  # the first bytes of a message: CDR, little endian
 BIG_ENDIAN = b'\0\0'  # the first bytes of a message in the other order of bytes
 
+# Types of numbers in messages.
+DOUBLE, SINGLE, INT, BYTE = (np.dtype(name) for name in ('<f8', '<f4', '<i4', 'u1'))
+
 _UINT32 = struct.Struct('<I')
 _STAMP = struct.Struct('<iI')
+_PADDING = tuple(bytes(count) for count in range(8))
 
 
 class Header(NamedTuple):
@@ -115,21 +117,31 @@ def pad(content: bytes) -> bytes:
 
 
 class CdrWriter:
-    """Writer of one message as CDR, which appends its fields in their order; the fields of nested messages too."""
+    """Writer of one message as CDR: all its fields in their order, those of nested messages too.
+
+    The messages that are published for every image are written so, because message objects for some hundred points
+    would take ten times as long. All others are encoded from message objects.
+    """
 
     def __init__(self) -> None:
         self._data = bytearray(ENCAPSULATION)
 
     def add(self, alignment: int, content: bytes) -> None:
-        """Append bytes at the next multiple of 1, 2, 4 or 8 bytes.
+        """Append bytes at the next multiple of 1, 2, 4 or 8 bytes, the size of the first number in them."""
+        self._data += _PADDING[(len(ENCAPSULATION) - len(self._data)) % alignment]
+        self._data += content
 
-        Args:
-            alignment: size of the first number in the content, which CDR places at a multiple of its size.
-            content: the bytes of one or more fields, in which the paddings between these are right.
-        """
-        data = self._data
-        data += bytes((len(ENCAPSULATION) - len(data)) % alignment)
-        data += content
+    def add_numbers(self, values: ArrayLike, dtype: np.dtype[Any] = DOUBLE) -> None:
+        """Append numbers of one type, as an array of fixed length or successive fields."""
+        numbers = np.asarray(values, dtype)
+        self.add(numbers.itemsize, numbers.tobytes())
+
+    def add_sequence(self, values: ArrayLike, dtype: np.dtype[Any] = DOUBLE) -> None:
+        """Append a sequence of numbers (N,), or of messages (N, M) of M numbers each."""
+        numbers = np.asarray(values, dtype)
+        self.add_count(len(numbers))
+        if numbers.size:
+            self.add(numbers.itemsize, numbers.tobytes())
 
     def add_count(self, count: int) -> None:
         """Append a uint32, or the length of a sequence."""
@@ -137,32 +149,26 @@ class CdrWriter:
 
     def add_text(self, text: str) -> None:
         """Append a string."""
-        self.add(4, encode_text(text))
-
-    def add_sequence(self, values: NDArray[np.generic]) -> None:
-        """Append a sequence of numbers (N,), or of messages (N, M) of M numbers of one type each."""
-        self.add_count(len(values))
-        if values.size:
-            self.add(values.itemsize, values.tobytes())
+        self.add(4, _encode_text(text))
 
     def add_header(self, header: Header) -> None:
         """Append a std_msgs/Header."""
-        self.add(4, encode_header(header))
+        self.add(4, _encode_header(header))
 
     def finish(self) -> bytes:
         """Return the message, padded as `encode` pads it."""
         return pad(bytes(self._data))
 
 
-def encode_text(text: str) -> bytes:
-    """Return a string as CDR, to be added at a multiple of 4 bytes."""
+@lru_cache(maxsize=4096)  # names of frames and people, which are in every image
+def _encode_text(text: str) -> bytes:
     content = text.encode()
     return _UINT32.pack(len(content) + 1) + content + b'\0'
 
 
-def encode_header(header: Header) -> bytes:
-    """Return a std_msgs/Header as CDR, to be added at a multiple of 4 bytes."""
-    return _STAMP.pack(*divmod(header.stamp_ns, NS_PER_S)) + encode_text(header.frame_id)
+@lru_cache(maxsize=64)
+def _encode_header(header: Header) -> bytes:
+    return _STAMP.pack(*divmod(header.stamp_ns, NS_PER_S)) + _encode_text(header.frame_id)
 
 
 def decode(raw: bytes, msgtype: str) -> Any:
@@ -182,6 +188,13 @@ def decode(raw: bytes, msgtype: str) -> Any:
         raise InputError(f'not a {msgtype} ({reason}; {len(raw)} bytes)') from None
 
 
+def decode_input(raw: bytes, msgtype: str) -> Any:
+    """Decode an input message, as `decode` does, that is not too large: InputError if it is."""
+    if len(raw) > MAX_INPUT_BYTES:
+        raise InputError(f'{len(raw)} bytes, more than a {msgtype} may have ({MAX_INPUT_BYTES})')
+    return decode(raw, msgtype)
+
+
 def read_stamp_ns(raw: bytes) -> int:
     """Return the stamp in ns of a message that is not decoded for it, and begins with a std_msgs/Header.
 
@@ -197,29 +210,6 @@ def read_stamp_ns(raw: bytes) -> int:
     except struct.error:
         return 0
     return int(seconds) * NS_PER_S + int(nanoseconds)
-
-
-def read_count(raw: bytes, skipped: int = 0) -> int:
-    """Return the length of the first sequence of a message, which is not decoded for it.
-
-    The decoder makes objects of all elements, which takes seconds where a message states a million of them.
-
-    Args:
-        raw: CDR bytes of a message that begins with a std_msgs/Header.
-        skipped: number of fields of 4 bytes between header and sequence.
-
-    Returns:
-        The length; 0 where the bytes end before it, as the decoder will report.
-    """
-    number = struct.Struct('>I' if raw[:2] == BIG_ENDIAN else '<I')
-    start = len(ENCAPSULATION) + _STAMP.size
-    try:
-        (text_bytes,) = number.unpack_from(raw, start)
-        end = start + number.size + text_bytes
-        (count,) = number.unpack_from(raw, end + -end % number.size + skipped * number.size)
-    except struct.error:
-        return 0
-    return int(count)
 
 
 def validate_header(header: Any, limits: NodeConfig) -> Header:

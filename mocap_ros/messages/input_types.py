@@ -1,46 +1,56 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The message types that are accepted as keypoints, and the decoder of each."""
+"""The message types that hold the keypoints of all people of an image, and the decoder of each.
+
+Besides mocap_ros_msgs/Keypoints2DArray they are yolo_msgs/DetectionArray, published by yolo_ros,
+zed_msgs/ObjectsStamped, published by the ZED wrapper, and openpose_ros2_msgs/PoseKeyPointsList of openpose_ros2.
+ROS4HRI is not among them: it sends a message for each person (`foreign.hri`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
+
+import numpy as np
 
 from mocap_ros.config import NodeConfig
+from mocap_ros.copying import copy_as_float64
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.cdr import read_count, validate_header
+from mocap_ros.messages.cdr import decode_input, validate_header, validate_text
 from mocap_ros.messages.foreign.definitions import OPENPOSE_POSES, YOLO_DETECTIONS, ZED_OBJECTS
-from mocap_ros.messages.foreign.openpose import read_pose
-from mocap_ros.messages.foreign.shared import decode_foreign
-from mocap_ros.messages.foreign.yolo import read_detection
-from mocap_ros.messages.foreign.zed import read_object
-from mocap_ros.messages.keypoints import KEYPOINTS, KeypointsFrame, check_count, check_ids, decode_keypoints
+from mocap_ros.messages.keypoints import (
+    KEYPOINTS,
+    KeypointsFrame,
+    decode_keypoints,
+    read_people,
+    validate_person,
+)
+from mocap_ros.skeleton import keypoint_layout
 
-# Types whose messages hold all people of an image. ROS4HRI is not among them: it sends a message for each person.
 KEYPOINT_TYPES = (KEYPOINTS, YOLO_DETECTIONS, ZED_OBJECTS, OPENPOSE_POSES)
 
-
-class _ForeignReader(NamedTuple):
-    """How the people of a foreign message are read.
-
-    Attributes:
-        field: name of the field that lists the people.
-        read_person: function that reads an entry of that field; it returns None where the entry is not a person.
-    """
-
-    field: str
-    read_person: Callable[[Any, ImageSize, NodeConfig], Person2D | None]
-
-
-_FOREIGN_READERS = {
-    YOLO_DETECTIONS: _ForeignReader('detections', read_detection),
-    ZED_OBJECTS: _ForeignReader('objects', read_object),
-    OPENPOSE_POSES: _ForeignReader('pose_key_points_list', read_pose),
+COCO17 = keypoint_layout('coco17').joints  # keypoint n of yolo_ros (n = 1 to 17) is joint n - 1 of this layout
+# The joints of each layout that OpenPose publishes, by the number of keypoints, which identifies the layout.
+OPENPOSE_JOINTS = {
+    len(joints): joints for joints in (keypoint_layout(name).joints for name in ('coco17', 'coco18', 'body25'))
 }
+MAX_CONFIDENCE = 100  # percent; confidences of the ZED are divided by it to give scores in [0, 1]
+# Index of each joint in `skeleton_2d.keypoints`, for each body format of the ZED SDK.
+ZED18 = {joint: i for i, joint in enumerate(keypoint_layout('coco18').joints)}  # BODY_18_PARTS
+ZED34 = {  # BODY_34_PARTS
+    'lshoulder': 5, 'lelbow': 6, 'lwrist': 7, 'rshoulder': 12, 'relbow': 13, 'rwrist': 14,
+    'lhip': 18, 'lknee': 19, 'lankle': 20, 'rhip': 22, 'rknee': 23, 'rankle': 24,
+    'nose': 27, 'leye': 28, 'lear': 29, 'reye': 30, 'rear': 31,
+}  # fmt: skip
+ZED38 = {  # BODY_38_PARTS; the first 38 keypoints of BODY_70_PARTS are the same
+    'nose': 5, 'leye': 6, 'reye': 7, 'lear': 8, 'rear': 9, 'lshoulder': 12, 'rshoulder': 13,
+    'lelbow': 14, 'relbow': 15, 'lwrist': 16, 'rwrist': 17, 'lhip': 18, 'rhip': 19,
+    'lknee': 20, 'rknee': 21, 'lankle': 22, 'rankle': 23,
+}  # fmt: skip
+BODY_FORMATS = (ZED18, ZED34, ZED38, ZED38)  # by the field `body_format`: 18, 34, 38 and 70 keypoints
 
 
 def decode_frame(raw: bytes, msgtype: str, limits: NodeConfig, size: ImageSize) -> KeypointsFrame:
@@ -57,17 +67,71 @@ def decode_frame(raw: bytes, msgtype: str, limits: NodeConfig, size: ImageSize) 
     """
     if msgtype == KEYPOINTS:
         return decode_keypoints(raw, limits)
-    field, read_person = _FOREIGN_READERS[msgtype]
-    check_count(field, read_count(raw), limits)
-    message = decode_foreign(raw, msgtype)
+    field, read_person = _READERS[msgtype]
+    message = decode_input(raw, msgtype)
     header = validate_header(message.header, limits)
-    people = []
-    for index, entry in enumerate(getattr(message, field)):
-        try:
-            person = read_person(entry, size, limits)
-        except InputError as error:
-            raise InputError(f'{field}[{index}].{error}') from None
-        if person is not None:
-            people.append(person)
-    check_ids(field, people)
-    return KeypointsFrame(header, *size, tuple(people))
+    people = read_people(field, getattr(message, field), lambda entry: read_person(entry, size[0], limits), limits)
+    return KeypointsFrame(header, *size, people)
+
+
+def _read_yolo(detection: Any, image_width: int, limits: NodeConfig) -> Person2D | None:
+    """Read a yolo_msgs/Detection, which holds only the keypoints above the detector's threshold."""
+    keypoints = detection.keypoints.data
+    if not keypoints:
+        return None
+    points, score = np.full((len(COCO17), 2), np.nan), np.zeros(len(COCO17))
+    for i, keypoint in enumerate(keypoints):
+        joint = keypoint.id - 1
+        if not 0 <= joint < len(COCO17):
+            raise InputError(f'keypoints.data[{i}].id: {keypoint.id}, expected 1 to {len(COCO17)}')
+        if np.isfinite(points[joint]).any():
+            raise InputError(f'keypoints.data[{i}].id: {keypoint.id} twice')
+        points[joint] = keypoint.point.x, keypoint.point.y
+        score[joint] = keypoint.score
+    person_id = validate_text(detection.id, 'id', limits)
+    return validate_person(person_id, COCO17, points, score, image_width, 'keypoints')
+
+
+def _read_zed(zed_object: Any, image_width: int, _: NodeConfig) -> Person2D | None:
+    """Read a zed_msgs/Object.
+
+    A keypoint that is NaN, negative or zero was not seen. If no keypoint has a score, every keypoint gets the
+    confidence of the whole body.
+    """
+    if not zed_object.skeleton_available:
+        return None
+    if not 0 <= zed_object.body_format < len(BODY_FORMATS):
+        raise InputError(f'body_format: {zed_object.body_format}, expected 0 to {len(BODY_FORMATS) - 1}')
+    indices = BODY_FORMATS[zed_object.body_format]
+    points = copy_as_float64([zed_object.skeleton_2d.keypoints[i].kp for i in indices.values()])
+    seen = np.isfinite(points).all(axis=1) & (points >= 0).all(axis=1) & (points != 0).any(axis=1)
+    if not 0 <= zed_object.confidence <= MAX_CONFIDENCE:
+        raise InputError(f'confidence: {zed_object.confidence:g}, expected 0 to {MAX_CONFIDENCE}')
+    confidence = copy_as_float64(zed_object.skeleton_keypoint_confidence)
+    score = confidence[list(indices.values())] / MAX_CONFIDENCE
+    if not (score > 0).any():
+        score = np.full(len(indices), zed_object.confidence / MAX_CONFIDENCE)
+    points = np.where(np.isinf(points), np.nan, points)
+    is_tracked = zed_object.tracking_available and zed_object.label_id >= 0
+    person_id = str(zed_object.label_id) if is_tracked else ''
+    score = np.where(seen, score, 0.0)
+    return validate_person(person_id, tuple(indices), points, score, image_width, 'skeleton_2d.keypoints')
+
+
+def _read_openpose(pose: Any, image_width: int, _: NodeConfig) -> Person2D | None:
+    """Read an openpose_ros2_msgs/PoseKeyPoints, which has no id."""
+    keypoints = pose.pose_key_points
+    if len(keypoints) not in OPENPOSE_JOINTS:
+        expected = ', '.join(map(str, OPENPOSE_JOINTS))
+        raise InputError(f'pose_key_points: {len(keypoints)} joints, expected {expected}')
+    numbers = np.array([(p.x, p.y, p.score) for p in keypoints], np.float64)
+    joints = OPENPOSE_JOINTS[len(keypoints)]
+    return validate_person('', joints, numbers[:, :2], numbers[:, 2], image_width, 'pose_key_points')
+
+
+# The field that lists the people of a foreign message, and the reader of one of them.
+_READERS = {
+    YOLO_DETECTIONS: ('detections', _read_yolo),
+    ZED_OBJECTS: ('objects', _read_zed),
+    OPENPOSE_POSES: ('pose_key_points_list', _read_openpose),
+}

@@ -5,10 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -19,20 +18,14 @@ from mocap_ros.copying import copy_as_float64
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.keypoints.validation import (
-    NORMALISED_RANGE,
-    find_first_fault,
-    looks_normalised,
-    mark_unseen,
-)
+from mocap_ros.keypoints.validation import find_first_fault, looks_normalised, mark_unseen
 from mocap_ros.messages.cdr import (
     MOCAP_ROS_MSGS,
     Header,
     create_header,
     create_message,
-    decode,
+    decode_input,
     encode,
-    read_count,
     validate_header,
     validate_text,
 )
@@ -41,12 +34,6 @@ from mocap_ros.skeleton import LAYOUT_NAMES, keypoint_layout
 Array = NDArray[np.float64]
 
 KEYPOINTS = MOCAP_ROS_MSGS + 'Keypoints2DArray'
-
-SKIPPED_FIELDS = 2  # fields between the header and the people: width and height of the image
-MAX_UTF8_BYTES = 4  # bytes of one character
-STRING_OVERHEAD_BYTES = 8  # the length (4), the terminating zero (1) and the alignment (3) of a CDR string
-JOINT_BYTES = 12  # x, y and score as float32
-FIXED_FIELDS_BYTES = 64  # guard: more than the lengths, numbers and alignment of a header or of one person
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,23 +63,38 @@ def decode_keypoints(raw: bytes, limits: NodeConfig) -> KeypointsFrame:
     Raises:
         InputError: the message is not valid; the error names the field, and the person if the fault is in one.
     """
-    _check_message_length(raw, limits)
-    check_count('people', read_count(raw, SKIPPED_FIELDS), limits)
-    message = decode(raw, KEYPOINTS)
+    message = decode_input(raw, KEYPOINTS)
     header = validate_header(message.header, limits)
-    people = _read_people(message.people, message.image_width, limits)
-    check_ids('people', people)
+    people = read_people('people', message.people, lambda p: _read_person(p, message.image_width, limits), limits)
     return KeypointsFrame(header, message.image_width, message.image_height, people)
 
 
-def check_count(field: str, count: int, limits: NodeConfig) -> None:
-    """Check that a message does not hold too many people.
+def read_people(
+    field: str, entries: Sequence[Any], read_person: Callable[[Any], Person2D | None], limits: NodeConfig
+) -> tuple[Person2D, ...]:
+    """Read the people of a message of any type.
+
+    Args:
+        field: name of the field that lists them.
+        entries: its content.
+        read_person: function that reads and validates an entry; it returns None where the entry is not a person.
+        limits: the parameters that limit the number of people.
 
     Raises:
-        InputError: `count` exceeds `limits.max_people`; the error names the field.
+        InputError: there are too many people, one is not valid, or an id occurs twice; the error names the field.
     """
-    if count > limits.max_people:
-        raise InputError(f'{field}: {count}, more than {limits.max_people}')
+    if len(entries) > limits.max_people:
+        raise InputError(f'{field}: {len(entries)}, more than {limits.max_people}')
+    people = []
+    for index, entry in enumerate(entries):
+        try:
+            person = read_person(entry)
+        except InputError as error:
+            raise InputError(f'{field}[{index}].{error}') from None
+        if person is not None:
+            people.append(person)
+    check_ids(field, people)
+    return tuple(people)
 
 
 def check_ids(field: str, people: Sequence[Person2D]) -> None:
@@ -106,45 +108,22 @@ def check_ids(field: str, people: Sequence[Person2D]) -> None:
         raise InputError(f'{field}: id {max(ids, key=ids.count)!r} twice')
 
 
-def _check_message_length(raw: bytes, limits: NodeConfig) -> None:
-    """Refuse, before decoding, a message that is longer than any message within the limits."""
-    text = MAX_UTF8_BYTES * limits.max_text + STRING_OVERHEAD_BYTES
-    person = 2 * text + limits.max_joints * (text + JOINT_BYTES) + FIXED_FIELDS_BYTES
-    max_bytes = FIXED_FIELDS_BYTES + text + limits.max_people * person
-    if len(raw) > max_bytes:
-        raise InputError(f'{len(raw)} bytes, more than the limits allow ({max_bytes})')
-
-
-def _read_people(entries: Sequence[Any], image_width: int, limits: NodeConfig) -> tuple[Person2D, ...]:
-    """Validate the people of a message; errors name the index of the person."""
-    names = [_read_names(entry, index, limits) for index, entry in enumerate(entries)]
-    people: list[Person2D] = []
-    for _, equally_long in groupby(entries, lambda entry: len(entry.x)):  # mostly all of them
-        numbers = copy_as_float64([(entry.x, entry.y, entry.score) for entry in equally_long])
-        points, score = _check_and_mark(
-            np.ascontiguousarray(numbers[:, :2].swapaxes(1, 2)), numbers[:, 2], image_width, len(people)
-        )
-        own_names = names[len(people) : len(people) + len(numbers)]
-        people += [Person2D(*n, *arrays) for n, *arrays in zip(own_names, points, score, strict=True)]
-    return tuple(people)
-
-
-def _read_names(person: Any, index: int, limits: NodeConfig) -> tuple[str, tuple[str, ...]]:
-    """Return the id and the joint names of a person whose arrays are of one length."""
-    try:
-        lengths = len(person.x), len(person.y), len(person.score)
-        if len(set(lengths)) > 1:
-            raise InputError(f'x, y, score: unequal lengths {", ".join(map(str, lengths))}')
-        if lengths[0] > limits.max_joints:
-            raise InputError(f'x: {lengths[0]} joints, more than {limits.max_joints}')
-        joints = _read_joint_names(person, lengths[0], limits)
-        return validate_text(person.id, 'id', limits), joints
-    except InputError as error:
-        raise InputError(f'people[{index}].{error}') from None
+def _read_person(person: Any, image_width: int, limits: NodeConfig) -> Person2D:
+    """Read a Keypoints2D."""
+    lengths = len(person.x), len(person.y), len(person.score)
+    if len(set(lengths)) > 1:
+        raise InputError(f'x, y, score: unequal lengths {", ".join(map(str, lengths))}')
+    if lengths[0] > limits.max_joints:
+        raise InputError(f'x: {lengths[0]} joints, more than {limits.max_joints}')
+    joints = _read_joint_names(person, lengths[0], limits)
+    x, y, score = copy_as_float64((person.x, person.y, person.score))
+    return validate_person(
+        validate_text(person.id, 'id', limits), joints, np.column_stack([x, y]), score, image_width
+    )
 
 
 def validate_person(
-    person_id: str, joints: tuple[str, ...], points: Array, score: Array, image_width: int
+    person_id: str, joints: tuple[str, ...], points: Array, score: Array, image_width: int, field: str = ''
 ) -> Person2D:
     """Validate the keypoints of a person from any message type.
 
@@ -154,6 +133,7 @@ def validate_person(
         points: (J, 2) image points in px.
         score: (J,) confidence scores.
         image_width: width of the image in px, 0 where unknown.
+        field: name of the field that holds the keypoints; empty where x, y and score are fields themselves.
 
     Returns:
         The person, in which unseen keypoints have NaN points and score 0.
@@ -161,41 +141,14 @@ def validate_person(
     Raises:
         InputError: a keypoint is not valid; the error names the field and the index of the joint.
     """
-    points, score = _check_and_mark(points[None], score[None], image_width)
-    return Person2D(person_id, joints, points[0], score[0])
-
-
-def _check_and_mark(
-    points: Array, score: Array, image_width: int, first: int | None = None
-) -> tuple[Array, Array]:
-    """Validate the keypoints of several people, and mark those that were not seen.
-
-    Args:
-        points: (N, J, 2) image points in px.
-        score: (N, J) confidence scores.
-        image_width: width of the image in px, 0 where unknown.
-        first: index in the message of the first of these people; None where errors need not name the person.
-
-    Returns:
-        Points and scores, in which unseen keypoints have NaN points and score 0.
-
-    Raises:
-        InputError: a keypoint is not valid; the error names the person, the field and the index of the joint.
-    """
-
-    def name(index: int) -> str:
-        return '' if first is None else f'people[{first + index}].'
-
+    prefix = f'{field}: ' if field else ''
     fault = find_first_fault(points, score)
     if fault is not None:
-        person, joint = fault.index
-        raise InputError(f'{name(person)}{fault.field}[{joint}]: {fault.what}')
+        raise InputError(f'{prefix}{fault.field}[{fault.index[0]}]: {fault.what}')
     points, score = mark_unseen(points, score)
-    may_be_normalised = np.fmax.reduce(points, axis=(1, 2)) <= NORMALISED_RANGE[1]
-    for index in np.flatnonzero(may_be_normalised).tolist():
-        if looks_normalised(points[index], score[index], image_width):
-            raise InputError(f'{name(index)}x, y: looks normalised; px expected')
-    return points, score
+    if looks_normalised(points, score, image_width):
+        raise InputError(f'{prefix}x, y: looks normalised; px expected')
+    return Person2D(person_id, joints, points, score)
 
 
 def _read_joint_names(person: Any, count: int, limits: NodeConfig) -> tuple[str, ...]:

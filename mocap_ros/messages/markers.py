@@ -1,41 +1,58 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""visualization_msgs/MarkerArray: spheres at the joints and lines along the bones of all people.
+"""visualization_msgs/MarkerArray: people, and where they will be, for RViz and Foxglove.
 
-Each person has one SPHERE_LIST (namespace `joints`) and one LINE_LIST (namespace `bones`), because a marker for
-each joint would cost ten times as much. Inferred joints, and bones that end in one, are pale and translucent. A
-person who was not detected in the image and is predicted, or who is tentative, is grey and translucent.
+Each person has one SPHERE_LIST of joints (namespace `joints`) and one LINE_LIST of bones (namespace `bones`),
+because a marker for each joint would cost ten times as much. Inferred joints, and bones that end in one, are pale
+and translucent. A person who was not detected in the image and is predicted, or who is tentative, is grey and
+translucent.
 """
 
 from __future__ import annotations
 
+import colorsys
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import count
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_ros.geometry.rigid_transform import SAME_POSE
-from mocap_ros.messages.cdr import Header
-from mocap_ros.messages.marker_writer import (
-    LINE_LIST,
-    SPHERE_LIST,
-    Colors,
-    MarkerStyle,
-    MarkerWriter,
-    choose_color,
-    encode_removal_of_all,
-)
-from mocap_ros.messages.stacked_people import stack_people
-from mocap_ros.messages.template import KEPT_TEMPLATES, MessageTemplate
+from mocap_ros.messages.cdr import BYTE, INT, SINGLE, Array, CdrWriter, Header
 from mocap_ros.people import Person3D
-from mocap_ros.skeleton import Skeleton
 from mocap_ros.units import NS_PER_S
 
-JOINT_DIAMETER_M = 0.06  # chosen for the look: about a wrist
-BONE_WIDTH_M = 0.025  # chosen for the look: thinner than the joints
+MARKERS = 'visualization_msgs/msg/MarkerArray'
+
+CYLINDER, LINE_LIST, SPHERE_LIST = 3, 5, 7  # values of visualization_msgs/Marker.type
+ADD, DELETE, DELETE_ALL = 0, 2, 3  # values of visualization_msgs/Marker.action
+
+FIRST_HUE = 0.58  # of a turn around the colour circle; chosen for the look: blue
+GOLDEN_RATIO = 0.618034  # of a turn between the hues of two numbers, which keeps the hues of all numbers apart
+BRIGHTNESS = 0.95  # chosen for the look
+
+JOINT_SCALE_M = (0.06, 0.06, 0.06)  # diameter of the spheres, chosen for the look: about a wrist
+BONE_SCALE_M = (0.025, 0.0, 0.0)  # width of the lines, chosen for the look; viewers warn about lines with a height
+
+Colors = NDArray[np.float32]  # (..., 4) red, green, blue and alpha in [0, 1]
+
+_NO_POINTS, _NO_COLORS = np.zeros((0, 3)), np.zeros((0, 4), np.float32)
+
+
+class MarkerStyle(NamedTuple):
+    """How something is coloured.
+
+    Attributes:
+        saturation: saturation of the colour in [0, 1].
+        opacity: alpha of the colour in [0, 1].
+    """
+
+    saturation: float
+    opacity: float
+
 
 # All styles are chosen for the look.
 SEEN_STYLE = MarkerStyle(0.75, 1.0)
@@ -43,32 +60,95 @@ INFERRED_STYLE = MarkerStyle(0.3, 0.35)
 UNCERTAIN_STYLE = MarkerStyle(0.0, 0.35)  # of people who are predicted or tentative
 
 
-class _MarkerShape(NamedTuple):
-    """One of the markers that draw a person.
+class Marker(NamedTuple):
+    """A visualization_msgs/Marker; the fields that are not here are zero or empty.
 
     Attributes:
-        namespace: namespace of the marker.
-        type: value of visualization_msgs/Marker.type.
-        scale: m, value of visualization_msgs/Marker.scale: the diameter of the spheres or the width of the lines.
+        namespace: text before the number; both together are the name of the marker.
+        number: value of the field `id`.
+        type: value of the field `type`.
+        scale: m.
+        color: (4,) of the whole.
+        points: (P, 3) m.
+        colors: (P, 4) of each point; (0, 4) where they have the colour of the whole.
+        pose: position in m, and the quaternion x, y, z, w.
+        action: value of the field `action`.
     """
 
     namespace: str
-    type: int
-    scale: tuple[float, float, float]
+    number: int
+    type: int = 0
+    scale: Sequence[float] | Array = (0.0, 0.0, 0.0)
+    color: Sequence[float] | Colors = (0.0, 0.0, 0.0, 0.0)
+    points: Array = _NO_POINTS
+    colors: Colors = _NO_COLORS
+    pose: Sequence[float] | Array = SAME_POSE
+    action: int = ADD
 
 
-JOINTS = _MarkerShape('joints', SPHERE_LIST, (JOINT_DIAMETER_M, JOINT_DIAMETER_M, JOINT_DIAMETER_M))
-BONES = _MarkerShape('bones', LINE_LIST, (BONE_WIDTH_M, 0.0, 0.0))  # viewers warn about lines that have a height
+def encode_markers(header: Header, markers: Sequence[Marker], lifetime_s: float = 0.0) -> bytes:
+    """Encode a MarkerArray.
+
+    Args:
+        header: of all markers.
+        markers: the markers.
+        lifetime_s: s after which a viewer removes those that are shown by itself, 0 for never.
+    """
+    writer = CdrWriter()
+    writer.add_count(len(markers))
+    for marker in markers:
+        lifetime_ns = round(lifetime_s * NS_PER_S) if marker.action == ADD else 0
+        writer.add_header(header)
+        writer.add_text(marker.namespace)
+        writer.add_numbers((marker.number, marker.type, marker.action), INT)
+        writer.add_numbers(marker.pose)
+        writer.add_numbers(marker.scale)
+        writer.add_numbers(marker.color, SINGLE)
+        writer.add_numbers(divmod(lifetime_ns, NS_PER_S), INT)
+        writer.add_numbers(False, BYTE)  # frame_locked
+        writer.add_sequence(marker.points)
+        writer.add_sequence(marker.colors, SINGLE)
+        writer.add_text('')  # texture_resource
+        writer.add_header(header)  # texture.header
+        writer.add_text('')  # texture.format
+        writer.add_count(0)  # texture.data
+        writer.add_count(0)  # uv_coordinates
+        for _ in range(3):  # text, mesh_resource, mesh_file.filename
+            writer.add_text('')
+        writer.add_count(0)  # mesh_file.data
+        writer.add_numbers(False, BYTE)  # mesh_use_embedded_materials
+    return writer.finish()
+
+
+class MarkerSeries:
+    """Encoder of the successive MarkerArrays of a topic, which deletes the markers that are not there any more."""
+
+    def __init__(self) -> None:
+        self._shown: set[tuple[str, int]] = set()  # namespaces and numbers
+
+    def encode_update(self, header: Header, markers: Sequence[Marker], lifetime_s: float) -> bytes:
+        """Encode a MarkerArray that shows these markers alone; the arguments are those of `encode_markers`."""
+        shown = {(marker.namespace, marker.number) for marker in markers}
+        gone = [Marker(*name, action=DELETE) for name in sorted(self._shown - shown)]
+        self._shown = shown
+        return encode_markers(header, [*gone, *markers], lifetime_s)
+
+    def encode_clear(self, header: Header) -> list[bytes]:
+        """Encode a MarkerArray that deletes all markers, if there are some, and forget them."""
+        if not self._shown:
+            return []
+        self._shown = set()
+        return [encode_markers(header, [Marker('', 0, action=DELETE_ALL)])]
 
 
 class MarkerEncoder:
-    """Encoder of the successive MarkerArrays of one topic.
+    """Encoder of the successive MarkerArrays of the people of images.
 
-    It remembers the people of the previous message. A person therefore keeps a marker number and a colour, and the
-    markers of a person who is gone are deleted.
+    A person keeps a marker number and a colour while present.
     """
 
     def __init__(self) -> None:
+        self._series = MarkerSeries()
         self._number_by_id: dict[str, int] = {}
 
     @property
@@ -82,69 +162,40 @@ class MarkerEncoder:
         Args:
             header: time and frame of the image.
             people: all people in the image.
-            lifetime_s: time in s after which a viewer removes the markers by itself, 0 for never.
+            lifetime_s: s after which a viewer removes the markers by itself, 0 for never.
         """
         present = {p.id for p in people}
-        gone = [n for person_id, n in self._number_by_id.items() if person_id not in present]
-        self._number_by_id = {person_id: n for person_id, n in self._number_by_id.items() if person_id in present}
-        numbers = [self._assign_number(p.id) for p in people]
-        stacked, lifetime_ns = stack_people(people), round(lifetime_s * NS_PER_S)
-        template = _lay_out(header.frame_id, tuple(gone), tuple(numbers), stacked.skeleton, lifetime_ns)
-        if not people:
-            return template.fill(header.stamp_ns)
-        colors = [_choose_colors(n, p.predicted, p.tentative) for n, p in zip(numbers, people, strict=True)]
-        seen, inferred = np.array(colors).swapaxes(0, 1)
-        bone_ends = np.array(stacked.skeleton.bone_ends).T
-        is_inferred = np.array([p.inferred for p in people])
-        is_bone_inferred = is_inferred[:, bone_ends].any(axis=2).repeat(2, axis=1)
-        is_pale = np.concatenate([is_inferred, is_bone_inferred], axis=1)
-        return template.fill(
-            header.stamp_ns,
-            look=np.tile([*SAME_POSE, *JOINTS.scale, *SAME_POSE, *BONES.scale], len(people)),
-            color=seen.repeat(2, axis=0),
-            points=np.concatenate([stacked.joints, stacked.joints[:, bone_ends.ravel()]], axis=1),
-            colors=np.where(is_pale[..., None], inferred[:, None], seen[:, None]),
-        )
+        kept = {person_id: n for person_id, n in self._number_by_id.items() if person_id in present}
+        for person in people:
+            if person.id not in kept:
+                kept[person.id] = next(n for n in count() if n not in kept.values())
+        self._number_by_id = kept
+        markers = [m for p in people for m in draw_person(p, kept[p.id])]
+        return self._series.encode_update(header, markers, lifetime_s)
 
     def encode_clear(self, header: Header) -> bytes:
         """Encode a MarkerArray that deletes all markers, and forget all people."""
         self._number_by_id = {}
-        return encode_removal_of_all(header)
-
-    def _assign_number(self, person_id: str) -> int:
-        """Return the number of a person; a new person gets the smallest free number."""
-        if person_id not in self._number_by_id:
-            taken = set(self._number_by_id.values())
-            self._number_by_id[person_id] = next(n for n in count() if n not in taken)
-        return self._number_by_id[person_id]
+        self._series = MarkerSeries()
+        return encode_markers(header, [Marker('', 0, action=DELETE_ALL)])
 
 
-@lru_cache(maxsize=KEPT_TEMPLATES)
-def _lay_out(
-    frame_id: str, gone: tuple[int, ...], numbers: tuple[int, ...], skeleton: Skeleton, lifetime_ns: int
-) -> MessageTemplate:
-    """Return the template of the two markers of each person.
-
-    Args:
-        frame_id: frame of the markers.
-        gone: numbers of people whose markers are deleted.
-        numbers: numbers of people who are shown.
-        skeleton: names and order of their joints, and the bones between them.
-        lifetime_ns: ns, time after which a viewer removes the markers by itself.
-    """
-    writer = MarkerWriter(frame_id, 2 * (len(gone) + len(numbers)), lifetime_ns)
-    for number in gone:
-        for shape in (JOINTS, BONES):
-            writer.add_removal(shape.namespace, number)
-    for number in numbers:
-        for shape, points in ((JOINTS, len(skeleton.joints)), (BONES, 2 * len(skeleton.bones))):
-            writer.add_shape(shape.namespace, number, shape.type, points, is_colored=True)
-    return writer.finish_template()
-
-
-def _choose_colors(number: int, is_predicted: bool, is_tentative: bool) -> tuple[Colors, Colors]:
-    """Return the colours of a person's seen and inferred joints."""
+def draw_person(person: Person3D, number: int) -> tuple[Marker, Marker]:
+    """Return the markers of the joints and of the bones of a person who has this number."""
+    seen = choose_color(number, UNCERTAIN_STYLE if person.tentative else SEEN_STYLE)
+    is_uncertain = person.tentative or person.predicted
+    inferred = choose_color(number, UNCERTAIN_STYLE if is_uncertain else INFERRED_STYLE)
+    ends = np.array(person.skeleton.bone_ends).T
+    is_pale = person.inferred[ends].any(axis=1).repeat(2)
+    joints, lines = (np.where(pale[:, None], inferred, seen) for pale in (person.inferred, is_pale))
     return (
-        choose_color(number, UNCERTAIN_STYLE if is_tentative else SEEN_STYLE),
-        choose_color(number, UNCERTAIN_STYLE if is_tentative or is_predicted else INFERRED_STYLE),
+        Marker('joints', number, SPHERE_LIST, JOINT_SCALE_M, seen, person.joints, joints),
+        Marker('bones', number, LINE_LIST, BONE_SCALE_M, seen, person.joints[ends.ravel()], lines),
     )
+
+
+@lru_cache(maxsize=1000)  # more people than are ever seen at once, in a few styles
+def choose_color(number: int, style: MarkerStyle) -> Colors:
+    """Return the colour (4,) of a person in a style; neighbouring numbers get very different hues."""
+    hue = (FIRST_HUE + number * GOLDEN_RATIO) % 1
+    return np.array([*colorsys.hsv_to_rgb(hue, style.saturation, BRIGHTNESS), style.opacity], np.float32)

@@ -5,39 +5,19 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 
 import numpy as np
 
-from mocap_ros.messages.cdr import CdrWriter, Header
+from mocap_ros.messages.cdr import BYTE, CdrWriter, Header
 from mocap_ros.people import Person3D
 
 POINTS = 'sensor_msgs/msg/PointCloud2'
-
-# Values of sensor_msgs/PointField.datatype.
-UINT8 = 2
-UINT16 = 4
-FLOAT32 = 7
-
-DATATYPES = {'f4': FLOAT32, 'u2': UINT16, 'u1': UINT8}  # PointField.datatype by NumPy's name of the type
-
-# The fields of a point; their meaning is documented at `encode_points`.
-POINT_DTYPE = np.dtype(
-    [
-        ('x', '<f4'),
-        ('y', '<f4'),
-        ('z', '<f4'),
-        ('std', '<f4'),
-        ('person', '<u2'),
-        ('joint', 'u1'),
-        ('inferred', 'u1'),
-    ]
-)
-
-_SIZE = struct.Struct('<II')  # height, width
-_FIELD = struct.Struct('<IB')  # offset and datatype of a PointField
-_STEPS = struct.Struct('<II')  # point_step, row_step
+DATATYPES = {'<f4': 7, '<u2': 4, '|u1': 2}  # sensor_msgs/PointField.datatype by NumPy's name of the type
+POINT_FIELDS = {
+    'x': '<f4', 'y': '<f4', 'z': '<f4', 'std': '<f4', 'person': '<u2', 'joint': '|u1', 'inferred': '|u1',
+}  # fmt: skip
+POINT_DTYPE = np.dtype(list(POINT_FIELDS.items()))
 
 
 def encode_points(header: Header, people: Sequence[Person3D]) -> bytes:
@@ -54,22 +34,26 @@ def encode_points(header: Header, people: Sequence[Person3D]) -> bytes:
         header: time and frame of the image.
         people: all people in the image.
     """
-    joints = len(people[0].joints) if people else 0
-    cloud = np.zeros((len(people), joints), POINT_DTYPE)
-    cloud['person'], cloud['joint'] = np.arange(len(people))[:, None], np.arange(joints)
-    for row, person in zip(cloud, people, strict=True):
+    cloud = np.zeros((len(people), len(people[0].joints) if people else 0), POINT_DTYPE)
+    for index, (row, person) in enumerate(zip(cloud, people, strict=True)):
         row['x'], row['y'], row['z'] = person.joints.T
         row['std'], row['inferred'] = person.std, person.inferred
+        row['person'], row['joint'] = index, np.arange(len(row))
     writer = CdrWriter()
     writer.add_header(header)
-    writer.add(4, _SIZE.pack(1, cloud.size))
-    writer.add_count(len(POINT_DTYPE.names or ()))
-    for name, (dtype, offset, *_) in (POINT_DTYPE.fields or {}).items():
+    writer.add_count(1)  # height
+    writer.add_count(cloud.size)  # width
+    writer.add_count(len(POINT_FIELDS))
+    offset = 0
+    for name, dtype in POINT_FIELDS.items():
         writer.add_text(name)
-        writer.add(4, _FIELD.pack(offset, DATATYPES[dtype.str[1:]]))
-        writer.add_count(1)
-    writer.add(1, b'\0')  # is_bigendian
-    writer.add(4, _STEPS.pack(POINT_DTYPE.itemsize, POINT_DTYPE.itemsize * cloud.size))
-    writer.add_sequence(np.frombuffer(cloud.tobytes(), np.uint8))
-    writer.add(1, b'\1')  # is_dense
+        writer.add_count(offset)
+        writer.add_numbers(DATATYPES[dtype], BYTE)
+        writer.add_count(1)  # numbers in the field
+        offset += np.dtype(dtype).itemsize
+    writer.add_numbers(False, BYTE)  # is_bigendian
+    writer.add_count(offset)  # bytes of a point
+    writer.add_count(offset * cloud.size)  # bytes of a row
+    writer.add_sequence(np.frombuffer(cloud.tobytes(), BYTE), BYTE)
+    writer.add_numbers(True, BYTE)  # is_dense
     return writer.finish()

@@ -1,39 +1,41 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""mocap_ros_msgs/Skeleton3DArray and SkeletonDefinition: the people in 3D, and the names of their joints."""
+"""mocap_ros_msgs/Skeleton3DArray, SkeletonDefinition and WeakPerspectiveCameraArray: the people in 3D.
+
+A point X of the body frame is imaged at x = s (R X)_xy + t = M [X; 1], where s is the scale, R the rotation,
+t the translation and M = [s R_xy | t] the 2x4 camera matrix (Wandt et al., TPAMI 2016, section 3.2).
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rigid_transform import SAME_POSE, RigidTransform
+from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
-from mocap_ros.messages.cameras import CAMERA_NUMBERS, compute_camera_numbers
-from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, create_message, decode, encode
-from mocap_ros.messages.stacked_people import StackedPeople, stack_people
-from mocap_ros.messages.template import (
+from mocap_ros.messages.cdr import (
     BYTE,
-    DOUBLE,
-    KEPT_TEMPLATES,
+    MOCAP_ROS_MSGS,
     SINGLE,
-    MessageTemplate,
-    TemplateWriter,
+    Array,
+    CdrWriter,
+    Header,
+    create_message,
+    decode,
+    encode,
 )
-from mocap_ros.people import HIPS, CameraVertical, Person3D
+from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.skeleton import Skeleton
 
 SKELETONS = MOCAP_ROS_MSGS + 'Skeleton3DArray'
 SKELETON_DEFINITION = MOCAP_ROS_MSGS + 'SkeletonDefinition'
-
-_ROOT_NUMBERS = 3 + 9 + 3 + 9  # numbers of root, root_covariance, root_velocity and root_velocity_covariance
+CAMERAS = MOCAP_ROS_MSGS + 'WeakPerspectiveCameraArray'
 
 
 def encode_skeletons(
@@ -50,83 +52,58 @@ def encode_skeletons(
         vertical: what is known of the camera's vertical; None if nothing is.
         camera: the camera in that frame; None where the frame is the camera's.
     """
-    stacked, placement = stack_people(people), camera or CameraPlacement(header.frame_id)
-    direction, std = (np.zeros(3), math.nan) if vertical is None else vertical
-    pose = placement.pose
-    numbers: dict[str, ArrayLike] = {
-        'vertical': direction,
-        'vertical_std': std,
-        'camera_pose': SAME_POSE if pose is None else (*pose.translation.tolist(), *pose.quaternion),
-    }
-    if stacked:
-        numbers |= _collect_numbers(stacked)
-    texts = tuple([(p.id, p.motion.category) for p in stacked])
-    return _lay_out(header.frame_id, texts, stacked.skeleton, placement.frame_id).fill(header.stamp_ns, **numbers)
-
-
-def _collect_numbers(people: StackedPeople) -> dict[str, ArrayLike]:
-    """Return the numbers of the Skeleton3D of people, by the fields of `_lay_out`."""
-    motions = [p.motion for p in people]
-    velocity = np.array([p.velocity for p in people])
-    covariances, velocity_covariances = (
-        np.array([getattr(p, name) for p in people]).reshape(-1, 9)
-        for name in ('root_covariance', 'root_velocity_covariance')
-    )
-    root_velocity = (velocity[:, HIPS[0]] + velocity[:, HIPS[1]]) / 2
-    return {
-        'joints': people.joints,
-        'std': people.std,
-        'inferred': np.array([p.inferred for p in people]),
-        'camera': people.share(compute_camera_numbers),
-        'kind': [motion.kind for motion in motions],
-        'fit': [(m.residual, m.cadence, p.residual) for p, m in zip(people, motions, strict=True)],
-        'flags': [(p.scale_known, p.predicted, p.tentative) for p in people],
-        'velocity': velocity,
-        'velocity_std': np.array([p.velocity_std for p in people]),
-        'root': np.concatenate([people.roots, covariances, root_velocity, velocity_covariances], axis=1),
-        'times': [(p.age, p.unseen_for) for p in people],
-        'orientation': np.array([p.orientation for p in people]),
-        'turn_inferred': np.array([p.turn_inferred for p in people]),
-    }
-
-
-@lru_cache(maxsize=KEPT_TEMPLATES)
-def _lay_out(
-    frame_id: str, people: tuple[tuple[str, str], ...], skeleton: Skeleton, camera_frame_id: str
-) -> MessageTemplate:
-    """Return the template for people of whom the id and the category of the motion are given.
-
-    Args:
-        frame_id: frame of the people.
-        people: their texts.
-        skeleton: names and order of their joints.
-        camera_frame_id: the camera's optical frame.
-    """
-    writer, joints = TemplateWriter(), len(skeleton.joints)
-    writer.add_stamped(frame_id)
+    writer, placement = CdrWriter(), camera or CameraPlacement(header.frame_id)
+    writer.add_header(header)
     writer.add_count(len(people))
-    for person_id, category in people:
-        writer.add_text(person_id)
-        writer.add_text(skeleton.name)
-        writer.add_number_sequence('joints', DOUBLE, joints, 3)
-        writer.add_number_sequence('std', SINGLE, joints)
-        writer.add_number_sequence('inferred', BYTE, joints)
-        writer.add_numbers('camera', DOUBLE, CAMERA_NUMBERS)
-        writer.add_numbers('kind', BYTE, 1)
-        writer.add_text(category)
-        writer.add_numbers('fit', SINGLE, 3)  # motion.residual, motion.cadence and reprojection_residual
-        writer.add_numbers('flags', BYTE, 3)  # scale_source, predicted and tentative
-        writer.add_number_sequence('velocity', DOUBLE, joints, 3)
-        writer.add_number_sequence('velocity_std', SINGLE, joints)
-        writer.add_numbers('root', DOUBLE, _ROOT_NUMBERS)
-        writer.add_numbers('times', SINGLE, 2)  # age and unseen_for
-        writer.add_number_sequence('orientation', DOUBLE, joints, 4)
-        writer.add_number_sequence('turn_inferred', BYTE, joints)
-    writer.add_numbers('vertical', DOUBLE, 3)
-    writer.add_numbers('vertical_std', SINGLE, 1)
-    writer.add_text(camera_frame_id)
-    writer.add_numbers('camera_pose', DOUBLE, len(SAME_POSE))
-    return writer.finish_template()
+    for person in people:
+        _add_person(writer, person)
+    direction, std = (np.zeros(3), math.nan) if vertical is None else vertical
+    writer.add_numbers(direction)
+    writer.add_numbers(std, SINGLE)
+    writer.add_text(placement.frame_id)
+    pose = placement.pose
+    writer.add_numbers(SAME_POSE if pose is None else (*pose.translation, *pose.quaternion))
+    return writer.finish()
+
+
+def _add_person(writer: CdrWriter, person: Person3D) -> None:
+    """Append a Skeleton3D."""
+    motion = person.motion
+    writer.add_text(person.id)
+    writer.add_text(person.skeleton.name)
+    writer.add_sequence(person.joints)
+    writer.add_sequence(person.std, SINGLE)
+    writer.add_sequence(person.inferred, BYTE)
+    writer.add_numbers(_compute_camera(person))
+    writer.add_numbers(motion.kind, BYTE)
+    writer.add_text(motion.category)
+    writer.add_numbers((motion.residual, motion.cadence, person.residual), SINGLE)
+    writer.add_numbers((person.scale_known, person.predicted, person.tentative), BYTE)
+    writer.add_sequence(person.velocity)
+    writer.add_sequence(person.velocity_std, SINGLE)
+    for numbers in (person.root, person.root_covariance, person.root_velocity, person.root_velocity_covariance):
+        writer.add_numbers(numbers)
+    writer.add_numbers((person.age, person.unseen_for), SINGLE)
+    writer.add_sequence(person.orientation)
+    writer.add_sequence(person.turn_inferred, BYTE)
+
+
+def _compute_camera(person: Person3D) -> Array:
+    """Return the fields of a WeakPerspectiveCamera (15,): scale, quaternion x, y, z, w, translation and matrix."""
+    matrix = np.column_stack([person.scale * person.rotation[:2], person.translation])
+    quaternion = quaternion_from_rotation(person.rotation)
+    return np.array([person.scale, *quaternion, *person.translation, *matrix.ravel()])
+
+
+def encode_cameras(header: Header, people: Sequence[Person3D]) -> bytes:
+    """Encode the cameras of all people in an image as a WeakPerspectiveCameraArray."""
+    writer = CdrWriter()
+    writer.add_header(header)
+    writer.add_count(len(people))
+    for person in people:
+        writer.add_text(person.id)
+    writer.add_sequence([_compute_camera(person) for person in people])
+    return writer.finish()
 
 
 def decode_skeletons(raw: bytes) -> Any:
@@ -143,7 +120,7 @@ def decode_skeletons(raw: bytes) -> Any:
     array = decode(raw, SKELETONS)
     position, orientation = array.camera_pose.position, array.camera_pose.orientation
     numbers = (position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w)
-    if numbers == SAME_POSE or not any(numbers[3:]):  # version 0.1 recorded no pose, which is converted to zeros
+    if numbers == SAME_POSE:
         return array
     try:
         to_optical_frame = RigidTransform.from_numbers(numbers).inverse()

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES, ENCAPSULATION, CdrWriter, encode_text
+from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES, ENCAPSULATION, CdrWriter
 from mocap_ros.units import NS_PER_S
 
 KEPT_TEMPLATES = 16  # of each kind of message: one for the people who are seen, and those of others before
@@ -93,7 +93,7 @@ class TemplateWriter(CdrWriter):
         self._begun = len(self._data)  # where the message begins
         self._places: dict[str, tuple[np.dtype[Any], list[int]]] = {}
 
-    def add_numbers(self, field: str, dtype: np.dtype[Any], count: int) -> None:
+    def add_numbers(self, field: str, dtype: np.dtype[Any], count: int) -> None:  # type: ignore[override]
         """Append some numbers of a field, which may have others elsewhere."""
         _, places = self._places.setdefault(field, (dtype, []))
         if count:
@@ -110,7 +110,7 @@ class TemplateWriter(CdrWriter):
     def add_stamped(self, frame_id: str) -> None:
         """Append a std_msgs/Header."""
         self.add_numbers(_STAMP, INT, _STAMP_NUMBERS)
-        self.add(4, encode_text(frame_id))
+        self.add_text(frame_id)
 
     def end_message(self) -> None:
         """End a message of a series; what is appended then belongs to the next."""

@@ -14,32 +14,36 @@ give the same transforms.
 
 from __future__ import annotations
 
-import struct
-from bisect import bisect_left, insort
-from collections.abc import Iterator, Sequence
+from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rigid_transform import RigidTransform, interpolate
-from mocap_ros.messages.cdr import CdrWriter, Header, decode, validate_stamp
-from mocap_ros.messages.transforms import CHILD_LINKS, ROOT_LINK, TORSO_LINK, TRANSFORMS
+from mocap_ros.messages.cdr import Header, decode_input, validate_stamp
+from mocap_ros.messages.transforms import (
+    CHILD_LINKS,
+    ROOT_LINK,
+    TORSO_LINK,
+    TRANSFORMS,
+    StampedTransform,
+    write_transforms,
+)
 from mocap_ros.units import NS_PER_S
 
 RESTART_S = 2.0  # s; transforms of one frame never arrive so much out of order, but a simulation starts anew
 HISTORY_S = 10.0  # s; as tf2 keeps transforms, and longer than any tracker.lag
 MAX_FRAMES = 1000  # frames; many times those of a robot; guards the memory against names that never end
-MAX_SAMPLES = 20_000  # transforms that are kept of a frame, 10 s at 2 kHz; guards the memory against a flood
 # Transforms that are kept of all frames, which share them evenly: 10 s of 100 frames at 100 Hz. Guards the memory
 # (75 MB), and the time in which they are written when a recording starts.
 MAX_TREE_SAMPLES = 100_000
 MESSAGE_TRANSFORMS = 10_000  # transforms of a message at most; 1 to 2 MB
-MAX_MESSAGE_BYTES = 4_000_000  # of a message; guards the time that the decoder takes
+PART_TRANSFORMS = 1000  # transforms of a message that is written
 MAX_DEPTH = 100  # frames from a frame up to its root; guards the search against loops
 
-_TRANSFORM = struct.Struct('<7d')  # translation in m and quaternion x, y, z, w of a geometry_msgs/Transform
+_HISTORY_NS = int(HISTORY_S * NS_PER_S)
 _COUNT = slice(4, 8)  # bytes of a TFMessage that hold the number of its transforms
-_Named = tuple[Header, str, RigidTransform]  # stamp and parent frame, child frame, and the transform between them
 
 
 @dataclass
@@ -56,6 +60,10 @@ class _Link:
     is_static: bool
     samples: list[tuple[int, RigidTransform]] = field(default_factory=list)
 
+    def _find_index(self, stamp_ns: int) -> int:
+        """Return the index of the first transform at this time or later."""
+        return bisect_left(self.samples, (stamp_ns,))
+
     def add(self, stamp_ns: int, transform: RigidTransform, limit: int) -> None:
         """Add a transform; one that is far older than the newest begins anew, as time itself has gone back.
 
@@ -64,17 +72,12 @@ class _Link:
             transform: the transform from the frame to its parent.
             limit: number of transforms to keep.
         """
-        history_ns = int(HISTORY_S * NS_PER_S)
         if self.is_static or (self.samples and stamp_ns < self.samples[-1][0] - RESTART_S * NS_PER_S):
             self.samples = []
-        index = bisect_left(self.samples, stamp_ns, key=_get_stamp)
-        if index < len(self.samples) and self.samples[index][0] == stamp_ns:
-            self.samples[index] = (stamp_ns, transform)
-        else:
-            insort(self.samples, (stamp_ns, transform), key=_get_stamp)
+        start, end = self._find_index(stamp_ns), self._find_index(stamp_ns + 1)
+        self.samples[start:end] = [(stamp_ns, transform)]
         del self.samples[:-limit]
-        oldest_kept = self.samples[-1][0] - history_ns
-        del self.samples[: bisect_left(self.samples, oldest_kept, key=_get_stamp)]
+        del self.samples[: self._find_index(self.samples[-1][0] - _HISTORY_NS)]
 
     def find(self, child: str, stamp_ns: int, tolerance_ns: int, earlier_ns: int = 0) -> RigidTransform:
         """Return the transform at a time in ns, or at a time before it.
@@ -94,26 +97,16 @@ class _Link:
         if earlier_ns:
             is_newer = 0 < stamp_ns - samples[-1][0] <= tolerance_ns
             stamp_ns, tolerance_ns = (samples[-1][0] if is_newer else stamp_ns) - earlier_ns, 0
-        index = bisect_left(samples, stamp_ns, key=_get_stamp)
-        if index == len(samples) or (index == 0 and samples[0][0] != stamp_ns):
-            nearest_ns, transform = samples[min(index, len(samples) - 1)]
-            if abs(nearest_ns - stamp_ns) <= tolerance_ns:
-                return transform
-            relation = 'newest' if index else 'oldest'
-            apart_s = abs(stamp_ns - nearest_ns) / NS_PER_S
-            raise InputError(
-                f'the {relation} transform of {child} is {apart_s:.2f} s {"older" if index else "newer"} than '
-                'the image'
-            )
-        after_ns, after = samples[index]
-        if after_ns == stamp_ns:
+        index = self._find_index(stamp_ns)
+        after_ns, after = samples[min(index, len(samples) - 1)]
+        if 0 < index < len(samples) and after_ns != stamp_ns:
+            before_ns, before = samples[index - 1]
+            return interpolate(before, after, (stamp_ns - before_ns) / (after_ns - before_ns))
+        if abs(after_ns - stamp_ns) <= tolerance_ns:
             return after
-        before_ns, before = samples[index - 1]
-        return interpolate(before, after, (stamp_ns - before_ns) / (after_ns - before_ns))
-
-
-def _get_stamp(sample: tuple[int, RigidTransform]) -> int:
-    return sample[0]
+        age, relation = ('newest', 'older') if index else ('oldest', 'newer')
+        apart_s = abs(stamp_ns - after_ns) / NS_PER_S
+        raise InputError(f'the {age} transform of {child} is {apart_s:.2f} s {relation} than the image')
 
 
 class TransformTree:
@@ -146,7 +139,7 @@ class TransformTree:
             link = self._links.get(child)
             if link is None or link.parent != parent or link.is_static != is_static:
                 link = self._links[child] = _Link(parent, is_static)
-            link.add(stamp_ns, transform, min(MAX_SAMPLES, MAX_TREE_SAMPLES // len(self._links)))
+            link.add(stamp_ns, transform, MAX_TREE_SAMPLES // len(self._links))
             if not is_static:
                 self._newest_ns = stamp_ns
 
@@ -179,12 +172,17 @@ class TransformTree:
 
     def encode_all(self) -> tuple[list[bytes], list[bytes]]:
         """Return all transforms as TFMessages of /tf_static and of /tf, which make another tree the same."""
-        named: tuple[list[_Named], list[_Named]] = ([], [])
-        for child, link in self._links.items():
-            for stamp_ns, transform in link.samples:
-                named[not link.is_static].append((Header(stamp_ns, link.parent), child, transform))
-        static, dynamic = (list(_encode_in_parts(n)) for n in named)
-        return static, dynamic
+        parts: tuple[list[bytes], list[bytes]] = ([], [])
+        for is_static, messages in zip((True, False), parts, strict=True):
+            transforms: list[StampedTransform] = [
+                (Header(stamp_ns, link.parent), child, (*transform.translation, *transform.quaternion))
+                for child, link in self._links.items()
+                for stamp_ns, transform in link.samples
+                if link.is_static == is_static
+            ]
+            starts = range(0, len(transforms), PART_TRANSFORMS)
+            messages += [write_transforms(transforms[start : start + PART_TRANSFORMS]) for start in starts]
+        return parts
 
     @property
     def is_empty(self) -> bool:
@@ -216,35 +214,11 @@ class TransformTree:
         Args:
             newest_ns: ns, stamp of the transform that came last.
         """
-        history_ns = HISTORY_S * NS_PER_S
         return {
             child: link
             for child, link in self._links.items()
-            if link.is_static or abs(link.samples[-1][0] - newest_ns) <= history_ns
+            if link.is_static or abs(link.samples[-1][0] - newest_ns) <= _HISTORY_NS
         }
-
-
-def _encode_in_parts(transforms: Sequence[_Named]) -> Iterator[bytes]:
-    """Yield transforms as TFMessages that this module decodes, of as many transforms and bytes as it takes."""
-    for start in range(0, len(transforms), MESSAGE_TRANSFORMS):
-        part = transforms[start : start + MESSAGE_TRANSFORMS]
-        raw = _encode(part)
-        if len(raw) <= MAX_MESSAGE_BYTES or len(part) == 1:
-            yield raw
-        else:
-            yield from _encode_in_parts(part[: len(part) // 2])
-            yield from _encode_in_parts(part[len(part) // 2 :])
-
-
-def _encode(transforms: Sequence[_Named]) -> bytes:
-    """Return transforms as a TFMessage; ten times as fast as by message objects."""
-    writer = CdrWriter()
-    writer.add_count(len(transforms))
-    for header, child, transform in transforms:
-        writer.add_header(header)
-        writer.add_text(child)
-        writer.add(8, _TRANSFORM.pack(*transform.translation, *transform.quaternion))
-    return writer.finish()
 
 
 def is_of_people_only(raw: bytes, prefix: str) -> bool:
@@ -274,9 +248,7 @@ def is_of_people_only(raw: bytes, prefix: str) -> bool:
 
 def _decode(raw: bytes) -> Sequence[Any]:
     """Return the transforms of a TFMessage; InputError if it is none, or has too many."""
-    if len(raw) > MAX_MESSAGE_BYTES:
-        raise InputError(f'{len(raw)} bytes, more than a {TRANSFORMS} may have ({MAX_MESSAGE_BYTES})')
-    transforms: Sequence[Any] = decode(raw, TRANSFORMS).transforms
+    transforms: Sequence[Any] = decode_input(raw, TRANSFORMS).transforms
     if len(transforms) > MESSAGE_TRANSFORMS:
         raise InputError(f'transforms: {len(transforms)}, more than {MESSAGE_TRANSFORMS}')
     return transforms

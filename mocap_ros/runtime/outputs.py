@@ -15,11 +15,10 @@ from typing import NamedTuple
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.messages.camera_placement import CameraPlacement
-from mocap_ros.messages.cameras import CAMERAS, encode_cameras
 from mocap_ros.messages.cdr import Header, OutputMessage
 from mocap_ros.messages.foreign.definitions import COLLISION_OBJECT, DETECTIONS_3D, HRI_IDS, OBSTACLES, PEOPLE
-from mocap_ros.messages.marker_writer import MARKERS, MarkerSeries
-from mocap_ros.messages.markers import MarkerEncoder
+from mocap_ros.messages.marker_writer import MarkerSeries
+from mocap_ros.messages.markers import MARKERS, MarkerEncoder
 from mocap_ros.messages.point_cloud import POINTS, encode_points
 from mocap_ros.messages.robots.bodies import DESCRIPTION, TRACKED, BodiesEncoder, BodyNames
 from mocap_ros.messages.robots.capsules import CAPSULES, encode_capsules
@@ -31,8 +30,10 @@ from mocap_ros.messages.robots.poses import POSES, encode_poses
 from mocap_ros.messages.robots.predictions import PREDICTIONS, PredictedFrame, encode_predictions
 from mocap_ros.messages.robots.robot_markers import encode_capsule_markers, encode_prediction_markers
 from mocap_ros.messages.skeletons import (
+    CAMERAS,
     SKELETON_DEFINITION,
     SKELETONS,
+    encode_cameras,
     encode_skeleton_definition,
     encode_skeletons,
 )

@@ -19,14 +19,14 @@ from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.cameras import CAMERAS, encode_cameras
 from mocap_ros.messages.cdr import Header, decode, encode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
-from mocap_ros.messages.marker_writer import MARKERS
-from mocap_ros.messages.markers import MarkerEncoder
+from mocap_ros.messages.markers import MARKERS, MarkerEncoder
 from mocap_ros.messages.skeletons import (
+    CAMERAS,
     SKELETON_DEFINITION,
     SKELETONS,
+    encode_cameras,
     encode_skeleton_definition,
     encode_skeletons,
 )
@@ -180,7 +180,7 @@ def test_too_many_joints_people_characters_and_bytes_are_refused() -> None:
     assert decode_keypoints(encode_keypoints(HEADER, SIZE, two), replace(LIMITS, max_people=2)).people
     with pytest.raises(InputError, match='people: 2, more than 1'):
         decode_keypoints(encode_keypoints(HEADER, SIZE, two), replace(LIMITS, max_people=1))
-    with pytest.raises(InputError, match='more than the limits allow'):
+    with pytest.raises(InputError, match='more than a'):
         decode_keypoints(bytes(100_000_000), LIMITS)
 
 

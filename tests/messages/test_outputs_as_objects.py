@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.config import Config, with_values
 from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.messages.camera_placement import CameraPlacement
-from mocap_ros.messages.cameras import encode_cameras
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.foreign.definitions import DETECTIONS_3D, OBSTACLES, PEOPLE
 from mocap_ros.messages.markers import MarkerEncoder
@@ -28,7 +27,7 @@ from mocap_ros.messages.robots.obstacles import encode_obstacles
 from mocap_ros.messages.robots.people import encode_people
 from mocap_ros.messages.robots.poses import POSES, encode_poses
 from mocap_ros.messages.robots.predictions import PredictedFrame
-from mocap_ros.messages.skeletons import encode_skeletons
+from mocap_ros.messages.skeletons import encode_cameras, encode_skeletons
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
 from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D, PredictedPerson
 from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS, OutputEncoder

@@ -116,18 +116,13 @@ def test_a_tree_that_is_encoded_makes_another_the_same() -> None:
         np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ('limit', 'value', 'count'), [('MESSAGE_TRANSFORMS', 7, 3), ('MAX_MESSAGE_BYTES', 800, 4)]
-)
-def test_a_large_tree_is_encoded_in_several_messages(
-    monkeypatch: pytest.MonkeyPatch, limit: str, value: int, count: int
-) -> None:
-    monkeypatch.setattr(transform_tree, limit, value)
+def test_a_large_tree_is_encoded_in_several_messages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transform_tree, 'PART_TRANSFORMS', 7)
     tree, again = TransformTree(), TransformTree()
     for i in range(20):
         tree.add(make_transforms(('map', 'base', i * SECOND_NS // 10, (i, 0, 0))), is_static=False)
     static, dynamic = tree.encode_all()
-    assert (len(static), len(dynamic)) == (0, count)
+    assert (len(static), len(dynamic)) == (0, 3)
     for message in dynamic:
         again.add(message, is_static=False)
     assert again.encode_all() == (static, dynamic)

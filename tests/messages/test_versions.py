@@ -14,8 +14,7 @@ from rosbags.typesys.store import Typestore
 
 from mocap_ros.errors import InputError
 from mocap_ros.messages.cdr import CDR_ALIGNMENT_BYTES, Header, decode, typestore
-from mocap_ros.messages.marker_writer import MARKERS
-from mocap_ros.messages.markers import MarkerEncoder
+from mocap_ros.messages.markers import MARKERS, MarkerEncoder
 from mocap_ros.messages.skeletons import SKELETONS, encode_skeletons
 from mocap_ros.messages.versions import VersionConverter
 from tests.support.people import make_person_3d

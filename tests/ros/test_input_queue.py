@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocap_ros.bags.topics import Source
-from mocap_ros.messages.cdr import ENCAPSULATION, Header, encode_header, read_stamp_ns
+from mocap_ros.messages.cdr import CdrWriter, Header, read_stamp_ns
 from mocap_ros.ros import input_queue
 from mocap_ros.ros.input_queue import InputQueue
 from mocap_ros.units import NS_PER_S
@@ -96,8 +96,9 @@ def test_the_bodies_of_one_image_are_one_image() -> None:
 
 def put_image(queue: InputQueue, stamp_s: int, bodies: range = BODIES) -> None:
     for body in bodies:
-        raw = encode_header(Header(stamp_s * NS_PER_S, 'camera'))
-        queue.put(Source.BODY, f'/humans/bodies/b{body}/skeleton2d', ENCAPSULATION + raw, (1, 1))
+        writer = CdrWriter()
+        writer.add_header(Header(stamp_s * NS_PER_S, 'camera'))
+        queue.put(Source.BODY, f'/humans/bodies/b{body}/skeleton2d', writer.finish(), (1, 1))
 
 
 def take_images(queue: InputQueue, limit: int) -> Counter[int]:

@@ -29,7 +29,7 @@ from mocap_ros.errors import RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header, OutputMessage, decode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
-from mocap_ros.messages.marker_writer import MARKERS
+from mocap_ros.messages.markers import MARKERS
 from mocap_ros.messages.robots.bodies import BODIES
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.messages.versions import VersionConverter

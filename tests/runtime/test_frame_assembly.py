@@ -17,7 +17,7 @@ from mocap_ros.errors import FrameDropped
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.foreign.definitions import HRI_SKELETON
-from mocap_ros.messages.foreign.yolo import COCO17
+from mocap_ros.messages.input_types import COCO17
 from mocap_ros.runtime.frame_assembly import BodyAssembler
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.tracking.tracker import Tracker

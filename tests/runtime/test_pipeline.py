@@ -23,8 +23,7 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
 from mocap_ros.messages.cdr import Header, create_header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
-from mocap_ros.messages.marker_writer import MARKERS
-from mocap_ros.messages.markers import MarkerEncoder
+from mocap_ros.messages.markers import MARKERS, MarkerEncoder
 from mocap_ros.messages.point_cloud import POINT_DTYPE, POINTS
 from mocap_ros.runtime.camera_switch import MAX_DISPLACED
 from mocap_ros.runtime.pipeline import MAX_CONSECUTIVE_ERRORS, Pipeline

@@ -25,11 +25,10 @@ from mocap_ros.formats.mocap.trials import load_trials
 from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
-from mocap_ros.messages.cameras import CAMERAS
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.point_cloud import POINT_DTYPE, POINTS
-from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.messages.skeletons import CAMERAS, SKELETONS
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS
 from mocap_ros.runtime.save_results import save_detections
 from mocap_ros.skeleton import BODY26, CMU15

@@ -24,8 +24,7 @@ from mocap_ros.messages.foreign.definitions import (
     ZED_OBJECTS,
 )
 from mocap_ros.messages.foreign.hri import HRI18
-from mocap_ros.messages.foreign.yolo import COCO17
-from mocap_ros.messages.foreign.zed import ZED38
+from mocap_ros.messages.input_types import COCO17, ZED38
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 

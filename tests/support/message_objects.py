@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
-from mocap_ros.messages.cameras import CAMERAS
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, create_header, create_message, encode
 from mocap_ros.messages.foreign.definitions import DETECTIONS_3D, OBSTACLES, PEOPLE
 from mocap_ros.messages.marker_writer import (
@@ -28,12 +27,18 @@ from mocap_ros.messages.marker_writer import (
     FIRST_HUE,
     GOLDEN_RATIO,
     MARKERS,
+)
+from mocap_ros.messages.markers import (
+    BONE_SCALE_M,
+    INFERRED_STYLE,
+    JOINT_SCALE_M,
+    SEEN_STYLE,
+    UNCERTAIN_STYLE,
     MarkerStyle,
 )
-from mocap_ros.messages.markers import BONES, INFERRED_STYLE, JOINTS, SEEN_STYLE, UNCERTAIN_STYLE
 from mocap_ros.messages.point_cloud import DATATYPES, POINT_DTYPE, POINTS
 from mocap_ros.messages.robots.poses import POSES
-from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.messages.skeletons import CAMERAS, SKELETONS
 from mocap_ros.messages.transforms import TRANSFORMS, compute_links
 from mocap_ros.people import HIPS, CameraVertical, Person3D
 from mocap_ros.units import NS_PER_S
@@ -141,7 +146,7 @@ def encode_points_slowly(header: Header, people: Sequence[Person3D]) -> bytes:
     cloud = np.array(points, POINT_DTYPE)
     fields = [
         create_message(
-            'sensor_msgs/msg/PointField', name=name, offset=offset, datatype=DATATYPES[dtype.str[1:]], count=1
+            'sensor_msgs/msg/PointField', name=name, offset=offset, datatype=DATATYPES[dtype.str], count=1
         )
         for name, (dtype, offset, *_) in (POINT_DTYPE.fields or {}).items()
     ]
@@ -205,13 +210,13 @@ def create_person_markers(header: Header, person: Person3D, number: int, lifetim
     is_uncertain = person.predicted or person.tentative
     inferred_color = create_color(number, UNCERTAIN_STYLE if is_uncertain else INFERRED_STYLE)
     markers = []
-    for shape, points, is_inferred in (
-        (JOINTS, person.joints, person.inferred),
-        (BONES, person.joints[bones.ravel()], np.repeat(inferred_bones, 2)),
+    for namespace, type_, scale, points, is_inferred in (
+        ('joints', 7, JOINT_SCALE_M, person.joints, person.inferred),
+        ('bones', 5, BONE_SCALE_M, person.joints[bones.ravel()], np.repeat(inferred_bones, 2)),
     ):
-        marker = create_marker(header, shape.namespace, number, ADD)
-        marker.type = shape.type
-        marker.scale = create_vector(*shape.scale)
+        marker = create_marker(header, namespace, number, ADD)
+        marker.type = type_
+        marker.scale = create_vector(*scale)
         marker.points = create_points(points)
         marker.colors = [inferred_color if i else seen_color for i in is_inferred]
         marker.color = seen_color
@@ -225,7 +230,7 @@ def encode_markers_slowly(
     header: Header, people: Sequence[Person3D], deleted_numbers: Sequence[int], lifetime_s: float
 ) -> bytes:
     """Encode the markers of people numbered from 0, after the deletion of those of other numbers."""
-    markers = [create_marker(header, s.namespace, n, DELETE) for n in deleted_numbers for s in (JOINTS, BONES)]
+    markers = [create_marker(header, s, n, DELETE) for s in ('bones', 'joints') for n in deleted_numbers]
     for number, person in enumerate(people):
         markers += create_person_markers(header, person, number, lifetime_s)
     return encode(create_message(MARKERS, markers=markers), MARKERS)

@@ -19,7 +19,7 @@ from mocap_ros.demo.scene import make_recording
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import Header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.messages.marker_writer import DELETE_ALL, MARKERS
+from mocap_ros.messages.markers import DELETE_ALL, MARKERS
 from mocap_ros.messages.skeletons import SKELETON_DEFINITION, SKELETONS
 from mocap_ros.ros.message_types import load_interface_class
 from mocap_ros.runtime.outputs import OUTPUTS

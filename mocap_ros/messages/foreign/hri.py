@@ -14,10 +14,9 @@ from mocap_ros.config import NodeConfig
 from mocap_ros.errors import InputError
 from mocap_ros.keypoints.image_size import ImageSize
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.cdr import Header, read_count, validate_header, validate_text
+from mocap_ros.messages.cdr import Header, decode_input, validate_header, validate_text
 from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
-from mocap_ros.messages.foreign.shared import decode_foreign, validate_person_of_field
-from mocap_ros.messages.keypoints import check_count
+from mocap_ros.messages.keypoints import validate_person
 from mocap_ros.skeleton import keypoint_layout
 
 HRI18 = keypoint_layout('hri18').joints  # joints in the order of hri_msgs/Skeleton2D
@@ -38,17 +37,16 @@ def decode_body(raw: bytes, body_id: str, size: ImageSize, limits: NodeConfig) -
     Raises:
         InputError: the message is not valid, or the size of the image is unknown; the error names the field.
     """
-    message = decode_foreign(raw, HRI_SKELETON)
+    message = decode_input(raw, HRI_SKELETON)
     header = validate_header(message.header, limits)
     if not all(size):
         raise InputError(
             'skeleton: coordinates are normalised, and the size of the image is unknown: neither CameraInfo nor '
             'the parameters node.image_width and node.image_height give it'
         )
-    normalised = np.array([[p.x, p.y] for p in message.skeleton], np.float64)
-    score = np.array([p.c for p in message.skeleton], np.float64)
+    numbers = np.array([(p.x, p.y, p.c) for p in message.skeleton], np.float64)
     person_id = validate_text(body_id, 'id', limits)
-    return header, validate_person_of_field(person_id, HRI18, normalised * np.array(size), score, 0, 'skeleton')
+    return header, validate_person(person_id, HRI18, numbers[:, :2] * size, numbers[:, 2], 0, 'skeleton')
 
 
 def decode_ids(raw: bytes, limits: NodeConfig) -> tuple[Header, tuple[str, ...]]:
@@ -64,7 +62,8 @@ def decode_ids(raw: bytes, limits: NodeConfig) -> tuple[Header, tuple[str, ...]]
     Raises:
         InputError: the message is not valid, there are too many ids, or an id is too long.
     """
-    check_count('ids', read_count(raw), limits)
-    message = decode_foreign(raw, HRI_IDS)
+    message = decode_input(raw, HRI_IDS)
+    if len(message.ids) > limits.max_people:
+        raise InputError(f'ids: {len(message.ids)}, more than {limits.max_people}')
     ids = tuple(validate_text(i, 'ids', limits) for i in message.ids)
     return validate_header(message.header, limits), ids

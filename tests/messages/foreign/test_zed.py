@@ -12,8 +12,7 @@ import pytest
 
 from mocap_ros.errors import InputError
 from mocap_ros.messages.foreign.definitions import ZED_OBJECTS
-from mocap_ros.messages.foreign.zed import ZED38
-from mocap_ros.messages.input_types import decode_frame
+from mocap_ros.messages.input_types import ZED38, decode_frame
 from tests.support.foreign_messages import IMAGE_SIZE, LIMITS, edit_message
 
 
