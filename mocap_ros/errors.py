@@ -3,17 +3,20 @@
 
 """Exceptions of the package, and texts for them. Libraries raise them; programs print them as one line."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+# What Python raises where content that it reads is not of the expected form
+MALFORMED = (LookupError, TypeError, ValueError, OverflowError, AttributeError)
 MAX_MESSAGE_CHARACTERS = 2000  # of a line; longer ones, which quote what a stranger wrote, lose their middle
 
 
 class MocapError(Exception):
     """Base of all exceptions that this package raises on purpose; the message says what is wrong and where.
 
-    Messages quote names from files and messages of strangers. Therefore the message is what `make_printable_line`
-    makes of it.
-
-    Args:
-        message: what is wrong and where.
+    Messages quote names from files and messages of strangers, so `make_printable_line` is applied to them.
     """
 
     def __init__(self, message: str) -> None:
@@ -50,6 +53,27 @@ class FolderTaken(RecordingError):
 
 class DiskFull(RecordingError):
     """A disk without space, or with less than `recorder.min_free_mb`."""
+
+
+@contextmanager
+def naming(place: object, expected: str = '') -> Iterator[None]:
+    """Put a place in front of the errors of a block, such as a path.
+
+    Args:
+        place: the place.
+        expected: what was expected there, for content of another form; empty if its reader says that itself.
+
+    Raises:
+        InputError: the block raised an `InputError`, a `SkeletonError` or, with `expected`, one of `MALFORMED`.
+    """
+    try:
+        yield
+    except (InputError, SkeletonError) as error:
+        raise InputError(f'{place}: {error}') from None
+    except MALFORMED:
+        if not expected:
+            raise
+        raise InputError(f'{place}: {expected}') from None
 
 
 def make_printable_line(message: str) -> str:

@@ -20,7 +20,7 @@ from mocap_ros.bags.reader import ROS1_SUFFIX, ROS2_SUFFIXES
 from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.batch.file_systems import choose_one_name, find_file_system, is_local, list_sizes
 from mocap_ros.errors import InputError
-from mocap_ros.formats.openpose_json import FILE_SUFFIX as OPENPOSE_SUFFIX
+from mocap_ros.formats.detector_json import FILE_SUFFIX as OPENPOSE_SUFFIX
 from mocap_ros.runtime.input_kind import VIDEO_SUFFIXES
 
 LIST_SUFFIX = '.txt'  # of a list of recordings, one in each line

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count, pairwise
 from math import gcd
@@ -36,14 +36,8 @@ Array = NDArray[np.float64]
 # The layout that a detector's file means by its number of keypoints. The 133 keypoints of COCO-WholeBody begin
 # with the 17 of COCO, and the 136 of Halpe-FullBody with the 26 of the body.
 LAYOUT_BY_KEYPOINT_COUNT = {
-    17: 'coco17',
-    18: 'coco18',
-    25: 'body25',
-    26: 'halpe26',
-    33: 'mediapipe33',
-    133: 'coco17',
-    136: 'halpe26',
-}
+    17: 'coco17', 18: 'coco18', 25: 'body25', 26: 'halpe26', 33: 'mediapipe33', 133: 'coco17', 136: 'halpe26',
+}  # fmt: skip
 
 MAX_FRAME_RATE_HZ = 10_000.0  # far above that of any video of people; keeps times that are rounded to 1 us apart
 MAX_FRAMES = 1_000_000  # guards the memory against frame numbers that are not of one video; 9 h at 30 Hz
@@ -60,8 +54,8 @@ class Video:
     Attributes:
         fps: frame rate in Hz, or None where unknown.
         image_size: (width, height) in px, or None where it is not given.
-        layout: name of the keypoint layout, one of `skeleton.LAYOUT_NAMES`; empty where the number of keypoints
-            tells the layout.
+        layout: name of the keypoint layout, one of `skeleton.LAYOUT_NAMES`; empty where it follows from the number
+            of keypoints.
         detector: file of the model that finds keypoints in a video; None for the one that comes with some versions
             of MediaPipe.
         hfov: degrees, horizontal field of view of the camera, or None where it is not given.
@@ -124,12 +118,7 @@ class Detections:
 
 @dataclass(eq=False)
 class PersonTrack:
-    """The detections of one person over time.
-
-    Attributes:
-        id: id of the person.
-        detection_by_frame: the person's keypoints by the index of the frame, in the order of the frames.
-    """
+    """The detections of one person over time: the id, and the keypoints by frame, in the order of the frames."""
 
     id: str
     detection_by_frame: dict[int, Person2D] = field(default_factory=dict)
@@ -139,11 +128,6 @@ class PersonTrack:
         """Index of the last frame in which the person was seen."""
         return next(reversed(self.detection_by_frame))
 
-    @property
-    def last_detection(self) -> Person2D:
-        """Keypoints in the last frame in which the person was seen."""
-        return self.detection_by_frame[self.last_frame]
-
 
 def create_person(
     keypoints: Array, layout_name: str = '', person_id: str = '', joint_names: Sequence[str] = ()
@@ -152,7 +136,8 @@ def create_person(
 
     Args:
         keypoints: (J, 3) x and y in px and the score; keypoints beyond the joints of the layout are left out.
-        layout_name: name of the keypoint layout; empty where `joint_names` or the number of keypoints tells it.
+        layout_name: name of the keypoint layout; empty where it follows from `joint_names` or from the number of
+            keypoints.
         person_id: id given by the detector, or empty.
         joint_names: (J,) names of the joints, or empty; they are used if `layout_name` is empty.
 
@@ -162,9 +147,8 @@ def create_person(
     """
     if not layout_name and not joint_names and len(keypoints) not in LAYOUT_BY_KEYPOINT_COUNT:
         raise InputError(f'{len(keypoints)} keypoints: no layout known; name it')
-    if joint_names and not layout_name:
-        joints = tuple(joint_names)
-    else:
+    joints = tuple(joint_names)
+    if layout_name or not joints:
         joints = keypoint_layout(layout_name or LAYOUT_BY_KEYPOINT_COUNT[len(keypoints)]).joints
     if len(keypoints) < len(joints):
         raise InputError(f'{len(keypoints)} keypoints, expected {len(joints)}')
@@ -177,10 +161,10 @@ def create_person(
 
 
 def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Video) -> Detections:
-    """Arrange numbered frames in time; frames whose number is missing show nobody.
+    """Arrange numbered frames in time; frames whose number is missing show no people.
 
-    An id that two people of one frame have tells nobody from anybody, as the 0 that AlphaPose gives to all people
-    if it does not track. It is left out wherever it occurs, and a remark says so.
+    An id that two people of one frame have identifies neither, as the 0 that AlphaPose gives to all people if it
+    does not track. It is left out wherever it occurs, and a line of `remarks` says so.
 
     Args:
         people_by_number: the people in each frame, by the number of the frame.
@@ -203,33 +187,23 @@ def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Vi
     if (numbers[-1] - numbers[0]) // step >= MAX_FRAMES or duration_s >= MAX_TIMESTAMP_S:
         raise InputError(f'frames are numbered {numbers[0]} to {numbers[-1]}: not one video of {video.fps:g} Hz')
     stamps = [round((number - numbers[0]) / video.fps * NS_PER_S) for number in all_numbers]
-    repeated = _find_repeated_ids(people_by_number.values())
+    counts = (Counter(person.id for person in people if person.id) for people in people_by_number.values())
+    repeated = {person_id for count_by_id in counts for person_id, n in count_by_id.items() if n > 1}
     people = [
-        [
-            replace(person, id='') if person.id in repeated else person
-            for person in people_by_number.get(number, ())
-        ]
+        [replace(p, id='') if p.id in repeated else p for p in people_by_number.get(number, ())]
         for number in all_numbers
     ]
-    remarks = (
-        (f'ids left out, because two people of one frame have the same: {_list_some(sorted(repeated))}',)
-        if repeated
-        else ()
-    )
+    remarks: tuple[str, ...] = ()
+    if repeated:
+        remarks = (f'ids left out, because two people of one frame have the same: {_list_some(sorted(repeated))}',)
     return Detections(people, stamps, resolve_image_size(configured=video.image_size), remarks=remarks)
-
-
-def _find_repeated_ids(frames: Iterable[Sequence[Person2D]]) -> frozenset[str]:
-    """Return the ids that two people of one frame have."""
-    counts = (Counter(person.id for person in people if person.id) for people in frames)
-    return frozenset(person_id for count_by_id in counts for person_id, n in count_by_id.items() if n > 1)
 
 
 def associate_people(detections: Detections) -> list[PersonTrack]:
     """Associate the detections of each person over time, by id, or by position where there is no id.
 
     If no frame shows two people, all detections without an id are of one person, or, without
-    `Detections.is_one_person`, of the person who was seen last where nobody was seen for `MAX_GAP_S`.
+    `Detections.is_one_person`, of the person who was seen last where no person was seen for `MAX_GAP_S`.
 
     Returns:
         The tracks in the order of their first frame.
@@ -245,12 +219,13 @@ def associate_people(detections: Detections) -> list[PersonTrack]:
 
     is_alone = all(len(people) <= 1 for people in detections.people)
     for frame, people in enumerate(detections.people):
-        for person in people:
-            if person.id and (person.score > 0).any():
+        seen = [person for person in people if (person.score > 0).any()]
+        for person in seen:
+            if person.id:
                 if person.id not in track_by_id:
                     tracks.append(track_by_id.setdefault(person.id, PersonTrack(person.id)))
                 track_by_id[person.id].detection_by_frame[frame] = person
-        unnamed = [p for p in people if not p.id and (p.score > 0).any()]
+        unnamed = [person for person in seen if not person.id]
         if is_alone and detections.is_one_person:
             indices: list[int | None] = [0 if unnamed_tracks else None for _ in unnamed]
         else:
@@ -258,7 +233,8 @@ def associate_people(detections: Detections) -> list[PersonTrack]:
             last_seen = sorted(unnamed_tracks, key=lambda track: track.last_frame)[-1:]
             unnamed_tracks = recent or (last_seen if is_alone else [])
             ages_s = [compute_gap_s(t, frame) for t in unnamed_tracks]
-            indices = associate_keypoints([t.last_detection for t in unnamed_tracks], ages_s, unnamed)
+            last = [t.detection_by_frame[t.last_frame] for t in unnamed_tracks]
+            indices = associate_keypoints(last, ages_s, unnamed)
         for index, person in zip(indices, unnamed, strict=True):
             track = PersonTrack(next(unused_ids)) if index is None else unnamed_tracks[index]
             track.detection_by_frame[frame] = person
@@ -280,19 +256,22 @@ def select_person(detections: Detections, person_id: str | None = None) -> tuple
         selected, what was left out and what was assumed.
 
     Raises:
-        InputError: nobody is seen, there is no person of that id, the keypoints are not in px, or there are more
-            than `MAX_KEYPOINTS`.
+        InputError: no person is seen, none has that id, the keypoints are not in px, or there are more than
+            `MAX_KEYPOINTS`.
     """
     tracks = associate_people(detections)
     if not tracks:
         raise InputError('nobody is seen in any frame')
-    selected = _select_track(tracks, person_id)
-    lines = [
-        f'person {selected.id!r}, seen in {len(selected.detection_by_frame)} of {len(detections.people)} frames'
-        + (f'; {len(tracks) - 1} more, choose by --person: {_list_people(tracks)}' if len(tracks) > 1 else '')
-    ]
-    (sequence,), remarks = arrange_people(detections, [selected])
-    return sequence, [*lines, *remarks]
+    frame_counts = Counter({track.id: len(track.detection_by_frame) for track in tracks})
+    everybody = _list_some([f'{name} ({n})' for name, n in frame_counts.most_common()])
+    wanted = frame_counts.most_common(1)[0][0] if person_id is None else person_id
+    if wanted not in frame_counts:
+        raise InputError(f'no person {wanted!r}; there are {everybody}')
+    line = f'person {wanted!r}, seen in {frame_counts[wanted]} of {len(detections.people)} frames'
+    if len(tracks) > 1:
+        line += f'; {len(tracks) - 1} more, choose by --person: {everybody}'
+    (sequence,), remarks = arrange_people(detections, [track for track in tracks if track.id == wanted])
+    return sequence, [line, *remarks]
 
 
 def arrange_people(
@@ -300,42 +279,27 @@ def arrange_people(
 ) -> tuple[list[KeypointSequence], tuple[str, ...]]:
     """Arrange the keypoints of some people, each from the first frame with that person to the last.
 
+    An image size that is not known is assumed to hold all people.
+
     Args:
         detections: all people.
         tracks: the people, some of the tracks of `associate_people`.
 
     Returns:
-        A sequence for each of them, and remarks on the detections and what was assumed of them.
+        A sequence for each of them, and lines on what was left out of the detections and assumed of them.
 
     Raises:
-        InputError: the keypoints are not in px, or somebody has more than `MAX_KEYPOINTS`.
+        InputError: the keypoints are not in px, or a person has more than `MAX_KEYPOINTS`.
     """
-    sized = _assume_image_size(detections)
-    return [_arrange_sequence(sized, track) for track in tracks], sized.remarks
-
-
-def _assume_image_size(detections: Detections) -> Detections:
-    """Return detections with an image size: where it is not known, one that holds everybody, and a remark."""
-    if all(detections.image_size):
-        return detections
-    everybody = [person for people in detections.people for person in people]
-    points = np.concatenate([person.points for person in everybody])
-    score = np.concatenate([person.score for person in everybody])
-    size = resolve_image_size(keypoints=np.column_stack([points, score]))  # one camera has one size for all people
-    remark = f'image size not known, {size[0]}x{size[1]} px assumed; give it by --image-size'
-    return replace(detections, image_size=size, remarks=(*detections.remarks, remark))
+    if not all(detections.image_size):
+        people = [np.column_stack([p.points, p.score]) for in_frame in detections.people for p in in_frame]
+        size = resolve_image_size(keypoints=np.concatenate(people))
+        line = f'image size not known, {size[0]}x{size[1]} px assumed; give it by --image-size'
+        detections = replace(detections, image_size=size, remarks=(*detections.remarks, line))
+    return [_arrange_sequence(detections, track) for track in tracks], detections.remarks
 
 
 def _arrange_sequence(detections: Detections, track: PersonTrack) -> KeypointSequence:
-    """Arrange the keypoints of one person, from the first frame with that person to the last.
-
-    Args:
-        detections: all people, with the size of the image.
-        track: one of the tracks of `associate_people`.
-
-    Raises:
-        InputError: the keypoints are not in px, or there are more than `MAX_KEYPOINTS`.
-    """
     frames = range(min(track.detection_by_frame), max(track.detection_by_frame) + 1)
     names = tuple(dict.fromkeys(name for person in track.detection_by_frame.values() for name in person.joints))
     column = {name: i for i, name in enumerate(names)}
@@ -360,26 +324,5 @@ def _arrange_sequence(detections: Detections, track: PersonTrack) -> KeypointSeq
     )
 
 
-def _select_track(tracks: Sequence[PersonTrack], person_id: str | None) -> PersonTrack:
-    """Return the track of the person with this id, or the track with the most frames if the id is None.
-
-    Raises:
-        InputError: no person has this id.
-    """
-    if person_id is None:
-        return max(tracks, key=lambda track: len(track.detection_by_frame))
-    track_by_id = {track.id: track for track in tracks}
-    if person_id not in track_by_id:
-        raise InputError(f'no person {person_id!r}; there are {_list_people(tracks)}')
-    return track_by_id[person_id]
-
-
-def _list_people(tracks: Sequence[PersonTrack]) -> str:
-    """Return the ids of the people who are seen most, each with the number of frames."""
-    frame_counts = Counter({track.id: len(track.detection_by_frame) for track in tracks})
-    return _list_some([f'{person_id} ({n})' for person_id, n in frame_counts.most_common()])
-
-
 def _list_some(people: Sequence[str]) -> str:
-    """Return the first people of a list, with commas."""
     return ', '.join(people[:MAX_LISTED_PEOPLE]) + (', ...' if len(people) > MAX_LISTED_PEOPLE else '')

@@ -66,10 +66,10 @@ def read_arrays(path: Path, keys: Collection[str], kind: str) -> dict[str, NDArr
 
 @dataclass(frozen=True, eq=False)
 class ArrayReader:
-    """The arrays of a file, with the checks that all of them need.
+    """The arrays of a file by key, with the checks that all of them need.
 
-    Attributes:
-        array_by_key: arrays of the file by key, without keys that the format does not have.
+    Each method raises an InputError that names the key where the array is missing, has another shape than the
+    expected, in which None stands for any length, or holds something else.
     """
 
     array_by_key: Mapping[str, NDArray[np.generic]]
@@ -78,59 +78,28 @@ class ArrayReader:
         return key in self.array_by_key
 
     def read_numbers(self, key: str, shape: tuple[int | None, ...]) -> Array:
-        """Return the array of a key as float64.
-
-        Args:
-            key: key of the array.
-            shape: expected shape; None stands for any length.
-
-        Raises:
-            InputError: the array is missing, has another shape, or does not hold numbers; the error names the key.
-        """
-        array = self._get(key)
-        if array.dtype.kind not in 'fiu':
-            raise InputError(f'{key}: holds {array.dtype}, expected numbers')
-        self._check_shape(key, shape)
-        return copy_as_float64(array)
+        """Return an array of numbers as float64."""
+        return copy_as_float64(self._get(key, 'fiu', 'numbers', shape))
 
     def read_flags(self, key: str, shape: tuple[int | None, ...]) -> NDArray[np.bool_]:
-        """Return the array of a key that holds true or false.
-
-        Args:
-            key: key of the array.
-            shape: expected shape; None stands for any length.
-
-        Raises:
-            InputError: the array is missing, has another shape, or holds something else; the error names the key.
-        """
-        array = self._get(key)
-        if array.dtype.kind != 'b':
-            raise InputError(f'{key}: holds {array.dtype}, expected true or false')
-        self._check_shape(key, shape)
-        return array.astype(np.bool_)
+        """Return an array of true and false."""
+        return self._get(key, 'b', 'true or false', shape).astype(np.bool_)
 
     def read_joint_names(self, key: str) -> tuple[str, ...]:
-        """Return the joint names of a key in the spelling of this package.
-
-        Raises:
-            InputError: the array is missing or does not hold names; the error names the key.
-        """
-        array = self._get(key)
-        if array.dtype.kind != 'U' or array.ndim != 1:
-            raise InputError(f'{key}: holds {array.dtype} of shape {array.shape}, expected names')
+        """Return joint names in the spelling of this package."""
+        array = self._get(key, 'U', 'names', (None,))
         code_points = np.ascontiguousarray(array).view(array.dtype.byteorder.replace('|', '=') + 'u4')
         if (code_points > sys.maxunicode).any():
             raise InputError(f'{key}: holds characters that do not exist')
         return canonical_joint_names([str(n) for n in array])
 
-    def _check_shape(self, key: str, shape: tuple[int | None, ...]) -> None:
-        actual = self.array_by_key[key].shape
-        wrong = [w for w, h in zip(shape, actual, strict=False) if w is not None and w != h]
-        if wrong or len(shape) != len(actual):
-            expected = ', '.join('n' if n is None else str(n) for n in shape)
-            raise InputError(f'{key}: shape {actual}, expected ({expected})')
-
-    def _get(self, key: str) -> NDArray[np.generic]:
+    def _get(self, key: str, dtype_kinds: str, content: str, shape: tuple[int | None, ...]) -> NDArray[np.generic]:
         if key not in self.array_by_key:
             raise InputError(f'{key}: missing; the file has {", ".join(self.array_by_key) or "no known key"}')
-        return self.array_by_key[key]
+        array = self.array_by_key[key]
+        if array.dtype.kind not in dtype_kinds:
+            raise InputError(f'{key}: holds {array.dtype}, expected {content}')
+        if len(shape) != array.ndim or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
+            expected = ', '.join('n' if n is None else str(n) for n in shape)
+            raise InputError(f'{key}: shape {array.shape}, expected ({expected})')
+        return array

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import InputError, SkeletonError
+from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.npz_arrays import ArrayReader, list_keys, read_arrays
 from mocap_ros.formats.sequence_file import RESULT_KEYS
 from mocap_ros.skeleton import Skeleton, skeleton_from_joints
@@ -63,28 +63,18 @@ def load_result_file(path: Path) -> StoredResult:
     Raises:
         InputError: the file is not a result, or its content is not valid; the error names the file and the key.
     """
-    try:
-        return _validate(ArrayReader(read_arrays(path, READ_KEYS, 'a result of reconstruct')))
-    except (InputError, SkeletonError) as error:
-        raise InputError(f'{path}: {error}') from None
-
-
-def _validate(arrays: ArrayReader) -> StoredResult:
-    times = arrays.read_numbers('timestamps', (None,))
-    if not len(times) or not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
-        raise InputError('timestamps: expected increasing times in s')
-    names = arrays.read_joint_names('joint_names')
-    skeleton = skeleton_from_joints(names)
-    if not skeleton.name:
-        raise InputError(f'joint_names: {", ".join(names)}: not those of a known skeleton')
-    shape = (len(times), len(names))
-    joints = arrays.read_numbers('joints3d', (*shape, 3))
-    if np.isinf(joints).any():
-        raise InputError('joints3d: not finite')
-    return StoredResult(
-        times=times,
-        joints=joints,
-        seen=arrays.read_flags('seen', shape),
-        residual=arrays.read_numbers('residual_px', (len(times),)),
-        skeleton=skeleton,
-    )
+    with naming(path):
+        arrays = ArrayReader(read_arrays(path, READ_KEYS, 'a result of reconstruct'))
+        times = arrays.read_numbers('timestamps', (None,))
+        if not len(times) or not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
+            raise InputError('timestamps: expected increasing times in s')
+        names = arrays.read_joint_names('joint_names')
+        skeleton = skeleton_from_joints(names)
+        if not skeleton.name:
+            raise InputError(f'joint_names: {", ".join(names)}: not those of a known skeleton')
+        shape = (len(times), len(names))
+        joints = arrays.read_numbers('joints3d', (*shape, 3))
+        if np.isinf(joints).any():
+            raise InputError('joints3d: not finite')
+        seen, residual = arrays.read_flags('seen', shape), arrays.read_numbers('residual_px', shape[:1])
+        return StoredResult(times, joints, seen, residual, skeleton)

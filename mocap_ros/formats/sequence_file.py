@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import InputError, SkeletonError
+from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.npz_arrays import ArrayReader, list_keys, read_arrays
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
@@ -37,7 +37,7 @@ MIN_JUDGED_FRAMES = 30  # frames; fewer at long intervals may be single pictures
 OTHER_TIME_UNITS = {'milliseconds': 1e3, 'microseconds': 1e6, 'nanoseconds': 1e9}
 MAX_IMAGE_SIDE_PX = 100_000  # px; guard against garbage, far above any real image
 MAX_COORDINATE_M = 1e6  # m; guard against garbage, far above any real distance
-FISHEYE = 'equidistant'  # the lens model of a CameraInfo whose coefficients a sequence file cannot tell
+FISHEYE = 'equidistant'  # the lens model of a CameraInfo whose coefficients a sequence file cannot hold
 MAX_PLUMB_BOB_COEFFICIENTS = 5  # OpenCV's k1, k2, p1, p2, k3; with more coefficients the model is rational
 
 # All keys of a sequence file; a file may have others, which are ignored.
@@ -148,15 +148,9 @@ def extract_observations(
 ) -> tuple[Array, tuple[str, ...], Array, Intrinsics]:
     """Return the arguments of a reconstruction: keypoints, joint names, times and camera intrinsics.
 
-    Args:
-        sequence: the sequence.
-        focal_in_sides: focal length in longer sides of the image that is assumed where the camera is unknown.
-
-    Returns:
-        Keypoints (F, J, 3) with x, y in px and a score, the J joint names, times (F,) in s, and the intrinsics.
+    `focal_in_sides` is that of `KeypointSequence.intrinsics`.
     """
-    intrinsics = sequence.intrinsics(focal_in_sides)
-    return sequence.keypoints, sequence.joint_names, sequence.timestamps, intrinsics
+    return sequence.keypoints, sequence.joint_names, sequence.timestamps, sequence.intrinsics(focal_in_sides)
 
 
 def describe_frames(times: Array) -> str:
@@ -169,11 +163,7 @@ def create_intrinsics(
 ) -> Intrinsics:
     """Return the intrinsics of a camera matrix or, where there is none, nominal ones for the image size.
 
-    Args:
-        image_size: (width, height) in px.
-        camera_matrix: (3, 3) px, or None where the camera is unknown.
-        distortion: distortion coefficients in OpenCV's order, or None.
-        focal_in_sides: focal length in longer sides of the image that is assumed where the camera is unknown.
+    The arguments are the attributes of a `KeypointSequence`, and `focal_in_sides` of its `intrinsics`.
     """
     if camera_matrix is not None:
         return Intrinsics.from_matrix(camera_matrix, _create_distortion(distortion), image_size)
@@ -222,12 +212,10 @@ def load_sequence(path: str | Path) -> KeypointSequence:
         InputError: the file is not a sequence file, or its content is not valid; the error names the file, the key
             and the frame.
     """
-    try:
+    with naming(path):
         if list_keys(Path(path)) >= RESULT_KEYS:
             raise InputError('is a result of reconstruct; give the sequence file that it was made from')
         return validate_sequence(read_arrays(Path(path), SEQUENCE_KEYS, 'a sequence file'))
-    except InputError as error:
-        raise InputError(f'{path}: {error}') from None
 
 
 def validate_sequence(array_by_key: Mapping[str, NDArray[np.generic]]) -> KeypointSequence:
@@ -244,10 +232,8 @@ def validate_sequence(array_by_key: Mapping[str, NDArray[np.generic]]) -> Keypoi
     check_timestamps(timestamps)
 
     joint_names = arrays.read_joint_names('joint_names')
-    try:
+    with naming('joint_names'):
         build_joint_map(joint_names)
-    except SkeletonError as error:
-        raise InputError(f'joint_names: {error}') from None
     raw = arrays.read_numbers('keypoints', (frames, len(joint_names), 3))
     fault = find_first_fault(raw[..., :2], raw[..., 2])
     if fault:
@@ -271,6 +257,16 @@ def validate_sequence(array_by_key: Mapping[str, NDArray[np.generic]]) -> Keypoi
     )
 
 
+def _read_truth(arrays: ArrayReader, frames: int) -> GroundTruth:
+    names = arrays.read_joint_names('joints3d_names')
+    joints = arrays.read_numbers('joints3d', (frames, len(names), 3))
+    too_far = np.abs(joints) > MAX_COORDINATE_M
+    if too_far.any():
+        frame, joint, _ = np.argwhere(too_far)[0]
+        raise InputError(f'joints3d: frame {frame}: {names[joint]} is more than {MAX_COORDINATE_M:g} m away')
+    return GroundTruth(joints, names)
+
+
 def validate_camera(
     array_by_key: Mapping[str, NDArray[np.generic]],
 ) -> tuple[tuple[int, int], Array | None, Array | None]:
@@ -282,15 +278,18 @@ def validate_camera(
         InputError: an array is not valid, or `image_size` is missing; the error names the key.
     """
     arrays = ArrayReader(array_by_key)
-    image_size = _read_image_size(arrays)
-    camera_matrix = None
+    size = arrays.read_numbers('image_size', (2,))
+    if not ((size >= 1) & (size <= MAX_IMAGE_SIDE_PX)).all():
+        raise InputError(f'image_size: {size[0]:g} x {size[1]:g} px')
+    camera_matrix = distortion = None
     if 'camera_matrix' in arrays:
         camera_matrix = arrays.read_numbers('camera_matrix', (3, 3))
-        try:
+        with naming('camera_matrix'):
             Intrinsics.from_matrix(camera_matrix)
-        except InputError as error:
-            raise InputError(f'camera_matrix: {error}') from None
-    return image_size, camera_matrix, _read_distortion(arrays) if 'distortion' in arrays else None
+    if 'distortion' in arrays:
+        distortion = arrays.read_numbers('distortion', (None,))
+        _create_distortion(distortion)
+    return (int(size[0]), int(size[1])), camera_matrix, distortion
 
 
 def check_timestamps(timestamps: Array) -> None:
@@ -322,19 +321,6 @@ def _guess_time_unit(timestamps: Array) -> str:
     return f': looks like {suitable[0]}; s expected' if suitable else ''
 
 
-def _read_image_size(arrays: ArrayReader) -> tuple[int, int]:
-    size = arrays.read_numbers('image_size', (2,))
-    if not ((size >= 1) & (size <= MAX_IMAGE_SIDE_PX)).all():
-        raise InputError(f'image_size: {size[0]:g} x {size[1]:g} px')
-    return int(size[0]), int(size[1])
-
-
-def _read_distortion(arrays: ArrayReader) -> Array:
-    values = arrays.read_numbers('distortion', (None,))
-    _create_distortion(values)
-    return values
-
-
 def _create_distortion(distortion: Array | None) -> Distortion:
     """Create the distortion from coefficients in OpenCV's order: k1, k2, p1, p2, then k3, then k4, k5, k6.
 
@@ -347,13 +333,3 @@ def _create_distortion(distortion: Array | None) -> Distortion:
     lens = Distortion.from_coefficients(model, coefficients)
     check_coefficients(lens, 'distortion')
     return lens
-
-
-def _read_truth(arrays: ArrayReader, frames: int) -> GroundTruth:
-    names = arrays.read_joint_names('joints3d_names')
-    joints = arrays.read_numbers('joints3d', (frames, len(names), 3))
-    too_far = np.abs(joints) > MAX_COORDINATE_M
-    if too_far.any():
-        frame, joint, _ = np.argwhere(too_far)[0]
-        raise InputError(f'joints3d: frame {frame}: {names[joint]} is more than {MAX_COORDINATE_M:g} m away')
-    return GroundTruth(joints, names)

@@ -17,7 +17,6 @@ from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import FrameDropped, InputError
-from mocap_ros.formats.coco_json import load_coco
 from mocap_ros.formats.detections import (
     Detections,
     Video,
@@ -25,7 +24,7 @@ from mocap_ros.formats.detections import (
     associate_people,
     select_person,
 )
-from mocap_ros.formats.openpose_json import load_openpose
+from mocap_ros.formats.detector_json import load_coco, load_openpose
 from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size

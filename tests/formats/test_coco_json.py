@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from mocap_ros.errors import InputError
-from mocap_ros.formats.coco_json import MIN_PERSON_SCORE, load_coco
 from mocap_ros.formats.detections import Video, associate_people, select_person
+from mocap_ros.formats.detector_json import MIN_PERSON_SCORE, load_coco
 from mocap_ros.formats.sequence_file import KeypointSequence
 from mocap_ros.runtime.load_keypoints import load_input
 from mocap_ros.skeleton import keypoint_layout

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from mocap_ros.errors import InputError
-from mocap_ros.formats.coco_json import load_coco
 from mocap_ros.formats.detections import (
     MAX_FRAME_RATE_HZ,
     Detections,
@@ -23,7 +22,7 @@ from mocap_ros.formats.detections import (
     create_person,
     select_person,
 )
-from mocap_ros.formats.openpose_json import load_openpose
+from mocap_ros.formats.detector_json import load_coco, load_openpose
 from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.skeleton import keypoint_layout

@@ -12,7 +12,7 @@ import pytest
 
 from mocap_ros.errors import InputError
 from mocap_ros.formats.detections import Video, select_person
-from mocap_ros.formats.openpose_json import load_openpose
+from mocap_ros.formats.detector_json import load_openpose
 from mocap_ros.formats.sequence_file import KeypointSequence
 from tests.support.keypoint_files import FRAMES, VIDEO, check_same_keypoints, flatten_keypoints
 
