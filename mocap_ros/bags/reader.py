@@ -30,7 +30,7 @@ from mocap_ros.errors import InputError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import typestore
 from mocap_ros.messages.recorded_types import load_recorded_types
-from mocap_ros.messages.versions import Convert, VersionConverter, convert_or_keep, make_ros1_converter
+from mocap_ros.messages.versions import Convert, convert_or_keep, make_converter
 from mocap_ros.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -226,9 +226,9 @@ class Bag:
         recorded_types = self._load_types(connection)
         if not self._is_ros1 and recorded_types.hash_rihs01(msgtype) == own_hash:
             return bytes
+        convert = make_converter(recorded_types, typestore(), msgtype, is_ros1=self._is_ros1)
         if not self._is_ros1:
-            return convert_or_keep(VersionConverter(recorded_types, typestore(), msgtype))
-        convert = make_ros1_converter(recorded_types, typestore(), msgtype)
+            return convert_or_keep(convert)
 
         def convert_ros1(raw: bytes) -> bytes:
             try:

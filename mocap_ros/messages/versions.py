@@ -3,8 +3,8 @@
 
 """Conversion of messages from one version of their type to another.
 
-Fields are matched by their names. A field that only the target has is zero or empty, and a field that only the
-source has is left out.
+Fields are matched by their names, without regard to upper case, in which ROS 1 has those of CameraInfo. A field
+that only the target has is zero or empty, as is one of another kind; a field that only the source has is left out.
 """
 
 from __future__ import annotations
@@ -13,9 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from rosbags.convert.converter import migrate_bytes, migrate_message
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from mocap_ros.errors import InputError
@@ -25,84 +23,29 @@ from mocap_ros.messages.cdr import pad
 Convert = Callable[[bytes], bytes]
 
 FieldType = Any  # type of a field as rosbags describes it: (kind, content), where the content depends on the kind
-Fields = dict[str, FieldType]
-
-FLOATS = {'float32', 'float64'}  # types of which each can hold the values of the other, rounded
-NUMPY_NAMES = {'byte': 'uint8', 'char': 'uint8'}  # NumPy's names of basic types, where ROS has other names
 
 
-class VersionConverter:
-    """Converter of messages of one type.
+def make_converter(source: Typestore, target: Typestore, msgtype: str, *, is_ros1: bool = False) -> Convert:
+    """Return a function that converts messages to CDR of another version of their type.
 
-    The library would also match fields of different names if their types are equal. It is therefore given messages
-    in which only the fields that both versions have are left.
+    It raises InputError for bytes that are no such message.
 
     Args:
         source: definitions of the messages that are converted.
         target: definitions of the converted messages.
         msgtype: name of the message type, which both define.
-
-    Attributes:
-        left_out: fields of the source that the target does not have, such as `std_msgs/msg/Header.seq`.
-        unconvertible: descriptions of the fields of both versions whose content may not fit into the target, such
-            as `std_msgs/msg/Header.stamp is int32 instead of builtin_interfaces/msg/Time`.
+        is_ros1: whether the messages are in the encoding of ROS 1.
     """
 
-    def __init__(self, source: Typestore, target: Typestore, msgtype: str) -> None:
-        self._source, self._target, self._type = source, target, msgtype
-        self.left_out: list[str] = []
-        self.unconvertible: list[str] = []
-        self._shared = get_typestore(Stores.EMPTY)
-        selected = self._select_shared_fields()
-        self._shared.register({name: ([], list(fields.items())) for name, fields in selected.items()})
-        self._to_shared_cache: dict[str, object] = {}
-        self._to_target_cache: dict[str, object] = {}
-
-    def __call__(self, raw: bytes) -> bytes:
-        """Convert a message.
-
-        Args:
-            raw: the message as CDR of the source's version.
-
-        Raises:
-            InputError: the bytes are not such a message.
-        """
-        kind = self._type
+    def convert(raw: bytes) -> bytes:
         try:
-            message: object = self._source.deserialize_cdr(raw, kind)
-            message = migrate_message(self._source, self._shared, kind, kind, self._to_shared_cache, message)
-            message = migrate_message(self._shared, self._target, kind, kind, self._to_target_cache, message)
-            data = self._target.serialize_cdr(message, kind)
+            message = (source.deserialize_ros1 if is_ros1 else source.deserialize_cdr)(raw, msgtype)
+            converted = _convert(message, (Nodetype.NAME, msgtype), target)
+            return pad(bytes(target.serialize_cdr(converted, msgtype)))
         except Exception as error:  # the decoder raises many types of errors for invalid bytes
-            raise InputError(f'not a {kind} ({error})') from None
-        return pad(bytes(data))
+            raise InputError(f'not a {msgtype} ({error})') from None
 
-    def _select_shared_fields(self) -> dict[str, Fields]:
-        """Return the fields of every type of the source that the target has too; note all other differences."""
-        selected: dict[str, Fields] = {}
-        pending, visited = [(self._type, self._type)], set()
-        while pending:
-            pair = source_type, target_type = pending.pop()
-            if pair in visited:
-                continue
-            visited.add(pair)
-            target_fields = dict(self._target.fielddefs[target_type][1])
-            shared = {}
-            for name, field_type in self._source.fielddefs[source_type][1]:
-                if name not in target_fields:
-                    self.left_out.append(f'{source_type}.{name}')
-                    continue
-                if not _fits(field_type, target_fields[name]):
-                    was, now = _describe(field_type), _describe(target_fields[name])
-                    self.unconvertible.append(f'{source_type}.{name} is {now} instead of {was}')
-                nested = _get_nested_type(field_type), _get_nested_type(target_fields[name])
-                if nested[0] and nested[1]:
-                    pending.append((nested[0], nested[1]))
-                if bool(nested[0]) == bool(nested[1]):
-                    shared[name] = field_type
-            previous = selected.get(source_type, shared)
-            selected[source_type] = {name: f for name, f in shared.items() if name in previous}
-        return selected
+    return convert
 
 
 def convert_or_keep(convert: Convert) -> Convert:
@@ -120,29 +63,29 @@ def convert_or_keep(convert: Convert) -> Convert:
     return convert_if_valid
 
 
-def make_ros1_converter(source: Typestore, target: Typestore, msgtype: str) -> Convert:
-    """Return a function that converts messages of ROS 1 to CDR of ROS 2.
-
-    A field whose name only the target has takes the first field of equal type whose name only the source has,
-    because ROS 2 renamed fields such as `D` of CameraInfo. The function raises InputError for bytes that are no
-    such message.
+def compare_versions(source: Typestore, target: Typestore, msgtype: str) -> tuple[list[str], list[str]]:
+    """Return the fields that a version of a type does not have, such as `std_msgs/msg/Header.seq`.
 
     Args:
-        source: definitions of the messages of ROS 1.
-        target: definitions of the converted messages.
+        source: definitions that have the fields.
+        target: definitions of the version that may not.
         msgtype: name of the message type, which both define.
+
+    Returns:
+        The fields that the target lacks, and those that it has as another type.
     """
-    cache: dict[str, object] = {}
-
-    def convert(raw: bytes) -> bytes:
-        try:
-            return pad(
-                bytes(migrate_bytes(source, target, msgtype, msgtype, cache, raw, src_is2=False, dst_is2=True))
-            )
-        except Exception as error:  # the decoder raises many types of errors for invalid bytes
-            raise InputError(f'not a {msgtype} ({error})') from None
-
-    return convert
+    left_out, changed, types = [], [], [msgtype]
+    for name in types:
+        target_fields = dict(target.fielddefs[name][1])
+        for field, field_type in source.fielddefs[name][1]:
+            if field not in target_fields:
+                left_out.append(f'{name}.{field}')
+            elif field_type != target_fields[field]:
+                changed.append(f'{name}.{field}')
+            else:
+                nested = _get_nested_type(field_type)
+                types += [nested] if nested and nested not in types else []
+    return left_out, changed
 
 
 def _get_nested_type(field_type: FieldType) -> str:
@@ -153,39 +96,24 @@ def _get_nested_type(field_type: FieldType) -> str:
     return str(content) if kind == Nodetype.NAME else ''
 
 
-def _fits(source: FieldType, target: FieldType) -> bool:
-    """Return whether a field of the target can hold every value of a field of the source, up to rounding."""
-    (source_kind, content), (target_kind, target_content) = source, target
-    if Nodetype.NAME in (source_kind, target_kind):
-        return bool(source_kind == target_kind)
-    if Nodetype.BASE in (source_kind, target_kind):
-        return bool(source_kind == target_kind) and _basic_type_fits(content, target_content)
-    (element, length), (target_element, target_length) = content, target_content
-    if target_kind == Nodetype.ARRAY:
-        length_fits = source_kind == target_kind and length == target_length
-    else:
-        length_fits = not target_length or 0 < length <= target_length
-    return bool(length_fits) and _fits(element, target_element)
-
-
-def _basic_type_fits(source: tuple[str, int], target: tuple[str, int]) -> bool:
-    """Return whether a basic type, given as its name and the largest length of a string, can hold another."""
-    (name, length), (target_name, target_length) = source, target
-    if 'string' in name or 'string' in target_name:
-        return name == target_name and (not target_length or 0 < length <= target_length)
-    if {name, target_name} <= FLOATS:
-        return True
-    return np.can_cast(NUMPY_NAMES.get(name, name), NUMPY_NAMES.get(target_name, target_name))
-
-
-def _describe(field_type: FieldType) -> str:
-    """Return the type of a field as .msg files name it."""
+def _convert(value: Any, field_type: FieldType, store: Typestore) -> Any:
+    """Return a value as one of a type of a store; zero or empty where it is of another kind."""
     kind, content = field_type
     if kind == Nodetype.BASE:
-        name, length = content
-        return f'{name}<={length}' if length else str(name)
+        default: str | int = '' if 'string' in content[0] else 0
+        return value if isinstance(value, str) == isinstance(default, str) and np.isscalar(value) else default
     if kind == Nodetype.NAME:
-        return str(content)
+        given = vars(value) if hasattr(value, '__msgtype__') else {}
+        given = {name.lower(): v for name, v in given.items()} | given
+        return store.types[content](
+            *(_convert(given.get(name), field, store) for name, field in store.fielddefs[content][1])
+        )
     element, length = content
-    bound = f'<={length}' if kind == Nodetype.SEQUENCE and length else length or ''
-    return f'{_describe(element)}[{bound}]'
+    elements = value if isinstance(value, list | np.ndarray) else []
+    values = elements[:length] if length else elements
+    missing = length - len(values) if kind == Nodetype.ARRAY else 0
+    if element[0] != Nodetype.BASE or 'string' in element[1][0]:
+        return [_convert(v, element, store) for v in [*values, *[None] * missing]]
+    dtype = np.dtype({'byte': 'uint8', 'char': 'uint8'}.get(element[1][0], element[1][0]))
+    numbers = values if isinstance(values, np.ndarray) else np.zeros(0)
+    return np.concatenate([numbers.astype(dtype), np.zeros(length - len(numbers) if missing else 0, dtype)])

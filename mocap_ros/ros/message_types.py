@@ -18,7 +18,7 @@ from mocap_ros.bags.rosbag2 import TypeDefinition
 from mocap_ros.config import format_value
 from mocap_ros.errors import ConfigError
 from mocap_ros.messages.cdr import OutputMessage, typestore
-from mocap_ros.messages.versions import Convert, VersionConverter, convert_or_keep
+from mocap_ros.messages.versions import Convert, compare_versions, convert_or_keep, make_converter
 
 TYPE_NAME = re.compile(r'[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*', re.ASCII)
 # Names of basic types in .msg files, where rclpy's names of the same types differ.
@@ -49,7 +49,7 @@ class MessageVersions:
 
     def __init__(self) -> None:
         self._readers: dict[str, Convert] = {}  # by message type; none where the versions are equal
-        self._writers: dict[str, VersionConverter] = {}  # likewise
+        self._writers: dict[str, Convert] = {}  # likewise
         self.definitions: dict[str, TypeDefinition] = {}
 
     def add_input(self, kind: str) -> None:
@@ -60,7 +60,7 @@ class MessageVersions:
         """
         installed = self._load_if_different(kind)
         if installed is not None:
-            self._readers[kind] = convert_or_keep(VersionConverter(installed, typestore(), kind))
+            self._readers[kind] = convert_or_keep(make_converter(installed, typestore(), kind))
 
     def add_output(self, kind: str) -> list[str]:
         """Add a type of messages to publish.
@@ -75,14 +75,14 @@ class MessageVersions:
         installed = self._load_if_different(kind)
         if installed is None:
             return []
-        writer = VersionConverter(typestore(), installed, kind)
-        if writer.unconvertible:
+        left_out, changed = compare_versions(typestore(), installed, kind)
+        if changed:
             raise ConfigError(
-                f'the installed version of {kind} cannot hold the messages of this package: '
-                + '; '.join(writer.unconvertible)
+                f'the installed version of {kind} cannot hold the messages of this package: {", ".join(changed)} '
+                'has another type; build the package of the message again, of the same release'
             )
-        self._writers[kind] = writer
-        return writer.left_out
+        self._writers[kind] = make_converter(typestore(), installed, kind)
+        return left_out
 
     def read(self, kind: str, raw: bytes) -> bytes:
         """Convert a received message to this package's version of its type; return invalid bytes as they are."""

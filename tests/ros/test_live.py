@@ -32,7 +32,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_key
 from mocap_ros.messages.markers import MARKERS
 from mocap_ros.messages.robots.bodies import BODIES
 from mocap_ros.messages.transforms import TRANSFORMS
-from mocap_ros.messages.versions import VersionConverter
+from mocap_ros.messages.versions import make_converter
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.ros.live_recording import LiveRecording
 from mocap_ros.ros.message_types import MessageVersions
@@ -218,7 +218,7 @@ def test_a_run_on_a_ros_with_other_message_versions_is_recorded_as_there_and_rep
     versions = MessageVersions()
     versions.add_input(KEYPOINTS)
     versions.add_output(MARKERS)
-    to_other_ros = VersionConverter(typestore(), store, KEYPOINTS)
+    to_other_ros = make_converter(typestore(), store, KEYPOINTS)
     received = [to_other_ros(raw) for raw in stream[:8]]
     received.insert(4, received[4][:60])
     usual = CollectingRun(FAST_CONFIG)
@@ -230,7 +230,7 @@ def test_a_run_on_a_ros_with_other_message_versions_is_recorded_as_there_and_rep
         run.run.stop()
 
     assert [o.data for o in live.skeletons] == [o.data for o in usual.skeletons]
-    to_foxy = VersionConverter(typestore(), store, MARKERS)
+    to_foxy = make_converter(typestore(), store, MARKERS)
     published = [o.data for o in live.published if o.topic == 'markers'][1:]  # the first came before the recording
     assert published == [to_foxy(o.data) for o in usual.published if o.topic == 'markers']
     (bag,) = (tmp_path / 'live').iterdir()

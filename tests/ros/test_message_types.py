@@ -93,11 +93,8 @@ def test_an_output_that_the_installed_version_cannot_hold_is_refused_by_type_and
     foxy[MARKER]['ns'] = 'int32'
     with pytest.raises(ConfigError) as raised:
         MessageVersions().add_output(MARKERS)
-    assert str(raised.value) == (
-        f'the installed version of {MARKERS} cannot hold the messages of this package: '
-        f'{MARKER}.ns is int32 instead of string; '
-        f'{MARKER}.points is geometry_msgs/msg/Vector3[<=8] instead of geometry_msgs/msg/Point[]'
-    )
+    assert f'of {MARKERS} cannot hold' in str(raised.value)
+    assert f'{MARKER}.ns, {MARKER}.points has another type' in str(raised.value)
 
 
 @pytest.mark.ros
