@@ -1,30 +1,35 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Find the recordings of a corpus: what a folder, a pattern or a list names, on any file system of fsspec."""
+"""Find the recordings of a corpus: what a folder, a pattern or a list names, on any file system of fsspec.
+
+What has no `://` is a local path, whatever else is in its name, such as `::`, by which fsspec chains file systems.
+Everything else is a URL of fsspec, such as `s3://bucket/folder`.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from pathlib import PurePosixPath
+from itertools import pairwise, takewhile
+from pathlib import Path, PurePosixPath
 from typing import Any
 
+import fsspec
 from fsspec.core import has_magic
 from fsspec.implementations.local import LocalFileSystem
 
 from mocap_ros.bags.reader import ROS1_SUFFIX, ROS2_SUFFIXES
 from mocap_ros.bags.rosbag2 import METADATA
-from mocap_ros.batch.file_systems import choose_one_name, find_file_system, is_local, list_sizes
 from mocap_ros.errors import InputError
 from mocap_ros.formats.detector_json import FILE_SUFFIX as OPENPOSE_SUFFIX
 from mocap_ros.runtime.input_kind import VIDEO_SUFFIXES
 
 LIST_SUFFIX = '.txt'  # of a list of recordings, one in each line
-DISTANCES_SUFFIX = '_distances.png'  # of the picture of the distances between keyframes
 BAG_SUFFIXES = (*ROS2_SUFFIXES, ROS1_SUFFIX)
 OTHER_SUFFIXES = ('.npz', '.json', *VIDEO_SUFFIXES)  # of what can be reconstructed and is no bag
 # Checksums of the content that file systems keep, so that a file need not be read: S3 (and others), Google, Azure.
@@ -57,12 +62,30 @@ class Recording:
     size_bytes: int
 
 
+def open_file_system(url: str) -> tuple[Any, str]:
+    """Return the file system of a path or URL, and the path on it.
+
+    Raises:
+        ValueError: the URL is of no known file system.
+        ImportError: a library for the file system is not installed.
+    """
+    if '://' in url:
+        fs, path = fsspec.url_to_fs(url)
+        return fs, str(path)
+    return LocalFileSystem(auto_mkdir=True), str(LocalFileSystem._strip_protocol(url))
+
+
+def is_local(url: str) -> bool:
+    """Return whether a path or URL is on the local file system."""
+    return isinstance(open_file_system(url)[0], LocalFileSystem)
+
+
 def find_recordings(
     source: str, work: Work, leave_out: Sequence[str] = (), report: Callable[[str], None] = lambda _: None
 ) -> list[Recording]:
     """Find the recordings in a folder, or those that a pattern or a list names, largest first.
 
-    Links are followed, and a recording that is reached in several ways is taken once.
+    Links are followed, and a folder that is reached in several ways is searched once.
 
     Args:
         source: a recording; a folder, which is searched with all folders in it; a pattern with `*`; or a text file
@@ -72,56 +95,38 @@ def find_recordings(
         report: function that is called with a line about files that are no bags, where only bags are taken.
 
     Raises:
-        InputError: there is nothing, it cannot be read, or the results of two recordings
-            would have the same place.
+        InputError: there is nothing, it cannot be read, or the results of two recordings would have one place.
     """
-    sources = _read_list(source) if source.endswith(LIST_SUFFIX) else [source]
+    left_out = tuple(f'{_write_url(*open_file_system(folder))}/' for folder in leave_out)
     sizes: dict[str, int] = {}
-    for each in sources:
-        sizes.update(_list_files(each))
-    left_out = tuple(_write_url(folder).rstrip('/') + '/' for folder in leave_out)
-    sizes = {url: size for url, size in sizes.items() if not url.startswith(left_out)}
-    once = choose_one_name(url for url in sizes if is_local(url))
-    sizes = {url: size for url, size in sizes.items() if url in once or not is_local(url)}
+    try:
+        sources = _read_list(source) if source.endswith(LIST_SUFFIX) else [source]
+        for each in sources:
+            base, found = _list_files(each)
+            sizes |= {url: size for url, size in found.items() if not url.startswith(left_out)}
+    except (OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+        reason = (
+            'No such file or directory' if isinstance(error, FileNotFoundError) else ' '.join(str(error).split())
+        )
+        raise InputError(f'{source}: {reason or type(error).__name__}') from None
     groups = _group_files(sizes, work)
     if not groups:
-        kind = 'bag' if work is Work.REPLAY else 'bag or file of keypoints'
-        raise InputError(f'{source}: there is no {kind}')
+        raise InputError(f'{source}: there is no {"bag" if work is Work.REPLAY else "bag or file of keypoints"}')
     if work is Work.REPLAY and (others := len(_group_files(sizes, Work.RECONSTRUCT).keys() - groups)):
         report(f'{source}: {others} recordings are no bags and are left out; --work reconstruct takes them')
-    base = _find_base(sources, list(groups))
-    names = {url: _make_name(url, base, is_folder=files != [url]) for url, files in groups.items()}
-    name, count = Counter(names.values()).most_common(1)[0]
-    if count > 1:
-        raise InputError(f'{source}: {count} recordings would have results of the name {name}')
-    _refuse_nested_names(source, names.values())
-    if work is Work.KEYFRAMES:
-        _refuse_shared_pictures(source, names.values())
-    found = [
-        Recording(url, names[url], tuple(sorted(files)), sum(sizes[file] for file in files))
-        for url, files in groups.items()
-    ]
-    return sorted(found, key=lambda r: (-r.size_bytes, r.name))
-
-
-def _refuse_nested_names(source: str, names: Iterable[str]) -> None:
-    """Raise InputError if the results of one recording would be in the folder of another's."""
-    known = set(names)
-    for name in sorted(known):
-        parents = (name[:i] for i, letter in enumerate(name) if letter == '/')
-        if (parent := next((p for p in parents if p in known), None)) is not None:
-            raise InputError(
-                f'{source}: the result of {name} would be inside that of {parent}; rename one of the recordings'
-            )
-
-
-def _refuse_shared_pictures(source: str, names: Iterable[str]) -> None:
-    """Raise InputError if one recording's picture of distances would be another's picture of keyframes."""
-    known = set(names)
-    for name in sorted(known):
-        other = name + DISTANCES_SUFFIX.removesuffix('.png')
-        if other in known:
-            raise InputError(f'{source}: {name} and {other} would share a picture; rename one of the recordings')
+    if len(sources) > 1 or base in groups:
+        parts = zip(*(url.split('/')[:-1] for url in groups), strict=False)
+        base = '/'.join(part for part, *_ in takewhile(lambda same: len(set(same)) == 1, parts))
+    recordings = []
+    for url, files in groups.items():
+        name = PurePosixPath(url[len(base) :].lstrip('/'))
+        name = name.with_suffix('') if files == [url] else name
+        recordings.append(Recording(url, str(name), tuple(sorted(files)), sum(sizes[file] for file in files)))
+    for first, second in pairwise(sorted(recording.name.split('/') for recording in recordings)):
+        if second[: len(first)] == first:
+            one, other = '/'.join(first), '/'.join(second)
+            raise InputError(f'{source}: the results of {one} and {other} would share a place; rename one of them')
+    return sorted(recordings, key=lambda r: (-r.size_bytes, r.name))
 
 
 def compute_content_key(recording: Recording) -> str:
@@ -134,10 +139,11 @@ def compute_content_key(recording: Recording) -> str:
     """
     digest = hashlib.sha256()
     for url in recording.files:
-        fs, path = find_file_system(url)
-        digest.update(url[len(recording.url) :].encode() + b'\0')
-        checksum = '' if isinstance(fs, LocalFileSystem) else _find_checksum(fs, path)
-        if checksum:
+        fs, path = open_file_system(url)
+        fs.invalidate_cache()
+        digest.update(url[len(recording.url) :].encode('utf-8', 'surrogateescape') + b'\0')
+        info: Mapping[str, Any] = fs.info(path)
+        if checksum := next((str(info[key]) for key in CHECKSUM_KEYS if info.get(key)), ''):
             digest.update(checksum.encode())
             continue
         with fs.open(path, 'rb') as stream:
@@ -146,62 +152,50 @@ def compute_content_key(recording: Recording) -> str:
     return digest.hexdigest()
 
 
-def _find_checksum(fs: Any, path: str) -> str:
-    """Return the checksum of a file's content that its file system keeps; empty if it keeps none."""
-    fs.invalidate_cache()
-    info: Mapping[str, Any] = fs.info(path)
-    return next((str(info[key]) for key in CHECKSUM_KEYS if info.get(key)), '')
-
-
 def _read_list(source: str) -> list[str]:
-    try:
-        fs, path = find_file_system(source)
-        with fs.open(path, 'rt', encoding='utf-8-sig') as file:
-            lines = [line.strip() for line in file]
-    except (OSError, ValueError, ImportError) as error:
-        raise InputError(f'{source}: {_describe(error)}') from None
+    fs, path = open_file_system(source)
+    with fs.open(path, 'rt', encoding='utf-8-sig') as file:
+        lines = [line.strip() for line in file]
     return [line for line in lines if line and not line.startswith('#')]
 
 
-def _list_files(source: str) -> dict[str, int]:
-    """Return the size in bytes of every file in a folder or under a pattern, by URL; or of the file itself."""
-    try:
-        fs, path = find_file_system(source)
-        matches = fs.glob(path) if has_magic(path) and not fs.exists(path) else [path]
-        found: dict[str, int] = {}
-        for match in matches:
-            found.update((_write_url_of(fs, file), size) for file, size in list_sizes(fs, match))
-    except (OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
-        raise InputError(f'{source}: {_describe(error)}') from None
-    if not found:
+def _list_files(source: str) -> tuple[str, dict[str, int]]:
+    """Return the folder that a source is, or its pattern begins with, and the bytes of each file by URL."""
+    fs, path = open_file_system(source)
+    is_pattern = has_magic(path) and not fs.exists(path)
+    sizes: dict[str, int] = {}
+    for match in fs.glob(path) if is_pattern else [path]:
+        if isinstance(fs, LocalFileSystem):
+            files = _walk(match) if Path(match).is_dir() else [match]
+            sizes |= {file: Path(file).stat().st_size for file in files if Path(file).is_file()}
+        else:
+            found = fs.find(match, detail=True).items()
+            sizes |= {_write_url(fs, file): int(info.get('size') or fs.size(file)) for file, info in found}
+    if not sizes:
         raise InputError(f'{source}: no such file, and no folder with files')
-    return found
+    base = _write_url(fs, path)
+    return (_parent(re.split(r'[*?[]', base)[0]) if is_pattern else base), sizes
 
 
-def _describe(error: Exception) -> str:
-    """Return in one line why a file system could not be used."""
-    if isinstance(error, FileNotFoundError):
-        return 'No such file or directory'
-    return ' '.join(str(error).split()) or type(error).__name__
-
-
-def _write_url_of(fs: Any, path: str) -> str:
-    """Return the URL of a path on a file system; a local path stays a path."""
-    return path if isinstance(fs, LocalFileSystem) else str(fs.unstrip_protocol(path))
-
-
-def _write_url(url: str) -> str:
-    """Return a URL as `_list_files` writes it."""
-    try:
-        return _write_url_of(*find_file_system(url))
-    except (ValueError, ImportError) as error:
-        raise InputError(f'{url}: {_describe(error)}') from None
+def _walk(top: str) -> Iterator[str]:
+    """Yield all files below a folder; each folder is searched once, those behind links last."""
+    tops, seen = [top], set[str]()
+    for each in tops:
+        for folder, folders, files in os.walk(each):
+            place = os.path.realpath(folder)
+            if place in seen:
+                folders.clear()
+                continue
+            seen.add(place)
+            folders.sort()
+            tops += [path for path in (f'{folder}/{name}' for name in folders) if Path(path).is_symlink()]
+            yield from (f'{folder}/{name}' for name in files)
 
 
 def _group_files(files: Iterable[str], work: Work) -> dict[str, list[str]]:
     """Return the files of each recording, by the URL of the recording: a folder, or a file of its own."""
     files = list(files)
-    folders = {_parent(url) for url in files if _name(url) == METADATA}
+    folders = {_parent(url) for url in files if url.endswith(f'/{METADATA}')}
     if work is not Work.REPLAY:
         folders |= {_parent(url) for url in files if url.endswith(OPENPOSE_SUFFIX)}
     others = () if work is Work.REPLAY else OTHER_SUFFIXES
@@ -214,32 +208,10 @@ def _group_files(files: Iterable[str], work: Work) -> dict[str, list[str]]:
     return groups
 
 
-def _find_base(sources: list[str], recordings: list[str]) -> str:
-    """Return the URL below which the paths of recordings are their names."""
-    if len(sources) > 1:
-        parents = [_parent(url).split('/') for url in recordings]
-        shared = [parts[0] for parts in zip(*parents, strict=False) if len(set(parts)) == 1]
-        is_prefix = [all(p[: i + 1] == parents[0][: i + 1] for p in parents) for i in range(len(shared))]
-        return '/'.join(parents[0][: sum(is_prefix)])
-    source = sources[0]
-    base = _write_url(source)
-    if base in recordings:
-        return _parent(base)
-    fs, path = find_file_system(base)
-    while has_magic(base) and not fs.exists(path):
-        base = _parent(base)
-        fs, path = find_file_system(base)
-    return base.rstrip('/')
-
-
-def _make_name(url: str, base: str, *, is_folder: bool) -> str:
-    relative = PurePosixPath(url[len(base) :].lstrip('/'))
-    return str(relative if is_folder else relative.with_suffix(''))
+def _write_url(fs: Any, path: str) -> str:
+    """Return the URL of a path on a file system; a local path stays a path."""
+    return path if isinstance(fs, LocalFileSystem) else str(fs.unstrip_protocol(path)).rstrip('/')
 
 
 def _parent(url: str) -> str:
     return url.rpartition('/')[0]
-
-
-def _name(url: str) -> str:
-    return url.rpartition('/')[2]

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 import time
 from pathlib import Path
@@ -15,15 +16,12 @@ from tqdm import tqdm
 
 from mocap_ros.cli.keypoint_input import add_camera_info_option, add_video_options, read_video_options
 from mocap_ros.cli.lines import print_remark, print_result
-from mocap_ros.cli.options import add_config_options, load_config_file, parse_changes, parse_count, parse_positive
+from mocap_ros.cli.options import add_config_options, load_config_file, parse_changes, parse_count
 from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.runtime.save_results import SUFFIXES
 
 if TYPE_CHECKING:
     from mocap_ros.batch.job import Outcome, Settings
-
-GB = 1_000_000_000  # bytes; the unit of --copy-limit
-MINUTE_S = 60.0  # s; the unit of --cut
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -58,20 +56,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='memory of a process on this machine, such as 2GB, above which it is ended (auto: an equal share)',
     )
     parser.add_argument(
-        '--cut',
-        type=parse_positive,
-        metavar='MIN',
-        help='cut bags that are longer into parts of at least this length in min, where it was empty for a minute '
-        '(default: never)',
-    )
-    parser.add_argument(
-        '--copy-limit',
-        type=parse_positive,
-        default=20.0,
-        metavar='GB',
-        help='largest remote recording that a worker may copy to its disk to read it; MCAP is read without a copy',
-    )
-    parser.add_argument(
         '--suffix', choices=SUFFIXES, default='.npz', help='format of the results of --work reconstruct'
     )
     parser.add_argument(
@@ -87,8 +71,8 @@ def run(args: argparse.Namespace) -> int:
     """Do the work on all recordings, write the table and the picture, and print the summary."""
     try:
         from mocap_ros.batch.cluster import connect, run_jobs
-        from mocap_ros.batch.job import Job, Status, list_own_folders, remove_unfinished
-        from mocap_ros.batch.recordings import find_recordings
+        from mocap_ros.batch.job import OWN_FOLDERS, UNFINISHED, Job, Status
+        from mocap_ros.batch.recordings import find_recordings, is_local
         from mocap_ros.batch.report import save_report, summarise
     except ModuleNotFoundError as error:
         raise MocapError(f'{error.name} is not installed: {tell_installation("cluster")}') from None
@@ -97,7 +81,8 @@ def run(args: argparse.Namespace) -> int:
             '--workers and --memory are for this machine; the workers of a --scheduler have their own'
         )
     settings = _make_settings(args)
-    recordings = find_recordings(args.source, settings.work, list_own_folders(settings), print_remark)
+    own_folders = [settings.place(folder) for folder in OWN_FOLDERS]
+    recordings = find_recordings(args.source, settings.work, own_folders, print_remark)
     start = time.monotonic()
     outcomes: list[Outcome] = []
     with (
@@ -110,11 +95,12 @@ def run(args: argparse.Namespace) -> int:
             outcomes.append(outcome)
             bar.update()
 
-        lost_workers = run_jobs(client, [Job(recording, settings) for recording in recordings], report)
-    remove_unfinished(settings)
+        run_jobs(client, [Job(recording, settings) for recording in recordings], report)
+    if is_local(settings.out):  # what lost workers have left
+        shutil.rmtree(settings.place(UNFINISHED), ignore_errors=True)
     for path in save_report(outcomes, settings):
         print_result(path)
-    for line in summarise(outcomes, time.monotonic() - start, lost_workers):
+    for line in summarise(outcomes, time.monotonic() - start):
         print_result(line)
     failed = [outcome for outcome in outcomes if outcome.status is Status.FAILED]
     for outcome in failed:
@@ -140,7 +126,5 @@ def _make_settings(args: argparse.Namespace) -> Settings:
         camera_info=args.camera_info,
         video=read_video_options(args),
         suffix=args.suffix,
-        cut_seconds=(args.cut or 0.0) * MINUTE_S,
-        copy_limit_bytes=round(args.copy_limit * GB),
     )
     return settings.seal()

@@ -34,7 +34,6 @@ from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.models.model_file import AUTO, PRIORS, list_shipped_base_poses
 from mocap_ros.runtime.appearances import Appearance, AppearanceLog
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, LATCHED_TYPES, RecordedBodies, build_skeleton_definition
-from mocap_ros.runtime.parts import Part
 from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
 from mocap_ros.runtime.remarks import find_kind
@@ -57,13 +56,11 @@ class ReplayOptions:
         changes: Values of single parameters by name, which replace those of `config` or of the recorded run.
         topic: Topic of the keypoints, or for ROS4HRI of the tracked bodies; needed only for a bag with several.
         camera_info: Topic of the CameraInfo; needed only for a bag with several.
-        part: Part of the bag to replay; None for the whole bag.
     """
 
     config: Config | None = None
     topic: str | None = None
     camera_info: str | None = None
-    part: Part | None = None
     changes: Mapping[str, Value] = field(default_factory=dict)
 
 
@@ -140,7 +137,6 @@ class _Replay:
     def __init__(self, bag: Bag, options: ReplayOptions) -> None:
         self._bag = bag
         self._remarks: dict[str, str] = {}  # by what is left of them without numbers
-        self._part = options.part or Part(0, None, None, 0, None)
         self._inputs = find_people_topics(bag, options.topic)
         keypoints_type = find_people_type(bag, self._inputs)
         keypoints_topic, *_ = self._inputs
@@ -159,8 +155,6 @@ class _Replay:
         # that of the outputs in the bag, whatever the parameters of the replay say
         self._frame_prefix = str(self._recorded_run.parameters.get(PREFIX_PARAMETER, config.node.frame_prefix))
         self._pipeline = Pipeline(config)
-        if self._part.camera_info is not None:
-            self._pipeline.set_camera_info(self._part.camera_info)
         self._journal = Journal(JOURNAL_TOPIC)
         settings = self._pipeline.config.tracker
         self._appearances = AppearanceLog(settings.forget_all_after, settings.forget_after)
@@ -169,14 +163,13 @@ class _Replay:
         self._tracebacks: dict[str, str] = {}  # by what identifies the error, in order of occurrence
 
     def run(self, folder: Path, name: str, progress: ProgressWrapper) -> ReplayResult:
-        bag, pipeline, part = self._bag, self._pipeline, self._part
+        bag, pipeline = self._bag, self._pipeline
         attachments = provenance_attachments(pipeline.config, pipeline.models)
         with Recorder(folder, self._recorder_config, attachments, name) as self._recorder:
-            messages = progress(bag.messages(self._inputs, part.start_ns, part.stop_ns), bag.count(self._inputs))
-            first = part.inputs_before + 1
+            messages = progress(bag.messages(self._inputs), bag.count(self._inputs))
             inputs = self._recorded_run.leave_out_repeated(messages)
-            for number, message in enumerate(filter(self._is_input, inputs), first):
-                if number == first:
+            for number, message in enumerate(filter(self._is_input, inputs), 1):
+                if number == 1:
                     self._write_start(message.time_ns)
                 self._repeat_events(number - 1, message.time_ns)
                 if number in self._recorded_run.skipped_inputs:
@@ -208,7 +201,6 @@ class _Replay:
             self._recorder.declare_topic('/' + topic, msgtype, latched=True)
         self._recorder.write(*self._journal.make_parameters_record(values(self._pipeline.config), now_ns))
         self._write(build_skeleton_definition(self._pipeline.config.tracker.skeleton), now_ns)
-        self._journal.skip_inputs(self._part.inputs_before)
 
     def _repeat_events(self, number: int, now_ns: int) -> None:
         """Repeat the resets and parameter changes that followed this input in the recorded run."""

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import argparse
-import errno
 import json
 import os
 import signal
@@ -25,7 +23,6 @@ import pytest
 from mocap_ros.bags.journal import Journal, read_run
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
-from mocap_ros.cli.batch import _make_settings, add_options
 from mocap_ros.cli.main import main
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.detections import Video
@@ -37,23 +34,18 @@ from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import FAST_CONFIG
 
 distributed = pytest.importorskip('distributed')
+fsspec = pytest.importorskip('fsspec')
 pytest.importorskip('upath')
 parquet = pytest.importorskip('pyarrow.parquet')
 
-from mocap_ros.batch import cluster, job, storage  # noqa: E402
+from mocap_ros.batch import cluster, job  # noqa: E402
 from mocap_ros.batch.cluster import run_jobs  # noqa: E402
 from mocap_ros.batch.job import Job, Outcome, Settings, Status  # noqa: E402
 from mocap_ros.batch.recordings import Work, find_recordings  # noqa: E402
-from mocap_ros.batch.report import save_report, summarise  # noqa: E402
-from mocap_ros.config import Config, from_yaml, to_yaml, values, with_settings  # noqa: E402
-from mocap_ros.runtime.parts import Part  # noqa: E402
+from mocap_ros.batch.report import save_report  # noqa: E402
+from mocap_ros.config import Config, from_yaml, values, with_settings  # noqa: E402
 
 FRAMES = {'a': 40, 'sub/b': 25, 'c': 10}
-VIDEO: dict[str, Any] = {
-    'fps': 25.0,
-    'image_size': (640, 480),
-    'layout': 'coco17',
-}
 
 
 @pytest.fixture(scope='module')
@@ -153,61 +145,34 @@ def test_only_what_changed_is_done_again(client: Any, tmp_path: Path) -> None:
     assert set(statuses(run(client, corpus, out, config=other)).values()) == {'done'}
 
 
-def test_a_bag_that_is_cut_gives_the_messages_of_the_whole(client: Any, tmp_path: Path) -> None:
-    config = with_settings(FAST_CONFIG, {'tracker.forget_all_after': 1.0})
-    write_demo_bag(tmp_path / 'in' / 'long', 150, range(30, 100))
-    write_demo_bag(tmp_path / 'in' / 'short', 20)
-    whole = run(client, tmp_path / 'in', tmp_path / 'whole', config=config)
-    cut = run(client, tmp_path / 'in', tmp_path / 'cut', config=config, cut_seconds=1.0)
-    folder = tmp_path / 'cut' / 'results' / 'long'
-    assert len(list(folder.glob('*.mcap'))) == 2
-    assert not (tmp_path / 'cut' / 'parts' / 'long').exists()
-    expected = tmp_path / 'whole' / 'results' / 'long'
-    assert read_outputs(folder) == read_outputs(expected)
-    with Bag(folder) as joined, Bag(expected) as one:
-        counts = [{t: bag.count([t]) for t in bag.topics} for bag in (joined, one)]
-        journals = [[m.raw for m in bag.messages(['/mocap_replay/journal'])] for bag in (joined, one)]
-    assert counts[0] == {**counts[1], '/skeleton_definition': 2, '/mocap_replay/journal': 152}
-    assert [raw for raw in journals[0] if raw != journals[0][0]] == journals[1][1:]
-    columns = ('person', 'from_ns', 'to_ns', 'bag_frames', 'bag_swaps')
-    found = [[[row[c] for c in columns] for row in o['long'].rows] for o in (cut, whole)]
-    assert len(found[1]) > 1
-    assert found[0] == found[1]
-    again = run(client, tmp_path / 'in', tmp_path / 'cut', config=config, cut_seconds=1.0)
-    assert set(statuses(again).values()) == {'done before'}
-
-
-def test_parts_are_joined_on_a_file_system_without_hard_links(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object) -> None:
-        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
-
-    monkeypatch.setattr(os, 'link', refuse)
-    config = with_settings(FAST_CONFIG, {'tracker.forget_all_after': 1.0})
-    write_demo_bag(tmp_path / 'in' / 'long', 90, range(20, 70))
-    settings = Settings(Work.REPLAY, str(tmp_path / 'out'), config=config, cut_seconds=0.5).seal()
-    (recording,) = find_recordings(str(tmp_path / 'in'), Work.REPLAY)
-    cut = job.process(Job(recording, settings))
-    parts = [job.process(replace(cut.job, part=part)) for part in cut.parts]
-    joined = job.join_parts(cut.job, parts)
-    assert (joined.reason, joined.status, len(parts)) == ('', Status.DONE, 2)
-    with Bag(tmp_path / 'out' / 'results' / 'long') as bag:
-        assert bag.count(['/keypoints']) == 90
-
-
 def test_remote_recordings_and_results(client: Any, corpus: Path, plain: dict[str, Any], tmp_path: Path) -> None:
     """The cluster is in this process, so its workers see the file system in the memory of this process."""
-    import fsspec
-
     fs, path = fsspec.url_to_fs('memory:///batch')
     fs.put(str(corpus), f'{path}/in', recursive=True)
-    assert set(statuses(run(client, 'memory:///batch/in', 'memory:///batch/out')).values()) == {'done'}
-    assert set(statuses(run(client, 'memory:///batch/in', 'memory:///batch/out')).values()) == {'done before'}
+    for status in ('done', 'done before'):
+        assert set(statuses(run(client, 'memory:///batch/in', 'memory:///batch/out')).values()) == {status}
+    assert run(client, 'memory:///batch/in', 'memory:///batch/out', config=None)['c'].status is Status.DONE
+    run(client, 'memory:///batch/in', 'memory:///batch/out')
     fs.get(f'{path}/out/results', str(tmp_path / 'results'), recursive=True)
     for name, messages in plain.items():
         assert read_outputs(tmp_path / 'results' / name) == messages
+    (mcap,) = (corpus / 'c').glob('*.mcap')
+    fs.pipe_file(f'{path}/old.bag', mcap.read_bytes())
+    (old,) = find_recordings('memory:///batch/old.bag', Work.REPLAY)
+    assert job.provide_locally(old, tmp_path).read_bytes() == mcap.read_bytes()
+    with pytest.raises(InputError, match=r'^memory:///batch/old.bag: .* must be copied'):
+        job.provide_locally(replace(old, size_bytes=1 << 60), tmp_path)
     fs.rm(path, recursive=True)
+
+
+def test_files_that_no_run_writes_are_kept(client: Any, corpus: Path, tmp_path: Path) -> None:
+    own = tmp_path / 'results' / 'c' / 'thesis.tex'
+    own.parent.mkdir(parents=True)
+    own.write_text('mine')
+    outcome = run(client, corpus, tmp_path)['c']
+    assert outcome.reason.startswith(f'{corpus}/c: ')
+    assert 'no run writes the file' in outcome.reason
+    assert own.read_text() == 'mine'
 
 
 @pytest.mark.parametrize('work', [Work.RECONSTRUCT, Work.KEYFRAMES])
@@ -230,85 +195,23 @@ def test_sequences_are_reconstructed_and_summarised(client: Any, tmp_path: Path,
         assert {p.name for p in results.glob('*.png')} == {'walk.png', 'walk_distances.png'}
 
 
-@pytest.mark.slow
-def test_a_worker_that_is_killed_costs_its_bags_one_more_try(tmp_path: Path) -> None:
-    """A worker is killed while it replays; every bag is there in the end, and none of what it had left."""
-    write_corpus(tmp_path / 'in', dict.fromkeys('abc', 300))
-    pids: list[int] = []
-
-    def kill(connected: Any) -> None:
-        while not list((tmp_path / 'out').glob('.unfinished/*/*/*.mcap')):
-            assert len(outcomes) < 3
-            time.sleep(0.02)
-        pids.extend(connected.run(os.getpid).values())
-        os.kill(pids[0], signal.SIGKILL)
-
-    outcomes: list[Outcome] = []
-    with cluster.connect(None, workers=1) as connected:
-        killer = threading.Thread(target=kill, args=(connected,))
-        killer.start()
-        settings = Settings(Work.REPLAY, str(tmp_path / 'out'), FAST_CONFIG).seal()
-        jobs = [Job(recording, settings) for recording in find_recordings(str(tmp_path / 'in'), Work.REPLAY)]
-        lost_workers = run_jobs(connected, jobs, outcomes.append)
-        killer.join()
-        assert list(connected.run(os.getpid).values()) != pids
-    assert [outcome.status for outcome in outcomes] == [Status.DONE] * 3
-    assert lost_workers == 1
-    assert len({tuple(read_outputs(tmp_path / 'out' / 'results' / name)) for name in 'abc'}) == 1
-
-
-def test_what_a_lost_worker_had_done_in_the_same_run_was_not_done_before_it(tmp_path: Path) -> None:
-    """The worker had finished a bag, but was lost before it could tell; another one finds the result."""
-    write_corpus(tmp_path / 'in', {'a': 5})
-    settings = Settings(Work.REPLAY, str(tmp_path / 'out'), FAST_CONFIG).seal()
-    (recording,) = find_recordings(str(tmp_path / 'in'), Work.REPLAY)
-    first = job.process(Job(recording, settings, run='first run'))
-    told_again = job.process(Job(recording, settings, run='first run'))
-    assert (told_again.status, told_again.rows, told_again.seconds) == (Status.DONE, first.rows, first.seconds)
-    for later in (Job(recording, settings, run='second run'), Job(recording, settings)):
-        assert job.process(later).status is Status.DONE_BEFORE
-
-
-def test_a_part_with_other_bounds_is_not_the_same_work(tmp_path: Path) -> None:
-    """A run that was stopped goes on with another `--cut`; the parts have the same numbers."""
-    write_corpus(tmp_path / 'in', {'a': 5})
-    (recording,) = find_recordings(str(tmp_path / 'in'), Work.REPLAY)
-    settings = Settings(Work.REPLAY, str(tmp_path / 'out'), FAST_CONFIG).seal()
-    statuses = [
-        job.process(Job(recording, settings, Part(0, None, stop_ns, 0, None))).status
-        for stop_ns in (1 << 60, 1 << 60, 1 << 61)
-    ]
-    assert statuses == [Status.DONE, Status.DONE_BEFORE, Status.DONE]
-
-
-@pytest.mark.parametrize(
-    'values',
-    [
-        {'work': Work.RECONSTRUCT},
-        {'config': None},
-        {'changes': {'tracker.lag': 0.2}},
-        {'suffix': '.bvh'},
-        {'topic': '/people'},
-        {'camera_info': '/info'},
-        *({'video': Video(**{name: value})} for name, value in VIDEO.items()),
-    ],
-)
-def test_whatever_changes_results_changes_their_key(values: dict[str, Any]) -> None:
-    settings = Settings(Work.REPLAY, 'out', FAST_CONFIG)
-    assert replace(settings, **values).seal().key != settings.seal().key
-
-
-def test_the_key_has_the_content_of_the_model_of_a_detector_and_not_its_name(tmp_path: Path) -> None:
+def test_whatever_changes_results_changes_their_key(tmp_path: Path) -> None:
     for name, content in {'a.onnx': b'first', 'b.onnx': b'second', 'c.onnx': b'first'}.items():
         (tmp_path / name).write_bytes(content)
-
-    def key(detector: Path | None) -> str:
-        return Settings(Work.RECONSTRUCT, 'out', video=Video(detector=detector)).seal().key
-
-    assert len({key(None), key(tmp_path / 'a.onnx'), key(tmp_path / 'b.onnx')}) == 3
-    assert key(tmp_path / 'a.onnx') == key(tmp_path / 'c.onnx')
+    settings = Settings(Work.REPLAY, 'out', FAST_CONFIG)
+    videos = [Video(fps=25.0), Video(image_size=(640, 480)), Video(layout='coco17')]
+    videos += [Video(detector=tmp_path / name) for name in ('a.onnx', 'b.onnx', 'c.onnx')]
+    changes: list[dict[str, Any]] = [
+        *({'video': video} for video in videos),
+        *({'work': Work.RECONSTRUCT}, {'config': None}, {'changes': {'tracker.lag': 0.2}}, {'suffix': '.bvh'}),
+        *({'topic': '/people'}, {'camera_info': '/info'}, {}, {'out': 'elsewhere'}),
+    ]
+    keys = [replace(settings, **change).seal().key for change in changes]
+    assert len(set(keys)) == len(keys) - 2
+    assert keys[-2] == keys[-1]  # the folder of the run changes no result
+    assert keys[3] == keys[5]  # the content of a detector's model counts, and not its name
     with pytest.raises(InputError, match=r'no\.onnx: No such file or directory$'):
-        key(tmp_path / 'no.onnx')
+        replace(settings, video=Video(detector=tmp_path / 'no.onnx')).seal()
 
 
 def test_options_apply_to_those_recordings_that_need_them(client: Any, tmp_path: Path) -> None:
@@ -325,65 +228,6 @@ def test_options_apply_to_those_recordings_that_need_them(client: Any, tmp_path:
     assert statuses(outcomes) == dict.fromkeys(('bag', 'sequence', 'coco'), 'done')
     (row,) = outcomes['coco'].rows
     assert row['to_ns'] - row['from_ns'] == pytest.approx((len(sequence) - 1) / FPS * NS_PER_S)
-
-
-def test_what_changes_no_result_keeps_their_key() -> None:
-    settings = Settings(Work.REPLAY, 'out', FAST_CONFIG)
-    others = replace(settings, out='elsewhere', cut_seconds=60.0, copy_limit_bytes=1)
-    assert others.seal().key == settings.seal().key
-
-
-def test_the_options_of_the_command_are_the_settings(tmp_path: Path) -> None:
-    """Lengths are in minutes and sizes in GB on the command line, in seconds and bytes inside."""
-    detector = tmp_path / 'pose.onnx'
-    detector.write_bytes(b'model')
-    text = (
-        f'in -o {tmp_path} --work reconstruct --suffix .bvh --cut 1.5 --copy-limit 0.5 --topic /people '
-        f'--camera-info /info --fps 25 --image-size 640x480 --layout coco17 --detector {detector} '
-        '--set tracker.lag=0.2'
-    )
-    parser = argparse.ArgumentParser()
-    add_options(parser)
-    settings = _make_settings(parser.parse_args(text.split()))
-    assert (
-        settings
-        == Settings(
-            Work.RECONSTRUCT,
-            str(tmp_path),
-            changes={'tracker.lag': 0.2},
-            topic='/people',
-            camera_info='/info',
-            video=Video(**VIDEO, detector=detector),
-            suffix='.bvh',
-            cut_seconds=90.0,
-            copy_limit_bytes=500_000_000,
-        ).seal()
-    )
-
-
-def test_each_work_has_its_own_records(tmp_path: Path) -> None:
-    write_corpus(tmp_path / 'in', {'a': 5})
-    (recording,) = find_recordings(str(tmp_path / 'in'), Work.REPLAY)
-    urls = [Job(recording, Settings(work, str(tmp_path / 'out'))).record_url for work in Work]
-    assert len(set(urls)) == len(Work)
-
-
-def test_the_remark_of_a_part_without_people_is_kept() -> None:
-    empty = dict.fromkeys(job.COLUMNS) | dict.fromkeys(
-        ('bag_frames', 'bag_dropped', 'bag_invalid', 'bag_swaps'), 1
-    )
-    rows = [
-        empty | {'part': 0, 'person': 'ann', 'remark': ''},
-        empty | {'part': 1, 'remark': 'input 7: x[3]: NaN'},
-    ]
-    (row,) = job._add_up(rows, 1.0)
-    assert (row['person'], row['remark'], row['bag_frames']) == ('ann', 'input 7: x[3]: NaN', 2)
-
-
-def test_the_summary_tells_of_lost_workers() -> None:
-    assert not [line for line in summarise([], 1.0) if 'lost' in line]
-    assert summarise([], 1.0, 1)[-1] == 'a worker was lost; its work was given to another'
-    assert summarise([], 1.0, 2)[-1] == '2 workers were lost; their work was given to others'
 
 
 def test_set_changes_single_parameters_of_the_recorded_runs(client: Any, tmp_path: Path) -> None:
@@ -406,12 +250,26 @@ def test_set_changes_single_parameters_of_the_recorded_runs(client: Any, tmp_pat
         assert metadata.count('\n') == len(changes)
 
 
-def test_the_table_holds_all_parameters_where_recordings_have_none_of_their_own(tmp_path: Path) -> None:
-    for work, config in ((Work.RECONSTRUCT, None), (Work.REPLAY, FAST_CONFIG)):
-        settings = Settings(work, str(tmp_path), config, {'tracker.lag': 0.2}).seal()
-        table, _ = save_report([], settings)
-        expected = to_yaml(with_settings(config or Config(), {'tracker.lag': 0.2}))
-        assert parquet.read_table(table).schema.metadata[b'mocap_ros.yaml'].decode() == expected
+@pytest.mark.slow
+def test_a_worker_that_is_killed_costs_its_bags_one_more_try(tmp_path: Path) -> None:
+    """A worker is killed while it replays; every bag is there in the end, and none of what it had left."""
+    write_corpus(tmp_path / 'in', dict.fromkeys('abc', 300))
+    outcomes: dict[str, Outcome] = {}
+    with cluster.connect(None, workers=1) as connected:
+        (pid,) = connected.run(os.getpid).values()
+
+        def kill() -> None:
+            while not list((tmp_path / 'out').glob('.unfinished/*/*/*.mcap')):
+                time.sleep(0.02)
+            os.kill(pid, signal.SIGKILL)
+
+        killer = threading.Thread(target=kill, daemon=True)
+        killer.start()
+        outcomes = run(connected, tmp_path / 'in', tmp_path / 'out')
+        killer.join()
+        assert pid not in connected.run(os.getpid).values()
+    assert statuses(outcomes) == dict.fromkeys('abc', 'done')
+    assert len({tuple(read_outputs(tmp_path / 'out' / 'results' / name)) for name in 'abc'}) == 1
 
 
 def die(work: Job) -> Outcome:
@@ -469,32 +327,6 @@ def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch: pytest.Monkey
         cluster.connect('tcp://127.0.0.1:9'),
     ):
         pass
-
-
-def test_a_worker_with_a_full_disk_gets_no_more_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its job is done by the other worker; where that one's disk is full as well, the run ends with the reason."""
-    corpus = write_corpus(tmp_path / 'in', {'a': 8, 'b': 8})
-    full: list[str] = []
-    real = storage.provide_locally
-
-    def provide(*arguments: Any) -> Path:
-        address = distributed.get_worker().address
-        if not full or address in full:
-            full.append(address)
-            raise OSError(28, 'No space left on device')
-        return real(*arguments)
-
-    monkeypatch.setattr(job, 'provide_locally', provide)
-    options = {'n_workers': 2, 'threads_per_worker': 1, 'processes': False, 'dashboard_address': ':0'}
-    with distributed.LocalCluster(**options) as local, distributed.Client(local) as connected:
-        outcomes = run(connected, corpus, tmp_path / 'out')
-        assert set(statuses(outcomes).values()) == {'done'}
-        assert full[0] not in {o.worker for o in outcomes.values()}
-        full.extend(o.worker for o in outcomes.values())
-        with pytest.raises(
-            MocapError, match=r'No space left on device; no worker has space left; what is done is kept'
-        ):
-            run(connected, corpus, tmp_path / 'out2')
 
 
 def test_a_worker_of_another_version_is_refused(client: Any, corpus: Path, tmp_path: Path) -> None:

@@ -23,9 +23,8 @@ pytest.importorskip('pyarrow')
 import fsspec  # noqa: E402
 
 from mocap_ros.batch.cluster import run_jobs  # noqa: E402
-from mocap_ros.batch.job import Job, Outcome, Settings  # noqa: E402
+from mocap_ros.batch.job import Job, Outcome, Settings, provide_locally  # noqa: E402
 from mocap_ros.batch.recordings import Work, compute_content_key, find_recordings  # noqa: E402
-from mocap_ros.batch.storage import provide_locally  # noqa: E402
 
 
 @pytest.fixture
@@ -79,6 +78,6 @@ def test_a_bag_in_mcap_is_read_by_ranges_and_known_by_the_checksum_of_the_store(
     with monkeypatch.context() as patched:
         patched.setattr(type(bucket), 'open', lambda *_, **__: pytest.fail('the file was read'))
         assert compute_content_key(found) == key
-    path = provide_locally(found, tmp_path, copy_limit_bytes=0)
+    path = provide_locally(found, tmp_path)
     assert str(path) == 's3://fleet/in/a'
     assert read_outputs(path) == read_outputs(corpus / 'a')
