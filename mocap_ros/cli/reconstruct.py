@@ -28,7 +28,7 @@ from mocap_ros.cli.options import add_config_options, derive_output_stem, load_c
 from mocap_ros.cli.progress import StageDisplay
 from mocap_ros.config import Config, load_yaml
 from mocap_ros.errors import InputError
-from mocap_ros.formats.export.bvh import BLENDER_IMPORT
+from mocap_ros.formats.bvh import BLENDER_IMPORT
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.formats.text_files import check_output, read_text, replace_output
 from mocap_ros.models.base_poses import BasePoses

@@ -42,27 +42,16 @@ MAX_PLUMB_BOB_COEFFICIENTS = 5  # OpenCV's k1, k2, p1, p2, k3; with more coeffic
 
 # All keys of a sequence file; a file may have others, which are ignored.
 SEQUENCE_KEYS = (
-    'keypoints',
-    'joint_names',
-    'timestamps',
-    'image_size',
-    'camera_matrix',
-    'distortion',
-    'joints3d',
+    'keypoints', 'joint_names', 'timestamps', 'image_size', 'camera_matrix', 'distortion', 'joints3d',
     'joints3d_names',
-)
+)  # fmt: skip
 # A file with all of these keys is a result of `reconstruct`.
 RESULT_KEYS = frozenset(('joints3d', 'theta', 'residual_px'))
 
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """Measured or generated 3D joints.
-
-    Attributes:
-        joints: (F, J3, 3) m in the camera's optical frame; NaN where unknown.
-        joint_names: (J3,) names of the joints.
-    """
+    """Measured or generated 3D joints (F, J3, 3) in m in the camera's optical frame, NaN where unknown."""
 
     joints: Array
     joint_names: tuple[str, ...]
@@ -104,7 +93,6 @@ class KeypointSequence:
     calibration: Intrinsics | None = None
 
     def __len__(self) -> int:
-        """Return the number of frames."""
         return len(self.timestamps)
 
     def __repr__(self) -> str:
@@ -322,12 +310,7 @@ def _guess_time_unit(timestamps: Array) -> str:
 
 
 def _create_distortion(distortion: Array | None) -> Distortion:
-    """Create the distortion from coefficients in OpenCV's order: k1, k2, p1, p2, then k3, then k4, k5, k6.
-
-    Raises:
-        InputError: there is another number of coefficients, or one of them is not finite, or beyond those of any
-            lens.
-    """
+    """Create the distortion from coefficients in OpenCV's order; InputError where they are those of no lens."""
     coefficients = () if distortion is None else tuple(distortion.tolist())
     model = 'plumb_bob' if len(coefficients) <= MAX_PLUMB_BOB_COEFFICIENTS else 'rational_polynomial'
     lens = Distortion.from_coefficients(model, coefficients)

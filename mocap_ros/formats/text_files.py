@@ -19,18 +19,19 @@ from mocap_ros.errors import InputError, MocapError, describe_parse_error
 from mocap_ros.input_file import NEITHER_FILE_NOR_FOLDER, open_input_file
 
 MAX_FILE_BYTES = 256 << 20  # guards the memory; an hour of one person's COCO results at 30 Hz is about 100 MB
+MAX_QUOTED_CHARACTERS = 60  # of a line in an error message
+# Positions of all joints in all frames of motion capture, of some 100 bytes each with the rotations. An hour of 80
+# joints at 120 Hz has 35 million; a frame may take two bytes of a file, so the size of the file is no limit.
+MAX_POSITIONS = 40_000_000
 # Errors of folders where files may be written but neither created nor replaced: those of others, read-only ones,
 # and files that are mounted one by one, as in containers.
 IRREPLACEABLE = frozenset((errno.EACCES, errno.EPERM, errno.EROFS, errno.EBUSY))
 
 
 def read_text(path: Path, errors: str = 'strict', max_bytes: int = MAX_FILE_BYTES) -> str:
-    """Read a UTF-8 file, with or without a byte-order mark.
+    """Read a UTF-8 file of at most `max_bytes`, with or without a byte-order mark.
 
-    Args:
-        path: path of the file.
-        errors: what to do about bytes that are not UTF-8, as in `bytes.decode`.
-        max_bytes: size of the file in bytes above which it is refused.
+    `errors` says what to do about bytes that are not UTF-8, as in `bytes.decode`.
 
     Raises:
         InputError: the path is not that of a file, or the file is too large or not UTF-8; the error names the
@@ -51,16 +52,23 @@ def read_text(path: Path, errors: str = 'strict', max_bytes: int = MAX_FILE_BYTE
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file.
-
-    Raises:
-        InputError: the file cannot be read, as in `read_text`, or is not JSON; the error names the file.
-    """
+    """Read a JSON file; InputError where it cannot be read, as in `read_text`, or is not JSON."""
     text = read_text(path)
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f'{path}: not JSON: {describe_parse_error(error)}') from None
+
+
+def quote_line(line: str) -> str:
+    """Return the beginning of a line, quoted, for an error message."""
+    return repr(line.strip()[:MAX_QUOTED_CHARACTERS])
+
+
+def check_position_count(frames: int, joints: int) -> None:
+    """Check that the positions of all joints in all frames fit into the memory; else raise an InputError."""
+    if frames * joints > MAX_POSITIONS:
+        raise InputError(f'{frames} frames of {joints} joints, more than {MAX_POSITIONS} positions')
 
 
 def check_output(path: Path, *sources: Path) -> None:
@@ -93,16 +101,12 @@ def replace_output(path: Path, *sources: Path) -> Iterator[Path]:
 
     The yielded path has the name of the file, in a temporary folder beside it. An error or an interrupt in the
     block leaves the old file as it was, and nothing of the new one. A link stays, and the file that it points to
-    is replaced; an existing file keeps its permissions. A device, an open pipe, what is open as /dev/stdout, and a
-    file in a folder that takes no new files are written directly: then `path` itself is yielded.
-
-    Args:
-        path: path of the file.
-        sources: input files, which must not be overwritten.
+    is replaced; an existing file keeps its permissions. Paths in /dev and /proc, devices, and a file in a folder
+    that takes no new files are written directly: then `path` itself is yielded.
 
     Raises:
-        MocapError: `check_output` refuses the path, or the file cannot be written; the error names `path`, also if
-            the block raised it with the name of the temporary file.
+        MocapError: `check_output`, which has the same arguments, refuses the path, or the file cannot be written;
+            the error names `path`, also if the block raised it with the name of the temporary file.
     """
     check_output(path, *sources)
     try:
@@ -122,12 +126,9 @@ def replace_output(path: Path, *sources: Path) -> Iterator[Path]:
 
 
 def _create_folder_beside(path: Path) -> TemporaryDirectory[str] | None:
-    """Create a temporary folder beside the file that a path or a link names; None where the file is not replaced.
-
-    Raises:
-        OSError: the folder cannot be created, and there is no file that could be written directly.
-    """
-    if path.exists() and (not path.is_file() or _is_descriptor(path)):
+    """Create a temporary folder beside the file that a path or link names; None where the file is not replaced."""
+    is_descriptor = path.absolute().parts[1:2] in (('dev',), ('proc',))
+    if path.exists() and (not path.is_file() or is_descriptor):
         return None
     try:
         return TemporaryDirectory(dir=Path(os.path.realpath(path)).parent, prefix='.mocap_ros_')
@@ -137,21 +138,8 @@ def _create_folder_beside(path: Path) -> TemporaryDirectory[str] | None:
         raise
 
 
-def _is_descriptor(path: Path) -> bool:
-    """Return whether a path that exists names what a process has open, as /dev/stdout does: maybe a file."""
-    while not (place := path.parent.resolve() / path.name).is_relative_to('/proc'):
-        if not place.is_symlink():
-            return False
-        path = place.parent / place.readlink()
-    return True
-
-
 def _put_in_place(new: Path, old: Path) -> None:
-    """Replace an old file, whose permissions are kept, by a new one; the old one need not exist.
-
-    Raises:
-        OSError: the old file can be neither replaced nor written.
-    """
+    """Replace an old file, whose permissions are kept, by a new one; the old one need not exist."""
     if old.exists():
         shutil.copymode(old, new)
     try:

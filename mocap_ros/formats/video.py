@@ -35,12 +35,7 @@ JOIN_S = 0.5  # s; the decoder of a camera that gives no more images is left aft
 
 
 class VideoImage(NamedTuple):
-    """One image of a video.
-
-    Attributes:
-        image: (H, W, 3) red, green and blue, upright.
-        time_s: s since the first image of the video.
-    """
+    """One image of a video: (H, W, 3) red, green and blue, upright; and its time in s since the first image."""
 
     image: NDArray[np.uint8]
     time_s: float
@@ -57,11 +52,7 @@ class VideoReader:
 
     The times are those that the file gives, also where they are uneven. A video that is stored turned, as upright
     videos of telephones are, is turned back. An image that is damaged, or not later than the one before, is left
-    out.
-
-    Args:
-        path: the file, or the device of a camera.
-        is_camera: whether it is a camera.
+    out. A camera is given as the path of its device, with `is_camera`.
 
     Attributes:
         image_count: number of images, about; None where it is not known.
@@ -108,7 +99,7 @@ class VideoReader:
         return self
 
     def __exit__(self, *_: object) -> None:
-        # Closing what another thread reads would crash. The lock stays locked: nobody may read what is closed.
+        # Closing what another thread reads would crash. The lock stays locked: what is closed must not be read.
         if self._container_lock.acquire(blocking=False):
             self._container.close()
 
@@ -121,11 +112,7 @@ class VideoReader:
         return round(duration_s * float(stream.average_rate)) or None if stream.average_rate else None
 
     def __iter__(self) -> Iterator[VideoImage]:
-        """Yield the images.
-
-        Raises:
-            InputError: no image can be decoded.
-        """
+        """Yield the images; InputError where none can be decoded."""
         first_s = last_s = None
         for frame in self._decode():
             time_s = frame.time
@@ -182,14 +169,14 @@ def read_ahead(
     Args:
         items: the iterator.
         depth: number of items that wait at most.
-        is_ended: tells, while no item is there, whether to wait no longer; a thread whose iterator does not return
-            within `JOIN_S` is left behind. By default every item is waited for, and so is the end of the thread.
+        is_ended: whether to wait no longer while no item is there; a thread whose iterator does not return within
+            `JOIN_S` is left behind. By default every item is waited for, and so is the end of the thread.
     """
     queue: Queue[tuple[bool, Any]] = Queue(depth)
     is_closed = threading.Event()
 
     def put(is_item: bool, value: object) -> bool:
-        """Hand on a value; return False if nobody wants it any more."""
+        """Hand on a value; return False if the reader has gone."""
         while not is_closed.is_set():
             try:
                 queue.put((is_item, value), timeout=POLL_S)
@@ -221,7 +208,7 @@ def read_ahead(
 
 
 def _take(queue: Queue[tuple[bool, Any]], is_ended: Callable[[], bool] | None) -> tuple[bool, Any]:
-    """Return the next entry of a queue of `read_ahead`; if `is_ended` tells to wait no longer, that of the end."""
+    """Return the next entry of a queue of `read_ahead`, or that of the end if `is_ended` says so."""
     if is_ended is None:
         return queue.get()
     while True:

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from mocap_ros.bags.recorder import RECOVERY_HINT, Recorder
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import InputError, RecordingError
+from mocap_ros.formats.bvh import save_bvh
 from mocap_ros.formats.detections import MAX_FRAME_RATE_HZ, Detections
 from mocap_ros.formats.export.armature import build_armature
-from mocap_ros.formats.export.bvh import save_bvh
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, compute_joint_angles
 from mocap_ros.formats.export.trc import save_trc
 from mocap_ros.formats.sequence_file import KeypointSequence

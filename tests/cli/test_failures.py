@@ -23,8 +23,8 @@ from mocap_ros.cli.options import derive_output_stem
 from mocap_ros.cli.train_lifter import _save_checkpoint
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import MocapError
+from mocap_ros.formats.bvh import save_bvh
 from mocap_ros.formats.export.armature import build_armature
-from mocap_ros.formats.export.bvh import save_bvh
 from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.runtime import save_results

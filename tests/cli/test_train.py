@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from mocap_ros.cli.main import main
+from mocap_ros.formats.bvh import save_bvh
 from mocap_ros.formats.export.armature import build_armature
-from mocap_ros.formats.export.bvh import save_bvh
 from mocap_ros.formats.mocap.joint_maps import map_to_model
 from mocap_ros.models.model_file import load_base_poses
 from mocap_ros.training.base_poses import fit_base_poses

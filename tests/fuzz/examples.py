@@ -31,8 +31,8 @@ from mocap_ros.bags.rosbag2 import METADATA, make_topic
 from mocap_ros.bags.write_ahead_log import CHUNK_COUNT
 from mocap_ros.config import Config, RecorderConfig, to_yaml
 from mocap_ros.demo.scene import make_recording
+from mocap_ros.formats.bvh import save_bvh
 from mocap_ros.formats.export.armature import build_armature
-from mocap_ros.formats.export.bvh import save_bvh
 from mocap_ros.formats.mocap.joint_maps import RIGS
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header, encode

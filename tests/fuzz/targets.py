@@ -307,7 +307,7 @@ _RECOVERY = (
 TARGETS = {
     'messages': Target(read_message, _MESSAGES),
     'json': Target(read_json, ('formats.detector_json', 'formats.detections')),
-    'bvh': Target(read_bvh, ('formats.mocap.bvh', 'formats.bvh_motion', 'formats.mocap.trials')),
+    'bvh': Target(read_bvh, ('formats.bvh', 'formats.mocap.trials')),
     'asf': Target(read_asf, ('formats.mocap.asf', 'formats.mocap.trials', 'formats.mocap.joint_maps')),
     'c3d': Target(read_c3d, ('formats.mocap.c3d',)),
     'npz': Target(read_npz, _NPZ),

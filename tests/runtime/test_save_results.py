@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from mocap_ros.api.files import read
 from mocap_ros.bags.reader import Bag
 from mocap_ros.cli.main import main
+from mocap_ros.formats.bvh import load_bvh
 from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.export.trc import save_trc
-from mocap_ros.formats.mocap.bvh import load_bvh
 from mocap_ros.formats.mocap.joint_maps import map_to_model
 from mocap_ros.formats.mocap.trials import load_trials
 from mocap_ros.formats.sequence_file import KeypointSequence, save_sequence

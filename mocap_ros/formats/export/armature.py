@@ -12,11 +12,10 @@ known: R = S Q Q_0^T, with Q_0 the axes of the segment in the T-pose and S the s
 formula above, since bone and segment differ a little. Else R is the smallest rotation from the parent bone.
 
 The names are those of the CMU database's BVH files. Those files have bones of zero length where the body branches
-(pelvis, neck), so that every limb rotates by itself, and after the wrists and ankles, unless hands and toes are
-known. Blender drops or lengthens
-bones of zero length, so here these bones are 1 cm long: where the body branches, a limb begins 1 cm beside the
-joint, and its first bone points from there to the limb's next joint. A joint is off by no more than the variation
-of the lengths l, as they are defined here, of the bones between it and the pelvis.
+(pelvis, neck), so that every limb rotates by itself, and after wrists and ankles, unless hands and toes are known.
+Blender drops or lengthens bones of zero length, so here they are 1 cm long: where the body branches, a limb begins
+1 cm beside the joint, and its first bone points from there to the limb's next joint. A joint is off by no more
+than the variation of the lengths l of the bones between it and the pelvis.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mocap_ros.formats.bvh_motion import END_SUFFIX, POSITION_CHANNELS, ROTATION_CHANNELS, BvhMotion
+from mocap_ros.formats.bvh import END_SUFFIX, POSITION_CHANNELS, ROTATION_CHANNELS, BvhMotion
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
 

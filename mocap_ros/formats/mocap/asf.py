@@ -13,47 +13,38 @@ length and d_n its direction.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mocap_ros.errors import InputError
-from mocap_ros.formats.mocap.limits import check_position_count
-from mocap_ros.formats.text_files import read_text
+from mocap_ros.errors import InputError, naming
+from mocap_ros.formats.text_files import check_position_count, quote_line, read_text
 
 Array = NDArray[np.float64]
-
-_Fields = dict[str, list[str]]  # the words of each line of a section, by the line's first word
 
 ROOT = 'root'  # name of the root in both files
 ROTATIONS = ('rx', 'ry', 'rz')  # degrees of freedom of a bone
 TRANSLATIONS = ('tx', 'ty', 'tz')  # degrees of freedom of the root
+ZEROS = ['0', '0', '0']
 MAX_BONES = 2000  # guards the time that the hierarchy takes; the CMU database has 31
 MAX_SKELETON_BYTES = 1 << 20  # guards the memory that bones take; the CMU database's skeletons have 10 kB
-MAX_QUOTED_CHARACTERS = 60  # of a line in an error message
 
 
-@dataclass(eq=False)
-class _Bone:
+class _Bone(NamedTuple):
     """A bone, or the root.
 
     Attributes:
-        name: name of the bone.
         offset: (3,) vector from the start to the end of the bone in the rest pose; position of the root.
         axes: rotation of the axes about which the bone rotates.
         freedom: names of the degrees of freedom, in the order of their values in the motion.
-        parent: name of the parent bone, empty for the root.
     """
 
-    name: str
     offset: Array
     axes: Rotation
     freedom: tuple[str, ...]
-    parent: str = ''
 
 
 def load_amc(motion: Path, skeleton: Path) -> dict[str, Array]:
@@ -71,39 +62,40 @@ def load_amc(motion: Path, skeleton: Path) -> dict[str, Array]:
         InputError: a file is not valid, or the motion is of another skeleton; the error names the file and, if one
             line is at fault, that line.
     """
-    bones = _read_skeleton(skeleton)
+    bones, parents = _read_skeleton(skeleton)
     values = _read_motion(motion, bones)
     frames = len(values[ROOT])
     position: dict[str, Array] = {}
     rotation: dict[str, Rotation] = {}
-    for bone in bones.values():
+    for name, parent in parents.items():
+        offset, axes, all_freedom = bones[name]
         translation, rotations = np.zeros((frames, 3)), Rotation.identity(frames)
-        for column, freedom in enumerate(bone.freedom):
+        for column, freedom in enumerate(all_freedom):
             if freedom in TRANSLATIONS:
-                translation[:, TRANSLATIONS.index(freedom)] = values[bone.name][:, column]
+                translation[:, TRANSLATIONS.index(freedom)] = values[name][:, column]
             else:
-                turn = Rotation.from_euler(freedom[1], values[bone.name][:, [column]], degrees=True)
+                turn = Rotation.from_euler(freedom[1], values[name][:, [column]], degrees=True)
                 rotations = turn * rotations
-        local = bone.axes * rotations * bone.axes.inv()
-        if bone.parent:
-            rotation[bone.name] = rotation[bone.parent] * local
-            position[bone.name] = position[bone.parent] + rotation[bone.name].apply(bone.offset)
+        local = axes * rotations * axes.inv()
+        if parent:
+            rotation[name] = rotation[parent] * local
+            position[name] = position[parent] + rotation[name].apply(offset)
         else:
-            rotation[bone.name] = local
-            position[bone.name] = bone.offset + translation
+            rotation[name] = local
+            position[name] = offset + translation
     return position
 
 
-def _read_skeleton(path: Path) -> dict[str, _Bone]:
-    """Read the bones by name, parents first."""
+def _read_skeleton(path: Path) -> tuple[dict[str, _Bone], dict[str, str]]:
+    """Return the bones by name, and the name of each bone's parent, empty for the root; parents come first."""
     bones: dict[str, _Bone] = {}
     parents: dict[str, str] = {}
-    root: _Fields = {}
-    fields: _Fields = {}
-    section, in_degrees, number, line = '', True, 0, ''
-    try:
-        for number, line in enumerate(read_text(path, 'replace', MAX_SKELETON_BYTES).splitlines(), 1):  # noqa: B007
-            key, *words = line.split('#')[0].split() or ['']
+    root: dict[str, list[str]] = {}  # the words of each line of a section, by the line's first word
+    fields: dict[str, list[str]] = {}
+    section, in_degrees = '', True
+    for number, line in enumerate(read_text(path, 'replace', MAX_SKELETON_BYTES).splitlines(), 1):
+        key, *words = line.split('#')[0].split() or ['']
+        with naming(f'{path}: line {number}: {quote_line(line)}', 'not valid in an ASF file'):
             if key.startswith(':'):
                 section = key
             elif section == ':units' and key == 'angle':
@@ -111,38 +103,19 @@ def _read_skeleton(path: Path) -> dict[str, _Bone]:
             elif section == ':root':
                 root[key] = words
             elif section == ':bonedata' and key == 'end':
-                bones[fields['name'][0]] = _create_bone(fields, in_degrees)
+                offset = _parse_vector(fields['direction']) * float(fields['length'][0])
+                axes = _parse_axes(fields.get('axis', [*ZEROS, 'xyz']), in_degrees)
+                bones[fields['name'][0]] = _Bone(offset, axes, _parse_freedom(fields.get('dof', [])))
                 fields = {}
             elif section == ':bonedata':
                 fields[key] = words
             elif section == ':hierarchy' and key not in ('', 'begin', 'end'):
                 parents.update(dict.fromkeys(words, key))
-        line = ':root'
-        bones[ROOT] = _create_root(root, in_degrees)
-    except (ValueError, IndexError, KeyError):
-        raise InputError(
-            f'{path}: line {number}: {line.strip()[:MAX_QUOTED_CHARACTERS]!r} is not valid in an ASF file'
-        ) from None
-    return _order_bones(bones, parents, path)
-
-
-def _create_bone(fields: _Fields, in_degrees: bool) -> _Bone:
-    return _Bone(
-        fields['name'][0],
-        _parse_vector(fields['direction']) * float(fields['length'][0]),
-        _parse_axes(fields.get('axis', ['0', '0', '0', 'xyz']), in_degrees),
-        _parse_freedom(fields.get('dof', [])),
-    )
-
-
-def _create_root(fields: _Fields, in_degrees: bool) -> _Bone:
-    zeros = ['0', '0', '0']
-    return _Bone(
-        ROOT,
-        _parse_vector(fields.get('position', zeros)),
-        _parse_axes([*fields.get('orientation', zeros), 'xyz'], in_degrees),
-        _parse_freedom(fields['order']),
-    )
+    with naming(f'{path}: :root', 'no valid root; not an ASF file'):
+        axes = _parse_axes([*root.get('orientation', ZEROS), 'xyz'], in_degrees)
+        bones[ROOT] = _Bone(_parse_vector(root.get('position', ZEROS)), axes, _parse_freedom(root['order']))
+    with naming(path):
+        return bones, _order_bones(bones, parents)
 
 
 def _parse_vector(words: list[str]) -> Array:
@@ -166,23 +139,22 @@ def _parse_freedom(words: list[str]) -> tuple[str, ...]:
     return freedom
 
 
-def _order_bones(bones: dict[str, _Bone], parents: dict[str, str], path: Path) -> dict[str, _Bone]:
-    """Set the parent of every bone and return the bones with parents first."""
+def _order_bones(bones: dict[str, _Bone], parents: dict[str, str]) -> dict[str, str]:
+    """Return the parent of every bone in the hierarchy, with parents first."""
     if max(len(bones), len(parents)) > MAX_BONES:
-        raise InputError(f'{path}: more than {MAX_BONES} bones')
-    ordered = {ROOT: bones[ROOT]}
+        raise InputError(f'more than {MAX_BONES} bones')
+    ordered = {ROOT: ''}
     unordered = {name: parent for name, parent in parents.items() if name != ROOT}
     while unordered:
         ready = [name for name, parent in unordered.items() if parent in ordered]
         if not ready:
-            raise InputError(f'{path}: hierarchy: no path from the root to {next(iter(unordered))!r}')
+            raise InputError(f'hierarchy: no path from the root to {next(iter(unordered))!r}')
         for name in ready:
             if name not in bones:
-                raise InputError(f'{path}: hierarchy: there is no bone {name!r}')
-            bones[name].parent = unordered.pop(name)
-            ordered[name] = bones[name]
+                raise InputError(f'hierarchy: there is no bone {name!r}')
+            ordered[name] = unordered.pop(name)
     if len(ordered) < 2:
-        raise InputError(f'{path}: no bones; not an ASF file')
+        raise InputError('no bones; not an ASF file')
     return ordered
 
 
@@ -207,11 +179,11 @@ def _read_motion(path: Path, bones: dict[str, _Bone]) -> dict[str, Array]:
         except InputError as error:
             raise InputError(f'{path}: line {number}: {error}') from None
         except ValueError:
-            quoted = line.strip()[:MAX_QUOTED_CHARACTERS]
-            raise InputError(f'{path}: line {number}: {quoted!r} is not AMC, or of another skeleton') from None
+            quoted = quote_line(line)
+            raise InputError(f'{path}: line {number}: {quoted} is not AMC, or of another skeleton') from None
     if not frames:
         raise InputError(f'{path}: no frames; not an AMC file')
-    return {name: _build_array(name, rows.get(name, []), frames, path) for name in bones}
+    return {name: _build_array(f'{path}: {name}', rows.get(name, []), frames) for name in bones}
 
 
 def _start_frame(number: int, frames: int, rows: dict[str, list[list[float]]]) -> int:
@@ -221,11 +193,11 @@ def _start_frame(number: int, frames: int, rows: dict[str, list[list[float]]]) -
     return frames + 1
 
 
-def _build_array(name: str, values: Iterable[list[float]], frames: int, path: Path) -> Array:
+def _build_array(place: str, rows: list[list[float]], frames: int) -> Array:
     """Return the values (F, degrees of freedom) of a bone; zeros where the file has none."""
-    array = np.array(list(values), np.float64)
-    if not array.size:
+    if not rows:
         return np.zeros((frames, len(ROTATIONS) + len(TRANSLATIONS)))
+    array = np.array(rows, np.float64)
     if len(array) != frames or not np.isfinite(array).all():
-        raise InputError(f'{path}: {name}: a frame is cut off, or holds numbers that are not finite')
+        raise InputError(f'{place}: a frame is cut off, or holds numbers that are not finite')
     return array

@@ -33,9 +33,9 @@ def load_c3d(path: Path) -> tuple[dict[str, Array], float | None]:
     """Read the positions of all markers, in a process of its own, which a damaged file may crash.
 
     Returns:
-        The positions (F, 3) of each marker by its label, in the file's frame and unit, NaN where the marker was
-        not seen; the label is without the subject's name, which ends with a colon, unless several subjects have
-        such a marker. And the unit in m, or None where the file does not name it.
+        The positions (F, 3) of each marker in the file's frame and unit, NaN where it was not seen, by its label
+        without the subject's name (`anna:`), unless several subjects have such a marker. And the unit in m, or
+        None where the file does not name it.
 
     Raises:
         InputError: the file cannot be read; the error names the file.

@@ -13,8 +13,6 @@ from __future__ import annotations
 import os
 import resource
 import sys
-from collections.abc import Mapping
-from typing import Any
 
 import ezc3d
 import numpy as np
@@ -22,20 +20,8 @@ import numpy as np
 MAX_LABEL_LISTS = 258  # lists of 255 labels each, enough for the 65,535 points that a file may have
 
 
-def list_labels(parameters: Mapping[str, Any]) -> list[Any]:
-    """Return the labels of all points: a list holds 255, and the others follow in LABELS2, LABELS3 and so on."""
-    names = ['LABELS', *(f'LABELS{number}' for number in range(2, MAX_LABEL_LISTS))]
-    return [label for name in names if name in parameters for label in parameters[name]['value']]
-
-
 def main(path: str, memory: int, seconds: int) -> None:
-    """Read a file.
-
-    Args:
-        path: path of the file.
-        memory: bytes of address space that the process may take.
-        seconds: s of processor time that it may take.
-    """
+    """Read a file in a process that may take this address space in bytes and this processor time in s."""
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -43,11 +29,13 @@ def main(path: str, memory: int, seconds: int) -> None:
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # ezc3d prints warnings
     content = ezc3d.c3d(path)
     parameters = content['parameters']['POINT']
+    lists = ['LABELS', *(f'LABELS{number}' for number in range(2, MAX_LABEL_LISTS))]
+    labels = [label for name in lists if name in parameters for label in parameters[name]['value']]
     with os.fdopen(out, 'wb') as stream:
         np.savez(
             stream,
             points=np.asarray(content['data']['points'], np.float64)[:3],
-            labels=np.array([str(label) for label in list_labels(parameters)], np.str_),
+            labels=np.array([str(label) for label in labels], np.str_),
             unit=np.array(''.join(parameters.get('UNITS', {}).get('value', [])[:1])),
         )
 

@@ -36,37 +36,38 @@ MAX_MAP_BYTES = 1 << 20  # guards the YAML reader; a map has some hundred bytes
 MAX_LISTED_NAMES = 40  # names in an error message; keeps it readable
 
 
-def _build_rig(middle: str, sides: Mapping[str, str], limbs: str) -> dict[str, str]:
+def _build_rig(middle: str, left: str, right: str, limbs: str) -> dict[str, str]:
     """Build the map from the joints of the model to the names of a rig.
 
     Args:
         middle: names of the head, the neck and the pelvis.
-        sides: the word of the rig for each side, by the first letter of the model's joints on that side.
+        left: the word of the rig for the left side.
+        right: the word of the rig for the right side.
         limbs: names of the shoulder, elbow, wrist, hip, knee and ankle, in which `{}` stands for the side.
     """
-    rig = dict(zip(('head', 'neck', 'pelvis'), middle.split(), strict=True))
     joints = ('shoulder', 'elbow', 'wrist', 'hip', 'knee', 'ankle')
-    for side, word in sides.items():
-        names = limbs.replace('{}', word).split()
-        rig |= {side + joint: name for joint, name in zip(joints, names, strict=True)}
+    rig = dict(zip(('head', 'neck', 'pelvis'), middle.split(), strict=True))
+    for side, word in (('l', left), ('r', right)):
+        rig |= {side + joint: name.format(word) for joint, name in zip(joints, limbs.split(), strict=True)}
     return rig
 
 
-# The words for the sides, and the names of the limbs' joints, from which the rigs below are built.
-_SIDE_WORDS = {'l': 'left', 'r': 'right'}
-_SIDE_LETTERS = {'l': 'l', 'r': 'r'}
-_CMU_ASF_LIMBS = '{}clavicle {}humerus {}radius {}hipjoint {}femur {}tibia'
 _MIXAMO_LIMBS = '{}arm {}forearm {}hand {}upleg {}leg {}foot'
-_PLAIN_LIMBS = '{}shoulder {}elbow {}wrist {}hip {}knee {}ankle'
 
 # The known rigs: the name of each joint of the model, as `_simplify_names` writes it.
 RIGS = {
-    'CMU ASF': _build_rig('head thorax root', _SIDE_LETTERS, _CMU_ASF_LIMBS),
-    'Mixamo': _build_rig('headtopend neck hips', _SIDE_WORDS, _MIXAMO_LIMBS),
-    'CMU BVH or MotionBuilder': _build_rig('headend neck hips', _SIDE_WORDS, _MIXAMO_LIMBS),
-    'Poser': _build_rig('headend neck hip', _SIDE_LETTERS, '{}shldr {}forearm {}hand {}thigh {}shin {}foot'),
-    'Biovision': _build_rig('headend neck hips', _SIDE_WORDS, '{}uparm {}lowarm {}hand {}upleg {}lowleg {}foot'),
-    'joints by name': _build_rig('headend neck hips', _SIDE_WORDS, _PLAIN_LIMBS),
+    'CMU ASF': _build_rig(
+        'head thorax root', 'l', 'r', '{}clavicle {}humerus {}radius {}hipjoint {}femur {}tibia'
+    ),
+    'Mixamo': _build_rig('headtopend neck hips', 'left', 'right', _MIXAMO_LIMBS),
+    'CMU BVH or MotionBuilder': _build_rig('headend neck hips', 'left', 'right', _MIXAMO_LIMBS),
+    'Poser': _build_rig('headend neck hip', 'l', 'r', '{}shldr {}forearm {}hand {}thigh {}shin {}foot'),
+    'Biovision': _build_rig(
+        'headend neck hips', 'left', 'right', '{}uparm {}lowarm {}hand {}upleg {}lowleg {}foot'
+    ),
+    'joints by name': _build_rig(
+        'headend neck hips', 'left', 'right', '{}shoulder {}elbow {}wrist {}hip {}knee {}ankle'
+    ),
     'the model': {joint: joint for joint in CMU15.joints},
 }
 
@@ -104,8 +105,7 @@ def map_to_model(positions: Mapping[str, Array], markers: MarkerMap | None = Non
 def _recognise_rig(positions: Mapping[str, Array]) -> MarkerMap:
     """Return the map of the known rig that has the fewest names missing; InputError where names are missing.
 
-    A name that several subjects have, such as `anna:head` and `ben:head`, is none of a rig: which of them is meant
-    must be told.
+    A name that several subjects have, such as `anna:head` and `ben:head`, is none of a rig.
     """
     names = list(positions)
     subjects = Counter(name.rpartition(':')[2] for name in names)
@@ -156,13 +156,7 @@ def load_marker_map(path: Path) -> MarkerMap:
 
 
 def infer_unit(joints: Array) -> float:
-    """Infer the unit of length from the stature of the people.
-
-    Args:
-        joints: (F, 15, 3) positions, in the order of `skeleton.CMU15`.
-
-    Returns:
-        The unit in m.
+    """Return the unit of length in m of joints (F, 15, 3) of `skeleton.CMU15`, by the stature of the people.
 
     Raises:
         InputError: no unit of `LENGTH_UNITS_M` gives a stature from `MIN_STATURE_M` to `MAX_STATURE_M`.
@@ -173,6 +167,5 @@ def infer_unit(joints: Array) -> float:
             return metres
     raise InputError(
         f'people are {height:.4g} units tall, which is not the height of a person in any of '
-        f'{", ".join(LENGTH_UNITS_M)}; '
-        'give the unit in m by --unit'
+        f'{", ".join(LENGTH_UNITS_M)}; give the unit in m by --unit'
     )

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import InputError, describe_read_error
+from mocap_ros.errors import InputError, describe_read_error, naming
+from mocap_ros.formats.bvh import load_bvh
 from mocap_ros.formats.mocap.asf import load_amc
-from mocap_ros.formats.mocap.bvh import load_bvh
 from mocap_ros.formats.mocap.c3d import load_c3d
 from mocap_ros.formats.mocap.joint_maps import MarkerMap, infer_unit, map_to_model
 from mocap_ros.formats.text_files import read_text
@@ -77,11 +77,10 @@ class TrialOptions:
     Attributes:
         manifest: path of a CSV file with the columns trial, subject, category and interior_glitches; by default
             `MANIFEST_NAME` beside the files, if it exists.
-        markers: names of the joints or markers whose mean is each joint of the model; by default those of a known
-            rig.
-        unit: unit of length in m; by default the unit that the file names, or that gives a
-            plausible body height; of an .npz archive, mm.
-        every: step between the frames that are taken: 1 for all frames, 2 for every second frame.
+        markers: names of the joints or markers whose mean is each joint of the model; None for a known rig.
+        unit: unit of length in m; by default the unit that the file names, or that gives a plausible body height;
+            of an .npz archive, mm.
+        every: step between the frames that are taken.
     """
 
     manifest: Path | None = None
@@ -129,11 +128,7 @@ def load_trials(
 
 
 def list_files(path: Path) -> list[Path]:
-    """Return the files that `load_trials` reads: the path, or all files of trials in a folder and those below.
-
-    Raises:
-        InputError: there is no such file in the folder.
-    """
+    """Return the files that `load_trials` reads; InputError where there are none in a folder."""
     if not path.is_dir():
         return [path]
     files = sorted(f for f in path.rglob('*') if f.suffix.lower() in MOTION_SUFFIXES)
@@ -142,16 +137,14 @@ def list_files(path: Path) -> list[Path]:
     return files
 
 
-def _create_trial(name: str, poses: Array, manifest: Manifest, category: str) -> Trial:
+def _create_trial(
+    name: str, poses: Array, manifest: Manifest, category: str, extremities: Array | None = None
+) -> Trial:
     """Create a trial; `category` holds if the trial is not in the manifest."""
     row = manifest.get(name, {'category': category})
-    return Trial(
-        name,
-        row.get('subject') or name.partition('_')[0],
-        row.get('category') or '',
-        (row.get('interior_glitches') or '0') == '0',
-        poses,
-    )
+    subject = row.get('subject') or name.partition('_')[0]
+    is_clean = (row.get('interior_glitches') or '0') == '0'
+    return Trial(name, subject, row.get('category') or '', is_clean, poses, extremities)
 
 
 def _read_archive(path: Path, manifest: Manifest, unit: float) -> Iterator[Trial]:
@@ -169,40 +162,29 @@ def _read_archive(path: Path, manifest: Manifest, unit: float) -> Iterator[Trial
             other_order = [names.index(j) for j in others] if set(others) <= set(names) else []
             for key in keys:
                 array = archive[key]
-                if (
-                    array.dtype.kind not in 'fiu'
-                    or array.ndim != 3
-                    or array.shape[1:] != (len(names), 3)
-                    or not len(array)
-                ):
+                is_shaped = array.ndim == 3 and array.shape[1:] == (len(names), 3) and len(array) > 0
+                if array.dtype.kind not in 'fiu' or not is_shaped:
                     raise InputError(f'key {key} has shape {array.shape} of {array.dtype}')
                 if not np.isfinite(array).all():
                     raise InputError(f'key {key} holds numbers that are not finite')
                 array = rotate_z_up(array.astype(np.float64), 1) * unit
-                height = _estimate_height(array[:, order])
+                height = float(CMU15.bone_lengths(array[:, order]).mean(axis=0) @ CMU15.stature_per_bone)
                 if not HEIGHT_RANGE_M[0] <= height <= HEIGHT_RANGE_M[1]:
                     raise InputError(
                         f'key {key}: a body {height:.3g} m tall, if the numbers are in units of {unit:g} m'
                     )
-                trial = _create_trial(key, array[:, order], manifest, '')
-                yield replace(trial, extremities=array[:, other_order]) if other_order else trial
-    except InputError as error:
-        raise InputError(f'{path}: {error}') from None
-    except OSError as error:
-        raise InputError(f'{path}: {error.strerror or error}') from None
+                extremities = array[:, other_order] if other_order else None
+                yield _create_trial(key, array[:, order], manifest, '', extremities)
+    except (InputError, OSError) as error:
+        raise InputError(f'{path}: {getattr(error, "strerror", None) or error}') from None
     except Exception as error:  # NumPy's zip and array readers raise almost any exception on malformed bytes
         where = f'key {key}' if key else 'not motion capture in .npz form'
         raise InputError(f'{path}: {where} ({describe_read_error(error)})') from None
 
 
-def _estimate_height(poses: Array) -> float:
-    """Return the body height in m that the bones of poses (F, 15, 3) m have on average."""
-    return float(CMU15.bone_lengths(poses).mean(axis=0) @ CMU15.stature_per_bone)
-
-
 def _read_motion(path: Path, options: TrialOptions) -> Array:
     """Read (F, 15, 3) joints in m, z up, from a file of one trial; frames with a missing joint are left out."""
-    unit = None
+    unit: float | None = None
     suffix = path.suffix.lower()
     if suffix == '.amc':
         positions = load_amc(path, _find_skeleton(path))
@@ -211,19 +193,16 @@ def _read_motion(path: Path, options: TrialOptions) -> Array:
         positions = dict(zip(bvh.names, np.moveaxis(bvh.compute_positions(), 1, 0), strict=True))
     else:
         positions, unit = load_c3d(path)
-    try:
+    with naming(path):
         joints = map_to_model(positions, options.markers)
         joints = joints[np.isfinite(joints).all(axis=(1, 2))]
         if not len(joints):
             raise InputError('no frame with all joints')
         vertical = find_vertical_axis(joints, usual=2 if suffix == '.c3d' else 1)
         return rotate_z_up(joints, vertical) * (options.unit or unit or infer_unit(joints))
-    except InputError as error:
-        raise InputError(f'{path}: {error}') from None
 
 
 def _find_skeleton(motion: Path) -> Path:
-    """Return the .asf file of an .amc file."""
     expected = [motion.with_suffix('.asf'), motion.with_name(motion.stem.rpartition('_')[0] + '.asf')]
     if motion.is_file():
         beside = [f for f in sorted(motion.parent.iterdir()) if f.suffix.lower() == '.asf']
@@ -282,15 +261,7 @@ def select_trials(
     without_trials: Sequence[str] = (),
     only_subjects: Sequence[str] = (),
 ) -> list[Trial]:
-    """Select the clean trials.
-
-    Args:
-        trials: all trials.
-        categories: categories of the selected trials; empty for all categories.
-        without_subjects: subjects whose trials are excluded.
-        without_trials: names of trials that are excluded.
-        only_subjects: subjects of the selected trials; empty for all subjects.
-    """
+    """Select the clean trials of these categories and subjects (empty for all), without those to leave out."""
     return [
         t
         for t in trials

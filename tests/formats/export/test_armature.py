@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mocap_ros.formats.bvh import load_bvh, save_bvh
 from mocap_ros.formats.export.armature import build_armature
-from mocap_ros.formats.export.bvh import save_bvh
-from mocap_ros.formats.mocap.bvh import load_bvh
 from mocap_ros.formats.mocap.joint_maps import map_to_model
 from mocap_ros.skeleton import BODY26, CMU15
 from tests.support.motion_files import Z_UP_TO_Y_UP

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocap_ros.formats.bvh_motion import END_SUFFIX
+from mocap_ros.formats.bvh import BLENDER_IMPORT, END_SUFFIX, save_bvh
 from mocap_ros.formats.export.armature import build_armature
-from mocap_ros.formats.export.bvh import BLENDER_IMPORT, save_bvh
 from tests.support.motion_files import FRAMES, Z_UP_TO_Y_UP
 
 Y_UP_TO_Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocap_ros.formats.export.bvh import save_bvh
-from mocap_ros.formats.mocap.bvh import load_bvh
+from mocap_ros.formats.bvh import load_bvh, save_bvh
 from tests.support.motion_files import check_refusal, make_bvh, rotation_matrix
 
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from mocap_ros.errors import MocapError
+from mocap_ros.formats.bvh import save_bvh
 from mocap_ros.formats.export.armature import build_armature
-from mocap_ros.formats.export.bvh import save_bvh
 from mocap_ros.formats.mocap.joint_maps import load_marker_map
 from mocap_ros.formats.mocap.trials import load_trials
 from mocap_ros.skeleton import CMU15

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from mocap_ros.errors import InputError
+from mocap_ros.formats.bvh import save_bvh
 from mocap_ros.formats.export.armature import build_armature
-from mocap_ros.formats.export.bvh import save_bvh
 from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, RIGS, infer_unit, map_to_model
 from mocap_ros.formats.mocap.trials import (
     Trial,
