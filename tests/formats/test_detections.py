@@ -22,7 +22,7 @@ from mocap_ros.formats.detections import (
     create_person,
     select_person,
 )
-from mocap_ros.formats.detector_json import load_coco, load_openpose
+from mocap_ros.formats.detector_json import load_coco
 from mocap_ros.formats.sequence_file import load_sequence
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.skeleton import keypoint_layout
@@ -55,7 +55,6 @@ def test_people_without_ids_are_associated_by_position() -> None:
     assert [p.points[0, 0] for p in left.detection_by_frame.values()] == list(range(100, 130))
     sequence, lines = select_person(make_detections(people))
     assert sequence.keypoints[0, 0, 0] == 100
-    assert f'person {left.id!r}, seen in 30 of 30 frames; 1 more, choose by --person: ' in lines[0]
     assert f'{left.id} (30), {right.id} (25)' in lines[0]
     sequence, _ = select_person(make_detections(people), right.id)
     assert sequence.keypoints[0, 0, 0] == 400
@@ -68,7 +67,7 @@ def test_the_size_that_is_assumed_holds_all_people() -> None:
     for person_id in ('a', 'b'):
         sequence, lines = select_person(unsized, person_id)
         assert sequence.image_size == (1920, 1080)
-        assert lines[-1] == 'image size not known, 1920x1080 px assumed; give it by --image-size'
+        assert '--image-size' in lines[-1]
 
 
 def test_a_person_alone_stays_the_same_through_any_gap() -> None:
@@ -95,40 +94,28 @@ def test_a_rate_that_no_camera_has_is_refused(fps: float) -> None:
     assert np.diff(times) == pytest.approx(1 / MAX_FRAME_RATE_HZ)
 
 
-@pytest.mark.parametrize('file_format', ['openpose', 'coco'])
-def test_detections_of_two_cameras_side_by_side_stay_two_people(tmp_path: Path, file_format: str) -> None:
+def test_detections_of_two_cameras_side_by_side_stay_two_people(tmp_path: Path) -> None:
     """Real detections of two people who stand close, in changing order and with gaps, survive a round trip."""
     sequences = [load_sequence(shared(f'data/detections/balance_openpose_cam{camera}.npz')) for camera in (1, 2)]
     order = [sequences[0].joint_names.index(name) for name in COCO17]
     keypoints = [sequence.keypoints[:, order] + [150.0 * i, 0, 0] for i, sequence in enumerate(sequences)]
     rng = np.random.default_rng(0)
-    frames: list[list[tuple[int, list[float]]]] = []
+    seen_in: list[list[int]] = [[], []]
+    annotations = []
     for frame in range(len(keypoints[0])):
-        people = [
-            (i, np.nan_to_num(k[frame]).ravel().tolist())
-            for i, k in enumerate(keypoints)
-            if (k[frame, :, 2] > 0).any() and rng.random() > 0.05 * (1 + i)
-        ]
-        frames.append([people[i] for i in rng.permutation(len(people))])
-    video = Video(fps=30.0, image_size=(1920, 1080), layout='coco17')
-    if file_format == 'openpose':
-        for number, people in enumerate(frames):
-            content = {'people': [{'pose_keypoints_2d': k} for _, k in people]}
-            (tmp_path / f'{number}_keypoints.json').write_text(json.dumps(content))
-        detections = load_openpose(tmp_path, video)
-    else:
-        annotations = [{'image_id': n, 'keypoints': k} for n, people in enumerate(frames) for _, k in people]
-        images = [{'id': n} for n in range(len(frames))]
-        (tmp_path / 'people.json').write_text(json.dumps({'images': images, 'annotations': annotations}))
-        detections = load_coco(tmp_path / 'people.json', video)
-
-    seen_in = [[n for n, people in enumerate(frames) if i in dict(people)] for i in range(2)]
+        for i in rng.permutation(2):
+            if (keypoints[i][frame, :, 2] > 0).any() and rng.random() > 0.05 * (1 + i):
+                seen_in[i].append(frame)
+                annotations.append(
+                    {'image_id': frame, 'keypoints': np.nan_to_num(keypoints[i][frame]).ravel().tolist()}
+                )
+    images = [{'id': n} for n in range(len(keypoints[0]))]
+    (tmp_path / 'people.json').write_text(json.dumps({'images': images, 'annotations': annotations}))
+    detections = load_coco(tmp_path / 'people.json', Video(fps=30.0, image_size=(1920, 1080), layout='coco17'))
     tracks = associate_people(detections)
     assert sorted(list(track.detection_by_frame) for track in tracks) == sorted(seen_in)
     chosen, _ = select_person(detections)
     index = max(range(2), key=lambda i: len(seen_in[i]))
-    assert chosen.joint_names == COCO17
-    frames_of_chosen = np.array(seen_in[index])
-    assert chosen.keypoints[frames_of_chosen - frames_of_chosen[0]] == pytest.approx(
-        keypoints[index][frames_of_chosen], abs=1e-3, nan_ok=True
-    )
+    frames = np.array(seen_in[index])
+    expected = pytest.approx(keypoints[index][frames], abs=1e-3, nan_ok=True)
+    assert chosen.keypoints[frames - frames[0]] == expected

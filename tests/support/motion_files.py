@@ -6,13 +6,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
-import pytest
 
-from mocap_ros.errors import InputError
-from mocap_ros.formats.mocap.trials import load_trials
 from mocap_ros.models.model_file import load_base_poses
 
 FRAMES = 40
@@ -95,12 +91,3 @@ def make_bvh(change: Callable[[str], str]) -> str:
         'HIERARCHY\nROOT Hips\n{\nOFFSET 0 0 0\nCHANNELS 3 Zrotation Xrotation Yrotation\nEnd Site\n{\n'
         'OFFSET 0 1 0\n}\n}\nMOTION\nFrames: 1\nFrame Time: 0.1\n1 2 3\n'
     )
-
-
-def check_refusal(path: Path, content: str, message: str) -> None:
-    """Check that a file is refused by an error of one line that names it, when its folder is loaded."""
-    path.write_text(content)
-    with pytest.raises(InputError, match=message) as caught:
-        load_trials(path.parent)
-    assert path.name in str(caught.value)
-    assert '\n' not in str(caught.value)
