@@ -88,7 +88,7 @@ models: setup  ## retrain the shipped models from MOTION=body26_30fps.npz (the l
 	@for category in walk run jump; do \
 	    $(BIN)/mocap-ros train $(OF_MOTION) --category $$category -o mocap_ros/models/shipped/$$category.npz; done
 	@$(BIN)/mocap-ros train $(OF_MOTION) -o mocap_ros/models/shipped/all.npz
-	@$(BIN)/mocap-ros train-lifter $(OF_MOTION) -o mocap_ros/models/shipped/lifter.npz
+	@$(BIN)/mocap-ros train --lifter $(OF_MOTION) -o mocap_ros/models/shipped/lifter.npz
 	@$(BIN)/python benchmarks/motion_predictor.py
 	@$(BIN)/python benchmarks/velocity_correction.py
 	@$(BIN)/python -m mocap_ros.demo '$(MOTION)'

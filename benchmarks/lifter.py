@@ -4,7 +4,7 @@
 """The lifter: errors on real detections and on unseen motion capture, and CPU time.
 
 The motion capture is evaluated with a lifter and base poses that were not trained on the tested subjects. This
-program trains that lifter if it is missing (half an hour; `mocap-ros train-lifter --without-subject ...`). The
+program trains that lifter if it is missing (half an hour; `mocap-ros train --lifter --without-subject ...`). The
 detections are evaluated with the shipped lifter.
 """
 

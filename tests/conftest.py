@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from mocap_ros.cli.compile import DECLARING_MODULES
+from mocap_ros.compiled.__main__ import DECLARING_MODULES
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_poses

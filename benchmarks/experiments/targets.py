@@ -34,7 +34,7 @@ MOVING_CAMERA = {'orbit': 30.0, 'shake': 5.0}  # degrees/s and degrees, options 
 LEFT_OUT_SUBJECTS = ('35', '09', '07', '16')
 LIFTER_FILE = common.ROOT / 'build' / 'lifter_heldout_gait.npz'
 # The command that makes this lifter.
-TRAINING_COMMAND = ['mocap-ros', 'train-lifter', 'cmu15_30fps.npz', '-o', str(LIFTER_FILE)] + [
+TRAINING_COMMAND = ['mocap-ros', 'train', '--lifter', 'cmu15_30fps.npz', '-o', str(LIFTER_FILE)] + [
     word for s in LEFT_OUT_SUBJECTS for word in ('--without-subject', s)
 ]
 DISTURBANCES = {'clean': {}, '20 % missing': {'missing': 0.2}, '20 % noise': {'noise': 0.2}}

@@ -113,7 +113,7 @@ messages() {
 }
 
 kernels() {
-    step 'Compiling the inner loops (one to two minutes)' .venv/bin/mocap-ros compile
+    step 'Compiling the inner loops (one to two minutes)' .venv/bin/python -m mocap_ros.compiled
 }
 
 mkdir -p build

@@ -32,13 +32,10 @@ COMMANDS = {
     'play': 'publish recorded keypoints at the recorded pace',
     'recover': 'recover the messages of a bag that was cut off or damaged',
     'keyframes': 'summarise a long sequence by a few poses',
-    'view': 'show any recording or result in 3D over time, also as a page for any browser',
-    'plot': 'draw a picture of the 2D input and the 3D result',
+    'view': 'show any recording or result in 3D, as a page for any browser or as a picture',
     'evaluate': 'print the errors of a reconstruction against the truth',
-    'train': 'train base poses from motion capture',
-    'train-lifter': 'train the network that estimates 3D poses, from motion capture',
+    'train': 'train base poses or the lifter from motion capture',
     'config': 'print a parameter file with every parameter',
-    'compile': 'compile the inner loops now, which otherwise the first run does',
 }
 
 

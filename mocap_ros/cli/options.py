@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from pathlib import Path
 
 from mocap_ros.config import Config, Value, format_value, from_yaml, load_yaml, values, with_values
 from mocap_ros.errors import ConfigError
 from mocap_ros.formats.text_files import read_text
 
+MAX_DIGITS = 20  # characters of a whole number; guards int() against thousands of digits
 MAX_CONFIG_BYTES = 1 << 20  # bytes; guards against reading a huge file as parameters (the full file has 10 kB)
 
 
@@ -56,10 +58,11 @@ def parse_positive(text: str) -> float:
     return value
 
 
-def parse_count(text: str) -> int:
-    """Parse a positive whole number for argparse."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f'{text!r} is not a positive whole number')
+def parse_count(text: str, low: int = 1, high: int = sys.maxsize) -> int:
+    """Parse a whole number in a range for argparse."""
+    if not text.isdecimal() or len(text) > MAX_DIGITS or not low <= int(text) <= high:
+        kind = 'positive whole number' if low == 1 else f'whole number from {low}'
+        raise argparse.ArgumentTypeError(f'{text!r} is not a {kind}')
     return int(text)
 
 

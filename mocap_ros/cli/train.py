@@ -1,24 +1,41 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""`mocap-ros train`: train base poses from motion capture (Wandt et al., TPAMI 2016, section 4.1)."""
+"""`mocap-ros train`: train base poses (Wandt et al., TPAMI 2016, section 4.1) or the lifter."""
 
 from __future__ import annotations
 
 import argparse
+import io
+import os
+import pickle
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mocap_ros.cli.keypoint_input import list_sources
-from mocap_ros.cli.lines import print_result
-from mocap_ros.cli.options import parse_positive
+from mocap_ros.cli.lines import print_remark, print_result
+from mocap_ros.cli.options import parse_count, parse_positive
 from mocap_ros.cli.progress import show_progress
-from mocap_ros.errors import MocapError
+from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, load_marker_map
-from mocap_ros.formats.mocap.trials import TrialOptions, load_trials, select_trials
+from mocap_ros.formats.mocap.trials import Trial, TrialOptions, load_trials, select_trials
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.models import model_file
 from mocap_ros.training.balance import balance_trials
 from mocap_ros.training.base_poses import fit_base_poses
+
+BASE_POSE_OPTIONS = ('name', 'components', 'alignment', 'mirror', 'bodies')  # options without --lifter only
+LIFTER_OPTIONS = ('steps', 'checkpoint', 'start_from', 'seed', 'threads')  # options with --lifter only
+DEFAULT_COMPONENTS = 45  # base poses
+DEFAULT_STEPS = 60000  # optimiser steps; more gain more (docs/lifter.md)
+MAX_SEED = 2**63 - 1  # the largest that PyTorch takes for sure
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -28,37 +45,36 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'An .npz file holds an (F, J, 3) array in mm with y up for each trial, and under the key _joints the J '
         'joint names, among them those of the model. A manifest.csv beside the data gives the subject and the '
         'category of each trial, by which the training is balanced; without it, the category of a file is the '
-        'name of its folder.'
+        'name of its folder. With --lifter it trains instead the network that estimates 3D poses from 2D joints, '
+        'on images that are synthesised from the motion capture at 30 frames per second with random cameras and '
+        'the errors of a detector; this needs PyTorch: ' + tell_installation('train')
     )
-    parser.add_argument(
-        'data', nargs='+', type=Path, metavar='DATA', help='motion capture: folder, .amc, .bvh, .c3d or .npz'
-    )
-    parser.add_argument(
-        '-o', '--output', type=Path, required=True, metavar='MODEL.npz', help='model file to write'
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add('data', nargs='+', type=Path, metavar='DATA', help='motion capture: folder, .amc, .bvh, .c3d or .npz')
+    add('-o', '--output', type=Path, required=True, metavar='MODEL.npz', help='model file to write')
+    add('--lifter', action='store_true', help='train a lifter (default: base poses)')
+    add(
         '--markers',
         type=Path,
         metavar='YAML',
         help='file that maps each joint of the model to the joints or markers whose mean is the joint (default: '
         'the maps of known rigs)',
     )
-    parser.add_argument(
+    add(
         '--unit',
         type=parse_positive,
         metavar='M',
         help='length of the unit of the data in m (default: the unit that the file states, or else the one of '
         f'{", ".join(LENGTH_UNITS_M)} that suits a person)',
     )
-    parser.add_argument(
+    add(
         '--every',
-        type=int,
+        type=parse_count,
         default=1,
         metavar='N',
-        help='use every Nth frame, such as every 4th of a recording at 120 Hz',
+        help='use every Nth frame, such as every 4th of a recording at 120 Hz; a lifter wants 30 a second',
     )
-    parser.add_argument('--name', help='name of the model (default: the category, or all without --category)')
-    parser.add_argument(
+    add(
         '--manifest',
         type=Path,
         metavar='CSV',
@@ -71,50 +87,92 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         ('--without-subject', 'use no trials of this subject', 'none left out'),
         ('--without-trial', 'do not use this trial', 'none left out'),
     ):
-        parser.add_argument(
-            option,
-            action='append',
-            default=[],
-            metavar='NAME',
-            help=f'{selection}; may be repeated (default: {default})',
-        )
-    parser.add_argument('--components', type=int, default=45, metavar='N', help='maximum number of base poses')
-    parser.add_argument(
+        text = f'{selection}; may be repeated (default: {default})'
+        add(option, action='append', default=[], metavar='NAME', help=text)
+    for option, what in (
+        ('--source', 'origin of the data'),
+        ('--acknowledgement', 'acknowledgement that the owner of the data asks for'),
+    ):
+        add(option, default='', metavar='TEXT', help=f'{what}, saved in the model (default: empty)')
+    _add_base_pose_options(parser.add_argument_group('base poses'))
+    _add_lifter_options(parser.add_argument_group('with --lifter'))
+    parser.set_defaults(run=run)
+
+
+def _add_base_pose_options(group: argparse._ArgumentGroup) -> None:
+    """Add the options of `BASE_POSE_OPTIONS`."""
+    group.add_argument('--name', help='name of the model (default: the category, or all without --category)')
+    group.add_argument(
+        '--components',
+        type=parse_count,
+        metavar='N',
+        help=f'maximum number of base poses (default: {DEFAULT_COMPONENTS})',
+    )
+    group.add_argument(
         '--alignment',
         choices=['rotation', 'heading'],
         help='alignment of the poses before the principal component analysis (default: heading with --category, '
         'rotation without)',
     )
-    parser.add_argument(
+    group.add_argument(
         '--mirror',
         action=argparse.BooleanOptionalAction,
         help='add the mirror images of the poses (default: only with --category)',
     )
-    parser.add_argument(
+    group.add_argument(
         '--bodies',
-        type=int,
+        type=partial(parse_count, low=0),
         metavar='N',
         help='number of bodies with random bone lengths to add for each trial (default: 2 with --category, 0 '
         'without)',
     )
-    parser.add_argument(
-        '--source', default='', metavar='TEXT', help='origin of the data, saved in the model (default: empty)'
+
+
+def _add_lifter_options(group: argparse._ArgumentGroup) -> None:
+    """Add the options of `LIFTER_OPTIONS`."""
+    group.add_argument(
+        '--steps', type=parse_count, metavar='N', help=f'number of optimiser steps (default: {DEFAULT_STEPS})'
     )
-    parser.add_argument(
-        '--acknowledgement',
-        default='',
-        metavar='TEXT',
-        help='acknowledgement that the owner of the data asks for, saved in the model (default: empty)',
+    group.add_argument(
+        '--checkpoint',
+        type=Path,
+        metavar='FILE',
+        help='file that keeps the state of the training every few minutes; a training that finds one goes on from '
+        'there, also with more --steps (default: none is kept)',
     )
-    parser.set_defaults(run=run)
+    group.add_argument(
+        '--start-from',
+        type=Path,
+        metavar='LIFTER.npz',
+        help='lifter whose weights the training begins with, at a lower learning rate and with its batch norms as '
+        'they are; give another --seed than it had, so that the examples are new (default: random weights)',
+    )
+    group.add_argument(
+        '--seed',
+        type=partial(parse_count, low=0, high=MAX_SEED),
+        metavar='N',
+        help='random seed of the initial weights and the examples (default: 0)',
+    )
+    group.add_argument('--threads', type=parse_count, metavar='N', help='threads of PyTorch (default: 1)')
 
 
 def run(args: argparse.Namespace) -> int:
     """Train and save a model, and print a summary of it."""
-    if min(args.components, args.every) < 1 or (args.bodies or 0) < 0:
-        raise MocapError('--components and --every must be positive, and --bodies must not be negative')
+    for option in BASE_POSE_OPTIONS if args.lifter else LIFTER_OPTIONS:
+        if getattr(args, option) is not None:
+            name, applies = option.replace('_', '-'), 'not to' if args.lifter else 'only to'
+            raise InputError(f'--{name}: applies {applies} --lifter')
     sources = list_sources(args)
-    check_output(args.output, *sources)
+    for path in filter(None, (args.output, args.checkpoint)):
+        check_output(path, *sources)
+    if args.checkpoint is not None and os.path.realpath(args.output) == os.path.realpath(args.checkpoint):
+        raise MocapError(f'{args.output}: not written, because it is the checkpoint as well')
+    (_train_lifter if args.lifter else _train_base_poses)(args, sources)
+    return 0
+
+
+def _load_trials(args: argparse.Namespace) -> tuple[list[Trial], NDArray[np.float64], dict[str, Any]]:
+    """Load the trials that the options select, with their shares in the training and the model's provenance."""
     markers = None if args.markers is None else load_marker_map(args.markers)
     options = TrialOptions(args.manifest, markers, args.unit, args.every)
     trials = select_trials(
@@ -126,24 +184,30 @@ def run(args: argparse.Namespace) -> int:
     )
     if not trials:
         raise MocapError('the options select no trial')
+    provenance = {
+        'data': [path.name for path in args.data],
+        'source': args.source,
+        'acknowledgement': args.acknowledgement,
+        'trials': [t.name for t in trials],
+    }
+    categories, subjects = [t.category for t in trials], [t.subject for t in trials]
+    return trials, balance_trials(categories, subjects, [len(t.poses) for t in trials]), provenance
+
+
+def _train_base_poses(args: argparse.Namespace, sources: Sequence[Path]) -> None:
+    """Train base poses, whose defaults are others for one category of motion than for all."""
+    trials, shares, provenance = _load_trials(args)
     one_category = bool(args.category)
     model = fit_base_poses(
         [t.poses for t in trials],
         labels=[t.name for t in trials],
-        shares=balance_trials(
-            [t.category for t in trials], [t.subject for t in trials], [len(t.poses) for t in trials]
-        ),
+        shares=shares,
         name=args.name or '+'.join(args.category) or 'all',
-        components=args.components,
+        components=args.components or DEFAULT_COMPONENTS,
         alignment=args.alignment or ('heading' if one_category else 'rotation'),
         mirror=one_category if args.mirror is None else args.mirror,
         bodies=(2 if one_category else 0) if args.bodies is None else args.bodies,
-        provenance={
-            'data': [path.name for path in args.data],
-            'source': args.source,
-            'acknowledgement': args.acknowledgement,
-            'trials': [t.name for t in trials],
-        },
+        provenance=provenance,
     )
     with replace_output(args.output, *sources) as unfinished:
         model_file.save_base_poses(model, unfinished)
@@ -153,4 +217,69 @@ def run(args: argparse.Namespace) -> int:
         f'{sum(len(t.poses) for t in trials)} poses; the first ten base poses explain '
         f'{explained_by_ten:.1%} of the variance'
     )
-    return 0
+
+
+def _train_lifter(args: argparse.Namespace, sources: Sequence[Path]) -> None:
+    """Train a lifter, from the checkpoint if there is one."""
+    try:
+        import torch
+
+        from mocap_ros.training import lifter as training
+    except ImportError as error:
+        raise MocapError(f'{error}: training needs PyTorch: {tell_installation("train")}') from None
+    torch.set_num_threads(args.threads or 1)
+    trials, shares, provenance = _load_trials(args)
+    provenance['without_subjects'] = args.without_subject
+    steps, path = args.steps or DEFAULT_STEPS, args.checkpoint
+    start = None if args.start_from is None else model_file.load_lifter(args.start_from)
+    settings = training.TrainingSettings(steps=steps, seed=args.seed or 0)
+    if start is not None:
+        provenance['started_from'] = dict(start.provenance)
+        settings = replace(settings, rate=training.START_FROM_RATE)
+    checkpoint = None if path is None or not path.exists() else _load_checkpoint(path, steps)
+    # a training that goes on keeps its precision, also on another processor
+    precision = checkpoint['fixed']['precision'] if checkpoint else training.find_fastest_precision(settings)
+    print_remark(f'the network is trained in {precision}')
+    lifter = training.train_lifter(
+        [t.all_joints for t in trials],
+        shares,
+        replace(settings, precision=precision),
+        provenance,
+        start=start,
+        checkpoint=checkpoint,
+        keep=None if path is None else lambda state: _save_checkpoint(state, path, sources),
+        progress=lambda numbers: show_progress(numbers, 'train'),
+    )
+    with replace_output(args.output, *sources) as unfinished:
+        model_file.save_lifter(lifter, unfinished)
+    print_result(
+        f'{args.output}: trained on {len(trials)} trials, {sum(len(t.poses) for t in trials)} poses; mean error '
+        f'{lifter.provenance["error_mm"]} mm on the last examples'
+    )
+
+
+def _load_checkpoint(path: Path, steps: int) -> Mapping[str, Any]:
+    """Return the checkpoint in a file; raises `MocapError` if it holds none, or one after more steps."""
+    import torch
+
+    checkpoint = None
+    try:
+        if zipfile.is_zipfile(path):  # as PyTorch writes it; it reads anything else as an old form, with any error
+            checkpoint = torch.load(path, weights_only=True)
+    except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
+        raise MocapError(f'{path}: no checkpoint of a training: {error}') from None
+    if not isinstance(checkpoint, dict) or 'precision' not in checkpoint.get('fixed', ''):
+        raise MocapError(f'{path}: no checkpoint of a training by this version')
+    if checkpoint['step'] > steps:
+        raise MocapError(f'{path}: has made {checkpoint["step"]} steps already, more than --steps {steps}')
+    return checkpoint
+
+
+def _save_checkpoint(checkpoint: Mapping[str, Any], path: Path, sources: Sequence[Path]) -> None:
+    """Write a checkpoint, which must be none of the sources, as `replace_output` writes a file."""
+    import torch
+
+    content = io.BytesIO()  # PyTorch, writing a file by itself, hides why it cannot be written
+    torch.save(dict(checkpoint), content)
+    with replace_output(path, *sources) as unfinished:
+        unfinished.write_bytes(content.getbuffer())

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""`mocap-ros view`: show any recording or result in 3D over time."""
+"""`mocap-ros view`: show any recording or result in 3D over time, or draw a picture of it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from mocap_ros.bags.reader import is_bag
 from mocap_ros.cli.keypoint_input import (
     add_input_options,
     add_model_option,
@@ -19,17 +22,27 @@ from mocap_ros.cli.keypoint_input import (
     show_detection_progress,
 )
 from mocap_ros.cli.lines import print_remark, print_result
-from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
+from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config, parse_count
 from mocap_ros.cli.progress import show_progress
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
-from mocap_ros.formats.result_file import is_result_file
 from mocap_ros.formats.text_files import check_output, replace_output
-from mocap_ros.runtime.load_scene import SceneOptions, load_keyframe_marks, load_scene, place_marks
+from mocap_ros.runtime.input_kind import require_kind
+from mocap_ros.runtime.load_results import holds_result
+from mocap_ros.runtime.load_scene import (
+    VIEWED_FORMATS,
+    VIEWED_KINDS,
+    SceneOptions,
+    load_keyframe_marks,
+    load_scene,
+    place_marks,
+)
+from mocap_ros.viewing import plots
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Scene
 
-SUFFIX = '.html'  # of the file that this command writes
+PAGE_SUFFIX = '.html'  # of the page; any other suffix is that of a picture
+MAX_POSES = 30  # frames in a picture; more would be too small to see
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -37,16 +50,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         'Shows skeletons in 3D beside the 2D input, and over time residual, cadence, kind of motion, undone swaps '
         'of left and right, predicted frames and dropped inputs, on a page: one file that opens in any browser, '
-        'offline. Skeletons in a result of `reconstruct` (.npz, .mcap) or in a bag are shown as they are; all '
-        'people in any other input that `reconstruct` accepts are reconstructed.'
+        'offline. If the output is a picture, such as OUT.png, it shows some frames of one person: the keypoints '
+        'and the 3D result as seen from the camera and from the side, and the error over time where a sequence '
+        'file holds the true joints. Skeletons in a result of `reconstruct` or in a bag are shown as '
+        'they are; the people in any other input that `reconstruct` accepts are reconstructed.'
     )
     add_input_options(parser)
     parser.add_argument(
         '-o',
         '--output',
         type=Path,
-        metavar='OUT.html',
-        help='page to write (default: IN.html in the current folder)',
+        metavar='OUT',
+        help='page (.html) or picture (.png, .svg, .pdf, ...) to write (default: IN.html in the current folder)',
     )
     parser.add_argument(
         '--keyframes',
@@ -54,35 +69,54 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='FILE',
         help='keyframes to mark on the time line, in the file that `keyframes` writes (default: none)',
     )
+    parser.add_argument(
+        '--poses', type=parse_count, default=8, metavar='N', help=f'frames in a picture, {MAX_POSES} at most'
+    )
     add_model_option(parser)
     add_config_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Load the scene of the input and write its page."""
-    output: Path = args.output or Path(f'{derive_output_stem(args.input)}{SUFFIX}')
-    given = any((args.topic, args.camera_info, args.model, args.config, args.set))
-    if given and args.input.is_file() and is_result_file(args.input):
-        raise InputError(
-            f'{args.input}: holds a result, which is shown as it is; --topic, --camera-info, --model, --config '
-            'and --set apply to keypoints only'
-        )
-    if output.suffix != SUFFIX:
-        raise InputError(f'{output}: unknown file type; expected {SUFFIX}')
+    """Load the scene of the input, and write its page or its picture."""
+    output: Path = args.output or Path(f'{derive_output_stem(args.input)}{PAGE_SUFFIX}')
+    is_page = output.suffix == PAGE_SUFFIX
+    if not is_page:
+        plots.check_picture_format(output, PAGE_SUFFIX)
+        if args.keyframes is not None:
+            raise InputError(f'{output}: --keyframes applies to a page ({PAGE_SUFFIX})')
+    if args.poses > MAX_POSES:
+        raise InputError(f'--poses {args.poses}: expected 1 to {MAX_POSES}')
+    require_kind(args.input, VIEWED_KINDS, VIEWED_FORMATS)
+    _refuse_unused_options(args)
     config = load_config(args)
     sources = list_sources(args, config)
     check_output(output, *sources)
-    scene = _load(args, config)
+    scene = _load(args, config, only_one=not is_page)
     with replace_output(output, *sources) as unfinished:
-        unfinished.write_text(build_page(scene), encoding='utf-8')
+        if is_page:
+            unfinished.write_text(build_page(scene), encoding='utf-8')
+        else:
+            save_picture(scene, args.poses, unfinished)
     print_result(output)
     return 0
 
 
-def _load(args: argparse.Namespace, config: Config) -> Scene:
+def _refuse_unused_options(args: argparse.Namespace) -> None:
+    """Raise an error if an option is given that does not apply to a result."""
+    if not holds_result(args.input):
+        return
+    unused = ['fps', 'image_size', 'layout', 'hfov', 'focal', 'detector', 'model']
+    if not is_bag(args.input):
+        unused += ['topic', 'camera_info', 'config', 'set']
+    for name in unused:
+        if getattr(args, name):
+            option = name.replace('_', '-')
+            raise InputError(f'{args.input}: holds a result, which is shown as it is; --{option} does not apply')
+
+
+def _load(args: argparse.Namespace, config: Config, *, only_one: bool) -> Scene:
     """Load the scene that the options describe, and print on stderr what was left out."""
-    marks, marks_start_ns = ([], None) if args.keyframes is None else load_keyframe_marks(args.keyframes)
     options = SceneOptions(
         config=config,
         models=load_models(args, config),
@@ -91,11 +125,21 @@ def _load(args: argparse.Namespace, config: Config) -> Scene:
         topic=args.topic,
         camera_info=args.camera_info,
         show_detection=show_detection_progress,
+        only_one=only_one,
     )
+    marks, start_ns = ([], None) if args.keyframes is None else load_keyframe_marks(args.keyframes)
     scene, lines = load_scene(args.input, options, lambda items, total: show_progress(items, 'view', total))
     for line in lines:
         print_remark(line)
-    if marks_start_ns is not None:
+    if start_ns is not None:
         with name_file_in_errors(args.keyframes):
-            marks = place_marks(marks, marks_start_ns, scene.stamps_ns)
+            marks = place_marks(marks, start_ns, scene.stamps_ns)
     return replace(scene, marks=tuple(sorted((*scene.marks, *marks), key=lambda mark: mark.time_s)))
+
+
+def save_picture(scene: Scene, poses: int, path: Path) -> None:
+    """Draw some frames of a scene, evenly distributed over its time."""
+    count = len(scene.stamps_ns)
+    frames = np.linspace(0, count - 1, min(poses, count)).round().astype(int).tolist()
+    labels = [f'{scene.times[frame]:.2f} s' for frame in frames]
+    plots.save_figure(plots.draw_poses_figure(scene.to_plot_data(), frames, scene.title, labels), path)

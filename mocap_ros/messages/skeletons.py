@@ -107,7 +107,7 @@ def encode_cameras(header: Header, people: Sequence[Person3D]) -> bytes:
 
 
 def decode_skeletons(raw: bytes) -> Any:
-    """Decode a Skeleton3DArray, with joints and root covariances in the camera's optical frame whatever its own.
+    """Decode a Skeleton3DArray, with joints, root covariances and vertical in the camera's optical frame.
 
     Other fields, such as velocities and orientations, stay as they are.
 
@@ -132,6 +132,8 @@ def decode_skeletons(raw: bytes) -> Any:
             point.x, point.y, point.z = x, y, z
         covariance = to_optical_frame.rotate_covariance(skeleton.root_covariance.reshape(3, 3))
         skeleton.root_covariance = covariance.ravel()
+    up = array.vertical
+    up.x, up.y, up.z = to_optical_frame.rotate(np.array([up.x, up.y, up.z])).tolist()
     return array
 
 

@@ -9,54 +9,58 @@ whole sequence.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.bags.journal import JOURNAL, Verdict, decode_entry
+from mocap_ros.bags.reader import Bag, BagMessage
+from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
 from mocap_ros.config import Config, format_value, load_yaml
-from mocap_ros.errors import InputError, SkeletonError
-from mocap_ros.formats.detections import (
-    Detections,
-    Video,
-    arrange_people,
-    associate_people,
-    select_person,
-)
+from mocap_ros.errors import FrameDropped, InputError, SkeletonError
+from mocap_ros.formats.detections import Video
 from mocap_ros.formats.npz_arrays import ArrayReader, read_arrays
 from mocap_ros.formats.result_file import load_result_file
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.formats.text_files import read_text
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical
+from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, resolve_image_size
+from mocap_ros.messages.cdr import read_stamp
+from mocap_ros.messages.keypoints import KeypointsFrame
+from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence
+from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.people import MotionKind
-from mocap_ros.runtime.bag_scene import ProgressWrapper, load_bag_scene
 from mocap_ros.runtime.detection import ShowProgress
+from mocap_ros.runtime.frame_assembly import FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
-from mocap_ros.runtime.load_keypoints import give_focal_length, load_detections, load_input
+from mocap_ros.runtime.load_keypoints import find_camera, load_input, load_people
 from mocap_ros.runtime.load_results import holds_result
-from mocap_ros.runtime.scene_rows import recover_intrinsics
-from mocap_ros.skeleton import CMU15, Skeleton, skeleton_from_joints
+from mocap_ros.skeleton import CMU15, Skeleton, keypoint_layout, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.scene import Mark, MarkKind, Scene, SceneKeypoints, ScenePerson
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
+Row = TypeVar('Row')
+# A function that shows progress while the items are iterated; its second argument is their number.
+ProgressWrapper = Callable[[Iterable[Any], int], Iterable[Any]]
 
-MIN_PERSON_FRAMES = 10  # frames; whoever is seen in fewer is left out, unless nobody is seen in more
 MAX_PEOPLE = 16  # people who are reconstructed; those who are seen most, since each one takes seconds
 VIEWED_FORMATS = f'{KEYPOINT_FORMATS}, or a result (.npz, .mcap)'
 VIEWED_KINDS = (*KEYPOINT_KINDS, InputKind.RESULT)
 MAX_STAMP_NS = 2**63 - 1  # ns; stamps are int64
 STAMP_TOLERANCE_S = 1e-3  # s; times that are written in s since the epoch are exact to 1e-6 s
 MAX_KEYFRAMES_BYTES = 16 << 20  # bytes; guards against parsing a huge file as keyframes
-RESULT_CAMERA_KEYS = 'scale', 'translation'  # of a result file: (F,) px/m and (F, 2) px
-VERTICAL_KEY = 'vertical'  # of a result file: (F, 3), as `SequenceResult` has it
-SCALE_KNOWN_KEY = 'scale_known'  # of a result file: False where the focal length was nominal
+CAMERA_KEYS = ('scale', 'translation', 'vertical', 'scale_known')  # of a result file; 0.1 wrote the first two
+PERSON_FIELDS = ('joints', 'std', 'inferred', 'residual', 'cadence', 'motion', 'predicted', 'tentative')
+MAX_VERTICAL = 2.0  # length of a unit vector, far beyond its rounding; a longer one is damaged
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,7 @@ class SceneOptions:
         topic: topic of the keypoints in a bag; None for the only one.
         camera_info: topic of the CameraInfo in a bag; None for the one that belongs to the keypoints.
         show_detection: function that shows the progress of a detector on a video.
+        only_one: whether to reconstruct only the person who is seen most.
     """
 
     config: Config
@@ -80,6 +85,7 @@ class SceneOptions:
     topic: str | None = None
     camera_info: str | None = None
     show_detection: ShowProgress = lambda images, _: images
+    only_one: bool = False
 
 
 def load_scene(
@@ -99,115 +105,69 @@ def load_scene(
         InputError: the input is of no known format, is damaged or shows nobody; the error names the place.
     """
     kind = require_kind(path, VIEWED_KINDS, VIEWED_FORMATS)
-    is_result = kind in (InputKind.RESULT, InputKind.BAG) and holds_result(path)
-    if is_result and options.video != Video():
-        raise InputError(
-            f'{path}: holds a result, which is shown as it is; --fps, --image-size, --hfov, --focal and --layout '
-            'apply to keypoints only'
-        )
-    if kind is InputKind.RESULT:
-        return _load_result_scene(path, options), []
-    if is_result:
-        topics = options.topic, options.camera_info
-        return load_bag_scene(path, options.config.node, options.person, *topics, progress)
     try:
-        if kind is InputKind.SEQUENCE:
-            sequence, lines = load_input(
-                path, options.video, options.config.node, options.person, options.topic, options.camera_info
-            )
-            return _reconstruct_sequences(path.name, [sequence], options, progress), lines
-        detections = load_detections(
-            path,
-            kind,
-            options.video,
-            options.config.node,
-            options.topic,
-            options.camera_info,
-            options.show_detection,
-        )
-        sequences, lines = _select_people(detections, options.person)
-        sequences, lens_lines = give_focal_length(sequences, options.video)
-        lines += lens_lines
-        scene = _reconstruct_sequences(path.name, sequences, options, progress, lines)
-    except (InputError, SkeletonError, np.linalg.LinAlgError) as error:
+        if kind is InputKind.RESULT:
+            return _load_result_scene(path, options.person), []
+        if kind is InputKind.BAG and holds_result(path):
+            return _load_bag_scene(path, options, progress)
+        read = path, options.video, options.config.node
+        topics = options.topic, options.camera_info
+        if options.person or options.only_one or kind is InputKind.SEQUENCE:
+            sequence, lines = load_input(*read, options.person, *topics, options.show_detection)
+            sequences = [sequence]
+        else:
+            sequences, lines = load_people(*read, *topics, options.show_detection)
+            sequences = sorted(sequences, key=lambda s: -int((s.keypoints[..., 2] > 0).any(axis=1).sum()))
+            if len(sequences) > MAX_PEOPLE:
+                lines.append(f'{path}: {len(sequences) - MAX_PEOPLE} more people are not shown, who are seen less')
+        return _reconstruct_people(path, sequences[:MAX_PEOPLE], options, progress, lines), lines
+    except InputError as error:
         prefix = '' if str(error).startswith(str(path)) else f'{path}: '
         raise InputError(f'{prefix}{error}') from None
-    return scene, [f'{path}: {line}' for line in lines]
 
 
-def _select_people(detections: Detections, person: str | None) -> tuple[list[KeypointSequence], list[str]]:
-    """Return the keypoints of every person who is seen long enough, or of one, and lines about the others."""
-    if person is not None:
-        sequence, lines = select_person(detections, person)
-        return [sequence], lines
-    tracks = sorted(associate_people(detections), key=lambda track: -len(track.detection_by_frame))
-    if not tracks:
-        raise InputError('nobody is seen in any frame')
-    chosen = [t for t in tracks if len(t.detection_by_frame) >= MIN_PERSON_FRAMES][:MAX_PEOPLE] or tracks[:1]
-    sequences, remarks = arrange_people(detections, chosen)
-    lines = list(remarks)
-    if len(chosen) < len(tracks):
-        lines.append(
-            f'{len(tracks) - len(chosen)} more people are not shown, who are seen less or in fewer than '
-            f'{MIN_PERSON_FRAMES} frames'
-        )
-    return sequences, lines
-
-
-def _reconstruct_sequences(
-    title: str,
+def _reconstruct_people(
+    path: Path,
     sequences: Sequence[KeypointSequence],
     options: SceneOptions,
     progress: ProgressWrapper,
-    lines: list[str] | None = None,
+    lines: list[str],
 ) -> Scene:
-    """Return the scene of some people's keypoints and their reconstructions.
-
-    Args:
-        title: title of the scene.
-        sequences: the people's keypoints.
-        options: options of the scene.
-        progress: shows the progress.
-        lines: gets a line for each person who cannot be reconstructed and is left out; None raises instead.
+    """Return the scene of some people; `lines` gets one for each person who cannot be reconstructed.
 
     Raises:
         InputError: nobody can be reconstructed.
     """
-    config = options.config
-    stamps = sorted({stamp for sequence in sequences for stamp in sequence.stamps_ns})
-    frame_of = {stamp: frame for frame, stamp in enumerate(stamps)}
-    intrinsics = sequences[0].intrinsics(config.tracker.nominal_focal_length)
+    nominal = options.config.tracker.nominal_focal_length
+    stamps = np.unique(np.concatenate([sequence.stamps_ns for sequence in sequences]))
+    intrinsics = sequences[0].intrinsics(nominal)
     people: list[ScenePerson] = []
-    keypoints, verticals = [], []
-    skeleton = CMU15
+    keypoints: dict[Skeleton, list[SceneKeypoints]] = {}
+    verticals, skeleton, failures = [], CMU15, []
     for index, sequence in enumerate(progress(sequences, len(sequences))):
-        frames = np.array([frame_of[stamp] for stamp in sequence.stamps_ns])
-        observations = extract_observations(sequence, config.tracker.nominal_focal_length)
         person_id = sequence.person_id or f'person_{index + 1}'
+        frames = np.searchsorted(stamps, sequence.stamps_ns)
         try:
-            result = reconstruct_sequence(*observations, options.models, config)
-        except InputError as error:
-            if lines is None or (not people and index == len(sequences) - 1):
-                raise
-            lines.append(f'person {person_id!r} left out: {error}')
+            result = reconstruct_sequence(*extract_observations(sequence, nominal), options.models, options.config)
+        except (InputError, np.linalg.LinAlgError) as error:
+            failures.append(str(error))
+            lines.append(f'{path}: person {person_id!r} left out: {error}')
             continue
         skeleton = result.skeleton
         verticals.append(result.vertical)
-        people.append(_make_person(person_id, frames, result, intrinsics))
-        is_seen = (sequence.keypoints[..., 2] > 0).any(axis=1)
-        keypoints.append(
-            SceneKeypoints(
-                skeleton=skeleton_from_joints(sequence.joint_names),
-                frames=frames[is_seen],
-                points=_hide_unseen(sequence.keypoints[is_seen]),
-            )
-        )
+        people.append(_make_person(person_id, frames, result, result.solution.residual, intrinsics))
+        seen, layout = sequence.keypoints[..., 2] > 0, skeleton_from_joints(sequence.joint_names)
+        points = np.where(seen[..., None], sequence.keypoints[..., :2], np.nan).astype(np.float32)
+        rows = seen.any(axis=1)
+        keypoints.setdefault(layout, []).append(SceneKeypoints(layout, frames[rows], points[rows]))
+    if not people:
+        raise InputError(failures[-1])
     truth = sequences[0].truth if len(sequences) == 1 else None
     return Scene(
-        title=title,
-        stamps_ns=stamps,
+        title=path.name,
+        stamps_ns=stamps.tolist(),
         people=tuple(people),
-        keypoints=tuple(_merge_keypoints(keypoints)),
+        keypoints=tuple(SceneKeypoints.merge(parts) for parts in keypoints.values()),
         image_size=sequences[0].image_size,
         intrinsics=intrinsics,
         truth=None if truth is None else select_true_joints(truth.joints, truth.joint_names, skeleton),
@@ -224,62 +184,240 @@ def select_true_joints(joints: Array, names: Sequence[str], skeleton: Skeleton =
     if not set(CMU15.joints) <= set(names):
         return None
     unknown = np.full((len(joints), 3), np.nan)
-    return np.stack(
-        [joints[:, names.index(name)] if name in names else unknown for name in skeleton.joints], axis=1
-    ).astype(np.float32)
+    found = [joints[:, names.index(name)] if name in names else unknown for name in skeleton.joints]
+    return np.stack(found, axis=1).astype(np.float32)
 
 
-def _hide_unseen(keypoints: Array) -> Array32:
-    """Return the image points (N, J, 2) of keypoints (N, J, 3), NaN where the score is 0."""
-    return np.where(keypoints[..., 2:] > 0, keypoints[..., :2], np.nan).astype(np.float32)
-
-
-def _merge_keypoints(keypoints: Sequence[SceneKeypoints]) -> list[SceneKeypoints]:
-    """Return one entry a layout, in the order of the frames."""
-    merged = []
-    for skeleton in dict.fromkeys(k.skeleton for k in keypoints):
-        alike = [k for k in keypoints if k.skeleton.joints == skeleton.joints]
-        frames = np.concatenate([k.frames for k in alike])
-        order = np.argsort(frames, kind='stable')
-        points = np.concatenate([k.points for k in alike])[order]
-        merged.append(SceneKeypoints(skeleton, frames[order], points))
-    return merged
-
-
-def _make_person(
-    person_id: str, frames: NDArray[np.intp], result: SequenceResult, intrinsics: Intrinsics
-) -> ScenePerson:
-    """Return a person who was reconstructed over the given frames."""
-    has_skeleton = np.isfinite(result.joints).all(axis=(1, 2))
-    joints, seen = result.joints[has_skeleton], result.seen[has_skeleton]
-    return _make_plain_person(
-        person_id, frames[has_skeleton], joints, seen, result.solution.residual[has_skeleton], intrinsics
-    )
-
-
-def _make_plain_person(
-    person_id: str,
-    frames: NDArray[np.intp],
-    joints: Array,
-    seen: NDArray[np.bool_],
-    residual: Array,
-    intrinsics: Intrinsics,
-) -> ScenePerson:
-    """Return a person of whom only joints (N, J, 3) in m, seen joints (N, J) and residuals (N,) are known."""
-    count = len(frames)
+def _make_person(person_id: str, frames: Any, result: Any, residual: Array, intrinsics: Intrinsics) -> ScenePerson:
+    """Return the person of a `SequenceResult` or `StoredResult`, in those of its frames that have a skeleton."""
+    rows = np.isfinite(result.joints).all(axis=(1, 2))
+    joints, seen = result.joints[rows].astype(np.float32), result.seen[rows]
     return ScenePerson(
         id=person_id,
-        frames=frames,
-        joints=joints.astype(np.float32),
+        frames=frames[rows],
+        joints=joints,
         std=np.full(joints.shape[:2], np.nan, np.float32),
         inferred=~seen,
         intrinsics=intrinsics,
-        residual=residual.astype(np.float32),
-        cadence=np.full(count, np.nan, np.float32),
-        motion=np.full(count, MotionKind.UNKNOWN, np.uint8),
+        residual=residual[rows].astype(np.float32),
+        cadence=np.full(len(joints), np.nan, np.float32),
+        motion=np.full(len(joints), MotionKind.UNKNOWN, np.uint8),
         predicted=np.asarray(~seen.any(axis=1)),
-        tentative=np.zeros(count, bool),
+        tentative=np.zeros(len(joints), bool),
     )
+
+
+def _load_result_scene(path: Path, person: str | None) -> Scene:
+    """Load the scene of a result file, whose cameras give focal length and principal point."""
+    if person is not None:
+        raise InputError('--person does not apply to a result of reconstruct')
+    result = load_result_file(path)
+    if not np.isfinite(result.joints).all(axis=(1, 2)).any():
+        raise InputError('no frame has a skeleton')
+    arrays, count = ArrayReader(read_arrays(path, CAMERA_KEYS, 'a result of reconstruct')), len(result.times)
+    scale, translation = arrays.read_numbers('scale', (count,)), arrays.read_numbers('translation', (count, 2))
+    vertical = arrays.read_numbers('vertical', (count, 3)) if 'vertical' in arrays else np.full(3, np.nan)
+    is_focal_known = 'scale_known' not in arrays or bool(arrays.read_flags('scale_known', ()))
+    intrinsics, size = recover_intrinsics(_average_core(result.joints, result.skeleton), scale, translation)
+    intrinsics = replace(intrinsics, is_focal_known=is_focal_known)
+    return Scene(
+        title=path.name,
+        stamps_ns=result.stamps_ns,
+        people=(_make_person('person_1', np.arange(count), result, result.residual, intrinsics),),
+        keypoints=(),
+        image_size=size,
+        intrinsics=intrinsics,
+        skeleton=result.skeleton,
+        vertical=average_vertical(vertical),
+    )
+
+
+def recover_intrinsics(roots: Array, scale: Array, translation: Array) -> tuple[Intrinsics, tuple[int, int]]:
+    """Return the camera whose weak-perspective cameras these are, without lens distortion.
+
+    f = median s z,  c = median (t - f (x, y) / z)
+
+    Args:
+        roots: (N, 3) m, means (x, y, z) of the joints.
+        scale: (N,) px/m, s.
+        translation: (N, 2) px, t.
+
+    Returns:
+        The intrinsics, and the image size in px if the principal point is in its middle.
+    """
+    is_known = np.isfinite(np.column_stack([roots, scale, translation])).all(axis=1)
+    if not is_known.any():
+        raise InputError('scale, translation: not finite in any frame')
+    roots, scale, translation = roots[is_known], scale[is_known], translation[is_known]
+    focal = float(np.median(scale * roots[:, 2]))
+    x, y = np.median(translation - focal * roots[:, :2] / roots[:, 2:], axis=0).tolist()
+    if not (np.isfinite([focal, x, y]).all() and focal >= 1):
+        raise InputError('scale, translation: not those of a camera')
+    return Intrinsics(focal, (x, y), is_focal_known=False), (max(round(2 * x), 1), max(round(2 * y), 1))
+
+
+def _average_core(joints: NDArray[Any], skeleton: Skeleton) -> Array:
+    """Return the means (N, 3) of the finite joints of `CMU15` among joints (N, J, 3); NaN where there is none."""
+    core = joints[:, [skeleton.index(joint) for joint in CMU15.joints]].astype(np.float64)
+    count = np.isfinite(core).sum(axis=1)
+    return np.asarray(np.nan_to_num(core, posinf=0, neginf=0).sum(axis=1) / np.where(count, count, np.nan))
+
+
+def _load_bag_scene(path: Path, options: SceneOptions, progress: ProgressWrapper) -> tuple[Scene, list[str]]:
+    """Load the scene of a bag that holds skeletons."""
+    with Bag(path) as bag:
+        recording = _Recording(bag, options)
+        for message in progress(bag.messages(recording.topics), bag.count(recording.topics)):
+            recording.add(message)
+    scene, faults = recording.build(path.name), recording.faults
+    return scene, [f'{path}: {len(faults)} messages left out; {faults[0]}'] if faults else []
+
+
+class _Recording:
+    """The skeletons, keypoints and dropped inputs of a bag.
+
+    Attributes:
+        topics: topics of the messages to add.
+        faults: why messages could not be used.
+    """
+
+    def __init__(self, bag: Bag, options: SceneOptions) -> None:
+        skeletons = bag.topics_of_type([SKELETONS])
+        if len(skeletons) != 1:
+            raise InputError(f'the bag has several topics of skeletons: {", ".join(skeletons)}')
+        self.faults: list[str] = []
+        self._person, self._node, self._camera = options.person, options.config.node, None
+        self._journals = [t for t in bag.topics_of_type([JOURNAL]) if t.endswith('/journal')]
+        self._sources: dict[str, Source] = {}
+        try:
+            self._sources = find_people_topics(bag, options.topic)
+            self._node = replace(self._node, input_type=find_people_type(bag, self._sources))
+            first = next(iter(self._sources))
+            self._camera, remark = find_camera(bag, first, self._node, options.camera_info)
+            self.faults += filter(None, [remark])
+        except InputError:
+            if options.topic or options.camera_info:
+                raise  # otherwise the skeletons are drawn without keypoints
+        self.topics = [*skeletons, *self._journals, *self._sources]
+        self._assembler, self._size = FrameAssembler(), (self._node.image_width, self._node.image_height)
+        self._size = resolve_image_size(camera=self._camera.size if self._camera else None, configured=self._size)
+        self._stated_size = UNKNOWN_SIZE
+        self._skeleton = CMU15
+        self._people: dict[str, dict[int, tuple[Any, ...]]] = {}  # rows by stamps in ns
+        self._detections: dict[tuple[str, ...], list[tuple[int, Array]]] = {}  # stamps in ns and points by joints
+        self._stamps: set[int] = set()
+        self._verticals: list[Array] = []
+        self._drops: list[tuple[int, str]] = []
+        self._newest_ns = 0
+
+    def add(self, message: BagMessage) -> None:
+        """Add a message, or note why it cannot be used."""
+        topic, raw = message.topic, message.raw
+        try:
+            if topic in self._sources:
+                self._add_frames(
+                    self._assembler.assemble(self._sources[topic], raw, topic, self._node, self._size, inf)
+                )
+            elif topic in self._journals:
+                entry = decode_entry(raw)
+                if entry.verdict is not Verdict.ACCEPTED:
+                    self._drops.append((self._newest_ns, entry.reason))
+            else:
+                self._add_skeletons(decode_skeletons(raw))
+        except (InputError, SkeletonError, FrameDropped) as error:
+            self.faults.append(f'{topic}: {error}')
+
+    def _add_frames(self, frames: Iterable[KeypointsFrame]) -> None:
+        for frame in frames:
+            if frame.image_width:
+                self._stated_size = frame.image_width, frame.image_height
+            self._stamps.add(frame.header.stamp_ns)
+            for person in frame.people:
+                self._detections.setdefault(person.joints, []).append((frame.header.stamp_ns, person.points))
+
+    def _add_skeletons(self, array: Any) -> None:
+        self._newest_ns = read_stamp(array.header.stamp)
+        self._stamps.add(self._newest_ns)
+        vertical = np.array([array.vertical.x, array.vertical.y, array.vertical.z])
+        if 0 < np.linalg.norm(vertical) < MAX_VERTICAL:
+            self._verticals.append(vertical)
+        for person in array.people:
+            if self._person not in (None, person.id):
+                continue
+            skeleton = keypoint_layout(person.skeleton)
+            if self._people and skeleton != self._skeleton:
+                raise InputError(f'{person.id}: joints of {skeleton.name}, others of {self._skeleton.name}')
+            self._skeleton = skeleton
+            self._people.setdefault(person.id, {})[self._newest_ns] = _read_person(person, skeleton)
+
+    def build(self, title: str) -> Scene:
+        """Return the scene of all messages that were added.
+
+        Raises:
+            InputError: nobody is in any message, or the skeletons' cameras are not valid.
+        """
+        self._add_frames(self._assembler.flush(self._size))
+        if not self._people:
+            wanted = 'nobody' if self._person is None else f'no person {self._person!r}'
+            raise InputError(f'{wanted} is in any message of skeletons')
+        stamps = np.array(sorted(self._stamps))
+        stamps = stamps[int(is_stamp_missing(stamps[0], stamps[-1])) :]
+        person_type = _make_person_type(len(self._skeleton.joints))
+        found = {i: _sort(own.items(), stamps) for i, own in self._people.items()}
+        rows_of = {i: np.array(rows, person_type) for i, (_, rows) in found.items()}
+        rows = np.concatenate(list(rows_of.values()))
+        roots = _average_core(rows['joints'], self._skeleton)
+        intrinsics, implied_size = recover_intrinsics(roots, rows['scale'], rows['translation'])
+        camera_size = None
+        if self._camera is not None:
+            intrinsics, camera_size = self._camera.intrinsics, self._camera.size
+        drops = np.searchsorted(stamps, [stamp for stamp, _ in self._drops]).clip(max=len(stamps) - 1)
+        times = ((stamps[drops] - stamps[0]) / NS_PER_S).tolist()
+        return Scene(
+            title=title,
+            stamps_ns=stamps.tolist(),
+            people=tuple(
+                ScenePerson(i, frames, intrinsics=intrinsics, **{name: rows_of[i][name] for name in PERSON_FIELDS})
+                for i, (frames, _) in sorted(found.items(), key=lambda item: item[1][0].tolist()[:1])
+                if len(frames)
+            ),
+            keypoints=tuple(
+                SceneKeypoints(skeleton_from_joints(joints), frames, np.array(points, np.float32))
+                for joints, detections in self._detections.items()
+                for frames, points in [_sort(detections, stamps)]
+            ),
+            image_size=resolve_image_size(stated=self._stated_size, camera=camera_size, configured=implied_size),
+            intrinsics=intrinsics,
+            marks=tuple(Mark(t, MarkKind.DROP, why) for t, (_, why) in zip(times, self._drops, strict=True)),
+            skeleton=self._skeleton,
+            vertical=average_vertical(np.array(self._verticals)),
+        )
+
+
+def _sort(rows: Iterable[tuple[int, Row]], stamps: NDArray[np.int64]) -> tuple[NDArray[np.intp], list[Row]]:
+    """Return the frames and the rows whose stamps are among the stamps of the frames, in their order."""
+    kept = sorted((row for row in rows if row[0] >= stamps[0]), key=lambda row: row[0])
+    return np.searchsorted(stamps, [stamp for stamp, _ in kept]), [row for _, row in kept]
+
+
+def _make_person_type(count: int) -> np.dtype[Any]:
+    """Return the type of what `_read_person` returns, by the names of `ScenePerson`."""
+    joints = [('joints', 'f4', (count, 3)), ('std', 'f4', count), ('inferred', '?', count)]
+    states = [('motion', 'u1'), ('predicted', '?'), ('tentative', '?')]
+    camera = [('scale', 'f8'), ('translation', 'f8', 2)]
+    return np.dtype([*joints, ('residual', 'f4'), ('cadence', 'f4'), *states, *camera])
+
+
+def _read_person(person: Any, skeleton: Skeleton) -> tuple[Any, ...]:
+    """Return the numbers of a Skeleton3D, in the order of `_make_person_type`."""
+    count, joints = len(skeleton.joints), np.array([(p.x, p.y, p.z) for p in person.joints], np.float32)
+    std = person.joint_std if len(person.joint_std) == count else np.full(count, np.nan)
+    inferred = person.inferred if len(person.inferred) else np.zeros(count)  # 0.1 had another name for it
+    if {len(joints), len(inferred)} != {count}:
+        raise InputError(f'{len(joints)} joints and {len(inferred)} flags, {skeleton.name} has {count}')
+    residual, motion, camera = person.reprojection_residual, person.motion, person.camera
+    states = motion.state, person.predicted, person.tentative
+    return joints, std, inferred, residual, motion.cadence, *states, camera.scale, camera.translation
 
 
 def load_keyframe_marks(path: Path) -> tuple[list[Mark], int | None]:
@@ -287,31 +425,30 @@ def load_keyframe_marks(path: Path) -> tuple[list[Mark], int | None]:
 
     Returns:
         Marks, whose times in s count from the first frame of the person, and the stamp of that frame in ns; None
-        where the file does not tell it, as files of version 0.1.
+        where the file does not state it, as files of version 0.1.
 
     Raises:
         InputError: the file cannot be read or holds something else; the error names the place.
     """
     content = load_yaml(read_text(path, max_bytes=MAX_KEYFRAMES_BYTES), str(path))
-    entries = content.get('keyframes') if isinstance(content, dict) else None
-    if not isinstance(entries, list):
+    if not isinstance(content, dict) or not isinstance(content.get('keyframes'), list):
         raise InputError(f'{path}: no list of keyframes, as `mocap-ros keyframes` writes it')
     marks = []
-    for number, entry in enumerate(entries, 1):
-        time = entry.get('time') if isinstance(entry, dict) else None
-        if isinstance(time, bool) or not isinstance(time, (int, float)) or not 0 <= time < np.inf:
+    for number, entry in enumerate(content['keyframes'], 1):
+        time: Any = entry.get('time') if isinstance(entry, dict) else None
+        if isinstance(time, bool) or not isinstance(time, int | float) or not 0 <= time < np.inf:
             raise InputError(f'{path}: keyframe {number}: time: {time!r}, expected s from the beginning')
         marks.append(Mark(float(time), MarkKind.KEYFRAME, f'{entry.get("half", "whole")} body'))
     start_ns = content.get('start_ns')
-    if start_ns is None:
-        return marks, None
-    if isinstance(start_ns, bool) or not isinstance(start_ns, int) or not 0 <= start_ns <= MAX_STAMP_NS:
+    if start_ns is not None and (
+        isinstance(start_ns, bool) or not isinstance(start_ns, int) or not 0 <= start_ns <= MAX_STAMP_NS
+    ):
         raise InputError(f'{path}: start_ns: {format_value(start_ns)}, expected a whole number of ns')
     return marks, start_ns
 
 
 def place_marks(marks: Sequence[Mark], start_ns: int, stamps_ns: Sequence[int]) -> list[Mark]:
-    """Return marks with times from the beginning of a scene, without those that are not within the scene.
+    """Return those of some marks that are within a scene, with times from its beginning.
 
     Args:
         marks: marks, whose times in s count from a stamp.
@@ -321,13 +458,11 @@ def place_marks(marks: Sequence[Mark], start_ns: int, stamps_ns: Sequence[int]) 
     Raises:
         InputError: no mark is within the scene.
     """
-    duration_s = (stamps_ns[-1] - stamps_ns[0]) / NS_PER_S
-    shift_s = (start_ns - stamps_ns[0]) / NS_PER_S
-    shifted = [replace(mark, time_s=mark.time_s + shift_s) for mark in marks]
+    duration_s, shift_s = ((t - stamps_ns[0]) / NS_PER_S for t in (stamps_ns[-1], start_ns))
     within = [
-        replace(mark, time_s=min(max(mark.time_s, 0.0), duration_s))
-        for mark in shifted
-        if -STAMP_TOLERANCE_S <= mark.time_s <= duration_s + STAMP_TOLERANCE_S
+        replace(mark, time_s=min(max(mark.time_s + shift_s, 0.0), duration_s))
+        for mark in marks
+        if -STAMP_TOLERANCE_S <= mark.time_s + shift_s <= duration_s + STAMP_TOLERANCE_S
     ]
     if marks and not within:
         raise InputError(
@@ -335,42 +470,3 @@ def place_marks(marks: Sequence[Mark], start_ns: int, stamps_ns: Sequence[int]) 
             f'{duration_s:.1f} s; the keyframes are those of another recording'
         )
     return within
-
-
-def _load_result_scene(path: Path, options: SceneOptions) -> Scene:
-    """Load the scene of a result file, whose cameras tell focal length and principal point."""
-    if options.person is not None:
-        raise InputError(f'{path}: --person does not apply to a result of reconstruct')
-    result = load_result_file(path)
-    has_skeleton = np.isfinite(result.joints).all(axis=(1, 2))
-    if not has_skeleton.any():
-        raise InputError(f'{path}: no frame has a skeleton')
-    keys = (*RESULT_CAMERA_KEYS, VERTICAL_KEY, SCALE_KNOWN_KEY)
-    arrays = ArrayReader(read_arrays(path, keys, 'a result of reconstruct'))
-    try:
-        scale = arrays.read_numbers('scale', (len(result.times),))[has_skeleton]
-        translation = arrays.read_numbers('translation', (len(result.times), 2))[has_skeleton]
-        vertical = np.full(3, np.nan)
-        if VERTICAL_KEY in arrays:  # version 0.1 wrote none
-            vertical = average_vertical(arrays.read_numbers(VERTICAL_KEY, (len(result.times), 3)))
-        is_focal_known = SCALE_KNOWN_KEY not in arrays or bool(arrays.read_flags(SCALE_KNOWN_KEY, ()))
-    except InputError as error:
-        raise InputError(f'{path}: {error}') from None
-    joints = result.joints[has_skeleton]
-    core = [result.skeleton.index(joint) for joint in CMU15.joints]
-    intrinsics, image_size = recover_intrinsics(joints[:, core].mean(axis=1), scale, translation)
-    intrinsics = replace(intrinsics, is_focal_known=is_focal_known)
-    frames = np.flatnonzero(has_skeleton)
-    person = _make_plain_person(
-        'person_1', frames, joints, result.seen[has_skeleton], result.residual[has_skeleton], intrinsics
-    )
-    return Scene(
-        title=path.name,
-        stamps_ns=result.stamps_ns,
-        people=(person,),
-        keypoints=(),
-        image_size=image_size,
-        intrinsics=intrinsics,
-        skeleton=result.skeleton,
-        vertical=vertical,
-    )

@@ -22,12 +22,9 @@ CAMERA_INFO_TOPIC = 'camera_info'  # the name on which the node subscribes to Ca
 
 
 class PlaybackMessage(NamedTuple):
-    """A message to publish.
+    """A message as CDR, with the time in ns at which it is due, on the clock of the recording.
 
-    Attributes:
-        due_ns: Time at which the message is due in ns, on the clock of the recording.
-        raw: The message as CDR.
-        topic: Index of the message's topic in `Playback.topics`.
+    `topic` is the index of its topic in `Playback.topics`.
     """
 
     due_ns: int
@@ -37,14 +34,7 @@ class PlaybackMessage(NamedTuple):
 
 @dataclass(frozen=True)
 class PlayedTopic:
-    """A topic to publish.
-
-    Attributes:
-        name: Name to publish on.
-        type: Type of the messages.
-        qos: QoS profiles that the recorded publishers offered.
-        recorded: Name of the topic in the bag.
-    """
+    """A topic to publish, with the QoS profiles that the recorded publishers offered and its name in the bag."""
 
     name: str
     type: str
@@ -58,18 +48,18 @@ class Playback:
     By default these are the keypoints and the CameraInfo that belongs to them, published on `camera_info`.
 
     Args:
-        path: Bag, or sequence file (.npz).
-        topic: Topic of the keypoints; needed only for a bag with several.
-        to: Topic on which to publish the keypoints; the topics of ROS4HRI keep their recorded names.
-        everything: Whether to publish every topic of a bag instead, each on its recorded name.
-        camera_info: Topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
+        path: bag, or sequence file (.npz).
+        topic: topic of the keypoints; needed only for a bag with several.
+        to: topic on which to publish the keypoints; the topics of ROS4HRI keep their recorded names.
+        everything: whether to publish every topic of a bag instead, each on its recorded name.
+        camera_info: topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
 
     Attributes:
-        topics: The topics to publish.
-        count: Number of messages.
+        topics: the topics to publish.
+        count: number of messages.
 
     Raises:
-        InputError: The file is neither a bag nor a sequence file, or it is damaged.
+        InputError: the file is neither a bag nor a sequence file, or it is damaged.
     """
 
     def __init__(

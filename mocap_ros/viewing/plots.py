@@ -249,16 +249,15 @@ def _remove_frame(axes: Any) -> None:
         spine.set_visible(False)
 
 
-def check_picture_format(path: Path) -> None:
+def check_picture_format(path: Path, *others: str) -> None:
     """Check that the suffix of a path names a picture format that can be written.
 
     Raises:
-        InputError: It does not; the message lists the formats.
+        InputError: It does not; the message lists `others`, which are further formats, and the picture formats.
     """
-    formats = sorted(FigureCanvasAgg.get_supported_filetypes().keys() - FORMATS_OF_OTHERS)
-    if path.suffix.removeprefix('.').lower() not in formats:
-        known = ', '.join(f'.{name}' for name in formats)
-        raise InputError(f'{path}: unknown picture format; can write {known}')
+    formats = [f'.{name}' for name in sorted(FigureCanvasAgg.get_supported_filetypes().keys() - FORMATS_OF_OTHERS)]
+    if path.suffix.lower() not in formats:
+        raise InputError(f'{path}: unknown file type; expected {", ".join([*others, *formats])}')
 
 
 def save_figure(figure: Figure, path: Path) -> None:

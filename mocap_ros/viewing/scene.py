@@ -21,7 +21,7 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import rotation_to_level
 from mocap_ros.skeleton import CMU15, Skeleton, canonical_joint_names
 from mocap_ros.units import NS_PER_S
-from mocap_ros.viewing.plots import MIDDLE_COLOUR, TRUTH_COLOUR, choose_side_colour
+from mocap_ros.viewing.plots import MIDDLE_COLOUR, TRUTH_COLOUR, PlotData, choose_side_colour
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -127,6 +127,14 @@ class SceneKeypoints:
     frames: Indices
     points: Array32
 
+    @staticmethod
+    def merge(parts: Sequence[SceneKeypoints]) -> SceneKeypoints:
+        """Return the detections of parts of one layout together."""
+        frames = np.concatenate([part.frames for part in parts])
+        order = np.argsort(frames, kind='stable')
+        points = np.concatenate([part.points for part in parts])
+        return SceneKeypoints(parts[0].skeleton, frames[order], points[order])
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -200,6 +208,31 @@ class Scene:
         """(N,) for each person, True in the frames in which an exchange of left and right was undone."""
         inputs = [SidedPoints.find(keypoints) for keypoints in self.keypoints]
         return tuple(find_undone_swaps(person, inputs, self.skeleton) for person in self.people)
+
+    def to_plot_data(self) -> PlotData:
+        """Return the person who is seen in most frames, with the nearest detections, for a picture."""
+        person = max(self.people, key=lambda p: len(p.frames))
+        shape = len(self.stamps_ns), len(self.skeleton.joints)
+        joints, seen, keypoints = np.full((*shape, 3), np.nan), np.zeros(shape, bool), None
+        joints[person.frames], seen[person.frames] = person.joints, ~person.inferred
+        detected = max(self.keypoints, key=lambda k: len(k.frames), default=None)
+        if detected is not None:
+            centre = np.full((len(self.stamps_ns), 2), np.nan)
+            centre[person.frames] = person.image[:, [self.skeleton.index(j) for j in SIDED_JOINTS]].mean(axis=1)
+            distance = np.linalg.norm(SidedPoints.find(detected).centre - centre[detected.frames], axis=1)
+            order = np.argsort(-np.nan_to_num(distance, nan=np.inf), kind='stable')  # the nearest comes last
+            keypoints = np.full((len(self.stamps_ns), len(detected.skeleton.joints), 3), np.nan)
+            keypoints[detected.frames[order], :, :2] = detected.points[order]
+            keypoints[..., 2] = np.isfinite(keypoints[..., 0])
+        return PlotData(
+            times=self.times,
+            joints=joints,
+            seen=seen,
+            skeleton=self.skeleton,
+            truth=None if self.truth is None else self.truth.astype(np.float64),
+            keypoints=keypoints,
+            keypoint_skeleton=CMU15 if detected is None else detected.skeleton,
+        )
 
     @property
     def frustum_corners(self) -> Array:

@@ -1,13 +1,11 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The commands `reconstruct` and `plot`."""
+"""The command `reconstruct`."""
 
 from __future__ import annotations
 
 import csv
-import os
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,8 +19,7 @@ from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence
 from mocap_ros.runtime.save_results import save_detections
-from mocap_ros.skeleton import CMU15, keypoint_layout
-from mocap_ros.viewing import plots
+from mocap_ros.skeleton import CMU15
 from tests.support.quick_options import QUICK_OPTIONS
 
 
@@ -44,30 +41,14 @@ def test_reconstruct_writes_npz_and_csv(recording: Path, tmp_path: Path, method:
     assert np.array(rows[1][1:], float).reshape(26, 3) == pytest.approx(joints[0], abs=1e-5)
 
 
-@pytest.mark.parametrize('method', ['whole', 'keyframes'])
-def test_the_nominal_focal_length_is_that_of_the_parameter(
-    short_recording: Path, tmp_path: Path, method: str
-) -> None:
-    depths = []
-    for focal in (1.0, 2.0):
-        out = tmp_path / f'{focal}.npz'
-        options = ['--set', f'tracker.nominal_focal_length={focal}', *QUICK_OPTIONS]
-        assert main(['reconstruct', str(short_recording), '-o', str(out), '--method', method, *options]) == 0
-        with np.load(out) as arrays:
-            depths.append(np.nanmean(arrays['joints3d'][..., 2]))
-    assert depths[1] == pytest.approx(2 * depths[0], rel=0.1)
-
-
 def test_results_are_written_into_the_current_folder(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     quick = ['--set', 'solver.max_iterations=3']
     beside = set(recording.parent.iterdir())
-    assert main(['plot', str(recording), *quick]) == 0
     assert main(['reconstruct', str(recording), *quick]) == 0
-    assert (tmp_path / 'demo.png').read_bytes().startswith(b'\x89PNG')
-    assert {p.name for p in tmp_path.iterdir()} == {'demo.png', 'demo_3d.npz'}
+    assert {p.name for p in tmp_path.iterdir()} == {'demo_3d.npz'}
     assert set(recording.parent.iterdir()) == beside
     with pytest.raises(InputError, match=r'demo_3d\.npz: is a result of reconstruct; give the sequence file'):
         load_sequence('demo_3d.npz')
@@ -100,19 +81,8 @@ def test_the_summary_says_that_distances_are_nominal_unless_a_field_of_view_is_g
             main([*command, *wrong])
 
 
-def test_the_options_for_blender_are_printed_with_a_bvh_file(
-    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for suffix in ('trc', 'bvh'):
-        output = str(tmp_path / f'r.{suffix}')
-        assert main(['reconstruct', str(short_recording), '-o', output, *QUICK_OPTIONS]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [' 0.01,' in line for line in lines] == [False, False, True]
-    assert lines[-1].startswith(f'{tmp_path / "r.bvh"}: in cm, y up, as for a level camera. In Blender: ')
-
-
 @pytest.mark.filterwarnings('error')
-@pytest.mark.parametrize('ending', ['.npz', '.mcap', '.bvh', '.trc', '.png'])
+@pytest.mark.parametrize('ending', ['.npz', '.mcap', '.bvh', '.trc', '.png', '.html'])
 @pytest.mark.parametrize('case', ['one frame', 'one line', 'still'])
 def test_degenerate_keypoints_cause_no_warnings(
     short_recording: Path, tmp_path: Path, case: str, ending: str
@@ -126,12 +96,12 @@ def test_degenerate_keypoints_cause_no_warnings(
     frames = 1 if case == 'one frame' else 20
     path = tmp_path / 'd.npz'
     save_sequence(path, replace(whole, keypoints=keypoints[:frames], timestamps=whole.timestamps[:frames]))
-    command = 'plot' if ending == '.png' else 'reconstruct'
+    command = 'view' if ending in ('.png', '.html') else 'reconstruct'
     assert main([command, str(path), '-o', str(tmp_path / f'o{ending}'), *QUICK_OPTIONS]) == 0
 
 
 @pytest.mark.filterwarnings('error')
-@pytest.mark.parametrize('command', [['reconstruct'], ['plot'], ['reconstruct', '--method', 'keyframes']])
+@pytest.mark.parametrize('command', [['reconstruct'], ['view'], ['reconstruct', '--method', 'keyframes']])
 def test_keypoints_in_one_place_are_refused_in_one_line(
     short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str]
 ) -> None:
@@ -140,82 +110,10 @@ def test_keypoints_in_one_place_are_refused_in_one_line(
     keypoints[..., :2] = 100
     path = tmp_path / 'd.npz'
     save_sequence(path, replace(whole, keypoints=keypoints))
-    suffix = '.png' if command == ['plot'] else '.npz'
+    suffix = '.png' if command == ['view'] else '.npz'
     assert main([*command, str(path), '-o', str(tmp_path / f'o{suffix}'), *QUICK_OPTIONS]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.endswith('d.npz: all seen points lie in one place')
-
-
-def test_a_picture_explains_its_colours_and_lines(recording: Path) -> None:
-    sequence = load_sequence(recording)
-    assert sequence.truth is not None
-    result = plots.PlotData(
-        times=sequence.timestamps,
-        keypoints=sequence.keypoints,
-        keypoint_skeleton=keypoint_layout('coco17'),
-        joints=sequence.truth.joints,
-        seen=np.ones((390, 15), bool),
-        skeleton=CMU15,
-        truth=sequence.truth.joints,
-    )
-    figure = plots.draw_poses_figure(result, [0, 100], 'title', ['a', 'b'])
-    (colours,) = figure.legends
-    assert [t.get_text() for t in colours.get_texts()] == [
-        'left', 'right', 'middle', 'truth', 'not seen, filled in by the model',
-    ]  # fmt: skip
-    (errors, share) = figure.axes[-2:]
-    assert (errors.get_ylabel(), share.get_ylabel()) == ('3D error, mm', 'joints not seen')
-    legend = share.get_legend()
-    assert legend is not None
-    assert [t.get_text() for t in legend.get_texts()] == [
-        '3D error',
-        'joints not seen',
-        'frames above',
-    ]
-
-
-@pytest.mark.filterwarnings('error')
-def test_any_file_name_is_a_valid_title_of_a_picture(
-    short_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(['plot', str(short_recording), '--poses', '2', *QUICK_OPTIONS]) == 0
-    assert (tmp_path / '$x^{_$.png').stat().st_size > 1000
-
-
-def test_a_file_whose_name_is_no_utf_8_has_pictures(short_recording: Path, tmp_path: Path) -> None:
-    path = tmp_path / os.fsdecode(b'walk\xff.npz')
-    shutil.copy(short_recording, path)
-    assert main(['plot', str(path), '--poses', '2', '-o', str(tmp_path / 'a.png'), *QUICK_OPTIONS]) == 0
-    assert main(['keyframes', str(path), '-o', str(tmp_path / 'k.yaml')]) == 0
-    assert (tmp_path / 'k.yaml').read_text(encoding='utf-8').startswith('# Keyframes of walk\\udcff.npz. ')
-    assert all((tmp_path / name).stat().st_size > 1000 for name in ('a.png', 'k.png', 'k_distances.png'))
-
-
-def test_a_result_is_drawn_as_it_is(
-    short_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in ('r.npz', 'r.mcap'):
-        assert main(['reconstruct', str(short_recording), '-o', str(tmp_path / name), *QUICK_OPTIONS]) == 0
-        assert main(['plot', str(tmp_path / name), '-o', str(tmp_path / 'p.png'), '--poses', '3']) == 0
-        assert (tmp_path / 'p.png').read_bytes().startswith(b'\x89PNG')
-        (tmp_path / 'p.png').unlink()
-        capsys.readouterr()
-        assert main(['plot', str(tmp_path / name), '-o', str(tmp_path / 'p.png'), '--model', 'walk']) == 1
-        assert f'{name}: holds a result, which is drawn as it is; --topic' in capsys.readouterr().err
-        assert not (tmp_path / 'p.png').exists()
-
-
-def test_a_picture_without_input_shows_the_result_from_two_sides() -> None:
-    joints = np.random.default_rng(0).normal(size=(3, 15, 3))
-    joints[0] = np.nan
-    data = plots.PlotData(np.arange(3) / 30, joints, np.ones((3, 15), bool), CMU15)
-    figure = plots.draw_poses_figure(data, [0, 2], 'title', ['a', 'b'])
-    assert [axes.get_ylabel() for axes in figure.axes] == ['3D, from the camera', '3D, from the side', '', '']
-    assert [[t.get_text() for t in axes.texts] for axes in figure.axes] == [['no skeleton']] * 2 + [[]] * 2
-    whole = replace(data, keypoints=np.ones((3, 17, 3)), keypoint_skeleton=keypoint_layout('coco17'))
-    figure = plots.draw_poses_figure(whole, [2], 'title', ['a'])
-    assert [axes.get_ylabel() for axes in figure.axes] == ['2D input', '3D, from the camera', '3D, from the side']
 
 
 def test_several_files_of_one_reconstruction_agree(short_recording: Path, tmp_path: Path) -> None:

@@ -87,9 +87,6 @@ def test_one_category_has_other_defaults_than_all(
 @pytest.mark.parametrize(
     ('options', 'message'),
     [
-        (['--components', '0'], '--components and --every must be positive'),
-        (['--every', '0'], '--components and --every must be positive'),
-        (['--bodies', '-1'], '--bodies must not be negative'),
         (['--category', 'swim'], 'the options select no trial'),
     ],
 )

@@ -74,10 +74,10 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) 
             ['--fps', '30', 'reconstruct', 'x.json'],
             "'--fps' comes before the command; write: mocap-ros",
         ),
-        (['x.npz', 'plot'], "'x.npz' comes before the command; write: mocap-ros plot"),
+        (['x.npz', 'view'], "'x.npz' comes before the command; write: mocap-ros view"),
         (['x.npz'], "no command 'x.npz'; there are demo, reconstruct"),
         (['reconstruct', 'x.json', '--fps', 'fast'], "argument --fps: 'fast' is not a number"),
-        (['compile', '\x1b[31m\r\n\u202e'], r'unrecognized arguments: \x1b[31m \u202e'),
+        (['config', '\x1b[31m\r\n\u202e'], r'unrecognized arguments: \x1b[31m \u202e'),
         (
             ['batch', 'x', '-o', 'y', '--workers', 'two'],
             "argument --workers: 'two' is not a positive whole number",
@@ -103,6 +103,9 @@ def test_wrong_usage_is_explained(capsys: pytest.CaptureFixture[str], arguments:
             ['detect', 'a.mp4', '--max-people', '1.5'],
             "argument --max-people: '1.5' is not a positive whole number",
         ),
+        (['train', 'a', '-o', 'b', '--every', '0'], "argument --every: '0' is not a positive whole number"),
+        (['train', 'a', '-o', 'b', '--bodies', '-1'], "argument --bodies: '-1' is not a whole number from 0"),
+        (['train', 'a', '-o', 'b', '--seed', str(2**63)], 'argument --seed: '),
         (['batch', 'in', '-o', 'out', '--workers', '-1'], 'argument --workers: '),
         (['batch', 'in', '-o', 'out', '--workers', '0'], "argument --workers: '0' is not a positive whole number"),
         (

@@ -11,14 +11,12 @@ import pytest
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
-from mocap_ros.cli.demo import read_first_person, reserve_domain
+from mocap_ros.cli.demo import describe_errors, load_demo_scene, reserve_domain
 from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import MocapError
-from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
-from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames
 
@@ -55,21 +53,19 @@ def test_a_domain_is_given_away_once(monkeypatch: pytest.MonkeyPatch) -> None:
             pass
 
 
-def test_the_first_person_of_every_message_is_read(tmp_path: Path) -> None:
+def test_the_truth_and_the_person_are_in_the_frames_of_the_sequence(tmp_path: Path) -> None:
     sequence = make_recording().sequence()
+    assert sequence.truth is not None
     with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
         for frame, raw in enumerate(encode_demo_frames(FRAMES)):
             if frame != 4:
                 recorder.write('/keypoints', KEYPOINTS, raw, frame, frame)
     with Bag(tmp_path / 'bag') as bag:
         replay(bag, tmp_path / 'out', ReplayOptions(FAST_CONFIG))
-    joints, inferred = read_first_person(tmp_path / 'out', sequence)
+    scene = load_demo_scene(tmp_path / 'out', sequence)
     found = np.delete(np.arange(FRAMES), 4)
-    with Bag(tmp_path / 'out') as bag:
-        people = [decode(m.raw, SKELETONS).people[0] for m in bag.messages(['/skeletons'])]
-    assert joints[found].tolist() == [[[j.x, j.y, j.z] for j in p.joints] for p in people]
-    assert inferred[found].tolist() == [list(p.inferred) for p in people]
-    assert not inferred[found].all()
-    absent = np.setdiff1d(np.arange(len(sequence)), found)
-    assert np.isnan(joints[absent]).all()
-    assert inferred[absent].all()
+    assert scene.truth is not None
+    assert scene.truth[:, :15] == pytest.approx(sequence.truth.joints[found], abs=1e-5)
+    assert f'{FRAMES - 1} of {len(sequence)} frames have a skeleton' in describe_errors(
+        scene, sequence, sequence.truth
+    )

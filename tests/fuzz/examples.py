@@ -102,8 +102,6 @@ def make_messages() -> list[bytes]:
         IMAGE: encode(image, IMAGE),
         COMPRESSED_IMAGE: encode(compressed, COMPRESSED_IMAGE),
         'journal': encode_entry(Entry('input', 3, Verdict.DROPPED, 'late', '/keypoints', {'tracker.lag': 0.2})),
-        'columns of keypoints': make_keypoints(0),
-        'columns of skeletons': skeletons,
     }
     return [bytes([number]) + by_type[name] for number, (name, _) in enumerate(MESSAGE_READERS)]
 

@@ -38,8 +38,6 @@ from mocap_ros.messages.foreign.definitions import HRI_IDS, HRI_SKELETON
 from mocap_ros.messages.foreign.hri import decode_body, decode_ids
 from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE, decode_image
 from mocap_ros.messages.input_types import KEYPOINT_TYPES, decode_frame
-from mocap_ros.messages.keypoint_columns import read_keypoints
-from mocap_ros.messages.skeleton_columns import read_skeletons
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
 from mocap_ros.messages.transform_tree import TransformTree
 from mocap_ros.messages.transforms import TRANSFORMS
@@ -140,8 +138,6 @@ MESSAGE_READERS: tuple[tuple[str, Callable[[bytes], object]], ...] = (
     (IMAGE, lambda raw: decode_image(raw, IMAGE, LIMITS)),
     (COMPRESSED_IMAGE, lambda raw: decode_image(raw, COMPRESSED_IMAGE, LIMITS)),
     ('journal', decode_entry),
-    ('columns of keypoints', lambda raw: list(read_keypoints([raw, raw]))),
-    ('columns of skeletons', lambda raw: [list(m.people) for m in read_skeletons([raw, raw])]),
 )
 
 
@@ -294,8 +290,8 @@ def read_bag_folder(data: bytes, folder: Path) -> None:
 
 
 _MESSAGES = (
-    *('messages.camera_info', 'messages.cdr', 'messages.columns', 'messages.foreign', 'messages.images'),
-    *('messages.input_types', 'messages.keypoint', 'messages.skeleton_columns', 'messages.transform_tree'),
+    *('messages.camera_info', 'messages.cdr', 'messages.foreign', 'messages.images'),
+    *('messages.input_types', 'messages.keypoint', 'messages.skeletons', 'messages.transform_tree'),
     *('bags.journal', 'keypoints.validation'),
 )
 _NPZ = ('formats.npz_arrays', 'formats.sequence_file', 'formats.result_file', 'npz_file', 'models.model_file')

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The command that compiles, and what it must know of."""
+"""The compilation of all kernels, and what it must know of."""
 
 from __future__ import annotations
 
@@ -9,10 +9,7 @@ import re
 import subprocess
 import sys
 
-import pytest
-
-from mocap_ros.cli.compile import DECLARING_MODULES
-from mocap_ros.cli.main import main
+from mocap_ros.compiled.__main__ import DECLARING_MODULES, compile_all
 from tests.support.paths import ROOT
 
 LIST_MODULES = (
@@ -20,10 +17,9 @@ LIST_MODULES = (
 )
 
 
-def test_it_says_how_many_functions_are_ready(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(['compile']) == 0
+def test_it_says_how_many_functions_are_ready() -> None:
     assert re.fullmatch(
-        r'\d+ compiled functions are ready after \d+\.\d s, \d+ from the cache\n', capsys.readouterr().out
+        r'\d+ compiled functions are ready after \d+\.\d s, \d+ from the cache', str(compile_all())
     )
 
 
