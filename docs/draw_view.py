@@ -19,13 +19,16 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import ViewportSize, sync_playwright
 from tqdm import tqdm
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / 'docs' / 'img' / 'view'
-WINDOW = {'width': 1280, 'height': 800}  # px; of the still picture
-SMALL_WINDOW = {'width': 1000, 'height': 640}  # px; of the animation, whose text stays readable at WIDTH
+WINDOW: ViewportSize = {'width': 1280, 'height': 800}  # px; of the still picture
+SMALL_WINDOW: ViewportSize = {
+    'width': 1000,
+    'height': 640,
+}  # px; of the animation, whose text stays readable at WIDTH
 WIDTH = 680  # px; of the animation, about that of a column of text
 STEP_S = 0.1  # s; between two pictures of the animation
 END_S = 9.0  # s; the part of the demo in which the person walks, runs and jumps

@@ -18,7 +18,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'Pass the file to `mocap_node --ros-args --params-file` or to the option `--config` of the other '
         'commands.'
     )
-    parser.add_argument('--all', action='store_true', help='print every parameter')
+    parser.add_argument(
+        '--all', action='store_true', help='print every parameter (default: those that many users set)'
+    )
     add_config_options(parser)
     parser.set_defaults(run=run)
 
