@@ -309,13 +309,12 @@ def record_steps(folder: Path, jump: tuple[int, float] = (-1, 0.0)) -> int:
     config = RecorderConfig(chunk_seconds=0.2, split_seconds=0.5, min_free_mb=0)
     frame = 0
     try:
-        recorder = Recorder(folder, config, has_log=True)
+        recorder = Recorder(folder, config)
         for frame in range(FRAMES):
             jump_ns = round(jump[1] * 1e9) if 0 <= jump[0] <= frame else 0
             for message in make_batch(frame, START_NS + frame * STEP_NS + jump_ns):
                 recorder.write(*message)
-            recorder.write_ahead()
-            recorder.check_disk()
+            recorder.flush()
         recorder.close()
     except RecordingError:
         return frame
@@ -372,7 +371,7 @@ def count_frames_before(steps: Sequence[str]) -> list[int]:
     counts, frames = [], 0
     for step in steps:
         counts.append(frames)
-        frames += step == 'write .mcap-wal'
+        frames += step == 'write .mcap'
     return counts
 
 

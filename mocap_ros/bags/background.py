@@ -10,6 +10,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from math import inf
@@ -22,9 +23,9 @@ from mocap_ros.bags.rosbag2 import Topic, TypeDefinition
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import FolderTaken, RecordingError
 
-CHECK_PERIOD_S = 0.25  # s; how soon a removed folder and a disk that is nearly full are noticed
+CHUNK_PERIOD_S = 0.1  # s, after which a chunk is closed and the disk is checked; a killed process loses no more
+SYNC_PERIOD_S = 0.5  # s; a power cut loses the sum of both periods and the time of a sync, to be below 1 s
 MAX_WAITING_BYTES = 256_000_000  # bytes of waiting messages; far above 1000 messages of people; guards the memory
-MAX_UNSAVED_S = 0.02  # s; how long messages may be in the memory of the process only, while more are arriving
 
 
 def start_recorder(
@@ -53,7 +54,7 @@ def start_recorder(
 class BackgroundRecorder:
     """A `Recorder` that receives messages in batches and closes chunks by the clock instead of by log time.
 
-    Messages are handed to the operating system as soon as the thread has none to write, in a write-ahead log.
+    Messages are handed to the operating system every 0.1 s, and the disk is made to hold them every 0.5 s.
 
     Args:
         folder: Folder of the new bag.
@@ -78,9 +79,7 @@ class BackgroundRecorder:
     ) -> None:
         self.folder = folder
         self.refused_count = 0
-        self._recorder = Recorder(
-            folder, _leave_chunks_open(config), attachments, definitions=definitions, has_log=True
-        )
+        self._recorder = Recorder(folder, _leave_chunks_open(config), attachments, definitions=definitions)
         self._config = config
         self._batches: deque[tuple[RecordedMessage | Topic, ...]] = deque()
         self._waiting_bytes = 0
@@ -170,27 +169,27 @@ class BackgroundRecorder:
     def _run(self) -> None:
         """Run the writing thread until the recorder is closed or fails."""
         try:
-            self._write_until_closed()
+            with ThreadPoolExecutor(1, 'mocap recorder sync') as executor:
+                self._write_until_closed(executor)
             self._recorder.close()
         except RecordingError as error:
             self._error = error
         except Exception:
             self._error = RecordingError(f'{self.folder}: {traceback.format_exc()}')
         finally:
-            with suppress(Exception):  # the first error is told; without one the bag is closed already
+            with suppress(Exception):  # the first error is reported; without one the bag is closed already
                 self._recorder.close()
             self._busy_since_s = None
 
-    def _write_until_closed(self) -> None:
-        """Write batches as they arrive, and check the disk and close chunks when it is time."""
+    def _write_until_closed(self, executor: Executor) -> None:
+        """Write batches as they arrive; close chunks, check the disk and sync when it is time."""
         recorder = self._recorder
-        flush_due_s = check_due_s = 0.0  # on the steady clock
-        saved_s = time.monotonic()
+        flush_due_s = sync_due_s = 0.0  # on the steady clock
         while True:
             with self._wake:
-                timeout_s = max(min(flush_due_s, check_due_s) - time.monotonic(), 0.0)
                 if not self._batches and not self._closing:
                     self._busy_since_s = None
+                timeout_s = max(flush_due_s - time.monotonic(), 0.0)
                 self._wake.wait_for(lambda: self._batches or self._closing, timeout_s)
                 batch = self._batches.popleft() if self._batches else ()
                 self._waiting_bytes -= _count_bytes(batch)
@@ -203,13 +202,10 @@ class BackgroundRecorder:
                     recorder.write(*record)
             if now_s >= flush_due_s:
                 recorder.flush()
-                flush_due_s = now_s + self._config.chunk_seconds
-            if not self._batches or now_s - saved_s > MAX_UNSAVED_S:
-                recorder.write_ahead()
-                saved_s = now_s
-            if now_s >= check_due_s:
-                recorder.check_disk()
-                check_due_s = now_s + CHECK_PERIOD_S
+                flush_due_s = now_s + min(CHUNK_PERIOD_S, self._config.chunk_seconds)
+                if now_s >= sync_due_s:
+                    recorder.start_sync(executor)
+                    sync_due_s = now_s + SYNC_PERIOD_S
             if is_finished:
                 return
 

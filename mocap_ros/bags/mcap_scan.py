@@ -1,58 +1,57 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Scan of MCAP files that were cut off or damaged: everything that can still be read, their log included.
+"""Everything that can be read of an MCAP file that was cut off or damaged.
 
-Records are parsed by the classes of the `mcap` package. The readers of that package stop at the first fault; this
-scan reports the fault and continues behind it.
+Records are parsed by the reader of `mcap` up to the first fault; behind a fault, reading continues at the next
+complete chunk. The layout is that of the MCAP specification (https://mcap.dev/spec).
 """
 
 from __future__ import annotations
 
+import re
+import struct
 import zlib
 from collections import Counter
 from collections.abc import Generator, Iterator
-from contextlib import suppress
+from dataclasses import replace
+from io import SEEK_END, BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
+import zstandard
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
     Channel,
     Chunk,
+    DataEnd,
+    Footer,
+    McapRecord,
     Message,
     Metadata,
     Schema,
     Statistics,
 )
+from mcap.stream_reader import StreamReader, breakup_chunk
 
-from mocap_ros.bags.file_bytes import FileBytes
-from mocap_ros.bags.mcap_layout import (
-    CHUNK_HEADER,
-    CHUNK_PATTERN,
-    CRC_BYTES,
-    DATA_END_BYTES,
-    DATA_END_PREFIX,
-    FOOTER,
-    MAGIC,
-    MAX_CHUNK_BYTES,
-    MAX_CHUNK_PATTERN_BYTES,
-    MAX_COMPRESSION_NAME_BYTES,
-    MESSAGE_INDEX_ENTRY_BYTES,
-    MESSAGE_INDEX_HEADER_BYTES,
-    MIN_CHUNK_BYTES,
-    PARSE_ERRORS,
-    RECORD_PREFIX,
-    RecordLocation,
-    compute_chunk_length,
-    decompress_records,
-    iterate_records,
-    open_content,
-)
-from mocap_ros.bags.write_ahead_log import OpenChunk, read_log
+from mocap_ros.bags.reader_limits import MAX_CHUNK_BYTES, PIECE_BYTES, unpack
 
+MAGIC = b'\x89MCAP0\r\n'  # first and last 8 bytes of every file
+FOOTER_BYTES = 29  # of the record before the last bytes
+CRC_BYTES = 4  # of a CRC-32, the last ones of the footer and of an attachment
+RECORD_PREFIX = struct.Struct('<BQ')  # opcode; length of the content in bytes
+CHUNK_HEADER = struct.Struct('<QQQII')  # first and last log time, size, checksum, length of the compression's name
+# The start of a chunk: opcode 6, a content length below 2**40, 28 further bytes, the name of the compression. As a
+# look-ahead, so that matches may overlap.
+CHUNK_PATTERN = re.compile(rb'(?=\x06.{5}\0{3}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd))', re.DOTALL)
+CHUNK_START_BYTES = RECORD_PREFIX.size + CHUNK_HEADER.size + 4 + 8  # up to the compressed records
+FIRST_PRIVATE_OPCODE = 0x80  # opcodes from here on are left to applications
 MAX_OVERLAPS = 100  # records of wrong length in which a chunk is searched for; bounds the time for a crafted file
+
+# What the parsers and decompressors raise for damaged data.
+PARSE_ERRORS = (struct.error, ValueError, KeyError, EOFError, RuntimeError, McapError, zstandard.ZstdError)
 
 
 class ScannedMessage(NamedTuple):
@@ -71,290 +70,191 @@ class McapScan:
 
     Attributes:
         losses: Sentences about what could not be read, as far as the scan has advanced.
-        scanned_bytes: Bytes scanned so far.
-        size: Size of the file in bytes.
+        position: Number of the bytes scanned so far.
 
     Raises:
-        OSError: The file cannot be opened. To iterate raises it where the disk is gone altogether.
+        OSError: The file cannot be read; also while the scan advances.
     """
 
     def __init__(self, path: Path) -> None:
         self.losses: list[str] = []
-        self.scanned_bytes = 0
-        self._reached_data_end = False
-        self._chunk_count = 0
-        self._search_start = 0  # byte from which on a chunk is searched for where the next record is damaged
-        self._overlap_count = 0  # records of wrong length that contained the start of a chunk
-        self._log: OpenChunk | None = read_log(path)
+        self.position = 0
+        self._size = path.stat().st_size
+        self._path = path
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
         self._messages_without_channel: Counter[int] = Counter()  # by channel id
-        with path.open('rb') as file:
-            self._data = FileBytes(file.fileno(), keep_going=True)
-        self.size = len(self._data)
-
-    @property
-    def is_mcap(self) -> bool:
-        """Whether the file starts or ends as an MCAP file does, or has a log or a complete chunk."""
-        has_mark = self._has_intact_start or self.is_finished or self._log is not None
-        return has_mark or self._find_next_chunk(0) is not None
-
-    @property
-    def _has_intact_start(self) -> bool:
-        """Whether the file starts as an MCAP file does."""
-        return self._data[: len(MAGIC)] == MAGIC
-
-    @property
-    def is_finished(self) -> bool:
-        """Whether the file ends as an MCAP file does."""
-        return self.size > 2 * len(MAGIC) and self._data[-len(MAGIC) :] == MAGIC
+        self._message_count = 0
 
     def __iter__(self) -> Iterator[ScannedMessage | Attachment | Metadata]:
-        if not self._has_intact_start:
-            self.losses.append(f'its first {len(MAGIC)} bytes are not those of an MCAP file')
-        expected = self._read_summary()
-        message_count = 0
-        for item in self._scan_data():
-            message_count += isinstance(item, ScannedMessage)
-            yield item
-        for item in self._read_log():
-            message_count += 1
-            yield item
+        with self._path.open('rb') as file:
+            expected_count = self._read_summary(file)
+            yield from self._read_data(file)
         for channel, lost in self._messages_without_channel.items():
             self.losses.append(
                 f'{lost} messages are lost, because the description of their channel {channel} is lost'
             )
-        for start, end, error in self._data.unreadable:
-            self.losses.append(f'{end - start} bytes from byte {start} on cannot be read: {error}')
-        if expected is not None and message_count < expected:
-            self.losses.append(f'{expected - message_count} of {expected} messages are missing')
+        if self._message_count < expected_count:
+            lost = expected_count - self._message_count
+            self.losses.append(f'{lost} of {expected_count} messages are missing')
 
-    def _scan_data(self) -> Iterator[ScannedMessage | Attachment | Metadata]:
-        """Yield the items of the data section; continue behind damage at the next complete chunk."""
-        resume_at: int | None = len(MAGIC)
-        while resume_at is not None:
-            self.scanned_bytes = resume_at
-            yield from self._read_intact_records()
-            if self._reached_data_end:
-                return
-            saved = list(self._read_cut_chunk(self.scanned_bytes))
-            yield from saved
-            resume_at = self._find_next_chunk(self._search_start)
-            gap_start, gap_end = self.scanned_bytes, self.size if resume_at is None else resume_at
-            if gap_end < gap_start:
-                self._overlap_count += 1
-                gap_start = max(self._search_start - 1, 0)
-            self._report_gap(gap_start, gap_end, len(saved), is_last=resume_at is None)
+    def _read_summary(self, file: BinaryIO) -> int:
+        """Read schemas and channels of the summary; return the number of messages that it states, or 0."""
+        count = 0
+        try:
+            for record in StreamReader(BytesIO(read_summary(file)), skip_magic=True).records:
+                list(self._read_message(record))
+                count = record.message_count if isinstance(record, Statistics) else count
+        except PARSE_ERRORS as error:
+            if not isinstance(error, EOFError):
+                self.losses.append('the summary at the end of the file is damaged and was not used')
+        return count
 
-    def _read_intact_records(self) -> Iterator[ScannedMessage | Attachment | Metadata]:
-        """Yield the messages, attachments and metadata from byte `scanned_bytes` on, and advance `scanned_bytes`.
-
-        Stop at the end of the data section, or at the first record that is incomplete or whose length is wrong. A
-        record before it whose checksum does not match, or that has none, may have a wrong length as well and
-        contain the start of a chunk.
-        """
-        for record in iterate_records(self._data, self.scanned_bytes):
-            content = self._data[record.content_start : record.end]
-            if not self._data.is_readable(record.start, record.end):
-                self._search_start = record.start + 1
-                return
-            self._reached_data_end = record.opcode == Opcode.DATA_END
-            if self._reached_data_end or (
-                record.opcode == Opcode.CHUNK and compute_chunk_length(content) != len(content)
-            ):
-                return
-            is_length_certain = self._overlap_count >= MAX_OVERLAPS
-            if record.opcode == Opcode.CHUNK:
-                self._chunk_count += 1
-                is_length_certain |= yield from self._read_chunk(content, record.start)
-            elif record.opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
-                is_length_certain |= yield from self._read_attachment_or_metadata(record, content)
-            elif record.opcode != Opcode.MESSAGE or not self._chunk_count:
-                yield from self._read_message(record.opcode, content)
-            self.scanned_bytes = record.end
-            self._search_start = record.end if is_length_certain else record.start + 1
-
-    def _read_log(self) -> Iterator[ScannedMessage]:
-        """Yield the messages of the open chunk of a file that was not finished, unless the file holds them."""
-        if self._reached_data_end or self._log is None or not self._is_log_needed:
-            return
-        records, end = self._log.records, 0
-        for record in iterate_records(records, 0):
-            yield from self._read_message(record.opcode, records[record.content_start : record.end])
-            end = record.end
-        if end < len(records):
+    def _read_data(self, file: BinaryIO) -> Iterator[ScannedMessage | Attachment | Metadata]:
+        """Yield the items of the data section; behind a fault, go on at the next complete chunk."""
+        file.seek(0)
+        has_start = file.read(len(MAGIC)) == MAGIC
+        start: int | None = len(MAGIC) if has_start else _find_chunk(file, 0, self._size)
+        if not has_start:
+            is_mcap = start is not None
             self.losses.append(
-                f'the last {len(records) - end} bytes of its write-ahead log are no complete record'
+                f'its first {len(MAGIC)} bytes are not those of an MCAP file'
+                if is_mcap
+                else 'the file is no MCAP file'
             )
-        if missing := self._log.chunks_before - self._chunk_count:
-            self.losses.append(
-                f'chunks before its write-ahead log that the file does not hold completely: {missing}'
-            )
+        overlap_count = 0
+        while start is not None:
+            overlap_count += start < self.position
+            self.position = start
+            search_start = yield from self._read_records(file)
+            if search_start < 0:
+                return
+            is_behind = overlap_count >= MAX_OVERLAPS
+            start = _find_chunk(file, max(search_start, self.position) if is_behind else search_start, self._size)
+            self._report_gap(self.position, start)
 
-    @property
-    def _is_log_needed(self) -> bool:
-        """Whether the file lacks the chunk whose messages the log holds."""
-        return self._log is not None and self._chunk_count <= self._log.chunks_before
+    def _read_records(self, file: BinaryIO) -> Generator[ScannedMessage | Attachment | Metadata, None, int]:
+        """Yield the items of complete records from `position` on, and advance it.
 
-    @property
-    def _has_log_of_end(self) -> bool:
-        """Whether the log holds what comes next in the file, whose earlier chunks are all there."""
-        return self._log is not None and self._chunk_count == self._log.chunks_before
-
-    def _report_gap(self, start: int, end: int, saved_count: int, *, is_last: bool) -> None:
-        """Add a loss for the bytes from `start` to `end`, which are no complete record."""
-        if start == end or (is_last and self._has_log_of_end and not self.is_finished):
-            if is_last:
-                told = 'every message that was written to it was recovered'
-                if self._log is None:
-                    told = 'messages of its last chunk may be missing without its write-ahead log (-wal)'
-                self.losses.append(f'the file was not closed; {told}')
-            return
-        fault = 'cut off' if is_last and not self.is_finished else 'damaged'
-        saved = f'; {saved_count} complete messages in them were saved' if saved_count else ''
-        self.losses.append(
-            f'the file is {fault} at byte {start}: {end - start} bytes are no complete record{saved}'
-        )
-
-    def _read_summary(self) -> int | None:
-        """Read schemas and channels from the summary section; return the number of messages that it states."""
-        footer = self.size - len(MAGIC) - FOOTER.size - RECORD_PREFIX.size
-        if not self.is_finished or footer < 0 or self._data[footer : footer + 1] != bytes([Opcode.FOOTER]):
-            return None
-        start = self._find_summary(footer)
-        if start is None:
-            return None
-        expected = None
-        for record in iterate_records(self._data, start, footer):
-            content = self._data[record.content_start : record.end]
-            if record.opcode == Opcode.STATISTICS:
-                with suppress(*PARSE_ERRORS):
-                    expected = Statistics.read(open_content(content)).message_count
-            else:
-                list(self._read_message(record.opcode, content))
-        return expected
-
-    def _find_summary(self, footer: int) -> int | None:
-        """Return the start of the summary section before the footer; None where there is none or it is damaged.
-
-        It is where the footer states, unless bytes before it were removed or added; it always follows DataEnd.
+        Returns:
+            Where to search for the next chunk: behind the last record, or in it where no checksum says that it is
+            intact, as a record of wrong length may contain others; -1 at the end of the data section.
         """
-        stated, _, crc = FOOTER.unpack(self._data[footer + RECORD_PREFIX.size : self.size - len(MAGIC)])
-        if not stated or self._is_summary(stated, footer, crc):
-            return stated or None
-        found = self._data.find_last(DATA_END_PREFIX, footer) + DATA_END_BYTES
-        if found >= DATA_END_BYTES and self._is_summary(found, footer, crc):
-            return found
-        self.losses.append('the summary at the end of the file is damaged and was not used')
-        return None
+        search_start = self.position
+        while data := _read_record(file, self.position):
+            start, end = self.position, self.position + len(data)
+            search_start = start + 1
+            try:
+                if data[0] < FIRST_PRIVATE_OPCODE:
+                    record = next(StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records)
+                    if isinstance(record, DataEnd):
+                        return -1
+                    yield from self._read_record(record, data)
+                    is_checked = isinstance(record, Chunk) and record.uncompressed_crc
+                    search_start = end if is_checked or isinstance(record, Attachment) else search_start
+            except PARSE_ERRORS as error:
+                kind = Opcode(data[0]).name.lower().replace('_', ' ')
+                reason = ' '.join(str(error).split()) or 'a length in it is damaged'
+                self.losses.append(f'the {kind} record at byte {start} cannot be read: {reason}')
+            self.position = end
+        return search_start
 
-    def _is_summary(self, start: int, footer: int, crc: int) -> bool:
-        """Return whether the records of the summary reach from `start` to the footer, by their checksum if any."""
-        if crc:
-            return zlib.crc32(self._data[start : self.size - len(MAGIC) - CRC_BYTES]) == crc
-        end = 0
-        for record in iterate_records(self._data, start, footer):
-            end = record.end
-        return end == footer
-
-    def _read_message(self, opcode: int, content: bytes) -> Iterator[ScannedMessage]:
-        """Yield the message of a message record; remember a schema or channel; ignore all other records."""
-        try:
-            if opcode == Opcode.SCHEMA:
-                schema = Schema.read(open_content(content))
-                self._schemas[schema.id] = schema
-            elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(open_content(content))
-                self._channels[channel.id] = channel
-            elif opcode == Opcode.MESSAGE:
-                message = Message.read(open_content(content), len(content))
-                described = self._channels.get(message.channel_id)
-                if described is None:
-                    self._messages_without_channel[message.channel_id] += 1
-                else:
-                    yield ScannedMessage(self._schemas.get(described.schema_id), described, message)
-        except PARSE_ERRORS:
-            self.losses.append(f'a {Opcode(opcode).name.lower()} record is invalid')
-
-    def _read_chunk(self, content: bytes, start: int) -> Generator[ScannedMessage, None, bool]:
-        """Yield the messages of a chunk whose checksum matches; return whether it does."""
-        where = f'chunk at byte {start}'
-        try:
-            chunk = Chunk.read(open_content(content))
-        except PARSE_ERRORS:
-            lost = self._describe_indexed_messages(start, content)
-            self.losses.append(f'{where} ({lost}): its header is damaged')
-            return False
-        if chunk.uncompressed_size > MAX_CHUNK_BYTES:
-            lost = self._describe_indexed_messages(start, content)
-            limit = f'the limit of {MAX_CHUNK_BYTES >> 20} MiB'
-            self.losses.append(f'{where} ({lost}): it holds {chunk.uncompressed_size} bytes, more than {limit}')
-            return False
-        payload = decompress_records(chunk.data, chunk.compression, chunk.uncompressed_size)
-        crc = chunk.uncompressed_crc
-        if payload is None or len(payload) != chunk.uncompressed_size or (crc and zlib.crc32(payload) != crc):
-            lost = self._describe_indexed_messages(start, content)
-            reason = 'its checksum does not match' if payload else 'it cannot be decompressed'
-            self.losses.append(f'{where} ({lost}): {reason}')
-            return False
-        end = 0
-        for record in iterate_records(payload, 0):
-            yield from self._read_message(record.opcode, payload[record.content_start : record.end])
-            end = record.end
-        if end < len(payload):
-            self.losses.append(f'{where}: its last {len(payload) - end} bytes are no complete record')
-        return True
-
-    def _describe_indexed_messages(self, start: int, content: bytes) -> str:
-        """Return in words how many messages the message indexes behind a chunk list."""
-        number = 0
-        for record in iterate_records(self._data, start + RECORD_PREFIX.size + len(content)):
-            if record.opcode != Opcode.MESSAGE_INDEX:
-                break
-            index_bytes = record.end - record.content_start
-            number += (index_bytes - MESSAGE_INDEX_HEADER_BYTES) // MESSAGE_INDEX_ENTRY_BYTES
-        return f'{number} messages' if number else 'an unknown number of messages'
-
-    def _read_cut_chunk(self, start: int) -> Iterator[ScannedMessage]:
-        """Yield the complete messages of a chunk that the end of the file cuts off."""
-        header_end = start + RECORD_PREFIX.size + MIN_CHUNK_BYTES + MAX_COMPRESSION_NAME_BYTES
-        if not CHUNK_PATTERN.match(self._data[start:header_end]) or self.is_finished or self._has_log_of_end:
-            return
-        content = self._data[start + RECORD_PREFIX.size : start + MAX_CHUNK_BYTES]
-        *_, size, _, name_length = CHUNK_HEADER.unpack_from(content)
-        if not self._data.is_readable(start, start + MAX_CHUNK_BYTES):
-            return
-        is_cut = MIN_CHUNK_BYTES + name_length <= len(content) < compute_chunk_length(content)
-        if not is_cut or size > MAX_CHUNK_BYTES:
-            return
-        compression = content[CHUNK_HEADER.size : CHUNK_HEADER.size + name_length].decode()
-        payload = decompress_records(content[MIN_CHUNK_BYTES + name_length :], compression, size) or b''
-        for record in iterate_records(payload, 0):
-            yield from self._read_message(record.opcode, payload[record.content_start : record.end])
-
-    def _find_next_chunk(self, start: int) -> int | None:
-        """Return the offset of the next complete chunk, or None where there is none."""
-        for chunk_start in self._data.find_all(CHUNK_PATTERN, MAX_CHUNK_PATTERN_BYTES, start):
-            content_start = chunk_start + RECORD_PREFIX.size
-            _, length = RECORD_PREFIX.unpack(self._data[chunk_start:content_start])
-            header = self._data[content_start : content_start + MIN_CHUNK_BYTES + MAX_COMPRESSION_NAME_BYTES]
-            if content_start + length <= self.size and compute_chunk_length(header) == length:
-                return chunk_start
-        return None
-
-    def _read_attachment_or_metadata(
-        self, record: RecordLocation, content: bytes
-    ) -> Generator[Attachment | Metadata, None, bool]:
-        """Yield an attachment whose checksum matches, or metadata; return whether a checksum matches."""
-        try:
-            if record.opcode == Opcode.METADATA:
-                yield Metadata.read(open_content(content))
-                return False
+    def _read_record(self, record: McapRecord, data: bytes) -> Iterator[ScannedMessage | Attachment | Metadata]:
+        """Yield what a record outside of the summary holds; raise ValueError where its checksum is wrong."""
+        if isinstance(record, Chunk):
+            size = record.uncompressed_size
+            if size > MAX_CHUNK_BYTES:
+                raise ValueError(f'it holds {size} bytes, more than the limit of {MAX_CHUNK_BYTES >> 20} MiB')
+            content = unpack(record.data, record.compression, size) if record.compression else record.data
+            if len(content) != size:
+                raise ValueError(f'it holds {len(content)} bytes instead of {size}')
+            for part in breakup_chunk(replace(record, data=content, compression=''), validate_crc=True):
+                yield from self._read_message(part)
+        elif isinstance(record, Attachment):
+            content = data[RECORD_PREFIX.size :]
             if zlib.crc32(content[:-CRC_BYTES]) != int.from_bytes(content[-CRC_BYTES:], 'little'):
-                raise ValueError
-            yield Attachment.read(open_content(content))
-        except PARSE_ERRORS:
-            kind = Opcode(record.opcode).name.lower()
-            self.losses.append(f'the {kind} record at byte {record.start} is damaged')
-            return False
-        return True
+                raise ValueError('its checksum does not match')
+            yield record
+        elif isinstance(record, Metadata):
+            yield record
+        else:
+            yield from self._read_message(record)
+
+    def _read_message(self, record: McapRecord) -> Iterator[ScannedMessage]:
+        """Yield the message of a message record; remember a schema or channel; ignore all other records."""
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record
+        elif isinstance(record, Channel):
+            self._channels[record.id] = record
+        elif isinstance(record, Message):
+            channel = self._channels.get(record.channel_id)
+            if channel is None:
+                self._messages_without_channel[record.channel_id] += 1
+            else:
+                self._message_count += 1
+                yield ScannedMessage(self._schemas.get(channel.schema_id), channel, record)
+
+    def _report_gap(self, start: int, end: int | None) -> None:
+        """Add a loss for the bytes from `start` to `end`, or the end of the file, which are no complete record."""
+        if start == self._size:
+            self.losses.append('the file was not closed; what was recorded last may be missing')
+        else:
+            fault = 'cut off' if end is None else 'damaged'
+            size = max((self._size if end is None else end) - start, 0)
+            self.losses.append(f'the file is {fault} at byte {start}: {size} bytes are no complete record')
+
+
+def read_summary(file: BinaryIO) -> bytes:
+    """Return the summary section of an MCAP file with the footer; empty where the file states none.
+
+    Raises:
+        EOFError: The file does not end as an MCAP file does.
+        ValueError: The checksum of the summary does not match.
+    """
+    size = file.seek(0, SEEK_END)
+    file.seek(-min(FOOTER_BYTES + len(MAGIC), size), SEEK_END)
+    end = file.read()
+    if not end.endswith(MAGIC) or len(end) < FOOTER_BYTES + len(MAGIC):
+        raise EOFError
+    footer = next(StreamReader(BytesIO(end), skip_magic=True).records, None)
+    if not isinstance(footer, Footer):
+        raise ValueError('there is no footer')
+    if not footer.summary_start:
+        return b''
+    file.seek(min(footer.summary_start, size))
+    summary = file.read()
+    if footer.summary_crc and zlib.crc32(summary[: -len(MAGIC) - CRC_BYTES]) != footer.summary_crc:
+        raise ValueError('its checksum does not match')
+    return summary
+
+
+def _read_record(file: BinaryIO, start: int) -> bytes:
+    """Return the bytes of the record at `start`; empty where it is incomplete, too large or none."""
+    file.seek(start)
+    prefix = file.read(RECORD_PREFIX.size)
+    if len(prefix) < RECORD_PREFIX.size:
+        return b''
+    opcode, length = RECORD_PREFIX.unpack(prefix)
+    is_known = 0 < opcode <= Opcode.DATA_END or opcode >= FIRST_PRIVATE_OPCODE
+    if not is_known or length > MAX_CHUNK_BYTES:
+        return b''
+    content = file.read(length)
+    return prefix + content if len(content) == length else b''
+
+
+def _find_chunk(file: BinaryIO, start: int, size: int) -> int | None:
+    """Return the offset of the next chunk from `start` on whose stated lengths agree; None where there is none."""
+    while start < size:
+        file.seek(start)
+        piece = file.read(PIECE_BYTES + CHUNK_START_BYTES)
+        for match in CHUNK_PATTERN.finditer(piece):
+            _, length = RECORD_PREFIX.unpack_from(piece, match.start())
+            *_, name_bytes = CHUNK_HEADER.unpack_from(piece, match.start() + RECORD_PREFIX.size)
+            packed_at = match.start() + RECORD_PREFIX.size + CHUNK_HEADER.size + name_bytes
+            packed_bytes = int.from_bytes(piece[packed_at : packed_at + 8], 'little')
+            found = start + match.start()
+            is_whole = found + RECORD_PREFIX.size + length <= size and length <= MAX_CHUNK_BYTES
+            if is_whole and length == CHUNK_HEADER.size + name_bytes + 8 + packed_bytes:
+                return found
+        start += PIECE_BYTES
+    return None

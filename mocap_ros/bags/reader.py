@@ -9,11 +9,9 @@ Messages are read one at a time. Damage is always reported as an error; no messa
 from __future__ import annotations
 
 import re
-import zlib
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from itertools import takewhile
-from os import SEEK_END
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -22,10 +20,9 @@ from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.typesys.store import Typestore
 
-from mocap_ros.bags.mcap_layout import CRC_BYTES, FOOTER, MAGIC
-from mocap_ros.bags.reader_limits import describe_error, limit_readers
+from mocap_ros.bags.mcap_scan import MAGIC, PARSE_ERRORS, read_summary
+from mocap_ros.bags.reader_limits import describe_error
 from mocap_ros.bags.rosbag2 import METADATA
-from mocap_ros.bags.sqlite_schema import find_unusual_tables
 from mocap_ros.errors import InputError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import typestore
@@ -40,8 +37,6 @@ ROS2_SUFFIXES = ('.mcap', '.db3')  # of the files of ROS 2 bags
 ROS1_SUFFIX = '.bag'  # of ROS 1 bags
 # bytes of a metadata.yaml; one of this size takes half a minute to parse, and 100 topics need 100 kB
 MAX_METADATA_BYTES = 1 << 20
-
-limit_readers()
 
 
 class BagMessage(NamedTuple):
@@ -285,6 +280,11 @@ def list_bag_files(folder: Path) -> list[Path]:
     return sorted(files, key=lambda file: find_number_and_name(file.name))
 
 
+def find_database_log(file: Path) -> Path:
+    """Return the path of the write-ahead log that SQLite keeps beside a database."""
+    return file.with_name(f'{file.name}-wal')
+
+
 def find_number_and_name(name: str) -> tuple[int, str]:
     """Return the number at the end of the stem of a file's name, -1 where there is none, and the name."""
     number = re.search(r'(\d+)$', PurePosixPath(name).stem)
@@ -336,12 +336,9 @@ def _find_fault(path: Path) -> str:
         with suppress(OSError):
             if file.suffix == '.mcap' and (fault := _find_mcap_fault(file)):
                 return f'{fault} ({file.name})'
-            write_ahead_log = file.with_name(f'{file.name}-wal')
-            if file.suffix == '.db3' and write_ahead_log.is_file() and write_ahead_log.stat().st_size:
-                missing = f'{write_ahead_log.name} holds messages that are not in {file.name} yet'
-                return f'the recording was cut off: {missing}'
-            if file.suffix == '.db3' and (unusual := find_unusual_tables(file)):
-                return f'{unusual} ({file.name})'
+            log = find_database_log(file)
+            if file.suffix == '.db3' and log.is_file() and log.stat().st_size:
+                return f'the recording was cut off: {log.name} holds messages that are not in {file.name} yet'
     if files and not (path / METADATA).exists():
         return f'the recording was not finished: {METADATA} is missing'
     return ''
@@ -352,15 +349,10 @@ def _find_mcap_fault(file: Path) -> str:
     with file.open('rb') as stream:
         if stream.read(len(MAGIC)) != MAGIC:
             return ''
-        size = stream.seek(0, SEEK_END)
-        stream.seek(-min(len(MAGIC) + FOOTER.size, size), SEEK_END)
-        end = stream.read()
-        if not end.endswith(MAGIC) or len(end) < len(MAGIC) + FOOTER.size:
+        try:
+            read_summary(stream)
+        except EOFError:
             return 'the recording was cut off'
-        summary_start, _, crc = FOOTER.unpack_from(end)
-        checked_bytes = size - summary_start - len(MAGIC) - CRC_BYTES
-        if summary_start and crc:
-            stream.seek(min(summary_start, size))
-            if checked_bytes < 0 or zlib.crc32(stream.read(checked_bytes)) != crc:
-                return 'the index is damaged'
+        except PARSE_ERRORS:
+            return 'the index is damaged'
     return ''

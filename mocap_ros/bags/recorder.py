@@ -8,13 +8,12 @@ The last of `MAX_FILES` files is not split.
 
 Messages are collected in chunks. A chunk is closed when it holds `recorder.chunk_bytes`, or by `flush`, which
 `write` calls when the log time has advanced by `recorder.chunk_seconds`. `flush` also hands the written data to
-the operating system, so a crash of the process loses only the messages since the last flush. `write_ahead` hands
-the messages of the open chunk to the operating system, in a file beside the bag's, without closing the chunk.
-Files are not synced, so the operating system decides what a power failure loses.
+the operating system, so a crash of the process loses only the messages since the last flush. A power cut loses
+what was flushed since the last `start_sync`; finished files and the names of all files are on the disk.
 
-Free disk space is checked before a recording starts, at every flush and by `check_disk`. If less than
-`recorder.min_free_mb` is left, the bag is finished and the recording ends with an error. If writing fails, the bag
-is finished with the messages that reached the disk.
+Free disk space is checked before a recording starts and at every flush. If less than `recorder.min_free_mb` is
+left, the bag is finished and the recording ends with an error. If writing fails, it is tried once more, to finish
+the bag; if that fails as well, the file ends with its last complete record.
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ import errno
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from itertools import chain, count
@@ -30,7 +30,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from mocap_ros.bags.mcap_file import Attachment, McapFile
+from mocap_ros.bags.mcap_file import Attachment, McapFile, sync_folder
 from mocap_ros.bags.reader import ROS2_SUFFIXES
 from mocap_ros.bags.rosbag2 import (
     BAG_INFORMATION,
@@ -149,7 +149,6 @@ class Recorder:
         name: Beginning of the file names; by default the name of the folder. Bytes that are no UTF-8, which
             the description of a bag cannot hold, are replaced.
         definitions: Definitions of message types, by name, that differ from this package's.
-        has_log: Whether `write_ahead` keeps a write-ahead log.
 
     Attributes:
         folder: Folder of the bag.
@@ -167,11 +166,8 @@ class Recorder:
         attachments: Sequence[Attachment] = (),
         name: str = '',
         definitions: Mapping[str, TypeDefinition] = MappingProxyType({}),
-        *,
-        has_log: bool = False,
     ) -> None:
         self.folder = folder
-        self._has_log = has_log
         self.ros_distro = find_ros_distro()
         self._definitions = definitions
         self._name = _make_utf8(name or folder.name)
@@ -182,10 +178,12 @@ class Recorder:
         self._finished_files: dict[str, MessageStatistics] = {}  # by file name
         self._chunk_start_ns = -1  # log time of the first message since the last flush; -1 where there is none
         self._begun_bytes = 0  # bytes at the beginning of the current file that repeat what earlier files hold
+        self._syncing: Future[None] | None = None
         self._file: McapFile | None = None
         _make_parent(folder)
         with self._finish_on_disk_error():
             folder.mkdir()
+            sync_folder(folder.parent)
             try:
                 self._check_space()
                 self._file = self._create_file()
@@ -321,26 +319,19 @@ class Recorder:
             file.flush()
             self._check_space()
 
-    def write_ahead(self) -> None:
-        """Hand the messages of the open chunk to the operating system, if the recorder has a write-ahead log.
+    def start_sync(self, executor: Executor) -> None:
+        """Begin to make the disk hold what was flushed, in another thread; do nothing while that is going on.
 
         Raises:
-            RecordingError: The disk is full or fails; the bag is closed.
+            RecordingError: The disk failed in the last sync; the bag is closed.
         """
         file = self._open_file
         with self._finish_on_disk_error():
-            file.write_ahead()
-
-    def check_disk(self) -> None:
-        """Check the file and the free disk space.
-
-        Raises:
-            RecordingError: The disk is nearly full, or the file was removed; the bag is closed.
-        """
-        file = self._open_file
-        with self._finish_on_disk_error():
-            self._check_place(file)
-            self._check_space()
+            if self._syncing is not None:
+                if not self._syncing.done():
+                    return
+                self._syncing.result()
+            self._syncing = executor.submit(file.prepare_sync())
 
     def close(self) -> None:
         """Finish the bag; further calls do nothing.
@@ -379,7 +370,7 @@ class Recorder:
 
     def _create_file(self) -> McapFile:
         path = self.folder / f'{self._name}_{len(self._finished_files)}.mcap'
-        return McapFile(path, self._config, has_log=self._has_log)
+        return McapFile(path, self._config)
 
     def _select_file(self, log_time_ns: int, *, may_begin: bool) -> McapFile:
         """Return the current file, or the next one where that may begin and the current file has reached a limit.
@@ -426,8 +417,12 @@ class Recorder:
         description = describe_bag(self._topics.values(), self._finished_files, self.ros_distro)
         content = {BAG_INFORMATION: description}
         temporary = self.folder / f'{METADATA}.tmp'
-        temporary.write_text(encode_yaml(content), encoding='utf-8')
+        with temporary.open('w', encoding='utf-8') as stream:
+            stream.write(encode_yaml(content))
+            stream.flush()
+            os.fsync(stream.fileno())
         temporary.replace(self.folder / METADATA)
+        sync_folder(self.folder)
 
     def _check_place(self, file: McapFile) -> None:
         """Raise FileNotFoundError where the file was removed or moved."""
@@ -462,11 +457,11 @@ class Recorder:
             ) from None
 
     def _finish_after_failure(self) -> bool:
-        """Finish the bag with the data that have reached the disk; return False where the disk fails again."""
+        """Finish the bag with what could not be written; return False where the disk fails again."""
         file, self._file = self._file, None
         try:
             if file is not None:
-                file.finish_after_failure(self._describe_file)
+                file.finish(self._describe_file)
                 self._finished_files[file.path.name] = file.statistics
             if self._finished_files:
                 self._write_metadata()

@@ -112,14 +112,14 @@ def test_what_comes_while_the_disk_is_checked_is_written_before_the_end(
 ) -> None:
     """The thread has just seen that nothing waits, when the last message and the end come."""
     is_checking, may_continue = threading.Event(), threading.Event()
-    check_disk = Recorder.check_disk
+    check_disk = Recorder.flush
 
     def wait_and_check(recorder: Recorder) -> None:
         is_checking.set()
         assert may_continue.wait(10)
         check_disk(recorder)
 
-    monkeypatch.setattr(Recorder, 'check_disk', wait_and_check)
+    monkeypatch.setattr(Recorder, 'flush', wait_and_check)
     background = BackgroundRecorder(tmp_path / 'bag', RecorderConfig())
     assert is_checking.wait(10)
     background.put([RecordedMessage('/a', KEYPOINTS, make_keypoints(1), START_NS, START_NS)])

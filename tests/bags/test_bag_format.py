@@ -21,7 +21,6 @@ from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader
 
 from mocap_ros.bags.reader import Bag
-from mocap_ros.bags.recovery import recover
 from mocap_ros.bags.topics import find_people_topics
 from mocap_ros.config import RecorderConfig
 from mocap_ros.messages.cdr import DEFINITIONS_DISTRO, decode, typestore
@@ -147,22 +146,3 @@ def test_a_bag_names_the_distribution_that_is_sourced_or_to_which_rclpy_belongs(
     monkeypatch.setenv('ROS_DISTRO', sourced)
     write_bag(tmp_path / 'bag', RecorderConfig())
     assert read_ros_distro(tmp_path / 'bag') == expected
-
-
-def test_a_recovered_bag_names_the_distribution_of_the_recording(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv('ROS_DISTRO', 'jazzy')
-    write_bag(tmp_path / 'bag', RecorderConfig())
-    monkeypatch.setenv('ROS_DISTRO', 'kilted')
-    recover(tmp_path / 'bag', tmp_path / 'from_folder')
-    assert read_ros_distro(tmp_path / 'from_folder') == 'jazzy'
-    file = tmp_path / 'bag' / 'bag_0.mcap'
-    recover(file, tmp_path / 'from_file')
-    assert read_ros_distro(tmp_path / 'from_file') == 'jazzy'
-    cut = tmp_path / 'cut.mcap'
-    cut.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    recover(cut, tmp_path / 'from_cut')
-    assert not read_ros_distro(tmp_path / 'from_cut')
-    with Reader(tmp_path / 'from_cut') as reader:
-        assert reader.message_count

@@ -16,8 +16,6 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import yaml
 import zstandard
-from mcap.opcode import Opcode
-from mcap.records import Chunk
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 from PIL import Image
@@ -25,10 +23,8 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
 
 from mocap_ros.bags.journal import Entry, Verdict, encode_entry
-from mocap_ros.bags.mcap_layout import iterate_records, open_content
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.rosbag2 import METADATA, make_topic
-from mocap_ros.bags.write_ahead_log import CHUNK_COUNT
 from mocap_ros.config import Config, RecorderConfig, to_yaml
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.formats.bvh import save_bvh
@@ -264,15 +260,6 @@ def _make_mcap(compression: CompressionType, *, is_other_version: bool = False) 
     return stream.getvalue()
 
 
-def make_logged_mcap() -> bytes:
-    """Return a file whose last chunk is only in its write-ahead log."""
-    content = _make_mcap(CompressionType.NONE)
-    chunks = [record for record in iterate_records(content) if record.opcode == Opcode.CHUNK]
-    last = Chunk.read(open_content(content[chunks[-1].content_start : chunks[-1].end]))
-    log = CHUNK_COUNT.pack(len(chunks) - 1) + last.data
-    return content[: chunks[-1].start] + FILE_SEPARATOR + log
-
-
 def make_databases() -> list[bytes]:
     """Return a bag in SQLite3."""
     topic = make_topic('/keypoints', KEYPOINTS)
@@ -366,6 +353,6 @@ EXAMPLES: dict[str, Examples] = {
     'mcap': make_mcaps,
     'db3': make_databases,
     'ros1': make_ros1_bags,
-    'recovery': lambda: [*make_mcaps(), *make_databases(), make_logged_mcap()],
+    'recovery': lambda: [*make_mcaps(), *make_databases()],
     'folder': make_folders,
 }

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from mocap_ros.bags.journal import decode_entry
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recovery import recover
-from mocap_ros.bags.write_ahead_log import find_log
 from mocap_ros.config import NodeConfig, from_yaml
 from mocap_ros.errors import MAX_MESSAGE_CHARACTERS, MocapError
 from mocap_ros.formats.detections import Video
@@ -259,15 +258,9 @@ def _make_bag_reader(suffix: str) -> Read:
 
 
 def recover_bag(data: bytes, folder: Path) -> None:
-    """Recover what can be recovered of a bag; the first bytes of an SQLite3 bag say what it is.
-
-    Its write-ahead log, if there is one, is behind `FILE_SEPARATOR`.
-    """
-    content, separator, log = data.partition(FILE_SEPARATOR)
-    path = folder / ('a.db3' if content.startswith(b'SQLite') else 'a.mcap')
-    path.write_bytes(content)
-    if separator:
-        find_log(path).write_bytes(log)
+    """Recover what can be recovered of a bag; the first bytes of an SQLite3 bag say what it is."""
+    path = folder / ('a.db3' if data.startswith(b'SQLite') else 'a.mcap')
+    path.write_bytes(data)
     _recover(path, folder / 'recovered')
 
 
@@ -296,10 +289,7 @@ _MESSAGES = (
 )
 _NPZ = ('formats.npz_arrays', 'formats.sequence_file', 'formats.result_file', 'npz_file', 'models.model_file')
 _BAGS = ('bags.reader', 'messages.versions', 'messages.recorded_types')
-_RECOVERY = (
-    *('bags.recovery', 'bags.mcap_scan', 'bags.mcap_layout', 'bags.file_bytes'),
-    *('bags.sqlite_s', 'bags.write_ahead'),
-)
+_RECOVERY = ('bags.recovery', 'bags.mcap_scan')
 TARGETS = {
     'messages': Target(read_message, _MESSAGES),
     'json': Target(read_json, ('formats.detector_json', 'formats.detections')),
@@ -313,7 +303,7 @@ TARGETS = {
     'db3': Target(_make_bag_reader('.db3'), _BAGS),
     'ros1': Target(_make_bag_reader('.bag'), ('bags.reader', 'messages.versions', 'messages.recorded_types')),
     'recovery': Target(recover_bag, _RECOVERY),
-    'folder': Target(read_bag_folder, (*_BAGS, 'bags.metadata_check')),
+    'folder': Target(read_bag_folder, (*_BAGS, 'bags.reader_limits')),
 }
 # Targets whose input is no file, or is also read from memory; the errors of all others name the file or folder.
 UNNAMED = ('messages', 'npz', 'arrays', 'yaml')
