@@ -39,8 +39,7 @@ from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, find_input_kind
 from mocap_ros.runtime.load_keypoints import load_input
 from mocap_ros.runtime.provenance import provenance_attachments
 from mocap_ros.runtime.replay import ReplayOptions, replay
-from mocap_ros.runtime.save_keyframes import format_yaml
-from mocap_ros.runtime.save_results import SUFFIXES
+from mocap_ros.runtime.save_results import SUFFIXES, format_yaml
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing import plots
 from mocap_ros.viewing.keyframe_plots import draw_distances_figure, draw_keyframes_figure

@@ -167,7 +167,7 @@ class DiagnosticsReporter:
         if unusable > 0 and not people:
             problems.append((Level.WARN, f'{unusable} {UNUSABLE_DETECTIONS}'))
         if new_counters.accepted:
-            faults = (describe_frame_fault(pipeline), *map(make_printable, pipeline.doubts))
+            faults = (describe_frame_fault(pipeline), *map(make_printable, pipeline.checks.warnings))
             problems += [(Level.WARN, fault) for fault in faults if fault]
         if recorder_fault:
             problems.append((Level.WARN, recorder_fault))

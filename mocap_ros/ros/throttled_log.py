@@ -9,7 +9,7 @@ from collections import Counter
 from typing import Protocol
 
 from mocap_ros.bags.topics import BODY_SUFFIX
-from mocap_ros.runtime.remarks import find_kind
+from mocap_ros.runtime.input_checks import find_kind
 
 MAX_KINDS = 30  # kinds of remarks; guards log and memory against senders of ever new kinds of errors
 MAX_LOGGED_TRACEBACKS = 30  # tracebacks; guards the log against internal errors with ever new texts

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # Environment variables that limit the threads of the BLAS libraries that NumPy and SciPy may be linked with.
 BLAS_THREAD_VARIABLES = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
 M_TRIM_THRESHOLD = -1  # parameter number of mallopt(3), from malloc.h
-M_MMAP_THRESHOLD = -3  # parameter number of mallopt(3), from malloc.h
+M_MMAP_THRESHOLD = -3  # likewise
 TRIM_THRESHOLD_BYTES = 256 << 20  # free memory that the process keeps; far above what one solver step frees
 MMAP_THRESHOLD_BYTES = 32 << 20  # the largest value that glibc accepts on 64-bit systems
 
@@ -39,39 +39,32 @@ def configure_process() -> None:
         sys.unraisablehook = _report_unraisable
     for name in BLAS_THREAD_VARIABLES:
         os.environ.setdefault(name, '1')
-    try:
-        mallopt = ctypes.CDLL(None).mallopt
-    except (OSError, TypeError, AttributeError):  # the C library is not the GNU one
-        return
-    mallopt(M_TRIM_THRESHOLD, TRIM_THRESHOLD_BYTES)
-    mallopt(M_MMAP_THRESHOLD, MMAP_THRESHOLD_BYTES)
+    _call_glibc('mallopt', M_TRIM_THRESHOLD, TRIM_THRESHOLD_BYTES)
+    _call_glibc('mallopt', M_MMAP_THRESHOLD, MMAP_THRESHOLD_BYTES)
 
 
 def release_free_memory() -> None:
     """Collect garbage and return free pages to the system, which takes one to two milliseconds.
 
-    Python leaves out a full collection as long as few objects are new, and so few are in the node that hours would
-    pass; objects that only refer to each other would keep their memory for so long. That it takes less than a
-    millisecond rests on `gc.freeze`, which exempts the objects of all imported libraries.
-
-    malloc keeps what is freed (`configure_process`), and what is in use is spread over more and more of it, so
-    that a process that runs for days would keep more MB every hour. No pages are returned without the GNU C
-    library.
+    Python leaves out full collections while few objects are new, which in the node they are for hours. With
+    `gc.freeze`, which exempts the objects of imported libraries, one takes less than a millisecond. malloc keeps
+    what is freed (`configure_process`) and would grow by MB every hour. No pages are returned without glibc.
     """
     gc.collect()
+    _call_glibc('malloc_trim', 0)
+
+
+def _call_glibc(name: str, *arguments: int) -> None:
+    """Call a function that only the GNU C library has; do nothing without it."""
     try:
-        malloc_trim = ctypes.CDLL(None).malloc_trim
-    except (OSError, TypeError, AttributeError):  # the C library is not the GNU one
+        function = getattr(ctypes.CDLL(None), name)
+    except (OSError, TypeError, AttributeError):
         return
-    malloc_trim(0)
+    function(*arguments)
 
 
 def _report_unraisable(unraisable: UnraisableHookArgs) -> None:
-    """Report an error that nobody can catch, but not that of an object of LLVM whose creation was interrupted.
-
-    llvmlite's destructor deletes an attribute that such an object does not have.
-    """
+    """Report an error that cannot be caught, but not that of an LLVM object whose creation was interrupted."""
     destructor = getattr(unraisable.object, '__qualname__', '')
-    if destructor == 'ObjectRef.__del__' and issubclass(unraisable.exc_type, AttributeError):
-        return
-    sys.__unraisablehook__(unraisable)
+    if destructor != 'ObjectRef.__del__' or not issubclass(unraisable.exc_type, AttributeError):
+        sys.__unraisablehook__(unraisable)

@@ -16,6 +16,7 @@ from collections.abc import Collection
 from mocap_ros.bags.topics import Source, parse_body_id
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import FrameDropped
+from mocap_ros.keypoints.image_size import UNKNOWN_SIZE
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.foreign.hri import decode_body, decode_ids
@@ -28,8 +29,7 @@ MISSING_STAMP = "header.stamp is not set: copy the stamp of the detector's image
 # ns; a recording's own time starts near 0 and stays below this (11 days), a clock that counts from 1970 is above
 MIN_CLOCK_STAMP_NS = 1_000_000 * NS_PER_S
 
-# Completed images, oldest first.
-Frames = list[KeypointsFrame]
+Frames = list[KeypointsFrame]  # completed images, oldest first
 
 
 def is_stamp_missing(stamp_ns: int, newest_ns: int) -> bool:
@@ -41,16 +41,21 @@ class FrameAssembler:
     """Decoder of all messages that hold people; it returns an image as soon as the image is complete."""
 
     def __init__(self) -> None:
-        self._bodies = BodyAssembler()
+        self._tracked_ids: frozenset[str] = frozenset()
+        self.reset()
 
     def reset(self) -> None:
-        """Discard the incomplete image and forget the tracked bodies."""
-        self._bodies.reset()
+        """Discard the incomplete image and all stamps; the list of bodies, which is sent on changes, stays."""
+        self._header: Header | None = None
+        self._people: dict[str, Person2D] = {}
+        self._newest_complete_ns = -1
+        self._restart_ns = 0.0
+        self._size = UNKNOWN_SIZE
 
     def assemble(
         self, source: Source, raw: bytes, topic: str, node: NodeConfig, size: tuple[int, int], restart_after: float
     ) -> Frames:
-        """Decode a message and return the keypoints of the images that it completes.
+        """Decode a message and return the images that are complete now.
 
         Args:
             source: Kind of the message; one of `topics.PEOPLE_SOURCES`.
@@ -61,105 +66,53 @@ class FrameAssembler:
             restart_after: s; a ROS4HRI body, or a list of none, whose stamp is further than this before that of
                 the current image starts a new sequence.
 
-        Returns:
-            The keypoints of all people in each image that is complete now, oldest image first.
-
         Raises:
             InputError: The message cannot be used; the error names the field.
             FrameDropped: The body came too late, after its image was complete, or its image already has this body.
         """
         if source is Source.KEYPOINTS:
             return [decode_frame(raw, node.input_type, node, size)]
+        self._size, self._restart_ns = size, restart_after * NS_PER_S
         if source is Source.TRACKED_BODIES:
-            return self._bodies.set_tracked_ids(*decode_ids(raw, node), size, restart_after)
-        return self._bodies.add_body(*decode_body(raw, parse_body_id(topic), size, node), size, restart_after)
+            return self._set_tracked_ids(*decode_ids(raw, node))
+        return self._add_body(*decode_body(raw, parse_body_id(topic), size, node))
 
-    def flush(self, size: tuple[int, int]) -> Frames:
-        """Return the incomplete image, if there is one, after the last message."""
-        return self._bodies.flush(size)
-
-
-class BodyAssembler:
-    """The incomplete image of ROS4HRI bodies, and the ids of the bodies that it is waiting for."""
-
-    def __init__(self) -> None:
-        self._tracked_ids: frozenset[str] = frozenset()
-        self.reset()
-
-    def reset(self) -> None:
-        """Discard the incomplete image and all stamps; the list of bodies, which is sent on changes, stays."""
-        self._header: Header | None = None
-        self._people: dict[str, Person2D] = {}
-        self._newest_complete_ns = -1
-
-    def set_tracked_ids(
-        self, header: Header, ids: Collection[str], size: tuple[int, int], restart_after: float
-    ) -> Frames:
-        """Set the bodies that an image needs to be complete.
-
-        Args:
-            header: Header of the message that lists the ids.
-            ids: Ids of all tracked bodies.
-            size: Width and height of the image, px.
-            restart_after: s; a stamp that is older than the current image by more starts a new sequence.
-
-        Returns:
-            The images that are complete now; if no body is tracked, the last of them is an image without people.
-        """
-        self._tracked_ids = frozenset(ids)
-        if self._tracked_ids:
-            return self._flush_if_complete(size)
-        frames = self.flush(size)
-        if self._is_new(header.stamp_ns, self._newest_complete_ns, restart_after):
-            self._newest_complete_ns = header.stamp_ns
-            frames.append(KeypointsFrame(header, *size, ()))
-        return frames
-
-    def add_body(self, header: Header, person: Person2D, size: tuple[int, int], restart_after: float) -> Frames:
-        """Add a body to its image.
-
-        Args:
-            header: Header of the body's message; bodies of one image have the same stamp.
-            person: The body, with its id.
-            size: Width and height of the image, px.
-            restart_after: s; a stamp that is older than the current image by more starts a new sequence.
-
-        Returns:
-            The images that are complete now.
-
-        Raises:
-            FrameDropped: The image was already complete, or it already contains this body.
-        """
-        stamp, frames = header.stamp_ns, []
-        current = self._newest_complete_ns if self._header is None else self._header.stamp_ns
-        if self._is_new(stamp, current, restart_after):
-            frames = self.flush(size)
-            self._header = header
-        elif self._header is None or stamp < current:
-            raise FrameDropped(
-                f'stamp {stamp} ns: the message came after its image was complete' if stamp else MISSING_STAMP
-            )
-        elif person.id in self._people:
-            raise FrameDropped(
-                f'stamp {stamp} ns repeats that of the previous message' if stamp else MISSING_STAMP
-            )
-        self._people[person.id] = person
-        return frames + self._flush_if_complete(size)
-
-    @staticmethod
-    def _is_new(stamp_ns: int, current_ns: int, restart_after: float) -> bool:
-        """Return whether a stamp is later than that of the current image, or begins a new sequence."""
-        return stamp_ns > current_ns or current_ns - stamp_ns > restart_after * NS_PER_S
-
-    def _flush_if_complete(self, size: tuple[int, int]) -> Frames:
-        is_complete = self._header is not None and self._tracked_ids and self._tracked_ids <= self._people.keys()
-        return self.flush(size) if is_complete else []
-
-    def flush(self, size: tuple[int, int]) -> Frames:
+    def flush(self) -> Frames:
         """Return the current image with the bodies that have arrived, if any, and start without one."""
         header, people = self._header, self._people
         self._header, self._people = None, {}
         if header is None:
             return []
         self._newest_complete_ns = header.stamp_ns
-        return [KeypointsFrame(header, *size, tuple(people[i] for i in sorted(people)))]
+        return [KeypointsFrame(header, *self._size, tuple(people[i] for i in sorted(people)))]
+
+    def _set_tracked_ids(self, header: Header, ids: Collection[str]) -> Frames:
+        self._tracked_ids = frozenset(ids)
+        if self._tracked_ids:
+            return self._flush_if_complete()
+        frames = self.flush()
+        if self._is_new(header.stamp_ns, self._newest_complete_ns):
+            self._newest_complete_ns = header.stamp_ns
+            frames.append(KeypointsFrame(header, *self._size, ()))
+        return frames
+
+    def _add_body(self, header: Header, person: Person2D) -> Frames:
+        stamp, frames = header.stamp_ns, []
+        current = self._newest_complete_ns if self._header is None else self._header.stamp_ns
+        if self._is_new(stamp, current):
+            frames = self.flush()
+            self._header = header
+        elif self._header is None or stamp < current or person.id in self._people:
+            is_late = self._header is None or stamp < current
+            what = 'the message came after its image was complete' if is_late else 'a body of this image repeats'
+            raise FrameDropped(f'stamp {stamp} ns: {what}' if stamp else MISSING_STAMP)
+        self._people[person.id] = person
+        return frames + self._flush_if_complete()
+
+    def _is_new(self, stamp_ns: int, current_ns: int) -> bool:
+        """Return whether a stamp is later than that of the current image, or begins a new sequence."""
+        return stamp_ns > current_ns or current_ns - stamp_ns > self._restart_ns
+
+    def _flush_if_complete(self) -> Frames:
+        is_complete = self._header is not None and self._tracked_ids and self._tracked_ids <= self._people.keys()
+        return self.flush() if is_complete else []

@@ -1,11 +1,12 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Load the keypoint sequence of one person from any supported file, folder or bag."""
+"""Load the keypoint sequences of one person, or of all, from any supported file, folder or bag."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from math import inf
 from pathlib import Path
@@ -13,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.bags.reader import Bag, BagMessage
+from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
 from mocap_ros.config import NodeConfig
 from mocap_ros.errors import FrameDropped, InputError
@@ -32,12 +33,20 @@ from mocap_ros.messages.camera_info import CameraInfo, check_image_size, decode_
 from mocap_ros.messages.keypoints import KeypointsFrame
 from mocap_ros.runtime.detection import ShowProgress, detect_in_video
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
-from mocap_ros.runtime.input_doubts import describe_unusable_distortion
+from mocap_ros.runtime.input_checks import describe_unusable_distortion
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 
 Array = NDArray[np.float64]
 
 MIN_FRAMES = 10  # frames; of all people, those who are seen in less are mostly errors of the detector
+# Options that apply to a kind of input; those of the focal length apply to all.
+OPTIONS_BY_KIND = {
+    InputKind.SEQUENCE: (),
+    InputKind.BAG: ('--person', '--topic', '--camera-info'),
+    InputKind.VIDEO: ('--person', '--detector'),
+    InputKind.OPENPOSE: ('--person', '--fps', '--image-size', '--layout'),
+    InputKind.JSON: ('--person', '--fps', '--image-size', '--layout'),
+}
 
 
 def load_input(
@@ -64,32 +73,22 @@ def load_input(
         The sequence, and lines to print about the chosen person, skipped messages and assumptions.
 
     Raises:
-        InputError: The file has none of these formats or is damaged; the error names the place.
+        InputError: The file has none of these formats or is damaged, or an option does not apply to it; the error
+            names the place.
     """
     kind = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS)
     if kind is InputKind.SEQUENCE:
-        if person or topic or camera_info or not video.fits_any_input:
-            raise InputError(
-                f'{path}: --person, --topic, --camera-info, --fps, --image-size, --layout and --detector do not '
-                'apply to a sequence file'
-            )
-        sequence = load_sequence(path)
-        lines: list[str] = []
+        _refuse_options(path, kind, video, person, topic, camera_info)
+        sequence, lines = load_sequence(path), list[str]()
     else:
         detections = load_detections(path, kind, video, limits, topic, camera_info, show_progress)
         try:
             sequence, lines = select_person(detections, person)
-            _check_image_size(sequence, video.image_size)
+            _check_image_size([sequence], video)
         except InputError as error:
             raise InputError(f'{path}: {error}') from None
-    outside = describe_points_outside(*_split_keypoints(sequence), sequence.image_size)
-    lines += [f'image size: {outside}'] if outside else []
-    try:
-        (sequence,), lens_lines = give_focal_length([sequence], video)
-    except InputError as error:
-        raise InputError(f'{path}: {error}') from None
-    lines += [*lens_lines, *_describe_lens(sequence)]
-    return sequence, [f'{path}: {line}' for line in lines]
+    (sequence,), lines = _finish(path, [sequence], video, lines)
+    return sequence, lines
 
 
 def load_people(
@@ -100,16 +99,11 @@ def load_people(
     camera_info: str | None = None,
     show_progress: ShowProgress = lambda images, _: images,
 ) -> tuple[list[KeypointSequence], list[str]]:
-    """Load all people from a file that may hold several.
-
-    The arguments are those of `load_input`.
+    """Load all people from a file that may hold several; arguments and errors are those of `load_input`.
 
     Returns:
         The sequence of each person who is seen in `MIN_FRAMES` or more, in the order in which they are seen first,
         and lines to print.
-
-    Raises:
-        InputError: The file is of another format or damaged, or nobody is seen for so long.
     """
     kind = require_kind(path, KEYPOINT_KINDS, KEYPOINT_FORMATS)
     if kind is InputKind.SEQUENCE:
@@ -117,19 +111,32 @@ def load_people(
     detections = load_detections(path, kind, video, limits, topic, camera_info, show_progress)
     tracks = associate_people(detections)
     long_tracks = [track for track in tracks if len(track.detection_by_frame) >= MIN_FRAMES]
+    if not long_tracks:
+        raise InputError(f'{path}: nobody is seen in {MIN_FRAMES} frames or more')
     try:
-        if not long_tracks:
-            raise InputError(f'nobody is seen in {MIN_FRAMES} frames or more')
-        sequences, remarks = arrange_people(detections, long_tracks)
-        for sequence in sequences:
-            _check_image_size(sequence, video.image_size)
-        sequences, lens_lines = give_focal_length(sequences, video)
-        remarks = (*remarks, *lens_lines, *_describe_lens(sequences[0]))
+        sequences, lines = arrange_people(detections, long_tracks)
+        _check_image_size(sequences, video)
     except InputError as error:
         raise InputError(f'{path}: {error}') from None
-    left_out = len(tracks) - len(long_tracks)
-    lines = [f'{left_out} people are left out, who are seen in less than {MIN_FRAMES} frames'] if left_out else []
-    return sequences, [f'{path}: {line}' for line in (*remarks, *lines)]
+    if left_out := len(tracks) - len(long_tracks):
+        lines = (*lines, f'{left_out} people are left out, who are seen in less than {MIN_FRAMES} frames')
+    return _finish(path, sequences, video, lines)
+
+
+def _finish(
+    path: Path, sequences: list[KeypointSequence], video: Video, lines: Iterable[str]
+) -> tuple[list[KeypointSequence], list[str]]:
+    """Return sequences of one camera with its focal length, and all lines to print, which name the input."""
+    first = sequences[0]
+    outside = describe_points_outside(*_split_keypoints(first), first.image_size)
+    try:
+        sequences, lens_lines = give_focal_length(sequences, video)
+    except InputError as error:
+        raise InputError(f'{path}: {error}') from None
+    # Any focal length will do, because only cameras that are known have a distortion.
+    lens = describe_unusable_distortion(sequences[0].intrinsics(1.0))
+    lines = (*lines, outside and f'image size: {outside}', *lens_lines, lens)
+    return sequences, [f'{path}: {line}' for line in lines if line]
 
 
 def load_detections(
@@ -142,20 +149,33 @@ def load_detections(
     show_progress: ShowProgress = lambda images, _: images,
 ) -> Detections:
     """Load all people from an input of a kind that may hold several; see `load_input`."""
-    if video.detector and kind is not InputKind.VIDEO:
-        raise InputError(f'{path}: --detector applies to a video only')
+    _refuse_options(path, kind, video, None, topic, camera_info)
     if kind is InputKind.BAG:
         return load_bag(path, limits, topic, camera_info)
     if kind is InputKind.VIDEO:
-        if topic or camera_info or not replace(video, detector=None).fits_any_input:
-            raise InputError(
-                f'{path}: --topic, --camera-info, --fps, --image-size and --layout do not apply to a video'
-            )
         return detect_in_video(path, video.detector, show_progress=show_progress)
     detections = load_openpose(path, video) if kind is InputKind.OPENPOSE else load_coco(path, video)
     if not all(detections.image_size) and (video.hfov or video.focal):
         raise InputError(f'{path}: --hfov and --focal need --image-size, as the input does not state it')
     return detections
+
+
+def _refuse_options(
+    path: Path, kind: InputKind, video: Video, person: str | None, topic: str | None, camera_info: str | None
+) -> None:
+    """Raise an InputError if an option is given that does not apply to this kind of input."""
+    given = {
+        '--person': person,
+        '--topic': topic,
+        '--camera-info': camera_info,
+        '--fps': video.fps,
+        '--image-size': video.image_size,
+        '--layout': video.layout,
+        '--detector': video.detector,
+    }
+    unused = [name for name, value in given.items() if value and name not in OPTIONS_BY_KIND[kind]]
+    if unused:
+        raise InputError(f'{path}: {kind.value}, to which {", ".join(unused)} does not apply')
 
 
 def give_focal_length(sequences: list[KeypointSequence], video: Video) -> tuple[list[KeypointSequence], list[str]]:
@@ -181,26 +201,13 @@ def _split_keypoints(sequence: KeypointSequence) -> tuple[Array, Array]:
     return sequence.keypoints[..., :2], sequence.keypoints[..., 2]
 
 
-def _describe_lens(sequence: KeypointSequence) -> list[str]:
-    """Return a line about the lens of the camera, if its distortion cannot be used."""
-    # Any focal length will do, because only cameras that are known have a distortion.
-    return list(filter(None, [describe_unusable_distortion(sequence.intrinsics(1.0))]))
-
-
-def _check_image_size(sequence: KeypointSequence, option: tuple[int, int] | None) -> None:
-    """Refuse the size of an image whose width and height are exchanged.
-
-    Args:
-        sequence: The keypoints and the size of their image.
-        option: Value of `--image-size`, (width, height) in px, or None.
-
-    Raises:
-        InputError: The size looks transposed; the error names the option or `image size`.
-    """
-    fault = describe_transposed_size(*_split_keypoints(sequence), sequence.image_size)
-    if fault:
-        name = '--image-size' if sequence.image_size == option else 'image size'
-        raise InputError(f'{name}: {fault}')
+def _check_image_size(sequences: Iterable[KeypointSequence], video: Video) -> None:
+    """Raise an InputError, which names the option or `image size`, if width and height look exchanged."""
+    for sequence in sequences:
+        fault = describe_transposed_size(*_split_keypoints(sequence), sequence.image_size)
+        if fault:
+            name = '--image-size' if sequence.image_size == video.image_size else 'image size'
+            raise InputError(f'{name}: {fault}')
 
 
 def load_sequence_file(path: str | Path) -> KeypointSequence:
@@ -236,93 +243,62 @@ def load_bag(
         topics = find_people_topics(bag, topic)
         node = replace(limits, input_type=find_people_type(bag, topics))
         camera, camera_remark = find_camera(bag, next(iter(topics)), node, camera_info)
-        camera_size, configured = camera.size if camera else None, (node.image_width, node.image_height)
-        size = resolve_image_size(camera=camera_size, configured=configured)
-        frames, skipped_count, first_reason = _decode_frames(bag, topics, node, camera, size)
+        known = camera.size if camera else None
+        size = resolve_image_size(camera=known, configured=(node.image_width, node.image_height))
+        frames, reasons = _assemble_frames(bag, topics, node, camera, size)
     if not frames:
-        raise InputError(f'{path}: {first_reason or "no keypoints"}')
-    if (other_count := _leave_out_other_sizes(frames)) > 0:
-        skipped_count += other_count
-        first_reason = (
-            first_reason or f'{next(iter(topics))}: {other_count} images have another size than the others'
-        )
-    skipped = f'{skipped_count} messages left out; {first_reason}' if skipped_count else ''
+        raise InputError(f'{path}: {reasons[0] if reasons else "no keypoints"}')
+    reasons += [f'{next(iter(topics))}: {reason}' for reason in _leave_out_others(frames)]
     stamps = sorted(frames)
     last = frames[stamps[-1]]
-    stated = (last.image_width, last.image_height)
+    skipped = f'{len(reasons)} messages left out; {reasons[0]}' if reasons else ''
     return Detections(
         people=[frames[s].people for s in stamps],
         stamps_ns=stamps,
-        image_size=resolve_image_size(stated=stated, camera=camera_size, configured=configured),
+        image_size=resolve_image_size(stated=(last.image_width, last.image_height), configured=size),
         intrinsics=camera.intrinsics if camera else None,
         frame_id=next((f.header.frame_id for f in frames.values() if f.header.frame_id), ''),
         remarks=tuple(filter(None, (skipped, camera_remark))),
     )
 
 
-def _leave_out_other_sizes(frames: dict[int, KeypointsFrame]) -> int:
-    """Remove the images that state another size in px than most of them, and return their number."""
-    size_by_stamp = {
-        s: (f.image_width, f.image_height) for s, f in frames.items() if f.image_width and f.image_height
-    }
-    if not size_by_stamp:
-        return 0
-    ((usual_size, _),) = Counter(size_by_stamp.values()).most_common(1)
-    others = [stamp for stamp, size in size_by_stamp.items() if size != usual_size]
+def _assemble_frames(
+    bag: Bag, topics: dict[str, Source], node: NodeConfig, camera: CameraInfo | None, size: tuple[int, int]
+) -> tuple[dict[int, KeypointsFrame], list[str]]:
+    """Return the images of a bag by stamp in ns, and why each of the other messages is left out."""
+    frames: dict[int, KeypointsFrame] = {}
+    assembler, reasons, name = FrameAssembler(), [], ''
+    for number, message in enumerate(bag.messages(topics), 1):
+        source = topics[message.topic]
+        try:
+            for frame in assembler.assemble(source, message.raw, message.topic, node, size, inf):
+                stamp_ns, frame_id = frame.header.stamp_ns, frame.header.frame_id
+                name = name or frame_id
+                if frame_id not in ('', name):
+                    raise InputError(f'header.frame_id: {frame_id!r}, but the images before are of {name!r}')
+                if camera is not None:
+                    check_image_size(frame, camera)
+                if frames.setdefault(stamp_ns, frame) is not frame:
+                    raise FrameDropped('its stamp is that of an earlier message' if stamp_ns else MISSING_STAMP)
+        except (InputError, FrameDropped) as error:
+            reasons.append(f'{message.topic}: message {number}: {error}')
+    for frame in assembler.flush():
+        frames.setdefault(frame.header.stamp_ns, frame)
+    return frames, reasons
+
+
+def _leave_out_others(frames: dict[int, KeypointsFrame]) -> list[str]:
+    """Remove images without a stamp, and those of another size in px than most; return why, for each of them."""
+    reasons = []
+    if is_stamp_missing(min(frames), max(frames)):
+        del frames[0]
+        reasons.append(MISSING_STAMP)
+    sizes = {s: (f.image_width, f.image_height) for s, f in frames.items() if f.image_width and f.image_height}
+    usual = Counter(sizes.values()).most_common(1)
+    others = [stamp for stamp, size in sizes.items() if size != usual[0][0]]
     for stamp in others:
         del frames[stamp]
-    return len(others)
-
-
-def _decode_frames(
-    bag: Bag, topics: dict[str, Source], node: NodeConfig, camera: CameraInfo | None, size: tuple[int, int]
-) -> tuple[dict[int, KeypointsFrame], int, str]:
-    """Decode the images of a bag.
-
-    Returns:
-        The images by stamp, ns; the number of skipped messages; and why the first of these was skipped.
-    """
-    frames: dict[int, KeypointsFrame] = {}
-    assembler = FrameAssembler()
-    skipped_count, first_reason, camera_name = 0, '', ''
-
-    def add_message(message: BagMessage) -> str:
-        """Add the images that a message completes; return why the message cannot be used, or an empty string."""
-        nonlocal camera_name
-        try:
-            for frame in assembler.assemble(topics[message.topic], message.raw, message.topic, node, size, inf):
-                camera_name = camera_name or frame.header.frame_id
-                _check_camera(frame, camera, camera_name)
-                stamp_ns = frame.header.stamp_ns
-                if frames.setdefault(stamp_ns, frame) is not frame:
-                    return 'its stamp is that of an earlier message' if stamp_ns else MISSING_STAMP
-        except (InputError, FrameDropped) as error:
-            return str(error)
-        return ''
-
-    for number, message in enumerate(bag.messages(topics), 1):
-        if reason := add_message(message):
-            skipped_count += 1
-            first_reason = first_reason or f'{message.topic}: message {number}: {reason}'
-    for frame in assembler.flush(size):
-        frames.setdefault(frame.header.stamp_ns, frame)
-    if frames and is_stamp_missing(min(frames), max(frames)):
-        del frames[0]
-        skipped_count += 1
-        first_reason = first_reason or f'{next(iter(topics))}: {MISSING_STAMP}'
-    return frames, skipped_count, first_reason
-
-
-def _check_camera(frame: KeypointsFrame, camera: CameraInfo | None, name: str) -> None:
-    """Refuse an image of another camera than `name`, or of another size than that of the CameraInfo.
-
-    Raises:
-        InputError: It is one.
-    """
-    if frame.header.frame_id not in ('', name):
-        raise InputError(f'header.frame_id: {frame.header.frame_id!r}, but the images before are of {name!r}')
-    if camera is not None:
-        check_image_size(frame, camera)
+    return reasons + [f'{len(others)} images have another size than the others'] * len(others)
 
 
 def find_camera(
@@ -337,7 +313,7 @@ def find_camera(
         camera_info: Topic of the CameraInfo; by default the one that shares most of the keypoints' namespace.
 
     Returns:
-        The CameraInfo, or None if there is none, and a remark on the first that cannot be used, or an empty text.
+        The CameraInfo, or None if there is none, and why the first that cannot be used cannot, or an empty text.
 
     Raises:
         InputError: There is no such topic, or several topics share equally much of the namespace.

@@ -356,7 +356,7 @@ class _Recording:
         Raises:
             InputError: nobody is in any message, or the skeletons' cameras are not valid.
         """
-        self._add_frames(self._assembler.flush(self._size))
+        self._add_frames(self._assembler.flush())
         if not self._people:
             wanted = 'nobody' if self._person is None else f'no person {self._person!r}'
             raise InputError(f'{wanted} is in any message of skeletons')

@@ -30,38 +30,29 @@ def provenance_attachments(config: Config, models: Mapping[str, BasePoses]) -> t
         config: The parameters of the run.
         models: The base poses that the run uses, by name.
     """
+    versions: dict[str, str | None] = {'python': platform.python_version()}
+    for package in RECORDED_PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:  # noqa: PERF203
+            versions[package] = None
     provenance: dict[str, object] = {
-        'versions': {
-            'python': platform.python_version(),
-            **{package: _find_version(package) for package in RECORDED_PACKAGES},
+        'versions': versions,
+        'models': {
+            name: {'stature': m.stature, **_describe_origin((m.mean, m.components, m.std), m.provenance)}
+            for name, m in models.items()
         },
-        'models': {name: _describe_model(model) for name, model in models.items()},
     }
     lifter = load_prior_lifter(config.solver.prior, next(iter(models.values())).skeleton)
     if lifter is not None:
         weights = [array for layer in lifter.layers for array in layer]
-        provenance['lifter'] = {'sha256': _compute_sha256(weights), 'provenance': dict(lifter.provenance)}
+        provenance['lifter'] = _describe_origin(weights, lifter.provenance)
     return (
         Attachment('mocap_ros.yaml', 'application/yaml', to_yaml(config).encode()),
         Attachment('provenance.json', 'application/json', json.dumps(provenance, indent=1).encode()),
     )
 
 
-def _describe_model(model: BasePoses) -> dict[str, object]:
-    return {
-        'stature': model.stature,
-        'sha256': _compute_sha256((model.mean, model.components, model.std)),
-        'provenance': dict(model.provenance),
-    }
-
-
-def _compute_sha256(arrays: Iterable[NDArray[Any]]) -> str:
-    return hashlib.sha256(b''.join(a.tobytes() for a in arrays)).hexdigest()
-
-
-def _find_version(package: str) -> str | None:
-    """Return the installed version of a package, or None if the package is not installed."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
+def _describe_origin(arrays: Iterable[NDArray[Any]], provenance: Mapping[str, Any]) -> dict[str, object]:
+    content = b''.join(array.tobytes() for array in arrays)
+    return {'sha256': hashlib.sha256(content).hexdigest(), 'provenance': dict(provenance)}

@@ -28,19 +28,18 @@ from mocap_ros.bags.topics import (
     make_repeat_keys,
 )
 from mocap_ros.config import Config, Value, settings, values, with_values
-from mocap_ros.errors import ConfigError, FolderTaken, InputError, RecordingError
+from mocap_ros.errors import ConfigError, InputError, RecordingError
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.models.model_file import AUTO, PRIORS, list_shipped_base_poses
 from mocap_ros.runtime.appearances import Appearance, AppearanceLog
+from mocap_ros.runtime.input_checks import find_kind
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, LATCHED_TYPES, RecordedBodies, build_skeleton_definition
 from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
-from mocap_ros.runtime.remarks import find_kind
 
 JOURNAL_TOPIC = '/mocap_replay/journal'  # ends as the journal of a live run, so that a replay can be replayed
 INPUT_TYPE_PARAMETER = 'node.input_type'  # set to the type of the bag's keypoints, whatever the parameters say
-UNKNOWN_PARAMETERS = 'unknown parameters'  # kind of the remark about them
 PREFIX_PARAMETER = 'node.frame_prefix'  # by which the people of the recorded run are known on /tf
 
 # A function that shows progress while the messages it is given are iterated; its second argument is their number.
@@ -77,7 +76,7 @@ class ReplayResult:
         config: Parameters at the end.
         appearances: Who was seen, from when to when; tentative people are left out.
         swapped_frames: Number of detections whose left and right were swapped back.
-        remarks: What was remarked on accepted messages, in order of occurrence; of remarks that differ in their
+        remarks: What is to be said of accepted messages, in order of occurrence; of lines that differ in their
             numbers alone the first.
     """
 
@@ -120,10 +119,7 @@ def replay(
         raise RecordingError(
             f'{partial}: an interrupted replay left this bag; --resume replays it again, or remove it'
         )
-    try:
-        result = _Replay(bag, options or ReplayOptions()).run(partial, out.name, progress)
-    except FolderTaken:
-        raise RecordingError(f'{partial}: another replay has just begun to write this bag') from None
+    result = _Replay(bag, options or ReplayOptions()).run(partial, out.name, progress)
     try:
         partial.rename(out)
     except OSError as error:
@@ -136,28 +132,26 @@ class _Replay:
 
     def __init__(self, bag: Bag, options: ReplayOptions) -> None:
         self._bag = bag
-        self._remarks: dict[str, str] = {}  # by what is left of them without numbers
+        self._changes = options.changes
         self._inputs = find_people_topics(bag, options.topic)
-        keypoints_type = find_people_type(bag, self._inputs)
-        keypoints_topic, *_ = self._inputs
+        keypoints_type, (keypoints_topic, *_) = find_people_type(bag, self._inputs), self._inputs
         camera_info = bag.find_camera_info_topic(keypoints_topic, options.camera_info)
         if camera_info is not None:
             self._inputs[camera_info] = Source.CAMERA_INFO
-        self._recorded_run = read_run(bag)
+        self._run = read_run(bag)
+        self._remarks: dict[str, str] = {}  # by kind
         self._repeats_parameters = options.config is None
-        self._changes = options.changes
-        config = with_values(options.config or Config(), self._changes)
+        config = with_values(options.config or Config(), options.changes)
         self._recorder_config = config.recorder  # never that of the recorded run, whose disk was another
         if self._repeats_parameters:
-            config = self._apply_parameters(config, self._recorded_run.parameters)
+            config = self._apply_recorded(config, self._run.parameters)
         config = with_values(config, {INPUT_TYPE_PARAMETER: keypoints_type})
-        self._inputs |= find_transform_topics(bag, config.node, self._recorded_run.input_topics)
+        self._inputs |= find_transform_topics(bag, config.node, self._run.input_topics)
         # that of the outputs in the bag, whatever the parameters of the replay say
-        self._frame_prefix = str(self._recorded_run.parameters.get(PREFIX_PARAMETER, config.node.frame_prefix))
+        self._frame_prefix = str(self._run.parameters.get(PREFIX_PARAMETER, config.node.frame_prefix))
         self._pipeline = Pipeline(config)
         self._journal = Journal(JOURNAL_TOPIC)
-        settings = self._pipeline.config.tracker
-        self._appearances = AppearanceLog(settings.forget_all_after, settings.forget_after)
+        self._appearances = AppearanceLog(config.tracker.forget_all_after, config.tracker.forget_after)
         self._bodies = RecordedBodies()
         self._first_rejection = ''
         self._tracebacks: dict[str, str] = {}  # by what identifies the error, in order of occurrence
@@ -167,25 +161,26 @@ class _Replay:
         attachments = provenance_attachments(pipeline.config, pipeline.models)
         with Recorder(folder, self._recorder_config, attachments, name) as self._recorder:
             messages = progress(bag.messages(self._inputs), bag.count(self._inputs))
-            inputs = self._recorded_run.leave_out_repeated(messages)
-            for number, message in enumerate(filter(self._is_input, inputs), 1):
+            inputs = filter(self._is_input, self._run.leave_out_repeated(messages))
+            for number, message in enumerate(inputs, 1):
                 if number == 1:
                     self._write_start(message.time_ns)
                 self._repeat_events(number - 1, message.time_ns)
-                if number in self._recorded_run.skipped_inputs:
+                if number in self._run.skipped_inputs:
                     result = pipeline.note_backlog()
                 else:
                     result = pipeline.feed(self._inputs[message.topic], message.raw, message.topic)
-                self._write_result(number, message, result)
+                self._write_input(message, result)
+                self._report(number, message, result)
                 if error_traceback := pipeline.run_deferred_work():
                     self._tracebacks.setdefault(error_traceback, error_traceback)
         return ReplayResult(
             pipeline.counters,
             self._first_rejection,
-            self._recorded_run.lost_count,
+            self._run.lost_count,
             tuple(self._tracebacks.values()),
             pipeline.config,
-            self._appearances.finish(),
+            self._appearances.list_all(),
             pipeline.swapped_frames,
             tuple(self._remarks.values()),
         )
@@ -204,7 +199,7 @@ class _Replay:
 
     def _repeat_events(self, number: int, now_ns: int) -> None:
         """Repeat the resets and parameter changes that followed this input in the recorded run."""
-        for entry in self._recorded_run.events.get(number, ()):
+        for entry in self._run.events.get(number, ()):
             if entry.kind == RESET:
                 self._recorder.write(*self._journal.make_reset_record(now_ns))
                 for output in self._pipeline.reset():
@@ -215,57 +210,52 @@ class _Replay:
                         f'{self._bag.path}: the run was recorded by another version (event {entry.kind!r}); '
                         'give all parameters by --config'
                     )
-                self._pipeline.reconfigure(self._apply_parameters(self._pipeline.config, entry.parameters))
+                self._pipeline.reconfigure(self._apply_recorded(self._pipeline.config, entry.parameters))
                 self._recorder.write(*self._journal.make_parameters_record(values(self._pipeline.config), now_ns))
 
-    def _apply_parameters(self, config: Config, recorded: Mapping[str, Value]) -> Config:
-        """Return the parameters of a recorded run, but for those that the options of the replay give."""
-        known, constants = values(config), settings(config)
+    def _apply_recorded(self, config: Config, recorded: Mapping[str, Value]) -> Config:
+        """Return the parameters of a recorded run that this version has, but for those that the options give.
+
+        Model and prior of the run must be shipped ones, so that a bag cannot make the replay read a file of its
+        choice; the user, who gives the options, may choose any.
+        """
+        known, constants, path = values(config), settings(config), self._bag.path
         changed = [
             f'{name} = {value}'
             for name, value in sorted(recorded.items())
             if name not in known and constants.get(name, False) != value
         ]
         if changed:
-            line = f'{self._bag.path}: recorded by another version, with other constants: {", ".join(changed)}'
-            self._remarks.setdefault(UNKNOWN_PARAMETERS, line)
-        return _apply_recorded_parameters(config, recorded, self._changes, self._bag)
+            line = f'{path}: recorded by another version, with other constants: {", ".join(changed)}'
+            self._remarks.setdefault('constants', line)
+        kept = {name: v for name, v in recorded.items() if name in known and name not in self._changes}
+        shipped = {'tracker.model': (AUTO, *list_shipped_base_poses()), 'solver.prior': PRIORS}
+        for name in shipped.keys() & kept.keys():
+            if kept[name] not in shipped[name]:
+                raise InputError(
+                    f'{path}: the run was recorded with {name} {kept[name]!r}, which does not come with the '
+                    f'package; give another by --set {name}=VALUE, or all parameters by --config'
+                )
+        try:
+            return with_values(config, kept)
+        except ConfigError as error:
+            raise InputError(
+                f'{path}: the run was recorded by another version ({error}); give all parameters by --config'
+            ) from None
 
-    def _write_result(self, number: int, message: BagMessage, result: ProcessingResult) -> None:
+    def _write_input(self, message: BagMessage, result: ProcessingResult) -> None:
         """Write an input, its journal entry and its outputs."""
-        now_ns, verdict, reason = message.time_ns, result.verdict, result.reason
-        times_ns = (now_ns, now_ns)
-        if message.topic not in self._recorder.topics:
-            self._add_input_topic(message)
-        is_accepted = verdict is Verdict.ACCEPTED
-        for record in self._journal.make_input_records(
-            message.topic,
-            message.type,
-            message.raw,
-            times_ns,
-            verdict,
-            reason,
-            make_repeat_keys(self._inputs[message.topic], message.raw, is_accepted=is_accepted),
-        ):
+        topic, source, now_ns = message.topic, self._inputs[message.topic], message.time_ns
+        if topic not in self._recorder.topics:  # with its QoS, so that it is played to the same subscribers
+            qos: Any = dump_qos_v9(self._bag.qos[topic])
+            is_static = source is Source.STATIC_TRANSFORMS
+            self._recorder.add_topic(make_topic(topic, message.type, latched=is_static, qos=qos))
+        keys = make_repeat_keys(source, message.raw, is_accepted=result.verdict is Verdict.ACCEPTED)
+        stored = topic, message.type, message.raw, (now_ns, now_ns)
+        for record in self._journal.make_input_records(*stored, result.verdict, result.reason, keys):
             self._recorder.write(*record)
         for output in result.outputs:
             self._write(output, now_ns)
-        if result.outputs:
-            self._appearances.add(result.outputs[-1].stamp_ns, self._pipeline.people)
-        place = f'{self._bag.path}: {message.topic}: input {number} of the bag: {reason}'
-        if verdict is not Verdict.ACCEPTED:
-            self._first_rejection = self._first_rejection or place
-        elif reason:
-            self._remarks.setdefault(find_kind(reason), place)
-        if result.error_traceback:
-            self._tracebacks.setdefault(reason, result.error_traceback)
-
-    def _add_input_topic(self, message: BagMessage) -> None:
-        """Add the topic of an input with its QoS, so that it is played to the same subscribers, and repeated."""
-        topic = message.topic
-        is_static = self._inputs[topic] is Source.STATIC_TRANSFORMS
-        qos: Any = dump_qos_v9(self._bag.qos[topic])
-        self._recorder.add_topic(make_topic(topic, message.type, latched=is_static, qos=qos))
 
     def _write(self, output: OutputMessage, now_ns: int) -> None:
         if not self._bodies.admit(output.topic):
@@ -275,48 +265,14 @@ class _Replay:
             self._recorder.declare_topic(topic, output.type, latched=True)
         self._recorder.write(topic, output.type, output.data, now_ns, now_ns)
 
-
-def read_recorded_config(bag: Bag, changes: Mapping[str, Value]) -> Config:
-    """Return the parameters at the start of a recorded run; the defaults if the bag has no journal.
-
-    Args:
-        bag: The bag.
-        changes: Values by the names of parameters, which replace those of the recorded run.
-
-    Raises:
-        InputError: The journal cannot be read, or the run used models that do not come with the package.
-        ConfigError: A parameter of `changes` is unknown, or its value is wrong.
-    """
-    return _apply_recorded_parameters(Config(), read_run(bag).parameters, changes, bag)
-
-
-def _apply_recorded_parameters(
-    config: Config, recorded: Mapping[str, Value], changes: Mapping[str, Value], bag: Bag
-) -> Config:
-    """Return the parameters of a recorded run, but for those in `changes`, which have the values given there.
-
-    Those that this version does not have are left out.
-
-    Model and prior of the run must be shipped ones, so that a bag cannot make the replay read a file of its
-    choice; the user, who gives `changes`, may choose any.
-    """
-    shipped = {
-        'tracker.model': (config.tracker.model, (AUTO, *list_shipped_base_poses())),
-        'solver.prior': (config.solver.prior, PRIORS),
-    }
-    for name, (default, allowed) in shipped.items():
-        value = recorded.get(name, default)
-        if name not in changes and value not in allowed:
-            raise InputError(
-                f'{bag.path}: the run was recorded with {name} {value!r}, which does not come with the package; '
-                f'give another by --set {name}=VALUE, or all parameters by --config'
-            )
-    try:
-        names = values(config).keys() - changes.keys()
-        kept = {name: value for name, value in recorded.items() if name in names}
-        config = with_values(config, kept)
-    except ConfigError as error:
-        raise InputError(
-            f'{bag.path}: the run was recorded by another version ({error}); give all parameters by --config'
-        ) from None
-    return with_values(config, changes)
+    def _report(self, number: int, message: BagMessage, result: ProcessingResult) -> None:
+        """Note what the summary of the replay says of an input."""
+        if result.outputs:
+            self._appearances.add(result.outputs[-1].stamp_ns, self._pipeline.people)
+        place = f'{self._bag.path}: {message.topic}: input {number} of the bag: {result.reason}'
+        if result.verdict is not Verdict.ACCEPTED:
+            self._first_rejection = self._first_rejection or place
+        elif result.reason:
+            self._remarks.setdefault(find_kind(result.reason), place)
+        if result.error_traceback:
+            self._tracebacks.setdefault(result.reason, result.error_traceback)

@@ -1,20 +1,22 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Save a reconstructed sequence as arrays, a table, a bag, or a file for animation or biomechanics."""
+"""Save a reconstructed sequence as arrays, a table, a bag, or for animation or biomechanics; and keyframes."""
 
 from __future__ import annotations
 
 import csv
 import math
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from mocap_ros.bags.recorder import RECOVERY_HINT, Recorder
@@ -33,11 +35,13 @@ from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, encode_camer
 from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.npz_file import write_npz
+from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
 from mocap_ros.offline.whole_sequence import SequenceResult
 from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OutputEncoder, build_skeleton_definition
 from mocap_ros.runtime.sequence_messages import DEFAULT_FRAME_ID
 from mocap_ros.skeleton import CORE_COUNT
+from mocap_ros.solvers.observed_window import ObservedWindow
 
 Array = NDArray[np.float64]
 
@@ -48,6 +52,17 @@ RATE_TOLERANCE = 0.01  # 1; seconds since 1970 as doubles are rounded to 0.2 us
 HALF_TURN = np.array([1.0, 0.0, 0.0, 0.0])  # quaternion x, y, z, w of `CAMERA_TO_Y_UP`, half a turn about x
 SMALLEST_NORM = 1e-9  # 1; guards the normalisation of mixed quaternions
 CAMERA_TO_Y_UP = np.array([1.0, -1.0, -1.0])  # factors of x, y, z: optical frame (y down, z forward) to y up
+
+# The comment above the keyframes in the YAML file.
+KEYFRAMES_HEADER = """\
+# Keyframes of {name}. start_ns: stamp of the first frame of the person, ns; time: s from then on; represents:
+# number of frames that the keyframe represents; spans: first and last time of every run of these frames, s.
+# To compute the 3D pose of a keyframe by Taylor's method, add to it the outer joints of the limbs that point
+# towards the camera (the other limbs point away), and optionally the scale in px per m, for example:
+#     forward: [lelbow, lwrist]
+#     scale: 250
+# Then run: mocap-ros reconstruct --method keyframes --choices THIS_FILE
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,13 +118,27 @@ def _save_npz(path: Path, reconstruction: ReconstructedSequence) -> None:
 
 
 def _save_csv(path: Path, reconstruction: ReconstructedSequence) -> None:
-    timestamps, result = reconstruction.sequence.timestamps, reconstruction.result
+    result = reconstruction.result
+    columns = [f'{name}_{axis}_m' for name in result.skeleton.joints for axis in 'xyz']
+    _write_table(path, columns, reconstruction.sequence.timestamps, result.joints.reshape(len(result.joints), -1))
+
+
+def _save_angles(path: Path, reconstruction: ReconstructedSequence) -> None:
+    times, joints = reconstruction.sequence.timestamps, stand_upright(reconstruction.result)
+    known = np.isfinite(joints).all(axis=(1, 2))
+    angles = np.full((len(times), len(COORDINATES)), np.nan)
+    fps = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+    angles[known] = compute_joint_angles(joints[known], fps)
+    columns = [f'{name}_{"m" if name in POSITIONS else "deg"}' for name in COORDINATES]
+    _write_table(path, columns, times, angles)
+
+
+def _write_table(path: Path, columns: Iterable[str], times: Array, rows: Array) -> None:
     with path.open('w', newline='', encoding='utf-8') as file:
         writer = csv.writer(file)
-        names = result.skeleton.joints
-        writer.writerow(['time_s', *(f'{n}_{axis}_m' for n in names for axis in 'xyz')])
-        for time, joints in zip(timestamps, result.joints, strict=True):
-            writer.writerow([f'{time:.6f}', *(f'{v:.6f}' for v in joints.ravel())])
+        writer.writerow(['time_s', *columns])
+        for time, row in zip(times, rows, strict=True):
+            writer.writerow([f'{time:.6f}', *(f'{v:.6f}' for v in row)])
 
 
 def save_detections(path: Path, detections: Detections) -> None:
@@ -123,12 +152,6 @@ def save_detections(path: Path, detections: Detections) -> None:
             header = Header(stamp, detections.frame_id or DEFAULT_FRAME_ID)
             raw = encode_keypoints(header, detections.image_size, people)
             recorder.write('/keypoints', KEYPOINTS, raw, stamp, stamp)
-
-
-def _save_bag(path: Path, reconstruction: ReconstructedSequence) -> None:
-    """Write the inputs and the outputs in the same way as `replay`, but into a single .mcap file."""
-    with _record_file(path) as recorder:
-        _record(recorder, reconstruction)
 
 
 @contextmanager
@@ -153,35 +176,32 @@ def _record_file(path: Path) -> Iterator[Recorder]:
             file.replace(path)
 
 
-def _record(recorder: Recorder, reconstruction: ReconstructedSequence) -> None:
-    sequence = reconstruction.sequence
-    encoder = OutputEncoder()
-    stamps = sequence.stamps_ns
-    for topic, msgtype in LATCHED_OUTPUTS.items():
-        recorder.declare_topic('/' + topic, msgtype, latched=True)
-    definition = build_skeleton_definition(reconstruction.result.skeleton.name)
-    recorder.write('/' + definition.topic, definition.type, definition.data, stamps[0], stamps[0])
-    person_id = sequence.person_id or DEFAULT_PERSON_ID
-    result = reconstruction.result
-    intrinsics = result.virtual_camera.intrinsics
-    for frame, (stamp, person) in enumerate(zip(stamps, _iterate_people(reconstruction), strict=True)):
-        vertical = CameraVertical(result.vertical[frame], float(result.vertical_std[frame]))
-        header = Header(stamp, sequence.frame_id or DEFAULT_FRAME_ID)
-        keypoints = [sequence.person(frame, person_id)]
-        if intrinsics.is_focal_known:
-            camera = encode_camera_info(header, CameraInfo(sequence.image_size, intrinsics))
-            recorder.write('/camera_info', CAMERA_INFO, camera, stamp, stamp)
-        recorder.write(
-            '/keypoints',
-            KEYPOINTS,
-            encode_keypoints(header, sequence.image_size, keypoints),
-            stamp,
-            stamp,
-        )
-        known = None if math.isnan(vertical.std) else vertical
-        people = [person] if person else []
-        for output in encoder.encode(header, people, vertical=known):
-            recorder.write('/' + output.topic, output.type, output.data, stamp, stamp)
+def _save_bag(path: Path, reconstruction: ReconstructedSequence) -> None:
+    """Write the inputs and the outputs in the same way as `replay`, but into a single .mcap file."""
+    sequence, result, encoder = reconstruction.sequence, reconstruction.result, OutputEncoder()
+    intrinsics, person_id = result.virtual_camera.intrinsics, sequence.person_id or DEFAULT_PERSON_ID
+    frames = zip(sequence.stamps_ns, _iterate_people(reconstruction), result.vertical, strict=True)
+    with _record_file(path) as recorder:
+
+        def write(topic: str, msgtype: str, raw: bytes) -> None:
+            recorder.write('/' + topic, msgtype, raw, stamp, stamp)
+
+        for topic, msgtype in LATCHED_OUTPUTS.items():
+            recorder.declare_topic('/' + topic, msgtype, latched=True)
+        for frame, (stamp, person, upward) in enumerate(frames):
+            if not frame:
+                definition = build_skeleton_definition(result.skeleton.name)
+                write(definition.topic, definition.type, definition.data)
+            header = Header(stamp, sequence.frame_id or DEFAULT_FRAME_ID)
+            if intrinsics.is_focal_known:
+                camera = CameraInfo(sequence.image_size, intrinsics)
+                write('camera_info', CAMERA_INFO, encode_camera_info(header, camera))
+            keypoints = encode_keypoints(header, sequence.image_size, [sequence.person(frame, person_id)])
+            write('keypoints', KEYPOINTS, keypoints)
+            std = float(result.vertical_std[frame])
+            vertical = None if math.isnan(std) else CameraVertical(upward, std)
+            for output in encoder.encode(header, [person] if person else [], vertical=vertical):
+                write(output.topic, output.type, output.data)
 
 
 def _iterate_people(reconstruction: ReconstructedSequence) -> Iterator[Person3D | None]:
@@ -231,43 +251,42 @@ def stand_upright(result: SequenceResult) -> Array:
 
 
 def _save_bvh(path: Path, reconstruction: ReconstructedSequence) -> None:
-    fps, joints, _ = _resample_at_constant_rate(reconstruction)
-    save_bvh(path, build_armature(joints, fps, _resample_orientation(reconstruction, len(joints))))
+    resampled = _resample_at_constant_rate(reconstruction)
+    orientation, vertical = resampled.orientation, average_vertical(reconstruction.result.vertical)
+    if orientation is not None:
+        orientation /= np.maximum(np.linalg.norm(orientation, axis=-1, keepdims=True), SMALLEST_NORM)
+        level = np.array(quaternion_from_rotation(rotation_to_level(vertical)))
+        orientation = multiply_quaternions(multiply_quaternions(HALF_TURN, level), orientation)
+    save_bvh(path, build_armature(resampled.joints, resampled.fps, orientation))
 
 
 def _save_trc(path: Path, reconstruction: ReconstructedSequence) -> None:
-    fps, joints, in_sight = _resample_at_constant_rate(reconstruction)
-    joints[~in_sight] = np.nan
-    save_trc(path, reconstruction.result.skeleton.joints, joints, fps)
+    resampled = _resample_at_constant_rate(reconstruction)
+    resampled.joints[~resampled.in_sight] = np.nan
+    save_trc(path, reconstruction.result.skeleton.joints, resampled.joints, resampled.fps)
 
 
-def _save_angles(path: Path, reconstruction: ReconstructedSequence) -> None:
-    times, joints = reconstruction.sequence.timestamps, stand_upright(reconstruction.result)
-    known = np.isfinite(joints).all(axis=(1, 2))
-    values = np.full((len(times), len(COORDINATES)), np.nan)
-    fps = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    values[known] = compute_joint_angles(joints[known], fps)
-    units = ['m' if name in POSITIONS else 'deg' for name in COORDINATES]
-    with path.open('w', newline='', encoding='utf-8') as file:
-        writer = csv.writer(file)
-        writer.writerow(['time_s', *(f'{name}_{unit}' for name, unit in zip(COORDINATES, units, strict=True))])
-        for time, row in zip(times, values, strict=True):
-            writer.writerow([f'{time:.6f}', *(f'{v:.6f}' for v in row)])
+class _Resampled(NamedTuple):
+    """A result at a constant frame rate.
 
-
-def _resample_at_constant_rate(reconstruction: ReconstructedSequence) -> tuple[float, Array, NDArray[np.bool_]]:
-    """Interpolate the joints linearly at a constant frame rate, about the median rate of the sequence.
-
-    Returns:
-        Frames per second; joints (F, J, 3) in m, y up, which keep the nearest pose before the first and after the
-        last skeleton of the result; and (F,) True for the frames from the first to the last skeleton.
+    Attributes:
+        fps: frames per second.
+        joints: (F, J, 3) m, y up; before the first and after the last skeleton of the result the nearest pose.
+        orientation: (F, J, 4) quaternions in the optical frame, not of length 1; None if unknown.
+        in_sight: (F,) whether the frame is one from the first to the last skeleton.
     """
-    result = reconstruction.result
+
+    fps: float
+    joints: Array
+    orientation: Array | None
+    in_sight: NDArray[np.bool_]
+
+
+def _resample_at_constant_rate(reconstruction: ReconstructedSequence) -> _Resampled:
+    """Interpolate a result linearly, at about the median frame rate of the sequence."""
+    result, joints = reconstruction.result, stand_upright(reconstruction.result)
     times = reconstruction.sequence.timestamps - reconstruction.sequence.timestamps[0]
-    has_skeleton = np.asarray(np.isfinite(result.joints).all(axis=(1, 2)))
-    if len(times) < 2:
-        return 1.0, stand_upright(result), has_skeleton
-    step = float(np.median(np.diff(times)))
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     if step * MAX_FRAME_RATE_HZ < 1.0 - RATE_TOLERANCE:
         raise InputError(
             f'timestamps: {step:.3g} s from frame to frame; at most {MAX_FRAME_RATE_HZ:g} Hz fit the format'
@@ -276,27 +295,18 @@ def _resample_at_constant_rate(reconstruction: ReconstructedSequence) -> tuple[f
     if frame_count > MAX_RESAMPLED_FRAMES:
         raise InputError(f'timestamps: {times[-1]:.0f} s would be {frame_count} frames at a constant rate')
     grid = np.linspace(0.0, times[-1], frame_count)
-    known_times, known_joints = times[has_skeleton], stand_upright(result)[has_skeleton]
-    columns = known_joints.reshape(len(known_times), -1)
-    resampled = np.stack([np.interp(grid, known_times, column) for column in columns.T], axis=1)
-    half_step = times[-1] / (frame_count - 1) / 2
-    in_sight = (grid > known_times[0] - half_step) & (grid < known_times[-1] + half_step)
-    return (frame_count - 1) / float(times[-1]), resampled.reshape(frame_count, -1, 3), in_sight
+    step = float(grid[-1]) / (frame_count - 1) if frame_count > 1 else step
 
+    def interpolate(values: Array) -> Array:
+        known = np.isfinite(values).all(axis=(1, 2))
+        columns = values[known].reshape(int(known.sum()), -1).T
+        mixed = np.stack([np.interp(grid, times[known], column) for column in columns], axis=1)
+        return mixed.reshape(frame_count, *values.shape[1:])
 
-def _resample_orientation(reconstruction: ReconstructedSequence, frame_count: int) -> Array | None:
-    """Return the orientations (F, J, 4) at the times of `_resample_at_constant_rate`, y up; None if unknown."""
-    result, times = reconstruction.result, reconstruction.sequence.timestamps
-    if result.orientation is None:
-        return None
-    is_known = np.isfinite(result.orientation).all(axis=(1, 2))
-    grid = np.linspace(times[0], times[-1], frame_count)
-    columns = result.orientation[is_known].reshape(int(is_known.sum()), -1)
-    mixed = np.stack([np.interp(grid, times[is_known], column) for column in columns.T], axis=1)
-    mixed = mixed.reshape(frame_count, -1, 4)
-    mixed /= np.maximum(np.linalg.norm(mixed, axis=-1, keepdims=True), SMALLEST_NORM)
-    level = np.array(quaternion_from_rotation(rotation_to_level(average_vertical(result.vertical))))
-    return multiply_quaternions(multiply_quaternions(HALF_TURN, level), mixed)
+    known_times = times[np.isfinite(joints).all(axis=(1, 2))]
+    in_sight = (grid > known_times[0] - step / 2) & (grid < known_times[-1] + step / 2)
+    orientation = None if result.orientation is None else interpolate(result.orientation)
+    return _Resampled(1 / step, interpolate(joints), orientation, in_sight)
 
 
 # The function that writes each format, by file suffix.
@@ -309,3 +319,44 @@ WRITERS: dict[str, Callable[[Path, ReconstructedSequence], None]] = {
     '.angles.csv': _save_angles,
 }
 SUFFIXES = tuple(WRITERS)  # the file suffixes that `save` accepts
+
+
+def list_keyframe_entries(
+    observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet]
+) -> list[dict[str, Any]]:
+    """Return the entry of every keyframe in the YAML file, upper body first, sorted by time.
+
+    Returns:
+        Mappings with the keys `half` (upper or lower), `time` (s from the beginning), `represents` (number of
+        frames) and `spans` (pairs of times in s).
+    """
+    times = observed.times - observed.times[0]
+    return [
+        {
+            'half': half.body_half.name,
+            'time': round(float(times[half.frames[key]]), 6),
+            'represents': int((half.assignment == key).sum()),
+            'spans': [
+                [round(float(times[first]), 3), round(float(times[last]), 3)]
+                for first, last in half.find_runs(int(key))
+            ],
+        }
+        for half in keyframes
+        for key in half.chronological_order
+    ]
+
+
+def format_yaml(
+    observed: ObservedWindow, keyframes: tuple[KeyframeSet, KeyframeSet], name: str, start_ns: int
+) -> str:
+    """Return the text of the YAML file of keyframes, which `reconstruct --choices` and `view --keyframes` read.
+
+    Args:
+        observed: The keypoints in which the keyframes were found.
+        keyframes: Keyframes of the upper and the lower half of the body.
+        name: Name of the recording, for the comment.
+        start_ns: Stamp of the first frame in ns, from which on the times of the keyframes count.
+    """
+    tree = {'start_ns': start_ns, 'keyframes': list_keyframe_entries(observed, keyframes)}
+    content = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
+    return KEYFRAMES_HEADER.format(name=' '.join(name.split())) + content

@@ -210,9 +210,7 @@ def test_a_video_is_read_with_a_detector(tmp_path: Path, caplog: pytest.LogCaptu
     assert f'{video}: keypoints by MoveNet (movenet.onnx)' in caplog.messages
     with pytest.raises(mocap_ros.ModelError, match=r'none\.onnx: no such file'):
         mocap_ros.read(video, detector='none.onnx')
-    with pytest.raises(
-        mocap_ros.InputError, match=r'walk\.mkv: topic, camera_info, fps, image_size and layout do not'
-    ):
+    with pytest.raises(mocap_ros.InputError, match=r'walk\.mkv: is a video, to which fps does not apply'):
         mocap_ros.read(video, detector=model, fps=30)
 
 

@@ -66,7 +66,7 @@ MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than 
         ),
         (
             ['reconstruct', 'RECORDING', '--fps', '30'],
-            'demo.npz: --person, --topic, --camera-info, --fps, --image-size, --layout and --detector do not ',
+            'demo.npz: is a sequence file, to which --fps does not apply',
         ),
         (['evaluate', 'FOLDER'], 'folder: is a folder without a bag'),
         (['evaluate', 'RECORDING', '--truth', 'FOLDER'], 'folder: is a folder without a bag'),
@@ -91,7 +91,7 @@ MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than 
         (['view', 'RECORDING', '-o', 'x.png', '--poses', '31'], '--poses 31: expected 1 to 30'),
         (['view', 'RECORDING', '-o', 'x.png', '--keyframes', 'x'], 'x.png: --keyframes applies to a page'),
         (['view', 'RECORDING', '-o', 'nowhere/x.html'], 'x.html: cannot be written: there is no folder nowhere'),
-        (['view', 'RECORDING', '-o', 'x.html', '--person', '7'], 'do not apply to a'),
+        (['view', 'RECORDING', '-o', 'x.html', '--person', '7'], 'to which --person does not apply'),
         (['view', 'IMAGE', '-o', 'x.html'], 'walk.jpg: is an image'),
     ],
 )

@@ -156,7 +156,7 @@ def test_detections_of_which_none_is_a_person_are_a_warning() -> None:
     assert status.level == Level.WARN
     assert status.message == (
         '1 detections were no person in the last second: their scores are below tracker.min_score, '
-        'or too few joints are seen (tracker.min_joints)'
+        'or fewer than six joints are seen'
     )
     assert report(reporter, statistics).level == Level.OK
     process(pipeline, third)
@@ -202,7 +202,7 @@ def test_doubts_about_the_input_are_a_warning() -> None:
     reporter = DiagnosticsReporter('mocap_node', pipeline)
     statistics.record_receipt()
     process(pipeline, encode_demo_frames(1)[0])
-    pipeline.doubts = ('people: most points lie outside the image',)
+    pipeline.checks.warnings = ('people: most points lie outside the image',)
     status = report(reporter, statistics)
     assert (status.level, status.message) == (Level.WARN, 'people: most points lie outside the image')
     assert report(reporter, statistics).message == '0 people', 'of an earlier second'

@@ -31,7 +31,7 @@ def test_times_motions_cadence_and_residual_are_added_up() -> None:
     for second, motion in enumerate([STRANGE, WALK, WALK, OTHER]):
         log.add(second * NS_PER_S, [person('ann', motion, residual=1.0 + second)])
     log.add(4 * NS_PER_S, [person('ann', OTHER, residual=NAN, predicted=True)])
-    (ann,) = log.finish()
+    (ann,) = log.list_all()
     assert (ann.person, ann.from_ns, ann.to_ns) == ('ann', 0, 4 * NS_PER_S)
     assert ann.seconds == {'unknown': 0.0, 'periodic': 2.0, 'non_periodic': 2.0}
     assert (ann.cadence, ann.residual) == (0.9, 2.5)
@@ -42,16 +42,15 @@ def test_who_was_away_for_long_appears_anew() -> None:
     for second in (0, 4, 10, 11):
         log.add(second * NS_PER_S, [person('ann'), person('ghost', tentative=True)])
     log.add(12 * NS_PER_S, [person('ben', STRANGE, NAN)])
-    spans = [(a.person, a.from_ns // NS_PER_S, a.to_ns // NS_PER_S) for a in log.finish()]
+    spans = [(a.person, a.from_ns // NS_PER_S, a.to_ns // NS_PER_S) for a in log.list_all()]
     assert spans == [('ann', 0, 4), ('ann', 10, 11), ('ben', 12, 12)]
-    assert log.finish() == ()
 
 
 def test_the_time_away_is_no_motion() -> None:
     log = AppearanceLog(absence_s=60, gap_s=1)
     for second in (0, 1, 50, 51):
         log.add(second * NS_PER_S, [person('ann')])
-    (ann,) = log.finish()
+    (ann,) = log.list_all()
     assert (ann.to_ns, ann.seconds['periodic']) == (51 * NS_PER_S, 2.0)
 
 
@@ -60,4 +59,4 @@ def test_a_stamp_that_goes_back_begins_an_appearance(back_s: int) -> None:
     log = AppearanceLog(absence_s=5, gap_s=4)
     for second in (200, 201, 201 - back_s):
         log.add(second * NS_PER_S, [person('ann')])
-    assert sorted(a.to_ns - a.from_ns for a in log.finish()) == [0, NS_PER_S]
+    assert sorted(a.to_ns - a.from_ns for a in log.list_all()) == [0, NS_PER_S]

@@ -179,10 +179,8 @@ def test_nobody_seen_and_wrong_files_are_named_in_one_line(tmp_path: Path) -> No
         detect_in_video(empty, model)
     with pytest.raises(ModelError, match=r'none\.onnx: no such file'):
         detect_in_video(empty, tmp_path / 'none.onnx')
-    with pytest.raises(
-        InputError, match=r'empty\.mkv: --topic, --camera-info, --fps, --image-size and --layout do not apply'
-    ):
+    with pytest.raises(InputError, match=r'empty\.mkv: is a video, to which --fps does not apply'):
         load_input(empty, Video(fps=30.0, detector=model), NodeConfig())
     (tmp_path / 'a.json').write_text('[]')
-    with pytest.raises(InputError, match=r'a\.json: --detector applies to a video only'):
+    with pytest.raises(InputError, match=r'a\.json: is a JSON file, to which --detector does not apply'):
         load_input(tmp_path / 'a.json', Video(fps=30.0, detector=model), NodeConfig())

@@ -132,7 +132,7 @@ def list_remarks(pipeline: Pipeline, stream: list[bytes]) -> list[str]:
     ('values', 'has_camera_info', 'remark'),
     [
         ({'node.floor_height': 2}, True, r'the camera is at z = 1\.50 m, below it'),
-        ({'node.floor_height': 0}, False, r'without a CameraInfo it tells which way is up'),
+        ({'node.floor_height': 0}, False, r'without a CameraInfo it shows which way is up'),
         ({'node.floor_height': 0, 'tracker.lag': 0.2}, True, r'with tracker\.lag it needs node\.camera_pose'),
         ({'node.floor_height': 0}, True, ''),
     ],

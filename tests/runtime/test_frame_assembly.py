@@ -15,15 +15,14 @@ from mocap_ros.bags.topics import Source, make_body_topic
 from mocap_ros.config import with_values
 from mocap_ros.errors import FrameDropped
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.cdr import Header
 from mocap_ros.messages.foreign.definitions import HRI_SKELETON
-from mocap_ros.messages.input_types import COCO17
-from mocap_ros.runtime.frame_assembly import BodyAssembler
+from mocap_ros.runtime.frame_assembly import FrameAssembler
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.tracking.tracker import Tracker
 from tests.support.foreign_messages import (
     HRI_IDS_TOPIC,
     IMAGE_SIZE,
+    STEP_NS,
     Input,
     decode_skeletons,
     encode_body,
@@ -92,33 +91,37 @@ def test_images_are_complete_when_all_tracked_bodies_have_arrived() -> None:
     assert pipeline.counters.dropped['stamp'] == 2
 
 
-def test_a_late_body_is_dropped() -> None:
-    assembler = BodyAssembler()
-    assembler.set_tracked_ids(make_header(0), ['a'], IMAGE_SIZE, 1.0)
-    person = Person2D('a', COCO17, make_people(0)[0].points, make_people(0)[0].score)
-    assert len(assembler.add_body(make_header(1), person, IMAGE_SIZE, 1.0)) == 1
+def add_ids(assembler: FrameAssembler, frame: int, *ids: str) -> list[int]:
+    """Add a list of tracked bodies; return the frames that are complete then."""
+    return assemble(assembler, Source.TRACKED_BODIES, encode_ids(frame, *ids))
+
+
+def add_body(assembler: FrameAssembler, frame: int) -> list[int]:
+    """Add the first body of a frame; return the frames that are complete then."""
+    return assemble(assembler, Source.BODY, encode_body(make_people(0)[0], make_header(frame)))
+
+
+def assemble(assembler: FrameAssembler, source: Source, raw: bytes) -> list[int]:
+    topic = make_body_topic(HRI_IDS_TOPIC, 'b0')
+    frames = assembler.assemble(source, raw, topic, make_config(HRI_SKELETON).node, IMAGE_SIZE, 1.0)
+    return [round(f.header.stamp_ns / STEP_NS) - 1 for f in frames]
+
+
+def test_a_late_body_is_dropped_and_after_time_went_back_far_a_sequence_begins() -> None:
+    assembler = FrameAssembler()
+    add_ids(assembler, 0, 'b0')
+    assert add_body(assembler, 1) == [1]
     with pytest.raises(FrameDropped, match='after its image was complete'):
-        assembler.add_body(make_header(1), person, IMAGE_SIZE, 1.0)
-    assert assembler.add_body(Header(10 * 10**9, ''), person, IMAGE_SIZE, 1.0)
-    assert len(assembler.add_body(make_header(1), person, IMAGE_SIZE, 1.0)) == 1  # a bag that loops
+        add_body(assembler, 1)
+    assert [add_body(assembler, frame) for frame in (300, 1)] == [[300], [1]], 'a bag that loops'
+    assert [add_ids(assembler, frame) for frame in (300, 297, 1)] == [[300], [], [1]], 'lists of nobody, likewise'
 
 
 def test_the_list_of_bodies_outlives_a_reset() -> None:
-    assembler = BodyAssembler()
-    assembler.set_tracked_ids(make_header(0), ['a'], IMAGE_SIZE, 1.0)
+    assembler = FrameAssembler()
+    add_ids(assembler, 0, 'b0')
     assembler.reset()
-    person = Person2D('a', COCO17, make_people(0)[0].points, make_people(0)[0].score)
-    assert len(assembler.add_body(make_header(1), person, IMAGE_SIZE, 1.0)) == 1, 'a publisher sends it on changes'
-
-
-def test_an_empty_list_after_time_went_back_is_an_image_without_people() -> None:
-    assembler = BodyAssembler()
-    late, early = Header(10 * 10**9, ''), make_header(1)
-    assert len(assembler.set_tracked_ids(late, [], IMAGE_SIZE, 1.0)) == 1
-    assert assembler.set_tracked_ids(Header(late.stamp_ns - 10**8, ''), [], IMAGE_SIZE, 1.0) == [], 'out of order'
-    (frame,) = assembler.set_tracked_ids(early, [], IMAGE_SIZE, 1.0)
-    assert frame.header.stamp_ns == early.stamp_ns
-    assert frame.people == ()
+    assert add_body(assembler, 1) == [1], 'a publisher sends it on changes'
 
 
 def test_normalised_coordinates_without_an_image_size_are_invalid() -> None:

@@ -8,8 +8,10 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -30,63 +32,73 @@ from mocap_ros.units import NS_PER_S
 from tests.support.camera_infos import camera_info
 from tests.support.keypoint_files import FPS, FRAMES, LIMITS, make_walker
 
+START_NS = 1_760_000_000_000_000_000
+Image = tuple[int, str, tuple[int, int], int]  # stamp in ns, camera, size in px, and the frame of the walk
+
+
+def make_images() -> list[Image]:
+    return [(START_NS + f * NS_PER_S // 25, 'cam', (640, 480), f) for f in range(FRAMES)]
+
+
+def write_bag(folder: Path, images: Iterable[Image], infos: Mapping[str, bytes] = MappingProxyType({})) -> Path:
+    """Write a bag of the walk of anna."""
+    with Recorder(folder, RecorderConfig(min_free_mb=0)) as recorder:
+        for topic, raw in infos.items():
+            recorder.write(topic, CAMERA_INFO, raw, START_NS, START_NS)
+        for number, (stamp, camera, size, frame) in enumerate(images):
+            data = encode_keypoints(Header(stamp, camera), size, [make_walker().person(frame, 'anna')])
+            recorder.write('/k', KEYPOINTS, data, START_NS + number, stamp)
+    return folder
+
 
 def test_a_bag_gives_the_keypoints_and_their_stamps(tmp_path: Path) -> None:
-    walker = make_walker()
-    start = 1_760_000_000_123_456_789
-    stamps = [start + f * NS_PER_S // 25 for f in range(FRAMES)]
-    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
-        for frame, stamp in enumerate(stamps):
-            data = encode_keypoints(Header(stamp, 'cam'), (640, 480), [walker.person(frame, 'anna')])
-            recorder.write('/k', KEYPOINTS, data, stamp, stamp)
-        recorder.write('/k', KEYPOINTS, b'\0\1\0\0', stamps[-1] + 1, stamps[-1] + 1)
-    sequence, lines = load_input(tmp_path / 'bag', Video(), LIMITS)
-    assert sequence.stamps_ns == stamps
+    sequence, (chosen,) = load_input(write_bag(tmp_path / 'bag', make_images()), Video(), LIMITS)
+    assert sequence.stamps_ns == [stamp for stamp, *_ in make_images()]
     assert (sequence.person_id, sequence.frame_id, sequence.image_size) == ('anna', 'cam', (640, 480))
-    assert sequence.keypoints == pytest.approx(walker.keypoints, nan_ok=True, abs=1e-3)
-    assert "'anna', seen in 40 of 40 frames" in lines[0]
-    assert '1 messages left out; /k: message 41' in lines[1]
+    assert sequence.keypoints == pytest.approx(make_walker().keypoints, nan_ok=True, abs=1e-3)
+    assert "'anna', seen in 40 of 40 frames" in chosen
     with pytest.raises(InputError, match="bag: no person 'bob'; there are anna"):
         load_input(tmp_path / 'bag', Video(), LIMITS, person='bob')
 
 
-def test_a_message_whose_stamp_was_not_set_is_left_out_of_a_bag_with_clock_stamps(tmp_path: Path) -> None:
-    walker = make_walker()
-    start = 1_760_000_000_000_000_000
-    stamps = [0, *(start + f * NS_PER_S // 25 for f in range(1, FRAMES))]
-    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
-        for frame, stamp in enumerate(stamps):
-            data = encode_keypoints(Header(stamp, 'cam'), (640, 480), [walker.person(frame, 'anna')])
-            recorder.write('/k', KEYPOINTS, data, start + frame, stamp)
-    sequence, lines = load_input(tmp_path / 'bag', Video(), LIMITS)
-    assert sequence.stamps_ns == stamps[1:]
-    assert '1 messages left out; /k: header.stamp is not set' in lines[1]
+def add_other_camera(images: list[Image]) -> list[Image]:
+    """Add another camera with the same stamps: the images of the two would alternate in one sequence."""
+    others = [(image[0], 'right', image[2], FRAMES - 1 - image[3]) for image in images]
+    pairs = enumerate(zip(images, others, strict=True))
+    return [image for number, pair in pairs for image in pair[:: -1 if number % 2 else 1]]
 
 
-def test_images_of_another_size_are_left_out(tmp_path: Path) -> None:
-    """The camera was switched to half the resolution, in whose px no other keypoints are."""
-    walker = make_walker()
-    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
-        for frame in range(FRAMES):
-            stamp, size = NS_PER_S + frame * NS_PER_S // 25, (640, 480) if frame < FRAMES - 10 else (320, 240)
-            data = encode_keypoints(Header(stamp, 'cam'), size, [walker.person(frame, 'anna')])
-            recorder.write('/k', KEYPOINTS, data, stamp, stamp)
-    sequence, lines = load_input(tmp_path / 'bag', Video(), LIMITS)
-    assert (sequence.image_size, len(sequence)) == ((640, 480), FRAMES - 10)
-    assert '10 messages left out; /k: 10 images have another size than the others' in lines[1]
-
-
-def test_images_of_another_size_than_that_of_camera_info_are_left_out(tmp_path: Path) -> None:
-    walker = make_walker()
-    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
-        recorder.write('/camera_info', CAMERA_INFO, camera_info(), 0, 0)
-        for frame in range(FRAMES):
-            size = (1280, 960) if frame == 0 else (640, 480)
-            data = encode_keypoints(Header((frame + 1) * NS_PER_S // 25, 'camera'), size, [walker.person(frame)])
-            recorder.write('/keypoints', KEYPOINTS, data, frame, frame)
-    sequence, lines = load_input(tmp_path / 'bag', Video(), LIMITS)
-    assert (len(sequence), sequence.image_size) == (FRAMES - 1, (640, 480))
-    assert any('1280 x 960 px, but CameraInfo is for 640 x 480 px' in line for line in lines)
+@pytest.mark.parametrize(
+    ('edit', 'has_info', 'line'),
+    [
+        (
+            lambda images: [(0, *images[0][1:]), *images[1:]],
+            False,
+            '1 messages left out; /k: header.stamp is not set',
+        ),
+        (lambda images: [images[0], *images], False, '1 messages left out; /k: message 2: its stamp is that of'),
+        (
+            lambda images: [*images[:-10], *((s, c, (320, 240), f) for s, c, _, f in images[-10:])],
+            False,
+            '10 messages left out; /k: 10 images have another size than the others',
+        ),
+        (
+            lambda images: [(*images[0][:2], (1280, 960), 0), *images[1:]],
+            True,
+            '1 messages left out; /k: message 1: image_width, image_height: 1280 x 960 px, but CameraInfo is for',
+        ),
+        (add_other_camera, False, "40 messages left out; /k: message 2: header.frame_id: 'right', but the images"),
+    ],
+)
+def test_messages_that_do_not_belong_are_left_out(
+    tmp_path: Path, edit: Callable[[list[Image]], list[Image]], has_info: bool, line: str
+) -> None:
+    bag = write_bag(tmp_path / 'bag', edit(make_images()), {'/camera_info': camera_info()} if has_info else {})
+    sequence, lines = load_input(bag, Video(), LIMITS)
+    first = round((sequence.stamps_ns[0] - START_NS) * 25 / NS_PER_S)
+    walk = make_walker().keypoints[first : first + len(sequence)]
+    assert sequence.keypoints == pytest.approx(walk, nan_ok=True, abs=1e-3)
+    assert line in lines[1]
 
 
 def test_a_bag_is_refused_where_a_sequence_file_is_expected(tmp_path: Path) -> None:
@@ -143,31 +155,6 @@ def test_a_focal_length_is_given_where_none_is_known(tmp_path: Path) -> None:
         mocap_ros.read(tmp_path / 'a.npz', hfov=200.0)
 
 
-@pytest.mark.filterwarnings('error')
-def test_a_distortion_that_cannot_be_undone_is_named(tmp_path: Path) -> None:
-    matrix = np.array([[700.0, 0.0, 320.0], [0.0, 700.0, 240.0], [0.0, 0.0, 1.0]])
-    sequence = replace(make_walker(), camera_matrix=matrix, distortion=np.array([-5.0, 3.0, 0.0, 0.0, -9.0]))
-    save_sequence(tmp_path / 'walk.npz', sequence)
-    _, (line,) = load_input(tmp_path / 'walk.npz', Video(), LIMITS)
-    assert re.search(
-        r'walk\.npz: distortion of the camera: it cannot be undone in \d+% of the middle of the image', line
-    )
-
-
-def test_images_of_another_camera_are_left_out(tmp_path: Path) -> None:
-    """Two cameras on one topic, with the same stamps: their images would alternate in one sequence."""
-    walker = make_walker()
-    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
-        for frame in range(FRAMES):
-            stamp = NS_PER_S + frame * NS_PER_S // 25
-            for camera, shown in (('left', frame), ('right', FRAMES - 1 - frame))[:: 1 if frame % 2 == 0 else -1]:
-                data = encode_keypoints(Header(stamp, camera), (640, 480), [walker.person(shown, 'anna')])
-                recorder.write('/k', KEYPOINTS, data, stamp, stamp)
-    sequence, lines = load_input(tmp_path / 'bag', Video(), LIMITS)
-    assert sequence.keypoints == pytest.approx(walker.keypoints, nan_ok=True, abs=1e-3)
-    assert f"{FRAMES} messages left out; /k: message 2: header.frame_id: 'right', but the images" in lines[1]
-
-
 @pytest.mark.parametrize('usable', [False, True])
 def test_a_camera_info_that_cannot_be_used_is_named(tmp_path: Path, *, usable: bool) -> None:
     with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
@@ -186,15 +173,8 @@ def test_a_camera_info_that_cannot_be_used_is_named(tmp_path: Path, *, usable: b
 
 
 def test_of_several_cameras_of_a_bag_one_is_chosen(tmp_path: Path) -> None:
-    walker = make_walker()
-    with Recorder(tmp_path / 'bag', RecorderConfig(min_free_mb=0)) as recorder:
-        for topic, focal in (('/left/camera_info', 500.0), ('/right/camera_info', 600.0)):
-            recorder.write(topic, CAMERA_INFO, camera_info(focal=focal), NS_PER_S, NS_PER_S)
-        for frame in range(FRAMES):
-            stamp = NS_PER_S + frame * NS_PER_S // 25
-            data = encode_keypoints(Header(stamp, 'cam'), (640, 480), [walker.person(frame, 'anna')])
-            recorder.write('/k', KEYPOINTS, data, stamp, stamp)
-    bag = tmp_path / 'bag'
+    infos = {f'/{side}/camera_info': camera_info(focal=f) for side, f in (('left', 500.0), ('right', 600.0))}
+    bag = write_bag(tmp_path / 'bag', make_images(), infos)
     with pytest.raises(InputError, match='choose one with --camera-info: /left/camera_info, /right/camera_info'):
         load_input(bag, Video(), LIMITS)
     sequence, _ = load_input(bag, Video(), LIMITS, camera_info='/right/camera_info')

@@ -189,7 +189,7 @@ def test_who_cannot_be_reconstructed_is_left_out_by_name(sequence: KeypointSeque
 
 def test_options_that_an_input_does_not_need_are_refused(tmp_path: Path) -> None:
     save_sequence(tmp_path / 'in.npz', make_walker())
-    with pytest.raises(InputError, match='do not apply to a sequence file'):
+    with pytest.raises(InputError, match='is a sequence file, to which --person does not apply'):
         load_scene(tmp_path / 'in.npz', replace(OPTIONS, person='anna'))
 
 

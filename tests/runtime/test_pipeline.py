@@ -20,12 +20,10 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.person import Person2D
-from mocap_ros.messages.camera_info import CAMERA_INFO, decode_camera_info
+from mocap_ros.messages.camera_info import decode_camera_info
 from mocap_ros.messages.cdr import Header, create_header, decode, encode
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
-from mocap_ros.messages.markers import MARKERS, MarkerEncoder
-from mocap_ros.messages.point_cloud import POINT_DTYPE, POINTS
-from mocap_ros.runtime.camera_switch import MAX_DISPLACED
+from mocap_ros.messages.markers import MARKERS
 from mocap_ros.runtime.pipeline import MAX_CONSECUTIVE_ERRORS, Pipeline
 from mocap_ros.skeleton import BODY26, CORE_COUNT, keypoint_layout
 from mocap_ros.tracking.tracker import Tracker
@@ -144,62 +142,6 @@ def test_of_two_cameras_that_send_in_turn_only_the_first_is_used(stream: list[by
     assert process(mixed, of_camera(3, 'front', 2.45)), 'after a reset, as in a replay, any camera is the first'
 
 
-def test_a_camera_info_of_another_camera_is_refused_where_that_of_the_images_is_known(stream: list[bytes]) -> None:
-    def of_camera(name: str, focal_length: float) -> bytes:
-        message = decode(camera_info(), CAMERA_INFO)
-        message.header.frame_id = name
-        message.k = message.k * np.array([focal_length / message.k[0], *[1.0] * 8])
-        return encode(message, CAMERA_INFO)
-
-    pipeline = Pipeline(FAST_CONFIG)
-    for name in ('other', 'camera'):  # before the first image, any camera may be that of the images
-        assert pipeline.feed(Source.CAMERA_INFO, of_camera(name, 500.0)).verdict is Verdict.ACCEPTED
-    process(pipeline, stream[0])
-    refused = pipeline.feed(Source.CAMERA_INFO, of_camera('other', 900.0))
-    assert refused.verdict is Verdict.INVALID
-    assert refused.reason.startswith("header.frame_id: 'other', but the people of 'camera' are being tracked")
-    for name in ('camera', ''):
-        assert pipeline.feed(Source.CAMERA_INFO, of_camera(name, 501.0)).verdict is Verdict.ACCEPTED
-    assert pipeline.feed(Source.CAMERA_INFO, of_camera('other', 502.0)).verdict is Verdict.ACCEPTED, (
-        'what has no name, or another one, tells nothing of which camera it is'
-    )
-
-
-def test_a_camera_that_takes_over_brings_its_camera_info(stream: list[bytes]) -> None:
-    def of_camera(raw: bytes, msgtype: str, name: str, seconds: float = 0.0, focal_length: float = 0.0) -> bytes:
-        message = decode(raw, msgtype)
-        message.header = create_header(Header(round(seconds * 1e9), name))
-        if focal_length:
-            message.k = message.k * np.array([focal_length / message.k[0], *[1.0] * 8])
-        return encode(message, msgtype)
-
-    def send(pipeline: Pipeline, name: str, second: float) -> Any:
-        return process(pipeline, of_camera(stream[0], KEYPOINTS, name, second))
-
-    def inform(pipeline: Pipeline, name: str, focal_length: float) -> Verdict:
-        return pipeline.feed(
-            Source.CAMERA_INFO, of_camera(camera_info(), CAMERA_INFO, name, focal_length=focal_length)
-        ).verdict
-
-    alone = {}
-    for second, name, focal_length in ((5.0, 'back', 900.0), (10.0, 'front', 500.0), (15.0, 'side', 0.0)):
-        pipeline = Pipeline(FAST_CONFIG)
-        if focal_length:
-            inform(pipeline, name, focal_length)
-        alone[name] = send(pipeline, name, second)
-    pipeline = Pipeline(FAST_CONFIG)
-    inform(pipeline, 'front', 500.0)
-    send(pipeline, 'front', 1.0)
-    assert inform(pipeline, 'back', 900.0) is Verdict.INVALID, 'the people of the other camera are being tracked'
-    for second, name in ((5.0, 'back'), (10.0, 'front'), (15.0, 'side')):
-        assert send(pipeline, name, second) == alone[name]
-    assert pipeline.camera_info is None, 'of the last camera nothing is known'
-    for number in range(100):
-        inform(pipeline, f'camera{number}', 700.0)
-        send(pipeline, f'camera{number}', 20.0 + 5 * number)
-    assert len(pipeline._other_cameras) <= MAX_DISPLACED
-
-
 def test_a_person_with_one_visible_joint_is_not_tracked() -> None:
     joints = keypoint_layout('coco17').joints
     points = np.full((17, 2), np.nan)
@@ -257,21 +199,6 @@ def test_a_camera_info_that_does_not_fit_is_rejected(stream: list[bytes]) -> Non
     pipeline.set_camera_info(camera_info(width=1280))
     reason = reject(pipeline, stream[0], Verdict.INVALID)
     assert '640 x 480 px, but CameraInfo is for 1280 x 480 px' in reason
-
-
-def test_a_camera_info_without_a_size_is_of_images_of_the_same_size(stream: list[bytes]) -> None:
-    message = decode(camera_info(focal=900.0), CAMERA_INFO)
-    message.width = message.height = 0
-    pipeline = Pipeline(FAST_CONFIG)
-    pipeline.set_camera_info(camera_info(focal=600.0))
-    for raw in stream[:5]:
-        process(pipeline, raw)
-    pipeline.set_camera_info(encode(message, CAMERA_INFO))
-    (person,) = decode_skeletons(process(pipeline, stream[5])).people
-    joints = np.array([[p.x, p.y, p.z] for p in person.joints])
-    assert np.isfinite(joints).all()
-    assert joints[:, 2].min() > 1.0
-    assert np.isfinite(person.joint_std).all()
 
 
 # Distortion coefficients of two lenses, by distortion model.
@@ -336,29 +263,6 @@ def test_parameters_of_tracker_and_solver_restart_the_tracker(
     assert skeletons == expected
 
 
-@pytest.mark.parametrize('lifetime_s', [0.5, 2.25])
-def test_markers_live_as_long_as_the_parameter_says(stream: list[bytes], lifetime_s: float) -> None:
-    topics = 'markers', 'capsule_markers', 'prediction_markers'
-    values = {'node.marker_lifetime': lifetime_s, **{f'node.publish_{name}': True for name in topics[1:]}}
-    pipeline = Pipeline(with_values(FAST_CONFIG, values))
-    pipeline.set_camera_info(camera_info())
-    outputs = [{o.topic: o for o in process(pipeline, raw)} for raw in stream][-1]
-    for topic in topics:
-        markers = decode(outputs[topic].data, outputs[topic].type).markers
-        lifetimes = {m.lifetime.sec + m.lifetime.nanosec / 1e9 for m in markers if m.action == 0}
-        assert lifetimes == {lifetime_s}, topic
-
-
-def test_what_was_counted_stays_counted_when_the_tracker_restarts() -> None:
-    pipeline = Pipeline(FAST_CONFIG)
-    joints = keypoint_layout('cmu15').joints
-    hidden = Person2D('', joints, np.full((15, 2), np.nan), np.zeros(15))
-    for stamp_ns, threshold in ((1, 0.2), (2, 0.3), (3, 0.4)):
-        process(pipeline, encode_keypoints(Header(stamp_ns, 'camera'), (640, 480), [hidden]))
-        assert pipeline.reconfigure(with_values(FAST_CONFIG, {'tracker.min_score': threshold}))
-        assert pipeline.unusable_people == stamp_ns
-
-
 def test_exchanged_sides_stay_counted_when_the_tracker_restarts() -> None:
     skeleton = keypoint_layout('coco17')
     mirror = np.array(skeleton.mirror)
@@ -372,29 +276,6 @@ def test_exchanged_sides_stay_counted_when_the_tracker_restarts() -> None:
     assert pipeline.swapped_frames == 1
     assert pipeline.reconfigure(with_values(FAST_CONFIG, {'tracker.min_score': 0.4}))
     assert pipeline.swapped_frames == 1
-
-
-def test_an_unknown_distortion_model_is_reported() -> None:
-    pipeline = Pipeline(FAST_CONFIG)
-    result = pipeline.feed(Source.CAMERA_INFO, camera_info(model='fov', d=(0.9,)))
-    assert (result.verdict.name, result.reason.startswith("distortion model 'fov': expected plumb_bob")) == (
-        'INVALID',
-        True,
-    )
-
-
-def test_the_point_cloud_holds_every_joint(stream: list[bytes]) -> None:
-    pipeline = Pipeline(FAST_CONFIG)
-    outputs = {o.topic: o for o in process(pipeline, stream[0])}
-    cloud = decode(outputs['points'].data, POINTS)
-    read = np.frombuffer(cloud.data.tobytes(), POINT_DTYPE)
-    (person,) = decode_skeletons(tuple(outputs.values())).people
-    assert (cloud.width, cloud.height, cloud.header.frame_id) == (26, 1, 'camera')
-    assert POINT_DTYPE.fields is not None
-    assert {f.name: f.offset for f in cloud.fields} == {n: d[1] for n, d in POINT_DTYPE.fields.items()}
-    np.testing.assert_allclose(read['x'], [j.x for j in person.joints], rtol=1e-6)
-    np.testing.assert_array_equal(read['joint'], np.arange(26))
-    np.testing.assert_array_equal(read['inferred'], person.inferred)
 
 
 def test_transforms_need_a_metric_scale_and_follow_rep_155(stream: list[bytes]) -> None:
@@ -450,22 +331,3 @@ def test_tentative_people_are_flagged_and_have_no_transforms(stream: list[bytes]
         color = outputs['markers'].markers[0].color
         shown.append((person.tentative, color.r == color.g == color.b, len(outputs['/tf'].transforms)))
     assert shown == [(True, True, 0)] * 2 + [(False, False, 26)] * 4
-
-
-def test_seen_inferred_and_predicted_joints_are_drawn_in_different_colors(stream: list[bytes]) -> None:
-    encoder = MarkerEncoder()
-    pipeline = Pipeline(FAST_CONFIG)
-    process(pipeline, stream[0])
-    person = replace(pipeline.people[0], tentative=False)
-    colors = {}
-    changes: dict[str, dict[str, Any]] = {
-        'seen': {'inferred': np.zeros(26, bool)},
-        'inferred': {'inferred': np.ones(26, bool)},
-        'predicted': {'inferred': np.ones(26, bool), 'predicted': True},
-        'tentative': {'inferred': np.zeros(26, bool), 'tentative': True},
-    }
-    for name, change in changes.items():
-        raw = encoder.encode_update(Header(1, 'camera'), [replace(person, **change)], 0.5)
-        colors[name] = repr(decode(raw, MARKERS).markers[0].colors[0])
-    assert colors.pop('tentative') == colors['predicted']
-    assert len(set(colors.values())) == 3

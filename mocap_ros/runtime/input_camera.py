@@ -1,0 +1,100 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The camera whose images are used, where messages of several cameras arrive on one topic, and its CameraInfo.
+
+A camera is known by the `frame_id` of its images. Another camera replaces the one in use once it has sent for
+`SILENCE_S` by its own stamps while the one in use was silent. No clock is read, so that a replay decides alike.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from mocap_ros.errors import InputError
+from mocap_ros.messages.camera_info import CameraInfo
+from mocap_ros.messages.cdr import Header
+from mocap_ros.units import NS_PER_S
+
+SILENCE_S = 1.0  # s; without images of one camera, before those of another are taken as a move of the input
+MAX_REMEMBERED = 16  # cameras whose CameraInfo is kept; guards memory against ever new names
+
+
+class Calibration(NamedTuple):
+    """A CameraInfo, decoded and as CDR."""
+
+    info: CameraInfo
+    raw: bytes
+
+
+class InputCamera:
+    """Decides for each image whether it is of the camera in use, replaces that camera, or is refused.
+
+    Attributes:
+        name: The last `frame_id` of the camera in use that was not empty; empty before the first.
+        calibration: The CameraInfo in use, if any.
+    """
+
+    def __init__(self) -> None:
+        self.calibration: Calibration | None = None
+        self._others: dict[str, Calibration] = {}  # of cameras that are not in use
+        self.reset()
+
+    def reset(self) -> None:
+        """Take the next image as the first; what is known of the cameras' calibration stays."""
+        self.name = ''
+        self._rival: tuple[str, int] | None = None  # another camera, and its first stamp since the last image used
+
+    def add_calibration(self, given: Calibration) -> None:
+        """Use a CameraInfo for all following images.
+
+        Raises:
+            InputError: It is of another camera than the images, whose own is known; it is kept for its images.
+        """
+        name, held, other = self.name, self.calibration, given.info.frame_id
+        if held and name and held.info.frame_id == name and other not in ('', name):
+            self._remember(given)
+            raise InputError(
+                f'header.frame_id: {other!r}, but the people of {name!r} are being tracked, whose CameraInfo is '
+                'known; run a node for each camera'
+            )
+        self.calibration = given
+
+    def check(self, header: Header) -> tuple[str, Calibration | None]:
+        """Return why tracking must be restarted for an image, usually '', and the CameraInfo to use with it.
+
+        A message without a `frame_id` is of the camera in use. The CameraInfo of another camera is its own if that
+        has come, or else the one in use, unless that is of the camera that is replaced.
+
+        Raises:
+            InputError: Two cameras send in turn.
+        """
+        name, held = header.frame_id, self.calibration
+        if not self.name or name in ('', self.name):
+            return '', held
+        if self._rival is None or self._rival[0] != name or header.stamp_ns < self._rival[1]:
+            self._rival = name, header.stamp_ns
+        if header.stamp_ns - self._rival[1] < SILENCE_S * NS_PER_S:
+            raise InputError(
+                f'header.frame_id: {name!r}, but the people of {self.name!r} are being tracked; '
+                'run a node for each camera'
+            )
+        reason = f'the camera {self.name!r} is called {name!r} now or is another one, so tracking was restarted'
+        return reason, self._others.get(name, None if held and held.info.frame_id == self.name else held)
+
+    def accept(self, header: Header, calibration: Calibration | None) -> None:
+        """Note that an image is used, with the CameraInfo that `check` has returned."""
+        self.name, self._rival = header.frame_id or self.name, None
+        if calibration is not self.calibration:
+            if self.calibration:
+                self._remember(self.calibration)
+            self._others.pop(self.name, None)
+            self.calibration = calibration
+
+    def _remember(self, given: Calibration) -> None:
+        """Keep the newest CameraInfo of a camera that is not in use."""
+        name = given.info.frame_id
+        self._others.pop(name, None)
+        self._others[name] = given
+        if len(self._others) > MAX_REMEMBERED:
+            del self._others[next(iter(self._others))]

@@ -1,0 +1,228 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Mistakes in valid input, each described in words once: what is suspicious, and what to check.
+
+Joints in another order, points of an image of another size, and a vertical that people contradict are suspected
+once they are so for most people over seconds (`tracking/lasting_doubt.py`); misspelt names of joints, distortions
+without an inverse, and a camera without a calibration are certain.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from mocap_ros.config import Config, TrackerConfig
+from mocap_ros.geometry.floor import Floor
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.keypoints.person import Person2D
+from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
+from mocap_ros.messages.keypoints import KeypointsFrame
+from mocap_ros.people import Person3D
+from mocap_ros.skeleton import CMU15, KEYPOINT_LAYOUTS, canonical_joint_names
+from mocap_ros.solvers.vertical import AUTO, NONE
+from mocap_ros.tracking.lasting_doubt import LastingDoubt
+from mocap_ros.tracking.tracker import Tracker, find_absence
+from mocap_ros.tracking.vertical_check import VerticalCheck
+from mocap_ros.units import NS_PER_S
+
+MEMORY_S = 5.0  # s; a corrected mistake is forgotten soon
+LEAST_S = 2.5  # s; longer than a burst of wrong points, such as while a person enters the image
+# s; a CameraInfo comes within it, if at all: publishers send it with every image
+CALIBRATION_WAIT_S = 2.5
+# 1; RMS residual divided by the body radius. With it, none of 150 recordings of motion capture with the errors of
+# three detectors is suspected, and all of 50 with joints reversed, one on, or in random order are.
+MAX_RESIDUAL = 0.25
+LEAST_LIKENESS = 0.8  # 1, of difflib; one or two letters of a joint's name
+GRID_SIZE = 9  # points in each direction of the middle of the image, at which a lens is checked
+# 1; radius of the middle of the image, of half the shorter side. A fisheye whose image circle fits the image shows
+# there what is up to 63 degrees from its axis, if it sees half of the space, and up to 86, if it sees 246 degrees.
+MIDDLE_RADIUS = 0.7
+MAX_LENS_ERROR = 0.01  # of half the shorter side; far above the errors of the inversion where there is an inverse
+MAX_DISTORTED_SHARE = 0.2  # 1; part of the middle of the image, in all of which lenses have an inverse
+MAX_CACHED_LENSES = 4  # lenses of the cameras of one node
+MAX_CACHED_NAMES = 64  # lists of joint names; guards memory against messages that name ever new ones
+KNOWN_JOINTS = frozenset(j for layout in KEYPOINT_LAYOUTS.values() for j in layout.joints)
+
+# Parts of a message in words that may differ between messages of one kind: addresses, numbers and quoted names.
+VARIABLE_PARTS = re.compile(r"0x\w+|[\d.]*\d|'.*'|\".*\"", re.DOTALL)
+
+
+def find_kind(words: str) -> str:
+    """Return what texts that differ only in numbers, addresses and quoted names have in common."""
+    return VARIABLE_PARTS.sub('#', words)
+
+
+class InputChecks:
+    """Checks of successive images of one camera.
+
+    Attributes:
+        warnings: What seems to be wrong with the input as of the last image, each in words; usually nothing.
+    """
+
+    def __init__(self) -> None:
+        self._last_ns = 0  # stamp of the last image
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was found so far, and what was described."""
+        self._joint_order, self._image_size = (LastingDoubt(MEMORY_S, LEAST_S) for _ in range(2))
+        self._vertical = VerticalCheck()
+        self._newest_seen_ns = 0  # stamp of the newest image in which a person was detected
+        self._first_nominal_ns: int | None = None  # stamp of the first image of people without a CameraInfo
+        self._described: set[str] = set()  # kinds of what was described
+        self.warnings: tuple[str, ...] = ()
+
+    def advance(
+        self,
+        frame: KeypointsFrame,
+        intrinsics: Intrinsics,
+        people: Sequence[Person3D],
+        tracker: Tracker,
+        config: Config,
+        floor: tuple[Floor | None, str],
+    ) -> list[str]:
+        """Return what is wrong with the input and was not described before.
+
+        Once nobody has been there for so long that the tracker has forgotten everybody, all is described anew: a
+        part of a bag that begins there must say the same (`parts.py`).
+
+        Args:
+            frame: What the detector saw in the image.
+            intrinsics: The intrinsics of the camera.
+            people: The people who were reconstructed up to the image.
+            tracker: The tracker that did it.
+            config: All parameters.
+            floor: The floor, if it is known, and what it cannot be used for, in words.
+        """
+        stamp_ns = frame.header.stamp_ns
+        if frame.people or stamp_ns < self._newest_seen_ns:
+            self._newest_seen_ns = stamp_ns
+        elif self._last_ns - self._newest_seen_ns > find_absence(config.tracker) * NS_PER_S:
+            self.reset()
+        self._last_ns = stamp_ns
+        found = (
+            self._check_vertical(people, tracker, config, has_floor=floor[0] is not None),
+            self._check_joint_order(stamp_ns, people),
+            self._check_image_size(stamp_ns, frame.people, intrinsics.image_size),
+            next(filter(None, (describe_misspelt_joint(p.joints) for p in frame.people)), ''),
+            describe_unusable_distortion(intrinsics),
+        )
+        self.warnings = tuple(filter(None, found))
+        notes = [floor[1], self._check_calibration(stamp_ns, intrinsics, config)] if frame.people else []
+        new = []
+        for words in filter(None, (*notes, *self.warnings)):
+            if (kind := find_kind(words)) not in self._described:
+                self._described.add(kind)
+                new.append(words)
+        return new
+
+    def _check_joint_order(self, stamp_ns: int, people: Sequence[Person3D]) -> str:
+        residuals = [p.motion.residual for p in people if not p.predicted and math.isfinite(p.motion.residual)]
+        if not (self._joint_order.advance(stamp_ns, [r > MAX_RESIDUAL for r in residuals]) and residuals):
+            return ''
+        return (
+            'people: no person has joints where the points are: beside the skeletons by '
+            f'{np.mean(residuals):.2f} of the radius of a body; check that skeleton or joint_names of the '
+            'messages give the joints in the order of the points'
+        )
+
+    def _check_image_size(
+        self, stamp_ns: int, detections: Sequence[Person2D], image_size: tuple[int, int] | None
+    ) -> str:
+        outside = [_describe_outside(p, image_size) for p in detections] if image_size else []
+        if not (self._image_size.advance(stamp_ns, [*map(bool, outside)]) and any(outside)):
+            return ''
+        return (
+            f'people: {next(filter(None, outside))}; check that the detector sees images of that size, and '
+            'gives points in px from the upper left corner'
+        )
+
+    def _check_calibration(self, stamp_ns: int, intrinsics: Intrinsics, config: Config) -> str:
+        """Describe that people are seen for `CALIBRATION_WAIT_S` by the default nominal focal length."""
+        focal = config.tracker.nominal_focal_length
+        if intrinsics.is_focal_known or focal != TrackerConfig().nominal_focal_length:
+            self._first_nominal_ns = None
+            return ''
+        if self._first_nominal_ns is None or stamp_ns < self._first_nominal_ns:
+            self._first_nominal_ns = stamp_ns
+        if stamp_ns - self._first_nominal_ns < CALIBRATION_WAIT_S * NS_PER_S:
+            return ''
+        return (
+            f'no CameraInfo: a nominal focal length of {focal:g} longer sides of the image '
+            f'({math.degrees(2 * math.atan(0.5 / focal)):.0f} degrees) is assumed, to which distances from the '
+            'camera are proportional; publish camera_info or set tracker.nominal_focal_length'
+        )
+
+    def _check_vertical(
+        self, people: Sequence[Person3D], tracker: Tracker, config: Config, *, has_floor: bool
+    ) -> str:
+        """Describe that people contradict the vertical that a parameter or the output frame gives."""
+        given, vertical = config.tracker.vertical, tracker.vertical
+        is_parameter = given not in (AUTO, NONE)
+        if vertical is None or not (is_parameter or (has_floor and given == AUTO)):
+            return ''
+        angle_deg = self._vertical.advance(tracker.output_stamp_ns, people, vertical.direction)
+        if angle_deg is None:
+            return ''
+        if is_parameter:
+            name = f'tracker.vertical = {given!r}'
+            advice = "check it: it is the direction upwards in the camera's optical frame, whose y axis is down"
+        else:
+            name = f'node.output_frame = {config.node.output_frame!r}, whose z axis is taken as up'
+            advice = 'check the pose of the camera'
+        return f'{name}: people seem to stand at {angle_deg:.0f} degrees to it; {advice}, unless everybody lies'
+
+
+def _describe_outside(person: Person2D, image_size: tuple[int, int]) -> str:
+    """Describe in a clause that most points of a person lie outside the image, in px; empty if they do not."""
+    keypoints = person.points, person.score, image_size
+    outside = describe_points_outside(*keypoints)
+    return outside and (describe_transposed_size(*keypoints) or outside)
+
+
+def describe_unusable_distortion(intrinsics: Intrinsics) -> str:
+    """Describe that the distortion of a lens is not undone in the middle of the image; empty if it is."""
+    if intrinsics.image_size is None or not intrinsics.distortion.coefficients:
+        return ''
+    share = _measure_distorted_share(intrinsics, intrinsics.image_size)
+    if share <= MAX_DISTORTED_SHARE:
+        return ''
+    return (
+        f'distortion of the camera: it cannot be undone in {share:.0%} of the middle of the image, where '
+        'keypoints have wrong directions; check its coefficients'
+    )
+
+
+@lru_cache(maxsize=MAX_CACHED_LENSES)
+def _measure_distorted_share(intrinsics: Intrinsics, image_size: tuple[int, int]) -> float:
+    """Return the share of the middle of an image, in px, where the camera shows the ray of a point elsewhere."""
+    half_side = min(image_size) / 2
+    x, y = np.meshgrid(*[np.linspace(-MIDDLE_RADIUS, MIDDLE_RADIUS, GRID_SIZE)] * 2)
+    offsets = np.stack([x, y], axis=-1)[np.hypot(x, y) <= MIDDLE_RADIUS]
+    points = np.array(image_size) / 2 + half_side * offsets
+    with np.errstate(all='ignore'):  # coefficients of 1e200 overflow
+        rays = intrinsics.pixels_to_rays(points)
+        shown = intrinsics.project(np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1))
+        is_undone = np.linalg.norm(shown - points, axis=-1) <= MAX_LENS_ERROR * half_side
+    return float(1 - is_undone.mean())
+
+
+@lru_cache(maxsize=MAX_CACHED_NAMES)
+def describe_misspelt_joint(joints: tuple[str, ...]) -> str:
+    """Describe the first name that is nearly that of a joint which is missing; empty if there is none."""
+    canonical = canonical_joint_names(joints)
+    missing = [j for j in CMU15.joints if j not in canonical]
+    for name in joints if missing else ():
+        if canonical_joint_names([name])[0] not in KNOWN_JOINTS:
+            word = re.sub('[^a-z]', '', name.lower().replace('left', 'l').replace('right', 'r'))
+            same_side = [j for j in missing if j[0] == word[:1]]
+            for meant in difflib.get_close_matches(word, same_side, 1, LEAST_LIKENESS):
+                return f'joint_names: {name!r} is no known joint and is ignored; is it {meant!r}?'
+    return ''

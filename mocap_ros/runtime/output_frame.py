@@ -1,0 +1,114 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where the camera and the floor are in `node.output_frame`: by parameters, or by the transforms on /tf."""
+
+from __future__ import annotations
+
+import math
+
+from mocap_ros.config import Config, NodeConfig
+from mocap_ros.errors import ConfigError, InputError
+from mocap_ros.geometry.floor import Floor, is_level
+from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.rigid_transform import RigidTransform, parse_camera_pose
+from mocap_ros.messages.camera_placement import CameraPlacement
+from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.transform_tree import TransformTree
+
+CAMERA_MOTION_S = 0.1  # s; over which the motion of the camera is found: as long as velocities are smoothed over
+
+
+class OutputFrame:
+    """The camera and the floor in the frame of the outputs.
+
+    Attributes:
+        transforms: All coordinate frames of /tf and /tf_static.
+
+    Raises:
+        ConfigError: `node.output_frame` begins with a slash; `node.camera_pose` is not a pose, `node.floor_height`
+            no number or above the camera, or either is given without `node.output_frame`.
+    """
+
+    def __init__(self, node: NodeConfig) -> None:
+        self.transforms = TransformTree()
+        self._pose: RigidTransform | None = None  # that the parameters give
+        self._floor_height: float | None = None  # m, likewise
+        if node.output_frame.startswith('/'):
+            raise ConfigError(f'node.output_frame = {node.output_frame!r}: frames begin without a slash')
+        for name in ('camera_pose', 'floor_height'):
+            if getattr(node, name) and not node.output_frame:
+                raise ConfigError(f'node.{name}: needs node.output_frame, the frame in which it is given')
+        if node.camera_pose:
+            self._pose = parse_camera_pose(node.camera_pose, 'node.camera_pose')
+        if node.floor_height:
+            self._floor_height = _parse_height(node.floor_height)
+            if self._pose is not None and self._pose.translation[2] <= self._floor_height:
+                raise ConfigError(
+                    f'node.floor_height = {self._floor_height:g}: the camera of node.camera_pose, at z = '
+                    f'{self._pose.translation[2]:g} m, is not above it'
+                )
+
+    def place_camera(self, header: Header, node: NodeConfig) -> tuple[Header, CameraPlacement, str]:
+        """Return the header of the outputs, the camera in its frame, and why that is not `node.output_frame`.
+
+        Args:
+            header: Time of the outputs, and the camera's optical frame.
+            node: Parameters of the outputs.
+        """
+        if not node.output_frame:
+            return header, CameraPlacement(header.frame_id), ''
+        placed = Header(header.stamp_ns, node.output_frame)
+        if self._pose is not None:
+            return placed, CameraPlacement(header.frame_id, self._pose), ''
+        try:
+            pose = self._find_pose(header, node)
+        except InputError as error:
+            reason = f'{error}, so people are published in the frame of the camera'
+            return header, CameraPlacement(header.frame_id), reason
+        try:
+            before = self._find_pose(header, node, CAMERA_MOTION_S)
+        except InputError:  # the transforms begin later
+            return placed, CameraPlacement(header.frame_id, pose), ''
+        return placed, CameraPlacement(header.frame_id, pose, before, CAMERA_MOTION_S), ''
+
+    def find_floor(self, header: Header, intrinsics: Intrinsics, config: Config) -> tuple[Floor | None, str]:
+        """Return the floor at the time of an image, and what `node.floor_height` is not used for, if anything.
+
+        Without `node.floor_height`, a frame whose name says that its z axis is up shows which way is up. With
+        `tracker.lag`, people of an earlier image are published, so a camera that may move shows no more either.
+        """
+        height, pose, node = self._floor_height, self._pose, config.node
+        if not node.output_frame or (height is None and not is_level(node.output_frame)):
+            return None, ''
+        if pose is None:
+            try:
+                pose = self._find_pose(header, node)
+            except InputError:  # `place_camera` says so
+                return None, ''
+        floor, fault = Floor.find(pose, height), ''
+        if height is None:
+            return floor, ''
+        if floor.camera_height is None:
+            fault = f'the camera is at z = {pose.translation[2]:.2f} m, below it; people keep the assumed size'
+        elif not intrinsics.is_focal_known:
+            fault = 'without a CameraInfo it shows which way is up, but not how far away people are'
+        elif self._pose is None and config.tracker.lag > 0:
+            fault = 'with tracker.lag it needs node.camera_pose; people keep the assumed size'
+            floor = floor._replace(camera_height=None)
+        return floor, fault and f'node.floor_height = {height:g}: {fault}'
+
+    def _find_pose(self, header: Header, node: NodeConfig, earlier_s: float = 0.0) -> RigidTransform:
+        """Return the transform from the optical frame; InputError if it is unknown at this time."""
+        frames = node.output_frame, header.frame_id
+        return self.transforms.find(*frames, header.stamp_ns, node.transform_tolerance, earlier_s)
+
+
+def _parse_height(text: str) -> float:
+    try:
+        height = float(text)
+    except ValueError:
+        height = math.nan
+    if not math.isfinite(height):
+        raise ConfigError(f'node.floor_height = {text!r}: expected a number of metres, such as 0')
+    return height
