@@ -6,15 +6,15 @@
 from __future__ import annotations
 
 import json
-import numbers
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from mocap_ros.api.arguments import name_argument, read_joint_names, read_numbers, read_path
+from mocap_ros.api.arguments import name_errors, read_joint_names, read_numbers, read_path
 from mocap_ros.config import format_value
 from mocap_ros.errors import InputError, ModelError
 from mocap_ros.formats.text_files import replace_output
@@ -88,31 +88,31 @@ class BasePoses(base_poses.BasePoses):
             ModelError: there are fewer than two poses, a trial does not hold finite poses of a person in metres,
                 or the poses do not vary; or `name` or `provenance` cannot be saved.
         """
-        _check_description(name, provenance)
+        if not isinstance(name, str) or not 0 < len(name) <= model_file.MAX_NAME_LENGTH:
+            raise ModelError(f'name: expected a text of 1 to {model_file.MAX_NAME_LENGTH} characters')
         try:
-            arrays = list(trials)
-        except TypeError:
-            raise ModelError(f'trials: {format_value(trials)}, expected a sequence of arrays (F, J, 3)') from None
-        counts: tuple[tuple[str, Any, int], ...] = (('components', components, 1), ('bodies', bodies, 0))
+            json.dumps(dict(provenance or {}))
+        except (TypeError, ValueError, RecursionError) as error:
+            raise ModelError(f'provenance: expected values by name that JSON can hold: {error}') from None
+        counts: tuple[tuple[str, object, int], ...] = (('components', components, 1), ('bodies', bodies, 0))
         for argument, count, least in counts:
-            if isinstance(count, bool) or not isinstance(count, numbers.Integral) or count < least:
+            if not isinstance(count, int | np.integer) or count < least:
                 raise InputError(f'{argument}: {count!r}, expected a whole number of at least {least}')
         if alignment not in ('rotation', 'heading'):
             raise InputError(f'alignment: {alignment!r}, expected rotation or heading')
         names = canonical_joint_names(read_joint_names('joint_names', joint_names))
-        missing = [joint for joint in CMU15.joints if joint not in names]
-        if missing:
+        if missing := [joint for joint in CMU15.joints if joint not in names]:
             raise InputError(f'joint_names: {", ".join(missing)} missing')
+        if not isinstance(trials, Iterable):
+            raise ModelError(f'trials: {format_value(trials)}, expected a sequence of arrays (F, J, 3)')
         order = [names.index(joint) for joint in CMU15.joints]
-        motions = [
-            read_numbers(f'trials[{i}]', trial, (None, len(names), 3))[:, order] for i, trial in enumerate(arrays)
-        ]
-        for i, motion in enumerate(motions):
-            if not len(motion):
+        motions = []
+        for i, trial in enumerate(trials):
+            motions.append(read_numbers(f'trials[{i}]', trial, (None, len(names), 3))[:, order])
+            if not len(motions[i]):
                 raise InputError(f'trials[{i}]: no frames')
-        model = name_argument(
-            'trials',
-            lambda: fit_base_poses(
+        with name_errors('trials'):
+            model = fit_base_poses(
                 motions,
                 name=name,
                 components=int(components),
@@ -120,8 +120,7 @@ class BasePoses(base_poses.BasePoses):
                 mirror=mirror,
                 bodies=int(bodies),
                 provenance=provenance,
-            ),
-        )
+            )
         return cls._extend(model)
 
     def save(self, path: str | Path) -> None:
@@ -146,21 +145,3 @@ class BasePoses(base_poses.BasePoses):
             f'BasePoses {self.name!r}: {len(self.std)} base poses of {len(self.mean)} joints, stature '
             f'{self.stature:.2f} m; the first {min(10, len(self.std))} explain {ten:.1%} of the variance'
         )
-
-
-def _check_description(name: str, provenance: Mapping[str, object] | None) -> None:
-    """Check that the name and the provenance of a model can be saved.
-
-    Raises:
-        ModelError: the name is no short text, or the provenance is no mapping that JSON can hold.
-    """
-    if not isinstance(name, str) or not 0 < len(name) <= model_file.MAX_NAME_LENGTH:
-        raise ModelError(f'name: expected a text of 1 to {model_file.MAX_NAME_LENGTH} characters')
-    if provenance is None:
-        return
-    if not isinstance(provenance, Mapping) or not all(isinstance(key, str) for key in provenance):
-        raise ModelError(f'provenance: {format_value(provenance)}, expected values by name')
-    try:
-        json.dumps(dict(provenance))
-    except (TypeError, ValueError, RecursionError) as error:
-        raise ModelError(f'provenance: JSON cannot hold it: {error}') from None

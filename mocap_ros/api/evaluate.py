@@ -11,19 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mocap_ros.api.arguments import (
-    ARGUMENT_KEYS,
-    Array,
-    read_array,
-    read_joint_names,
-    read_numbers,
-    read_times,
-    rename_key,
-)
+from mocap_ros.api.arguments import Array, read_array, read_joint_names, read_numbers, rename_errors
 from mocap_ros.api.poses import PoseSequence
 from mocap_ros.errors import InputError
 from mocap_ros.evaluation import evaluate as evaluation
-from mocap_ros.formats.sequence_file import MAX_COORDINATE_M, GroundTruth
+from mocap_ros.formats.sequence_file import MAX_COORDINATE_M, GroundTruth, check_timestamps
 from mocap_ros.skeleton import BODY26, CMU15, canonical_joint_names, skeleton_from_joints
 
 
@@ -71,24 +63,26 @@ def evaluate(
         joints = read_array('joints', joints)
         skeleton = BODY26 if joints.shape[1:2] == (len(BODY26.joints),) else CMU15
         predicted = read_numbers('joints', joints, (None, len(skeleton.joints), 3))
-        residual, names, scores = np.full(len(predicted), math.nan), (), None
-        frame_times = np.zeros(1) if times is None else read_times(times, len(predicted))
-    if truth is None:
-        raise InputError('truth: missing')
-    names_argument = 'truth_names'
-    if isinstance(truth, GroundTruth):
-        names_argument, truth_names = 'truth', truth.joint_names
-        truth = truth.joints
-    true_names = canonical_joint_names(read_joint_names(names_argument, truth_names))
-    true_joints = read_numbers('truth', truth, (len(predicted), len(true_names), 3))
-    _check_unit('truth', true_joints)
-    if not isinstance(joints, PoseSequence):
         _check_unit('joints', predicted)
         collapsed = np.ptp(predicted, axis=1).max(axis=-1) < evaluation.MIN_PERSON_SIZE_M
         if collapsed.any():
             frame = int(collapsed.argmax())
             raise InputError(f'joints: frame {frame}: all joints at one place; NaN expected where nobody is')
-    try:
+        residual, names, scores = np.full(len(predicted), math.nan), (), None
+        frame_times = np.zeros(1)
+        if times is not None:
+            frame_times = read_numbers('times', times, (len(predicted),))
+            with rename_errors({'timestamps': 'times'}):
+                check_timestamps(frame_times)
+    if truth is None:
+        raise InputError('truth: missing')
+    names_argument = 'truth_names'
+    if isinstance(truth, GroundTruth):
+        names_argument, truth_names, truth = 'truth', truth.joint_names, truth.joints
+    true_names = canonical_joint_names(read_joint_names(names_argument, truth_names))
+    true_joints = read_numbers('truth', truth, (len(predicted), len(true_names), 3))
+    _check_unit('truth', true_joints)
+    with rename_errors({'joints3d': 'truth', 'joints3d_names': names_argument}):
         return evaluation.evaluate(
             predicted,
             skeleton,
@@ -100,16 +94,10 @@ def evaluate(
             scores if limbs_only else None,
             frame_times if len(frame_times) == len(predicted) else None,
         )
-    except InputError as error:
-        raise rename_key(error, {**ARGUMENT_KEYS, 'joints3d_names': names_argument}) from None
 
 
 def _check_unit(argument: str, joints: Array) -> None:
-    """Check that joints (F, J, 3) have the coordinates and the size of a person in m; NaN is no fault.
-
-    Raises:
-        InputError: a coordinate is infinite or far too large, or the unit seems to be mm.
-    """
+    """Check that joints (F, J, 3) have the coordinates and the size of a person in m; NaN is no fault."""
     too_far = np.abs(joints) > MAX_COORDINATE_M
     if too_far.any():
         frame, joint, _ = np.argwhere(too_far)[0]

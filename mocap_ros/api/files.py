@@ -5,22 +5,30 @@
 
 from __future__ import annotations
 
-import logging
 import re
 from pathlib import Path
 
-from mocap_ros.api.arguments import check_image_size, check_positive, check_sequence, name_argument, read_path
+from mocap_ros.api.arguments import (
+    LOGGER,
+    MIN_FOCAL_LENGTH_PX,
+    check_camera,
+    check_sequence,
+    name_errors,
+    read_number,
+    read_path,
+)
 from mocap_ros.api.poses import PoseSequence
 from mocap_ros.config import NodeConfig, format_value
 from mocap_ros.errors import InputError
-from mocap_ros.formats.detections import HFOV_RANGE_DEG, Video
+from mocap_ros.formats.detections import HFOV_RANGE_DEG, MAX_FRAME_RATE_HZ, Video
 from mocap_ros.formats.sequence_file import KeypointSequence, make_camera_arrays, save_sequence
 from mocap_ros.formats.text_files import replace_output
 from mocap_ros.runtime import save_results
 from mocap_ros.runtime.load_keypoints import load_input
 from mocap_ros.skeleton import keypoint_layout
 
-LOGGER = logging.getLogger('mocap_ros')
+MIN_FRAME_RATE_HZ = 1e-3  # Hz; far below that of any video
+MAX_FOCAL_LENGTH_PX = 1e6  # px; far above that of any lens
 
 
 def read(
@@ -63,20 +71,19 @@ def read(
         ModelError: the detector cannot be used.
     """
     path = read_path('path', path)
-    if fps is not None:
-        fps = check_positive('fps', fps)
     if image_size is not None:
-        image_size = check_image_size(image_size)
+        image_size, _, _ = check_camera(image_size, None, None)
+    if fps is not None:
+        fps = read_number('fps', fps, (MIN_FRAME_RATE_HZ, MAX_FRAME_RATE_HZ), 'Hz')
     if focal is not None:
-        focal = check_positive('focal', focal)
+        focal = read_number('focal', focal, (MIN_FOCAL_LENGTH_PX, MAX_FOCAL_LENGTH_PX), 'px')
     if hfov is not None:
-        hfov, (low, high) = check_positive('hfov', hfov), HFOV_RANGE_DEG
-        if not low <= hfov <= high:
-            raise InputError(f'hfov: {hfov:g}, expected {low:g} to {high:g} degrees')
+        hfov = read_number('hfov', hfov, HFOV_RANGE_DEG, 'degrees')
         if focal is not None:
             raise InputError('focal: hfov is given as well')
     if layout:
-        name_argument('layout', lambda: keypoint_layout(layout))
+        with name_errors('layout'):
+            keypoint_layout(layout)
     model = None if detector is None else read_path('detector', detector)
     try:
         video = Video(fps, image_size, layout, model, hfov, focal)

@@ -6,46 +6,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, overload
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mocap_ros.api.arguments import Model, Parameters, check_sequence, load_models, make_config, make_sequence
+from mocap_ros.api.arguments import (
+    LOGGER,
+    Model,
+    Parameters,
+    check_camera,
+    check_sequence,
+    load_models,
+    make_config,
+)
 from mocap_ros.api.poses import PoseSequence
 from mocap_ros.config import format_value
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
+from mocap_ros.keypoints.validation import describe_points_outside
 from mocap_ros.offline.keyframes import reconstruct as keyframes
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.runtime.save_results import ReconstructedSequence
-
-Method = Literal['whole', 'keyframes']
-
-
-@overload
-def reconstruct(
-    keypoints: KeypointSequence,
-    *,
-    model: Model = ...,
-    parameters: Parameters = ...,
-    method: Method = ...,
-) -> PoseSequence: ...
-
-
-@overload
-def reconstruct(
-    keypoints: ArrayLike,
-    joint_names: Sequence[str] | str,
-    times: ArrayLike,
-    *,
-    image_size: tuple[int, int],
-    camera_matrix: ArrayLike | None = ...,
-    distortion: ArrayLike | None = ...,
-    model: Model = ...,
-    parameters: Parameters = ...,
-    method: Method = ...,
-) -> PoseSequence: ...
 
 
 def reconstruct(
@@ -58,7 +40,7 @@ def reconstruct(
     distortion: ArrayLike | None = None,
     model: Model = 'auto',
     parameters: Parameters = None,
-    method: Method = 'whole',
+    method: Literal['whole', 'keyframes'] = 'whole',
 ) -> PoseSequence:
     """Reconstruct one person in 3D over a whole sequence, so that every frame supports the others.
 
@@ -95,31 +77,29 @@ def reconstruct(
         raise InputError(f'method: {format_value(method)}, expected whole or keyframes')
     config = make_config(parameters)
     models = load_models(model, config)
+    needed = {'joint_names': joint_names, 'times': times, 'image_size': image_size}
+    camera = {'camera_matrix': camera_matrix, 'distortion': distortion}
     if isinstance(keypoints, KeypointSequence):
-        others = {
-            'joint_names': joint_names,
-            'times': times,
-            'image_size': image_size,
-            'camera_matrix': camera_matrix,
-            'distortion': distortion,
-        }
-        for argument, value in others.items():
+        for argument, value in {**needed, **camera}.items():
             if value is not None:
                 raise InputError(f'{argument}: the KeypointSequence has its own')
         sequence = check_sequence(keypoints)
     else:
-        if joint_names is None or times is None or image_size is None:
-            missing = 'joint_names' if joint_names is None else 'times' if times is None else 'image_size'
-            raise InputError(f'{missing}: missing')
-        sequence = make_sequence(keypoints, joint_names, times, image_size, camera_matrix, distortion)
+        for argument, value in needed.items():
+            if value is None:
+                raise InputError(f'{argument}: missing')
+        given: Any = keypoints, joint_names, times, image_size, camera_matrix, distortion
+        check_camera(*given[3:])
+        sequence = check_sequence(KeypointSequence(*given), 'times')
+        points, score = sequence.keypoints[..., :2], sequence.keypoints[..., 2]
+        if outside := describe_points_outside(points, score, sequence.image_size):
+            LOGGER.warning('keypoints: %s', outside)
     observations = extract_observations(sequence, config.tracker.nominal_focal_length)
     try:
         if method == 'keyframes':
             result = keyframes.reconstruct(*observations, models, config).result
         else:
             result = reconstruct_sequence(*observations, models, config)
-    except InputError as error:
+    except (InputError, np.linalg.LinAlgError) as error:
         raise InputError(f'keypoints: {error}') from None
-    except np.linalg.LinAlgError as error:
-        raise InputError(f'keypoints: the reconstruction failed ({error})') from None
-    return PoseSequence(ReconstructedSequence(sequence, result))
+    return PoseSequence._create(ReconstructedSequence(sequence, result))

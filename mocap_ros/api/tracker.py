@@ -5,25 +5,28 @@
 
 from __future__ import annotations
 
-import logging
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mocap_ros.api.arguments import (
+    LOGGER,
+    Array,
     Model,
     Parameters,
     load_models,
     make_config,
     make_intrinsics,
-    name_argument,
+    name_errors,
     read_array,
     read_joint_names,
+    read_names,
+    read_number,
     read_numbers,
+    rename_errors,
 )
-from mocap_ros.config import format_value
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, MIN_JUDGED_FRAMES, check_timestamps
 from mocap_ros.keypoints.joint_map import build_joint_map
@@ -33,10 +36,6 @@ from mocap_ros.messages.keypoints import check_ids, validate_person
 from mocap_ros.people import Person3D
 from mocap_ros.tracking import tracker as tracking
 from mocap_ros.units import NS_PER_S
-
-Array = NDArray[np.float64]
-
-LOGGER = logging.getLogger('mocap_ros')
 
 
 class Tracker:
@@ -71,7 +70,8 @@ class Tracker:
     ) -> None:
         config = make_config(parameters)
         self._joint_names = read_joint_names('joint_names', joint_names)
-        name_argument('joint_names', lambda: build_joint_map(self._joint_names))
+        with name_errors('joint_names'):
+            build_joint_map(self._joint_names)
         self._image_size, self._intrinsics = make_intrinsics(image_size, camera_matrix, distortion, config)
         self._tracker = tracking.Tracker(load_models(model, config), config)
         self._frame_count = 0
@@ -120,13 +120,12 @@ class Tracker:
             FrameDropped: the time repeats that of the frame before, or is a little earlier. The tracker has not
                 changed.
         """
-        is_number = isinstance(time_s, int | float | np.number) and not isinstance(time_s, bool)
-        if not (is_number and 0 <= time_s < MAX_TIMESTAMP_S):
-            raise InputError(f'time_s: {time_s}, expected s in [0, {MAX_TIMESTAMP_S:g}]')
+        time_s = read_number('time_s', time_s, (0, MAX_TIMESTAMP_S), 's')
         detected = self._read_people(people, ids)
-        self._judge_first_frames(float(time_s), detected)
-        stamp_ns = round(float(time_s) * NS_PER_S)
-        found = name_argument('time_s', lambda: self._tracker.update(stamp_ns, detected, self._intrinsics))
+        first_frames = self._judge_first_frames(time_s, detected)
+        with name_errors('time_s'):
+            found = self._tracker.update(round(time_s * NS_PER_S), detected, self._intrinsics)
+        self._first_frames = first_frames
         self._frame_count += 1
         return list(found)
 
@@ -136,63 +135,39 @@ class Tracker:
         self._frame_count = 0
         self._first_frames = []
 
-    def _judge_first_frames(self, time_s: float, detected: Sequence[Person2D]) -> None:
-        """Judge unit of the times and size of the image by the first `MIN_JUDGED_FRAMES` frames.
+    def _judge_first_frames(self, time_s: float, detected: Sequence[Person2D]) -> list[tuple[float, Array]]:
+        """Return the first `MIN_JUDGED_FRAMES` frames; by all of them, judge units and the size of the image.
 
         Raises:
             InputError: the times seem to have another unit, or width and height of the image to be transposed.
         """
-        if len(self._first_frames) == MIN_JUDGED_FRAMES:
-            return
-        if self._first_frames and time_s <= self._first_frames[-1][0]:
-            return
+        newest_s = self._first_frames[-1][0] if self._first_frames else -1.0
+        if len(self._first_frames) == MIN_JUDGED_FRAMES or time_s <= newest_s:
+            return self._first_frames
         points = np.concatenate([np.empty((0, 3)), *(np.column_stack([p.points, p.score]) for p in detected)])
         frames = [*self._first_frames, (time_s, points)]
         if len(frames) == MIN_JUDGED_FRAMES:
-            times, keypoints = np.array([t for t, _ in frames]), np.concatenate([k for _, k in frames])
-            try:
-                check_timestamps(times)
-            except InputError as error:
-                raise InputError(f'time_s: {str(error).partition(": ")[2]}') from None
-            fault = describe_transposed_size(keypoints[:, :2], keypoints[:, 2], self._image_size)
-            if fault:
+            with rename_errors({'timestamps': 'time_s'}):
+                check_timestamps(np.array([t for t, _ in frames]))
+            seen = np.concatenate([k for _, k in frames])
+            if fault := describe_transposed_size(seen[:, :2], seen[:, 2], self._image_size):
                 raise InputError(f'image_size: {fault}')
-            outside = describe_points_outside(keypoints[:, :2], keypoints[:, 2], self._image_size)
-            if outside:
+            if outside := describe_points_outside(seen[:, :2], seen[:, 2], self._image_size):
                 LOGGER.warning('people: %s', outside)
-        self._first_frames = frames
+        return frames
 
     def _read_people(self, people: ArrayLike, ids: Sequence[str] | None) -> list[Person2D]:
         """Return the validated people of a frame."""
         given = read_array('people', people)
         shape = (len(given) if given.ndim else None, len(self._joint_names), 3)
         keypoints = read_numbers('people', given, shape) if given.size else np.empty((0, *shape[1:]))
-        names = _read_ids(ids) or [''] * len(keypoints)
+        names = read_names('ids', () if ids is None else ids, 'a list of names') or ('',) * len(keypoints)
         if len(names) != len(keypoints):
             raise InputError(f'ids: {len(names)} names for {len(keypoints)} people')
-        detected = [
-            self._read_person(i, name, k) for i, (name, k) in enumerate(zip(names, keypoints, strict=True))
-        ]
+        detected = []
+        for i, (name, k) in enumerate(zip(names, keypoints, strict=True)):
+            with name_errors(f'people[{i}]'):
+                person = validate_person(name, self._joint_names, k[:, :2], k[:, 2], self._image_size[0])
+            detected.append(person)
         check_ids('ids', detected)
         return detected
-
-    def _read_person(self, index: int, name: str, keypoints: Array) -> Person2D:
-        """Return the validated person of this index in a frame; its keypoints are (J, 3)."""
-        points, score, width = keypoints[:, :2], keypoints[:, 2], self._image_size[0]
-        return name_argument(
-            f'people[{index}]', lambda: validate_person(name, self._joint_names, points, score, width)
-        )
-
-
-def _read_ids(ids: Sequence[str] | None) -> list[str]:
-    """Return the ids of people, none for None.
-
-    Raises:
-        InputError: these are no names.
-    """
-    if ids is None:
-        return []
-    names = list(ids) if isinstance(ids, Iterable) and not isinstance(ids, str | bytes) else [ids]
-    if isinstance(ids, str) or not all(isinstance(name, str) for name in names):
-        raise InputError(f'ids: {format_value(ids)}, expected a list of names')
-    return [str(name) for name in names]

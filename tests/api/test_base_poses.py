@@ -32,15 +32,6 @@ def test_shipped_base_poses_are_loaded_by_name() -> None:
     assert walk.joint_names.index('lwrist') == 4
 
 
-def test_poses_and_weights_are_inverse() -> None:
-    walk = mocap_ros.BasePoses.load('walk')
-    weights = np.random.default_rng(0).normal(size=(6, len(walk.std))) * walk.std
-    np.testing.assert_allclose(walk.weights(walk.poses(weights)), weights, atol=1e-6)
-    shorter = walk.rescale(0.5).truncate(3)
-    assert isinstance(shorter, mocap_ros.BasePoses)
-    assert (len(shorter.std), shorter.stature) == (3, walk.stature / 2)
-
-
 def test_fitting_is_the_training_with_joints_in_any_order(trial: np.ndarray) -> None:
     expected = fit_base_poses([trial, trial[:20]], name='demo', components=5, mirror=True)
     names = mocap_ros.BasePoses.load('walk').joint_names
@@ -71,55 +62,40 @@ def test_saved_base_poses_reconstruct(
     assert own.mpjpe_mm < 0.8 * shipped.mpjpe_mm
 
 
-WRONG: dict[str, tuple[dict[str, Any], type[mocap_ros.MocapError], str]] = {
-    'mm': ({'scale': 1000}, mocap_ros.ModelError, 'trials: trial 0: joints more than'),
-    'one trial without brackets': ({'trials': 'bare'}, mocap_ros.InputError, r'trials\[0\]: shape \(15, 3\)'),
-    'a trial without frames': ({'trials': 'empty'}, mocap_ros.InputError, r'trials\[1\]: no frames'),
-    'true components': ({'components': True}, mocap_ros.InputError, 'components: True, expected a whole number'),
-    'no trial': ({'trials': []}, mocap_ros.ModelError, 'trials: training needs at least two poses'),
-    'other joints': ({'joint_names': 'coco17'}, mocap_ros.InputError, 'joint_names: head, neck, pelvis missing'),
-    'unknown layout': ({'joint_names': 'cmu'}, mocap_ros.SkeletonError, 'joint_names: unknown keypoint layout'),
-    'no components': (
-        {'components': 0},
-        mocap_ros.InputError,
-        'components: 0, expected a whole number of at least 1',
-    ),
-    'half a body': ({'bodies': 0.5}, mocap_ros.InputError, 'bodies: 0.5, expected a whole number of at least 0'),
-    'no trials': ({'trials': None}, mocap_ros.ModelError, 'trials: None, expected a sequence of arrays'),
-    'a number for the trials': ({'trials': 5}, mocap_ros.ModelError, 'trials: 5, expected a sequence of arrays'),
-    'long name': ({'name': 'a' * 101}, mocap_ros.ModelError, 'name: expected a text of 1 to 100 characters'),
-    'name of no text': ({'name': 5}, mocap_ros.ModelError, 'name: expected a text'),
-    'provenance of no mapping': (
-        {'provenance': [1]},
-        mocap_ros.ModelError,
-        'provenance: .* expected values by name',
-    ),
-    'provenance no JSON': ({'provenance': {'a': {1}}}, mocap_ros.ModelError, 'provenance: JSON cannot hold it'),
-    'alignment': ({'alignment': 'none'}, mocap_ros.InputError, "^alignment: 'none', expected rotation or heading"),
-}
-
-
-@pytest.mark.parametrize('case', WRONG)
-def test_a_wrong_argument_is_one_error_that_names_it(trial: np.ndarray, case: str) -> None:
-    change, kind, message = WRONG[case]
+@pytest.mark.parametrize(
+    ('change', 'kind', 'place'),
+    [
+        ({'trials': lambda trial: [trial * 1000]}, mocap_ros.ModelError, 'trials: trial 0'),
+        ({'trials': lambda trial: trial}, mocap_ros.InputError, r'trials\[0\]: shape'),
+        ({'trials': lambda trial: [trial, trial[:0]]}, mocap_ros.InputError, r'trials\[1\]: no frames'),
+        ({'trials': []}, mocap_ros.ModelError, 'trials: training needs'),
+        ({'trials': 5}, mocap_ros.ModelError, 'trials: 5, expected'),
+        ({'joint_names': 'coco17'}, mocap_ros.InputError, 'joint_names: head, neck, pelvis missing'),
+        ({'joint_names': 'cmu'}, mocap_ros.SkeletonError, 'joint_names: unknown'),
+        ({'components': 0}, mocap_ros.InputError, 'components: 0'),
+        ({'bodies': 0.5}, mocap_ros.InputError, 'bodies: 0.5'),
+        ({'alignment': 'none'}, mocap_ros.InputError, "alignment: 'none'"),
+        ({'name': 'a' * 101}, mocap_ros.ModelError, 'name: '),
+        ({'name': 5}, mocap_ros.ModelError, 'name: '),
+        ({'provenance': [1]}, mocap_ros.ModelError, 'provenance: '),
+        ({'provenance': {'a': {1}}}, mocap_ros.ModelError, 'provenance: '),
+    ],
+)
+def test_a_wrong_argument_is_one_error_that_names_it(
+    trial: np.ndarray, change: dict[str, Any], kind: type[mocap_ros.MocapError], place: str
+) -> None:
     arguments = {'trials': [trial], 'name': 'demo', **change}
-    if case == 'mm':
-        arguments['trials'] = [trial * arguments.pop('scale')]
-    if case == 'one trial without brackets':
-        arguments['trials'] = trial
-    if case == 'a trial without frames':
-        arguments['trials'] = [trial, trial[:0]]
-    with pytest.raises(mocap_ros.MocapError, match=message) as caught:
+    if callable(arguments['trials']):
+        arguments['trials'] = arguments['trials'](trial)
+    with pytest.raises(mocap_ros.MocapError, match=f'^{place}') as caught:
         mocap_ros.BasePoses.fit(**arguments)
     assert type(caught.value) is kind
 
 
 def test_files_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(
-        mocap_ros.ModelError, match="no base-pose model 'waltz': neither a file nor one of all, jump"
-    ):
+    with pytest.raises(mocap_ros.ModelError, match="'waltz'"):
         mocap_ros.BasePoses.load('waltz')
-    with pytest.raises(mocap_ros.MocapError, match='cannot be written'):
+    with pytest.raises(mocap_ros.MocapError, match=r'walk\.npz: cannot be written'):
         mocap_ros.BasePoses.load('walk').save(tmp_path / 'none' / 'walk.npz')
 
 

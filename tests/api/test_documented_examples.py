@@ -48,23 +48,6 @@ def find_differences(printed: str, expected: str) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize(
-    ('printed', 'expected', 'is_same'),
-    [
-        ('residual 4.87 px', 'residual 4.70 px', True),
-        ('residual 4.87 px', 'residual 4.54 px', False),
-        ('[ 0.3 -0.6  4.3]', '[ 0.3 -0.7 4.3]', True),  # one in the last digit
-        ('[0.3 0.6 4.3]', '[0.3 -0.6 4.3]', False),
-        ('27% inferred', '28% inferred', True),
-        ('27% inferred', '29% inferred', False),
-        ('390 frames, 1.0 m', '391 frames, 1.0 m', False),  # counts are the same everywhere
-        ('walk of 0.88 Hz', 'run of 0.88 Hz', False),
-    ],
-)
-def test_what_counts_as_the_same_output(printed: str, expected: str, is_same: bool) -> None:
-    assert (not find_differences(printed, expected)) == is_same
-
-
 def test_the_page_has_examples() -> None:
     assert len(EXAMPLES) == PAGE.count('```python') == PAGE.count('```') // 2 - PAGE.count('```text')
     assert sum(bool(output) for _, output in EXAMPLES) == PAGE.count('```text')
