@@ -105,22 +105,6 @@ def test_the_launch_file_starts_the_node_with_parameters_and_topics_that_it_has(
     }
 
 
-def test_the_launch_file_refuses_what_is_neither_true_nor_false(launch_file: ModuleType) -> None:
-    (description,) = launch_file.generate_launch_description().args
-    choices = {a.args[0]: (a.default_value, a.choices) for a in description if hasattr(a, 'choices')}
-    limited = {name: (default, allowed) for name, (default, allowed) in choices.items() if allowed}
-    assert limited.keys() == {'rviz', 'record', 'publish_tf'}
-    for default, allowed in limited.values():
-        assert {default, 'true', 'True'} <= {*allowed}
-        assert 'maybe' not in allowed
-
-
-def test_without_rviz_the_launch_ends_before_the_node_has_started(launch_file: ModuleType) -> None:
-    (description,) = launch_file.generate_launch_description().args
-    starts = [a for a in description if not hasattr(a, 'default_value')]
-    assert [hasattr(a, 'executable') for a in starts] == [True, False]
-
-
 def test_the_launch_file_finds_the_files_that_are_installed(launch_file: ModuleType) -> None:
     (description,) = launch_file.generate_launch_description().args
     (rviz,) = (a for a in description if getattr(a, 'executable', '') == 'rviz2')

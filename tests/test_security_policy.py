@@ -5,12 +5,10 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
-
 from mocap_ros.bags.topics import Source
 from mocap_ros.ros.help import SERVICES
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, SWITCHED_OUTPUTS
-from tests.support.security_policy import POLICY_PATH, read_permissions
+from tests.support.security_policy import read_permissions
 
 INPUTS = {source.value for source in Source if source is not Source.BODY}
 BODIES = f'{Source.BODY.value}/*'  # the topics of the bodies
@@ -60,11 +58,3 @@ def test_the_operator_calls_services_of_the_node_and_reads_what_it_says() -> Non
     assert operator.subscribe == {'/diagnostics', 'skeletons', '/parameter_events'}
     assert operator.publish == NODE_TOPICS
     assert not operator.reply
-
-
-def test_sros2_finds_nothing_but_enclaves() -> None:
-    """Its command fails at a comment between enclaves."""
-    parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
-    enclaves = ET.parse(POLICY_PATH, parser).find('enclaves')
-    assert enclaves is not None
-    assert [element.tag for element in enclaves] == ['enclave'] * 3

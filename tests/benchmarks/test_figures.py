@@ -9,29 +9,21 @@ import ast
 import json
 import os
 import time
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import figures
-import numpy as np
 import pytest
 from figure_record import (
     RECORD,
     STALE_MARK,
     Benchmark,
-    find_cell,
     find_differences,
-    follow_imports,
     list_stale,
     list_unmarked,
     load_record,
-    save_record,
     write_pages,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tests.support.paths import ROOT
 
@@ -102,20 +94,6 @@ def test_a_table_edited_by_hand_is_found(root: Path) -> None:
     assert find_differences(record, root) == ['docs/page.md: table one differs from the record']
 
 
-@settings(max_examples=50)
-@given(table=st.text(st.characters(exclude_categories=['C']), max_size=60).filter(lambda t: '<!--' not in t))
-def test_any_table_comes_back_from_its_page(tmp_path_factory: pytest.TempPathFactory, table: str) -> None:
-    root = tmp_path_factory.mktemp('root')
-    (root / 'README.md').write_text(PAGE, encoding='utf-8')
-    record = {'x': make_entry(one=table)}
-    write_pages(record, [], root)
-    assert find_differences(record, root) == []
-    assert (root / 'README.md').read_text(encoding='utf-8').startswith('Before.\n')
-    assert (root / 'README.md').read_text(encoding='utf-8').endswith('\n\nAfter.\n')
-    other = {'x': make_entry(one=f'{table}.')}
-    assert find_differences(other, root)
-
-
 SHOWN = f'<!-- table: one -->\n\n{TABLE}\n\n<!-- end of table -->\n'
 NO_PARTNER = 'docs/page.md: a marker of a table has no partner, or is not written as it should be'
 
@@ -138,23 +116,6 @@ def test_markers_that_show_no_table_or_a_wrong_one_are_found(root: Path, text: s
     assert find_differences(record, root) == []
     page.write_text(text)
     assert set(find_differences(record, root)) == complaints
-
-
-def test_a_table_of_two_benchmarks_is_found(root: Path) -> None:
-    (root / 'docs' / 'page.md').write_text(SHOWN)
-    record = {'x': make_entry(one=TABLE), 'y': make_entry(one=TABLE)}
-    assert find_differences(record, root) == ['table one is in the record twice']
-
-
-def test_cells_are_found_by_the_whole_first_cell_or_by_a_beginning_that_is_unique() -> None:
-    rows = '| | a | b |\n| --- | --- | --- |\n| smooth, true | 1 | |\n| smooth | 2 | 3 |\n| other, x | 4 | 5 |'
-    record = {'x': make_entry(one=rows)}
-    assert find_cell(record, 'one', ('smooth',), 'a') == '2'
-    assert find_cell(record, 'one', ('smooth, true',), 'b') == ''
-    assert find_cell(record, 'one', ('other', 'absent'), 'b') == '5'
-    assert find_cell(record, 'one', ('absent',), 'a') == find_cell(record, 'one', ('other',), 'c') == ''
-    with pytest.raises(ValueError, match='one has several rows that begin with smoo'):
-        find_cell(record, 'one', ('smoo',), 'a')
 
 
 def test_a_record_is_measured_written_and_found_unchanged(root: Path) -> None:
@@ -215,26 +176,10 @@ def test_a_benchmark_that_fails_leaves_the_others_and_the_record(
     assert 'this benchmark fails' in capsys.readouterr().out
 
 
-def test_a_benchmark_that_measures_nothing_is_no_success(root: Path) -> None:
-    (root / 'benchmarks' / 'one.py').write_text('print("skipped: no evaluation data")')
-    assert figures.run_benchmarks([ONE], root, quick=True) == 1
-    assert not (root / figures.QUICK_RECORD).exists()
-
-
 def test_a_short_run_reaches_no_page_and_not_the_record(root: Path) -> None:
     assert figures.run_benchmarks([ONE], root, quick=True) == 0
     assert not (root / RECORD).exists()
     assert load_record(root / figures.QUICK_RECORD)['one']['command'] == 'benchmarks/one.py --quick'
-
-
-def test_a_release_is_kept_only_when_nothing_is_stale_or_missing(root: Path) -> None:
-    figures.run_benchmarks([ONE], root, quick=False)
-    write_measured(root)
-    assert figures.keep_release([ONE, TWO], root, '0.3.0') == 1  # the second was never measured
-    assert not (root / figures.HISTORY).exists()
-    assert figures.keep_release([ONE], root, '0.3.0') == 0
-    assert figures.load_history(root / figures.HISTORY) == {'0.3.0': load_record(root / RECORD)}
-    assert (root / figures.PICTURE_OF_HISTORY).read_bytes().startswith(b'\x89PNG')
 
 
 def write_results(root: Path, **results: Any) -> Path:
@@ -261,34 +206,11 @@ def test_results_are_entered_and_a_table_that_was_not_measured_again_is_kept(roo
     assert figures.check([ONE], root, release=True) == 1
 
 
-def test_a_table_that_was_entered_by_hand_gives_way_to_the_measured_one(root: Path) -> None:
-    figures.keep(['one'], 'by hand', [], root, once=True)
-    figures.enter(TWO, write_results(root), root)
-    record = write_measured(root)
-    assert record['one']['kept'] == {}
-    assert '| 7 |' in (root / 'docs' / 'page.md').read_text()
-
-
 def test_results_of_sources_that_changed_meanwhile_are_stale(root: Path) -> None:
     file = write_results(root)
     os.utime(root / 'measured.txt', (time.time() + 10,) * 2)
     figures.enter(ONE, file, root)
     assert list_stale(load_record(root / RECORD), [ONE], root) == ['one']
-
-
-def test_results_can_be_confirmed_when_only_the_benchmark_was_rewritten_meanwhile(root: Path) -> None:
-    for changed, is_confirmed in ((root / 'benchmarks' / 'one.py', True), (root / 'measured.txt', False)):
-        file = write_results(root)
-        os.utime(changed, (time.time() + 10,) * 2)
-        figures.enter(ONE, file, root)
-        assert list_stale(load_record(root / RECORD), [ONE], root) == ['one']
-        if is_confirmed:
-            figures.confirm([ONE], 'a function has another name', root)
-        else:
-            with pytest.raises(ValueError, match='measure it again'):
-                figures.confirm([ONE], 'nobody knows', root)
-        assert list_stale(load_record(root / RECORD), [ONE], root) == ([] if is_confirmed else ['one'])
-        os.utime(changed, (0, 0))
 
 
 @pytest.mark.parametrize('results', [{'quick': True}, {'quick': None}])
@@ -317,22 +239,6 @@ def test_tables_are_entered_by_hand_as_the_pages_show_them(root: Path, once: boo
         figures.keep(['two'], '', [ONE], root)
 
 
-def test_results_are_confirmed_when_only_their_benchmark_changed(root: Path) -> None:
-    figures.run_benchmarks([ONE], root, quick=False)
-    (root / 'docs' / 'page.md').write_text(PAGE + PAGE.replace('one', 'one.other'))
-    write_page_table(root, 'one.other')
-    figures.keep(['one.other'], 'by hand', [ONE], root)
-    (root / 'benchmarks' / 'one.py').write_text(SCRIPT + '\nanother_name = True\n')
-    assert list_stale(load_record(root / RECORD), [ONE], root) == ['one', 'one.other']
-    figures.confirm([ONE], 'the same results of a short run', root)
-    assert list_stale(load_record(root / RECORD), [ONE], root) == []
-    assert load_record(root / RECORD)['one']['confirmed'][0]['because'] == 'the same results of a short run'
-    (root / 'measured.txt').write_text('6')
-    with pytest.raises(ValueError, match='one: the package that it measures has changed since; measure it again'):
-        figures.confirm([ONE], 'nobody knows', root)
-    assert list_stale(load_record(root / RECORD), [ONE], root) == ['one', 'one.other']
-
-
 def test_a_release_has_no_figures_outside_of_markers(root: Path) -> None:
     figures.run_benchmarks([ONE], root, quick=False)
     (root / 'README.md').write_text(f'Text.\n\n| name | text |\n| --- | --- |\n| a | b 1 |\n\n{TABLE}\n')
@@ -340,26 +246,6 @@ def test_a_release_has_no_figures_outside_of_markers(root: Path) -> None:
     assert list_unmarked(root) == ['README.md:7: these figures are not between markers']
     assert figures.check([ONE], root, release=False) == 0
     assert figures.check([ONE], root, release=True) == 1
-
-
-def test_headlines_are_found_in_any_release() -> None:
-    rows = [
-        '| row | now | mean |',
-        '| --- | --- | --- |',
-        '| OpenPose | 1 | 2 |',
-        '| OpenPose, both | 3 | **64** |',
-    ]
-    text = '\n'.join(rows)
-    for record in ({'x': {'tables': {'t': text}}}, {'x': {'kept': {'t': {'text': text}}}}):
-        assert figures.find_headline(record, 't', ('openpose, both',), 'mean') == 64
-    for table, row, column in (('u', 'openpose', 'mean'), ('t', 'other', 'mean'), ('t', 'openpose', 'then')):
-        assert np.isnan(figures.find_headline(record, table, (row,), column))
-
-
-def test_releases_are_in_the_order_of_their_versions(tmp_path: Path) -> None:
-    for version in ('0.10.0', '0.2.0', '0.9.1'):
-        save_record({}, tmp_path / f'{version}.json')
-    assert list(figures.load_history(tmp_path)) == ['0.2.0', '0.9.1', '0.10.0']
 
 
 def test_every_benchmark_is_registered_with_sources_that_exist() -> None:
@@ -372,63 +258,6 @@ def test_every_benchmark_is_registered_with_sources_that_exist() -> None:
         if isinstance(n, ast.ImportFrom) and n.module == 'report' and 'run' in [name.name for name in n.names]
     }
     assert programs == {b.script for b in figures.BENCHMARKS}
-
-
-@pytest.mark.parametrize('sources', [figures.SOLVERS, figures.TRACKER], ids=['solvers', 'tracker'])
-def test_what_solvers_and_tracker_use_of_the_geometry_is_a_source(sources: Sequence[str]) -> None:
-    files = {f for s in sources for f in ((ROOT / s).rglob('*.py') if (ROOT / s).is_dir() else [ROOT / s])}
-    geometry = ROOT / 'mocap_ros' / 'geometry'
-    used = {u for f in files for u in follow_imports(f, ROOT) if u.is_relative_to(geometry)}
-    assert geometry / 'rotations.py' in used
-    assert used - files == set()
-
-
-def test_every_section_of_the_paper_is_measured_from_its_module() -> None:
-    tree = ast.parse((ROOT / 'benchmarks' / 'paper.py').read_text())
-    (sections,) = (n.value for n in tree.body if isinstance(n, ast.AnnAssign) and isinstance(n.value, ast.Dict))
-    modules = {
-        ast.literal_eval(key): value.value.id
-        for key, value in zip(sections.keys, sections.values, strict=True)
-        if isinstance(key, ast.Constant) and isinstance(value, ast.Attribute) and isinstance(value.value, ast.Name)
-    }
-    assert {**modules, 'targets': 'targets'} == figures.PAPER_SECTIONS
-
-
-def test_what_a_benchmark_imports_is_a_source_but_for_the_layout(root: Path) -> None:
-    folder = root / 'benchmarks'
-    (folder / 'parts').mkdir()
-    (folder / 'one.py').write_text('import report\nfrom parts import first')
-    (folder / 'parts' / 'first.py').write_text('def f() -> None:\n    import parts.second')
-    for name in ('parts/second.py', 'parts/third.py', 'report.py'):
-        (folder / name).write_text('')
-    names = {f.relative_to(folder).as_posix() for f in ONE.list_sources(root) if f.is_relative_to(folder)}
-    assert names == {'one.py', 'parts/first.py', 'parts/second.py'}
-    part = replace(ONE, part='parts/third.py')
-    names = {f.relative_to(folder).as_posix() for f in part.list_sources(root) if f.is_relative_to(folder)}
-    assert names == {'one.py', 'parts/third.py'}
-
-
-@pytest.mark.parametrize(
-    ('text', 'is_same'),
-    [
-        ('"""Other."""\n\n\ndef f(x):\n    """New\n    text."""\n    return x + "# 1"\n', True),
-        ('def f(x):\n    # why\n    return x + "# 1"', True),
-        ('def f(x):\n    return x + "# 2"', False),
-        ('def f(x):\n    return x', False),
-    ],
-    ids=['docstrings', 'comments', 'text', 'code'],
-)
-def test_comments_and_docstrings_make_no_figure_stale(root: Path, text: str, is_same: bool) -> None:
-    file = root / 'benchmarks' / 'one.py'
-    file.write_text('"""One."""\ndef f(x):  # what\n    return x + "# 1"\n')
-    before = ONE.hash_sources(root)
-    file.write_text(text)
-    assert (ONE.hash_sources(root) == before) is is_same
-
-
-def test_a_source_that_does_not_exist_is_named(root: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r'benchmark one: there is no gone\.txt'):
-        Benchmark('one', 'one.py', ('gone.txt',)).hash_sources(root)
 
 
 def test_the_record_of_this_repository_fits_its_pages() -> None:

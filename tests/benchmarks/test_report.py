@@ -11,9 +11,7 @@ from pathlib import Path
 import common
 import numpy as np
 import pytest
-import report as reporting
-from matplotlib.figure import Figure
-from report import Report, cross, group, run, select
+from report import Report, cross, group, select
 
 RECORDS = [
     {'detector': 'a', 'way': 'live', 'error': 1.0},
@@ -61,42 +59,3 @@ def test_poses_are_compared_with_one_scale_of_the_frames_that_were_found(rng: np
     known = np.arange(5) != 2
     np.testing.assert_allclose(aligned[known], centred[known], atol=1e-12)
     assert np.isnan(aligned[2]).all()
-
-
-@pytest.mark.parametrize('quick', [False, True])
-def test_a_part_of_a_page_is_what_was_shown_meanwhile(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick: bool
-) -> None:
-    monkeypatch.setattr(common, 'ROOT', tmp_path)
-    report = Report(quick=quick)
-    report.text('Before.')
-    with report.write_page('page.part'):
-        report.text('Two\n    lines.')
-        report.table(['a'], [[1]])
-        report.paper_figure('drawn', Figure(), 'What it shows')
-    report.text('After.')
-    table = '| a |\n| --- |\n| 1 |'
-    assert report.tables == {'page.part': f'Two lines.\n\n{table}\n\n![What it shows](img/paper/drawn.png)'}
-    assert report.pictures == ([] if quick else ['docs/img/paper/drawn.png'])
-    assert (tmp_path / 'docs' / 'img' / 'paper' / 'drawn.png').is_file() != quick
-
-
-def test_the_chosen_sections_are_run_and_their_results_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / 'bench').mkdir()
-    (tmp_path / 'bench' / 'protocol.py').write_text('')
-    monkeypatch.setenv('MOCAP_ROS_SHARED', str(tmp_path))
-    monkeypatch.setattr(reporting, 'describe_machine', lambda: 'm')
-    file = tmp_path / 'found.json'
-    monkeypatch.setattr('sys.argv', ['x/y.py', '--quick', '--json', str(file), '--only', 'two', 'none'])
-    sections: dict[str, reporting.Section] = {
-        'one': lambda _, __: {'first': 1},
-        'two': lambda report, quick: {'second': report.quick and quick},
-        'none': lambda _, __: None,
-    }
-    run('', 'Title', sections, one_core=False)
-    found = json.loads(file.read_text())
-    assert found['command'] == 'benchmarks/y.py --quick --only two none'
-    assert found['second'] is True
-    assert 'first' not in found

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rivals import bregler, gotardo, ramakrishna, zhou
-from rivals.factorisation import factorise, reflect_in_depth, stack_points, turn_to_camera
+from rivals.factorisation import reflect_in_depth, turn_to_camera
 
 from mocap_ros.geometry.rotations import nearest_rotation, rotation_from_vector
 from mocap_ros.models.base_poses import BasePoses
@@ -57,18 +57,6 @@ def test_the_full_upgrade_reconstructs_a_deforming_body_and_the_printed_one_does
     truth = make_linear_motion(2)
     assert compute_error(bregler.reconstruct_with_full_upgrade(truth[..., :2], 2), truth) < 1e-6  # m
     assert compute_error(bregler.reconstruct_as_printed(truth[..., :2], 2), truth) > 0.05  # m
-
-
-def test_a_translation_of_the_image_changes_nothing() -> None:
-    points = make_linear_motion(2)[..., :2]
-    moved = points + np.random.default_rng(0).standard_normal((FRAMES, 1, 2))
-    first, second = (bregler.reconstruct_with_full_upgrade(p, 2) for p in (points, moved))
-    assert compute_error(first, second) < 1e-6  # m
-
-
-def test_a_factorisation_of_too_few_points_is_refused() -> None:
-    with pytest.raises(ValueError, match='18 points'):
-        factorise(stack_points(make_linear_motion(1)[..., :2]), 6)
 
 
 @pytest.mark.parametrize('functions', [6, 12])

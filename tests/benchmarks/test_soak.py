@@ -39,9 +39,3 @@ def test_growth_in_units_is_that_of_the_node_alone(node_growth: float, machine_g
     assert found['p99_growth_percent_in_units'] == pytest.approx(100 * node_growth, abs=0.1)
     assert found['cpu_growth_percent_in_units'] == pytest.approx(100 * node_growth, abs=0.1)
     assert found['memory_growth_percent'] == pytest.approx(5.0, abs=0.1)
-
-
-def test_a_single_slow_sample_of_the_machine_changes_nothing() -> None:
-    samples = make_samples(node_growth=0.0, machine_growth=0.0, memory_growth=0.0)
-    samples.reference[-3] *= 10
-    assert summarise(samples, HOURS * HOUR_S)['p99_growth_percent_in_units'] == pytest.approx(0.0, abs=0.1)
