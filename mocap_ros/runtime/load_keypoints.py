@@ -12,12 +12,11 @@ from math import inf
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.topics import Source, find_people_topics, find_people_type
 from mocap_ros.config import NodeConfig
-from mocap_ros.errors import FrameDropped, InputError
+from mocap_ros.errors import FrameDropped, InputError, naming
 from mocap_ros.formats.detections import (
     Detections,
     Video,
@@ -35,8 +34,6 @@ from mocap_ros.runtime.detection import ShowProgress, detect_in_video
 from mocap_ros.runtime.frame_assembly import MISSING_STAMP, FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_checks import describe_unusable_distortion
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
-
-Array = NDArray[np.float64]
 
 MIN_FRAMES = 10  # frames; of all people, those who are seen in less are mostly errors of the detector
 # Options that apply to a kind of input; those of the focal length apply to all.
@@ -82,12 +79,9 @@ def load_input(
         sequence, lines = load_sequence(path), list[str]()
     else:
         detections = load_detections(path, kind, video, limits, topic, camera_info, show_progress)
-        try:
+        with naming(path):
             sequence, lines = select_person(detections, person)
-            _check_image_size([sequence], video)
-        except InputError as error:
-            raise InputError(f'{path}: {error}') from None
-    (sequence,), lines = _finish(path, [sequence], video, lines)
+    (sequence,), lines = _finish(path, kind, [sequence], video, lines)
     return sequence, lines
 
 
@@ -113,26 +107,30 @@ def load_people(
     long_tracks = [track for track in tracks if len(track.detection_by_frame) >= MIN_FRAMES]
     if not long_tracks:
         raise InputError(f'{path}: nobody is seen in {MIN_FRAMES} frames or more')
-    try:
+    with naming(path):
         sequences, lines = arrange_people(detections, long_tracks)
-        _check_image_size(sequences, video)
-    except InputError as error:
-        raise InputError(f'{path}: {error}') from None
     if left_out := len(tracks) - len(long_tracks):
         lines = (*lines, f'{left_out} people are left out, who are seen in less than {MIN_FRAMES} frames')
-    return _finish(path, sequences, video, lines)
+    return _finish(path, kind, sequences, video, lines)
 
 
 def _finish(
-    path: Path, sequences: list[KeypointSequence], video: Video, lines: Iterable[str]
+    path: Path, kind: InputKind, sequences: list[KeypointSequence], video: Video, lines: Iterable[str]
 ) -> tuple[list[KeypointSequence], list[str]]:
-    """Return sequences of one camera with its focal length, and all lines to print, which name the input."""
-    first = sequences[0]
-    outside = describe_points_outside(*_split_keypoints(first), first.image_size)
-    try:
+    """Return sequences of one camera with its focal length, and all lines to print, which name the input.
+
+    Raises:
+        InputError: Width and height of the image look exchanged, where no sequence file states them; or the focal
+            length is none in px.
+    """
+    size, outside = sequences[0].image_size, ''
+    with naming(path):
+        for sequence in sequences:
+            keypoints = sequence.keypoints[..., :2], sequence.keypoints[..., 2], size
+            outside = outside or describe_points_outside(*keypoints)
+            if kind is not InputKind.SEQUENCE and (fault := describe_transposed_size(*keypoints)):
+                raise InputError(f'{"--image-size" if size == video.image_size else "image size"}: {fault}')
         sequences, lens_lines = give_focal_length(sequences, video)
-    except InputError as error:
-        raise InputError(f'{path}: {error}') from None
     # Any focal length will do, because only cameras that are known have a distortion.
     lens = describe_unusable_distortion(sequences[0].intrinsics(1.0))
     lines = (*lines, outside and f'image size: {outside}', *lens_lines, lens)
@@ -194,20 +192,6 @@ def give_focal_length(sequences: list[KeypointSequence], video: Video) -> tuple[
         return sequences, ['has a calibrated camera; --hfov and --focal are not used']
     matrix = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     return [replace(sequence, camera_matrix=matrix) for sequence in sequences], []
-
-
-def _split_keypoints(sequence: KeypointSequence) -> tuple[Array, Array]:
-    """Return the image points (F, J, 2) in px and the scores (F, J) of a sequence."""
-    return sequence.keypoints[..., :2], sequence.keypoints[..., 2]
-
-
-def _check_image_size(sequences: Iterable[KeypointSequence], video: Video) -> None:
-    """Raise an InputError, which names the option or `image size`, if width and height look exchanged."""
-    for sequence in sequences:
-        fault = describe_transposed_size(*_split_keypoints(sequence), sequence.image_size)
-        if fault:
-            name = '--image-size' if sequence.image_size == video.image_size else 'image size'
-            raise InputError(f'{name}: {fault}')
 
 
 def load_sequence_file(path: str | Path) -> KeypointSequence:

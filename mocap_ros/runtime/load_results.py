@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mocap_ros.bags.reader import Bag, is_bag
-from mocap_ros.errors import InputError, SkeletonError
+from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.result_file import StoredResult, is_result_file, load_result_file
 from mocap_ros.messages.cdr import read_stamp
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
@@ -50,7 +50,15 @@ def load_result(path: Path, person: str | None = None) -> tuple[StoredResult, st
     if not is_bag(path):
         if person is not None:
             raise InputError(f'{path}: --person does not apply to a result of reconstruct')
-        return _require_skeleton(load_result_file(path), path), ''
+        result, chosen = load_result_file(path), ''
+    else:
+        result, chosen = _load_bag(path, person)
+    if not np.isfinite(result.joints).all(axis=(1, 2)).any():
+        raise InputError(f'{path}: no frame has a skeleton')
+    return result, chosen
+
+
+def _load_bag(path: Path, person: str | None) -> tuple[StoredResult, str]:
     with Bag(path) as bag:
         topics = bag.topics_of_type([SKELETONS])
         if len(topics) != 1:
@@ -65,18 +73,8 @@ def load_result(path: Path, person: str | None = None) -> tuple[StoredResult, st
         people = ', '.join(f'{person_id} ({n})' for person_id, n in counts.most_common())
         raise InputError(f'{path}: no person {person!r}; there are {people}')
     chosen = counts.most_common(1)[0][0] if person is None else person
-    try:
-        result = _collect(array_by_stamp, chosen)
-    except (InputError, SkeletonError) as error:
-        raise InputError(f'{path}: {topics[0]}: {error}') from None
-    return _require_skeleton(result, path), chosen
-
-
-def _require_skeleton(result: StoredResult, path: Path) -> StoredResult:
-    """Return the result, which must have a skeleton in one frame at least."""
-    if not np.isfinite(result.joints).all(axis=(1, 2)).any():
-        raise InputError(f'{path}: no frame has a skeleton')
-    return result
+    with naming(f'{path}: {topics[0]}'):
+        return _collect(array_by_stamp, chosen), chosen
 
 
 def _collect(array_by_stamp: dict[int, Any], person: str) -> StoredResult:

@@ -91,20 +91,6 @@ def test_people_of_a_detector_of_one_person_are_told_apart(
     assert sum(line.count(' from ') for line in lines) == changes
 
 
-def test_many_changes_are_counted() -> None:
-    _, (line,) = name_people(at([0, 400] * 10))
-    assert line.count(' from ') == 5
-    assert line.endswith(' and 14 times more')
-
-
-def test_people_seen_together_are_no_change() -> None:
-    together = at([0, 5, 10])
-    people = [[*here, *there] for here, there in zip(together.people, at([300, 305, 310]).people, strict=True)]
-    named, lines = name_people(Detections(people, together.stamps_ns, (640, 480)))
-    assert [[p.id for p in frame] for frame in named.people] == [['person_1', 'person_2']] * 3
-    assert lines == []
-
-
 class BreakingCamera:
     """Takes the place of a `VideoReader`: images of a walker, and then an end of them that a camera may have."""
 

@@ -16,25 +16,23 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocap_ros.bags.journal import Journal, Verdict
+from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source
-from mocap_ros.config import RecorderConfig, values, with_values
+from mocap_ros.config import RecorderConfig, with_values
 from mocap_ros.errors import ConfigError
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import Header, decode
+from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
-from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
+from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.runtime.load_results import load_result
 from mocap_ros.runtime.outputs import OUTPUTS
 from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.runtime.replay import ReplayOptions, replay
 from tests.support.camera_infos import camera_info
-from tests.support.people import make_person_3d
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, process
-from tests.support.swinging_body import STANDING
 from tests.support.transforms import SECOND_NS, make_transforms
 
 FRAMES = 12
@@ -323,31 +321,3 @@ def test_a_live_run_and_its_replay_agree_also_where_people_are_on_tf(
         j[0].mean(axis=0)[0] - o[0].mean(axis=0)[2] for j, o in zip(live, map(stack, in_camera[4:]), strict=True)
     ]
     assert moved[-1] - moved[0] == pytest.approx(SPEED_M_S * 7 * STEP_NS / SECOND_NS, abs=0.3)
-
-
-def test_a_replay_with_other_parameters_knows_the_people_of_the_recorded_run_on_tf(
-    tmp_path: Path, stream: list[bytes]
-) -> None:
-    """They are no inputs, and so not counted; otherwise it would skip another image than the run did."""
-    skipped, people = (
-        3,
-        encode_transforms(Header(1, 'camera'), [replace(make_person_3d('anna'), joints=STANDING)], 'left_'),
-    )
-    recorded = values(with_values(PLAIN_CONFIG, {'node.publish_tf': True, 'node.frame_prefix': 'left_'}))
-    journal = Journal('/mocap_node/journal')
-    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        recorder.write(*journal.make_parameters_record(recorded, START_NS))
-        for i, raw in enumerate(stream):
-            times_ns, verdict = (
-                (START_NS + i * STEP_NS,) * 2,
-                Verdict.BACKLOG if i == skipped else Verdict.ACCEPTED,
-            )
-            for record in journal.make_input_records('/keypoints', KEYPOINTS, raw, times_ns, verdict):
-                recorder.write(*record)
-            recorder.write('/tf', TRANSFORMS, people, *times_ns)
-    with Bag(tmp_path / 'bag') as bag:
-        replay(bag, tmp_path / 'out', ReplayOptions(MAP_CONFIG))
-    with Bag(tmp_path / 'out') as bag:
-        shown = [stamp_of(decode(m.raw, SKELETONS)) for m in bag.messages(['/skeletons'])]
-    images = [stamp_of(decode(raw, KEYPOINTS)) for raw in stream]
-    assert shown == images[:skipped] + images[skipped + 1 :]

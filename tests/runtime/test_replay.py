@@ -186,20 +186,6 @@ def test_another_version_of_a_message_is_converted_by_the_names_of_its_fields(
         assert replay_skeletons(path, tmp_path / f'{path.name}.out') == skeletons
 
 
-def test_the_camera_info_in_the_namespace_of_the_keypoints_is_used(tmp_path: Path, stream: list[bytes]) -> None:
-    with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
-        for camera, width in (('left', 640), ('right', 1280)):
-            recorder.write(f'/{camera}/camera_info', CAMERA_INFO, camera_info(width), START_NS, START_NS)
-        for i, raw in enumerate(stream):
-            recorder.write('/left/keypoints', KEYPOINTS, raw, START_NS + i, START_NS)
-    assert len(replay_skeletons(tmp_path / 'bag', tmp_path / 'out')) == FRAMES
-    options = ReplayOptions(OPTIONS.config, camera_info='/right/camera_info')
-    # CameraInfo is for 1280 px: every frame is rejected
-    assert replay_skeletons(tmp_path / 'bag', tmp_path / 'wrong', options) == []
-    with pytest.raises(InputError, match='no CameraInfo on /up; there is /left/camera_info, /right/camera_info'):
-        replay_skeletons(tmp_path / 'bag', tmp_path / 'none', ReplayOptions(camera_info='/up'))
-
-
 def test_a_split_bag_and_each_of_its_files_replay(
     tmp_path: Path, stream: list[bytes], skeletons: list[bytes]
 ) -> None:
