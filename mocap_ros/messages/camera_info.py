@@ -23,13 +23,13 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.distortion import Distortion
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import ImageSize
-from mocap_ros.messages.cdr import Header, create_header, create_message, decode, encode
+from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.keypoints import KeypointsFrame
+from mocap_ros.messages.plain import encode_plain
 
 Array = NDArray[np.float64]
 
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
-REGION = 'sensor_msgs/msg/RegionOfInterest'  # message type of the field `roi`
 MAX_COEFFICIENT = 1e6  # 1; rational polynomials that are poorly determined reach thousands; keeps results finite
 NO_DISTORTION_COEFFICIENTS = (0.0,) * 5  # with which drivers of cameras say that a lens does not distort
 
@@ -77,21 +77,17 @@ def encode_camera_info(header: Header, camera: CameraInfo) -> bytes:
     (fx, fy), (cx, cy) = camera.intrinsics.focal_lengths, camera.intrinsics.center
     distortion = camera.intrinsics.distortion
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    message = create_message(
-        CAMERA_INFO,
-        header=create_header(header),
-        height=camera.size[1],
-        width=camera.size[0],
-        distortion_model=distortion.model,
-        d=np.array(distortion.coefficients or NO_DISTORTION_COEFFICIENTS),
-        k=matrix.ravel(),
-        r=np.eye(3).ravel(),
-        p=np.column_stack([matrix, np.zeros(3)]).ravel(),
-        binning_x=0,  # not binned
-        binning_y=0,
-        roi=create_message(REGION, x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),  # the whole image
-    )
-    return encode(message, CAMERA_INFO)
+    message = {
+        'header': header,
+        'height': camera.size[1],
+        'width': camera.size[0],
+        'distortion_model': distortion.model,
+        'd': distortion.coefficients or NO_DISTORTION_COEFFICIENTS,
+        'k': matrix,
+        'r': np.eye(3),
+        'p': np.column_stack([matrix, np.zeros(3)]),
+    }  # neither binned nor a part of the image
+    return encode_plain(message, CAMERA_INFO)
 
 
 def decode_camera_info(raw: bytes, *, rectified: bool = False) -> CameraInfo:

@@ -19,16 +19,8 @@ from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import find_first_fault, looks_normalised, mark_unseen
-from mocap_ros.messages.cdr import (
-    MOCAP_ROS_MSGS,
-    Header,
-    create_header,
-    create_message,
-    decode_input,
-    encode,
-    validate_header,
-    validate_text,
-)
+from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, decode_input, validate_header, validate_text
+from mocap_ros.messages.plain import encode_plain
 from mocap_ros.skeleton import LAYOUT_NAMES, keypoint_layout
 
 Array = NDArray[np.float64]
@@ -190,24 +182,20 @@ def encode_keypoints(header: Header, image_size: tuple[int, int], people: Sequen
         people: the people in the image. If the joints of a person are those of a layout, the message holds the
             layout's name, else it holds the joint names.
     """
-    message = create_message(
-        KEYPOINTS,
-        header=create_header(header),
-        image_width=image_size[0],
-        image_height=image_size[1],
-        people=[_create_person(p) for p in people],
-    )
-    return encode(message, KEYPOINTS)
+    width, height = image_size
+    entries = [_list_fields(person) for person in people]
+    message = {'header': header, 'image_width': width, 'image_height': height, 'people': entries}
+    return encode_plain(message, KEYPOINTS)
 
 
-def _create_person(person: Person2D) -> Any:
+def _list_fields(person: Person2D) -> dict[str, Any]:
+    """Return the fields of a Keypoints2D."""
     layout_name = next((n for n in LAYOUT_NAMES if keypoint_layout(n).joints == person.joints), '')
-    return create_message(
-        MOCAP_ROS_MSGS + 'Keypoints2D',
-        id=person.id,
-        skeleton=layout_name,
-        joint_names=[] if layout_name else list(person.joints),
-        x=person.points[:, 0].astype(np.float32),
-        y=person.points[:, 1].astype(np.float32),
-        score=person.score.astype(np.float32),
-    )
+    return {
+        'id': person.id,
+        'skeleton': layout_name,
+        'joint_names': () if layout_name else person.joints,
+        'x': person.points[:, 0],
+        'y': person.points[:, 1],
+        'score': person.score,
+    }

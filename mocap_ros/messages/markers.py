@@ -18,10 +18,11 @@ from itertools import count
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mocap_ros.geometry.rigid_transform import SAME_POSE
-from mocap_ros.messages.cdr import BYTE, INT, SINGLE, Array, CdrWriter, Header
+from mocap_ros.messages.cdr import Array, Header
+from mocap_ros.messages.plain import encode_plain
 from mocap_ros.people import Person3D
 from mocap_ros.units import NS_PER_S
 
@@ -38,8 +39,6 @@ JOINT_SCALE_M = (0.06, 0.06, 0.06)  # diameter of the spheres, chosen for the lo
 BONE_SCALE_M = (0.025, 0.0, 0.0)  # width of the lines, chosen for the look; viewers warn about lines with a height
 
 Colors = NDArray[np.float32]  # (..., 4) red, green, blue and alpha in [0, 1]
-
-_NO_POINTS, _NO_COLORS = np.zeros((0, 3)), np.zeros((0, 4), np.float32)
 
 
 class MarkerStyle(NamedTuple):
@@ -67,22 +66,22 @@ class Marker(NamedTuple):
         namespace: text before the number; both together are the name of the marker.
         number: value of the field `id`.
         type: value of the field `type`.
-        scale: m.
+        scale: (3,) m.
         color: (4,) of the whole.
         points: (P, 3) m.
-        colors: (P, 4) of each point; (0, 4) where they have the colour of the whole.
-        pose: position in m, and the quaternion x, y, z, w.
+        colors: (P, 4) of each point; None where they have the colour of the whole.
+        pose: (7,) position in m, and the quaternion x, y, z, w.
         action: value of the field `action`.
     """
 
     namespace: str
     number: int
     type: int = 0
-    scale: Sequence[float] | Array = (0.0, 0.0, 0.0)
-    color: Sequence[float] | Colors = (0.0, 0.0, 0.0, 0.0)
-    points: Array = _NO_POINTS
-    colors: Colors = _NO_COLORS
-    pose: Sequence[float] | Array = SAME_POSE
+    scale: ArrayLike | None = None
+    color: ArrayLike | None = None
+    points: Array | None = None
+    colors: Colors | None = None
+    pose: ArrayLike = SAME_POSE
     action: int = ADD
 
 
@@ -94,30 +93,24 @@ def encode_markers(header: Header, markers: Sequence[Marker], lifetime_s: float 
         markers: the markers.
         lifetime_s: s after which a viewer removes those that are shown by itself, 0 for never.
     """
-    writer = CdrWriter()
-    writer.add_count(len(markers))
-    for marker in markers:
-        lifetime_ns = round(lifetime_s * NS_PER_S) if marker.action == ADD else 0
-        writer.add_header(header)
-        writer.add_text(marker.namespace)
-        writer.add_numbers((marker.number, marker.type, marker.action), INT)
-        writer.add_numbers(marker.pose)
-        writer.add_numbers(marker.scale)
-        writer.add_numbers(marker.color, SINGLE)
-        writer.add_numbers(divmod(lifetime_ns, NS_PER_S), INT)
-        writer.add_numbers(False, BYTE)  # frame_locked
-        writer.add_sequence(marker.points)
-        writer.add_sequence(marker.colors, SINGLE)
-        writer.add_text('')  # texture_resource
-        writer.add_header(header)  # texture.header
-        writer.add_text('')  # texture.format
-        writer.add_count(0)  # texture.data
-        writer.add_count(0)  # uv_coordinates
-        for _ in range(3):  # text, mesh_resource, mesh_file.filename
-            writer.add_text('')
-        writer.add_count(0)  # mesh_file.data
-        writer.add_numbers(False, BYTE)  # mesh_use_embedded_materials
-    return writer.finish()
+    lifetime = divmod(round(lifetime_s * NS_PER_S), NS_PER_S)
+    message = [
+        {
+            'header': header,
+            'ns': marker.namespace,
+            'id': marker.number,
+            'type': marker.type,
+            'action': marker.action,
+            'pose': marker.pose,
+            'scale': marker.scale,
+            'color': marker.color,
+            'lifetime': lifetime if marker.action == ADD else None,
+            'points': marker.points,
+            'colors': marker.colors,
+        }
+        for marker in markers
+    ]
+    return encode_plain({'markers': message}, MARKERS)
 
 
 class MarkerSeries:

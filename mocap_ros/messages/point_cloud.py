@@ -9,15 +9,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mocap_ros.messages.cdr import BYTE, CdrWriter, Header
+from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.plain import encode_plain
 from mocap_ros.people import Person3D
 
 POINTS = 'sensor_msgs/msg/PointCloud2'
 DATATYPES = {'<f4': 7, '<u2': 4, '|u1': 2}  # sensor_msgs/PointField.datatype by NumPy's name of the type
-POINT_FIELDS = {
-    'x': '<f4', 'y': '<f4', 'z': '<f4', 'std': '<f4', 'person': '<u2', 'joint': '|u1', 'inferred': '|u1',
-}  # fmt: skip
-POINT_DTYPE = np.dtype(list(POINT_FIELDS.items()))
+POINT_DTYPE = np.dtype(
+    {
+        'names': ['x', 'y', 'z', 'std', 'person', 'joint', 'inferred'],
+        'formats': ['<f4', '<f4', '<f4', '<f4', '<u2', 'u1', 'u1'],
+    }
+)
+_FIELDS = [(name, (dtype, offset)) for name, (dtype, offset, *_) in (POINT_DTYPE.fields or {}).items()]
 
 
 def encode_points(header: Header, people: Sequence[Person3D]) -> bytes:
@@ -39,21 +43,14 @@ def encode_points(header: Header, people: Sequence[Person3D]) -> bytes:
         row['x'], row['y'], row['z'] = person.joints.T
         row['std'], row['inferred'] = person.std, person.inferred
         row['person'], row['joint'] = index, np.arange(len(row))
-    writer = CdrWriter()
-    writer.add_header(header)
-    writer.add_count(1)  # height
-    writer.add_count(cloud.size)  # width
-    writer.add_count(len(POINT_FIELDS))
-    offset = 0
-    for name, dtype in POINT_FIELDS.items():
-        writer.add_text(name)
-        writer.add_count(offset)
-        writer.add_numbers(DATATYPES[dtype], BYTE)
-        writer.add_count(1)  # numbers in the field
-        offset += np.dtype(dtype).itemsize
-    writer.add_numbers(False, BYTE)  # is_bigendian
-    writer.add_count(offset)  # bytes of a point
-    writer.add_count(offset * cloud.size)  # bytes of a row
-    writer.add_sequence(np.frombuffer(cloud.tobytes(), BYTE), BYTE)
-    writer.add_numbers(True, BYTE)  # is_dense
-    return writer.finish()
+    message = {
+        'header': header,
+        'height': 1,
+        'width': cloud.size,
+        'fields': [(name, offset, DATATYPES[dtype.str], 1) for name, (dtype, offset) in _FIELDS],
+        'point_step': POINT_DTYPE.itemsize,
+        'row_step': POINT_DTYPE.itemsize * cloud.size,
+        'data': np.frombuffer(cloud.tobytes(), np.uint8),
+        'is_dense': True,
+    }
+    return encode_plain(message, POINTS)

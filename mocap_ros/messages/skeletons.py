@@ -19,17 +19,8 @@ from mocap_ros.errors import InputError
 from mocap_ros.geometry.rigid_transform import SAME_POSE, RigidTransform
 from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
-from mocap_ros.messages.cdr import (
-    BYTE,
-    MOCAP_ROS_MSGS,
-    SINGLE,
-    Array,
-    CdrWriter,
-    Header,
-    create_message,
-    decode,
-    encode,
-)
+from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Array, Header, decode
+from mocap_ros.messages.plain import encode_plain
 from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.skeleton import Skeleton
 
@@ -52,40 +43,46 @@ def encode_skeletons(
         vertical: what is known of the camera's vertical; None if nothing is.
         camera: the camera in that frame; None where the frame is the camera's.
     """
-    writer, placement = CdrWriter(), camera or CameraPlacement(header.frame_id)
-    writer.add_header(header)
-    writer.add_count(len(people))
-    for person in people:
-        _add_person(writer, person)
-    direction, std = (np.zeros(3), math.nan) if vertical is None else vertical
-    writer.add_numbers(direction)
-    writer.add_numbers(std, SINGLE)
-    writer.add_text(placement.frame_id)
+    direction, std = (None, math.nan) if vertical is None else vertical
+    placement = camera or CameraPlacement(header.frame_id)
     pose = placement.pose
-    writer.add_numbers(SAME_POSE if pose is None else (*pose.translation, *pose.quaternion))
-    return writer.finish()
+    message = {
+        'header': header,
+        'people': [_list_fields(person) for person in people],
+        'vertical': direction,
+        'vertical_std': std,
+        'camera_frame_id': placement.frame_id,
+        'camera_pose': SAME_POSE if pose is None else (*pose.translation, *pose.quaternion),
+    }
+    return encode_plain(message, SKELETONS)
 
 
-def _add_person(writer: CdrWriter, person: Person3D) -> None:
-    """Append a Skeleton3D."""
+def _list_fields(person: Person3D) -> dict[str, Any]:
+    """Return the fields of a Skeleton3D."""
     motion = person.motion
-    writer.add_text(person.id)
-    writer.add_text(person.skeleton.name)
-    writer.add_sequence(person.joints)
-    writer.add_sequence(person.std, SINGLE)
-    writer.add_sequence(person.inferred, BYTE)
-    writer.add_numbers(_compute_camera(person))
-    writer.add_numbers(motion.kind, BYTE)
-    writer.add_text(motion.category)
-    writer.add_numbers((motion.residual, motion.cadence, person.residual), SINGLE)
-    writer.add_numbers((person.scale_known, person.predicted, person.tentative), BYTE)
-    writer.add_sequence(person.velocity)
-    writer.add_sequence(person.velocity_std, SINGLE)
-    for numbers in (person.root, person.root_covariance, person.root_velocity, person.root_velocity_covariance):
-        writer.add_numbers(numbers)
-    writer.add_numbers((person.age, person.unseen_for), SINGLE)
-    writer.add_sequence(person.orientation)
-    writer.add_sequence(person.turn_inferred, BYTE)
+    return {
+        'id': person.id,
+        'skeleton': person.skeleton.name,
+        'joints': person.joints,
+        'joint_std': person.std,
+        'inferred': person.inferred,
+        'camera': _compute_camera(person),
+        'motion': (motion.kind, motion.category, motion.residual, motion.cadence),
+        'reprojection_residual': person.residual,
+        'scale_source': person.scale_known,
+        'predicted': person.predicted,
+        'tentative': person.tentative,
+        'joint_velocity': person.velocity,
+        'joint_velocity_std': person.velocity_std,
+        'root': person.root,
+        'root_covariance': person.root_covariance,
+        'root_velocity': person.root_velocity,
+        'root_velocity_covariance': person.root_velocity_covariance,
+        'age': person.age,
+        'unseen_for': person.unseen_for,
+        'joint_orientation': person.orientation,
+        'turn_inferred': person.turn_inferred,
+    }
 
 
 def _compute_camera(person: Person3D) -> Array:
@@ -97,13 +94,8 @@ def _compute_camera(person: Person3D) -> Array:
 
 def encode_cameras(header: Header, people: Sequence[Person3D]) -> bytes:
     """Encode the cameras of all people in an image as a WeakPerspectiveCameraArray."""
-    writer = CdrWriter()
-    writer.add_header(header)
-    writer.add_count(len(people))
-    for person in people:
-        writer.add_text(person.id)
-    writer.add_sequence([_compute_camera(person) for person in people])
-    return writer.finish()
+    cameras = [_compute_camera(person) for person in people]
+    return encode_plain({'header': header, 'ids': [p.id for p in people], 'cameras': cameras}, CAMERAS)
 
 
 def decode_skeletons(raw: bytes) -> Any:
@@ -139,11 +131,10 @@ def decode_skeletons(raw: bytes) -> Any:
 
 def encode_skeleton_definition(skeleton: Skeleton) -> bytes:
     """Encode the names and the tree of a skeleton's joints as a SkeletonDefinition."""
-    message = create_message(
-        SKELETON_DEFINITION,
-        name=skeleton.name,
-        joint_names=list(skeleton.joints),
-        parents=np.array(skeleton.parents, np.int32),
-        bones=np.array(skeleton.bones, np.uint32).ravel(),
-    )
-    return encode(message, SKELETON_DEFINITION)
+    message = {
+        'name': skeleton.name,
+        'joint_names': skeleton.joints,
+        'parents': skeleton.parents,
+        'bones': np.ravel(skeleton.bones),
+    }
+    return encode_plain(message, SKELETON_DEFINITION)

@@ -29,7 +29,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mocap_ros.geometry.rigid_transform import NO_ROTATION
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
-from mocap_ros.messages.cdr import Array, CdrWriter, Header
+from mocap_ros.messages.cdr import Array, Header
+from mocap_ros.messages.plain import encode_plain
 from mocap_ros.messages.stacked_people import StackedPeople
 from mocap_ros.people import HIPS, Person3D
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton
@@ -125,13 +126,7 @@ StampedTransform = tuple[Header, str, ArrayLike]  # stamp and parent, child, tra
 
 def write_transforms(transforms: Sequence[StampedTransform]) -> bytes:
     """Encode transforms as a TFMessage."""
-    writer = CdrWriter()
-    writer.add_count(len(transforms))
-    for header, child, numbers in transforms:
-        writer.add_header(header)
-        writer.add_text(child)
-        writer.add_numbers(numbers)
-    return writer.finish()
+    return encode_plain({'transforms': transforms}, TRANSFORMS)
 
 
 def compute_links(joints: Array) -> tuple[Array, Array, Array]:

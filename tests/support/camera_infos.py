@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from mocap_ros.messages.camera_info import CAMERA_INFO
-from mocap_ros.messages.cdr import create_message, encode
+from mocap_ros.messages.cdr import Header
+from mocap_ros.messages.plain import encode_plain
 
 
 def camera_info(
@@ -22,27 +23,17 @@ def camera_info(
     region: tuple[int, int, int, int] = (0, 0, 0, 0),  # x, y, width and height in px
 ) -> bytes:
     x, y, region_width, region_height = region
-    roi = create_message(
-        'sensor_msgs/msg/RegionOfInterest',
-        x_offset=x,
-        y_offset=y,
-        height=region_height,
-        width=region_width,
-        do_rectify=False,
-    )
-    stamp = create_message('builtin_interfaces/msg/Time', sec=0, nanosec=0)
-    message = create_message(
-        CAMERA_INFO,
-        header=create_message('std_msgs/msg/Header', stamp=stamp, frame_id='camera'),
-        height=height,
-        width=width,
-        distortion_model=model,
-        d=np.array(d),
-        k=np.array([focal, 0, width / 2, 0, focal, height / 2, 0, 0, 1]),
-        r=np.eye(3).ravel(),
-        p=np.array(p),
-        binning_x=binning[0],
-        binning_y=binning[1],
-        roi=roi,
-    )
-    return encode(message, CAMERA_INFO)
+    message = {
+        'header': Header(0, 'camera'),
+        'height': height,
+        'width': width,
+        'distortion_model': model,
+        'd': d,
+        'k': (focal, 0, width / 2, 0, focal, height / 2, 0, 0, 1),
+        'r': np.eye(3),
+        'p': p,
+        'binning_x': binning[0],
+        'binning_y': binning[1],
+        'roi': (x, y, region_height, region_width, False),
+    }
+    return encode_plain(message, CAMERA_INFO)

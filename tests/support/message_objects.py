@@ -193,7 +193,7 @@ def create_marker(header: Header, namespace: str, number: int, action: int) -> A
         colors=[],
         texture_resource='',
         texture=create_message(
-            'sensor_msgs/msg/CompressedImage', header=create_header(header), format='', data=nothing
+            'sensor_msgs/msg/CompressedImage', header=create_header(Header(0, '')), format='', data=nothing
         ),
         uv_coordinates=[],
         text='',
