@@ -50,30 +50,16 @@ class CameraPlacement(NamedTuple):
         pose = self.pose
         if pose is None:
             return people
-        if not people:
-            return []
-        joints, velocity, orientation = (
-            np.array([getattr(p, name) for p in people]) for name in ('joints', 'velocity', 'orientation')
-        )
-        placed = zip(
-            people,
-            pose.apply(joints),
-            pose.rotate(velocity) + self._find_own_motion(joints),
-            multiply_quaternions(np.array(pose.quaternion), orientation),
-            pose.rotate_covariance(np.array([p.root_covariance for p in people])),
-            pose.rotate_covariance(np.array([p.root_velocity_covariance for p in people])),
-            strict=True,
-        )
         return [
             copy_with(
                 person,
-                joints=places,
-                velocity=speeds,
-                orientation=turns,
-                root_covariance=covariance,
-                root_velocity_covariance=velocity_covariance,
+                joints=pose.apply(person.joints),
+                velocity=pose.rotate(person.velocity) + self._find_own_motion(person.joints),
+                orientation=multiply_quaternions(np.array(pose.quaternion), person.orientation),
+                root_covariance=pose.rotate_covariance(person.root_covariance),
+                root_velocity_covariance=pose.rotate_covariance(person.root_velocity_covariance),
             )
-            for person, places, speeds, turns, covariance, velocity_covariance in placed
+            for person in people
         ]
 
     def _find_own_motion(self, joints: Array) -> Array | float:
@@ -90,13 +76,15 @@ class CameraPlacement(NamedTuple):
         pose = self.pose
         if pose is None:
             return people
-        if not people:
-            return []
-        joints = np.array([p.joints for p in people])
-        places = pose.apply(joints) + ahead_s * self._find_own_motion(joints)
-        covariances = pose.rotate_covariance(np.array([p.root_covariance for p in people]))
-        placed = zip(people, places, covariances, strict=True)
-        return [PredictedPerson(p.id, place, p.std, covariance) for p, place, covariance in placed]
+        return [
+            PredictedPerson(
+                p.id,
+                pose.apply(p.joints) + ahead_s * self._find_own_motion(p.joints),
+                p.std,
+                pose.rotate_covariance(p.root_covariance),
+            )
+            for p in people
+        ]
 
     def place_vertical(self, vertical: CameraVertical | None) -> CameraVertical | None:
         """Return the vertical in the frame of the outputs."""

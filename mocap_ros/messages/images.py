@@ -36,13 +36,7 @@ RED_BY_V, GREEN_BY_U, GREEN_BY_V, BLUE_BY_U = 1.402, -0.344136, -0.714136, 1.772
 
 
 class _Encoding(NamedTuple):
-    """How the pixels of an encoding are stored.
-
-    Attributes:
-        number: type of a number.
-        channels: numbers of a pixel.
-        convert: function that makes red, green and blue of them.
-    """
+    """How the pixels of an encoding are stored, and the function that makes red, green and blue of them."""
 
     number: type[np.generic]
     channels: int
@@ -50,13 +44,11 @@ class _Encoding(NamedTuple):
 
 
 def _pick(*channels: int) -> Callable[[Numbers], Numbers]:
-    """Return a function that picks these channels."""
     return lambda values: values[..., channels]
 
 
-def _scale_to_byte(pick: Callable[[Numbers], Numbers]) -> Callable[[Numbers], Numbers]:
-    """Return a function that keeps the higher byte of numbers of two bytes."""
-    return lambda values: pick(values) >> 8  # type: ignore[operator]
+def _pick_high_bytes(*channels: int) -> Callable[[Numbers], Numbers]:
+    return lambda values: values[..., channels] >> 8  # type: ignore[operator]
 
 
 def _stretch_grey(values: Numbers) -> Numbers:
@@ -109,8 +101,8 @@ _ENCODINGS = {
     'bgra8': _Encoding(np.uint8, 4, _BGR),
     '8UC3': _Encoding(np.uint8, 3, _BGR),  # OpenCV's order
     '8UC4': _Encoding(np.uint8, 4, _BGR),
-    'rgb16': _Encoding(np.uint16, 3, _scale_to_byte(_RGB)),
-    'bgr16': _Encoding(np.uint16, 3, _scale_to_byte(_BGR)),
+    'rgb16': _Encoding(np.uint16, 3, _pick_high_bytes(0, 1, 2)),
+    'bgr16': _Encoding(np.uint16, 3, _pick_high_bytes(2, 1, 0)),
     'mono8': _Encoding(np.uint8, 1, _GREY),
     '8UC1': _Encoding(np.uint8, 1, _GREY),
     'mono16': _Encoding(np.uint16, 1, _stretch_grey),

@@ -24,12 +24,7 @@ Fields = list[tuple[str, tuple[Nodetype, Any]]]
 
 
 def load_recorded_types(text: str, msgtype: str, *, is_idl: bool) -> Typestore:
-    """Return the message types of a definition.
-
-    Args:
-        text: the definition of a type and of the types of its fields.
-        msgtype: name of the type.
-        is_idl: whether the definition is in IDL; otherwise it is that of .msg files.
+    """Return the message types of a definition of a type and of the types of its fields.
 
     Raises:
         InputError: the definition is too long, does not define the type or that of a field, or messages of the
@@ -51,11 +46,7 @@ def load_recorded_types(text: str, msgtype: str, *, is_idl: bool) -> Typestore:
 
 
 class _LimitCheck:
-    """The limits of the types of a store.
-
-    Args:
-        store: the types.
-    """
+    """The limits of the types of a store."""
 
     def __init__(self, store: Typestore) -> None:
         self._store = store
@@ -63,11 +54,7 @@ class _LimitCheck:
         self._unrolled = 0
 
     def measure(self, msgtype: str, depth: int = 0) -> int:
-        """Return a lower bound of the bytes of a message.
-
-        Raises:
-            InputError: a type of a field is not defined, or a limit is exceeded.
-        """
+        """Return a lower bound of the bytes of a message; InputError if a limit is exceeded."""
         if depth > MAX_DEPTH:
             raise InputError(f'{msgtype}: types within types, more than {MAX_DEPTH} levels')
         if msgtype not in self._size_by_type:

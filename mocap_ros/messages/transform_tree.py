@@ -48,13 +48,7 @@ _COUNT = slice(4, 8)  # bytes of a TFMessage that hold the number of its transfo
 
 @dataclass
 class _Link:
-    """The transforms from a frame to its parent.
-
-    Attributes:
-        parent: name of the parent frame.
-        is_static: whether the only transform holds at all times.
-        samples: stamps in ns and transforms, oldest first.
-    """
+    """The transforms from a frame to its parent: one that holds at all times, or stamped ones, oldest first."""
 
     parent: str
     is_static: bool
@@ -65,13 +59,7 @@ class _Link:
         return bisect_left(self.samples, (stamp_ns,))
 
     def add(self, stamp_ns: int, transform: RigidTransform, limit: int) -> None:
-        """Add a transform; one that is far older than the newest begins anew, as time itself has gone back.
-
-        Args:
-            stamp_ns: ns, the time of the transform.
-            transform: the transform from the frame to its parent.
-            limit: number of transforms to keep.
-        """
+        """Add a transform; one far older than the newest begins anew, as time itself has gone back."""
         if self.is_static or (self.samples and stamp_ns < self.samples[-1][0] - RESTART_S * NS_PER_S):
             self.samples = []
         start, end = self._find_index(stamp_ns), self._find_index(stamp_ns + 1)
@@ -80,17 +68,7 @@ class _Link:
         del self.samples[: self._find_index(self.samples[-1][0] - _HISTORY_NS)]
 
     def find(self, child: str, stamp_ns: int, tolerance_ns: int, earlier_ns: int = 0) -> RigidTransform:
-        """Return the transform at a time in ns, or at a time before it.
-
-        Args:
-            child: name of the frame, for the error message.
-            stamp_ns: ns, the time.
-            tolerance_ns: ns, by which it may be before the first or after the last transform, which then holds.
-            earlier_ns: ns before that time, or before the last transform where that holds; exact, if not 0.
-
-        Raises:
-            InputError: the time is before the first or after the last transform by more than the tolerance.
-        """
+        """Return the transform at a time, or before it; the arguments are those of `TransformTree.find`."""
         samples = self.samples
         if self.is_static:
             return samples[0][1]
@@ -210,9 +188,6 @@ class TransformTree:
         """Return the frames without those on /tf that have not been sent for `HISTORY_S`, as of people who left.
 
         Where time went back, those of the time before are later than the transform that came last.
-
-        Args:
-            newest_ns: ns, stamp of the transform that came last.
         """
         return {
             child: link
@@ -255,15 +230,7 @@ def _decode(raw: bytes) -> Sequence[Any]:
 
 
 def _read_transform(index: int, stamped: Any) -> tuple[str, str, int, RigidTransform]:
-    """Return child, parent, stamp in ns and transform of a TransformStamped.
-
-    Args:
-        index: index of the transform in its message, for the error message.
-        stamped: message object.
-
-    Raises:
-        InputError: a name is empty, both names are equal, or the stamp or the transform is not valid.
-    """
+    """Return child, parent, stamp in ns and transform of a TransformStamped; the index is for error messages."""
     child, parent = stamped.child_frame_id.lstrip('/'), stamped.header.frame_id.lstrip('/')
     if not child or not parent or child == parent:
         raise InputError(f'transforms[{index}]: child_frame_id {child!r} in header.frame_id {parent!r}')

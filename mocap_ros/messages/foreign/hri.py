@@ -23,16 +23,13 @@ HRI18 = keypoint_layout('hri18').joints  # joints in the order of hri_msgs/Skele
 
 
 def decode_body(raw: bytes, body_id: str, size: ImageSize, limits: NodeConfig) -> tuple[Header, Person2D]:
-    """Decode and validate a Skeleton2D.
+    """Decode a Skeleton2D: the header of the image, and the person.
 
     Args:
         raw: CDR bytes.
         body_id: id of the body, from the name of its topic.
         size: size of the image, by which the normalised coordinates are multiplied.
         limits: the parameters that limit the length of a text.
-
-    Returns:
-        The header of the image, and the person.
 
     Raises:
         InputError: the message is not valid, or the size of the image is unknown; the error names the field.
@@ -50,14 +47,7 @@ def decode_body(raw: bytes, body_id: str, size: ImageSize, limits: NodeConfig) -
 
 
 def decode_ids(raw: bytes, limits: NodeConfig) -> tuple[Header, tuple[str, ...]]:
-    """Decode and validate an IdsList.
-
-    Args:
-        raw: CDR bytes.
-        limits: the parameters that limit the number of people and the length of a text.
-
-    Returns:
-        The header of the image, and the ids of all bodies that are tracked in it.
+    """Decode an IdsList: the header of the image, and the ids of all bodies that are tracked in it.
 
     Raises:
         InputError: the message is not valid, there are too many ids, or an id is too long.
