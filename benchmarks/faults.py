@@ -7,6 +7,9 @@ A recorder writes three topics at 30 Hz in a process of its own, which is killed
 while it records, while it splits the bag, while it closes it, and once more while `recover` works. Then each of
 the recorder's steps on the disk fails in each way, and the clock jumps at each frame. Every bag is recovered; each
 message that is found must be the one that was written, and none before the newest may be missing.
+
+Recorders also write to a file system that forgets (`experiments/forgetful_disk.py`, which needs the extra `fuse`):
+whenever the power is cut, it holds what was synced, and some sectors of the rest.
 """
 
 from __future__ import annotations
@@ -34,6 +37,7 @@ from typing import Any
 
 import numpy as np
 from experiments.faulty_disk import Disk, FaultyPath
+from experiments.forgetful_disk import CUT, ForgetfulDisk, mount
 from panels import JUMP, PERIODIC, RUN, WALK, label_axes, make_panels
 from recording import TOPIC_NAMES, SilentLogger, load_frames, record_until_killed
 from report import Report, run
@@ -71,8 +75,13 @@ CLOCK_JUMPS_S = {'an hour forward': 3600.0, 'an hour back': -3600.0, 'to 1970': 
 FRAMES = 24  # of a recording whose steps fail
 FAULTS = ('kill', 'full', 'full once', 'read-only', 'removed', 'slow')
 STALL_S = 2.0  # s, for which the disk of a live run takes nothing
+CUTS, QUICK_CUTS = 1000, 20  # of the power
+CUTS_PER_RECORDER = 10  # the recorder does not notice a cut: what the disk would hold is copied
+SYNC_S = 0.0, 0.03, 0.1, 0.25  # s, which the disk takes for a sync, by recorder
 TARGETS = {
     'unreadable': '0',
+    'cut_unreadable': '0',
+    'cut_worst_loss_s': '1 or less',
     'worst_loss_s': '0.3 or less',
     'median_loss_s': '0.1 or less',
     'stall_noticed_s': '1 or less',
@@ -152,22 +161,22 @@ def kill(pid: int) -> int:
     return killed_ns
 
 
-def read_frames(path: Path) -> tuple[dict[str, list[int]], int]:
-    """Return the frames of each topic in a bag, and the newest log time in ns.
+def read_frames(path: Path) -> tuple[dict[str, list[int]], int, dict[int, int]]:
+    """Return the frames of each topic in a bag, the newest log time and those by frame, in ns.
 
     Raises:
         ValueError: A message is not the one that was written.
     """
     frames: dict[str, list[int]] = {topic: [] for topic in TOPICS}
-    newest_ns = 0
+    times_ns: dict[int, int] = {}
     with Bag(path) as bag:
         for message in bag.messages(list(TOPICS)):
             (frame,) = NUMBER.unpack_from(message.raw)
             if message.raw != make_message(message.topic, frame):
                 raise ValueError(f'frame {frame} of {message.topic} is not what was written')
             frames[message.topic].append(frame)
-            newest_ns = max(newest_ns, message.time_ns)
-    return frames, newest_ns
+            times_ns[frame] = message.time_ns
+    return frames, max(times_ns.values(), default=0), times_ns
 
 
 def find_gap(frames: dict[str, list[int]]) -> str:
@@ -236,7 +245,7 @@ def kill_once(kind: str, seed: int, root: Path) -> Kill:
     recovery_s, newest_ns = 0.0, first_ns
     try:
         recovery_s = recover_bag(bag, folder / 'whole')
-        frames, newest_ns = read_frames(folder / 'whole')
+        frames, newest_ns, _ = read_frames(folder / 'whole')
         fault = fault or find_gap(frames)
     except (MocapError, ValueError) as error:
         if killed_ns - first_ns > MAX_UNREADABLE_AGE_S * 1e9:
@@ -266,16 +275,90 @@ def kill_live_run(seed: int, root: Path) -> Kill:
     return Kill('live run', (killed_ns - newest_ns) / 1e9, recovery_s, size)
 
 
+def cut_power(job: tuple[int, Path]) -> list[Kill]:
+    """Record on a disk that forgets, cut the power at random moments, recover and compare."""
+    seed, root = job
+    rng = np.random.default_rng(seed)
+    folder, state = root / f'cut_{seed}', mmap.mmap(-1, STATE.size)
+    disk = ForgetfulDisk(folder / 'images', SYNC_S[seed % len(SYNC_S)], seed)
+    for place in ('images', 'disk'):
+        (folder / place).mkdir(parents=True)
+    seconds = rng.uniform(0.5, 6.0)
+    moments_s = np.sort(rng.uniform(0.0, seconds + 0.5, CUTS_PER_RECORDER))
+    states = []
+    with mount(disk, folder / 'disk'):
+        config = RecorderConfig(split_seconds=rng.choice([0.0, 1.5]))
+        pid = fork(record, folder / 'disk' / 'bag', config, state, seconds)
+        start_s = time.monotonic()
+        for number, moment_s in enumerate(moments_s):
+            time.sleep(max(start_s + moment_s - time.monotonic(), 0.0))
+            before = STATE.unpack_from(state)
+            cut_ns = time.time_ns()
+            (folder / 'disk' / f'{CUT[1:]}{number}').mkdir()
+            states.append((before, cut_ns))
+        os.waitpid(pid, 0)
+    return [
+        compare_after_cut(folder / 'images' / str(number), before, cut_ns)
+        for number, (before, cut_ns) in enumerate(states)
+    ]
+
+
+def compare_after_cut(image: Path, state: tuple[int, int, int, int], cut_ns: int) -> Kill:
+    """Recover what a disk holds after a power cut; the loss is counted from the first message that is missing.
+
+    Args:
+        image: Folder with what the disk holds.
+        state: State of the recorder before the cut, as in `STATE`.
+        cut_ns: Time of the cut, in ns.
+    """
+    phase, count, first_ns, last_ns = state
+    end_ns = last_ns if phase >= CLOSING else cut_ns
+    fault, recovery_s, size, whole_until_ns = '', 0.0, 0.0, first_ns
+    try:
+        bag = image / 'bag'
+        size = sum(f.stat().st_size for f in bag.iterdir()) / 1e6 if bag.exists() else 0.0
+        recovery_s = recover_bag(bag, image / 'whole')
+        frames, _, times_ns = read_frames(image / 'whole')
+        whole = min(find_first_missing(numbers) for numbers in frames.values())
+        whole_until_ns = times_ns[whole - 1] if whole else first_ns
+        if phase == CLOSED and (recovery_s or whole < count):
+            fault = f'the finished bag has {whole} of {count} frames'
+    except (MocapError, ValueError) as error:
+        fault = str(error) if count and cut_ns - first_ns > 1e9 else ''
+    loss_s = (end_ns - whole_until_ns) / 1e9 if count else 0.0
+    return Kill('power cut', loss_s, recovery_s, size, fault)
+
+
+def find_first_missing(numbers: Sequence[int]) -> int:
+    """Return the lowest number from 0 on that is not among the numbers."""
+    present = set(numbers)
+    return next(n for n in range(len(present) + 1) if n not in present)
+
+
+def measure_cuts(root: Path, count: int) -> list[Kill]:
+    """Cut the power of recorders `count` times."""
+    prepare_topics()
+    jobs = [(seed, root) for seed in range(count // CUTS_PER_RECORDER)]
+    with ProcessPoolExecutor(WORKERS, get_context('fork')) as pool:
+        done = list(common.show_progress(pool.map(cut_power, jobs), 'power cuts', len(jobs)))
+    return [one for cuts in done for one in cuts]
+
+
 def do_kill(job: tuple[str, int, Path]) -> Kill:
     kind, seed, root = job
     return kill_live_run(seed, root) if kind == 'live run' else kill_once(kind, seed, root)
 
 
+def prepare_topics() -> None:
+    """Make the definitions of the message types, once for all processes that are forked."""
+    for topic, msgtype in TOPICS.items():
+        make_topic(topic, msgtype)
+
+
 def measure_kills(root: Path, counts: dict[str, int]) -> list[Kill]:
     """Kill recorders of each kind."""
     jobs = [(kind, seed, root) for kind, count in counts.items() for seed in range(count)]
-    for topic, msgtype in TOPICS.items():
-        make_topic(topic, msgtype)  # definitions are made once in a process
+    prepare_topics()
     if 'live run' in counts:
         warm_up_pipeline()
     with ProcessPoolExecutor(WORKERS, get_context('fork')) as pool:
@@ -296,12 +379,15 @@ def warm_up_pipeline() -> None:
         pipeline.run_deferred_work()
 
 
-def record_steps(folder: Path, jump: tuple[int, float] = (-1, 0.0)) -> int:
+def record_steps(
+    folder: Path, jump: tuple[int, float] = (-1, 0.0), note_frame: Callable[[], None] = lambda: None
+) -> int:
     """Record `FRAMES` frames with all that a recorder does: chunks, a further file, and the end.
 
     Args:
         folder: Folder of the bag.
         jump: From which frame on the clock differs, and by how many seconds.
+        note_frame: Called when the disk has taken a frame.
 
     Returns:
         Number of the frames that were written before the recording failed.
@@ -315,6 +401,7 @@ def record_steps(folder: Path, jump: tuple[int, float] = (-1, 0.0)) -> int:
             for message in make_batch(frame, START_NS + frame * STEP_NS + jump_ns):
                 recorder.write(*message)
             recorder.flush()
+            note_frame()
         recorder.close()
     except RecordingError:
         return frame
@@ -343,7 +430,7 @@ def try_fault(job: tuple[str, int, Path, tuple[int, float]]) -> dict[str, Any]:
     found, outcome = 0, 'complete'
     try:
         is_complete = recover_bag(folder, folder.with_name(f'{folder.name}_whole')) == 0
-        frames, _ = read_frames(folder.with_name(f'{folder.name}_whole'))
+        frames, _, _ = read_frames(folder.with_name(f'{folder.name}_whole'))
         found = min(len(numbers) for numbers in frames.values())
         outcome = find_gap(frames) or ('complete' if is_complete else 'recovered')
     except (MocapError, ValueError) as error:
@@ -366,21 +453,12 @@ def is_right(case: dict[str, Any], frames_before: Sequence[int]) -> bool:
     return bool(case['found'] >= frames_before[case['at']])
 
 
-def count_frames_before(steps: Sequence[str]) -> list[int]:
-    """Return for each step how many frames are on the disk before it; each frame is one write to the log."""
-    counts, frames = [], 0
-    for step in steps:
-        counts.append(frames)
-        frames += step == 'write .mcap'
-    return counts
-
-
 def measure_faults(root: Path, report: Report, every: int = 1) -> dict[str, float]:
     """Let each `every`-th step of the recorder fail in every way; return how many outcomes were wrong."""
     FaultyPath.disk = Disk()
-    record_steps(FaultyPath(root / 'dry'))
-    steps = FaultyPath.disk.steps
-    frames_before = count_frames_before(steps)
+    steps, steps_done = FaultyPath.disk.steps, list[int]()
+    record_steps(FaultyPath(root / 'dry'), note_frame=lambda: steps_done.append(len(steps)))
+    frames_before = [sum(done <= at for done in steps_done) for at in range(len(steps))]
     no_jump = (-1, 0.0)
     jobs = [(f, at, root, no_jump) for f in FAULTS for at in range(0, 1 if f == 'slow' else len(steps), every)]
     jobs += [(f, at, root, (at, by)) for f, by in CLOCK_JUMPS_S.items() for at in range(1, FRAMES, every)]
@@ -518,6 +596,12 @@ def describe(found: dict[str, float]) -> list[list[object]]:
         ['loss, median', losses[0], '0.1 s'],
         ['loss, worst', losses[1], '0.3 s'],
         [
+            f'bags that `recover` could not read after {found["cut_kills"]:.0f} power cuts',
+            int(found['cut_unreadable']),
+            '0',
+        ],
+        ['loss by a power cut, worst', f'{found["cut_worst_loss_s"]:.3f} s', '1 s'],
+        [
             f'faults at a step of the recorder that came out wrong, of {faults}',
             int(found['wrong_after_fault']),
             '0',
@@ -553,8 +637,13 @@ def measure(args: argparse.Namespace, report: Report) -> None:
             report.text(f'unreadable: {one}')
         report.table(*tabulate(kills, counts), page='faults.kills')
         report.add(**summarise(kills))
+        cuts = measure_cuts(root, QUICK_CUTS if args.quick else CUTS)
+        for one in [c for c in cuts if c.fault][:20]:
+            report.text(f'unreadable: {one}')
+        report.table(*tabulate(cuts, ['power cut']), page='faults.cuts')
         results = measure_faults(root, report, every=6 if args.quick else 1)
-        found = {**summarise(kills), **results, **measure_stall(root)}
+        cut_results = {f'cut_{name}': value for name, value in summarise(cuts).items()}
+        found = {**summarise(kills), **cut_results, **results, **measure_stall(root)}
     report.quantities(found, TARGETS, page='')
     report.keep('faults.targets', ['quantity', 'measured', 'target'], describe(found))
     if not args.quick:
