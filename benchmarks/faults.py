@@ -78,6 +78,8 @@ STALL_S = 2.0  # s, for which the disk of a live run takes nothing
 CUTS, QUICK_CUTS = 1000, 20  # of the power
 CUTS_PER_RECORDER = 10  # the recorder does not notice a cut: what the disk would hold is copied
 SYNC_S = 0.0, 0.03, 0.1, 0.25  # s, which the disk takes for a sync, by recorder
+SLOW_SYNC_S = 1.0  # s, of a disk that is too slow for the bound of 1 s
+SYNC_FRAMES = 150  # that are recorded on each disk
 TARGETS = {
     'unreadable': '0',
     'cut_unreadable': '0',
@@ -280,7 +282,8 @@ def cut_power(job: tuple[int, Path]) -> list[Kill]:
     seed, root = job
     rng = np.random.default_rng(seed)
     folder, state = root / f'cut_{seed}', mmap.mmap(-1, STATE.size)
-    disk = ForgetfulDisk(folder / 'images', SYNC_S[seed % len(SYNC_S)], seed)
+    sync_s = SYNC_S[seed % len(SYNC_S)]
+    disk = ForgetfulDisk(folder / 'images', sync_s, seed)
     for place in ('images', 'disk'):
         (folder / place).mkdir(parents=True)
     seconds = rng.uniform(0.5, 6.0)
@@ -298,15 +301,16 @@ def cut_power(job: tuple[int, Path]) -> list[Kill]:
             states.append((before, cut_ns))
         os.waitpid(pid, 0)
     return [
-        compare_after_cut(folder / 'images' / str(number), before, cut_ns)
+        compare_after_cut(name_sync(sync_s), folder / 'images' / str(number), before, cut_ns)
         for number, (before, cut_ns) in enumerate(states)
     ]
 
 
-def compare_after_cut(image: Path, state: tuple[int, int, int, int], cut_ns: int) -> Kill:
+def compare_after_cut(kind: str, image: Path, state: tuple[int, int, int, int], cut_ns: int) -> Kill:
     """Recover what a disk holds after a power cut; the loss is counted from the first message that is missing.
 
     Args:
+        kind: Of the cut, by the disk.
         image: Folder with what the disk holds.
         state: State of the recorder before the cut, as in `STATE`.
         cut_ns: Time of the cut, in ns.
@@ -326,13 +330,43 @@ def compare_after_cut(image: Path, state: tuple[int, int, int, int], cut_ns: int
     except (MocapError, ValueError) as error:
         fault = str(error) if count and cut_ns - first_ns > 1e9 else ''
     loss_s = (end_ns - whole_until_ns) / 1e9 if count else 0.0
-    return Kill('power cut', loss_s, recovery_s, size, fault)
+    return Kill(kind, loss_s, recovery_s, size, fault)
 
 
 def find_first_missing(numbers: Sequence[int]) -> int:
     """Return the lowest number from 0 on that is not among the numbers."""
     present = set(numbers)
     return next(n for n in range(len(present) + 1) if n not in present)
+
+
+def name_sync(sync_s: float) -> str:
+    """Return the name of a disk by its time for a sync."""
+    return f'{1e3 * sync_s:.0f} ms a sync'
+
+
+def measure_syncs(root: Path) -> tuple[list[str], list[list[object]]]:
+    """Return the table of what a slow disk costs the one who records: header and rows."""
+    rows: list[list[object]] = []
+    for sync_s in (*SYNC_S, SLOW_SYNC_S):
+        place = root / f'sync_{sync_s}'
+        place.mkdir()
+        with mount(ForgetfulDisk(root, sync_s, 0), place):
+            start_s, cpu_s, waits_s = time.monotonic(), time.process_time(), []
+            recorder = BackgroundRecorder(place / 'bag', RecorderConfig())
+            start_took_s = time.monotonic() - start_s
+            for frame in range(SYNC_FRAMES):
+                put_s = time.monotonic()
+                recorder.put(make_batch(frame, time.time_ns()))
+                waits_s.append(time.monotonic() - put_s)
+                time.sleep(1 / HZ)
+            recorded_s = time.monotonic() - start_s - start_took_s
+            cpu_percent = 100 * (time.process_time() - cpu_s) / recorded_s
+            end_s = time.monotonic()
+            recorder.close()
+            closed_s = time.monotonic() - end_s
+        cells = [f'{1e3 * max(waits_s):.1f}', recorder.refused_count, f'{cpu_percent:.1f}']
+        rows.append([name_sync(sync_s), *cells, f'{start_took_s:.2f}', f'{closed_s:.2f}'])
+    return ['disk', 'worst wait of the node, ms', 'refused', 'CPU, % of a core', 'start, s', 'end, s'], rows
 
 
 def measure_cuts(root: Path, count: int) -> list[Kill]:
@@ -565,11 +599,13 @@ def summarise(kills: Sequence[Kill]) -> dict[str, float]:
     }
 
 
-def tabulate(kills: Sequence[Kill], counts: Iterable[str]) -> tuple[list[str], list[list[object]]]:
+def tabulate(
+    kills: Sequence[Kill], counts: Iterable[str], kind: str = 'killed while'
+) -> tuple[list[str], list[list[object]]]:
     """Return header and rows of the table of kills."""
     header = [
-        'killed while',
-        'kills',
+        kind,
+        'cuts' if kind == 'disk' else 'kills',
         'unreadable',
         'loss: median, s',
         '99 %',
@@ -640,7 +676,8 @@ def measure(args: argparse.Namespace, report: Report) -> None:
         cuts = measure_cuts(root, QUICK_CUTS if args.quick else CUTS)
         for one in [c for c in cuts if c.fault][:20]:
             report.text(f'unreadable: {one}')
-        report.table(*tabulate(cuts, ['power cut']), page='faults.cuts')
+        report.table(*tabulate(cuts, map(name_sync, SYNC_S), 'disk'), page='faults.cuts')
+        report.table(*measure_syncs(root), page='faults.syncs')
         results = measure_faults(root, report, every=6 if args.quick else 1)
         cut_results = {f'cut_{name}': value for name, value in summarise(cuts).items()}
         found = {**summarise(kills), **cut_results, **results, **measure_stall(root)}

@@ -34,13 +34,7 @@ def start_recorder(
     attachments: Sequence[Attachment] = (),
     definitions: Mapping[str, TypeDefinition] = MappingProxyType({}),
 ) -> BackgroundRecorder:
-    """Start a recorder with a new folder in `recorder.folder`, whose name no other process has taken.
-
-    Args:
-        time_ns: Time since the epoch, in ns, by which the folder is named.
-        config: With the following, the arguments of `BackgroundRecorder`.
-        attachments: As above.
-        definitions: As above.
+    """Start a `BackgroundRecorder` with a new folder in `recorder.folder`, named by the time in ns.
 
     Raises:
         RecordingError: The folder cannot be written, or too little disk space is left.
@@ -141,11 +135,7 @@ class BackgroundRecorder:
         self._recorder.reconfigure(_leave_chunks_open(config))
 
     def check(self) -> None:
-        """Raise the error that ended the recording, if there is one; only the first call after it raises.
-
-        Raises:
-            RecordingError: The recording has failed.
-        """
+        """Raise the RecordingError that ended the recording, if there is one, once."""
         error, self._error = self._error, None
         if error is not None:
             raise error

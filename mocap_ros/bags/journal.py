@@ -96,11 +96,7 @@ def encode_entry(entry: Entry) -> bytes:
 
 
 def decode_entry(raw: bytes) -> Entry:
-    """Decode a journal entry from CDR of DiagnosticStatus.
-
-    Raises:
-        InputError: The message is not a journal entry.
-    """
+    """Decode a journal entry from CDR of DiagnosticStatus; raise InputError if the message is none."""
     message = decode(raw, JOURNAL)
     try:
         values = {v.key: json.loads(v.value) for v in message.values}
@@ -113,11 +109,7 @@ def decode_entry(raw: bytes) -> Entry:
 
 
 class Journal:
-    """Numbers the inputs of a run and makes the messages that record them.
-
-    Args:
-        topic: Absolute name of the journal's topic.
-    """
+    """Numbers the inputs of a run and makes the messages that record them on the journal's topic."""
 
     def __init__(self, topic: str) -> None:
         self._topic = topic
@@ -144,7 +136,7 @@ class Journal:
             raw: The message as it was received.
             times_ns: Times of receipt and of sending, in ns.
             verdict: What became of the input.
-            reason: Why the input was not accepted, or a remark on an accepted one.
+            reason: As in `Entry`.
             repeat_keys: What the input tells of, as `Recorder.write` takes it; see `make_repeat_keys`.
 
         Returns:

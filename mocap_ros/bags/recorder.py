@@ -75,15 +75,7 @@ _ERRORS = {errno.ENOSPC: DiskFull, errno.EDQUOT: DiskFull, errno.EEXIST: FolderT
 
 
 def choose_bag_folder(root: Path, time_ns: int) -> Path:
-    """Return a path in `root` that does not exist yet, named by the UTC time.
-
-    Args:
-        root: Folder of the recordings.
-        time_ns: Time since the epoch, in ns.
-
-    Raises:
-        RecordingError: The folder cannot be accessed.
-    """
+    """Return a path in `root` that does not exist yet, named by the UTC time in ns since the epoch."""
     name = datetime.fromtimestamp(time_ns // NS_PER_S, timezone.utc).strftime('mocap_%Y%m%dT%H%M%SZ')
     candidates = (root / (name + (f'_{n}' if n else '')) for n in count())
     try:
@@ -93,11 +85,7 @@ def choose_bag_folder(root: Path, time_ns: int) -> Path:
 
 
 def _make_parent(folder: Path) -> None:
-    """Create the folders above that of a bag.
-
-    Raises:
-        RecordingError: They cannot be created; where one is a file or a link to nothing, this is no `FolderTaken`.
-    """
+    """Create the folders above that of a bag; where one is a file or a link to nothing, it is no `FolderTaken`."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
     except FileExistsError as error:
@@ -107,11 +95,7 @@ def _make_parent(folder: Path) -> None:
 
 
 def remove_partial(out: Path) -> None:
-    """Remove the incomplete bag that an interrupted command has left, which was to become `out`, if there is one.
-
-    Raises:
-        RecordingError: `out` exists, the folder contains files that are not a bag's, or it cannot be removed.
-    """
+    """Remove the incomplete bag that was to become `out` and that an interrupted command has left, if any."""
     partial = choose_partial_path(out)
     if not partial.exists():
         return
@@ -127,11 +111,7 @@ def remove_partial(out: Path) -> None:
 
 
 def choose_partial_path(out: Path) -> Path:
-    """Return the path under which a bag is written until it is complete and can be renamed to `out`.
-
-    Raises:
-        RecordingError: `out` exists already, or would be inside of another bag.
-    """
+    """Return the path under which a bag is written until it can be renamed to `out`, which must not exist yet."""
     if out.exists() or out.is_symlink():
         raise RecordingError(f'{out}: exists already')
     if (out.parent / METADATA).is_file():
@@ -141,6 +121,8 @@ def choose_partial_path(out: Path) -> Path:
 
 class Recorder:
     """Writes one bag; a context manager that closes it.
+
+    Every method raises RecordingError if the disk is full or fails, or if the bag is closed.
 
     Args:
         folder: Folder of the new bag; missing parent folders are created.
@@ -199,11 +181,7 @@ class Recorder:
         self.close()
 
     def declare_topic(self, topic: str, msgtype: str, *, latched: bool = False) -> None:
-        """Add a topic before its first message; only latched (transient local) topics need this.
-
-        Raises:
-            RecordingError: The type is unknown or differs from the topic's earlier type, or the disk fails.
-        """
+        """Add a topic of a known type before its first message; only latched topics need this."""
         definition = self._definitions.get(msgtype)
         self.add_topic(make_topic(topic, msgtype, latched=latched, definition=definition))
 
@@ -213,7 +191,7 @@ class Recorder:
         The last messages of a latched topic are repeated at the start of each further file.
 
         Raises:
-            RecordingError: The bag has the topic with another type or is closed, or the disk is full or fails.
+            RecordingError: The bag has the topic with another type.
         """
         file = self._open_file
         declared = self._topics.get(topic.name)
@@ -235,9 +213,6 @@ class Recorder:
         """Continue the bag in a further file, which repeats no messages.
 
         Does nothing while the current file holds no message, or where the bag has as many files as it may have.
-
-        Raises:
-            RecordingError: The disk is full or fails, or the bag is closed.
         """
         file = self._open_file
         if file.statistics.first_ns >= 0 and self._has_room_for_file:
@@ -245,21 +220,13 @@ class Recorder:
                 self._begin_next_file(file)
 
     def add_attachment(self, attachment: Attachment, time_ns: int) -> None:
-        """Attach a file to the current file of the bag.
-
-        Raises:
-            RecordingError: The disk is full or fails, or the bag is closed.
-        """
+        """Attach a file to the current file of the bag."""
         file = self._open_file
         with self._finish_on_disk_error():
             file.add_attachments([attachment], time_ns)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a metadata record to the current file of the bag.
-
-        Raises:
-            RecordingError: The disk is full or fails, or the bag is closed.
-        """
+        """Add a metadata record to the current file of the bag."""
         file = self._open_file
         with self._finish_on_disk_error():
             file.add_metadata(name, values)
@@ -287,9 +254,6 @@ class Recorder:
                 keys of a later message of the topic. A message with None is not repeated and replaces none.
             may_begin_file: Whether the bag may continue in a further file with this message. What that file
                 repeats gets the log time of this message.
-
-        Raises:
-            RecordingError: The disk is full or fails, or the bag is closed.
         """
         if topic not in self._topics or self._topics[topic].type != msgtype:
             self.declare_topic(topic, msgtype)
@@ -307,11 +271,7 @@ class Recorder:
             self.flush()
 
     def flush(self) -> None:
-        """Close the chunk, hand the data to the operating system, and check the file and the free disk space.
-
-        Raises:
-            RecordingError: The disk is full, nearly full or fails, or the file was removed; the bag is closed.
-        """
+        """Close the chunk, hand the data to the operating system, and check the file and the free disk space."""
         self._chunk_start_ns = -1
         file = self._open_file
         with self._finish_on_disk_error():
@@ -320,11 +280,7 @@ class Recorder:
             self._check_space()
 
     def start_sync(self, executor: Executor) -> None:
-        """Begin to make the disk hold what was flushed, in another thread; do nothing while that is going on.
-
-        Raises:
-            RecordingError: The disk failed in the last sync; the bag is closed.
-        """
+        """Begin to make the disk hold what was flushed, in another thread; do nothing while that is going on."""
         file = self._open_file
         with self._finish_on_disk_error():
             if self._syncing is not None:
@@ -334,11 +290,7 @@ class Recorder:
             self._syncing = executor.submit(file.prepare_sync())
 
     def close(self) -> None:
-        """Finish the bag; further calls do nothing.
-
-        Raises:
-            RecordingError: The disk is full or fails.
-        """
+        """Finish the bag; further calls do nothing."""
         if self._file is None:
             return
         with self._finish_on_disk_error():
@@ -375,8 +327,7 @@ class Recorder:
     def _select_file(self, log_time_ns: int, *, may_begin: bool) -> McapFile:
         """Return the current file, or the next one where that may begin and the current file has reached a limit.
 
-        A new file starts with all topics, the attachments and the messages to repeat. These do not count towards
-        its limit, which they alone might reach.
+        What a new file begins with does not count towards its limit, which it alone might reach.
         """
         file, config = self._open_file, self._config
         if file.statistics.first_ns < 0:

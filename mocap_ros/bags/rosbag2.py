@@ -34,12 +34,7 @@ UNLIMITED = {'sec': 9223372036, 'nsec': 854775807}  # 2**63 - 1 ns, the infinite
 
 
 class TypeDefinition(NamedTuple):
-    """The definition of a message type.
-
-    Attributes:
-        text: Text of the message type and of all types that it contains, in the language of .msg files.
-        type_hash: Hash of the message type (RIHS01).
-    """
+    """The definition of a message type and of all types that it contains, as .msg text, and its hash (RIHS01)."""
 
     text: str
     type_hash: str
