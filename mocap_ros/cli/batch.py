@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
-from mocap_ros.cli.keypoint_input import add_camera_info_option, add_video_options, read_video_options
-from mocap_ros.cli.lines import print_remark, print_result
+from mocap_ros.cli.inputs import add_topic_options, add_video_options, read_video_options
 from mocap_ros.cli.options import add_config_options, load_config_file, parse_changes, parse_count
+from mocap_ros.cli.terminal import print_remark, print_result
 from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.runtime.save_results import SUFFIXES
 
@@ -58,10 +58,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--suffix', choices=SUFFIXES, default='.npz', help='format of the results of --work reconstruct'
     )
-    parser.add_argument(
-        '--topic', metavar='NAME', help='topic of the keypoints (default: the only one in the bag)'
-    )
-    add_camera_info_option(parser)
+    add_topic_options(parser)
     add_video_options(parser)
     add_config_options(parser)
     parser.set_defaults(run=run)

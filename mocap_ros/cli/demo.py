@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_ros.cli.lines import print_result
 from mocap_ros.cli.options import parse_positive
+from mocap_ros.cli.terminal import print_result
 from mocap_ros.compiled.__main__ import compile_all
 from mocap_ros.config import Config
 from mocap_ros.demo.scene import motion_name_at

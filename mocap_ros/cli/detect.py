@@ -13,11 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_ros.cli.interrupts import interrupt_between_items
-from mocap_ros.cli.keypoint_input import list_sources
-from mocap_ros.cli.lines import print_remark, print_result
+from mocap_ros.cli.inputs import list_sources, name_file_in_errors
 from mocap_ros.cli.options import derive_output_stem, parse_count, parse_positive
-from mocap_ros.cli.progress import show_progress
+from mocap_ros.cli.terminal import interrupt_between_items, print_remark, print_result, show_progress
 from mocap_ros.errors import InputError, tell_installation
 from mocap_ros.formats.detections import Detections, select_person
 from mocap_ros.formats.sequence_file import KeypointSequence, describe_frames, save_sequence
@@ -50,8 +48,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--model',
         type=Path,
         metavar='FILE',
-        help="MediaPipe's pose landmarker (.task), or RTMPose or MoveNet (.onnx) (default: the model that comes "
-        'with MediaPipe 0.10.21)',
+        help='pose landmarker (.task), RTMPose or MoveNet (.onnx) (default: the one of MediaPipe 0.10.21)',
     )
     parser.add_argument(
         '-o',
@@ -63,8 +60,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--person',
         metavar='ID',
-        help='person to write to a .npz; if a camera saw nobody of this id, the person seen in most images is '
-        'written (default: the person seen in most images)',
+        help='person to write to a .npz (default, and if a camera saw no such person: the one seen most)',
     )
     parser.add_argument(
         '--max-people',
@@ -112,10 +108,8 @@ def run(args: argparse.Namespace) -> int:
             save_detections(unfinished, detections)
         what = f'{len({p.id for people in detections.people for p in people})} people'
     else:
-        try:
+        with name_file_in_errors(path):
             sequence, lines = _select_person(detections, args.person, is_camera=camera is not None)
-        except InputError as error:
-            raise InputError(f'{path}: {error}') from None
         times = sequence.timestamps
         with replace_output(output, *sources) as unfinished:
             save_sequence(unfinished, sequence)
@@ -131,10 +125,7 @@ def _select_person(
 ) -> tuple[KeypointSequence, list[str]]:
     """Return what `select_person` does; of a camera, without the person of that id, the one who is seen most.
 
-    Nobody can show the images of a camera again, or know an id before it is given.
-
-    Raises:
-        InputError: nobody can be selected.
+    The images of a camera cannot be shown again, nor can an id be known before it is given.
     """
     try:
         return select_person(detections, person_id)
@@ -148,10 +139,7 @@ def _select_person(
 def _detect_until_interrupted(camera: Path, args: argparse.Namespace, limit_and_show: ShowProgress) -> Detections:
     """Return what is detected in the images of a camera until it is interrupted, its only end without a duration.
 
-    The detector finishes the image in hand, so that nothing is lost.
-
-    Raises:
-        KeyboardInterrupt: the detector was interrupted a second time.
+    The detector finishes the image in hand, so that nothing is lost. A second interrupt is raised.
     """
     found: list[Detections] = []
     with suppress(KeyboardInterrupt), interrupt_between_items() as stop_at_interrupt:
@@ -160,16 +148,9 @@ def _detect_until_interrupted(camera: Path, args: argparse.Namespace, limit_and_
             with suppress(KeyboardInterrupt):
                 yield from limit_and_show(stop_at_interrupt(images), count)
 
-        found.append(
-            detect_in_video(
-                camera,
-                args.model,
-                args.max_people,
-                show_until_interrupted,
-                is_camera=True,
-                is_interrupted=lambda: stop_at_interrupt.is_requested,
-            )
-        )
+        options = args.model, args.max_people, show_until_interrupted
+        is_interrupted = lambda: stop_at_interrupt.is_requested  # noqa: E731
+        found.append(detect_in_video(camera, *options, is_camera=True, is_interrupted=is_interrupted))
     if not found:
         raise KeyboardInterrupt
     return found[0]

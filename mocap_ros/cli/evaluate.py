@@ -16,22 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.cli.keypoint_input import (
-    add_model_option,
-    list_sources,
-    load_models,
-    name_file_in_errors,
-)
-from mocap_ros.cli.lines import print_remark, print_result
+from mocap_ros.cli.inputs import add_model_option, list_sources, load_models, name_file_in_errors
 from mocap_ros.cli.options import add_config_options, load_config
-from mocap_ros.cli.progress import show_progress
 from mocap_ros.cli.reconstruct import reconstruct_file
-from mocap_ros.config import Config
+from mocap_ros.cli.terminal import print_remark, print_result, show_progress
 from mocap_ros.errors import InputError
 from mocap_ros.evaluation.coverage import SHARES, compute_coverage
 from mocap_ros.evaluation.evaluate import (
     MAX_PERSON_SIZE_M,
-    Evaluation,
     check_truth,
     estimate_frame_rate,
     evaluate,
@@ -40,7 +32,6 @@ from mocap_ros.evaluation.evaluate import (
 from mocap_ros.formats.result_file import StoredResult
 from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence, check_timestamps
 from mocap_ros.formats.text_files import check_output, replace_output
-from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.runtime.input_kind import InputKind, require_kind
 from mocap_ros.runtime.load_keypoints import load_sequence_file
 from mocap_ros.runtime.load_results import load_result
@@ -94,9 +85,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'the input, if it is a sequence file)',
     )
     parser.add_argument(
-        '--person',
-        metavar='ID',
-        help='person in a bag of skeletons (default: the person with most skeletons)',
+        '--person', metavar='ID', help='person in a bag of skeletons (default: the person with most skeletons)'
     )
     add_model_option(parser)
     parser.add_argument(
@@ -118,61 +107,50 @@ def run(args: argparse.Namespace) -> int:
     if args.json is not None:
         check_output(args.json, *sources)
     models = load_models(args, config)
-    given_truth = None if args.truth is None else _load_truth(args.truth)
-    truths = {} if given_truth is None else {args.truth: given_truth}
+    truths = {} if args.truth is None else {args.truth: _load_truth(args.truth)}
     records = []
     for path in show_progress(args.input, 'evaluate'):
-        timing = {}
+        place, timing = args.truth or path, {}
         if require_kind(path, ACCEPTED_KINDS, ACCEPTED_FORMATS) is InputKind.SEQUENCE:
             _refuse_options(path, {'--person': args.person}, 'a sequence file')
-            sequence = load_sequence_file(path) if given_truth is not None else _load_truth(path)
-            truth = sequence if given_truth is None else given_truth
+            sequence = load_sequence_file(path) if args.truth else truths.setdefault(path, _load_truth(path))
             start_s = time.perf_counter()
             with name_file_in_errors(path):
-                result = _reconstruct(sequence, models, config)
+                found = reconstruct_file(sequence, models, config)
             timing = {'seconds': time.perf_counter() - start_s}
-            truths.setdefault(path if given_truth is None else args.truth, truth)
+            residual = found.solution.residual
+            result = StoredResult(sequence.timestamps, found.joints, found.seen, residual, found.skeleton)
         else:
             options = {'--model': args.model, '--config': args.config, '--set': args.set}
             _refuse_options(path, options, 'a result, which is compared as it is')
             result, _ = load_result(path, args.person)
-            if given_truth is None:
+            if args.truth is None:
                 raise InputError(f'{path}: holds no truth; give the sequence file that does by --truth')
-            truth = given_truth
         with name_file_in_errors(path):
-            evaluation = compare_with_truth(result, truth, args.joints == 'limbs')
-            coverage = check_covariances(result, truth)
-        if warning := describe_few_matches(result, truth):
+            record, warning = compare_with_truth(result, truths[place], limbs_only=args.joints == 'limbs')
+        if warning:
             print_remark(f'{path}: {warning}')
-        records.append({'file': path.name, **evaluation.as_dict(), **coverage, **timing})
+        records.append({'file': path.name, **record, **timing})
     if args.json is not None:
         with replace_output(args.json, *sources) as unfinished:
             unfinished.write_text(_format_json(records), encoding='utf-8')
     print_table(records)
     print_coverage(records)
     for path, sequence in truths.items():
-        if sequence.truth is not None and measure_person_size(sequence.truth.joints) > MAX_PERSON_SIZE_M:
+        if measure_person_size(_get_truth(sequence).joints) > MAX_PERSON_SIZE_M:
             print_remark(f'{path}: joints3d: the values look like mm, but m are expected')
     return 0
 
 
 def _refuse_options(path: Path, value_by_option: Mapping[str, object], kind: str) -> None:
-    """Refuse options that do not apply to an input of this kind.
-
-    Raises:
-        InputError: one of the options has a value.
-    """
+    """Raise an error if an option that does not apply to an input of this kind has a value."""
     given = [option for option, value in value_by_option.items() if value]
     if given:
         raise InputError(f'{path}: {given[0]} does not apply to {kind}')
 
 
 def _load_truth(path: Path) -> KeypointSequence:
-    """Load a sequence file that holds the truth.
-
-    Raises:
-        InputError: the file cannot be read, or holds no truth; the error names the file.
-    """
+    """Load a sequence file, which must hold the truth."""
     sequence = load_sequence_file(path)
     with name_file_in_errors(path):
         check_truth(_get_truth(sequence).joints)
@@ -185,13 +163,9 @@ def _get_truth(sequence: KeypointSequence) -> GroundTruth:
     return sequence.truth
 
 
-def _reconstruct(sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config) -> StoredResult:
-    """Reconstruct the content of a sequence file as a whole."""
-    found = reconstruct_file(sequence, models, config)
-    return StoredResult(sequence.timestamps, found.joints, found.seen, found.solution.residual, found.skeleton)
-
-
-def compare_with_truth(result: StoredResult, reference: KeypointSequence, limbs_only: bool) -> Evaluation:
+def compare_with_truth(
+    result: StoredResult, reference: KeypointSequence, *, limbs_only: bool
+) -> tuple[dict[str, Any], str]:
     """Compare a result with the truth in the frames whose times both have.
 
     Joints that are unknown in every frame of the truth are not compared. Of the frames, only those are compared in
@@ -202,77 +176,53 @@ def compare_with_truth(result: StoredResult, reference: KeypointSequence, limbs_
         reference: the truth, and the keypoints that say which joints are seen.
         limbs_only: True to compare the twelve limb joints only, in the frames in which most of them are seen.
 
+    Returns:
+        The errors, with the shares of true errors within the covariances if the result has any, and a warning if
+        fewer than half of the frames of the shorter recording are compared.
+
     Raises:
         InputError: the two have few times in common and those of the result are not in s, they have none in
             common, the result has no skeleton then, or nothing is left to compare.
     """
     truth = _get_truth(reference)
     frames, reference_frames = _match_times(result.stamps_ns, reference.stamps_ns)
-    if _are_few(len(frames), result, reference):
+    warning = ''
+    if 2 * len(frames) < min(len(result.times), len(reference)):
         check_timestamps(result.times)
+        warning = (
+            f'timestamps: only {len(frames)} of {len(result.times)} frames are compared; the others have no time '
+            f'of the {len(reference)} frames of the truth'
+        )
     if not len(frames):
         raise InputError(
             f'timestamps: none of {result.times[0]:.3f} to {result.times[-1]:.3f} s is that of a frame of the '
             f'truth, {reference.timestamps[0]:.3f} to {reference.timestamps[-1]:.3f} s'
         )
-    if not np.isfinite(result.joints[frames]).all(axis=(1, 2)).any():
+    joints, true_joints = result.joints[frames], truth.joints[reference_frames]
+    if not np.isfinite(joints).all(axis=(1, 2)).any():
         raise InputError('no frame has a skeleton at a time of the truth')
-    return evaluate(
-        result.joints[frames],
+    errors = evaluate(
+        joints,
         result.skeleton,
         result.residual[frames],
-        truth.joints[reference_frames],
+        true_joints,
         truth.joint_names,
         estimate_frame_rate(result.times[frames]),
         reference.joint_names,
         reference.keypoints[reference_frames, :, 2] if limbs_only else None,
         reference.timestamps[reference_frames],
     )
-
-
-def check_covariances(result: StoredResult, reference: KeypointSequence) -> dict[str, float]:
-    """Return the shares of true errors within the covariances of a result, by `evaluation.coverage`.
-
-    They are empty for a result without covariances; the arguments are those of `compare_with_truth`.
-    """
-    if result.std is None or result.root_covariance is None:
-        return {}
-    truth = _get_truth(reference)
-    frames, reference_frames = _match_times(result.stamps_ns, reference.stamps_ns)
-    return compute_coverage(
-        result.joints[frames],
-        result.std[frames],
-        result.root_covariance[frames],
-        result.skeleton,
-        truth.joints[reference_frames],
-        truth.joint_names,
-    )
-
-
-def describe_few_matches(result: StoredResult, reference: KeypointSequence) -> str:
-    """Return a warning if the matched frames are fewer than half of the shorter recording, or an empty string."""
-    matched = len(_match_times(result.stamps_ns, reference.stamps_ns)[0])
-    if not _are_few(matched, result, reference):
-        return ''
-    return (
-        f'timestamps: only {matched} of {len(result.times)} frames are compared; the others have no time of the '
-        f'{len(reference)} frames of the truth'
-    )
-
-
-def _are_few(matched: int, result: StoredResult, reference: KeypointSequence) -> bool:
-    """Return whether the matched frames are fewer than half of the frames of the shorter of the two."""
-    return 2 * matched < min(len(result.times), len(reference))
+    coverage: dict[str, float] = {}
+    if result.std is not None and result.root_covariance is not None:
+        std, covariance = result.std[frames], result.root_covariance[frames]
+        coverage = compute_coverage(joints, std, covariance, result.skeleton, true_joints, truth.joint_names)
+    return {**errors.as_dict(), **coverage}, warning
 
 
 def _match_times(
     stamps_ns: Sequence[int], reference_ns: Sequence[int]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Match the frames of a result and of the truth by stamps that differ by `MAX_TIME_DIFFERENCE_NS` at most.
-
-    Returns:
-        Indices of the frames of the result, and of the frames of the truth that they match.
-    """
+    """Return the frames of a result, and those of the truth that have the same stamps but for rounding."""
     stamps, reference = np.array(stamps_ns, np.int64), np.array(reference_ns, np.int64)
     after = np.minimum(np.searchsorted(reference, stamps), len(reference) - 1)
     before = np.maximum(after - 1, 0)
@@ -287,18 +237,13 @@ def print_table(records: list[dict[str, Any]]) -> None:
     if len(records) > 1:
         values = {key: [r[key] for r in records if key in r and not math.isnan(r[key])] for key, *_ in COLUMNS}
         rows.append({'file': 'mean', **{key: sum(v) / len(v) for key, v in values.items() if v}})
-    cells = [
-        ['', *(title for _, title, _, _ in COLUMNS)],
-        ['', *(unit for _, _, unit, _ in COLUMNS)],
-        *(
-            [row['file'], *(format(row[key], form) if key in row else '-' for key, _, _, form in COLUMNS)]
-            for row in rows
-        ),
-    ]
-    first, *others = (max(map(len, column)) for column in zip(*cells, strict=True))
-    for name, *numbers in cells:
-        print_result(f'{name:<{first}} ' + ' '.join(f'{c:>{w + 1}}' for c, w in zip(numbers, others, strict=True)))
-    print_result(LEGEND)
+    names = ['', '', *(row['file'] for row in rows)]
+    lines = [f'{name:<{max(map(len, names))}}' for name in names]
+    for key, title, unit, form in COLUMNS:
+        cells = [title, unit, *(format(row[key], form) if key in row else '-' for row in rows)]
+        lines = [f'{line} {cell:>{max(map(len, cells)) + 1}}' for line, cell in zip(lines, cells, strict=True)]
+    for line in [*lines, LEGEND]:
+        print_result(line)
 
 
 def print_coverage(records: Sequence[Mapping[str, Any]]) -> None:
@@ -306,9 +251,8 @@ def print_coverage(records: Sequence[Mapping[str, Any]]) -> None:
     wanted = ' and '.join(f'{100 * p:.0f}' for p in SHARES)
     for record in records:
         for kind, what in (('joints', 'joints'), ('roots', 'places between the hips')):
-            found = [record[key] for p in SHARES if (key := f'{kind}{100 * p:.0f}') in record]
-            if found:
-                shares = ' and '.join(f'{100 * share:.0f}' for share in found)
+            keys = [f'{kind}{100 * p:.0f}' for p in SHARES]
+            if shares := ' and '.join(f'{100 * record[key]:.0f}' for key in keys if key in record):
                 print_result(
                     f'{record["file"]}: covariances: {shares} of 100 true {what} are in the ellipsoids that '
                     f'should hold {wanted}'

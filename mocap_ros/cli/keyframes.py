@@ -8,15 +8,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mocap_ros.cli.keypoint_input import (
-    add_input_options,
-    list_sources,
-    load_input_sequence,
-    name_file_in_errors,
-)
-from mocap_ros.cli.lines import print_result
+from mocap_ros.cli.inputs import add_input_options, list_sources, load_sequences, name_file_in_errors
 from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
-from mocap_ros.cli.progress import StageDisplay
+from mocap_ros.cli.terminal import print_result, show_stages
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import extract_observations
 from mocap_ros.formats.text_files import check_output, replace_output
@@ -61,8 +55,8 @@ def run(args: argparse.Namespace) -> int:
     pictures = output.with_suffix('.png'), output.with_name(f'{output.stem}_distances.png')
     for path in (output, *pictures):
         check_output(path, *sources)
-    sequence = load_input_sequence(args, config)
-    with name_file_in_errors(args.input), StageDisplay() as set_stage:
+    (sequence,) = load_sequences(args, config)
+    with name_file_in_errors(args.input), show_stages() as set_stage:
         set_stage('keypoints')
         observations = extract_observations(sequence, config.tracker.nominal_focal_length)
         observed = observe_plausible_points(*observations, config.tracker)

@@ -3,7 +3,8 @@
 
 """Entry point of `mocap-ros`.
 
-Exit codes: 0 for success; 1 for a failure, which one line on stderr describes; 2 for wrong usage.
+Exit codes: 0 for success; 1 for a failure, which one line on stderr describes; 2 for wrong usage;
+130 for an interrupt by Ctrl-C, as shells expect it.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from collections.abc import Collection, Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
-from mocap_ros.cli.interrupts import is_interrupt
-from mocap_ros.cli.lines import print_remark
+from mocap_ros.cli.terminal import is_interrupt, print_remark
 from mocap_ros.errors import MocapError, make_printable_line
 from mocap_ros.runtime.cpu_setup import configure_process
 
+INTERRUPTED = 130  # exit code: 128 and the number of SIGINT
 # The line of each subcommand in the help, by its name, which is also the name of its module in this folder.
 COMMANDS = {
     'demo': 'run the live node on the embedded recording',
@@ -59,7 +60,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _PrintVersion(argparse.Action):
-    """Option that prints the version; it is looked up only then, because that takes longer than the help."""
+    """Option that prints the version, which takes longer to look up than the help."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from importlib.metadata import version
@@ -69,12 +70,7 @@ class _PrintVersion(argparse.Action):
 
 
 def build_parser(selected: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
-    """Build the command-line parser.
-
-    Args:
-        selected: subcommands that get their options. Of the others only the names are known, because their modules
-            import SciPy, matplotlib and rosbags, for which nobody who asks for help should have to wait.
-    """
+    """Build the parser; only the selected subcommands have options, because all modules are slow to import."""
     parser = _Parser(
         prog='mocap-ros', description='Reconstructs people in 3D from the 2D keypoints of one camera.'
     )
@@ -83,7 +79,7 @@ def build_parser(selected: Collection[str] = tuple(COMMANDS)) -> argparse.Argume
     for name, summary in COMMANDS.items():
         command = subparsers.add_parser(name, help=summary)
         if name in selected:
-            import_module(f'mocap_ros.cli.{name.replace("-", "_")}').add_options(command)
+            import_module(f'mocap_ros.cli.{name}').add_options(command)
     return parser
 
 
@@ -123,7 +119,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, SystemError) as error:
         if not is_interrupt(error):
             raise
-        return _report_failure('interrupted')
+        print_remark('interrupted')
+        return INTERRUPTED
 
 
 def _report_failure(message: str) -> int:

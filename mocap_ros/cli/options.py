@@ -77,23 +77,14 @@ def load_config(args: argparse.Namespace) -> Config:
 
 
 def load_config_file(args: argparse.Namespace) -> Config | None:
-    """Load the parameter file of the option `--config`; None if it is not given.
-
-    Raises:
-        InputError: the parameter file cannot be read.
-        ConfigError: a parameter in it is unknown, or its value is wrong.
-    """
+    """Load the parameter file of the option `--config`; None if it is not given."""
     if args.config is None:
         return None
     return from_yaml(read_text(args.config, max_bytes=MAX_CONFIG_BYTES), str(args.config))
 
 
 def parse_changes(args: argparse.Namespace) -> dict[str, Value]:
-    """Return the values that the options `--set` give, by the names of the parameters.
-
-    Raises:
-        ConfigError: a parameter is unknown, or its value is wrong.
-    """
+    """Return the values that the options `--set` give, by the names of the parameters."""
     changes: dict[str, Value] = {}
     for assignment in args.set:
         name, equals, value = assignment.partition('=')

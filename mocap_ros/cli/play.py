@@ -9,10 +9,9 @@ import argparse
 from contextlib import suppress
 from pathlib import Path
 
-from mocap_ros.cli.keypoint_input import add_camera_info_option
-from mocap_ros.cli.lines import print_remark, print_result
+from mocap_ros.cli.inputs import add_topic_options
 from mocap_ros.cli.options import parse_positive
-from mocap_ros.cli.progress import show_progress
+from mocap_ros.cli.terminal import print_remark, print_result, show_progress
 from mocap_ros.errors import ConfigError, MocapError
 from mocap_ros.runtime.input_kind import BAG_FORMATS, InputKind, require_kind
 from mocap_ros.runtime.playback import Playback
@@ -37,10 +36,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='FACTOR',
         help='pace as a multiple of the recorded pace',
     )
-    parser.add_argument(
-        '--topic', metavar='NAME', help='topic of the keypoints in the bag (default: the only one in the bag)'
-    )
-    add_camera_info_option(parser)
+    add_topic_options(parser)
     parser.add_argument(
         '--to',
         default='keypoints',

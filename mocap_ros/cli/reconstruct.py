@@ -7,25 +7,22 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from mocap_ros.cli.keypoint_input import (
+from mocap_ros.cli.inputs import (
     add_input_options,
     add_model_option,
     list_sources,
-    load_input_people,
-    load_input_sequence,
     load_models,
+    load_sequences,
     name_file_in_errors,
 )
-from mocap_ros.cli.lines import print_remark, print_result
 from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config
-from mocap_ros.cli.progress import StageDisplay
+from mocap_ros.cli.terminal import print_remark, print_result, show_stages
 from mocap_ros.config import Config, load_yaml
 from mocap_ros.errors import InputError
 from mocap_ros.formats.bvh import BLENDER_IMPORT
@@ -87,7 +84,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Reconstruct the input, save the result, and print its residual."""
+    """Reconstruct the people in the input, save the results, and print their residuals."""
     outputs = args.output or [Path(f'{derive_output_stem(args.input)}_3d.npz')]
     config = load_config(args)
     sources = list_sources(args, config)
@@ -100,31 +97,21 @@ def run(args: argparse.Namespace) -> int:
     if args.choices is not None and args.method != 'keyframes':
         raise InputError(f'{args.choices}: --choices needs --method keyframes')
     models = load_models(args, config)
+    sequences, endings = load_sequences(args, config, all_people=args.all_people), ['']
     if args.all_people:
-        sequences = load_input_people(args, config)
         endings = choose_endings([sequence.person_id for sequence in sequences])
-    else:
-        sequences, endings = [load_input_sequence(args, config)], ['']
     errors = []
     for sequence, ending in zip(sequences, endings, strict=True):
-        paths = [add_ending(path, ending) for path in outputs]
-        error = _find_error(partial(_reconstruct_and_save, args, sequence, models, config, paths, sources))
-        if error is not None:
+        try:
+            result, summary = _reconstruct(args, sequence, models, config)
+            _save(args, sequence, result, [add_ending(path, ending) for path in outputs], sources, summary)
+        except InputError as error:  # noqa: PERF203 # one who cannot be reconstructed does not stop the others
             errors.append(error)
             if len(errors) < len(sequences):
                 print_remark(f'{error} (person {sequence.person_id!r} is left out)')
     if len(errors) == len(sequences):
         raise errors[-1]
     return 0
-
-
-def _find_error(work: Callable[[], None]) -> InputError | None:
-    """Do some work, and return the error that its input caused; None if there was none."""
-    try:
-        work()
-    except InputError as error:
-        return error
-    return None
 
 
 def choose_endings(person_ids: Sequence[str]) -> list[str]:
@@ -143,28 +130,55 @@ def add_ending(path: Path, ending: str) -> Path:
     return path.with_name(path.name.removesuffix(suffix) + ending + suffix)
 
 
-def _reconstruct_and_save(
-    args: argparse.Namespace,
-    sequence: KeypointSequence,
-    models: Mapping[str, BasePoses],
-    config: Config,
-    outputs: Sequence[Path],
-    sources: Sequence[Path],
-) -> None:
-    """Reconstruct one person, write the files, and print a line about each."""
-    if args.method == 'keyframes':
-        result, summary = _reconstruct_by_keyframes(args, sequence, models, config)
-    else:
+def _reconstruct(
+    args: argparse.Namespace, sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config
+) -> tuple[SequenceResult, str]:
+    """Reconstruct one person, and summarise how in a phrase."""
+    if args.method == 'whole':
         with name_file_in_errors(args.input):
             result = reconstruct_file(sequence, models, config)
-        summary = f'{result.solution.iterations} iterations'
-    _save_all(args.input, save_results.ReconstructedSequence(sequence, result), outputs, sources)
-    solution = result.solution
-    warning = '' if solution.success else f'. {solution.message}'
+        return result, f'{result.solution.iterations} iterations'
+    choices: tuple[DepthChoice, ...] = ()
+    if args.choices is not None:
+        text = read_text(args.choices, max_bytes=MAX_CHOICES_BYTES)
+        choices = parse_depth_choices(load_yaml(text, str(args.choices)), str(args.choices))
+    observations = extract_observations(sequence, config.tracker.nominal_focal_length)
+    with name_file_in_errors(args.input), show_stages() as set_stage:
+        found = reconstruct.reconstruct(*observations, models, config, choices, set_stage)
+    upper, lower = (len(half.frames) for half in found.keyframes)
+    outliers = int(found.outliers.sum())
+    summary = f'{upper} keyframes of the upper body and {lower} of the lower body, {outliers} outliers replaced'
+    return found.result, summary
+
+
+def reconstruct_file(
+    sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config
+) -> SequenceResult:
+    """Reconstruct the content of a sequence file as a whole."""
+    observations = extract_observations(sequence, config.tracker.nominal_focal_length)
+    return reconstruct_sequence(*observations, models, config)
+
+
+def _save(
+    args: argparse.Namespace,
+    sequence: KeypointSequence,
+    result: SequenceResult,
+    outputs: Sequence[Path],
+    sources: Sequence[Path],
+    summary: str,
+) -> None:
+    """Write the files, put them in place when all of them are written, and print a line about each."""
+    with ExitStack() as replacements:
+        for output in outputs:
+            unfinished = replacements.enter_context(replace_output(output, *sources))
+            with name_file_in_errors(args.input, InputError):
+                save_results.save(unfinished, save_results.ReconstructedSequence(sequence, result))
     missing = int(np.isnan(result.joints).any(axis=(1, 2)).sum())
     if missing:
         line = f'{missing} frames before the first and after the last sight of the person have no skeleton'
         print_remark(f'{args.input}: {line}')
+    solution = result.solution
+    warning = '' if solution.success else f'. {solution.message}'
     distance = f'{np.nanmedian(result.joints[..., 2]):.1f} m away'
     if not sequence.is_camera_known:
         distance += (
@@ -177,55 +191,3 @@ def _reconstruct_and_save(
         )
         if output.suffix == '.bvh':
             print_result(f'{output}: in cm, y up, as for a level camera. In Blender: {BLENDER_IMPORT}')
-
-
-def _save_all(
-    source: Path,
-    reconstruction: save_results.ReconstructedSequence,
-    outputs: Sequence[Path],
-    sources: Sequence[Path],
-) -> None:
-    """Write the files, and put them in place when all of them are written.
-
-    Raises:
-        InputError: the times of the input, which the error names, do not fit a format.
-        MocapError: a file cannot be written.
-    """
-    with ExitStack() as replacements:
-        for output in outputs:
-            unfinished = replacements.enter_context(replace_output(output, *sources))
-            try:
-                save_results.save(unfinished, reconstruction)
-            except InputError as error:
-                raise InputError(f'{source}: {error}') from None
-
-
-def _reconstruct_by_keyframes(
-    args: argparse.Namespace, sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config
-) -> tuple[SequenceResult, str]:
-    """Reconstruct a sequence by keyframes, and summarise the keyframes in a phrase."""
-    choices: tuple[DepthChoice, ...] = ()
-    if args.choices is not None:
-        text = read_text(args.choices, max_bytes=MAX_CHOICES_BYTES)
-        choices = parse_depth_choices(load_yaml(text, str(args.choices)), str(args.choices))
-    with name_file_in_errors(args.input), StageDisplay() as set_stage:
-        found = reconstruct.reconstruct(
-            *extract_observations(sequence, config.tracker.nominal_focal_length),
-            models,
-            config,
-            choices,
-            set_stage,
-        )
-    upper, lower = (len(half.frames) for half in found.keyframes)
-    outliers = int(found.outliers.sum())
-    summary = f'{upper} keyframes of the upper body and {lower} of the lower body, {outliers} outliers replaced'
-    return found.result, summary
-
-
-def reconstruct_file(
-    sequence: KeypointSequence, models: Mapping[str, BasePoses], config: Config
-) -> SequenceResult:
-    """Reconstruct the content of a sequence file as a whole."""
-    return reconstruct_sequence(
-        *extract_observations(sequence, config.tracker.nominal_focal_length), models, config
-    )

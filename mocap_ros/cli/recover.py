@@ -14,8 +14,8 @@ from tqdm import tqdm
 
 from mocap_ros.bags.recovery import list_recoverable_files, recover
 from mocap_ros.bags.rosbag2 import METADATA
-from mocap_ros.cli.lines import print_remark, print_result
 from mocap_ros.cli.options import name_bag
+from mocap_ros.cli.terminal import print_remark, print_result
 from mocap_ros.runtime.input_kind import InputKind, require_kind
 
 

@@ -19,10 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.cli.keypoint_input import list_sources
-from mocap_ros.cli.lines import print_remark, print_result
+from mocap_ros.cli.inputs import list_sources
 from mocap_ros.cli.options import parse_count, parse_positive
-from mocap_ros.cli.progress import show_progress
+from mocap_ros.cli.terminal import print_remark, print_result, show_progress
 from mocap_ros.errors import InputError, MocapError, tell_installation
 from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, load_marker_map
 from mocap_ros.formats.mocap.trials import Trial, TrialOptions, load_trials, select_trials

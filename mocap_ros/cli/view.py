@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap_ros.bags.reader import is_bag
-from mocap_ros.cli.keypoint_input import (
+from mocap_ros.cli.inputs import (
     add_input_options,
     add_model_option,
     list_sources,
@@ -21,9 +21,8 @@ from mocap_ros.cli.keypoint_input import (
     read_video_options,
     show_detection_progress,
 )
-from mocap_ros.cli.lines import print_remark, print_result
 from mocap_ros.cli.options import add_config_options, derive_output_stem, load_config, parse_count
-from mocap_ros.cli.progress import show_progress
+from mocap_ros.cli.terminal import print_remark, print_result, show_progress
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
 from mocap_ros.formats.text_files import check_output, replace_output

@@ -16,10 +16,7 @@ BINS = 30  # bars of a histogram; few enough to be seen in a panel of 8 cm
 
 
 def draw_corpus_figure(
-    seconds: Mapping[str, float],
-    cadences: Sequence[float],
-    residuals: Sequence[float],
-    work: Sequence[float],
+    seconds: Mapping[str, float], cadences: Sequence[float], residuals: Sequence[float], work: Sequence[float]
 ) -> Figure:
     """Draw the picture of a run.
 

@@ -101,11 +101,7 @@ def _draw_occurrence(axes: Any, times: Array, half: KeyframeSet) -> None:
     elapsed = times - times[0]
     for frames, colour, label in (
         (half.well_represented, WELL_REPRESENTED_COLOUR, 'well represented'),
-        (
-            half.has_pose & half.covered & ~half.well_represented,
-            INTERPOLATABLE_COLOUR,
-            'between: interpolated',
-        ),
+        (half.has_pose & half.covered & ~half.well_represented, INTERPOLATABLE_COLOUR, 'between: interpolated'),
         (half.has_pose & ~half.covered, UNCOVERED_COLOUR, 'not covered'),
     ):
         axes.plot(elapsed[frames], number[frames], '.', markersize=3, color=colour, label=label)

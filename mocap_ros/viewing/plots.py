@@ -112,10 +112,7 @@ def draw_poses_figure(data: PlotData, frames: Sequence[int], title: str, labels:
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(rows, len(frames), hspace=0.08, wspace=0.05, top=0.88)
     radius = _compute_radius(data, frames)
-    projections = (
-        (lambda j: j[..., :2], 'from the camera'),
-        (project_from_side, 'from the side'),
-    )
+    projections = ((lambda j: j[..., :2], 'from the camera'), (project_from_side, 'from the side'))
     for column, frame in enumerate(frames):
         panels = [figure.add_subplot(grid[row, column]) for row in range(2 + has_input)]
         panels[0].set_title(labels[column], fontsize=9)

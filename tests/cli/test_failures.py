@@ -368,7 +368,7 @@ def test_an_interrupt_while_a_result_is_written_leaves_the_old_one(
         raise KeyboardInterrupt
 
     monkeypatch.setitem(save_results.WRITERS, ending, write_and_interrupt)
-    assert main(['reconstruct', str(short_recording), '-o', str(out), *QUICK_OPTIONS]) == 1
+    assert main(['reconstruct', str(short_recording), '-o', str(out), *QUICK_OPTIONS]) == 130
     assert capsys.readouterr().err == 'mocap-ros: interrupted\n'
     assert [(path, path.read_text()) for path in out.parent.iterdir()] == [(out, 'old')]
 

@@ -13,7 +13,7 @@ from contextlib import suppress
 import pytest
 
 from mocap_ros.cli import main as command_line
-from mocap_ros.cli.interrupts import interrupt_between_items, is_interrupt
+from mocap_ros.cli.terminal import interrupt_between_items, is_interrupt
 
 
 @pytest.fixture(autouse=True)
@@ -68,7 +68,7 @@ def test_an_interrupt_of_compiled_code_ends_a_command(
 
     monkeypatch.setattr('mocap_ros.cli.config.add_options', add_run)
     if is_interrupted:
-        assert command_line.main(['config']) == 1
+        assert command_line.main(['config']) == 130
         assert capsys.readouterr().err == 'mocap-ros: interrupted\n'
     else:
         with pytest.raises(SystemError):

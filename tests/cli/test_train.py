@@ -84,12 +84,7 @@ def test_one_category_has_other_defaults_than_all(
     assert ('--components' in options) == (len(model.std) == 3)
 
 
-@pytest.mark.parametrize(
-    ('options', 'message'),
-    [
-        (['--category', 'swim'], 'the options select no trial'),
-    ],
-)
+@pytest.mark.parametrize(('options', 'message'), [(['--category', 'swim'], 'the options select no trial')])
 def test_wrong_options_are_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
 ) -> None:

@@ -70,10 +70,7 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) 
     ('arguments', 'reason'),
     [
         (['recontruct', 'x.npz'], "no command 'recontruct'; did you mean 'reconstruct'?"),
-        (
-            ['--fps', '30', 'reconstruct', 'x.json'],
-            "'--fps' comes before the command; write: mocap-ros",
-        ),
+        (['--fps', '30', 'reconstruct', 'x.json'], "'--fps' comes before the command; write: mocap-ros"),
         (['x.npz', 'view'], "'x.npz' comes before the command; write: mocap-ros view"),
         (['x.npz'], "no command 'x.npz'; there are demo, reconstruct"),
         (['reconstruct', 'x.json', '--fps', 'fast'], "argument --fps: 'fast' is not a number"),

@@ -73,7 +73,7 @@ def test_a_missing_ros_is_reported_in_one_line(
 
 @pytest.mark.parametrize(
     ('program', 'end'),
-    [('mocap_ros.ros.main', (0, '')), ('mocap_ros.cli.main', (1, 'mocap-ros: interrupted\n'))],
+    [('mocap_ros.ros.main', (0, '')), ('mocap_ros.cli.main', (130, 'mocap-ros: interrupted\n'))],
 )
 def test_an_interrupt_during_the_start_gives_no_traceback(
     env: dict[str, str], program: str, end: tuple[int, str]

@@ -11,13 +11,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mocap_ros.bags.reader import list_bag_files
 from mocap_ros.bags.rosbag2 import METADATA
-from mocap_ros.cli.lines import print_remark
 from mocap_ros.cli.options import parse_positive
-from mocap_ros.cli.progress import show_progress
+from mocap_ros.cli.terminal import print_remark, show_progress
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError, MocapError
 from mocap_ros.formats.detections import HFOV_RANGE_DEG, Video
@@ -29,22 +27,18 @@ from mocap_ros.models.model_file import load_base_pose_models, load_prior_lifter
 from mocap_ros.runtime.load_keypoints import load_input, load_people
 from mocap_ros.skeleton import LAYOUT_NAMES
 
-Array = NDArray[np.float64]
-
 # Options of all commands that name files to read; a name that is no file does no harm.
 FILE_OPTIONS = (
     *('input', 'config', 'model', 'detector', 'choices', 'keyframes', 'truth'),
     *('manifest', 'markers', 'start_from'),
 )
-MAX_IMAGE_SIZE_CHARACTERS = 20  # characters of --image-size; guards int() below against thousands of digits
+MAX_IMAGE_SIZE_CHARACTERS = 20  # characters of --image-size; guards int() against thousands of digits
 
 
 def list_sources(args: argparse.Namespace, config: Config | None = None) -> list[Path]:
     """Return the files that a command reads, which its output must not overwrite; not all of them need exist.
 
-    Args:
-        args: options of any command.
-        config: the parameters of the command, which may name a model and a lifter; None if it has none.
+    The parameters of the command, if it has some, may name a model and a lifter.
 
     Raises:
         InputError: a folder of motion capture holds none.
@@ -80,19 +74,17 @@ def add_input_options(parser: argparse.ArgumentParser) -> None:
         help='sequence file (.npz), bag, folder of OpenPose JSON, COCO keypoints (.json), or video',
     )
     parser.add_argument(
-        '--person',
-        metavar='ID',
-        help='person to reconstruct if the input shows several (default: the person seen in most frames)',
+        '--person', metavar='ID', help='one person of several in the input (default: the one seen in most frames)'
     )
-    parser.add_argument(
-        '--topic', metavar='NAME', help='topic of the keypoints in a bag (default: the only one in the bag)'
-    )
-    add_camera_info_option(parser)
+    add_topic_options(parser)
     add_video_options(parser)
 
 
-def add_camera_info_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option `--camera-info`."""
+def add_topic_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options `--topic` and `--camera-info`, which apply to bags."""
+    parser.add_argument(
+        '--topic', metavar='NAME', help='topic of the keypoints in a bag (default: the only one in the bag)'
+    )
     parser.add_argument(
         '--camera-info',
         metavar='NAME',
@@ -104,10 +96,7 @@ def add_camera_info_option(parser: argparse.ArgumentParser) -> None:
 def add_video_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for what JSON files, and the camera of any input, do not state."""
     parser.add_argument(
-        '--fps',
-        type=parse_positive,
-        metavar='N',
-        help='frames per second of the video; required for JSON (default: none)',
+        '--fps', type=parse_positive, metavar='N', help='frames per second, which JSON needs (default: none)'
     )
     parser.add_argument(
         '--image-size',
@@ -148,27 +137,22 @@ def read_video_options(args: argparse.Namespace) -> Video:
     return Video(args.fps, args.image_size, args.layout or '', args.detector, args.hfov, args.focal)
 
 
-def load_input_sequence(args: argparse.Namespace, config: Config) -> KeypointSequence:
-    """Load the sequence that the options of `add_input_options` describe.
+def load_sequences(
+    args: argparse.Namespace, config: Config, *, all_people: bool = False
+) -> list[KeypointSequence]:
+    """Load one person, or all, from the input that the options of `add_input_options` describe.
 
     The chosen person and the assumptions about the input are printed on stderr.
 
     Raises:
         InputError: the input cannot be used; the message names the place.
     """
-    video = read_video_options(args)
-    topics = args.topic, args.camera_info
-    sequence, lines = load_input(args.input, video, config.node, args.person, *topics, show_detection_progress)
-    for line in lines:
-        print_remark(line)
-    return sequence
-
-
-def load_input_people(args: argparse.Namespace, config: Config) -> list[KeypointSequence]:
-    """Load the sequences of all people in the input, as `load_input_sequence` loads that of one."""
-    video = read_video_options(args)
-    topics = args.topic, args.camera_info
-    sequences, lines = load_people(args.input, video, config.node, *topics, show_detection_progress)
+    read, topics = (args.input, read_video_options(args), config.node), (args.topic, args.camera_info)
+    if all_people:
+        sequences, lines = load_people(*read, *topics, show_detection_progress)
+    else:
+        sequence, lines = load_input(*read, args.person, *topics, show_detection_progress)
+        sequences = [sequence]
     for line in lines:
         print_remark(line)
     return sequences
@@ -180,7 +164,6 @@ def show_detection_progress(images: Iterable[VideoImage], count: int | None) -> 
 
 
 def _parse_hfov(text: str) -> float:
-    """Parse a horizontal field of view in degrees for argparse."""
     hfov, (low, high) = parse_positive(text), HFOV_RANGE_DEG
     if not low <= hfov <= high:
         raise argparse.ArgumentTypeError(f'{text} degrees; expected {low:g} to {high:g}')
@@ -188,7 +171,6 @@ def _parse_hfov(text: str) -> float:
 
 
 def _parse_image_size(text: str) -> tuple[int, int]:
-    """Parse a width and a height in px, such as 1920x1080, for argparse."""
     width, _, height = text.lower().partition('x')
     is_number_pair = width.isdecimal() and height.isdecimal() and len(text) < MAX_IMAGE_SIZE_CHARACTERS
     if not (is_number_pair and 0 < int(width) <= MAX_IMAGE_SIDE_PX and 0 < int(height) <= MAX_IMAGE_SIDE_PX):
@@ -202,24 +184,18 @@ def load_models(args: argparse.Namespace, config: Config) -> dict[str, BasePoses
     Raises:
         ModelError: there is no model of that name, or its file or the lifter of `solver.prior` cannot be used.
     """
-    name = args.model or config.tracker.model
-    models = load_base_pose_models(name)
+    models = load_base_pose_models(args.model or config.tracker.model)
     for model in models.values():  # here, so that the error about a lifter does not name the input
         load_prior_lifter(config.solver.prior, model.skeleton)
     return models
 
 
 @contextmanager
-def name_file_in_errors(path: Path) -> Iterator[None]:
-    """Put the path in front of the messages of all errors that occur in this context.
-
-    Raises:
-        MocapError: an error of the same type occurred in the context.
-        InputError: the linear algebra in the context failed.
-    """
+def name_file_in_errors(path: Path, kind: type[MocapError] = MocapError) -> Iterator[None]:
+    """Put the path in front of the messages of errors of this package, and of the linear algebra."""
     try:
         yield
-    except MocapError as error:
+    except kind as error:
         raise type(error)(f'{path}: {error}') from None
     except np.linalg.LinAlgError as error:
         raise InputError(f'{path}: the reconstruction failed ({error})') from None
