@@ -176,7 +176,7 @@ def test_normalised_coordinates_are_recognised_only_in_enough_keypoints_of_a_lar
         ({'max_people': 1}, 'people: 2, more than 1'),
     ],
 )
-def test_messages_beyond_the_limits_are_refused(limits: dict[str, int], error: str) -> None:
+def test_messages_beyond_the_limits_are_refused(limits: dict[str, Any], error: str) -> None:
     people = [make_person_2d('anna_1000'), make_person_2d('bert')]
     with pytest.raises(InputError, match=error):
         decode_keypoints(encode_keypoints(HEADER, SIZE, people), replace(LIMITS, **limits))
