@@ -21,7 +21,6 @@ from mocap_ros.formats.npz_arrays import ArrayReader
 from mocap_ros.formats.sequence_file import (
     GroundTruth,
     KeypointSequence,
-    create_intrinsics,
     validate_camera,
     validate_sequence,
 )
@@ -143,14 +142,6 @@ def check_camera(
             what = f'principal point {x:g}, {y:g} px, far outside the image of {width} x {height} px'
             raise InputError(f'camera_matrix: {what}')
     return validate_camera(arrays)
-
-
-def make_intrinsics(
-    image_size: ArrayLike, camera_matrix: ArrayLike | None, distortion: ArrayLike | None, config: Config
-) -> tuple[tuple[int, int], Intrinsics]:
-    """Return the image size (width, height) in px and the intrinsics of a camera."""
-    size, matrix, coefficients = check_camera(image_size, camera_matrix, distortion)
-    return size, create_intrinsics(size, matrix, coefficients, config.tracker.nominal_focal_length)
 
 
 def check_sequence(sequence: KeypointSequence, times: str = 'timestamps') -> KeypointSequence:

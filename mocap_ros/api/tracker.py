@@ -16,9 +16,9 @@ from mocap_ros.api.arguments import (
     Array,
     Model,
     Parameters,
+    check_camera,
     load_models,
     make_config,
-    make_intrinsics,
     name_errors,
     read_array,
     read_joint_names,
@@ -28,7 +28,7 @@ from mocap_ros.api.arguments import (
     rename_errors,
 )
 from mocap_ros.errors import InputError
-from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, MIN_JUDGED_FRAMES, check_timestamps
+from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, MIN_JUDGED_FRAMES, check_timestamps, create_intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
@@ -72,7 +72,9 @@ class Tracker:
         self._joint_names = read_joint_names('joint_names', joint_names)
         with name_errors('joint_names'):
             build_joint_map(self._joint_names)
-        self._image_size, self._intrinsics = make_intrinsics(image_size, camera_matrix, distortion, config)
+        camera = check_camera(image_size, camera_matrix, distortion)
+        self._image_size = camera[0]
+        self._intrinsics = create_intrinsics(*camera, config.tracker.nominal_focal_length)
         self._tracker = tracking.Tracker(load_models(model, config), config)
         self._frame_count = 0
         self._first_frames: list[tuple[float, Array]] = []

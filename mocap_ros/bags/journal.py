@@ -158,10 +158,6 @@ class Journal:
         self._reported_lost_count, self._lost_count = self._lost_count, 0
         return records
 
-    def skip_inputs(self, count: int) -> None:
-        """Count this many inputs that came before, as those of the earlier parts of a bag that was cut."""
-        self._input_count += count
-
     def mark_last_input_lost(self) -> None:
         """Count the last input as lost because its records were not written; the next input reports the loss."""
         self._input_count -= 1

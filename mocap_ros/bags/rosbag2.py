@@ -190,32 +190,6 @@ def describe_bag(
     }
 
 
-def join_descriptions(descriptions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the content of metadata.yaml of a bag that consists of the files of several bags, in their order.
-
-    Args:
-        descriptions: what `describe_bag` returned for each bag, all of one ROS distribution.
-    """
-    topics: dict[str, dict[str, Any]] = {}
-    total = MessageStatistics()
-    for description in descriptions:
-        for entry in description['topics_with_message_count']:
-            topics.setdefault(entry['topic_metadata']['name'], entry['topic_metadata'])
-            total.counts[entry['topic_metadata']['name']] += entry['message_count']
-        if description['message_count']:
-            first_ns = description['starting_time']['nanoseconds_since_epoch']
-            total.include_times(first_ns, first_ns + description['duration']['nanoseconds'])
-    return {
-        **descriptions[0],
-        **total.to_metadata(),
-        'topics_with_message_count': [
-            {'topic_metadata': metadata, 'message_count': total.counts[name]} for name, metadata in topics.items()
-        ],
-        'relative_file_paths': [path for d in descriptions for path in d['relative_file_paths']],
-        'files': [file for d in descriptions for file in d['files']],
-    }
-
-
 def encode_yaml(content: Any) -> str:
     """Return content as YAML, without anchors."""
     return yaml.dump(content, Dumper=_PlainDumper, sort_keys=False)

@@ -355,13 +355,17 @@ def publish(finished: Path, url: str) -> None:
         return
     files = [finished] if finished.is_file() else [f for f in finished.rglob('*') if f.is_file()]
     for file in sorted(files, key=lambda f: f.name == METADATA):
-        fs.put_file(str(file), path + str(file)[len(str(finished)) :])
+        target = path + str(file)[len(str(finished)) :]
+        fs.makedirs(target.rpartition('/')[0], exist_ok=True)
+        fs.put_file(str(file), target)
 
 
 def list_sizes(url: str) -> dict[str, int]:
     """Return the size in bytes of every file at or below a URL, by its path below it; empty if there is none."""
     fs, path = open_file_system(url)
     fs.invalidate_cache()
+    if not fs.exists(path):
+        return {}
     return {
         file[len(path) :]: int(info['size'] if 'size' in info else fs.size(file))
         for file, info in fs.find(path, detail=True).items()
@@ -371,6 +375,7 @@ def list_sizes(url: str) -> dict[str, int]:
 def write_file(url: str, data: bytes) -> None:
     """Write a file, and make the folders that it is in."""
     fs, path = open_file_system(url)
+    fs.makedirs(path.rpartition('/')[0], exist_ok=True)
     fs.pipe_file(path, data)
 
 

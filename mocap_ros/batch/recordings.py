@@ -72,7 +72,7 @@ def open_file_system(url: str) -> tuple[Any, str]:
     if '://' in url:
         fs, path = fsspec.url_to_fs(url)
         return fs, str(path)
-    return LocalFileSystem(auto_mkdir=True), str(LocalFileSystem._strip_protocol(url))
+    return LocalFileSystem(), str(LocalFileSystem._strip_protocol(url))
 
 
 def is_local(url: str) -> bool:
@@ -181,7 +181,7 @@ def _walk(top: str) -> Iterator[str]:
     """Yield all files below a folder; each folder is searched once, those behind links last."""
     tops, seen = [top], set[str]()
     for each in tops:
-        for folder, folders, files in os.walk(each):
+        for folder, folders, files in os.walk(each, onerror=_refuse):
             place = os.path.realpath(folder)
             if place in seen:
                 folders.clear()
@@ -190,6 +190,10 @@ def _walk(top: str) -> Iterator[str]:
             folders.sort()
             tops += [path for path in (f'{folder}/{name}' for name in folders) if Path(path).is_symlink()]
             yield from (f'{folder}/{name}' for name in files)
+
+
+def _refuse(error: OSError) -> None:
+    raise error
 
 
 def _group_files(files: Iterable[str], work: Work) -> dict[str, list[str]]:
