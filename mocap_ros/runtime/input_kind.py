@@ -45,13 +45,18 @@ class InputKind(Enum):
 
 
 KEYPOINT_KINDS = (InputKind.SEQUENCE, InputKind.BAG, InputKind.OPENPOSE, InputKind.JSON, InputKind.VIDEO)
-PICTURE_KINDS = (InputKind.IMAGE, InputKind.IMAGES)
+KIND_BY_SUFFIXES = {
+    VIDEO_SUFFIXES: InputKind.VIDEO,
+    IMAGE_SUFFIXES: InputKind.IMAGE,
+    WRITTEN_SUFFIXES: InputKind.WRITTEN,
+    ('.json',): InputKind.JSON,
+}
 
 
 def find_input_kind(path: Path) -> InputKind:
-    """Return the kind of a file or folder, by its name and, where the name does not tell, by its content.
+    """Return the kind of a file or folder, by its name and, where that says nothing, by its content.
 
-    A file whose content is damaged is of the kind that its name tells.
+    A file whose content is damaged is of the kind that its name says.
     """
     if not path.exists():
         return InputKind.MISSING
@@ -60,28 +65,18 @@ def find_input_kind(path: Path) -> InputKind:
     if is_bag(path):
         return InputKind.BAG
     if path.is_dir():
-        return _find_folder_kind(path)
-    if path.is_file() and not path.stat().st_size:
+        names = [path.name.lower() for path in path.iterdir()]
+        if any(name.endswith(FILE_SUFFIX) for name in names):
+            return InputKind.OPENPOSE
+        return InputKind.IMAGES if any(name.endswith(IMAGE_SUFFIXES) for name in names) else InputKind.FOLDER
+    if not path.stat().st_size:
         return InputKind.EMPTY_FILE
-    kind_by_suffixes = {
-        VIDEO_SUFFIXES: InputKind.VIDEO,
-        IMAGE_SUFFIXES: InputKind.IMAGE,
-        WRITTEN_SUFFIXES: InputKind.WRITTEN,
-        ('.json',): InputKind.JSON,
-    }
-    for suffixes, kind in kind_by_suffixes.items():
+    for suffixes, kind in KIND_BY_SUFFIXES.items():
         if path.suffix.lower() in suffixes:
             return kind
     if is_result_file(path):
         return InputKind.RESULT
     return InputKind.SEQUENCE if path.suffix.lower() == '.npz' or list_keys(path) else InputKind.OTHER
-
-
-def _find_folder_kind(folder: Path) -> InputKind:
-    names = [path.name.lower() for path in folder.iterdir()]
-    if any(name.endswith(FILE_SUFFIX) for name in names):
-        return InputKind.OPENPOSE
-    return InputKind.IMAGES if any(name.endswith(IMAGE_SUFFIXES) for name in names) else InputKind.FOLDER
 
 
 def require_kind(path: Path, accepted: Collection[InputKind], formats: str) -> InputKind:
@@ -98,12 +93,10 @@ def require_kind(path: Path, accepted: Collection[InputKind], formats: str) -> I
     kind = find_input_kind(path)
     if kind in accepted:
         return kind
-    if kind is InputKind.MISSING:
+    if kind in (InputKind.MISSING, InputKind.SPECIAL):
         hint = '; folders are separated by / on this system' if '\\' in str(path) else ''
-        raise InputError(f'{path}: {kind.value}{hint}')
-    if kind is InputKind.SPECIAL:
-        raise InputError(f'{path}: {kind.value}')
-    if kind in PICTURE_KINDS:
+        raise InputError(f'{path}: {kind.value}{hint if kind is InputKind.MISSING else ""}')
+    if kind in (InputKind.IMAGE, InputKind.IMAGES):
         advice = f'run a 2D keypoint detector on it, and give the keypoints as {KEYPOINT_FORMATS}'
     elif kind is InputKind.RESULT and InputKind.SEQUENCE in accepted:
         advice = 'give the sequence file that it was made from'

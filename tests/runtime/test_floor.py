@@ -18,7 +18,6 @@ from mocap_ros.bags.reader import Bag
 from mocap_ros.bags.recorder import Recorder
 from mocap_ros.bags.topics import Source
 from mocap_ros.config import Config, RecorderConfig, with_values
-from mocap_ros.errors import ConfigError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.keypoints import KEYPOINTS
@@ -98,26 +97,6 @@ def test_without_a_transform_there_is_no_floor_and_people_are_put_out_neverthele
     pipeline = Pipeline(with_values(floor_config(without_floor), {'node.camera_pose': ''}))
     own, in_camera = read_joints(pipeline, stream[:20]), read_joints(Pipeline(FAST_CONFIG), stream[:20])
     np.testing.assert_allclose(own, in_camera, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ('values', 'message'),
-    [
-        ({'node.floor_height': '0'}, r'node\.floor_height: needs node\.output_frame'),
-        (
-            {'node.floor_height': 'low', 'node.output_frame': 'map'},
-            r"node\.floor_height = 'low': expected a number",
-        ),
-        ({'node.floor_height': 'nan', 'node.output_frame': 'map'}, r'such as 0'),
-        (
-            {'node.floor_height': 2, 'node.output_frame': 'map', 'node.camera_pose': '0 0 1.5 0 0 0'},
-            r'node\.floor_height = 2: the camera of node\.camera_pose, at z = 1\.5 m, is not above it',
-        ),
-    ],
-)
-def test_a_wrong_height_is_refused(values: dict[str, object], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        Pipeline(with_values(FAST_CONFIG, values))
 
 
 def list_remarks(pipeline: Pipeline, stream: list[bytes]) -> list[str]:

@@ -197,9 +197,19 @@ def test_a_transform_holds_for_the_time_that_the_parameter_says(
         ({'node.camera_pose': '0 0 nan 0 0 0', 'node.output_frame': 'map'}, r'expected six numbers'),
         ({'node.camera_pose': '0 0 1 0 90 0', 'node.output_frame': 'map'}, r'angles are in rad, not in degrees'),
         ({'node.camera_pose': '2e7 0 1 0 0 0', 'node.output_frame': 'map'}, r'more than 10000 km away'),
+        ({'node.floor_height': '0'}, r'node\.floor_height: needs node\.output_frame'),
+        (
+            {'node.floor_height': 'low', 'node.output_frame': 'map'},
+            r"node\.floor_height = 'low': expected a number",
+        ),
+        ({'node.floor_height': 'nan', 'node.output_frame': 'map'}, r'such as 0'),
+        (
+            {'node.floor_height': 2, 'node.output_frame': 'map', 'node.camera_pose': '0 0 1.5 0 0 0'},
+            r'node\.floor_height = 2: the camera of node\.camera_pose, at z = 1\.5 m, is not above it',
+        ),
     ],
 )
-def test_a_wrong_pose_is_refused(values: dict[str, object], message: str) -> None:
+def test_a_wrong_pose_or_height_is_refused(values: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         Pipeline(with_values(PLAIN_CONFIG, values))
 
