@@ -69,12 +69,7 @@ def open_npz(file: str | Path | IO[bytes], max_bytes: int) -> Iterator[NpzFile]:
 
 
 def _check_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
-    """Check what an entry states about itself, before NumPy takes as much memory as it states.
-
-    Raises:
-        InputError: The compression is another than NumPy's, or the array is not as large as its entry.
-        Exception: As in `open_npz`.
-    """
+    """Check what an entry states about itself, before NumPy takes as much memory; errors as of `open_npz`."""
     name = entry.filename.removesuffix('.npy')
     if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise InputError(f'{name!r} has a compression that NumPy does not write')
@@ -96,9 +91,7 @@ def _check_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
 def write_npz(file: str | Path | IO[bytes], arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write arrays without time stamps, so that the same arrays give the same bytes.
 
-    Args:
-        file: path or open file.
-        arrays: arrays by name, in the order in which they are written.
+    They are written in the order of the mapping.
     """
     with zipfile.ZipFile(file, 'w', zipfile.ZIP_DEFLATED) as archive:
         for name, array in arrays.items():

@@ -49,19 +49,13 @@ class Motion:
 
 
 class CameraVertical(NamedTuple):
-    """What is known of the vertical of a camera, for outputs.
-
-    Attributes:
-        direction: (3,) unit vector upwards in the camera's optical frame.
-        std: rad, standard deviation of the direction.
-    """
+    """The vertical of a camera: (3,) unit vector upwards in its optical frame, and the standard deviation, rad."""
 
     direction: Array
     std: float
 
 
 def _unknown(*shape: int) -> Array:
-    """Return an array of NaN, which says that a quantity is not known."""
     return np.full(shape, np.nan)
 
 

@@ -140,90 +140,51 @@ _COCO_BODY = (
     'lshoulder{0} rshoulder{0} lelbow<lshoulder relbow<rshoulder lwrist<lelbow rwrist<relbow '
     'lhip{1} rhip{1} lknee<lhip rknee<rhip lankle<lknee rankle<rknee '
 )
-_OPENPOSE_BODY = 'rshoulder<neck relbow<rshoulder rwrist<relbow lshoulder<neck lelbow<lshoulder lwrist<lelbow '
+_OPENPOSE_BODY = (
+    'nose<neck neck rshoulder<neck relbow<rshoulder rwrist<relbow lshoulder<neck lelbow<lshoulder lwrist<lelbow '
+)
+_OPENPOSE_LEGS = 'rhip<{0} rknee<rhip rankle<rknee lhip<{0} lknee<lhip lankle<lknee '
+_OPENPOSE_FACE = 'reye<nose leye<nose rear<reye lear<leye '
 _FEET = 'lbigtoe<lankle lsmalltoe<lbigtoe lheel<lankle rbigtoe<rankle rsmalltoe<rbigtoe rheel<rankle'
+_CMU_BODY = (
+    'head<neck neck<pelvis lshoulder<neck lelbow<lshoulder lwrist<lelbow rshoulder<neck relbow<rshoulder '
+    'rwrist<relbow pelvis lhip<pelvis lknee<lhip lankle<lknee rhip<pelvis rknee<rhip rankle<rknee '
+)
 
-# Every known layout, by name.
-KEYPOINT_LAYOUTS = {
-    s.name: s
-    for s in (
-        # the skeleton of this package: the CMU motion capture joints that detectors see, without hands and feet
-        _parse_layout(
-            'cmu15',
-            'head<neck neck<pelvis lshoulder<neck lelbow<lshoulder lwrist<lelbow rshoulder<neck '
-            'relbow<rshoulder rwrist<relbow pelvis lhip<pelvis lknee<lhip lankle<lknee '
-            'rhip<pelvis rknee<rhip rankle<rknee',
-        ),
-        # the joints of `cmu15`, then what detectors see of feet, hands and face
-        _parse_layout(
-            'body26',
-            'head<neck neck<pelvis lshoulder<neck lelbow<lshoulder lwrist<lelbow rshoulder<neck '
-            'relbow<rshoulder rwrist<relbow pelvis lhip<pelvis lknee<lhip lankle<lknee '
-            'rhip<pelvis rknee<rhip rankle<rknee ltoe<lankle rtoe<rankle lheel<lankle rheel<rankle '
-            'lhand<lwrist rhand<rwrist nose<head leye<nose reye<nose lear<leye rear<reye',
-        ),
-        # COCO person keypoints; most detectors of today
-        _parse_layout(
-            'coco17',
-            _FACE.format('') + 'lshoulder<rshoulder rshoulder lelbow<lshoulder '
-            'relbow<rshoulder lwrist<lelbow rwrist<relbow lhip<lshoulder rhip<rshoulder '
-            'lknee<lhip rknee<rhip lankle<lknee rankle<rknee',
-        ),
-        # OpenPose's COCO model, and body format 18 of the ZED SDK
-        _parse_layout(
-            'coco18',
-            'nose<neck neck ' + _OPENPOSE_BODY + 'rhip<neck rknee<rhip rankle<rknee '
-            'lhip<neck lknee<lhip lankle<lknee reye<nose leye<nose rear<reye lear<leye',
-        ),
-        # hri_msgs/Skeleton2D of ROS4HRI: as coco18, but left eye and ear before the right ones
-        _parse_layout(
-            'hri18',
-            'nose<neck neck ' + _OPENPOSE_BODY + 'rhip<neck rknee<rhip rankle<rknee '
-            'lhip<neck lknee<lhip lankle<lknee leye<nose reye<nose lear<leye rear<reye',
-        ),
-        # OpenPose BODY_25
-        _parse_layout(
-            'body25',
-            'nose<neck neck ' + _OPENPOSE_BODY + 'pelvis<neck rhip<pelvis rknee<rhip '
-            'rankle<rknee lhip<pelvis lknee<lhip lankle<lknee reye<nose leye<nose rear<reye '
-            'lear<leye ' + _FEET,
-        ),
-        # OpenPose BODY_25B
-        _parse_layout(
-            'body25b',
-            _FACE.format('<upperneck')
-            + _COCO_BODY.format('<upperneck', '<upperneck')
-            + 'upperneck headtop<upperneck '
-            + _FEET,
-        ),
-        # Halpe-FullBody without face and hands, used by AlphaPose and RTMPose
-        _parse_layout(
-            'halpe26',
-            _FACE.format('<neck') + _COCO_BODY.format('<neck', '<pelvis') + 'headtop<neck '
-            'neck<pelvis pelvis lbigtoe<lankle rbigtoe<rankle lsmalltoe<lbigtoe '
-            'rsmalltoe<rbigtoe lheel<lankle rheel<rankle',
-        ),
-        # MediaPipe Pose (BlazePose)
-        _parse_layout(
-            'mediapipe33',
-            'nose leye_inner<nose leye<leye_inner leye_outer<leye reye_inner<nose '
-            'reye<reye_inner reye_outer<reye lear<leye_outer rear<reye_outer mouth_l<nose '
-            'mouth_r<nose lshoulder<rshoulder rshoulder lelbow<lshoulder relbow<rshoulder '
-            'lwrist<lelbow rwrist<relbow lpinky<lwrist rpinky<rwrist lindex<lwrist '
-            'rindex<rwrist lthumb<lwrist rthumb<rwrist lhip<lshoulder rhip<rshoulder lknee<lhip '
-            'rknee<rhip lankle<lknee rankle<rknee lheel<lankle rheel<rankle '
-            'lfoot_index<lankle rfoot_index<rankle',
-        ),
-        # Human3.6M, as 3D benchmarks reduce it to 17 joints
-        _parse_layout(
-            'h36m17',
-            'pelvis rhip<pelvis rknee<rhip rankle<rknee lhip<pelvis lknee<lhip lankle<lknee '
-            'spine<pelvis neck<spine nose<neck headtop<nose lshoulder<neck lelbow<lshoulder '
-            'lwrist<lelbow rshoulder<neck relbow<rshoulder rwrist<relbow',
-        ),
-    )
+_TREES = {
+    # the skeleton of this package: the CMU motion capture joints that detectors see, without hands and feet
+    'cmu15': _CMU_BODY,
+    # the joints of `cmu15`, then what detectors see of feet, hands and face
+    'body26': _CMU_BODY + 'ltoe<lankle rtoe<rankle lheel<lankle rheel<rankle lhand<lwrist rhand<rwrist nose<head '
+    'leye<nose reye<nose lear<leye rear<reye',
+    # COCO person keypoints; most detectors of today
+    'coco17': _FACE.format('') + 'lshoulder<rshoulder rshoulder lelbow<lshoulder relbow<rshoulder lwrist<lelbow '
+    'rwrist<relbow lhip<lshoulder rhip<rshoulder lknee<lhip rknee<rhip lankle<lknee rankle<rknee',
+    # OpenPose's COCO model, and body format 18 of the ZED SDK
+    'coco18': _OPENPOSE_BODY + _OPENPOSE_LEGS.format('neck') + _OPENPOSE_FACE,
+    # hri_msgs/Skeleton2D of ROS4HRI: as coco18, but left eye and ear before the right ones
+    'hri18': _OPENPOSE_BODY + _OPENPOSE_LEGS.format('neck') + 'leye<nose reye<nose lear<leye rear<reye',
+    # OpenPose BODY_25
+    'body25': _OPENPOSE_BODY + 'pelvis<neck ' + _OPENPOSE_LEGS.format('pelvis') + _OPENPOSE_FACE + _FEET,
+    # OpenPose BODY_25B
+    'body25b': _FACE.format('<upperneck') + _COCO_BODY.format('<upperneck', '<upperneck') + 'upperneck '
+    'headtop<upperneck ' + _FEET,
+    # Halpe-FullBody without face and hands, used by AlphaPose and RTMPose
+    'halpe26': _FACE.format('<neck') + _COCO_BODY.format('<neck', '<pelvis') + 'headtop<neck neck<pelvis pelvis '
+    'lbigtoe<lankle rbigtoe<rankle lsmalltoe<lbigtoe rsmalltoe<rbigtoe lheel<lankle rheel<rankle',
+    # MediaPipe Pose (BlazePose)
+    'mediapipe33': 'nose leye_inner<nose leye<leye_inner leye_outer<leye reye_inner<nose reye<reye_inner '
+    'reye_outer<reye lear<leye_outer rear<reye_outer mouth_l<nose mouth_r<nose lshoulder<rshoulder rshoulder '
+    'lelbow<lshoulder relbow<rshoulder lwrist<lelbow rwrist<relbow lpinky<lwrist rpinky<rwrist lindex<lwrist '
+    'rindex<rwrist lthumb<lwrist rthumb<rwrist lhip<lshoulder rhip<rshoulder lknee<lhip rknee<rhip lankle<lknee '
+    'rankle<rknee lheel<lankle rheel<rankle lfoot_index<lankle rfoot_index<rankle',
+    # Human3.6M, as 3D benchmarks reduce it to 17 joints
+    'h36m17': 'pelvis rhip<pelvis rknee<rhip rankle<rknee lhip<pelvis lknee<lhip lankle<lknee spine<pelvis '
+    'neck<spine nose<neck headtop<nose lshoulder<neck lelbow<lshoulder lwrist<lelbow rshoulder<neck '
+    'relbow<rshoulder rwrist<relbow',
 }
 
+KEYPOINT_LAYOUTS = {name: _parse_layout(name, tree) for name, tree in _TREES.items()}  # by name
 LAYOUT_NAMES = tuple(KEYPOINT_LAYOUTS)  # names of the known layouts, for messages, files and --layout
 CMU15 = KEYPOINT_LAYOUTS['cmu15']  # skeleton of the base poses and the solvers
 BODY26 = KEYPOINT_LAYOUTS['body26']  # skeleton of the lifter: that of the solvers, then face, feet and hands

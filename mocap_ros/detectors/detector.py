@@ -34,7 +34,7 @@ class Detector(Protocol):
 
         Returns:
             (P, J, 3) x to the right and y down in px, and the score, at least 0, of the J keypoints of P people.
-            The number of keypoints tells their layout, as for the files of detectors
+            Their layout follows from their number, as for the files of detectors
             (`formats.detections.LAYOUT_BY_KEYPOINT_COUNT`).
         """
 

@@ -26,39 +26,28 @@ def load_detector(model: Path | None, max_people: int = 1) -> Detector:
         ModelError: there is no such file, it is no model of a known form, or the library that runs it is not
             installed; the error names the file.
     """
+    suffix = '' if model is None else model.suffix.lower()
     if model is not None and not model.is_file():
         raise ModelError(f'{model}: no such file; expected {MODEL_FORMATS}')
-    if model is None:
-        from mocap_ros.detectors.mediapipe import BundledMediaPipe
+    if model is None or suffix == MEDIAPIPE_SUFFIX:
+        from mocap_ros.detectors.mediapipe import BundledMediaPipe, MediaPipe
 
-        return BundledMediaPipe()
-    if model.suffix.lower() == MEDIAPIPE_SUFFIX:
-        from mocap_ros.detectors.mediapipe import MediaPipe
+        return BundledMediaPipe() if model is None else MediaPipe(model, max_people)
+    if suffix != ONNX_SUFFIX:
+        raise ModelError(f'{model}: unknown file type; expected {MODEL_FORMATS}')
 
-        return MediaPipe(model, max_people)
-    if model.suffix.lower() == ONNX_SUFFIX:
-        return _load_onnx(model, max_people)
-    raise ModelError(f'{model}: unknown file type; expected {MODEL_FORMATS}')
-
-
-def _load_onnx(path: Path, max_people: int) -> Detector:
-    """Load a network, whose outputs tell which detector it is.
-
-    Raises:
-        ModelError: the file is no network, or one of another form.
-    """
     from mocap_ros.detectors import movenet, rtmpose
     from mocap_ros.detectors.onnx_model import OnnxModel
 
-    model = OnnxModel(path)
-    shapes = model.output_shapes
-    if rtmpose.is_rtmpose(model.input_size, shapes):
-        return rtmpose.RtmPose(model)
+    network = OnnxModel(model)
+    shapes = network.output_shapes
+    if rtmpose.is_rtmpose(network.input_size, shapes):
+        return rtmpose.RtmPose(network)
     if movenet.is_single_pose(shapes):
-        return movenet.SinglePoseMoveNet(model)
+        return movenet.SinglePoseMoveNet(network)
     if movenet.is_multi_pose(shapes):
-        return movenet.MultiPoseMoveNet(model, max_people)
+        return movenet.MultiPoseMoveNet(network, max_people)
     found = ' and '.join(str(shape) for shape in shapes)
     raise ModelError(
-        f'{path}: gives arrays of the form {found}; expected {rtmpose.OUTPUT_FORM}, or {movenet.OUTPUT_FORM}'
+        f'{model}: gives arrays of the form {found}; expected {rtmpose.OUTPUT_FORM}, or {movenet.OUTPUT_FORM}'
     )

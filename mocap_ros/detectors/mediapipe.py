@@ -28,11 +28,7 @@ BUNDLED_COMPLEXITY = 1  # of the model that comes with MediaPipe; 0 and 2 would 
 
 
 def _import_mediapipe(place: str) -> Any:
-    """Import MediaPipe, whose log about its start-up is no concern of the user.
-
-    Raises:
-        ModelError: it is not installed, or cannot be imported; the error begins with `place`.
-    """
+    """Import MediaPipe without its log about its start-up; a ModelError begins with `place`."""
     os.environ.setdefault('GLOG_minloglevel', '2')  # errors only
     os.environ.setdefault('TF_CPP_MIN_LOG_LEVEL', '3')  # likewise
     warnings.filterwarnings('ignore', 'SymbolDatabase.GetPrototype', UserWarning)  # of 0.10.14
@@ -54,15 +50,7 @@ def _convert(people: Iterable[Iterable[Any]], image: Image) -> Array:
 
 
 class MediaPipe:
-    """The Tasks API with a model file.
-
-    Args:
-        model: the model bundle (`.task`).
-        max_people: largest number of people to find.
-
-    Raises:
-        ModelError: MediaPipe is not installed, or the file is no model of the pose landmarker.
-    """
+    """The Tasks API with a model bundle (`.task`)."""
 
     def __init__(self, model: Path, max_people: int) -> None:
         mediapipe = _import_mediapipe(f'{model}: ')
@@ -95,11 +83,7 @@ class MediaPipe:
 
 
 class BundledMediaPipe:
-    """The model for one person that comes with MediaPipe up to 0.10.21.
-
-    Raises:
-        ModelError: MediaPipe is not installed, or its version comes without a model.
-    """
+    """The model for one person that comes with MediaPipe up to 0.10.21."""
 
     def __init__(self) -> None:
         place = 'no model file is given (--model, of other commands --detector; docs/video.md), and '

@@ -5,10 +5,10 @@
 
 The single-pose model sees a square around the person, which follows the person from image to image: centred
 between the hips, with half a side of the larger of 1.9 times the greatest distance of a joint of the trunk from
-there and 1.2 times that of any joint, as its authors' tutorial has it. Where nobody is known, the square holds the
-whole image. The multi-pose model sees the whole image, the longer side of which becomes 256 px.
+there and 1.2 times that of any joint, as its authors' tutorial has it. Where no person is known, the square holds
+the whole image. The multi-pose model sees the whole image, the longer side of which becomes 256 px.
 
-The score of a keypoint is the network's. A keypoint is 0.01 or less where there is nobody.
+The score of a keypoint is the network's. A keypoint is 0.01 or less where there is no person.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.detectors.crop import Box, bound_image, cut_out
 from mocap_ros.detectors.detector import Image
+from mocap_ros.detectors.one_person import Box, OnePersonDetector, cut_out, is_seen
 from mocap_ros.detectors.onnx_model import OnnxModel
 from mocap_ros.skeleton import keypoint_layout
 
@@ -31,7 +31,6 @@ KEYPOINTS = len(COCO.joints)
 PERSON_NUMBERS = 3 * KEYPOINTS + 5  # y, x and score of each keypoint; y and x of two corners; score of the person
 MIN_SCORE = 0.2  # score of a keypoint that is probably right, that of the authors' tutorial
 MIN_PERSON_SCORE = 0.2  # score of a person in the multi-pose model, likewise
-MIN_SEEN = 6  # keypoints; with fewer there is no telling where the person is
 TRUNK_FACTOR, BODY_FACTOR = 1.9, 1.2  # half a side of the square over the distances above, from the tutorial
 SIZE_STEP = 32  # px; both sides of the input of the multi-pose model are multiples of it
 HIPS = [COCO.index('lhip'), COCO.index('rhip')]
@@ -48,33 +47,31 @@ def is_multi_pose(output_shapes: Sequence[tuple[int, ...]]) -> bool:
     return [(len(s), s[-1]) for s in output_shapes] == [(3, PERSON_NUMBERS)]
 
 
-class SinglePoseMoveNet:
+class SinglePoseMoveNet(OnePersonDetector):
     """MoveNet Lightning or Thunder, which follows one person from image to image."""
 
+    keypoint_count = KEYPOINTS
+    min_score = MIN_SCORE
+
     def __init__(self, model: OnnxModel) -> None:
+        super().__init__(model)
         self.name = f'MoveNet ({model.path.name})'
-        self._model = model
-        self._region: Box | None = None  # in which the person is expected
 
-    def detect(self, image: Image, time_s: float) -> Array:  # noqa: ARG002 - the network takes no time
-        """Find the person; see `Detector`."""
-        keypoints = None
-        if self._region is not None:
-            keypoints = self._look_at(image, self._region)
-        if keypoints is None:
-            whole = bound_image(image).widen(1.0, 1.0)
-            keypoints = self._look_at(image, whole)
-        self._region = None if keypoints is None else _choose_region(keypoints)
-        return np.zeros((0, KEYPOINTS, 3)) if keypoints is None else keypoints[None]
+    def _search(self, image: Image) -> Array | None:
+        return self._look_at(image, Box.around_image(image).widen(1.0, 1.0))
 
-    def close(self) -> None:
-        """Release nothing; the network goes with the object."""
-
-    def _look_at(self, image: Image, region: Box) -> Array | None:
-        """Return the keypoints (17, 3) of the person in a region, None if nobody is seen there."""
+    def _estimate(self, image: Image, region: Box) -> Array:
         (output,) = self._model.run(cut_out(image, region, self._model.input_size))
-        keypoints = _place_keypoints(output[0, 0], region)
-        return keypoints if _is_seen(keypoints) else None
+        return _place_keypoints(output[0, 0], region)
+
+    def _choose_region(self, keypoints: Array) -> Box | None:
+        seen = keypoints[:, 2] >= MIN_SCORE
+        if not (seen[HIPS].any() and seen[TRUNK[2:]].any()):
+            return None
+        hips = keypoints[HIPS][seen[HIPS], :2].mean(axis=0)
+        distance = np.where(seen, np.abs(keypoints[:, :2] - hips).max(axis=1), 0.0)
+        half = max(TRUNK_FACTOR * distance[TRUNK].max(), BODY_FACTOR * distance.max(), 1.0)
+        return Box(hips[0] - half, hips[1] - half, 2 * half, 2 * half)
 
 
 class MultiPoseMoveNet:
@@ -92,14 +89,14 @@ class MultiPoseMoveNet:
         if self._model.takes_any_size:
             scale = max(size) / max(width, height)
             size = _round_up(width * scale), _round_up(height * scale)
-        region = bound_image(image).widen(1.0, size[0] / size[1])
+        region = Box.around_image(image).widen(1.0, size[0] / size[1])
         (output,) = self._model.run(cut_out(image, region, size))
         people = [
             _place_keypoints(numbers[: 3 * KEYPOINTS].reshape(KEYPOINTS, 3), region)
             for numbers in sorted(output[0], key=lambda numbers: -numbers[-1])[: self._max_people]
             if numbers[-1] >= MIN_PERSON_SCORE
         ]
-        return np.array([person for person in people if _is_seen(person)]).reshape(-1, KEYPOINTS, 3)
+        return np.array([person for person in people if is_seen(person, MIN_SCORE)]).reshape(-1, KEYPOINTS, 3)
 
     def close(self) -> None:
         """Release nothing; the network goes with the object."""
@@ -113,19 +110,3 @@ def _round_up(side: float) -> int:
 def _place_keypoints(output: NDArray[np.float32], region: Box) -> Array:
     """Return x, y in px and the score (17, 3) of y, x in shares of the region and the score (17, 3)."""
     return np.column_stack([region.place(output[:, 1::-1].astype(float)), np.clip(output[:, 2], 0.0, 1.0)])
-
-
-def _is_seen(keypoints: Array) -> bool:
-    """Return whether keypoints (17, 3) are those of somebody."""
-    return int((keypoints[:, 2] >= MIN_SCORE).sum()) >= MIN_SEEN
-
-
-def _choose_region(keypoints: Array) -> Box | None:
-    """Return the square in which the person is expected in the next image, None where the trunk is not seen."""
-    seen = keypoints[:, 2] >= MIN_SCORE
-    if not (seen[HIPS].any() and seen[TRUNK[2:]].any()):
-        return None
-    hips = keypoints[HIPS][seen[HIPS], :2].mean(axis=0)
-    distance = np.where(seen, np.abs(keypoints[:, :2] - hips).max(axis=1), 0.0)
-    half = max(TRUNK_FACTOR * distance[TRUNK].max(), BODY_FACTOR * distance.max(), 1.0)
-    return Box(hips[0] - half, hips[1] - half, 2 * half, 2 * half)

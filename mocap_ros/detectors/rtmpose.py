@@ -9,7 +9,7 @@ the responses u_j(a) of the columns a and v_j(b) of the rows b, keypoint j is at
     x_j = argmax_a u_j(a) / 2,    y_j = argmax_b v_j(b) / 2,    score_j = (max_a u_j + max_b v_j) / 2
 
 px of the network's input, a rectangle around the person. RTMPose expects this rectangle from a detector of
-persons. Here it comes from the keypoints in the image before. Where nobody is known, the whole image and then
+persons. Here it comes from the keypoints in the image before. Where no person is known, the whole image and then
 upright parts of it are tried, so the person to be found should fill most of the image's height.
 """
 
@@ -20,8 +20,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.detectors.crop import Box, bound_image, bound_points, cut_out
 from mocap_ros.detectors.detector import Image
+from mocap_ros.detectors.one_person import Box, OnePersonDetector, cut_out
 from mocap_ros.detectors.onnx_model import OnnxModel
 
 Array = NDArray[np.float64]
@@ -32,10 +32,8 @@ MEAN = np.array([123.675, 116.28, 103.53], np.float32)  # of red, green and blue
 STD = np.array([58.395, 57.12, 57.375], np.float32)  # standard deviation of the same
 PERSON_FACTOR = 1.25  # size of a person's rectangle over that of the keypoints' (hands, feet, hair, movement)
 PADDING = 1.25  # size of the network's rectangle over that of the person's, as in the training
-MIN_SCORE = 0.3  # score of a keypoint that is probably right, the usual threshold for drawing it
-MIN_SEEN = 6  # keypoints; with fewer there is no telling where the person is
-MAX_PARTS = 8  # upright parts of an image; more would take long while nobody is there, and show hardly more
-SEARCH_STEP = 0.5  # width of an upright part, by which it is moved on in the search for somebody
+MAX_PARTS = 8  # upright parts of an image; more would take long while no person is there, and show hardly more
+SEARCH_STEP = 0.5  # width of an upright part, by which it is moved on in the search for a person
 
 
 def is_rtmpose(input_size: tuple[int, int], output_shapes: Sequence[tuple[int, ...]]) -> bool:
@@ -48,50 +46,35 @@ def is_rtmpose(input_size: tuple[int, int], output_shapes: Sequence[tuple[int, .
     )
 
 
-class RtmPose:
+class RtmPose(OnePersonDetector):
     """RTMPose, which follows one person from image to image."""
 
+    min_score = 0.3  # the usual threshold for drawing a keypoint
+
     def __init__(self, model: OnnxModel) -> None:
+        super().__init__(model)
         self.name = f'RTMPose ({model.path.name})'
-        self._model = model
+        self.keypoint_count = model.output_shapes[0][1]
         self._aspect = model.input_size[0] / model.input_size[1]
-        self._person: Box | None = None  # around the keypoints in the image before
-
-    def detect(self, image: Image, time_s: float) -> Array:  # noqa: ARG002 - the network takes no time
-        """Find the person; see `Detector`."""
-        person = self._person
-        if person is None or (keypoints := self._look_at(image, person)) is None:
-            keypoints = self._search(image)
-        self._person = None if keypoints is None else _bound_person(keypoints)
-        return np.zeros((0, self._model.output_shapes[0][1], 3)) if keypoints is None else keypoints[None]
-
-    def close(self) -> None:
-        """Release nothing; the network goes with the object."""
 
     def _search(self, image: Image) -> Array | None:
-        """Find somebody anywhere in the image, and look again at the place."""
+        """Find a person anywhere in the image, and look again at the place."""
         for region in self._iterate_regions(image):
-            keypoints = self._estimate(image, region)
-            if _is_seen(keypoints):
-                return self._look_at(image, _bound_person(keypoints))
+            keypoints = self._look_at(image, region)
+            if keypoints is not None:
+                return self._look_at(image, self._choose_region(keypoints))
         return None
 
     def _iterate_regions(self, image: Image) -> Iterator[Box]:
         """Yield the whole image, and then upright parts of it from the left to the right."""
-        whole = bound_image(image)
+        whole = Box.around_image(image)
         yield whole.widen(1.0, self._aspect)
         width = whole.height * self._aspect
         steps = min(max(round((whole.width - width) / (SEARCH_STEP * width)), 0), MAX_PARTS - 1)
         for left in np.linspace(0.0, max(whole.width - width, 0.0), steps + 1) if steps else ():
             yield Box(float(left), 0.0, width, whole.height)
 
-    def _look_at(self, image: Image, person: Box) -> Array | None:
-        """Return the keypoints (J, 3) of the person in a rectangle, None if nobody is seen there."""
-        keypoints = self._estimate(image, person.widen(PADDING, self._aspect))
-        return keypoints if _is_seen(keypoints) else None
-
     def _estimate(self, image: Image, region: Box) -> Array:
-        """Return the keypoints (J, 3) in px and with scores that the network gives for a region of the image."""
         size = self._model.input_size
         columns, rows = self._model.run((cut_out(image, region, size) - MEAN) / STD)
         bins = np.stack([columns[0].argmax(axis=1), rows[0].argmax(axis=1)], axis=1)
@@ -99,13 +82,8 @@ class RtmPose:
         pixels = bins / BINS_PER_PX + 0.5  # the centre of the first pixel is at 0.5, and its bin is 0
         return np.column_stack([region.place(pixels / size), np.maximum(score, 0.0)])
 
-
-def _is_seen(keypoints: Array) -> bool:
-    """Return whether keypoints (J, 3) are those of somebody."""
-    return int((keypoints[:, 2] >= MIN_SCORE).sum()) >= MIN_SEEN
-
-
-def _bound_person(keypoints: Array) -> Box:
-    """Return the rectangle of the person who has these keypoints (J, 3)."""
-    box = bound_points(keypoints[keypoints[:, 2] >= MIN_SCORE, :2])
-    return box.widen(PERSON_FACTOR, box.width / box.height) if min(box.width, box.height) > 0 else box
+    def _choose_region(self, keypoints: Array) -> Box:
+        box = Box.around_points(keypoints[keypoints[:, 2] >= self.min_score, :2])
+        if min(box.width, box.height) > 0:
+            box = box.widen(PERSON_FACTOR, box.width / box.height)
+        return box.widen(PADDING, self._aspect)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,30 +127,14 @@ def evaluate(
     check_person_size('joints', joints[frames][:, predicted_index])
     errors = metrics.compute_errors(joints[:, predicted_index], truth[:, truth_index], fps, frames, times)
     is_each_bone_known = np.isfinite(skeleton.bone_lengths(joints)).any(axis=0).all()
-    return Evaluation(
-        mpjpe_mm=errors.get('mpjpe_mm'),
-        metric_mpjpe_mm=errors.get('metric_mpjpe_mm'),
-        abs_mpjpe_mm=errors.get('abs_mpjpe_mm'),
-        root_mm=errors.get('root_mm'),
-        seq_mpjpe_mm=errors.get('seq_mpjpe_mm'),
-        pa_mpjpe_mm=errors.get('pa_mpjpe_mm'),
-        e_paper_cm=errors.get('e_paper_cm'),
-        accel_mm_s2=errors.get('accel_mm_s2'),
-        joints=int(errors['joints']),
-        frames=int(errors['frames']),
-        failed_frames=int(errors['failed_frames']),
-        bone_std_mm=metrics.compute_bone_std_mm(joints, skeleton) if is_each_bone_known else math.nan,
-        residual_px=float(np.nanmean(residual)) if np.isfinite(residual).any() else math.nan,
-        fps=fps,
-    )
+    record: dict[str, Any] = dict.fromkeys(f.name for f in fields(Evaluation)) | errors
+    record['bone_std_mm'] = metrics.compute_bone_std_mm(joints, skeleton) if is_each_bone_known else math.nan
+    record['residual_px'] = float(np.nanmean(residual)) if np.isfinite(residual).any() else math.nan
+    return Evaluation(**{**record, 'fps': fps})
 
 
 def check_truth(truth: Array) -> None:
-    """Check that a truth (F, J3, 3) can be compared with anything.
-
-    Raises:
-        InputError: No joint is known in any frame; the message names the field.
-    """
+    """Check that a truth (F, J3, 3) can be compared with anything; else raise an InputError with the field."""
     if not np.isfinite(truth).all(axis=-1).any():
         raise InputError('joints3d: no joint is known in any frame')
 
@@ -161,11 +146,7 @@ def measure_person_size(joints: Array) -> float:
 
 
 def check_person_size(field: str, joints: Array) -> None:
-    """Check that the complete frames of joints (F, J, 3) in m show a pose, not a single place.
-
-    Raises:
-        InputError: all joints are at one place; the message names the field.
-    """
+    """Raise an InputError if the complete frames of joints (F, J, 3) in m show a single place."""
     is_any_complete = np.isfinite(joints).all(axis=(1, 2)).any()
     if is_any_complete and measure_person_size(joints) < MIN_PERSON_SIZE_M:
         raise InputError(f'{field}: all joints at one place')

@@ -38,12 +38,7 @@ MIN_COMMON_JOINTS = 4  # joints; fewer hardly tell one pose from another once th
 def match_joints(
     predicted: Sequence[str], truth: Sequence[str], limbs_only: bool = False
 ) -> tuple[list[int], list[int]]:
-    """Match the joints of two skeletons by name.
-
-    Args:
-        predicted: joint names of the prediction.
-        truth: joint names of the truth.
-        limbs_only: True to match the twelve limb joints only.
+    """Match the joints of two skeletons by name, with `limbs_only` only the twelve of the limbs.
 
     Returns:
         Indices of the common joints in the prediction and in the truth, in the order of the truth's joints, or of
@@ -59,15 +54,7 @@ def match_joints(
 
 
 def find_well_seen_frames(joint_names: Sequence[str], score: Array) -> NDArray[np.bool_]:
-    """Find the frames in which more than eight limb joints have a confidence score above 0.2.
-
-    Args:
-        joint_names: (J,) names of the keypoints.
-        score: (F, J) confidence scores.
-
-    Returns:
-        (F,) True for these frames.
-    """
+    """Return (F,) whether more than eight limb joints have a confidence score (F, J) above 0.2."""
     limbs = [i for i, n in enumerate(joint_names) if n in LIMB_JOINTS]
     return np.asarray((np.nan_to_num(score[:, limbs]) > SEEN_SCORE).sum(axis=1) > SEEN_LIMB_JOINTS)
 
@@ -94,20 +81,8 @@ def compute_errors(
         times: (F,) s; None if no frame is missing between those that are given.
 
     Returns:
-        The errors by name; only the counts if every compared frame failed.
-
-        mpjpe_mm: mean distance of centred joints after one scale for the sequence.
-        metric_mpjpe_mm: mean distance of centred joints without a scale.
-        abs_mpjpe_mm: mean distance of joints without any alignment.
-        root_mm: mean distance of the poses' centroids.
-        seq_mpjpe_mm: mean distance after one similarity transform for the sequence.
-        pa_mpjpe_mm: mean distance after one similarity transform for each frame (Procrustes analysis).
-        e_paper_cm: eq. 25 of TPAMI 2016 after one similarity transform for the sequence.
-        accel_mm_s2: mean error of the second differences of three successive frames, scaled as for mpjpe_mm; NaN
-            without such frames.
-        joints: number of compared joints.
-        frames: number of compared frames.
-        failed_frames: number of these without a prediction.
+        The errors by the names of the attributes of `Evaluation`; only the counts if every compared frame failed.
+        Accelerations are second differences of three successive frames, scaled as for `mpjpe_mm`.
     """
     compared = np.flatnonzero(np.ones(len(truth), bool) if frames is None else frames)
     predicted, truth = predicted[compared], truth[compared]

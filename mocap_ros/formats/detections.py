@@ -103,8 +103,8 @@ class Detections:
         intrinsics: intrinsics of the camera, or None where unknown.
         frame_id: name of the camera's optical frame, or empty.
         remarks: lines that say what the reader left out.
-        is_one_person: whether people without an id are of one person if no frame shows two people. It is False
-            for a detector of one person that may go over from one person to another.
+        is_one_person: whether people without an id are of one person if no frame shows two people; False for a
+            detector that may jump from one person to another.
     """
 
     people: Sequence[Sequence[Person2D]]
@@ -165,10 +165,6 @@ def arrange_frames(people_by_number: Mapping[int, Sequence[Person2D]], video: Vi
 
     An id that two people of one frame have identifies neither, as the 0 that AlphaPose gives to all people if it
     does not track. It is left out wherever it occurs, and a line of `remarks` says so.
-
-    Args:
-        people_by_number: the people in each frame, by the number of the frame.
-        video: the frame rate, which is required, and the size of the images.
 
     Raises:
         InputError: there are no frames, the frame rate is missing or above `MAX_FRAME_RATE_HZ`, or the numbers are
@@ -245,11 +241,7 @@ def associate_people(detections: Detections) -> list[PersonTrack]:
 
 
 def select_person(detections: Detections, person_id: str | None = None) -> tuple[KeypointSequence, list[str]]:
-    """Select the person to reconstruct.
-
-    Args:
-        detections: all people.
-        person_id: id of the person; by default the person who is seen in most frames is selected.
+    """Select the person with an id, by default the one who is seen in most frames.
 
     Returns:
         The keypoints from the first frame with that person to the last, and lines for the user that say who was
@@ -277,16 +269,12 @@ def select_person(detections: Detections, person_id: str | None = None) -> tuple
 def arrange_people(
     detections: Detections, tracks: Sequence[PersonTrack]
 ) -> tuple[list[KeypointSequence], tuple[str, ...]]:
-    """Arrange the keypoints of some people, each from the first frame with that person to the last.
+    """Arrange the keypoints of some of the tracks, each from the first frame with that person to the last.
 
     An image size that is not known is assumed to hold all people.
 
-    Args:
-        detections: all people.
-        tracks: the people, some of the tracks of `associate_people`.
-
     Returns:
-        A sequence for each of them, and lines on what was left out of the detections and assumed of them.
+        A sequence for each track, and lines on what was left out of the detections and assumed of them.
 
     Raises:
         InputError: the keypoints are not in px, or a person has more than `MAX_KEYPOINTS`.

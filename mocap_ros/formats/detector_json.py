@@ -59,10 +59,8 @@ class _Entry(NamedTuple):
 def load_openpose(folder: Path, video: Video) -> Detections:
     """Load all people from a folder; the last number in a file's name is the number of the frame.
 
-    Args:
-        folder: folder that holds the files.
-        video: the frame rate, which is required, and the layout; without a layout 25 keypoints are taken as
-            BODY_25 and 18 keypoints as COCO.
+    `video` gives the frame rate, which is required, the image size, and the layout if it does not follow from the
+    number of keypoints.
 
     Raises:
         InputError: the folder has no such files, or a file is not valid; the error names the file and the person.
@@ -93,12 +91,7 @@ def load_coco(path: Path, video: Video) -> Detections:
     """Load all people from a file, except people with a score below `MIN_PERSON_SCORE`.
 
     The number of a frame is `frame_id` of its image, else the last number in the image's file name, else the
-    image's id.
-
-    Args:
-        path: path of the file.
-        video: the frame rate, which is required, the layout, and the image size, which a size in the file
-            overrides.
+    image's id. `video` is as for `load_openpose`; a size in the file overrides that of the images.
 
     Raises:
         InputError: the file has none of these forms, or its content is not valid; the error names the file and the

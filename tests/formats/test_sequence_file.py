@@ -63,18 +63,13 @@ def test_camera_and_truth_are_optional(tmp_path: Path, sequence: KeypointSequenc
     assert not loaded.intrinsics(1.2).is_focal_known
 
 
-def test_distortion_of_4_5_and_8_coefficients_is_read(tmp_path: Path, sequence: KeypointSequence) -> None:
-    for count in (4, 5, 8):
-        save_sequence(tmp_path / 'walk.npz', replace(sequence, distortion=np.full(count, 0.01)))
-        camera = load_sequence(tmp_path / 'walk.npz').intrinsics(1.2)
-        assert camera.is_focal_known
-        assert camera.distortion.coefficients == (0.01,) * count
-
-
 def test_opencv_s_further_coefficients_are_left_out_where_they_are_0(
     tmp_path: Path, sequence: KeypointSequence
 ) -> None:
     """As `cv2.calibrateCamera` returns them, with the rational model alone or with one of the two other models."""
+    for count in (4, 5, 8):
+        save_sequence(tmp_path / 'walk.npz', replace(sequence, distortion=np.full(count, 0.01)))
+        assert load_sequence(tmp_path / 'walk.npz').intrinsics(1.2).distortion.coefficients == (0.01,) * count
     for count in (12, 14):
         coefficients = np.zeros(count)
         coefficients[:8] = 0.01
@@ -85,12 +80,6 @@ def test_opencv_s_further_coefficients_are_left_out_where_they_are_0(
             save_sequence(tmp_path / 'walk.npz', replace(sequence, distortion=coefficients))
             with pytest.raises(InputError, match=f'rational_polynomial takes 8 coefficients, not {count}'):
                 load_sequence(tmp_path / 'walk.npz')
-
-
-def test_a_coefficient_beyond_any_lens_is_refused(tmp_path: Path, sequence: KeypointSequence) -> None:
-    save_sequence(tmp_path / 'walk.npz', replace(sequence, distortion=np.array([0.1, -1e300, 0, 0])))
-    with pytest.raises(InputError, match=r'walk\.npz: distortion: -1e\+300, more than a lens has'):
-        load_sequence(tmp_path / 'walk.npz')
 
 
 def test_joint_names_are_read_in_any_spelling(tmp_path: Path, sequence: KeypointSequence) -> None:
@@ -121,85 +110,46 @@ def set_element(arrays: dict[str, Any], key: str, index: Any, value: float) -> N
     arrays[key][index] = value
 
 
-INVALID: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
-    'missing key': (lambda a: a.pop('keypoints'), 'keypoints: missing'),
-    'pickled': (
-        lambda a: a.update(keypoints=np.array([None], object)),
-        'keypoints: holds Python objects$',
-    ),
-    'text for numbers': (lambda a: a.update(timestamps=np.array(['now'])), 'timestamps: holds <U3'),
-    'wrong shape': (
-        lambda a: a.update(keypoints=a['keypoints'][..., :2]),
-        r'keypoints: shape \(5, 17, 2\), expected \(5, 17, 3\)',
-    ),
-    'unequal lengths': (lambda a: a.update(keypoints=a['keypoints'][:3]), r'keypoints: shape \(3,'),
-    'too few joints': (
-        lambda a: a.update(joint_names=np.array([f'j{i}' for i in range(17)])),
-        'joint_names: .* fewer than four',
-    ),
-    'infinite point': (
-        lambda a: set_element(a, 'keypoints', (3, 7, 1), np.inf),
-        'keypoints: frame 3: y of lelbow is inf',
-    ),
-    'score above percent': (
-        lambda a: set_element(a, 'keypoints', (4, 0, 2), 150),
-        'keypoints: frame 4: score of nose is 150',
-    ),
-    'negative score': (
-        lambda a: set_element(a, 'keypoints', (4, 0, 2), -0.5),
-        'keypoints: frame 4: score of nose is -0.5',
-    ),
-    'normalised coordinates': (
+INVALID: list[tuple[Callable[[dict[str, Any]], object], str]] = [
+    (lambda a: a.pop('keypoints'), 'keypoints: missing'),
+    (lambda a: a.update(keypoints=np.array([None], object)), 'keypoints: holds Python objects$'),
+    (lambda a: a.update(timestamps=np.array(['now'])), 'timestamps: holds <U3'),
+    (lambda a: a.update(keypoints=a['keypoints'][..., :2]), r'keypoints: shape .* expected \(5, 17, 3\)'),
+    (lambda a: a.update(keypoints=a['keypoints'][:3]), r'keypoints: shape \(3,'),
+    (lambda a: a.update(joint_names=np.array([f'j{i}' for i in range(17)])), 'joint_names: .* fewer than four'),
+    (lambda a: set_element(a, 'keypoints', (3, 7, 1), np.inf), 'keypoints: frame 3: y of lelbow is inf'),
+    (lambda a: set_element(a, 'keypoints', (4, 0, 2), 150), 'keypoints: frame 4: score of nose is 150'),
+    (lambda a: set_element(a, 'keypoints', (4, 0, 2), -0.5), 'keypoints: frame 4: score of nose is -0.5'),
+    (
         lambda a: a['keypoints'].__setitem__((..., slice(2)), a['keypoints'][..., :2] / 512),
         'keypoints: looks normalised; px expected',
     ),
-    'a result': (
-        lambda a: a.update(theta=np.zeros(0), residual_px=np.zeros(0)),
-        'is a result of reconstruct; give the sequence file',
-    ),
-    'repeated stamp': (
-        lambda a: set_element(a, 'timestamps', 2, 1 / 30),
-        'timestamps: frame 2: .* repeats frame 1',
-    ),
-    'decreasing stamp': (
-        lambda a: set_element(a, 'timestamps', 4, 0.01),
-        'timestamps: frame 4: .* is not later than frame 3',
-    ),
-    'stamp not finite': (
-        lambda a: set_element(a, 'timestamps', 1, np.nan),
-        'timestamps: frame 1: nan s',
-    ),
-    'stamp in milliseconds since 1970': (
+    (lambda a: a.update(theta=np.zeros(0), residual_px=np.zeros(0)), 'is a result of reconstruct'),
+    (lambda a: set_element(a, 'timestamps', 2, 1 / 30), 'timestamps: frame 2: .* repeats frame 1'),
+    (lambda a: set_element(a, 'timestamps', 4, 0.01), 'timestamps: frame 4: .* is not later than frame 3'),
+    (lambda a: set_element(a, 'timestamps', 1, np.nan), 'timestamps: frame 1: nan s'),
+    (
         lambda a: a.update(timestamps=1.76e12 + np.arange(FRAMES) * 33.3),
         r'timestamps: frame 0: 1\.76e\+12 s: looks like milliseconds; s expected$',
     ),
-    'transposed image': (
+    (
         lambda a: a.update(keypoints=a['keypoints'] + [400, -50, 0], image_size=np.array([480, 1000])),
-        r'image_size: \d+% of .* lie outside 480 x 1000 px, but inside 1000 x 480 px: .* look transposed$',
+        'image_size: .* look transposed$',
     ),
-    'no frames': (lambda a: a.update(timestamps=np.zeros(0)), 'timestamps: no frames'),
-    'no image': (lambda a: set_element(a, 'image_size', 1, 0), 'image_size: 640 x 0 px'),
-    'no camera': (lambda a: set_element(a, 'camera_matrix', (0, 0), 0), 'camera_matrix: focal length'),
-    'lens of three numbers': (
-        lambda a: a.update(distortion=np.ones(3)),
-        'distortion: plumb_bob takes 4 or 5 coefficients, not 3',
-    ),
-    'truth far away': (
-        lambda a: set_element(a, 'joints3d', (3, 1, 2), 3e38),
-        r'joints3d: frame 3: pelvis is more than 1e\+06 m away',
-    ),
-    'truth of other frames': (
-        lambda a: a.update(joints3d=a['joints3d'][:2]),
-        r'joints3d: shape \(2, 2, 3\)',
-    ),
-}
+    (lambda a: a.update(timestamps=np.zeros(0)), 'timestamps: no frames'),
+    (lambda a: set_element(a, 'image_size', 1, 0), 'image_size: 640 x 0 px'),
+    (lambda a: set_element(a, 'camera_matrix', (0, 0), 0), 'camera_matrix: focal length'),
+    (lambda a: a.update(distortion=np.ones(3)), 'distortion: plumb_bob takes 4 or 5 coefficients, not 3'),
+    (lambda a: a.update(distortion=np.array([0.1, -1e300, 0, 0])), r'distortion: -1e\+300'),
+    (lambda a: set_element(a, 'joints3d', (3, 1, 2), 3e38), 'joints3d: frame 3: pelvis is more than'),
+    (lambda a: a.update(joints3d=a['joints3d'][:2]), r'joints3d: shape \(2, 2, 3\)'),
+]
 
 
-@pytest.mark.parametrize('case', INVALID)
+@pytest.mark.parametrize(('edit', 'message'), INVALID)
 def test_invalid_content_is_refused_by_file_key_and_frame(
-    tmp_path: Path, sequence: KeypointSequence, case: str
+    tmp_path: Path, sequence: KeypointSequence, edit: Callable[[dict[str, Any]], object], message: str
 ) -> None:
-    edit, message = INVALID[case]
     path = tmp_path / 'walk.npz'
     save_sequence(path, sequence)
     with np.load(path) as archive:
@@ -225,11 +175,6 @@ def test_timestamps_in_another_unit_are_refused(
     expected = rf'walk\.npz: timestamps: {per_s / 30:.9g} s from frame to frame: looks like {unit}; s expected$'
     with pytest.raises(InputError, match=expected.replace('+', r'\+')):
         load_sequence(path)
-
-
-def test_a_few_pictures_at_long_intervals_are_accepted(tmp_path: Path, sequence: KeypointSequence) -> None:
-    save_sequence(tmp_path / 'walk.npz', replace(sequence, timestamps=np.linspace(0, 20.0 * (FRAMES - 1), FRAMES)))
-    assert load_sequence(tmp_path / 'walk.npz').timestamps[-1] == (FRAMES - 1) * 20.0
 
 
 def test_invalid_files_are_refused(tmp_path: Path, sequence: KeypointSequence) -> None:

@@ -39,11 +39,8 @@ MAX_LISTED_NAMES = 40  # names in an error message; keeps it readable
 def _build_rig(middle: str, left: str, right: str, limbs: str) -> dict[str, str]:
     """Build the map from the joints of the model to the names of a rig.
 
-    Args:
-        middle: names of the head, the neck and the pelvis.
-        left: the word of the rig for the left side.
-        right: the word of the rig for the right side.
-        limbs: names of the shoulder, elbow, wrist, hip, knee and ankle, in which `{}` stands for the side.
+    `middle` has the names of the head, the neck and the pelvis, and `limbs` those of the shoulder, elbow, wrist,
+    hip, knee and ankle, in which `{}` stands for the word for the side.
     """
     joints = ('shoulder', 'elbow', 'wrist', 'hip', 'knee', 'ankle')
     rig = dict(zip(('head', 'neck', 'pelvis'), middle.split(), strict=True))
@@ -82,14 +79,9 @@ def _simplify_names(names: Sequence[str]) -> list[str]:
 
 
 def map_to_model(positions: Mapping[str, Array], markers: MarkerMap | None = None) -> Array:
-    """Compute the joints of the model from the joints or markers of a rig.
+    """Return the joints (F, 15, 3) of the model from positions (F, 3) by the name of a rig's joint or marker.
 
-    Args:
-        positions: (F, 3) positions by the name of the joint or marker.
-        markers: names whose mean is each joint of the model; by default the map of the known rig that fits.
-
-    Returns:
-        (F, 15, 3) positions in the same frame and unit, in the order of `skeleton.CMU15`.
+    They are in the same frame and unit. `markers` is by default the map of the known rig that fits.
 
     Raises:
         InputError: joints or markers are missing; the error lists their names.

@@ -104,10 +104,7 @@ def load_trials(
     `35.asf` for `35_01.amc`, or the only .asf file there. A trial that is not in the manifest has as subject the
     part of its name before the `_`, and as category the name of its folder.
 
-    Args:
-        path: path of the file or folder.
-        options: how the trials are read.
-        report_progress: function that iterates over the files and may show the progress.
+    `report_progress` iterates over the files and may show the progress.
 
     Raises:
         InputError: there is nothing to read, or a file is not valid; the error names the file and the place.
@@ -215,14 +212,11 @@ def _find_skeleton(motion: Path) -> Path:
 
 
 def find_vertical_axis(joints: Array, usual: int) -> int:
-    """Find the vertical axis from the mean direction from the ankles to the neck.
-
-    Args:
-        joints: (F, 15, 3) positions in any unit, in the order of `skeleton.CMU15`.
-        usual: axis that is returned if no axis is clearly vertical.
+    """Find the vertical axis of joints (F, 15, 3) from the mean direction from the ankles to the neck.
 
     Returns:
-        The axis that points up (0, 1 or 2), or `~axis` if that axis points down.
+        The axis that points up (0, 1 or 2), or `~axis` if that axis points down; `usual` if none is clearly
+        vertical.
     """
     position = {name: joints[:, i] for i, name in enumerate(CMU15.joints)}
     up = (position['neck'] - (position['lankle'] + position['rankle']) / 2).mean(axis=0)

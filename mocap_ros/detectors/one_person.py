@@ -1,0 +1,130 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What detectors share that look at a rectangle of the image: the rectangle, and following one person with it."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as Pillow
+
+from mocap_ros.detectors.detector import Image
+from mocap_ros.detectors.onnx_model import OnnxModel
+
+Array = NDArray[np.float64]
+
+MIN_SIDE_PX = 1.0  # px; guards divisions by the size of a rectangle whose points coincide
+MIN_SEEN = 6  # keypoints; with fewer there is no saying where the person is
+
+
+class Box(NamedTuple):
+    """A rectangle in an image, in px of the image, whose first pixel covers 0 to 1."""
+
+    left: float
+    top: float
+    width: float
+    height: float
+
+    @staticmethod
+    def around_image(image: Image) -> Box:
+        """Return the rectangle of a whole image."""
+        return Box(0.0, 0.0, float(image.shape[1]), float(image.shape[0]))
+
+    @staticmethod
+    def around_points(points: Array) -> Box:
+        """Return the rectangle around points (N, 2) in px."""
+        low, high = points.min(axis=0), points.max(axis=0)
+        return Box(*low.tolist(), *(high - low).tolist())
+
+    def place(self, points: Array) -> Array:
+        """Return points (..., 2) in shares of the rectangle as points in px of the image."""
+        return np.array([self.left, self.top]) + points * [self.width, self.height]
+
+    def widen(self, factor: float, aspect: float) -> Box:
+        """Return the smallest rectangle of this ratio of width to height that holds this one, times a factor."""
+        width, height = max(self.width, self.height * aspect), max(self.height, self.width / aspect)
+        x, y = self.left + self.width / 2, self.top + self.height / 2
+        width, height = max(width * factor, MIN_SIDE_PX), max(height * factor, MIN_SIDE_PX)
+        return Box(x - width / 2, y - height / 2, width, height)
+
+
+def cut_out(image: Image, box: Box, size: tuple[int, int]) -> Image:
+    """Return a rectangle of an image, resized to (width, height) in px; black where it lies outside the image."""
+    scale = size[0] / box.width, size[1] / box.height  # px of the result per px of the image
+    sides = image.shape[1], image.shape[0]
+    # the part of the result that shows the image, in whole px
+    low = [math.ceil(max(-start, 0.0) * s - 1e-9) for start, s in zip(box[:2], scale, strict=True)]
+    high = [
+        min(side, math.floor((end - start) * s + 1e-9))
+        for side, end, start, s in zip(size, sides, box[:2], scale, strict=True)
+    ]
+    out = np.zeros((size[1], size[0], 3), np.uint8)
+    if low[0] < high[0] and low[1] < high[1]:
+        source = (
+            max(box.left + low[0] / scale[0], 0.0),
+            max(box.top + low[1] / scale[1], 0.0),
+            min(box.left + high[0] / scale[0], sides[0]),
+            min(box.top + high[1] / scale[1], sides[1]),
+        )
+        part = Pillow.fromarray(image).resize(
+            (high[0] - low[0], high[1] - low[1]), Pillow.Resampling.BILINEAR, box=source, reducing_gap=2.0
+        )
+        out[low[1] : high[1], low[0] : high[0]] = np.asarray(part)
+    return out
+
+
+def is_seen(keypoints: Array, min_score: float) -> bool:
+    """Return whether keypoints (J, 3) are those of a person."""
+    return int((keypoints[:, 2] >= min_score).sum()) >= MIN_SEEN
+
+
+class OnePersonDetector(ABC):
+    """A network that sees one person in a rectangle, which follows the person from image to image.
+
+    Attributes:
+        name: name of the detector and its model.
+        keypoint_count: number J of its keypoints.
+        min_score: score of a keypoint that is probably right.
+    """
+
+    name: str
+    keypoint_count: int
+    min_score: float
+
+    def __init__(self, model: OnnxModel) -> None:
+        self._model = model
+        self._region: Box | None = None  # in which the person is expected
+
+    def detect(self, image: Image, time_s: float) -> Array:  # noqa: ARG002 - the network takes no time
+        """Find the person; see `Detector`."""
+        keypoints = None if self._region is None else self._look_at(image, self._region)
+        if keypoints is None:
+            keypoints = self._search(image)
+        self._region = None if keypoints is None else self._choose_region(keypoints)
+        return np.zeros((0, self.keypoint_count, 3)) if keypoints is None else keypoints[None]
+
+    def close(self) -> None:
+        """Forget the person; the network goes with the object."""
+        self._region = None
+
+    def _look_at(self, image: Image, region: Box) -> Array | None:
+        """Return the keypoints (J, 3) of the person in a region, None if no person is seen there."""
+        keypoints = self._estimate(image, region)
+        return keypoints if is_seen(keypoints, self.min_score) else None
+
+    @abstractmethod
+    def _estimate(self, image: Image, region: Box) -> Array:
+        """Return the keypoints (J, 3) in px and with scores that the network gives for a region of the image."""
+
+    @abstractmethod
+    def _search(self, image: Image) -> Array | None:
+        """Return the keypoints (J, 3) of a person anywhere in the image, None if no person is seen."""
+
+    @abstractmethod
+    def _choose_region(self, keypoints: Array) -> Box | None:
+        """Return the region in which the person is expected in the next image, None where it is not known."""
