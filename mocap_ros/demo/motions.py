@@ -41,26 +41,12 @@ CANDIDATE_PERIODS_S = np.linspace(0.55, 1.35, 161)
 
 
 @dataclass(frozen=True, eq=False)
-class MotionSamples:
-    """A motion at N times.
-
-    Attributes:
-        theta: (N, K) m, base-pose weights.
-        height: (N,) m, height of the body's centre above the ground.
-        speed: (N,) m/s, horizontal speed along the heading.
-    """
-
-    theta: Array
-    height: Array
-    speed: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Motion:
     """A motion as a series.
 
     Attributes:
-        table: (terms, K + 2) coefficients of the series, a column for each weight, the height and the speed.
+        table: (terms, K + 2) coefficients of the series, a column for each base-pose weight (m), the height of the
+            body's centre above the ground (m) and its horizontal speed along the heading (m/s).
         period: s, cycle of a gait, or length of an action.
         cyclic: whether the motion is a gait (a Fourier series) and not an action (a cosine series).
     """
@@ -69,18 +55,14 @@ class Motion:
     period: float
     cyclic: bool
 
-    def sample(self, times_s: Array) -> MotionSamples:
-        """Evaluate the series at the times (N,) in s; an action holds its last pose after its end."""
-        values = self._evaluate_terms(times_s / self.period) @ self.table
-        return MotionSamples(values[:, :-2], values[:, -2], values[:, -1])
-
-    def _evaluate_terms(self, phase: Array) -> Array:
-        """Return the terms (N, terms) of the series at the phases (N,) in periods."""
-        n = len(self.table)
+    def sample(self, times_s: Array) -> Array:
+        """Return the columns of the table (N, K + 2) at times (N,) in s; an action holds its last pose."""
+        phase, n = times_s / self.period, len(self.table)
         if self.cyclic:
-            return fourier_terms(phase, (n - 1) // 2)
-        clipped = np.clip(phase, 0, 1)
-        return np.cos(np.pi * clipped[:, None] * np.arange(n))
+            terms = fourier_terms(phase, (n - 1) // 2)
+        else:
+            terms = np.cos(np.pi * np.clip(phase, 0, 1)[:, None] * np.arange(n))
+        return np.asarray(terms @ self.table)
 
 
 def fourier_terms(phase: Array, harmonics: int) -> Array:
@@ -91,12 +73,7 @@ def fourier_terms(phase: Array, harmonics: int) -> Array:
 
 
 def learn_gait(poses: Array, model: BasePoses) -> Motion:
-    """Learn the cycle of a gait from a few strides.
-
-    Args:
-        poses: (F, 15, 3) m, z up, at `FRAME_RATE_HZ`.
-        model: base poses that span the poses.
-    """
+    """Learn the cycle of a gait from a few strides (F, 15, 3) in m, z up, at `FRAME_RATE_HZ`."""
     samples = _tabulate_motion(poses, model)
     times_s = np.arange(len(poses)) / FRAME_RATE_HZ
 
@@ -111,12 +88,7 @@ def learn_gait(poses: Array, model: BasePoses) -> Motion:
 
 
 def learn_action(poses: Array, model: BasePoses) -> Motion:
-    """Learn a single action, smoothed to `ACTION_TERMS` cosine terms.
-
-    Args:
-        poses: (F, 15, 3) m, z up, at `FRAME_RATE_HZ`.
-        model: base poses that span the poses.
-    """
+    """Learn a single action, smoothed to `ACTION_TERMS` cosine terms; the arguments are those of `learn_gait`."""
     samples = _tabulate_motion(poses, model)
     coefficients = dct(samples, type=1, axis=0)[:ACTION_TERMS] / (len(samples) - 1)
     coefficients[0] /= 2

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from mocap_ros.demo.motions import FRAME_RATE_HZ, MotionSamples, load_motions
+from mocap_ros.demo.motions import FRAME_RATE_HZ, load_motions
 from mocap_ros.formats.sequence_file import GroundTruth, KeypointSequence
 from mocap_ros.skeleton import CMU15, keypoint_layout
 from mocap_ros.training.base_poses import scale_bones
@@ -103,9 +103,9 @@ def make_recording() -> Recording:
     ]
     samples = _concatenate_motions(parts)
     factor = np.array([_look_up_joint(BONE_FACTORS, CMU15.joints[child]) for _, child in CMU15.bones])
-    body = scale_bones(model.poses(samples.theta), CMU15, factor)
+    body = scale_bones(model.poses(samples[:, :-2]), CMU15, factor)
     body -= body.mean(axis=1, keepdims=True)
-    truth = _transform_to_camera(_place_in_world(body, samples), rng)
+    truth = _transform_to_camera(_place_in_world(body, samples[:, -2], samples[:, -1]), rng)
     timestamps = np.arange(len(truth)) / FRAME_RATE_HZ
     return Recording(_simulate_detector(truth, timestamps, rng), timestamps, truth)
 
@@ -115,10 +115,9 @@ def _look_up_joint(table: dict[str, float], joint: str) -> float:
     return table[joint if joint in table else joint[1:]]
 
 
-def _concatenate_motions(parts: list[MotionSamples]) -> MotionSamples:
-    """Concatenate motions, and blend each with the next over `BLEND_S`."""
+def _concatenate_motions(tables: list[Array]) -> Array:
+    """Concatenate samples (N, K + 2) of motions, and blend each with the next over `BLEND_S`."""
     half = round(BLEND_S * FRAME_RATE_HZ / 2)
-    tables = [np.column_stack([part.theta, part.height, part.speed]) for part in parts]
     out = np.concatenate(tables)
     seam = 0
     for table in tables[:-1]:
@@ -128,41 +127,27 @@ def _concatenate_motions(parts: list[MotionSamples]) -> MotionSamples:
         before = np.concatenate([out[seam - half : seam], np.repeat(out[seam - 1 : seam], half, axis=0)])
         after = np.concatenate([np.repeat(out[seam : seam + 1], half, axis=0), out[seam : seam + half]])
         out[seam - half : seam + half] = (1 - ramp) * before + ramp * after
-    return MotionSamples(out[:, :-2], out[:, -2], out[:, -1])
+    return out
 
 
-def _place_in_world(body: Array, samples: MotionSamples) -> Array:
+def _place_in_world(body: Array, height: Array, speed: Array) -> Array:
     """Move the body (F, 15, 3) anticlockwise along the circle.
 
     Returns:
         The joints (F, 15, 3) in m in a world frame with x right, y away from the camera and z up.
     """
-    distance = np.cumsum(samples.speed) / FRAME_RATE_HZ
+    distance = np.cumsum(speed) / FRAME_RATE_HZ
     angle = np.radians(-150) + distance / CIRCLE_RADIUS_M
     heading = angle + np.pi / 2
     c, s, o = np.cos(heading), np.sin(heading), np.zeros_like(heading)
     rotation = np.stack([np.stack([c, -s, o], -1), np.stack([s, c, o], -1), np.stack([o, o, o + 1], -1)], -2)
-    centre = np.stack(
-        [
-            CIRCLE_RADIUS_M * np.cos(angle),
-            CIRCLE_DISTANCE_M + CIRCLE_RADIUS_M * np.sin(angle),
-            samples.height * HEIGHT_FACTOR,
-        ],
-        axis=-1,
-    )
+    x, y = CIRCLE_RADIUS_M * np.cos(angle), CIRCLE_DISTANCE_M + CIRCLE_RADIUS_M * np.sin(angle)
+    centre = np.stack([x, y, height * HEIGHT_FACTOR], axis=-1)
     return np.asarray(body @ np.swapaxes(rotation, -1, -2) + centre[:, None])
 
 
 def _transform_to_camera(world: Array, rng: np.random.Generator) -> Array:
-    """Transform points into the frame of a camera that follows the person late and shakes by about a degree.
-
-    Args:
-        world: (F, 15, 3) m, joints in the world frame.
-        rng: source of the shaking.
-
-    Returns:
-        The joints (F, 15, 3) in m in the camera's optical frame.
-    """
+    """Transform joints (F, 15, 3) into the frame of a camera that follows the person late and shakes."""
     frames = len(world)
     centre = world.mean(axis=1)
     pan = gaussian_filter1d(np.arctan2(centre[:, 0], centre[:, 1]), 0.4 * FRAME_RATE_HZ, mode='nearest')
@@ -201,15 +186,10 @@ def _add_face(truth: Array) -> Array:
 
 
 def _simulate_detector(truth: Array, timestamps: Array, rng: np.random.Generator) -> Array:
-    """Return the keypoints (F, 17, 3) that a detector would give.
+    """Return the keypoints (F, 17, 3) that a detector would give of joints (F, 15, 3) in the optical frame.
 
     The noise is correlated over time. A joint that is farther from the camera than the body's centre counts as
     probably occluded by the body: its noise is larger, its score lower, and it is missed more often.
-
-    Args:
-        truth: (F, 15, 3) m in the camera's optical frame.
-        timestamps: (F,) s.
-        rng: source of the noise.
     """
     names = keypoint_layout('coco17').joints
     points3d = _add_face(truth)

@@ -16,8 +16,10 @@ from mocap_ros.cli.main import main
 from mocap_ros.config import RecorderConfig
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import MocapError
+from mocap_ros.formats.sequence_file import load_sequence, save_sequence
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.runtime.replay import ReplayOptions, replay
+from tests.support.paths import ROOT
 from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames
 
 FRAMES = 12
@@ -69,3 +71,13 @@ def test_the_truth_and_the_person_are_in_the_frames_of_the_sequence(tmp_path: Pa
     assert f'{FRAMES - 1} of {len(sequence)} frames have a skeleton' in describe_errors(
         scene, sequence, sequence.truth
     )
+
+
+def test_the_shipped_recording_is_the_generated_one(tmp_path: Path) -> None:
+    shipped = load_sequence(ROOT / 'mocap_ros' / 'demo' / 'demo.npz')
+    save_sequence(tmp_path / 'demo.npz', make_recording().sequence())
+    made = load_sequence(tmp_path / 'demo.npz')
+    assert shipped.keypoints == pytest.approx(made.keypoints, abs=1e-3, nan_ok=True)
+    assert shipped.truth is not None
+    assert made.truth is not None
+    assert shipped.truth.joints == pytest.approx(made.truth.joints, abs=1e-5)
