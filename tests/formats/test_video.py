@@ -44,21 +44,13 @@ def read_all(path: Path) -> tuple[np.ndarray, list[float], VideoReader]:
     return np.array(images), list(times), reader
 
 
-@pytest.mark.parametrize('name', ['a.mkv', 'a.avi'])
-def test_images_are_those_of_the_file(tmp_path: Path, name: str) -> None:
-    times_s = TIMES_S if name == 'a.mkv' else [i / 30 for i in range(len(TIMES_S))]  # .avi has a constant rate
-    images, times, reader = read_all(write_video(tmp_path / name, make_images(), times_s))
-    assert np.array_equal(images, make_images())
-    assert times == pytest.approx(times_s, abs=1e-3)
-    assert reader.left_out == 0
-
-
 def test_uneven_times_are_kept_and_begin_with_0(tmp_path: Path) -> None:
     late = [t + 7.5 for t in TIMES_S]
     for name, codec, pixels in (('a.mkv', 'ffv1', 'bgr0'), ('a.mp4', 'libx264', 'yuv420p')):
         images, times, reader = read_all(write_video(tmp_path / name, make_images(), late, codec, pixels))
         assert times == pytest.approx(TIMES_S, abs=1e-9)
         assert images[:, -1, -1, 0] == pytest.approx([20 * i for i in range(len(times))], abs=6)
+        assert reader.left_out == 0
     assert reader.image_count == len(times)
 
 
@@ -74,38 +66,22 @@ def test_a_video_that_is_stored_turned_is_turned_back(tmp_path: Path) -> None:
     assert np.flatnonzero(red.any(axis=1)).tolist() == list(range(16))
 
 
-def test_a_file_that_breaks_off_gives_what_it_holds(tmp_path: Path) -> None:
-    noise = [np.random.default_rng(i).integers(0, 255, (48, 64, 3), np.uint8) for i in range(40)]
-    path = write_video(tmp_path / 'a.mkv', noise, [i / 30 for i in range(40)])
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    images, _, _ = read_all(path)
-    assert 10 < len(images) < 30
-    assert np.array_equal(images[:10], noise[:10])
-
-
-@pytest.mark.parametrize('name', ['text.mp4', 'sound.mka', 'none.mp4'])
+@pytest.mark.parametrize('name', ['text.mp4', 'sound.mka', 'none.mp4', 'unknown.mkv'])
 def test_what_is_no_video_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
     import av
 
     (tmp_path / 'text.mp4').write_text('no video')
+    whole = write_video(tmp_path / 'a.mkv', make_images(), TIMES_S).read_bytes()
+    (tmp_path / 'unknown.mkv').write_bytes(whole.replace(b'V_FFV1', b'V_NONE'))
     with av.open(str(tmp_path / 'sound.mka'), 'w') as container:
         stream = container.add_stream('pcm_s16le', rate=8000)
         frame = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format='s16', layout='mono')
         frame.sample_rate = 8000
         container.mux(stream.encode(frame))
-    with pytest.raises(InputError, match=r'no video that can be read \(.+\)$|holds no video$') as raised:
+    with pytest.raises(InputError, match=r'no video that can be read \(.+\)$|holds no video$|codec') as raised:
         VideoReader(tmp_path / name)
     assert str(raised.value).startswith(f'{tmp_path / name}: ')
     assert '\n' not in str(raised.value)
-
-
-def test_a_video_of_an_unknown_codec_is_refused_in_one_line(tmp_path: Path) -> None:
-    path = write_video(tmp_path / 'a.mkv', make_images(), TIMES_S)
-    content = path.read_bytes()
-    assert content.count(b'V_FFV1') == 1
-    path.write_bytes(content.replace(b'V_FFV1', b'V_NONE'))
-    with pytest.raises(InputError, match=r'a\.mkv: its codec is not known'):
-        VideoReader(path)
 
 
 @pytest.mark.parametrize('name', ['http://127.0.0.1:9/a.mp4', 'concat:a.mp4|b.mp4', 'pipe:0'])
