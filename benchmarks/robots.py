@@ -33,11 +33,11 @@ from numpy.typing import NDArray
 from reconstruction import JOINTS, Models, list_people, provide_held_out
 from report import Report, run
 
+from mocap_ros.bridges.capsules import arrange_body_parts, compute_capsules
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import Config, NodeConfig, with_values
 from mocap_ros.messages.cdr import Header
-from mocap_ros.messages.robots.capsules import arrange_body_parts, compute_capsules
-from mocap_ros.messages.robots.predictions import PredictedFrame
+from mocap_ros.messages.predictions import PredictedFrame
 from mocap_ros.models.joint_std import compute_joint_covariance
 from mocap_ros.people import HIPS, Person3D
 from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS, OutputEncoder
@@ -122,7 +122,8 @@ def follow(scene: RobotScene, way: str, models: Models, config: Config) -> list[
 
 def measure_inside(scene: RobotScene, frame: int, person: Person3D) -> dict[str, tuple[float, float]]:
     """Return the share of each part of the body in the capsules: with the root in its place, and as published."""
-    capsules, off = compute_capsules(person), person.root - scene.root[frame]
+    capsules = compute_capsules(person.joints, person.std, person.skeleton)
+    off = person.root - scene.root[frame]
     body = sample_body(scene.bodies[frame], scene.stature, np.random.default_rng(frame))
     return {
         name: (find_inside(points + off, capsules).mean(), find_inside(points, capsules).mean())
@@ -139,7 +140,8 @@ def measure_inflation(trials: Sequence[str], frames: int, models: Models, config
         for frame, _, person in track_scene(scene, models, configure(scene, 'height', config)):
             if frame >= WARM_UP and not person.predicted:
                 parts = arrange_body_parts(person.skeleton)
-                found.append((compute_capsules(person).radius - parts.half_thickness) * 1e3)
+                radius = compute_capsules(person.joints, person.std, person.skeleton).radius
+                found.append((radius - parts.half_thickness) * 1e3)
     return np.array(found)
 
 

@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
-from typing import Any
+from types import ModuleType
 
 import pytest
 import yaml
@@ -22,8 +20,9 @@ from mocap_ros.bags.topics import Source
 from mocap_ros.config import Config, values
 from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.skeletons import encode_skeletons
+from mocap_ros.ros.help import BRIDGE_NAME, BRIDGE_PARAMETERS
 from mocap_ros.runtime.outputs import OUTPUTS
-from tests.support.modules import load_module
+from tests.support.launch_file import load_launch_file
 from tests.support.paths import ROOT
 from tests.support.people import make_person_3d
 
@@ -53,36 +52,9 @@ def test_foxglove_shows_fields_of_outputs_of_the_node() -> None:
         assert hasattr(skeletons.people[0], field[1]), path
 
 
-class Recorded(SimpleNamespace):
-    """What a class of `launch` was created with; it substitutes for all of them."""
-
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(args=args, **options)
-
-    def perform(self, context: dict[str, str]) -> str:
-        """Return the value of a launch argument."""
-        return context[self.args[0]]
-
-
 @pytest.fixture
 def launch_file(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The launch file, with substitutes for the packages that it imports."""
-    classes = {
-        'launch': ('LaunchContext', 'LaunchDescription'),
-        'launch.actions': ('DeclareLaunchArgument', 'OpaqueFunction'),
-        'launch.conditions': ('IfCondition',),
-        'launch.substitutions': ('LaunchConfiguration', 'PathJoinSubstitution'),
-        'launch_ros': (),
-        'launch_ros.actions': ('Node',),
-        'launch_ros.parameter_descriptions': ('ParameterValue',),
-        'launch_ros.substitutions': ('FindPackageShare',),
-    }
-    for name, members in classes.items():
-        module = ModuleType(name)
-        for member in members:
-            setattr(module, member, Recorded)
-        monkeypatch.setitem(sys.modules, name, module)
-    return load_module(CONFIG / 'launch' / 'mocap.launch.py')
+    return load_launch_file(monkeypatch)
 
 
 def test_the_launch_file_starts_the_node_with_parameters_and_topics_that_it_has(launch_file: ModuleType) -> None:
@@ -93,16 +65,28 @@ def test_the_launch_file_starts_the_node_with_parameters_and_topics_that_it_has(
     for name, (parameter, kind) in launch_file.PARAMETERS.items():
         assert declared[name] == '', 'an argument that is not given leaves the parameter as the file has it'
         assert type(known[parameter]) is kind
-    (node,) = launch_file.create_node(dict.fromkeys(declared, ''))
+    (node,) = launch_file.create_nodes(dict.fromkeys(declared, ''))
     assert (node.package, node.executable, node.name) == ('mocap_ros', 'mocap_node', 'mocap_node')
     assert [p.args[0] for p in node.parameters] == ['params_file']
     assert {topic for topic, _ in node.remappings} == {Source.KEYPOINTS.value, Source.CAMERA_INFO.value}
     assert all(substitution.args == (topic,) for topic, substitution in node.remappings)
-    (node,) = launch_file.create_node({**dict.fromkeys(declared, ''), 'record': 'true'})
+    (node,) = launch_file.create_nodes({**dict.fromkeys(declared, ''), 'record': 'true'})
     _, given = node.parameters
     assert {name: (v.args[0].args[0], v.value_type) for name, v in given.items()} == {
         'recorder.enabled': ('record', bool)
     }
+
+
+def test_the_launch_file_starts_the_bridge_with_one_argument(launch_file: ModuleType) -> None:
+    context = {**dict.fromkeys(launch_file.ARGUMENTS, ''), 'bridge': 'people prediction_markers'}
+    node, bridge = launch_file.create_nodes(context)
+    assert (bridge.package, bridge.executable, bridge.name) == ('mocap_ros', BRIDGE_NAME, BRIDGE_NAME)
+    (given,) = bridge.parameters
+    assert {name: (v.args[0], v.value_type) for name, v in given.items()} == {
+        'publish': ('people prediction_markers', str)
+    }
+    assert given.keys() <= BRIDGE_PARAMETERS.keys()
+    assert node.parameters[1] == {'node.publish_predictions': True}
 
 
 def test_the_launch_file_finds_the_files_that_are_installed(launch_file: ModuleType) -> None:

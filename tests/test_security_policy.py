@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from mocap_ros.bags.topics import Source
+from mocap_ros.bridges.bridge import CONSUMERS
 from mocap_ros.ros.help import SERVICES
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, OUTPUTS, SWITCHED_OUTPUTS
 from tests.support.security_policy import read_permissions
@@ -37,10 +38,19 @@ OPERATED = {
 def test_node() -> None:
     node = read_permissions('mocap_node')
     outputs = {*OUTPUTS, *LATCHED_OUTPUTS, *(output.topic for output in SWITCHED_OUTPUTS.values())}
-    assert node.publish == {*outputs, *NODE_TOPICS, '/diagnostics', BODIES, '~/transition_event'}
+    assert node.publish == {*outputs, *NODE_TOPICS, '/diagnostics', '~/transition_event'}
     assert node.subscribe == {*INPUTS, BODIES, '/clock', '/parameter_events'}
     assert node.reply == {*SERVICES, *PARAMETER_SERVICES, *LIFECYCLE_SERVICES}
     assert not node.request
+
+
+def test_bridge() -> None:
+    bridge = read_permissions('mocap_bridge')
+    topics = {consumer.topic for consumer in CONSUMERS.values()}
+    assert bridge.publish == {*topics, *NODE_TOPICS, BODIES, '~/transition_event'}
+    assert bridge.subscribe == {'skeletons', 'predictions', '/clock', '/parameter_events'}
+    assert bridge.reply == {*PARAMETER_SERVICES, *LIFECYCLE_SERVICES}
+    assert not bridge.request
 
 
 def test_player() -> None:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.messages.robots.capsules import Capsules
+from mocap_ros.bridges.capsules import Capsules
 from mocap_ros.skeleton import BODY26
 
 Array = NDArray[np.float64]

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Launch the live node, and RViz if wanted.
+r"""Launch the live node, and if wanted the node with messages for robots, and RViz.
 
 For example:
 
@@ -32,6 +32,7 @@ ARGUMENTS = {
     'record': ('', 'whether to record a bag in mocap_recordings/'),
     'publish_tf': ('', 'whether to publish the people as frames on /tf'),
     'frame_prefix': ('', 'prefix of the names of these frames; each camera needs its own'),
+    'bridge': ('', 'consumers for which a second node publishes, such as "people capsules"'),
     'rviz': ('false', 'whether to start RViz'),
 }
 # The parameter that an argument sets, and its type.
@@ -45,14 +46,17 @@ SWITCHES = {'rviz', *(name for name, (_, kind) in PARAMETERS.items() if kind is 
 SWITCH_VALUES = 'true', 'false', 'True', 'False'
 
 
-def create_node(context: LaunchContext) -> list[Node]:
-    """Return the node with the parameters of the file, and of those arguments that were given."""
+def create_nodes(context: LaunchContext) -> list[Node]:
+    """Return the node with the parameters of the file and of those arguments that were given, and the bridge."""
     configurations = {name: LaunchConfiguration(name) for name in ARGUMENTS}
     given = {
         parameter: ParameterValue(configurations[name], value_type=kind)
         for name, (parameter, kind) in PARAMETERS.items()
         if configurations[name].perform(context)
     }
+    consumers = configurations['bridge'].perform(context)
+    if 'prediction_markers' in consumers:
+        given['node.publish_predictions'] = True
     node = Node(
         package='mocap_ros',
         executable='mocap_node',
@@ -62,11 +66,21 @@ def create_node(context: LaunchContext) -> list[Node]:
         parameters=[configurations['params_file'], *([given] if given else [])],
         remappings=[('keypoints', configurations['keypoints']), ('camera_info', configurations['camera_info'])],
     )
-    return [node]
+    if not consumers:
+        return [node]
+    bridge = Node(
+        package='mocap_ros',
+        executable='mocap_bridge',
+        name='mocap_bridge',
+        namespace=configurations['namespace'],
+        output='screen',
+        parameters=[{'publish': ParameterValue(consumers, value_type=str)}],
+    )
+    return [node, bridge]
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the launch description with RViz and the node.
+    """Return the launch description with RViz and the nodes.
 
     RViz comes first: where it is not installed, the launch ends before the node has started.
     """
@@ -86,4 +100,4 @@ def generate_launch_description() -> LaunchDescription:
         )
         for name, (default, text) in ARGUMENTS.items()
     ]
-    return LaunchDescription([*arguments, rviz, OpaqueFunction(function=create_node)])
+    return LaunchDescription([*arguments, rviz, OpaqueFunction(function=create_nodes)])

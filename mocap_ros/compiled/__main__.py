@@ -17,7 +17,6 @@ from mocap_ros.compiled.kernel import CompilationReport, compile_kernels
 DECLARING_MODULES = (
     'mocap_ros.tracking.tracker',
     'mocap_ros.offline.keyframes.reconstruct',
-    'mocap_ros.messages.robots.bodies',
 )
 
 

@@ -295,46 +295,9 @@ class NodeConfig:
         read_only=True,
         is_common=True,
     )
-    publish_people: bool = define_parameter(
-        False, 'publish people_msgs/People on the topic people', read_only=True
-    )
-    publish_detections: bool = define_parameter(
-        False, 'publish vision_msgs/Detection3DArray on the topic detections', read_only=True
-    )
-    publish_obstacles: bool = define_parameter(
-        False, 'publish nav2_dynamic_msgs/ObstacleArray on the topic obstacles', read_only=True
-    )
-    publish_poses: bool = define_parameter(
-        False, 'publish geometry_msgs/PoseArray on the topic poses', read_only=True
-    )
-    publish_capsules: bool = define_parameter(
-        False,
-        'publish bodies as capsules, mocap_ros_msgs/BodyCapsulesArray, on the topic capsules',
-        read_only=True,
-    )
-    publish_capsule_markers: bool = define_parameter(
-        False,
-        'publish the capsules of bodies as markers, for RViz and Foxglove, on the topic capsule_markers',
-        read_only=True,
-    )
-    publish_collision_objects: bool = define_parameter(
-        False, 'publish moveit_msgs/CollisionObject of each person on the topic collision_object', read_only=True
-    )
-    publish_bodies: bool = define_parameter(
-        False,
-        'publish people as bodies of ROS4HRI (REP-155): their ids on /humans/bodies/tracked, and for each id '
-        'joint states and a kinematic model; not with an input_type of hri_msgs',
-        read_only=True,
-    )
     publish_predictions: bool = define_parameter(
         False,
         'publish where people will be, mocap_ros_msgs/Predictions, on the topic predictions; not with tracker.lag',
-        read_only=True,
-    )
-    publish_prediction_markers: bool = define_parameter(
-        False,
-        'publish where people will be as markers, for RViz and Foxglove, on the topic prediction_markers; not '
-        'with tracker.lag',
         read_only=True,
     )
     prediction_times: str = define_parameter(

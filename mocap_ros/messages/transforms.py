@@ -19,10 +19,9 @@ the left upper arm. Of somebody who stands upright with hanging arms, all have t
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import chain, count
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,7 +30,6 @@ from mocap_ros.geometry.rigid_transform import NO_ROTATION
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
 from mocap_ros.messages.cdr import Array, Header
 from mocap_ros.messages.plain import encode_plain
-from mocap_ros.messages.stacked_people import StackedPeople
 from mocap_ros.people import HIPS, Person3D
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, Skeleton
 
@@ -39,6 +37,7 @@ TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 ROOT_LINK = 'body'  # name of the root link in REP-155
 TORSO_LINK = 'torso'  # name of the link between the shoulders
 MIDDLE_LINKS = 'head', 'nose'  # joints of the middle of the body that are links
+MAX_ID_CHARACTERS = 200  # of a name; the middleware refuses names of topics of more than 247
 MIN_AXIS_LENGTH = 1e-6  # m (up) and m^2 (forward); guards the divisions by them, far under any real size
 
 _SHOULDERS = CMU15.index('lshoulder'), CMU15.index('rshoulder')
@@ -62,14 +61,9 @@ CHILD_LINKS = _list_links(BODY26)[0]  # all links besides `body` that any skelet
 
 
 class FrameNames:
-    """Names of people in those of frames or topics, which no two people share and nobody changes while present.
+    """Names of people in those of frames or topics, which no two people share and nobody changes while present."""
 
-    Args:
-        make_name: function that makes a valid name of an id.
-    """
-
-    def __init__(self, make_name: Callable[[str], str] | None = None) -> None:
-        self._make_name = make_name or make_suffix
+    def __init__(self) -> None:
         self._names: dict[str, str] = {}  # by id
 
     def assign(self, ids: Sequence[str]) -> dict[str, str]:
@@ -77,16 +71,20 @@ class FrameNames:
         names = {i: self._names[i] for i in ids if i in self._names}
         for person_id in ids:
             if person_id not in names:
-                plain = self._make_name(person_id)
+                plain = make_body_id(person_id)
                 choices = chain([plain], (f'{plain}_{n}' for n in count(2)))
                 names[person_id] = next(name for name in choices if name not in names.values())
         self._names = names
         return names
 
 
-def make_suffix(person_id: str) -> str:
-    """Return the id in characters that are valid in a frame's name: letters, digits and _."""
-    return re.sub(r'\W', '_', person_id, flags=re.ASCII)
+def make_body_id(person_id: str) -> str:
+    """Return an id that can be part of the names of topics and frames: a letter, then letters, digits and _.
+
+    A longer one than `MAX_ID_CHARACTERS` is cut.
+    """
+    valid = re.sub(r'\W', '_', person_id, flags=re.ASCII)
+    return (valid if valid[:1].isalpha() else f'p{valid}')[:MAX_ID_CHARACTERS]
 
 
 def encode_transforms(
@@ -148,32 +146,3 @@ def compute_links(joints: Array) -> tuple[Array, Array, Array]:
     lengths[:, ~(lengths > MIN_AXIS_LENGTH).all(axis=0)] = np.nan
     up, forward = up / lengths[0], forward / lengths[1]
     return roots, torsos, np.stack([forward, np.cross(up, forward), up], axis=2)
-
-
-class BodyLinks(NamedTuple):
-    """The main links of N people, as of `compute_links`."""
-
-    roots: Array
-    torsos: Array
-    axes: Array
-
-    @property
-    def is_known(self) -> NDArray[np.bool_]:
-        """(N,) True for people who have axes."""
-        return np.asarray(np.isfinite(self.axes).all(axis=(1, 2)))
-
-
-def find_links(people: StackedPeople) -> BodyLinks:
-    """Return the main links of people."""
-    return BodyLinks(*compute_links(people.joints))
-
-
-def compute_orientations(people: StackedPeople) -> Array:
-    """Return the quaternions x, y, z, w (N, 4) of bodies: x forward, y left, z up along the trunk.
-
-    They are those of the links on /tf; that of a body whose axes are not known is no rotation.
-    """
-    links = people.share(find_links)
-    rows = zip(links.axes, links.is_known, strict=True)
-    found = [quaternion_from_rotation(axes) if is_known else NO_ROTATION for axes, is_known in rows]
-    return np.array(found).reshape(-1, 4)

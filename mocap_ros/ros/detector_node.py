@@ -5,16 +5,12 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from collections.abc import Sequence
 from pathlib import Path
 
-import rclpy
 from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -25,10 +21,10 @@ from mocap_ros.detectors.load import load_detector
 from mocap_ros.errors import ConfigError, InputError, ModelError
 from mocap_ros.messages.images import IMAGE_TYPES, decode_image
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
-from mocap_ros.ros.detector_help import IMAGE_TOPIC, KEYPOINTS_TOPIC, MAX_PEOPLE, NODE_NAME, PARAMETERS
+from mocap_ros.ros.help import DETECTOR_NAME, DETECTOR_PARAMETERS, IMAGE_TOPIC, KEYPOINTS_TOPIC, MAX_PEOPLE
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.qos import OUTPUT_QOS, QosWarnings
-from mocap_ros.ros.startup import create_node, initialise_rclpy, spin_until
+from mocap_ros.ros.startup import run_node
 from mocap_ros.ros.throttled_log import ThrottledLog
 from mocap_ros.runtime.detection import detect_people
 from mocap_ros.units import NS_PER_S
@@ -50,7 +46,7 @@ class DetectorNode(Node):
     """
 
     def __init__(self) -> None:
-        super().__init__(NODE_NAME)
+        super().__init__(DETECTOR_NAME)
         qos_warnings = QosWarnings(self)
         model, self._max_people, self._type = self._declare_parameters()
         self._model = Path(model).expanduser() if model else None
@@ -86,6 +82,9 @@ class DetectorNode(Node):
             f'keypoints on {self.resolve_topic_name(KEYPOINTS_TOPIC)}'
         )
 
+    def start(self) -> None:
+        """Do nothing; the node works since it was created."""
+
     def close(self) -> None:
         """Release the model."""
         self._detector.close()
@@ -94,7 +93,7 @@ class DetectorNode(Node):
         """Declare the parameters, which are fixed when the node starts, and return their values."""
         values: list[object] = []
         try:
-            for name, (default, description) in PARAMETERS.items():
+            for name, (default, description) in DETECTOR_PARAMETERS.items():
                 descriptor = ParameterDescriptor(description=description, read_only=True)
                 if isinstance(default, int):
                     descriptor.integer_range = [IntegerRange(from_value=1, to_value=MAX_PEOPLE, step=1)]
@@ -137,28 +136,5 @@ class DetectorNode(Node):
 
 
 def run(arguments: Sequence[str]) -> None:
-    """Run the node until SIGINT or SIGTERM.
-
-    Args:
-        arguments: arguments of the command line, which rclpy parses.
-
-    Raises:
-        ConfigError: an argument or a parameter is wrong.
-        ModelError: the model cannot be used.
-    """
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    initialise_rclpy(arguments)
-    executor = SingleThreadedExecutor()
-    try:
-        node = create_node(DetectorNode)
-        executor.add_node(node)
-        try:
-            spin_until(stop, executor, node.get_logger())
-        finally:
-            executor.shutdown()
-            node.close()
-            node.destroy_node()
-    finally:
-        rclpy.shutdown()
+    """Run the node until SIGINT or SIGTERM; arguments and errors are those of `startup.run_node`."""
+    run_node(arguments, DetectorNode)

@@ -23,13 +23,7 @@ from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.throttled_log import Logger
-from mocap_ros.runtime.outputs import (
-    LATCHED_OUTPUTS,
-    LATCHED_TYPES,
-    MAX_BODY_TOPICS,
-    RecordedBodies,
-    build_skeleton_definition,
-)
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, build_skeleton_definition
 from mocap_ros.runtime.pipeline import Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
 
@@ -71,7 +65,6 @@ class LiveRecording:
         self._failure = ''  # why no recording runs although recorder.enabled is set
         self._journal = Journal(names['journal'])
         self._declared_topics: set[str] = set()  # those that need more than a name and a type
-        self._bodies = RecordedBodies()
         self._stalled_s = 0.0  # of the stall that has been logged
         self._finishing: list[BackgroundRecorder] = []  # of recordings that have ended, but are not finished yet
 
@@ -126,7 +119,6 @@ class LiveRecording:
         self._declared_topics = {self._names[topic] for topic in LATCHED_OUTPUTS}
         self._journal = Journal(self._names['journal'])
         self._stalled_s = 0.0
-        self._bodies = RecordedBodies()
         first_records = self._make_first_records(pipeline, start_ns)
         recorder = start_recorder(start_ns, config.recorder, attachments, self._versions.definitions)
         try:
@@ -313,21 +305,9 @@ class LiveRecording:
         return make_topic(name, msgtype, latched=latched, qos=qos, definition=definition)
 
     def _make_output_records(self, output: OutputMessage, published_ns: int) -> list[RecordedMessage | Topic]:
-        """Return the record of an output, after its topic if that is a latched one that has not been declared."""
-        name = self._names.get(output.topic, output.topic)  # those of single bodies are not known beforehand
-        if not self._bodies.admit(output.topic):
-            if self._bodies.left_out_count == 1:
-                self._logger.warning(
-                    f'{name}: a bag holds {MAX_BODY_TOPICS} topics of single bodies, and this one would be more; '
-                    'further bodies are published but not recorded: start another recording'
-                )
-            return []
+        name = self._names.get(output.topic, output.topic)
         times_ns = published_ns, published_ns
-        record = RecordedMessage(name, output.type, output.data, *times_ns, may_begin_file=False)
-        if output.type not in LATCHED_TYPES or name in self._declared_topics:
-            return [record]
-        self._declared_topics.add(name)
-        return [self._make_topic(name, output.type, latched=True), record]
+        return [RecordedMessage(name, output.type, output.data, *times_ns, may_begin_file=False)]
 
     def _put(
         self, records: Iterable[RecordedMessage | Topic], *, even_if_full: bool = True, share: float = 1.0

@@ -6,32 +6,28 @@
 from __future__ import annotations
 
 import gc
-import signal
-import threading
 from collections.abc import Sequence
 from typing import Any
 
-import rclpy
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 
 from mocap_ros.bags.topics import Source
-from mocap_ros.compiled.kernel import compile_kernels, is_compiling
+from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import Config, with_values
 from mocap_ros.errors import MocapError, RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
+from mocap_ros.messages.cdr import OutputMessage
+from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter
 from mocap_ros.ros.help import SERVICES
+from mocap_ros.ros.lifecycle import ManagedNode
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.parameters import declare_parameters, select_config_values, warn_of_unknown_parameters
-from mocap_ros.ros.publications import OutputPublishers
-from mocap_ros.ros.qos import QosWarnings, profile_to_rosbag2
-from mocap_ros.ros.startup import create_node, initialise_rclpy, spin_until
+from mocap_ros.ros.publications import Publishers
+from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS, TF_QOS, QosWarnings, profile_to_rosbag2
+from mocap_ros.ros.startup import run_node
 from mocap_ros.ros.subscriptions import InputSubscriptions
 from mocap_ros.runtime.cpu_setup import release_free_memory
 from mocap_ros.runtime.outputs import (
@@ -44,6 +40,7 @@ from mocap_ros.runtime.pipeline import Pipeline
 from mocap_ros.units import NS_PER_S
 
 NODE_NAME = 'mocap_node'
+DIAGNOSTICS_TOPIC = '/diagnostics'
 RECORDING_PARAMETER = 'recorder.enabled'  # switched by the service ~/record, too
 # ns; the seconds of a stamp are int32, and with use_sim_time anyone sets the time
 MAX_STAMP_NS = (2**31 - 1) * NS_PER_S
@@ -52,7 +49,7 @@ RELEASE_PERIOD_S = 60.0  # s between two collections of garbage, after which fre
 SILENCE_CHECK_PERIOD_S = 0.5  # s; bounds the delay of the warning that no input arrives
 
 
-class MocapNode(LifecycleNode):
+class MocapNode(ManagedNode):
     """Lifecycle node that runs a `LiveRun` while it is active.
 
     Raises:
@@ -62,8 +59,8 @@ class MocapNode(LifecycleNode):
     def __init__(self) -> None:
         super().__init__(NODE_NAME)
         self._qos_warnings = QosWarnings(self)
-        self._outputs = OutputPublishers(self, self._qos_warnings)
         self._versions = MessageVersions()  # of the types in use while the node is configured
+        self._outputs = Publishers(self, self._versions, self._qos_warnings)
         self._inputs: InputSubscriptions | None = None  # while configured
         self._pipeline: Pipeline | None = None  # while configured
         self._provided_services: list[Any] = []  # while configured
@@ -81,62 +78,12 @@ class MocapNode(LifecycleNode):
         return self._config
 
     def start(self) -> None:
-        """Configure and activate the node; if that fails, the reason is logged, and the node keeps running."""
-        if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
-            self.trigger_activate()
+        """Configure and activate the node, unless the parameter `node.autostart` is false."""
+        if self._config.node.autostart:
+            super().start()
 
-    def close(self) -> None:
-        """Stop the run, finish the recording and destroy publishers and services, in any state."""
-        self._stop_run()
-        self._clean_up()
-
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def configure(self) -> None:
         """Compile the inner loops, load the model, and create publishers and services."""
-        try:
-            self._configure()
-        except Exception as error:
-            self._log_failure('configured', 'configure', error)
-            self._clean_up()
-            return TransitionCallbackReturn.FAILURE
-        return super().on_configure(state)
-
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Subscribe to the inputs and process them."""
-        result = super().on_activate(state)
-        try:
-            definition = build_skeleton_definition(self._config.tracker.skeleton)
-            self._outputs.publish(self._versions.write_output(definition))
-            self._start_run()
-        except Exception as error:
-            self._log_failure('activated', 'activate', error)
-            self._stop_run()
-            super().on_deactivate(state)
-            return TransitionCallbackReturn.FAILURE
-        return result
-
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Unsubscribe, delete the markers and finish the recording."""
-        self._stop_run()
-        return super().on_deactivate(state)
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Discard the model and destroy publishers and services."""
-        result = super().on_cleanup(state)
-        self._clean_up()
-        return result
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Deactivate and clean up."""
-        self._stop_run()
-        result = super().on_shutdown(state)
-        self._clean_up()
-        return result
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Deactivate and clean up; the node can be configured again."""
-        return self.on_shutdown(state)
-
-    def _configure(self) -> None:
         config = self._config
         self._versions = MessageVersions()
         self._inputs = InputSubscriptions(
@@ -147,7 +94,7 @@ class MocapNode(LifecycleNode):
         if compilation.kernels:  # none when the node is configured again
             self.get_logger().info(str(compilation))
         self._pipeline = Pipeline(config)
-        self._outputs.create(self._versions, config.node)
+        self._outputs = self._create_publishers()
         callbacks = {'~/reset': self._on_reset, '~/record': self._on_record}
         self._provided_services = [
             self.create_service(load_interface_class(srvtype), name, callbacks[name])
@@ -156,14 +103,31 @@ class MocapNode(LifecycleNode):
         gc.collect()
         gc.freeze()  # a garbage collection between two frames would take 50 ms to look at all imported libraries
 
-    def _clean_up(self) -> None:
+    def _create_publishers(self) -> Publishers:
+        """Create the publishers; what a parameter switches on and has no installed type is recorded only."""
+        outputs = Publishers(self, self._versions, self._qos_warnings)
+        for topics, qos in ((OUTPUTS, OUTPUT_QOS), (LATCHED_OUTPUTS, LATCHED_QOS)):
+            for topic, msgtype in topics.items():
+                outputs.add(topic, msgtype, qos)
+        outputs.add(DIAGNOSTICS_TOPIC, DIAGNOSTICS, OUTPUT_QOS)
+        for topic, msgtype in list_switched_outputs(self._config.node).items():
+            is_transforms = msgtype == TRANSFORMS
+            consequence = f'{"transforms are" if is_transforms else f"{topic} is"} recorded but not published'
+            outputs.add_if_installed(topic, msgtype, TF_QOS if is_transforms else OUTPUT_QOS, consequence)
+        return outputs
+
+    def clean_up(self) -> None:
+        """Discard the model and destroy publishers and services."""
         gc.unfreeze()
         self._outputs.destroy()
         for service in self._provided_services:
             self.destroy_service(service)
         self._provided_services, self._pipeline, self._inputs = [], None, None
 
-    def _start_run(self) -> None:
+    def start_run(self) -> None:
+        """Publish the names of the joints, subscribe to the inputs and process them."""
+        definition = build_skeleton_definition(self._config.tracker.skeleton)
+        self._outputs.publish(self._versions.write_output(definition))
         assert self._pipeline is not None  # noqa: S101
         assert self._inputs is not None  # noqa: S101
         switched = list_switched_outputs(self._config.node)
@@ -182,20 +146,20 @@ class MocapNode(LifecycleNode):
         self._run.start()
         self._inputs.subscribe(self._run.enqueue, self._run.statistics.record_lost, self._run.forget_topic)
         outputs = (*OUTPUTS, *switched, *LATCHED_OUTPUTS)
-        published = ', '.join(names[topic] for topic in outputs if self._outputs.has_publisher(topic))
+        published = ', '.join(names[topic] for topic in outputs if topic in self._outputs)
         self.get_logger().info(
             f'the node is active: it listens on {" and ".join(self._inputs.topics)}, publishes {published}, '
             f'and uses the model {self._config.tracker.model}'
         )
         self._reporter = DiagnosticsReporter(self.get_fully_qualified_name(), self._pipeline)
-        steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._run_timers = [
-            self.create_timer(SILENCE_CHECK_PERIOD_S, self._check_silence, clock=steady_clock),
-            self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=steady_clock),
-            self.create_timer(RELEASE_PERIOD_S, release_free_memory, clock=steady_clock),
+            self.create_steady_timer(SILENCE_CHECK_PERIOD_S, self._check_silence),
+            self.create_steady_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics),
+            self.create_steady_timer(RELEASE_PERIOD_S, release_free_memory),
         ]
 
-    def _stop_run(self) -> None:
+    def stop_run(self) -> None:
+        """Unsubscribe, delete the markers and finish the recording."""
         run, self._run = self._run, None
         try:
             if self._inputs is not None:
@@ -267,19 +231,12 @@ class MocapNode(LifecycleNode):
             return
         now_ns = min(self.get_clock().now().nanoseconds, MAX_STAMP_NS)
         status = reporter.encode_status(run.statistics, run.recorder_state, now_ns, run.recorder_fault)
-        self._outputs.publish_diagnostics(self._versions.write(DIAGNOSTICS, status))
+        output = OutputMessage(DIAGNOSTICS_TOPIC, DIAGNOSTICS, now_ns, status)
+        self._outputs.publish(self._versions.write_output(output))
 
     def _find_offered_qos(self, topic: str) -> list[dict[str, Any]]:
         """Return the QoS profiles that the publishers of a topic offer, as a bag describes them."""
         return [profile_to_rosbag2(p.qos_profile) for p in self.get_publishers_info_by_topic(topic)]
-
-    def _log_failure(self, state: str, transition: str, error: Exception) -> None:
-        """Log in one line why a transition failed."""
-        reason = str(error) if isinstance(error, MocapError) else f'{type(error).__name__}: {error}'
-        self.get_logger().error(
-            f'{" ".join(reason.split())}; the node is not {state}: correct the cause, then run '
-            f'`ros2 lifecycle set {self.get_fully_qualified_name()} {transition}`, or restart the node'
-        )
 
 
 def run(arguments: Sequence[str]) -> None:
@@ -291,29 +248,4 @@ def run(arguments: Sequence[str]) -> None:
     Raises:
         ConfigError: An argument or a parameter is wrong.
     """
-    stop = threading.Event()
-
-    def request_stop(*_: object) -> None:
-        stop.set()
-        if is_compiling():  # in this thread, while the node is configured; nobody should wait for that
-            raise KeyboardInterrupt
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, request_stop)
-    initialise_rclpy(arguments)
-    executor = SingleThreadedExecutor()
-    try:
-        node = create_node(MocapNode)
-        executor.add_node(node)
-        try:
-            if node.config.node.autostart:
-                node.start()
-            spin_until(stop, executor, node.get_logger())
-        finally:
-            try:
-                node.close()
-            finally:
-                executor.shutdown()
-                node.destroy_node()
-    finally:
-        rclpy.shutdown()
+    run_node(arguments, MocapNode)

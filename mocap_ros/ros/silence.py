@@ -12,6 +12,8 @@ from rclpy.node import Node
 from mocap_ros.messages.foreign.definitions import HRI_SKELETON
 from mocap_ros.messages.input_types import KEYPOINT_TYPES
 
+START_DETECTOR = 'start the detector, or remap the topic to the one on which it publishes'
+
 
 class SilenceMonitor:
     """Observer of the time since the last message on the topic that brings people or names the tracked bodies.
@@ -20,12 +22,14 @@ class SilenceMonitor:
         node: The node that subscribes.
         name: Relative name of the topic.
         msgtype: Type of the messages that the node expects on the topic.
+        advice: What to do where no other topic has such messages.
     """
 
-    def __init__(self, node: Node, name: str, msgtype: str) -> None:
+    def __init__(self, node: Node, name: str, msgtype: str, advice: str = START_DETECTOR) -> None:
         self._node = node
         self._name = name
         self._type = msgtype
+        self._advice = advice
         self._last_input = time.monotonic()  # s, steady clock; at first the time of the start
         self._has_input = self._has_warned = False
 
@@ -34,14 +38,19 @@ class SilenceMonitor:
         self._last_input = time.monotonic()
         self._has_input, self._has_warned = True, False
 
+    @property
+    def silence_s(self) -> float:
+        """Time in s since the last message, or since the start."""
+        return time.monotonic() - self._last_input
+
     def check(self, limit: float) -> None:
         """Log a warning if no message has arrived for `limit` seconds; log it once until a message arrives."""
-        silence = time.monotonic() - self._last_input
+        silence = self.silence_s
         if self._has_warned or silence < limit:
             return
         self._has_warned = True
         topic = self._node.resolve_topic_name(self._name)
-        cause = 'check that the detector is still running' if self._has_input else self._explain(topic)
+        cause = 'check that its publisher is still running' if self._has_input else self._explain(topic)
         self._node.get_logger().warning(f'no message has arrived on {topic} for {silence:.0f} s: {cause}')
 
     def _explain(self, topic: str) -> str:
@@ -57,7 +66,7 @@ class SilenceMonitor:
         candidates = sorted(self._list_published_topics() - {topic})
         if candidates:
             return f'nobody publishes it; remap {self._name} to {" or ".join(candidates)}?'
-        return 'nobody publishes it; start the detector, or remap the topic to the one on which it publishes'
+        return f'nobody publishes it; {self._advice}'
 
     def _list_published_topics(self) -> set[str]:
         """List the topics on which somebody publishes messages of the expected type."""

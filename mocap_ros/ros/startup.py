@@ -6,24 +6,61 @@
 from __future__ import annotations
 
 import re
+import signal
 import threading
 import traceback
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.logging import set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
+from mocap_ros.compiled.kernel import is_compiling
 from mocap_ros.errors import ConfigError
 from mocap_ros.ros.throttled_log import Logger, TracebackLog
 
 SPIN_SECONDS = 0.1  # s; bounds the delay between a signal and the end of the node
 
-AnyNode = TypeVar('AnyNode')
+
+def run_node(arguments: Sequence[str], node_class: Callable[[], Any]) -> None:
+    """Run a node until SIGINT or SIGTERM.
+
+    Args:
+        arguments: Arguments of the command line, which rclpy parses.
+        node_class: Class of the node, with methods `start` and `close`.
+
+    Raises:
+        MocapError: An argument or a parameter is wrong, or the node cannot use a file.
+    """
+    stop = threading.Event()
+
+    def request_stop(*_: object) -> None:
+        stop.set()
+        if is_compiling():  # in this thread, while the node is configured; nobody should wait for that
+            raise KeyboardInterrupt
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, request_stop)
+    initialise_rclpy(arguments)
+    executor = SingleThreadedExecutor()
+    try:
+        node = create_node(node_class)
+        executor.add_node(node)
+        try:
+            node.start()
+            spin_until(stop, executor, node.get_logger())
+        finally:
+            try:
+                node.close()
+            finally:
+                executor.shutdown()
+                node.destroy_node()
+    finally:
+        rclpy.shutdown()
 
 
 def initialise_rclpy(arguments: Sequence[str]) -> None:
@@ -41,7 +78,7 @@ def initialise_rclpy(arguments: Sequence[str]) -> None:
     set_logger_level('rcl', LoggingSeverity.UNSET)
 
 
-def create_node(node_class: Callable[[], AnyNode]) -> AnyNode:
+def create_node(node_class: Callable[[], Any]) -> Any:
     """Create a node.
 
     Raises:

@@ -18,14 +18,13 @@ from typing import Any
 from mocap_ros.bags.journal import Verdict
 from mocap_ros.bags.topics import PEOPLE_SOURCES, TRANSFORM_SOURCES, Source
 from mocap_ros.config import Config
-from mocap_ros.errors import ConfigError, FrameDropped, InputError
+from mocap_ros.errors import FrameDropped, InputError
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.keypoints.image_size import resolve_image_size
 from mocap_ros.messages.camera_info import check_image_size, decode_camera_info
 from mocap_ros.messages.cdr import Header, OutputMessage
-from mocap_ros.messages.foreign.definitions import HRI_SKELETON
 from mocap_ros.messages.keypoints import KeypointsFrame
-from mocap_ros.messages.robots.predictions import PredictedFrame, read_prediction_times
+from mocap_ros.messages.predictions import PredictedFrame, read_prediction_times
 from mocap_ros.messages.transform_tree import TransformTree
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
@@ -121,9 +120,8 @@ class Pipeline:
         checks: What seems to be wrong with the input, as of that image.
 
     Raises:
-        ConfigError: The camera or the floor in the output frame are wrong (`OutputFrame`); bodies of ROS4HRI are
-            both input and output; or `node.prediction_times` are no times up to a second, or people are to be
-            predicted with `tracker.lag`.
+        ConfigError: The camera or the floor in the output frame are wrong (`OutputFrame`),
+            `node.prediction_times` are no times up to a second, or people are to be predicted with `tracker.lag`.
         ModelError: The base poses cannot be loaded.
     """
 
@@ -133,8 +131,6 @@ class Pipeline:
         models: Mapping[str, BasePoses] | None = None,
         make_tracker: Callable[..., Any] = Tracker,
     ) -> None:
-        if config.node.publish_bodies and config.node.input_type == HRI_SKELETON:
-            raise ConfigError(f'node.publish_bodies: not with node.input_type {HRI_SKELETON}, of the same topics')
         self.config = config
         self.counters = Counters()
         self._output_frame = OutputFrame(config.node)
@@ -219,7 +215,7 @@ class Pipeline:
         self._camera.add_calibration(Calibration(info, raw))
 
     def reset(self) -> tuple[OutputMessage, ...]:
-        """Discard all people and return the messages that delete them from viewers and planning scenes."""
+        """Discard all people and return the messages that delete them from viewers."""
         self._tracker.reset()
         self._assembler.reset()
         self._camera.reset()

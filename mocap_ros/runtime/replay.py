@@ -34,7 +34,7 @@ from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.models.model_file import AUTO, PRIORS, list_shipped_base_poses
 from mocap_ros.runtime.appearances import Appearance, AppearanceLog
 from mocap_ros.runtime.input_checks import find_kind
-from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, LATCHED_TYPES, RecordedBodies, build_skeleton_definition
+from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, build_skeleton_definition
 from mocap_ros.runtime.pipeline import Counters, Pipeline, ProcessingResult
 from mocap_ros.runtime.provenance import provenance_attachments
 
@@ -152,7 +152,6 @@ class _Replay:
         self._pipeline = Pipeline(config)
         self._journal = Journal(JOURNAL_TOPIC)
         self._appearances = AppearanceLog(config.tracker.forget_all_after, config.tracker.forget_after)
-        self._bodies = RecordedBodies()
         self._first_rejection = ''
         self._tracebacks: dict[str, str] = {}  # by what identifies the error, in order of occurrence
 
@@ -258,12 +257,7 @@ class _Replay:
             self._write(output, now_ns)
 
     def _write(self, output: OutputMessage, now_ns: int) -> None:
-        if not self._bodies.admit(output.topic):
-            return
-        topic = '/' + output.topic.lstrip('/')
-        if output.type in LATCHED_TYPES:
-            self._recorder.declare_topic(topic, output.type, latched=True)
-        self._recorder.write(topic, output.type, output.data, now_ns, now_ns)
+        self._recorder.write('/' + output.topic.lstrip('/'), output.type, output.data, now_ns, now_ns)
 
     def _report(self, number: int, message: BagMessage, result: ProcessingResult) -> None:
         """Note what the summary of the replay says of an input."""

@@ -39,7 +39,7 @@ def test_a_bag_without_keypoints_is_refused(tmp_path: Path) -> None:
 
 
 def test_bodies_that_the_package_put_out_itself_are_no_input(tmp_path: Path) -> None:
-    """`node.publish_bodies` records a list of bodies, but no keypoints of theirs."""
+    """`mocap_bridge` publishes a list of bodies, but no keypoints of theirs."""
     with Recorder(tmp_path / 'bag', RecorderConfig()) as recorder:
         recorder.write('/keypoints', KEYPOINTS, make_keypoints(0), START_NS, START_NS)
         recorder.write('/humans/bodies/tracked', HRI_IDS, EMPTY_IDS, START_NS, START_NS)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,14 +18,9 @@ from mocap_ros.config import Config, with_values
 from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, decode, encode
-from mocap_ros.messages.foreign.definitions import DETECTIONS_3D, OBSTACLES, PEOPLE
 from mocap_ros.messages.markers import MarkerEncoder
 from mocap_ros.messages.point_cloud import encode_points
-from mocap_ros.messages.robots.detections import encode_detections
-from mocap_ros.messages.robots.obstacles import encode_obstacles
-from mocap_ros.messages.robots.people import encode_people
-from mocap_ros.messages.robots.poses import POSES, encode_poses
-from mocap_ros.messages.robots.predictions import PredictedFrame
+from mocap_ros.messages.predictions import PredictedFrame
 from mocap_ros.messages.skeletons import encode_cameras, encode_skeletons
 from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
 from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D, PredictedPerson
@@ -34,12 +28,8 @@ from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS, OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton
 from tests.support.message_objects import (
     encode_cameras_slowly,
-    encode_detections_slowly,
     encode_markers_slowly,
-    encode_obstacles_slowly,
-    encode_people_slowly,
     encode_points_slowly,
-    encode_poses_slowly,
     encode_skeletons_slowly,
     encode_transforms_slowly,
 )
@@ -131,34 +121,6 @@ def align(numbers: dict[str, float], reference: dict[str, float]) -> dict[str, f
     keys = [key for key in 'xyzw' if key in numbers]
     is_far = 'w' in numbers and sum(numbers[k] * reference[k] for k in keys) < 0
     return {k: (-v if is_far and k in keys else v) for k, v in numbers.items()}
-
-
-ROBOT_ENCODERS = {
-    PEOPLE: (encode_people, encode_people_slowly),
-    POSES: (encode_poses, encode_poses_slowly),
-    OBSTACLES: (encode_obstacles, encode_obstacles_slowly),
-    DETECTIONS_3D: (encode_detections, encode_detections_slowly),
-}
-
-
-@pytest.mark.parametrize('msgtype', ROBOT_ENCODERS)
-@given(header=HEADERS, people=make_people())
-def test_messages_for_robots(msgtype: str, header: Header, people: list[Person3D]) -> None:
-    ours, theirs = (encoder(header, people) for encoder in ROBOT_ENCODERS[msgtype])
-    assert len(ours) == len(theirs)
-    numbers, expected = (list_numbers(decode(raw, msgtype)) for raw in (ours, theirs))
-    np.testing.assert_allclose(numbers, expected, rtol=1e-13, atol=1e-15)
-
-
-def list_numbers(value: Any) -> list[float]:
-    """Return all numbers of a decoded message, and the bytes of its texts."""
-    if isinstance(value, str):
-        return [*map(float, value.encode())]
-    if isinstance(value, list | np.ndarray):
-        return [number for element in value for number in list_numbers(element)]
-    if isinstance(value, bool | int | float | np.generic):
-        return [float(value)]
-    return [n for name, element in vars(value).items() if name != '__msgtype__' for n in list_numbers(element)]
 
 
 @given(header=HEADERS, people=make_people(), later_ns=st.integers(0, 2**31 * 10**9 - 1))

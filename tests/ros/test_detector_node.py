@@ -20,7 +20,7 @@ from mocap_ros.messages.cdr import decode
 from mocap_ros.messages.images import COMPRESSED_IMAGE, IMAGE
 from mocap_ros.messages.keypoints import KEYPOINTS
 from mocap_ros.messages.skeletons import SKELETONS
-from mocap_ros.ros.detector_main import main
+from mocap_ros.ros.main import detector_main as main
 from mocap_ros.ros.message_types import load_interface_class
 from tests.support.blob_people import draw, save_movenet, walk
 from tests.support.image_messages import encode_pixels, make_compressed
@@ -37,6 +37,7 @@ TAKE_ALL_IMAGES = (
     'qos_overrides./image.subscription.reliability:=reliable',
     'qos_overrides./image.subscription.depth:=10',
 )
+DETECTOR = sys.executable, '-c', 'import sys; from mocap_ros.ros import main; sys.exit(main.detector_main())'
 StartDetector = Callable[..., Process]
 
 
@@ -48,7 +49,7 @@ def start_detector(env: dict[str, str], tmp_path: Path) -> Iterator[StartDetecto
 
     def start(*parameters: str) -> Process:
         options = [word for p in (f'model:={model}', *TAKE_ALL_IMAGES, *parameters) for word in ('-p', p)]
-        command = [sys.executable, '-m', 'mocap_ros.ros.detector_main', '--ros-args', *options]
+        command = [*DETECTOR, '--ros-args', *options]
         started.append(subprocess.Popen(command, env=env, stderr=subprocess.PIPE, text=True))
         return started[-1]
 
@@ -165,7 +166,7 @@ def test_bad_images_are_logged_and_the_next_one_is_taken(peer: Peer, start_detec
 def test_what_keeps_the_node_from_starting_is_named_in_one_line(
     env: dict[str, str], tmp_path: Path, arguments: list[str], code: int, reason: str
 ) -> None:
-    command = [sys.executable, '-m', 'mocap_ros.ros.detector_main', '--ros-args', *arguments]
+    command = [*DETECTOR, '--ros-args', *arguments]
     done = subprocess.run(command, env=env, cwd=tmp_path, capture_output=True, text=True, check=False)
     (line,) = done.stderr.splitlines()
     assert done.returncode == code

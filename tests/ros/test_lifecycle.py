@@ -29,7 +29,7 @@ pytestmark = pytest.mark.ros
 # Before the first message, and after one.
 SILENCE_CAUSES = (
     'its publisher sends nothing, or its QoS is incompatible; check the detector',
-    'check that the detector is still running',
+    'check that its publisher is still running',
 )
 
 

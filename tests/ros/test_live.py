@@ -30,7 +30,6 @@ from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import Header, OutputMessage, decode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
 from mocap_ros.messages.markers import MARKERS
-from mocap_ros.messages.robots.bodies import BODIES
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.messages.versions import make_converter
 from mocap_ros.ros.live import LiveRun
@@ -471,34 +470,6 @@ def test_an_error_at_the_end_of_a_run_leaves_no_recording_open(
     (bag,) = (tmp_path / 'live').iterdir()
     assert read_messages(bag, '/keypoints') == stream[:1]
     assert (bag / 'metadata.yaml').exists()
-
-
-def test_the_models_of_single_bodies_are_latched_in_a_recording(tmp_path: Path, stream: list[bytes]) -> None:
-    live = CollectingRun(recording_to(tmp_path / 'live', **{'node.publish_bodies': True}))
-    live.enqueue(*stream[:8])
-    live.wait_for_frames(8)
-    live.run.stop()
-    (bag,) = (tmp_path / 'live').iterdir()
-    with Bag(bag) as opened:
-        models = {topic for topic in opened.topics if topic.endswith('/urdf')}
-        assert models
-        assert opened.latched_topics == {*models, '/skeleton_definition'}
-
-
-def test_only_so_many_single_bodies_are_recorded_and_the_log_says_which_are_not(
-    tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr('mocap_ros.runtime.outputs.MAX_BODY_TOPICS', 1)
-    live = CollectingRun(recording_to(tmp_path / 'live', **{'node.publish_bodies': True}))
-    live.enqueue(*stream[:8])
-    live.wait_for_frames(8)
-    live.run.stop()
-    published = {o.topic for o in live.published if o.topic.startswith(BODIES)}
-    assert len(published) == 3
-    assert live.count_lines('further bodies are published but not recorded') == 1
-    (bag,) = (tmp_path / 'live').iterdir()
-    with Bag(bag) as opened:
-        assert len(opened.topics.keys() & published) == 2  # the list of the bodies and one of the two topics
 
 
 def test_the_limits_of_a_recording_may_be_changed_while_it_runs(

@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from mocap_ros.bags.reader import Bag
 from mocap_ros.messages.cdr import decode
-from mocap_ros.messages.marker_writer import ADD, MARKERS
+from mocap_ros.messages.markers import ADD, MARKERS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.skeleton import BODY26
 from tests.support import foreign_packages

@@ -345,18 +345,6 @@ def test_only_the_user_chooses_files_of_models(tmp_path: Path, stream: list[byte
     assert start['tracker.model'] == changed['tracker.model'] == model
 
 
-def test_the_models_of_single_bodies_are_latched_in_a_bag(stream: list[bytes], tmp_path: Path) -> None:
-    """As the node publishes them; a player then keeps them for late subscribers."""
-    write_bag(tmp_path / 'bag', stream)
-    config = with_values(FAST_CONFIG, {'node.publish_bodies': True})
-    with Bag(tmp_path / 'bag') as bag:
-        replay(bag, tmp_path / 'out', ReplayOptions(config))
-    with Bag(tmp_path / 'out') as bag:
-        models = {topic for topic in bag.topics if topic.endswith('/urdf')}
-        assert models
-        assert bag.latched_topics == {*models, '/skeleton_definition'}
-
-
 def test_inputs_keep_their_qos_in_a_replay(stream: list[bytes], tmp_path: Path) -> None:
     """A player then offers it; static transforms are kept for late subscribers, whatever the bag says."""
     transforms = make_transforms(('map', 'camera', 0, (0, 0, 1)))

@@ -6,10 +6,8 @@
 from __future__ import annotations
 
 import colorsys
-import math
 from collections.abc import Sequence
 from typing import Any
-from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,28 +17,24 @@ from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Header, create_header, create_message, encode
-from mocap_ros.messages.foreign.definitions import DETECTIONS_3D, OBSTACLES, PEOPLE
-from mocap_ros.messages.marker_writer import (
+from mocap_ros.messages.markers import (
     ADD,
+    BONE_SCALE_M,
     BRIGHTNESS,
     DELETE,
     FIRST_HUE,
     GOLDEN_RATIO,
-    MARKERS,
-)
-from mocap_ros.messages.markers import (
-    BONE_SCALE_M,
     INFERRED_STYLE,
     JOINT_SCALE_M,
+    MARKERS,
     SEEN_STYLE,
     UNCERTAIN_STYLE,
     MarkerStyle,
 )
 from mocap_ros.messages.point_cloud import DATATYPES, POINT_DTYPE, POINTS
-from mocap_ros.messages.robots.poses import POSES
 from mocap_ros.messages.skeletons import CAMERAS, SKELETONS
-from mocap_ros.messages.transforms import TRANSFORMS, compute_links
-from mocap_ros.people import HIPS, CameraVertical, Person3D
+from mocap_ros.messages.transforms import TRANSFORMS
+from mocap_ros.people import CameraVertical, Person3D
 from mocap_ros.units import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -275,89 +269,3 @@ def encode_transforms_slowly(header: Header, people: Sequence[Person3D], prefix:
             own_header = Header(header.stamp_ns, body)
             transforms.append(create_transform(own_header, child, (origin - root) @ axes, rotation))
     return encode(create_message(TRANSFORMS, transforms=transforms), TRANSFORMS)
-
-
-def encode_people_slowly(header: Header, people: Sequence[Person3D]) -> bytes:
-    entries = [
-        create_message(
-            'people_msgs/msg/Person',
-            name=person.id,
-            position=create_points(person.root[None])[0],
-            velocity=create_points(np.nan_to_num(person.root_velocity)[None])[0],
-            reliability=math.exp(-person.unseen_for),
-            tagnames=['predicted'],
-            tags=['true' if person.predicted else 'false'],
-        )
-        for person in people
-    ]
-    return encode(create_message(PEOPLE, header=create_header(header), people=entries), PEOPLE)
-
-
-def find_body_pose(person: Person3D) -> RigidTransform:
-    """Return the place between the hips, with the axes of the body."""
-    _, _, (axes,) = compute_links(person.joints[None])
-    return RigidTransform(person.root, quaternion_from_rotation(axes))
-
-
-def find_box(person: Person3D) -> tuple[Array, Array]:
-    """Return the middle and the size of the box around a person."""
-    low, high = person.joints.min(axis=0) - 0.1, person.joints.max(axis=0) + 0.1
-    return (low + high) / 2, high - low
-
-
-def encode_poses_slowly(header: Header, people: Sequence[Person3D]) -> bytes:
-    poses = [create_pose(find_body_pose(person)) for person in people]
-    return encode(create_message(POSES, header=create_header(header), poses=poses), POSES)
-
-
-def encode_obstacles_slowly(header: Header, people: Sequence[Person3D]) -> bytes:
-    obstacles = []
-    for person in people:
-        centre, size = find_box(person)
-        number = np.frombuffer(uuid5(NAMESPACE_URL, f'mocap_ros:{person.id}').bytes, np.uint8)
-        obstacles.append(
-            create_message(
-                'nav2_dynamic_msgs/msg/Obstacle',
-                uuid=create_message('unique_identifier_msgs/msg/UUID', uuid=number),
-                score=math.exp(-person.unseen_for),
-                position=create_points(centre[None])[0],
-                velocity=create_vector(*np.nan_to_num(person.root_velocity).tolist()),
-                size=create_vector(*size.tolist()),
-            )
-        )
-    return encode(create_message(OBSTACLES, header=create_header(header), obstacles=obstacles), OBSTACLES)
-
-
-def create_detection(header: Header, person: Person3D) -> Any:
-    centre, size = find_box(person)
-    breadth = float(np.linalg.norm(person.joints[HIPS[0]] - person.joints[HIPS[1]]))
-    std = math.sqrt(4 / 3) * float(person.std[HIPS[0]] + person.std[HIPS[1]]) / 2 / max(breadth, 0.1)
-    unknown = math.pi / math.sqrt(3)
-    covariance = np.zeros((6, 6))
-    covariance[:3, :3] = person.root_covariance
-    covariance[3:, 3:] = (min(std, unknown) if math.isfinite(std) else unknown) ** 2 * np.eye(3)
-    pose = create_message(
-        'geometry_msgs/msg/PoseWithCovariance',
-        pose=create_pose(find_body_pose(person)),
-        covariance=covariance.ravel(),
-    )
-    hypothesis = create_message(
-        'vision_msgs/msg/ObjectHypothesis', class_id='person', score=math.exp(-person.unseen_for)
-    )
-    return create_message(
-        'vision_msgs/msg/Detection3D',
-        header=create_header(header),
-        results=[create_message('vision_msgs/msg/ObjectHypothesisWithPose', hypothesis=hypothesis, pose=pose)],
-        bbox=create_message(
-            'vision_msgs/msg/BoundingBox3D',
-            center=create_pose(RigidTransform(centre, NO_ROTATION)),
-            size=create_vector(*size.tolist()),
-        ),
-        id=person.id,
-    )
-
-
-def encode_detections_slowly(header: Header, people: Sequence[Person3D]) -> bytes:
-    detections = [create_detection(header, person) for person in people]
-    message = create_message(DETECTIONS_3D, header=create_header(header), detections=detections)
-    return encode(message, DETECTIONS_3D)

@@ -14,24 +14,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocap_ros.config import Config, with_values
-from mocap_ros.messages.cdr import Header, decode
-from mocap_ros.messages.foreign.definitions import HRI_IDS
-from mocap_ros.messages.robots.bodies import (
+from mocap_ros.bridges.bridge import Bridge
+from mocap_ros.bridges.ros4hri import (
     DESCRIPTION,
     JOINT_STATES,
     JOINTS,
     MOVED_JOINTS,
     STRAIGHT_SINE,
     TRACKED,
-    BodiesEncoder,
-    BodyNames,
     compute_joint_states,
     describe_body,
-    make_body_id,
     measure_lengths,
 )
-from mocap_ros.messages.transforms import TRANSFORMS, compute_links
+from mocap_ros.config import Config, with_values
+from mocap_ros.messages.cdr import Header, OutputMessage, decode
+from mocap_ros.messages.foreign.definitions import HRI_IDS
+from mocap_ros.messages.skeletons import encode_skeletons
+from mocap_ros.messages.transforms import TRANSFORMS, FrameNames, compute_links, make_body_id
 from mocap_ros.people import Person3D
 from mocap_ros.runtime.outputs import OutputEncoder
 from mocap_ros.skeleton import CMU15
@@ -139,11 +138,14 @@ def test_a_pose_of_the_tracker_is_shown_as_it_is() -> None:
         np.testing.assert_allclose(links[link], local[CMU15.index(joint)], atol=0.06, err_msg=joint)
 
 
+def show(bridge: Bridge, *people: Person3D) -> list[OutputMessage]:
+    return bridge.feed_skeletons(encode_skeletons(HEADER, people))
+
+
 def test_each_body_has_topics_of_its_own_and_is_described_once() -> None:
-    encoder = BodiesEncoder()
+    bridge = Bridge(['bodies'])
     anna, ben = (replace(make_person_3d(name), joints=STANDING) for name in ('anna', '7'))
-    names = BodyNames().assign(['anna', '7'])
-    first, second = (encoder.encode_update(HEADER, people, names) for people in ([anna, ben], [anna]))
+    first, second = show(bridge, anna, ben), show(bridge, anna)
     assert [o.topic for o in first] == [
         TRACKED,
         *(f'/humans/bodies/{i}/urdf' for i in ('anna', 'p7')),
@@ -154,25 +156,24 @@ def test_each_body_has_topics_of_its_own_and_is_described_once() -> None:
     assert (tracked.header.frame_id, tracked.ids) == ('map', ['anna', 'p7'])
     state = decode(first[3].data, JOINT_STATES)
     assert state.name == [f'{name}_anna' for name in MOVED_JOINTS]
-    angles = find_angles(STANDING)
-    np.testing.assert_allclose(state.position, list(angles.values()))
+    np.testing.assert_allclose(state.position, list(find_angles(STANDING).values()))
     assert (len(state.velocity), len(state.effort), state.header.frame_id) == (0, 0, 'body_anna')
     assert 'l_elbow_p7' in decode(first[2].data, DESCRIPTION).data
     grown = replace(anna, joints=STANDING * 1.2)
-    assert '/humans/bodies/anna/urdf' in [o.topic for o in encoder.encode_update(HEADER, [grown], names)]
-    (cleared,) = encoder.encode_clear(HEADER)
+    assert '/humans/bodies/anna/urdf' in [o.topic for o in show(bridge, grown)]
+    (cleared,) = bridge.clear()
     assert decode(cleared.data, HRI_IDS).ids == []
-    assert encoder.encode_clear(HEADER) == []
+    assert bridge.clear() == []
 
 
 def test_a_body_without_a_trunk_is_left_out() -> None:
     flat = replace(make_person_3d('flat'), joints=np.zeros((15, 3)))
-    assert [o.topic for o in BodiesEncoder().encode_update(HEADER, [flat], {'flat': 'flat'})] == [TRACKED]
+    assert [o.topic for o in show(Bridge(['bodies']), flat)] == [TRACKED]
 
 
 @given(st.lists(st.lists(st.text('a.-_2é', min_size=1, max_size=3), unique=True, max_size=6), max_size=6))
 def test_no_two_people_have_one_name_and_nobody_changes_it_while_present(frames: list[list[str]]) -> None:
-    names, before = BodyNames(), dict[str, str]()
+    names, before = FrameNames(), dict[str, str]()
     for ids in frames:
         assigned = names.assign(ids)
         assert set(assigned) == set(ids)
@@ -182,43 +183,17 @@ def test_no_two_people_have_one_name_and_nobody_changes_it_while_present(frames:
 
 
 def test_people_whose_ids_make_one_name_are_two_bodies_with_the_same_names_on_tf() -> None:
-    people = [replace(make_person_3d(i), joints=STANDING) for i in ('a.b', 'a-b')]
-    node = with_values(Config(), {'node.publish_bodies': True, 'node.publish_tf': True}).node
-    encoder = OutputEncoder()
-    for seen in (people, people[::-1]):
-        outputs = encoder.encode(HEADER, seen, node)
-        (tracked,) = (decode(o.data, HRI_IDS) for o in outputs if o.type == HRI_IDS)
-        assert set(tracked.ids) == {'a_b', 'a_b_2'}
-        (frames,) = (decode(o.data, TRANSFORMS) for o in outputs if o.type == TRANSFORMS)
-        roots = [t.child_frame_id for t in frames.transforms if t.child_frame_id.startswith('body_')]
-        assert roots == [f'body_{i}' for i in tracked.ids]
-        assert tracked.ids[0] == 'a_b'
-
-
-@pytest.mark.parametrize('published', ['node.publish_tf', 'node.publish_bodies'])
-def test_people_keep_their_names_while_they_are_there_and_none_after_a_reset(published: str) -> None:
-    """The order of the detections changes from image to image; that of the people in a message does not."""
-    anna, ben = (replace(make_person_3d(i), joints=STANDING) for i in ('太郎', '花子'))
-    node = with_values(Config(), {published: True}).node
-
-    def find_names(
-        encoder: OutputEncoder, people: list[Person3D], given: list[Person3D] | None = None
-    ) -> dict[str, str]:
-        outputs = {o.type: o.data for o in encoder.encode(HEADER, given or people, node)}
-        if published == 'node.publish_bodies':
-            names = decode(outputs[HRI_IDS], HRI_IDS).ids
-        else:
-            frames = [t.child_frame_id for t in decode(outputs[TRANSFORMS], TRANSFORMS).transforms]
-            names = [f.removeprefix('body_') for f in frames if f.startswith('body_')]
-        return dict(zip((p.id for p in people), names, strict=True))
-
-    encoder = OutputEncoder()
-    first = find_names(encoder, [anna, ben])
-    assert first['太郎'] != first['花子']
-    assert find_names(encoder, [anna, ben], given=[ben, anna]) == first
-    assert find_names(encoder, [ben]) == {'花子': first['花子']}
-    encoder.encode_clear(HEADER)
-    assert find_names(encoder, [ben]) == find_names(OutputEncoder(), [ben]) != {'花子': first['花子']}
+    people = [replace(make_person_3d(i), joints=STANDING) for i in ('a.b', 'a-b', '7')]
+    node = with_values(Config(), {'node.publish_tf': True}).node
+    encoder, bridge = OutputEncoder(), Bridge(['bodies'])
+    for seen in (people, people[::-1], people[1:]):
+        outputs = {o.type: o.data for o in encoder.encode(HEADER, seen, node)}
+        tracked, *_ = bridge.feed_skeletons(next(raw for kind, raw in outputs.items() if 'Skeleton3D' in kind))
+        frames = [t.child_frame_id for t in decode(outputs[TRANSFORMS], TRANSFORMS).transforms]
+        roots = [frame for frame in frames if frame.startswith('body_')]
+        assert roots == [f'body_{i}' for i in decode(tracked.data, HRI_IDS).ids]
+        assert set(roots) <= {'body_a_b', 'body_a_b_2', 'body_p7'}
+        assert len(set(roots)) == len(seen)
 
 
 @pytest.mark.parametrize(('given_id', 'body_id'), [('anna', 'anna'), ('7', 'p7'), ('a-b c', 'a_b_c'), ('ä', 'p_')])
@@ -227,16 +202,14 @@ def test_ids_are_made_names_of_topics(given_id: str, body_id: str) -> None:
 
 
 def test_topics_of_bodies_are_not_longer_than_the_middleware_allows() -> None:
-    encoder, names = BodiesEncoder(), BodyNames()
-    people = [make_person_3d('x' * 1000), make_person_3d('x' * 1001)]
-    assigned = names.assign([p.id for p in people])
-    assert len(set(assigned.values())) == len(people)
-    topics = [m.topic for m in encoder.encode_update(HEADER, people, assigned)]
+    people = [replace(make_person_3d(i), joints=STANDING) for i in ('x' * 1000, 'x' * 1001)]
+    topics = [m.topic for m in show(Bridge(['bodies']), *people)]
+    assert len(set(topics)) == 5
     assert max(map(len, topics)) <= MAX_TOPIC_CHARACTERS
 
 
 def compute_limb_angles_slowly(places: dict[str, np.ndarray], side: str) -> list[float]:
-    """Return the angles of an arm and a leg by the formulas of `messages.robots.bodies` as rotations."""
+    """Return the angles of an arm and a leg by the formulas of `bridges.ros4hri` as rotations."""
     s = {'l': 1.0, 'r': -1.0}[side]
 
     def point(start: str, end: str) -> np.ndarray:

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
+from mocap_ros.bridges.bridge import Bridge
+from mocap_ros.bridges.capsules import compute_capsules
 from mocap_ros.messages.cdr import Header, decode
 from mocap_ros.messages.foreign.definitions import COLLISION_OBJECT
-from mocap_ros.messages.robots.capsules import compute_capsules
-from mocap_ros.messages.robots.collision_objects import CollisionObjectEncoder
+from mocap_ros.messages.skeletons import encode_skeletons
 from mocap_ros.skeleton import BODY26
 from tests.support.people import make_person_3d
 
@@ -52,10 +53,10 @@ def test_capsules_built_from_the_messages_are_as_far_away_as_their_segments(seed
     person = replace(
         make_person_3d('anna'), joints=rng.normal(size=(26, 3)) * 0.4, std=np.full(26, 0.05), skeleton=BODY26
     )
-    (raw,) = CollisionObjectEncoder().encode_update(Header(1, 'map'), [person])
-    added = decode(raw, COLLISION_OBJECT)
+    (output,) = Bridge(['collision_objects']).feed_skeletons(encode_skeletons(Header(1, 'map'), [person]))
+    added = decode(output.data, COLLISION_OBJECT)
     for start, end, radius, cylinder, pose in zip(
-        *compute_capsules(person), added.primitives, added.primitive_poses, strict=True
+        *compute_capsules(person.joints, person.std, BODY26), added.primitives, added.primitive_poses, strict=True
     ):
         p, q = pose.position, pose.orientation
         place = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])

@@ -13,6 +13,7 @@ import uuid
 
 import numpy as np
 
+from mocap_ros.bridges.bridge import Bridge
 from mocap_ros.config import with_values
 from mocap_ros.messages.cdr import decode, read_stamp
 from mocap_ros.messages.foreign.definitions import OBSTACLES
@@ -23,19 +24,19 @@ from tests.support.pipeline_inputs import FAST_CONFIG, encode_demo_frames, proce
 MAX_STEP_M = 1.0  # cost_filter
 MAX_HEIGHT_M = 2.0  # height_filter
 PARAMETERS = {
-    'node.publish_obstacles': True,
     'node.output_frame': 'map',
     'node.camera_pose': '0 0 1.2 0 0 0',
 }
 
 
 def test_obstacles_are_matched_from_message_to_message() -> None:
-    pipeline = Pipeline(with_values(FAST_CONFIG, PARAMETERS))
+    bridge, pipeline = Bridge(['obstacles']), Pipeline(with_values(FAST_CONFIG, PARAMETERS))
     pipeline.set_camera_info(camera_info())
     stamps, places, ids = [], [], set()
     for raw in encode_demo_frames(30):
         outputs = process(pipeline, raw)
-        message = decode(next(o for o in outputs if o.topic == 'obstacles').data, OBSTACLES)
+        (output,) = bridge.feed_skeletons(outputs[0].data)
+        message = decode(output.data, OBSTACLES)
         stamps.append(read_stamp(message.header.stamp))
         for obstacle in message.obstacles:
             places.append([obstacle.position.x, obstacle.position.y, obstacle.position.z])

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""mocap_ros_msgs/BodyCapsulesArray: bodies as capsules, for distances.
+"""mocap_ros_msgs/BodyCapsulesArray, and markers of the same for RViz and Foxglove: bodies as capsules.
 
 A capsule is all that is nearer to the segment between two places of the body than its radius
 
@@ -18,20 +18,22 @@ Skeleton3D.root_covariance: added to every capsule, it would make all of them th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Array, Header
-from mocap_ros.messages.stacked_people import StackedPeople, stack_people
-from mocap_ros.messages.template import BYTE, DOUBLE, KEPT_TEMPLATES, SINGLE, MessageTemplate, TemplateWriter
-from mocap_ros.people import Person3D
+from mocap_ros.bridges.markers import show_markers
+from mocap_ros.bridges.seen import Array, People
+from mocap_ros.messages.cdr import MOCAP_ROS_MSGS
+from mocap_ros.messages.markers import CYLINDER, SPHERE_LIST, Marker, MarkerStyle, choose_color
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton
 
 CAPSULES = MOCAP_ROS_MSGS + 'BodyCapsulesArray'
+CAPSULE_STYLE = MarkerStyle(0.75, 0.3)  # chosen for the look: the bones within can be seen
+MIN_LENGTH_M = 1e-6  # m; between places that are nearer to each other there is no axis
+MIN_QUATERNION = 1e-6  # 1; length of the quaternion before it is made 1, of an axis that points down
 
 
 class BodyPart(NamedTuple):
@@ -143,18 +145,11 @@ class Capsules(NamedTuple):
     radius: Array
 
 
-def compute_capsules(person: Person3D) -> Capsules:
-    """Return the capsules of a person (formula of the module); unknown standard deviations count as 0."""
-    return _place_capsules(person.joints, person.std, person.skeleton)
+def compute_capsules(joints: Array, std: Array, skeleton: Skeleton) -> Capsules:
+    """Return the capsules (formula of the module) about joints (..., J, 3) m of standard deviations (..., J) m.
 
-
-def compute_all_capsules(people: StackedPeople) -> Capsules:
-    """Return the capsules of people, as of `compute_capsules`."""
-    return _place_capsules(people.joints, people.std, people.skeleton)
-
-
-def _place_capsules(joints: Array, std: Array, skeleton: Skeleton) -> Capsules:
-    """Return the capsules about joints (..., J, 3) in m with standard deviations (..., J) in m."""
+    Unknown standard deviations count as 0.
+    """
     parts = arrange_body_parts(skeleton)
     start, end = joints[..., parts.start, :], joints[..., parts.end, :]
     larger = np.fmax(std[..., parts.start], std[..., parts.end])
@@ -162,32 +157,60 @@ def _place_capsules(joints: Array, std: Array, skeleton: Skeleton) -> Capsules:
     return Capsules(start, end + parts.beyond * (end - start), parts.half_thickness + parts.spread * larger)
 
 
-def encode_capsules(header: Header, people: Sequence[Person3D]) -> bytes:
-    """Encode the capsules of people; the arguments are those of `people.encode_people`."""
-    stacked = stack_people(people)
-    capsules = stacked.share(compute_all_capsules)
-    return _lay_out(header.frame_id, stacked.ids, stacked.skeleton).fill(
-        header.stamp_ns,
-        start=capsules.start,
-        end=capsules.end,
-        radius=capsules.radius,
-        predicted=[p.predicted for p in stacked],
-    )
+def find_axis_poses(start: Array, end: Array) -> tuple[Array, Array]:
+    """Return the lengths (..., P) in m of the segments between places (..., P, 3), and their poses (..., P, 7).
+
+    A pose is the position of the middle in m and the quaternion x, y, z, w that turns the z axis to the axis a of
+    the segment by the shortest way: (-a_y, a_x, 0, 1 + a_z), of unit length; half a turn about x where the axis
+    points down.
+    """
+    length = np.linalg.norm(end - start, axis=-1)
+    axis = (end - start) / np.maximum(length, MIN_LENGTH_M)[..., None]
+    axis[length < MIN_LENGTH_M] = 0, 0, 1
+    poses = np.zeros((*length.shape, 7))
+    poses[..., :3] = (start + end) / 2
+    poses[..., 3], poses[..., 4], poses[..., 6] = -axis[..., 1], axis[..., 0], 1 + axis[..., 2]
+    norm = np.linalg.norm(poses[..., 3:], axis=-1)
+    poses[norm < MIN_QUATERNION, 3:] = 1, 0, 0, 0
+    poses[..., 3:] /= np.where(norm < MIN_QUATERNION, 1, norm)[..., None]
+    return length, poses
 
 
-@lru_cache(maxsize=KEPT_TEMPLATES)
-def _lay_out(frame_id: str, ids: tuple[str, ...], skeleton: Skeleton) -> MessageTemplate:
-    """Return the template for people with some ids."""
-    writer, names = TemplateWriter(), arrange_body_parts(skeleton).names
-    writer.add_stamped(frame_id)
-    writer.add_count(len(ids))
-    for person_id in ids:
-        writer.add_text(person_id)
-        writer.add_count(len(names))
-        for name in names:
-            writer.add_text(name)
-        writer.add_number_sequence('start', DOUBLE, len(names), 3)
-        writer.add_number_sequence('end', DOUBLE, len(names), 3)
-        writer.add_number_sequence('radius', SINGLE, len(names))
-        writer.add_numbers('predicted', BYTE, 1)
-    return writer.finish_template()
+def convert_capsules(people: People) -> dict[str, Any]:
+    """Return the capsules of people."""
+    names = arrange_body_parts(people.skeleton).names
+    capsules = compute_capsules(people.joints, people.std, people.skeleton)
+    return {
+        'header': people.header,
+        'people': [
+            (person_id, names, start, end, radius, is_predicted)
+            for person_id, start, end, radius, is_predicted in zip(
+                people.ids, *capsules, people.predicted, strict=True
+            )
+        ],
+    }
+
+
+def convert_capsule_markers(people: People, before: People) -> bytes:
+    """Return a CYLINDER and a SPHERE_LIST with a ball at each end (namespaces `cylinders` and `ends`) of each.
+
+    Args:
+        people: the people, each of whom has the colour of the other markers.
+        before: the people of the message before, whose markers are deleted.
+    """
+    return show_markers(people.header, _list_markers(people), _list_markers(before))
+
+
+def _list_markers(people: People) -> list[Marker]:
+    start, end, radius = compute_capsules(people.joints, people.std, people.skeleton)
+    length, poses = find_axis_poses(start, end)
+    markers = []
+    for n, person in enumerate(people.numbers):
+        color = choose_color(person, CAPSULE_STYLE)
+        for part, ball in enumerate(2 * radius[n]):
+            number = person * MAX_PARTS + part
+            ends = np.stack([start[n, part], end[n, part]])
+            rod = ball, ball, length[n, part]
+            markers.append(Marker('cylinders', number, CYLINDER, rod, color, pose=poses[n, part]))
+            markers.append(Marker('ends', number, SPHERE_LIST, (ball, ball, ball), color, points=ends))
+    return markers

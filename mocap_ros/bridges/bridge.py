@@ -1,0 +1,127 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The consumers by name, and the conversion of successive messages for some of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from mocap_ros.bridges.capsules import CAPSULES, convert_capsule_markers, convert_capsules
+from mocap_ros.bridges.collision_objects import Content, convert_collision_objects
+from mocap_ros.bridges.detections import convert_detections
+from mocap_ros.bridges.obstacles import convert_obstacles
+from mocap_ros.bridges.people import convert_people
+from mocap_ros.bridges.poses import convert_poses
+from mocap_ros.bridges.prediction_markers import convert_prediction_markers
+from mocap_ros.bridges.ros4hri import TRACKED, BodiesConverter
+from mocap_ros.bridges.seen import People, PersonNumbers, Predictions, read_people, read_predictions
+from mocap_ros.errors import ConfigError
+from mocap_ros.messages.cdr import Header, OutputMessage
+from mocap_ros.messages.foreign.definitions import COLLISION_OBJECT, DETECTIONS_3D, HRI_IDS, OBSTACLES, PEOPLE
+from mocap_ros.messages.markers import MARKERS
+from mocap_ros.messages.plain import encode_plain
+
+POSES = 'geometry_msgs/msg/PoseArray'
+
+
+class Consumer(NamedTuple):
+    """What some consumers take in.
+
+    Attributes:
+        topic: relative name; the topics of single bodies come besides.
+        type: message type.
+        convert: function of what is seen now and in the message before that returns the content of one message,
+            or of several.
+        reads_predictions: whether it is made from predictions, and not from skeletons.
+    """
+
+    topic: str
+    type: str
+    convert: Callable[[Any, Any], Content | list[Content]]
+    reads_predictions: bool = False
+
+
+CONSUMERS = {
+    'people': Consumer('people', PEOPLE, lambda now, _: convert_people(now)),
+    'detections': Consumer('detections', DETECTIONS_3D, lambda now, _: convert_detections(now)),
+    'obstacles': Consumer('obstacles', OBSTACLES, lambda now, _: convert_obstacles(now)),
+    'poses': Consumer('poses', POSES, lambda now, _: convert_poses(now)),
+    'capsules': Consumer('capsules', CAPSULES, lambda now, _: convert_capsules(now)),
+    'capsule_markers': Consumer('capsule_markers', MARKERS, convert_capsule_markers),
+    'collision_objects': Consumer('collision_object', COLLISION_OBJECT, convert_collision_objects),
+    'prediction_markers': Consumer(
+        'prediction_markers', MARKERS, convert_prediction_markers, reads_predictions=True
+    ),
+    'bodies': Consumer(TRACKED, HRI_IDS, lambda *_: []),  # made by `BodiesConverter`, for its topics come and go
+}
+
+
+def check_consumers(names: Sequence[str]) -> list[str]:
+    """Return the names of consumers, each once.
+
+    Raises:
+        ConfigError: there is none, or one is unknown.
+    """
+    unknown = [name for name in names if name not in CONSUMERS]
+    if unknown or not names:
+        fault = f'there is no {unknown[0]!r}' if unknown else 'nothing is named'
+        raise ConfigError(f'publish: {fault}; choose from {", ".join(CONSUMERS)}')
+    return [*dict.fromkeys(names)]
+
+
+class Bridge:
+    """Converter of successive messages for some consumers.
+
+    Args:
+        names: names of the consumers, keys of `CONSUMERS`.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._consumers = [CONSUMERS[name] for name in names]
+        self._bodies = BodiesConverter() if 'bodies' in names else None
+        self._numbers = PersonNumbers()
+        self._people, self._predictions = People(Header(0, '')), Predictions(Header(0, ''))
+
+    def feed_skeletons(self, raw: bytes) -> list[OutputMessage]:
+        """Return the messages that a Skeleton3DArray causes.
+
+        Raises:
+            InputError: the message cannot be used; the error names the field.
+        """
+        return self._convert_people(read_people(raw, self._numbers))
+
+    def feed_predictions(self, raw: bytes) -> list[OutputMessage]:
+        """Return the messages that a Predictions message causes; the errors are those of `feed_skeletons`."""
+        return self._convert_predictions(read_predictions(raw, self._numbers))
+
+    def clear(self) -> list[OutputMessage]:
+        """Return the messages that say that nobody is there, if somebody was."""
+        outputs: list[OutputMessage] = []
+        if self._people.ids:
+            outputs += self._convert_people(People(self._people.header))
+        if any(then.numbers for then in self._predictions.times):
+            outputs += self._convert_predictions(Predictions(self._predictions.header))
+        self._numbers.keep([])
+        return outputs
+
+    def _convert_people(self, people: People) -> list[OutputMessage]:
+        before, self._people = self._people, people
+        outputs = self._convert(people, before, reads_predictions=False)
+        for topic, msgtype, content in self._bodies.convert(people) if self._bodies else ():
+            outputs.append(OutputMessage(topic, msgtype, people.header.stamp_ns, encode_plain(content, msgtype)))
+        return outputs
+
+    def _convert_predictions(self, predictions: Predictions) -> list[OutputMessage]:
+        before, self._predictions = self._predictions, predictions
+        return self._convert(predictions, before, reads_predictions=True)
+
+    def _convert(self, now: Any, before: Any, *, reads_predictions: bool) -> list[OutputMessage]:
+        outputs = []
+        for topic, msgtype, convert, reads in self._consumers:
+            found = convert(now, before) if reads is reads_predictions else []
+            for content in found if isinstance(found, list) else [found]:
+                raw = content if isinstance(content, bytes) else encode_plain(content, msgtype)
+                outputs.append(OutputMessage(topic, msgtype, now.header.stamp_ns, raw))
+        return outputs

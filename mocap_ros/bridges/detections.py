@@ -1,0 +1,64 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""vision_msgs/Detection3DArray: pose with covariance, and the box around each person."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mocap_ros.bridges.seen import FLESH_M, Array, People
+from mocap_ros.geometry.rigid_transform import NO_ROTATION
+from mocap_ros.people import HIPS
+
+
+def convert_detections(people: People) -> dict[str, Any]:
+    """Return people as detections.
+
+    The pose is that of the place between the hips, with the axes of the body (x forward, z up along the trunk).
+    The covariance is of x, y, z and of the rotations about x, y, z.
+    """
+    header, count = people.header, len(people.ids)
+    centres, sizes = people.compute_boxes()
+    poses = np.column_stack(
+        [people.roots, people.compute_orientations(), _build_covariances(people).reshape(count, 36)]
+    )
+    boxes = np.column_stack([centres, np.tile(NO_ROTATION, (count, 1)), sizes])
+    scores = people.compute_reliability()
+    return {
+        'header': header,
+        'detections': [
+            {
+                'header': header,
+                'results': [{'hypothesis': ('person', score), 'pose': pose}],
+                'bbox': box,
+                'id': person_id,
+            }
+            for person_id, score, pose, box in zip(people.ids, scores, poses, boxes, strict=True)
+        ],
+    }
+
+
+def _build_covariances(people: People) -> Array:
+    """Return the covariances (N, 6, 6) of people's poses, in m and rad."""
+    covariance = np.zeros((len(people.ids), 6, 6))
+    covariance[:, :3, :3] = people.covariances
+    covariance[:, 3:, 3:] = (_compute_heading_stds(people) ** 2)[:, None, None] * np.eye(3)
+    return covariance
+
+
+def _compute_heading_stds(people: People) -> Array:
+    """Return the standard deviations (N,) in rad of bodies' directions: hips that are off turn the line between.
+
+    Across the line of sight, the line of length b turns by sqrt(4/3) std / b, as two thirds of the variances lie
+    along it (`models/joint_std.py`); otherwise placed it turns less. Where nothing is known of the joints, it is
+    the deviation of a direction of which nothing is known.
+    """
+    left, right = HIPS
+    breadth = np.linalg.norm(people.joints[:, left] - people.joints[:, right], axis=1)
+    std = math.sqrt(4 / 3) * (people.std[:, left] + people.std[:, right]) / 2 / np.maximum(breadth, FLESH_M)
+    unknown = math.pi / math.sqrt(3)
+    return np.where(np.isfinite(std), np.minimum(std, unknown), unknown)

@@ -1,0 +1,29 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""people_msgs/People: name, place and velocity of each person, for the social layers of Nav2's costmaps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mocap_ros.bridges.seen import People
+
+
+def convert_people(people: People) -> dict[str, Any]:
+    """Return where people are, between their hips, and how they move."""
+    numbers = zip(people.roots, people.velocities, people.compute_reliability(), people.predicted, strict=True)
+    return {
+        'header': people.header,
+        'people': [
+            {
+                'name': person_id,
+                'position': root,
+                'velocity': velocity,
+                'reliability': reliability,
+                'tagnames': ['predicted'],
+                'tags': [str(bool(is_predicted)).lower()],
+            }
+            for person_id, (root, velocity, reliability, is_predicted) in zip(people.ids, numbers, strict=True)
+        ],
+    }

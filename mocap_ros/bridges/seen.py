@@ -1,0 +1,189 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The people of a `skeletons` or `predictions` message as arrays, which is what all consumers read.
+
+People who are tentative are left out, because a robot would act on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_ros.errors import InputError, SkeletonError
+from mocap_ros.geometry.rigid_transform import NO_ROTATION
+from mocap_ros.geometry.rotations import quaternion_from_rotation
+from mocap_ros.messages.cdr import Header, decode, read_stamp
+from mocap_ros.messages.predictions import PREDICTIONS
+from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.messages.transforms import compute_links
+from mocap_ros.skeleton import CMU15, CORE_COUNT, Skeleton, keypoint_layout
+
+Array = NDArray[np.float64]
+
+RELIABILITY_FADE_S = 1.0  # s; the reliability of a person who has not been seen for so long is a third
+FLESH_M = 0.1  # m; how far a body reaches beyond its joints: half a trunk's depth, a hand beyond its wrist
+
+
+@dataclass(frozen=True, eq=False)
+class People:
+    """The N people of an image, who all have the same J joints, in the frame of the header.
+
+    Attributes:
+        header: time of the image, and the frame of the people.
+        ids: their ids.
+        numbers: number of each person, which is that of the markers of the topic `markers` and of their colours.
+        skeleton: names and order of the joints.
+        joints: (N, J, 3) m.
+        std: (N, J) m, standard deviations of the joints; NaN if unknown.
+        roots: (N, 3) m, between the hips.
+        velocities: (N, 3) m/s, of the roots; 0 where unknown, as consumers take no NaN.
+        covariances: (N, 3, 3) m^2, of the roots.
+        unseen_for: (N,) s, time since a person was last seen.
+        predicted: (N,) True for people who were not detected in the image.
+    """
+
+    header: Header
+    ids: tuple[str, ...] = ()
+    numbers: tuple[int, ...] = ()
+    skeleton: Skeleton = CMU15
+    joints: Array = field(default_factory=lambda: np.zeros((0, CORE_COUNT, 3)))
+    std: Array = field(default_factory=lambda: np.zeros((0, CORE_COUNT)))
+    roots: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    velocities: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    covariances: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    unseen_for: Array = field(default_factory=lambda: np.zeros(0))
+    predicted: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
+
+    def compute_reliability(self) -> Array:
+        """Return how sure it is that each person is there: 1 for who is seen, less the longer one is not."""
+        return np.exp(-self.unseen_for / RELIABILITY_FADE_S)
+
+    def compute_boxes(self) -> tuple[Array, Array]:
+        """Return centres and sizes (N, 3) in m of the boxes around the joints and the flesh about them."""
+        low, high = self.joints.min(axis=1) - FLESH_M, self.joints.max(axis=1) + FLESH_M
+        return (low + high) / 2, high - low
+
+    def compute_orientations(self) -> Array:
+        """Return the quaternions x, y, z, w (N, 4) of the bodies: x forward, y left, z up along the trunk.
+
+        They are those of the links on /tf; that of a body whose axes are not known is no rotation.
+        """
+        _, _, axes = compute_links(self.joints)
+        found = [quaternion_from_rotation(a) if np.isfinite(a).all() else NO_ROTATION for a in axes]
+        return np.array(found).reshape(-1, 4)
+
+
+class PredictedPeople(NamedTuple):
+    """The N people at a time after an image.
+
+    Attributes:
+        ahead: s after the image.
+        numbers: number of each person, as of `People`.
+        joints: (N, 15, 3) m.
+    """
+
+    ahead: float
+    numbers: tuple[int, ...]
+    joints: Array
+
+
+class Predictions(NamedTuple):
+    """Where the people of an image will be, in the frame of the header."""
+
+    header: Header
+    times: tuple[PredictedPeople, ...] = ()
+
+
+class PersonNumbers:
+    """Small numbers of people, which they keep while they are there."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[str, int] = {}  # by id
+
+    def keep(self, ids: Sequence[str]) -> None:
+        """Forget all others, and number those who are new."""
+        self._numbers = {i: n for i, n in self._numbers.items() if i in set(ids)}
+        for person_id in ids:
+            self.find(person_id)
+
+    def find(self, person_id: str) -> int:
+        """Return the number of a person; a new one gets the smallest that is free."""
+        if person_id not in self._numbers:
+            taken = set(self._numbers.values())
+            self._numbers[person_id] = next(n for n in count() if n not in taken)
+        return self._numbers[person_id]
+
+
+def read_people(raw: bytes, numbers: PersonNumbers) -> People:
+    """Read a Skeleton3DArray.
+
+    Args:
+        raw: the message as CDR.
+        numbers: numbers of the people so far, to which those of the message are added.
+
+    Raises:
+        InputError: it is no such message, or its people do not have the joints of one known skeleton; the error
+            names the field.
+    """
+    message = decode(raw, SKELETONS)
+    numbers.keep([p.id for p in message.people])
+    header = _read_header(message.header)
+    people = [p for p in message.people if not p.tentative]
+    if not people:
+        return People(header)
+    names = {p.skeleton for p in people}
+    if len(names) > 1:
+        raise InputError(f'people: skeletons {", ".join(sorted(names))}; expected one')
+    try:
+        skeleton = keypoint_layout(names.pop())
+    except SkeletonError as error:
+        raise InputError(f'people[0].skeleton: {error}') from None
+    joints = len(skeleton.joints)
+    for i, person in enumerate(people):
+        if len(person.joints) != joints or len(person.joint_std) != joints:
+            raise InputError(
+                f'people[{i}]: {len(person.joints)} joints, {len(person.joint_std)} joint_std; expected {joints}'
+            )
+    places = np.array([[_xyz(j) for j in p.joints] for p in people])
+    if not np.isfinite(places).all():
+        raise InputError('people: joints that are not finite')
+    return People(
+        header,
+        tuple(p.id for p in people),
+        tuple(numbers.find(p.id) for p in people),
+        skeleton,
+        places,
+        np.array([p.joint_std for p in people], float),
+        np.array([_xyz(p.root) for p in people]),
+        np.nan_to_num([_xyz(p.root_velocity) for p in people]),
+        np.array([p.root_covariance for p in people]).reshape(-1, 3, 3),
+        np.array([p.unseen_for for p in people], float),
+        np.array([p.predicted for p in people], bool),
+    )
+
+
+def read_predictions(raw: bytes, numbers: PersonNumbers) -> Predictions:
+    """Read a Predictions message; the arguments and errors are those of `read_people`."""
+    message = decode(raw, PREDICTIONS)
+    times = []
+    for then in message.times:
+        if any(len(p.joints) != CORE_COUNT for p in then.people):
+            raise InputError(f'times: people with other than {CORE_COUNT} joints')
+        joints = np.array([[_xyz(j) for j in p.joints] for p in then.people]).reshape(-1, CORE_COUNT, 3)
+        times.append(PredictedPeople(float(then.ahead), tuple(numbers.find(p.id) for p in then.people), joints))
+    return Predictions(_read_header(message.header), tuple(times))
+
+
+def _read_header(header: Any) -> Header:
+    return Header(read_stamp(header.stamp), header.frame_id)
+
+
+def _xyz(point: Any) -> tuple[float, float, float]:
+    return point.x, point.y, point.z

@@ -1,0 +1,174 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The lifecycle node `mocap_bridge`: publish what robots take in from the topics `skeletons` and `predictions`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from copy import copy
+from typing import Any
+
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.exceptions import ParameterException
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from mocap_ros.bridges.bridge import CONSUMERS, Bridge, check_consumers
+from mocap_ros.bridges.ros4hri import BODIES, DESCRIPTION, TRACKED
+from mocap_ros.errors import ConfigError, InputError
+from mocap_ros.messages.cdr import OutputMessage
+from mocap_ros.messages.predictions import PREDICTIONS
+from mocap_ros.messages.skeletons import SKELETONS
+from mocap_ros.ros.help import BRIDGE_NAME, BRIDGE_PARAMETERS
+from mocap_ros.ros.lifecycle import ManagedNode
+from mocap_ros.ros.message_types import MessageVersions, load_interface_class
+from mocap_ros.ros.publications import Publishers
+from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS, OVERRIDABLE_POLICIES, QosWarnings
+from mocap_ros.ros.silence import SilenceMonitor
+from mocap_ros.ros.startup import run_node
+from mocap_ros.ros.throttled_log import ThrottledLog
+
+CHECK_PERIOD_S = 0.5  # s; between two looks at how long nothing has arrived
+CLEAR_AFTER_S = 2.0  # s without skeletons, after which nobody is there any more
+WARN_AFTER_S = 15.0  # s without messages, after which the log says so; mocap_node takes its time to start
+START_MOCAP_NODE = 'start mocap_node, or remap the topic to the one on which it publishes'
+START_PREDICTIONS = 'start mocap_node with -p node.publish_predictions:=true'
+
+
+class BridgeNode(ManagedNode):
+    """Lifecycle node that runs a `Bridge` while it is active.
+
+    Raises:
+        ConfigError: A parameter was given a value of another type.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(BRIDGE_NAME)
+        try:
+            for name, (default, description) in BRIDGE_PARAMETERS.items():
+                descriptor = ParameterDescriptor(
+                    description=description, read_only=True, dynamic_typing=isinstance(default, str)
+                )
+                self.declare_parameter(name, default, descriptor)
+        except ParameterException as error:
+            raise ConfigError(str(error)) from None
+        self._qos_warnings = QosWarnings(self)
+        self._versions = MessageVersions()
+        self._outputs = Publishers(self, self._versions, self._qos_warnings)
+        self._bridge = Bridge([])
+        self._inputs: list[tuple[str, str, Callable[[bytes], list[OutputMessage]], SilenceMonitor]] = []
+        self._subscriptions_in_use: list[Any] = []  # while active
+        self._timer: Any = None  # while active
+        self._log = ThrottledLog(self.get_logger())
+        self._counts: Counter[str] = Counter()  # of messages by topic
+        self._has_warned_of_bodies = False
+
+    def start(self) -> None:
+        """Configure and activate the node, unless the parameter `autostart` is false."""
+        if self.get_parameter('autostart').value:
+            super().start()
+
+    def configure(self) -> None:
+        """Create the publishers of the consumers whose types are installed."""
+        value: Any = self.get_parameter('publish').value
+        names = check_consumers(value.replace(',', ' ').split() if isinstance(value, str) else [*(value or ())])
+        self._versions = MessageVersions()
+        self._outputs = Publishers(self, self._versions, self._qos_warnings)
+        usable = []
+        for name in names:
+            topic, msgtype, *_ = CONSUMERS[name]
+            if self._outputs.add_if_installed(topic, msgtype, OUTPUT_QOS, f'{name} cannot be published'):
+                usable.append(name)
+        if not usable:
+            raise ConfigError('publish: no message of these consumers can be published')
+        self._bridge = Bridge(usable)
+        wanted = {'skeletons': (SKELETONS, self._bridge.feed_skeletons, START_MOCAP_NODE)}
+        if any(CONSUMERS[name].reads_predictions for name in usable):
+            wanted['predictions'] = PREDICTIONS, self._bridge.feed_predictions, START_PREDICTIONS
+        self._inputs = []
+        for topic, (msgtype, feed, advice) in wanted.items():
+            self._versions.add_input(msgtype)
+            self._inputs.append((topic, msgtype, feed, SilenceMonitor(self, topic, msgtype, advice)))
+
+    def clean_up(self) -> None:
+        """Destroy the publishers."""
+        self._outputs.destroy()
+
+    def start_run(self) -> None:
+        """Subscribe."""
+        for topic, msgtype, feed, silence in self._inputs:
+            self._subscriptions_in_use.append(self._subscribe(topic, msgtype, feed, silence))
+        self._timer = self.create_steady_timer(CHECK_PERIOD_S, self._check_silence)
+        listened = ' and '.join(self.resolve_topic_name(topic) for topic, *_ in self._inputs)
+        published = ', '.join(self.resolve_topic_name(topic) for topic in self._outputs)
+        self.get_logger().info(f'the node is active: it listens on {listened}, and publishes {published}')
+
+    def stop_run(self) -> None:
+        """Unsubscribe, and publish that nobody is there any more."""
+        for subscription in self._subscriptions_in_use:
+            self.destroy_subscription(subscription)
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._publish(self._bridge.clear())
+        self._subscriptions_in_use, self._timer = [], None
+
+    def _subscribe(
+        self,
+        name: str,
+        msgtype: str,
+        feed: Callable[[bytes], list[OutputMessage]],
+        silence: SilenceMonitor,
+    ) -> Any:
+        topic = self.resolve_topic_name(name)
+
+        def take(raw: bytes) -> None:
+            silence.note_input()
+            self._counts[topic] += 1
+            try:
+                self._publish(feed(self._versions.read(msgtype, raw)))
+            except InputError as error:
+                self._log.report(topic, self._counts[topic], str(error))
+
+        return self.create_subscription(
+            load_interface_class(msgtype),
+            name,
+            take,
+            copy(OUTPUT_QOS),  # rclpy writes the overrides of one topic into it
+            raw=True,
+            qos_overriding_options=QoSOverridingOptions(OVERRIDABLE_POLICIES),
+            event_callbacks=SubscriptionEventCallbacks(
+                incompatible_qos=lambda event: self._qos_warnings.warn_of_publisher(name, event.last_policy_kind)
+            ),
+        )
+
+    def _publish(self, outputs: Sequence[OutputMessage]) -> None:
+        """Publish outputs; the topics of single bodies of ROS4HRI come and go with them."""
+        for output in outputs:
+            if output.topic not in self._outputs:
+                qos = LATCHED_QOS if output.type == DESCRIPTION else OUTPUT_QOS
+                self._outputs.add(output.topic, output.type, qos, is_active=True)
+            self._outputs.publish(self._versions.write_output(output))
+        if any(output.topic == TRACKED for output in outputs):
+            present = {output.topic.split('/')[-2] for output in outputs}
+            for topic in [t for t in self._outputs if t.startswith(BODIES) and t != TRACKED]:
+                if topic.split('/')[-2] not in present:
+                    self._outputs.remove(topic)
+
+    def _check_silence(self) -> None:
+        for _, _, _, silence in self._inputs:
+            silence.check(WARN_AFTER_S)
+        if self._inputs[0][-1].silence_s > CLEAR_AFTER_S:
+            self._publish(self._bridge.clear())
+        if TRACKED in self._outputs and self.count_publishers(TRACKED) > 1 and not self._has_warned_of_bodies:
+            self._has_warned_of_bodies = True
+            self.get_logger().warning(
+                f'{TRACKED}: another node publishes bodies as well; if they are the input of mocap_node '
+                '(node.input_type), do not publish them'
+            )
+
+
+def run(arguments: Sequence[str]) -> None:
+    """Run the node until SIGINT or SIGTERM; arguments and errors are those of `node.run`."""
+    run_node(arguments, BridgeNode)
