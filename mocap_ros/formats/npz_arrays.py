@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 import zipfile
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,22 +38,25 @@ def list_keys(path: Path) -> frozenset[str]:
 
 
 def read_arrays(path: Path, keys: Collection[str], kind: str) -> dict[str, NDArray[np.generic]]:
-    """Read arrays of an .npz file; keys that it does not have are left out.
+    """Read arrays of an .npz file; keys that it does not have are left out. See `iterate_arrays`."""
+    return dict(iterate_arrays(path, keys, kind))
 
-    Args:
-        path: path of the file.
-        keys: keys of the arrays to read.
-        kind: what the file should be, with article, for messages.
+
+def iterate_arrays(
+    path: Path, keys: Collection[str], kind: str, max_bytes: int = MAX_FILE_BYTES
+) -> Iterator[tuple[str, NDArray[np.generic]]]:
+    """Yield those of the keys that an .npz file has, in its order, and their arrays.
+
+    `kind` says in messages what the file should be, with article.
 
     Raises:
-        InputError: the file cannot be read, or holds more than `MAX_FILE_BYTES`.
+        InputError: the file cannot be read, or holds more than `max_bytes`.
     """
-    arrays = {}
     key = ''
     try:
-        with open_npz(path, MAX_FILE_BYTES) as archive:
-            for key in (k for k in keys if k in archive.files):
-                arrays[key] = archive[key]
+        with open_npz(path, max_bytes) as archive:
+            for key in (k for k in archive.files if k in keys):
+                yield key, archive[key]
     except InputError as error:
         raise InputError(f'not {kind}: {error}') from None
     except OSError as error:
@@ -61,7 +64,6 @@ def read_arrays(path: Path, keys: Collection[str], kind: str) -> dict[str, NDArr
     except Exception as error:  # NumPy's zip and array readers raise almost any exception on malformed bytes
         where = f'{key}: ' if key else f'not {kind}: '
         raise InputError(f'{where}{describe_read_error(error)}') from None
-    return arrays
 
 
 @dataclass(frozen=True, eq=False)

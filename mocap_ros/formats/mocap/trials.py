@@ -17,20 +17,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.errors import InputError, describe_read_error, naming
+from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.bvh import load_bvh
 from mocap_ros.formats.mocap.asf import load_amc
 from mocap_ros.formats.mocap.c3d import load_c3d
 from mocap_ros.formats.mocap.joint_maps import MarkerMap, infer_unit, map_to_model
+from mocap_ros.formats.npz_arrays import ArrayReader, iterate_arrays, list_keys
 from mocap_ros.formats.text_files import read_text
-from mocap_ros.npz_file import open_npz
-from mocap_ros.skeleton import BODY26, CMU15, canonical_joint_names
+from mocap_ros.skeleton import BODY26, CMU15
 
 Array = NDArray[np.float64]
 
 MOTION_SUFFIXES = ('.amc', '.bvh', '.c3d')  # files of one trial each; other files are read as .npz archives
 MAX_ARCHIVE_BYTES = 8 << 30  # unpacked; guards the memory; the CMU database (15 joints, 30 Hz) takes below 1 GB
 MANIFEST_NAME = 'manifest.csv'  # file with the subject, the category and the quality of each trial
+ARCHIVE = 'motion capture in .npz form'  # in the words of messages
+NAMES_KEY = '_joints'  # of an archive: the names of the joints
 M_PER_MM = 1e-3  # archives of joints are in mm
 HEIGHT_RANGE_M = 0.3, 3.0  # m, body heights of archives; children to giants, but not mm taken for m
 MIN_VERTICAL_COSINE = 0.8  # of 37 degrees between trunk and axis; beyond it the format's usual axis is taken
@@ -146,37 +148,25 @@ def _create_trial(
 
 def _read_archive(path: Path, manifest: Manifest, unit: float) -> Iterator[Trial]:
     """Read the trials of an .npz archive, in units of so many m."""
-    key = ''
-    try:
-        with open_npz(path, MAX_ARCHIVE_BYTES) as archive:
-            keys = [k for k in archive.files if not k.startswith('_')]
-            has_names = '_joints' in archive.files
-            names = canonical_joint_names([str(n) for n in archive['_joints']]) if has_names else ()
-            if len(set(names)) != len(names) or not set(CMU15.joints) <= set(names):
-                raise InputError(f'key _joints must name the joints of {CMU15.name}')
-            order = [names.index(j) for j in CMU15.joints]
-            others = BODY26.joints[len(order) :]
-            other_order = [names.index(j) for j in others] if set(others) <= set(names) else []
-            for key in keys:
-                array = archive[key]
-                is_shaped = array.ndim == 3 and array.shape[1:] == (len(names), 3) and len(array) > 0
-                if array.dtype.kind not in 'fiu' or not is_shaped:
-                    raise InputError(f'key {key} has shape {array.shape} of {array.dtype}')
-                if not np.isfinite(array).all():
-                    raise InputError(f'key {key} holds numbers that are not finite')
-                array = rotate_z_up(array.astype(np.float64), 1) * unit
-                height = float(CMU15.bone_lengths(array[:, order]).mean(axis=0) @ CMU15.stature_per_bone)
-                if not HEIGHT_RANGE_M[0] <= height <= HEIGHT_RANGE_M[1]:
-                    raise InputError(
-                        f'key {key}: a body {height:.3g} m tall, if the numbers are in units of {unit:g} m'
-                    )
-                extremities = array[:, other_order] if other_order else None
-                yield _create_trial(key, array[:, order], manifest, '', extremities)
-    except (InputError, OSError) as error:
-        raise InputError(f'{path}: {getattr(error, "strerror", None) or error}') from None
-    except Exception as error:  # NumPy's zip and array readers raise almost any exception on malformed bytes
-        where = f'key {key}' if key else 'not motion capture in .npz form'
-        raise InputError(f'{path}: {where} ({describe_read_error(error)})') from None
+    with naming(path):
+        stated = dict(iterate_arrays(path, (NAMES_KEY,), ARCHIVE, MAX_ARCHIVE_BYTES))
+        names = ArrayReader(stated).read_joint_names(NAMES_KEY)
+        if len(set(names)) != len(names) or not set(CMU15.joints) <= set(names):
+            raise InputError(f'{NAMES_KEY}: expected the joints of {CMU15.name}, each once')
+        order = [names.index(j) for j in CMU15.joints]
+        others = BODY26.joints[len(order) :]
+        other_order = [names.index(j) for j in others] if set(others) <= set(names) else []
+        keys = [key for key in list_keys(path) if not key.startswith('_')]
+        for key, array in iterate_arrays(path, keys, ARCHIVE, MAX_ARCHIVE_BYTES):
+            numbers = ArrayReader({key: array}).read_numbers(key, (None, len(names), 3))
+            if not len(numbers) or not np.isfinite(numbers).all():
+                raise InputError(f'{key}: no frames' if not len(numbers) else f'{key}: not finite')
+            joints = rotate_z_up(numbers, 1) * unit
+            height = float(CMU15.bone_lengths(joints[:, order]).mean(axis=0) @ CMU15.stature_per_bone)
+            if not HEIGHT_RANGE_M[0] <= height <= HEIGHT_RANGE_M[1]:
+                raise InputError(f'{key}: a body {height:.3g} m tall, if the numbers are in units of {unit:g} m')
+            extremities = joints[:, other_order] if other_order else None
+            yield _create_trial(key, joints[:, order], manifest, '', extremities)
 
 
 def _read_motion(path: Path, options: TrialOptions) -> Array:
