@@ -19,7 +19,7 @@ from mocap_ros.batch.job import COLUMNS, Outcome, Rows, Settings, Status, write_
 from mocap_ros.batch.recordings import Work
 from mocap_ros.config import to_yaml
 from mocap_ros.people import MotionKind
-from mocap_ros.viewing.corpus_plot import draw_corpus_figure
+from mocap_ros.viewing.plots import draw_corpus_figure
 
 MOTIONS = tuple(kind.name.lower() for kind in MotionKind)  # kinds of motion, as columns of the table name them
 

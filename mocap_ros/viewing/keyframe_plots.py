@@ -40,12 +40,7 @@ def draw_keyframes_figure(
     """Draw the keyframes of both halves as skeletons, and over time which keyframe is nearest to each frame.
 
     At most `MAX_DRAWN_KEYFRAMES` keyframes of a half are drawn, those that represent most frames. Keyframes are
-    numbered by time.
-
-    Args:
-        observed: image points without suspect points.
-        keyframes: keyframes of the upper and the lower half of the body.
-        title: title of the figure.
+    numbered by time; `observed` holds the image points without suspect points.
     """
     drawn = [_choose_drawn_keyframes(half) for half in keyframes]
     rows = [max(-(-len(numbers) // COLUMNS), 1) for numbers in drawn]
@@ -122,11 +117,7 @@ def draw_distances_figure(
 ) -> Figure:
     """Draw the distance matrices D of both halves, dark where poses are alike (figure 3).
 
-    Args:
-        observed: image points without suspect points.
-        keyframes: keyframes of the upper and the lower half of the body.
-        beta: torso lengths; marked on the colour bar.
-        title: title of the figure.
+    The distance `beta`, in torso lengths, is marked on the colour bar.
     """
     figure = Figure(figsize=(FIGURE_WIDTH, 6.2), dpi=100, layout='constrained')
     FigureCanvasAgg(figure)

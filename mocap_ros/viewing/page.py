@@ -36,9 +36,11 @@ from mocap_ros.viewing.scene import (
     ScenePerson,
     choose_joint_colours,
     choose_person_colour,
+    image_corners,
     list_colour_key,
 )
 
+CAMERA_DEPTH_M = 0.5  # m; distance of the corners of the image in the picture of the camera
 NOT_A_NUMBER = -32768  # 1; the int16 that stands for a missing value
 MAX_INT16 = 32767  # 1; the largest other value
 MIN_METRE_STEP = 0.001  # m; joints are rounded to it, far below their error
@@ -132,7 +134,7 @@ def _describe_scene(scene: Scene, packer: _Packer) -> dict[str, Any]:
         'truth': truth,
         'camera': {
             'imageSize': list(scene.image_size),
-            'corners': scene.frustum_corners.tolist(),
+            'corners': (image_corners(scene.image_size, scene.intrinsics) * CAMERA_DEPTH_M).tolist(),
             'isNominal': not scene.intrinsics.is_focal_known,
             'fovDeg': float(
                 np.degrees(2 * np.arctan2(scene.image_size[1] / 2, scene.intrinsics.focal_lengths[1]))

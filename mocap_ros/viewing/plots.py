@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ RIGHT_COLOUR = '#d62728'  # red
 MIDDLE_COLOUR = '#444444'  # dark grey
 TRUTH_COLOUR = '#b8b8b8'  # light grey, behind the other colours
 INFERRED_COLOUR = '#ff9f1c'  # orange; joints that were not seen
+BINS = 30  # bars of a histogram; few enough to be seen in a panel of 8 cm
 MIN_RADIUS_M = 0.5  # m; half the width of a panel at least, so that a curled-up body is not magnified
 RADIUS_MARGIN = 1.03  # factor; keeps the outermost joints inside the panel
 IMAGE_MARGIN = 0.6  # half the width of an input panel divided by the size of the body's image
@@ -70,15 +71,7 @@ def choose_side_colour(joint: str) -> str:
 
 
 def draw_bones(axes: Any, points: Array, skeleton: Skeleton, colour: str | None = None, **style: Any) -> None:
-    """Draw the bones of one skeleton.
-
-    Args:
-        axes: matplotlib axes.
-        points: (J, 2) in the axes' unit; NaN where a joint is missing.
-        skeleton: skeleton of the points.
-        colour: colour of all bones; None for those of their sides.
-        style: further arguments of `axes.plot`.
-    """
+    """Draw the bones of points (J, 2) in a colour, or in those of their sides; `style` is that of `axes.plot`."""
     for parent, child in skeleton.bones:
         axes.plot(
             points[[parent, child], 0],
@@ -90,20 +83,14 @@ def draw_bones(axes: Any, points: Array, skeleton: Skeleton, colour: str | None 
 
 
 def project_from_side(joints: Array) -> Array:
-    """Return (..., J, 2) the view from the left of the camera: depth to the right, of joints (..., J, 3)."""
+    """Return (..., J, 2) the view of joints (..., J, 3) from the left of the camera: depth to the right."""
     return np.stack([joints[..., 2], joints[..., 1]], axis=-1)
 
 
 def draw_poses_figure(data: PlotData, frames: Sequence[int], title: str, labels: Sequence[str]) -> Figure:
-    """Draw selected frames in columns: the 2D input, then the 3D result from the camera and from the side.
+    """Draw some frames in columns with labels: the 2D input, then the 3D result from the camera and from the side.
 
     The 2D input is left out where it is not known. Below is the error over time, where the truth is known.
-
-    Args:
-        data: reconstruction and input.
-        frames: indices of the frames.
-        title: title of the figure.
-        labels: title of each frame's column.
     """
     error_mm = _compute_error_mm(data)
     has_input = data.keypoints is not None
@@ -139,7 +126,6 @@ def draw_poses_figure(data: PlotData, frames: Sequence[int], title: str, labels:
 
 
 def _make_legend_handles(data: PlotData) -> list[Line2D]:
-    """Return the entries of the legend of skeleton colours."""
     colours = {'left': LEFT_COLOUR, 'right': RIGHT_COLOUR, 'middle': MIDDLE_COLOUR}
     handles = [Line2D([], [], color=colour, linewidth=1.8, label=side) for side, colour in colours.items()]
     if data.truth is not None:
@@ -238,12 +224,46 @@ def _centre(poses: Array) -> Array:
 
 
 def _remove_frame(axes: Any) -> None:
-    """Set equal scales, and remove ticks and frame."""
     axes.set_aspect('equal')
     axes.set_xticks([])
     axes.set_yticks([])
     for spine in axes.spines.values():
         spine.set_visible(False)
+
+
+def draw_corpus_figure(
+    seconds: Mapping[str, float], cadences: Sequence[float], residuals: Sequence[float], work: Sequence[float]
+) -> Figure:
+    """Draw a run over many recordings.
+
+    Args:
+        seconds: s of all people in each kind of motion, by its name.
+        cadences: Hz, of each appearance in periodic motion.
+        residuals: px, of each appearance.
+        work: CPU seconds of each recording.
+    """
+    figure = Figure(figsize=(9, 5.5), layout='constrained')
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, 2)
+    bars, cadence, residual, cost = axes.flat
+    bars.barh(list(seconds), [s / 60 for s in seconds.values()], color=LEFT_COLOUR)
+    bars.set_title('people by motion')
+    bars.set_xlabel('min')
+    panels = (
+        (cadence, cadences, 'cadence of walking and running', 'Hz', 'appearances'),
+        (residual, residuals, 'mean reprojection error', 'px', 'appearances'),
+        (cost, work, 'work on a recording', 'CPU s', 'recordings'),
+    )
+    for panel, values, title, unit, counted in panels:
+        panel.set_title(title)
+        panel.set_xlabel(unit)
+        panel.set_ylabel(counted)
+        if len(values):
+            panel.yaxis.get_major_locator().set_params(integer=True)
+            panel.hist(np.asarray(values, float), bins=BINS, color=LEFT_COLOUR)
+        else:
+            panel.text(0.5, 0.5, 'none', ha='center', transform=panel.transAxes)
+    return figure
 
 
 def check_picture_format(path: Path, *others: str) -> None:

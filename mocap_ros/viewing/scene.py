@@ -46,8 +46,6 @@ SIDED_PARTS = (('shoulder', 'elbow', 'wrist'), ('hip', 'knee', 'ankle'))
 SIDED_JOINTS = tuple(side + joint for side in 'lr' for part in SIDED_PARTS for joint in part)
 MAX_CENTRE_DISTANCE = 1.0  # extents of a person's image; a detection whose centre is farther is of somebody else
 MIN_DEPTH_M = 0.1  # m; nearer joints have no image point that could be drawn
-EXTENT_ROWS = 20_000  # skeletons from which the extent of the scene is found; more would tell the same
-CHUNK_ROWS = 4096  # detections that are compared at a time, which bounds the memory
 MIN_PART_JOINTS = 2  # pairs of joints of a part that must be seen on both sides; one alone may be an outlier
 
 
@@ -171,9 +169,8 @@ class Scene:
 
     @cached_property
     def _coordinates(self) -> Array:
-        """(K, 3) m, joints of all people in many frames, or one point before the camera where there is nobody."""
-        rows = sum(len(person.frames) for person in self.people)
-        joints = [person.joints[:: 1 + rows // EXTENT_ROWS].reshape(-1, 3) for person in self.people]
+        """(K, 3) m, joints of all people in all frames, or one point before the camera where there is nobody."""
+        joints = [person.joints.reshape(-1, 3) for person in self.people]
         known = [own[np.isfinite(own).all(axis=1)] for own in joints]
         return np.concatenate([*known, np.empty((0, 3))]) if any(map(len, known)) else np.array([[0.0, 0.0, 4.0]])
 
@@ -234,11 +231,6 @@ class Scene:
             keypoint_skeleton=CMU15 if detected is None else detected.skeleton,
         )
 
-    @property
-    def frustum_corners(self) -> Array:
-        """(4, 3) m, corners of the image in the plane 0.5 m before the camera, for a picture of the camera."""
-        return image_corners(self.image_size, self.intrinsics) * 0.5
-
 
 def image_corners(image_size: tuple[int, int], intrinsics: Intrinsics) -> Array:
     """Return the corners (4, 3) of the image in the plane z = 1 of the optical frame, lens distortion ignored."""
@@ -294,11 +286,8 @@ class SidedPoints(NamedTuple):
         for place, joint in enumerate(SIDED_JOINTS):
             if joint in names:
                 points[:, place] = keypoints.points[:, names.index(joint)]
-        total, count = np.zeros((len(points), 2), np.float32), np.zeros((len(points), 2), np.float32)
-        for place in range(len(SIDED_JOINTS)):  # one by one, which takes less memory than all at a time
-            total += np.nan_to_num(points[:, place])
-            count += np.isfinite(points[:, place])
-        centre = total / np.where(count > 0, count, np.nan)
+        count = np.isfinite(points).sum(axis=1)
+        centre = np.nansum(points, axis=1) / np.where(count > 0, count, np.nan)
         return SidedPoints(keypoints.frames, points, centre.astype(np.float32))
 
 
@@ -331,31 +320,22 @@ def find_undone_swaps(person: ScenePerson, keypoints: Sequence[SidedPoints], ske
         rows = row_of_frame[np.minimum(detections.frames, len(row_of_frame) - 1)]
         distance = np.linalg.norm(detections.centre - centre[rows], axis=1)
         near = np.flatnonzero((rows >= 0) & (distance < MAX_CENTRE_DISTANCE * extent[rows]))
-        for first in range(0, len(near), CHUNK_ROWS):
-            chunk = near[first : first + CHUNK_ROWS]
-            own = rows[chunk]
-            cost, verdict = _compare_sides(detections.points[chunk], image[own], extent[own])
-            order = np.argsort(
-                -cost, kind='stable'
-            )  # so that of several detections in a frame the best comes last
-            last = np.full(len(best), -1)
-            last[own[order]] = order
-            chosen = last[np.unique(own)]
-            chosen = chosen[cost[chosen] < best[own[chosen]]]
-            best[own[chosen]], swapped[own[chosen]] = cost[chosen], verdict[chosen]
+        own = rows[near]
+        cost, verdict = _compare_sides(detections.points[near], image[own], extent[own])
+        order = np.argsort(-cost, kind='stable')  # of several detections in a frame the best comes last
+        last = np.full(len(best), -1)
+        last[own[order]] = order
+        chosen = last[np.unique(own)]
+        chosen = chosen[cost[chosen] < best[own[chosen]]]
+        best[own[chosen]], swapped[own[chosen]] = cost[chosen], verdict[chosen]
     return swapped & ~person.predicted
 
 
 def _compare_sides(points: Array32, image: Array32, extent: Array32) -> tuple[Array32, Mask]:
-    """Compare some detections with a person's image, as they are and with left and right exchanged.
-
-    Args:
-        points: (N, 12, 2) px, the detected `SIDED_JOINTS`; NaN where not seen.
-        image: (N, 12, 2) px, the person's.
-        extent: (N,) px, extent of the person's image.
+    """Compare detected `SIDED_JOINTS` (N, 12, 2) with a person's, as they are and with left and right exchanged.
 
     Returns:
-        (N,) sums of the parts' smaller errors in extents of the person's image, and (N,) if a swap was undone.
+        (N,) sums of the parts' smaller errors in extents (N,) of the person's image, (N,) if a swap was undone.
     """
     mirror = np.roll(np.arange(len(SIDED_JOINTS)), len(SIDED_JOINTS) // 2)
     both = np.isfinite(points[..., 0])

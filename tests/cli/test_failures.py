@@ -46,6 +46,9 @@ MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than 
         ),
         (['config', '--set', 'tracker.iteration=1'], "'tracker.iteration'; did you mean 'tracker.iterations'?"),
         (['evaluate', 'BAG'], 'bag: the bag cannot be read'),
+        (['reconstruct', 'RECORDING', '--all-people'], 'holds one person; --all-people does not apply'),
+        (['reconstruct', 'x', '--all-people', '--person', 'x'], '--person and --all-people exclude each other'),
+        (['reconstruct', 'RECORDING', '--set', 'solver.prior=nofile'], 'solver.prior: nofile: No such file'),
         (['replay', 'BAG', '-o', 'bag'], 'bag: exists already; choose another -o'),
         (['reconstruct', 'RECORDING', '-o', '/nowhere/x.npz'], '/nowhere/x.npz'),
         (['evaluate', 'GARBAGE'], 'garbage.npz'),
@@ -198,17 +201,6 @@ def test_an_input_that_is_no_file_is_refused_before_it_is_read(
     (line,) = capsys.readouterr().err.splitlines()
     assert name in line
     assert 'neither a file' in line
-
-
-def test_a_lifter_that_cannot_be_read_is_named_by_its_parameter(
-    short_recording: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(['reconstruct', str(short_recording), '--set', 'solver.prior=nofile']) == 1
-    assert capsys.readouterr().err == (
-        'mocap-ros: solver.prior: nofile: No such file or directory; expected learned, pca or a lifter\n'
-    )
-    assert main(['reconstruct', str(short_recording), '--set', f'solver.prior={short_recording}']) == 1
-    assert capsys.readouterr().err == f'mocap-ros: solver.prior: {short_recording}: not a lifter (no meta)\n'
 
 
 @pytest.mark.parametrize('command', ['replay', 'recover'])

@@ -14,7 +14,6 @@ import pytest
 
 from mocap_ros.cli.main import main
 from mocap_ros.demo.scene import make_recording
-from mocap_ros.errors import InputError
 from mocap_ros.formats.detections import Detections
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS
 from mocap_ros.formats.sequence_file import load_sequence, save_sequence
@@ -39,19 +38,6 @@ def test_reconstruct_writes_npz_and_csv(recording: Path, tmp_path: Path, method:
         rows = list(csv.reader(file))
     assert len(rows) == 391
     assert np.array(rows[1][1:], float).reshape(26, 3) == pytest.approx(joints[0], abs=1e-5)
-
-
-def test_results_are_written_into_the_current_folder(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    quick = ['--set', 'solver.max_iterations=3']
-    beside = set(recording.parent.iterdir())
-    assert main(['reconstruct', str(recording), *quick]) == 0
-    assert {p.name for p in tmp_path.iterdir()} == {'demo_3d.npz'}
-    assert set(recording.parent.iterdir()) == beside
-    with pytest.raises(InputError, match=r'demo_3d\.npz: is a result of reconstruct; give the sequence file'):
-        load_sequence('demo_3d.npz')
 
 
 def test_the_summary_says_that_the_solver_did_not_converge(
@@ -211,19 +197,3 @@ def test_one_who_cannot_be_reconstructed_does_not_stop_the_others(
     assert {path.name for path in tmp_path.iterdir()} == {'two.mcap', 'r_b.npz'}
     (line,) = capsys.readouterr().err.splitlines()
     assert line.endswith("no frame has four seen joints: nothing to reconstruct (person 'a' is left out)")
-
-
-@pytest.mark.parametrize(
-    ('options', 'reason'),
-    [
-        (['--all-people'], 'a sequence file holds one person; --all-people does not apply'),
-        (['--all-people', '--person', 'x'], '--person and --all-people exclude each other'),
-        (['-o', 'r.npz', '-o', 'r.fbx'], 'r.fbx: unknown file type; expected .npz, .csv, '),
-    ],
-)
-def test_options_that_do_not_fit_are_named(
-    short_recording: Path, capsys: pytest.CaptureFixture[str], options: list[str], reason: str
-) -> None:
-    assert main(['reconstruct', str(short_recording), *options]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert reason in line

@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
-from importlib.metadata import version
 
 import pytest
 
@@ -57,13 +56,6 @@ def test_the_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> Non
     assert stopped.value.code == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines if line.startswith(' ' * 4) and line[4] != ' '] == list(COMMANDS)
-
-
-def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main(['--version'])
-    assert stopped.value.code == 0
-    assert capsys.readouterr().out == f'mocap-ros {version("mocap_ros")}\n'
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ from mocap_ros.runtime.save_results import save_detections
 from mocap_ros.runtime.sequence_messages import DEFAULT_FRAME_ID
 from mocap_ros.viewing.page import build_page
 from mocap_ros.viewing.scene import Mark, MarkKind
-from tests.support.keypoint_files import flatten_keypoints, make_walker
+from tests.support.keypoint_files import flatten_keypoints
 from tests.support.people import make_person_3d
 from tests.support.pipeline_inputs import FAST_CONFIG
 
@@ -185,12 +185,6 @@ def test_who_cannot_be_reconstructed_is_left_out_by_name(sequence: KeypointSeque
     save_detections(tmp_path / 'q.mcap', Detections(nobody, sequence.stamps_ns[:12], (640, 480)))
     with pytest.raises(InputError, match='four seen joints'):
         load_scene(tmp_path / 'q.mcap', OPTIONS)
-
-
-def test_options_that_an_input_does_not_need_are_refused(tmp_path: Path) -> None:
-    save_sequence(tmp_path / 'in.npz', make_walker())
-    with pytest.raises(InputError, match='is a sequence file, to which --person does not apply'):
-        load_scene(tmp_path / 'in.npz', replace(OPTIONS, person='anna'))
 
 
 def test_what_shows_nobody_is_refused(sequence: KeypointSequence, tmp_path: Path) -> None:

@@ -97,16 +97,6 @@ def test_a_distant_person_and_a_wild_keypoint_fit_into_the_arrays(scene: Scene) 
     assert (points[2] == 32767).all()
 
 
-def test_a_layout_without_a_detection_in_the_shown_frames_is_an_empty_array(scene: Scene) -> None:
-    """So it is where frames of a long recording are left out, and with them all that have this layout."""
-    empty = replace(scene.keypoints[0], frames=np.empty(0, int), points=np.empty((0, 15, 2), np.float32))
-    page = ReadPage(replace(scene, keypoints=(empty, *scene.keypoints)))
-    described, others = page.scene['keypoints']
-    assert [page.read(described['arrays'][name]).shape for name in ('frames', 'points')] == [(0, 1), (0, 30)]
-    frames = page.read(others['arrays']['frames'])[:, 0]
-    assert frames.tolist() == scene.keypoints[0].frames.tolist()
-
-
 def test_no_text_of_an_input_becomes_html(scene: Scene) -> None:
     page = build_page(scene)
     assert page.count('</script>') == 4

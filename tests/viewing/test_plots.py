@@ -38,10 +38,6 @@ def read_errors_mm(data: plots.PlotData) -> np.ndarray:
     return np.asarray(line.get_ydata())
 
 
-def test_the_view_from_the_side_has_depth_to_the_right() -> None:
-    assert plots.project_from_side(np.array([[1.0, 2.0, 3.0]])).tolist() == [[3.0, 2.0]]
-
-
 def test_the_error_is_that_of_the_centred_joints(data: plots.PlotData) -> None:
     assert read_errors_mm(replace(data, joints=data.joints + [0.5, 0, 1])) == pytest.approx(0, abs=1e-9)
     joints = data.joints.copy()
