@@ -42,8 +42,8 @@ from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers import alternation, joint, periodic
 from mocap_ros.solvers.window import Reconstruction, Window
-from mocap_ros.training.balance import balance_trials
-from mocap_ros.training.base_poses import fit_base_poses
+from mocap_ros.training.fit_base_poses import fit_base_poses
+from mocap_ros.training.motion_library import balance_trials
 
 Array = NDArray[np.float64]
 T = TypeVar('T')

@@ -65,7 +65,7 @@ PROTOCOL = 'bench/protocol.py'
 CMU = (PROTOCOL, 'data/cmu/cmu15_30fps.npz', 'data/cmu/manifest.csv')
 MOTION = (PROTOCOL, 'data/motion/body26_30fps.npz', 'data/motion/manifest.csv')
 DETECTIONS = tuple(f'data/detections/balance_{d}_cam{c}.npz' for d in ('mediapipe', 'openpose') for c in (1, 2, 3))
-MODELS = 'base_poses', 'lifter', 'lifter_input', 'model_arrays', 'network', 'upward_direction'  # that solvers use
+MODELS = 'base_poses', 'lifter', 'lifter_input', 'network', 'upward_direction'  # that solvers use
 GEOMETRY = (  # all that solvers and tracker use; `level` serves the exports and the view alone
     *('camera_jacobian', 'differences', 'distortion', 'floor', 'interpolation', 'intrinsics'),
     *('rigid_transform', 'rotations', 'virtual_camera', 'weak_perspective'),

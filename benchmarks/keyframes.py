@@ -33,12 +33,12 @@ from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.offline.keyframes import reconstruct as keyframe_method
+from mocap_ros.offline.keyframes import keyframe_method
+from mocap_ros.offline.keyframes.alignment import align_motion
 from mocap_ros.offline.keyframes.body_halves import extract_half_poses, split_into_halves
 from mocap_ros.offline.keyframes.distance import build_averaging_matrix, compute_distances, denoise_distances
-from mocap_ros.offline.keyframes.gradient_fit import align_motion, fit_motion
-from mocap_ros.offline.keyframes.selection import select_keyframes
-from mocap_ros.offline.keyframes.shots import observe_shots
+from mocap_ros.offline.keyframes.gradient_fit import fit_motion
+from mocap_ros.offline.keyframes.selection import find_interpolatable, select_keyframes
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import ObservedWindow
@@ -151,7 +151,7 @@ def reconstruct_by_keyframes(view: View, config: Config) -> keyframe_method.Keyf
 def observe_view(view: View, config: Config) -> ObservedWindow:
     keypoints = view.sequence['keypoints'].astype(float)
     times = view.sequence['timestamps']
-    return observe_shots(keypoints, CMU15.joints, times, view.intrinsics, config.tracker)
+    return keyframe_method.observe_shots(keypoints, CMU15.joints, times, view.intrinsics, config.tracker)
 
 
 def compute_frame_errors(view: View, joints: Array) -> Array:
@@ -249,6 +249,13 @@ def keep_targets(report: Report, seconds: Mapping[str, float]) -> None:
     report.keep('keyframes.targets', ['target (alpha 0.95, T 0.2 s, beta 0.18)', 'mixed', 'unseen'], rows)
 
 
+def measure_coverage(represents: NDArray[np.bool_], times: Array, config: Config) -> Array:
+    """Return the share of covered frames after each keyframe was added, up to 0.99."""
+    gap, represents = config.keyframes.gap, represents | np.eye(len(times), dtype=bool)
+    well = np.logical_or.accumulate(represents[select_keyframes(represents, times, 0.99, gap)])
+    return np.array([(w | find_interpolatable(w, times, gap)).mean() for w in well])
+
+
 def report_counts(report: Report, quick: bool) -> dict[str, Any]:
     """Count the keyframes per second of the mixed sequence against alpha, for some beta."""
     clean = make_mixed_view(MIXED_TRIALS, 20.0 if quick else SEQUENCE_S)
@@ -259,10 +266,7 @@ def report_counts(report: Report, quick: bool) -> dict[str, Any]:
         for beta in (Config().keyframes.beta,) if quick else BETAS:
             found = keyframe_method.find_keyframes(seen, replace(config.keyframes, alpha=0.99, beta=beta))
             for half in found:
-                inside = half.matrix_frames
-                curve = select_keyframes(
-                    half.distance_matrix < beta, seen.times[inside], 0.99, config.keyframes.gap
-                ).coverage
+                curve = measure_coverage(half.distance_matrix < beta, seen.times[half.matrix_frames], config)
                 row: dict[str, Any] = {'sequence': label, 'beta': beta, 'half': half.body_half.name}
                 for alpha in (0.8, 0.9, 0.95, 0.99):
                     row[f'alpha {alpha:g}'] = float((np.argmax(curve >= alpha) + 1) / (view.frames / common.FPS))
@@ -455,7 +459,7 @@ def _draw_second_camera(a: KeypointSequence, b: KeypointSequence, view: Array) -
 def observe_pixels(recorded: KeypointSequence) -> tuple[Array, Array]:
     """Return the image points (F, J, 2) px of the model's joints and their weights (F, J)."""
     intrinsics = recorded.intrinsics(1.0)
-    seen = observe_shots(
+    seen = keyframe_method.observe_shots(
         recorded.keypoints, recorded.joint_names, recorded.timestamps, intrinsics, Config().tracker
     )
     pixels = intrinsics.project(np.concatenate([seen.rays, np.ones_like(seen.rays[..., :1])], axis=-1))
@@ -511,7 +515,7 @@ def find_long_keyframes(seconds: float) -> dict[str, Any]:
     times = np.arange(len(keypoints)) / common.FPS
 
     def find() -> Any:
-        seen = observe_shots(keypoints, CMU15.joints, times, intrinsics, Config().tracker)
+        seen = keyframe_method.observe_shots(keypoints, CMU15.joints, times, intrinsics, Config().tracker)
         seen = seen.exclude_points(keyframe_method.find_suspect_points(seen))
         return keyframe_method.find_keyframes(seen, Config().keyframes)
 

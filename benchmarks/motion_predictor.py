@@ -24,7 +24,8 @@ from reconstruction import provide_held_out
 
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import with_values
-from mocap_ros.models.motion_predictor import PREDICTOR_NAME, Past
+from mocap_ros.models.model_file import PREDICTOR_NAME
+from mocap_ros.models.motion_predictor import Past
 from mocap_ros.npz_file import write_npz
 from mocap_ros.tracking.prediction import sample_past
 

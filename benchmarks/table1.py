@@ -35,7 +35,7 @@ from scipy.cluster.vq import kmeans2
 
 from mocap_ros.geometry.rotations import centre_poses, fit_heading_rotation, fit_rotation
 from mocap_ros.skeleton import CMU15
-from mocap_ros.training.base_poses import align_to_mean
+from mocap_ros.training.fit_base_poses import align_to_mean
 from mocap_ros.viewing.plots import TRUTH_COLOUR, draw_bones, project_from_side
 
 Array = NDArray[np.float64]

@@ -29,10 +29,10 @@ from reconstruction import list_people, provide_held_out
 
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import with_values
+from mocap_ros.models.model_file import VELOCITY_NAME
 from mocap_ros.models.velocity_correction import (
     INPUT_LIMIT,
     SPANS_S,
-    VELOCITY_NAME,
     VelocityCorrection,
     VelocityPast,
     build_inputs,

@@ -17,7 +17,7 @@ from reconstruction import Models, list_people
 
 from experiments.detector_views import CLEAN, DETECTORS, HEADING_STEP_DEG, load_middle, load_motion
 from mocap_ros.config import Config
-from mocap_ros.geometry.floor import Floor
+from mocap_ros.geometry.level import Floor
 from mocap_ros.people import Person3D
 from mocap_ros.skeleton import BODY26, CMU15, estimate_stature
 from mocap_ros.tracking.tracker import Tracker

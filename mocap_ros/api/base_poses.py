@@ -20,7 +20,7 @@ from mocap_ros.errors import InputError, ModelError
 from mocap_ros.formats.text_files import replace_output
 from mocap_ros.models import base_poses, model_file
 from mocap_ros.skeleton import CMU15, canonical_joint_names
-from mocap_ros.training.base_poses import fit_base_poses
+from mocap_ros.training.fit_base_poses import fit_base_poses
 
 
 class BasePoses(base_poses.BasePoses):

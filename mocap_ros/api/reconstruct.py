@@ -25,7 +25,7 @@ from mocap_ros.config import format_value
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.keypoints.validation import describe_points_outside
-from mocap_ros.offline.keyframes import reconstruct as keyframes
+from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.runtime.save_results import ReconstructedSequence
 
@@ -97,7 +97,7 @@ def reconstruct(
     observations = extract_observations(sequence, config.tracker.nominal_focal_length)
     try:
         if method == 'keyframes':
-            result = keyframes.reconstruct(*observations, models, config).result
+            result = keyframe_method.reconstruct(*observations, models, config).result
         else:
             result = reconstruct_sequence(*observations, models, config)
     except (InputError, np.linalg.LinAlgError) as error:

@@ -31,7 +31,7 @@ from mocap_ros.errors import InputError, MocapError, RecordingError, make_printa
 from mocap_ros.formats.detections import Video
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.offline.keyframes.reconstruct import find_keyframes, observe_plausible_points
+from mocap_ros.offline.keyframes.keyframe_method import find_keyframes, observe_plausible_points
 from mocap_ros.people import MotionKind
 from mocap_ros.runtime.appearances import Appearance
 from mocap_ros.runtime.cpu_setup import configure_process

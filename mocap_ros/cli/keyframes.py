@@ -14,8 +14,8 @@ from mocap_ros.cli.terminal import print_result, show_stages
 from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import extract_observations
 from mocap_ros.formats.text_files import check_output, replace_output
+from mocap_ros.offline.keyframes.keyframe_method import find_keyframes, observe_plausible_points
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet
-from mocap_ros.offline.keyframes.reconstruct import find_keyframes, observe_plausible_points
 from mocap_ros.runtime.save_results import format_yaml, list_keyframe_entries
 from mocap_ros.solvers.observed_window import ObservedWindow
 from mocap_ros.viewing import plots

@@ -29,7 +29,7 @@ from mocap_ros.formats.bvh import BLENDER_IMPORT
 from mocap_ros.formats.sequence_file import KeypointSequence, extract_observations
 from mocap_ros.formats.text_files import check_output, read_text, replace_output
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.offline.keyframes import reconstruct
+from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.keyframes.taylor import DepthChoice, parse_depth_choices
 from mocap_ros.offline.whole_sequence import SequenceResult, reconstruct_sequence
 from mocap_ros.runtime import save_results
@@ -144,7 +144,7 @@ def _reconstruct(
         choices = parse_depth_choices(load_yaml(text, str(args.choices)), str(args.choices))
     observations = extract_observations(sequence, config.tracker.nominal_focal_length)
     with name_file_in_errors(args.input), show_stages() as set_stage:
-        found = reconstruct.reconstruct(*observations, models, config, choices, set_stage)
+        found = keyframe_method.reconstruct(*observations, models, config, choices, set_stage)
     upper, lower = (len(half.frames) for half in found.keyframes)
     outliers = int(found.outliers.sum())
     summary = f'{upper} keyframes of the upper body and {lower} of the lower body, {outliers} outliers replaced'

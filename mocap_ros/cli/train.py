@@ -27,8 +27,8 @@ from mocap_ros.formats.mocap.joint_maps import LENGTH_UNITS_M, load_marker_map
 from mocap_ros.formats.mocap.trials import Trial, TrialOptions, load_trials, select_trials
 from mocap_ros.formats.text_files import check_output, replace_output
 from mocap_ros.models import model_file
-from mocap_ros.training.balance import balance_trials
-from mocap_ros.training.base_poses import fit_base_poses
+from mocap_ros.training.fit_base_poses import fit_base_poses
+from mocap_ros.training.motion_library import balance_trials
 
 BASE_POSE_OPTIONS = ('name', 'components', 'alignment', 'mirror', 'bodies')  # options without --lifter only
 LIFTER_OPTIONS = ('steps', 'checkpoint', 'start_from', 'seed', 'threads')  # options with --lifter only

@@ -16,7 +16,7 @@ from mocap_ros.compiled.kernel import CompilationReport, compile_kernels
 # Modules that, together with what they import, declare all kernels.
 DECLARING_MODULES = (
     'mocap_ros.tracking.tracker',
-    'mocap_ros.offline.keyframes.reconstruct',
+    'mocap_ros.offline.keyframes.keyframe_method',
 )
 
 

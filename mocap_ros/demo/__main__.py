@@ -16,7 +16,7 @@ from pathlib import Path
 from mocap_ros.demo import motions, scene
 from mocap_ros.formats.mocap.trials import load_trials
 from mocap_ros.formats.sequence_file import save_sequence
-from mocap_ros.training.base_poses import fit_base_poses
+from mocap_ros.training.fit_base_poses import fit_base_poses
 
 # CMU trial from which each motion is learned. The subjects differ, so that no single body is copied.
 TRIAL_OF_MOTION = {'walk': '35_02', 'run': '09_01', 'jump': '13_32'}

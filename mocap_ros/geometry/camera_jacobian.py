@@ -27,42 +27,24 @@ from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, INT, kernel
 
 Array = NDArray[np.float64]
 
-CAMERA_UNKNOWNS = 4  # unknowns of a frame's camera: the rotation vector (3) and the logarithm of the scale
+CAMERA_UNKNOWNS = 4  # of a frame: rotation vector (3) and logarithm of the scale, the last axis of all results
 
 
 def camera_jacobian(points: Array, rows: int) -> Array:
-    """Return the derivatives of points by rotation vector and log scale, in a new array.
-
-    Args:
-        points: (..., 3) q, in the camera's frame and scaled.
-        rows: number of coordinates that are differentiated: 2 for the image, 3 with the depth.
-
-    Returns:
-        (..., rows, 4) derivatives by the rotation vector, then by the log scale.
-    """
+    """Return the derivatives (..., rows, 4) of points q (..., 3): 2 rows for the image, 3 with the depth."""
     out = np.empty((*points.shape[:-1], rows, CAMERA_UNKNOWNS))
     fill_camera_jacobian(out, points)
     return out
 
 
 def fill_camera_jacobian(out: Array, points: Array) -> None:
-    """Write the derivatives of points by rotation vector and log scale into an array.
-
-    Args:
-        out: (..., 2 or 3, 4) array or view that is overwritten.
-        points: (..., 3) q, in the camera's frame and scaled.
-    """
+    """Write the derivatives of points q (..., 3) into an array or view (..., 2 or 3, 4)."""
     fill_rotation_jacobian(out[..., :3], points)
     out[..., 3] = points[..., : out.shape[-2]]
 
 
 def fill_rotation_jacobian(out: Array, points: Array) -> None:
-    """Write the derivatives of points by the rotation vector alone into an array.
-
-    Args:
-        out: (..., 2 or 3, 3) array or view that is overwritten.
-        points: (..., 3) q, in the camera's frame.
-    """
+    """Write the derivatives of points q (..., 3) by the rotation vector alone into (..., 2 or 3, 3)."""
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = 0.0, z, -y
     out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = -z, 0.0, x
@@ -72,17 +54,8 @@ def fill_rotation_jacobian(out: Array, points: Array) -> None:
 
 @kernel(void(FLOATS_1D, FLOATS_2D, INT, INT))
 def write_point_jacobian(point: Array, out: Array, row: int, column: int) -> None:
-    """Write the derivatives (3, 4) of one point by rotation vector and log scale into a part of a matrix.
-
-    Args:
-        point: (3,) q, in the camera's frame and scaled.
-        out: matrix that is overwritten.
-        row: first row of the part.
-        column: first column of the part.
-    """
+    """Write the derivatives (3, 4) of one point q (3,) into a matrix, from a row and a column on."""
     x, y, z = point[0], point[1], point[2]
-    out[row, column], out[row, column + 1], out[row, column + 2], out[row, column + 3] = 0.0, z, -y, x
-    row += 1
-    out[row, column], out[row, column + 1], out[row, column + 2], out[row, column + 3] = -z, 0.0, x, y
-    row += 1
-    out[row, column], out[row, column + 1], out[row, column + 2], out[row, column + 3] = y, -x, 0.0, z
+    for i, values in enumerate(((0.0, z, -y, x), (-z, 0.0, x, y), (y, -x, 0.0, z))):
+        for k in range(CAMERA_UNKNOWNS):
+            out[row + i, column + k] = values[k]

@@ -47,7 +47,6 @@ MAX_NAME_CHARACTERS = 60  # of an unknown model in an error
 
 @kernel(FLOAT(FLOAT, INPUT_1D))
 def _distort_angle(angle: float, lens: Array) -> float:
-    """Return the distorted angle, theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), in rad."""
     a2 = angle * angle
     return angle * (1 + a2 * (lens[1] + a2 * (lens[2] + a2 * (lens[3] + a2 * lens[4]))))
 
@@ -93,7 +92,6 @@ def undistort_point(x: float, y: float, lens: Array) -> tuple[float, float]:
 
 @kernel(FLOATS_2D(INPUT_2D, INPUT_1D))
 def _distort_points(points: Array, lens: Array) -> Array:
-    """Apply `_distort_point` to each of some points (N, 2)."""
     out = np.empty_like(points)
     for n in range(len(points)):
         out[n, 0], out[n, 1] = _distort_point(points[n, 0], points[n, 1], lens)
@@ -102,7 +100,6 @@ def _distort_points(points: Array, lens: Array) -> Array:
 
 @kernel(FLOATS_2D(INPUT_2D, INPUT_1D))
 def _undistort_points(points: Array, lens: Array) -> Array:
-    """Apply `undistort_point` to each of some points (N, 2)."""
     out = np.empty_like(points)
     for n in range(len(points)):
         out[n, 0], out[n, 1] = undistort_point(points[n, 0], points[n, 1], lens)
@@ -125,9 +122,9 @@ class Distortion:
     def from_coefficients(model: str, coefficients: tuple[float, ...]) -> Distortion:
         """Check a model name and its coefficients and return the distortion.
 
-        No coefficients, or only zeros, mean no distortion, whatever the model name is. OpenCV's rational model may
-        have four more coefficients, of a thin prism, and two more, of a tilted sensor. These, and all others
-        beyond those of the model, are left out where they are 0.
+        No coefficients, or only zeros, mean no distortion, whatever the name is. OpenCV's rational model may have
+        four more, of a thin prism, and two more, of a tilted sensor. These, and all beyond those of the model, may
+        only be 0.
 
         Raises:
             InputError: The model is unknown, has another number of coefficients, or one of them is not finite.

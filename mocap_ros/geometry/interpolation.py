@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Linear interpolation of vectors over time, and the nearest of some times."""
+"""Vectors over time: linear interpolation, central differences, and the nearest of some times."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+MAX_STEP_S = 0.2  # s; over a longer gap between two frames a limb may have swung to and fro
+
 
 def find_nearest(times: Array, known: Array) -> NDArray[np.intp]:
-    """Return for each of some times (N,) the index of the nearest of others (n,), n >= 1, increasing.
-
-    Of two that are equally near it is the earlier one.
-    """
+    """Return for each time (N,) the index of the nearest of others (n,), increasing; of two the earlier."""
     after = np.minimum(np.searchsorted(known, times), len(known) - 1)
     before = np.maximum(after - 1, 0)
     is_after_nearer = np.abs(times - known[after]) < np.abs(times - known[before])
@@ -23,16 +22,25 @@ def find_nearest(times: Array, known: Array) -> NDArray[np.intp]:
 
 
 def interpolate_linearly(times: Array, sample_times: Array, samples: Array) -> Array:
-    """Return samples (N, D) interpolated at other times; the first and the last one hold beyond the ends.
-
-    Args:
-        times: (N,) times.
-        sample_times: (n,) times of the samples, increasing.
-        samples: (n, D) values.
-    """
+    """Return samples (n, D) of increasing times interpolated at times (N,); the ends hold beyond them."""
     if len(sample_times) == 1:
         return np.repeat(samples, len(times), axis=0)
     right = np.clip(np.searchsorted(sample_times, times), 1, len(sample_times) - 1)
     left = right - 1
     share = np.clip((times - sample_times[left]) / (sample_times[right] - sample_times[left]), 0, 1)[:, None]
     return np.asarray((1 - share) * samples[left] + share * samples[right])
+
+
+def central_velocity(times: Array, points: Array) -> Array:
+    """v(t_i) = (x(t_{i+1}) - x(t_{i-1})) / (t_{i+1} - t_{i-1}), (F, ..., 3) in m/s of points (F, ..., 3).
+
+    They are NaN in the first and the last frame, beside frames without points, and beside gaps of more than
+    `MAX_STEP_S`.
+    """
+    velocity = np.full(points.shape, np.nan)
+    if len(times) > 2:
+        steps = np.diff(times)
+        near = np.flatnonzero((steps[:-1] <= MAX_STEP_S) & (steps[1:] <= MAX_STEP_S)) + 1
+        spans = (times[near + 1] - times[near - 1]).reshape(-1, *[1] * (points.ndim - 1))
+        velocity[near] = (points[near + 1] - points[near - 1]) / spans
+    return velocity

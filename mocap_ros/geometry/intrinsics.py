@@ -69,8 +69,8 @@ class Intrinsics:
     def resize_like(self, other: Intrinsics) -> Intrinsics:
         """Return these intrinsics for images that are resized to those of another camera.
 
-        The image is enlarged by the ratio of the widths, and cropped or extended alike above and below. Where a
-        size is unknown, the images count as equally large.
+        The ratio of the widths enlarges the image, which is cropped or extended alike above and below. Images of
+        unknown size count as equally large.
         """
         if self.image_size is None or other.image_size in (None, self.image_size):
             return self
@@ -81,10 +81,10 @@ class Intrinsics:
 
     @staticmethod
     def from_image_size(width: int, height: int, focal_in_sides: float) -> Intrinsics:
-        """Return nominal intrinsics for an image of `width` by `height` px.
+        """Return nominal intrinsics: the principal point is the centre of the image.
 
-        The focal length is `focal_in_sides` times the longer side, so that it is the same for a telephone held
-        upright or across, and the principal point is the image centre.
+        The focal length is `focal_in_sides` times the longer side, the same for a telephone held upright or
+        across.
         """
         focal, size = focal_in_sides * max(width, height), (width, height)
         return Intrinsics(focal, (width / 2, height / 2), is_focal_known=False, image_size=size)

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Turning people who are seen by a tilted camera so that they stand upright.
+"""What is level: the floor that a camera sees, and people whom a tilted camera sees, turned to stand upright.
 
 The smallest rotation R that takes the vertical u, in a camera's optical frame, to e = (0, -1, 0), which is upwards
 in the optical frame of a level camera:
@@ -15,16 +15,21 @@ optical axis.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.geometry.rotations import MIN_SINE, rotation_from_vector
 
 Array = NDArray[np.float64]
 
 LEVEL_UP = np.array([0.0, -1.0, 0.0])  # upwards in the optical frame of a level camera
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # about the optical axis
+# Last parts of the names of frames whose z axis is up: those of REP 105, and the usual one of a robot cell. The
+# frames of a robot itself tilt with it.
+LEVEL_FRAMES = frozenset({'map', 'odom', 'world'})
 
 
 def average_vertical(vertical: Array) -> Array:
@@ -38,9 +43,7 @@ def average_vertical(vertical: Array) -> Array:
 def rotation_to_level(vertical: Array) -> Array:
     """Return the rotation (3, 3) from a camera's optical frame to that of a level camera at its place.
 
-    Args:
-        vertical: (3,) unit vector upwards in the camera's optical frame; NaN where it is not known, and then the
-            camera is taken as level.
+    A vertical (3,) that is NaN is not known, and the camera counts as level.
     """
     if not np.isfinite(vertical).all():
         return np.eye(3)
@@ -49,3 +52,27 @@ def rotation_to_level(vertical: Array) -> Array:
     if sine < MIN_SINE:
         return np.eye(3) if cosine > 0 else HALF_TURN
     return rotation_from_vector(axis * (math.atan2(sine, cosine) / sine))
+
+
+class Floor(NamedTuple):
+    """A level floor below a camera.
+
+    Attributes:
+        upward: (3,) unit vector upwards in the camera's optical frame.
+        camera_height: m, of the camera over the floor, positive; None where only the direction is known.
+    """
+
+    upward: Array
+    camera_height: float | None
+
+    @staticmethod
+    def find(camera_pose: RigidTransform, height: float | None) -> Floor:
+        """Return the floor at a height in m in the frame with z up to which the pose of the camera leads."""
+        camera_height = None if height is None else float(camera_pose.translation[2]) - height
+        is_below = camera_height is not None and camera_height > 0
+        return Floor(camera_pose.rotation[2], camera_height if is_below else None)
+
+
+def is_level(frame_id: str) -> bool:
+    """Return whether the z axis of a frame is up, by its name."""
+    return frame_id.rpartition('/')[2] in LEVEL_FRAMES

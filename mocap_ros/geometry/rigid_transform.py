@@ -33,9 +33,7 @@ NO_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)  # unit quaternion of no rotation
 SAME_POSE = (0.0, 0.0, 0.0, *NO_ROTATION)  # translation in m and quaternion that leave everything where it is
 
 MAX_COSINE = 0.9999999  # 1; above it two rotations are so close that the arc is a straight line
-ROUNDING = (
-    1e-12  # 1; a quaternion whose length is nearer to 1 is left as it is, for a second division changes bits
-)
+ROUNDING = 1e-12  # 1; a quaternion whose length is nearer to 1 is left as it is: another division changes bits
 MAX_DISTANCE_M = 1e9  # m; beyond it, positions in single precision say nothing
 QUATERNION_TOLERANCE = 0.1  # 1; a quaternion whose length is further from 1 is no rotation
 # Rotation from a camera's optical frame (x right, y down, z forward) to a body's frame (x forward, y left, z up).

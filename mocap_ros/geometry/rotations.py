@@ -15,9 +15,7 @@ from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, kernel
 
 Array = NDArray[np.float64]
 
-MAX_EIGENVALUE_STEPS = (
-    30  # Newton steps; four or five are enough but near a double root, where they halve the error
-)
+MAX_EIGENVALUE_STEPS = 30  # Newton steps; five are enough but near a double root, where a step halves the error
 EIGENVALUE_TOLERANCE = 1e-15  # relative; rounding
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # axes of the factors in a cross product
 MIN_SINE = 1e-12  # 1; guards the division by the sine of the rotation angle near the identity

@@ -22,7 +22,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, FLOATS_3D, INPUT_1D, INPUT_2D, INPUT_3D, kernel
+from mocap_ros.compiled.kernel import FLOAT, FLOATS_3D, INPUT_2D, kernel
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 
@@ -59,12 +59,11 @@ class VirtualCamera:
         """Return virtual cameras that look at the weighted centroid of the seen joints.
 
         Args:
-            rays: (F, J, 2) rays from `Intrinsics.pixels_to_rays`; finite, but otherwise ignored where the weight
-                is 0.
+            rays: (F, J, 2) rays; finite where the weight (F, J) is 0.
             weight: (F, J) confidence scores.
             times: (F,) s, increasing.
             smoothing_s: s over which the direction is averaged, so that it does not jump when joints appear or
-                vanish; equal to two standard deviations of the Gaussian weights.
+                vanish; two standard deviations of the Gaussian weights.
             intrinsics: intrinsics of the real camera.
         """
         total = weight.sum(axis=1)
@@ -83,49 +82,32 @@ class VirtualCamera:
 
     @staticmethod
     def look_at_mean_position(rays: Array, weight: Array, intrinsics: Intrinsics) -> VirtualCamera:
-        """Return one virtual camera for all frames, which looks at the weighted centroid of all their seen joints.
-
-        Args:
-            rays: (F, J, 2) rays from `Intrinsics.pixels_to_rays`; finite where the weight is 0.
-            weight: (F, J) confidence scores.
-            intrinsics: intrinsics of the real camera.
-        """
-        return VirtualCamera(rotation_to_optical_axis(_average_rays(rays, weight))[0], intrinsics)
+        """Return one virtual camera for all frames, which looks at the weighted centroid of their seen joints."""
+        weighted = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1) * weight[..., None]
+        *total_ray, total = weighted.reshape(-1, 3).sum(axis=0)
+        centroid = np.array([total_ray]) / max(total, MIN_TOTAL_WEIGHT)
+        return VirtualCamera(rotation_to_optical_axis(centroid)[0], intrinsics)
 
     def select_frames(self, frames: NDArray[np.intp] | slice) -> VirtualCamera:
         """Return the virtual cameras of the given frames."""
         return self if self.rotation.ndim == 2 else VirtualCamera(self.rotation[frames], self.intrinsics)
 
     def view_rays(self, rays: Array, weight: Array, focal: float) -> Array:
-        """Return the image points (F, J, 2) of rays in the virtual cameras' images; 0 where the weight is 0.
-
-        Args:
-            rays: (F, J, 2) rays of the real camera.
-            weight: (F, J) confidence scores.
-            focal: focal length in the unit of the image points.
-        """
-        return _view_rays(np.ascontiguousarray(rays), np.ascontiguousarray(weight), self._rotations, focal)
+        """Return the image points (F, J, 2) of rays, in the unit of `focal`; 0 where the weight (F, J) is 0."""
+        return np.where(weight[..., None] > 0, focal * rotate_rays(rays, self.rotation), 0.0)
 
     def root_positions(self, cameras: WeakPerspectiveCameras, translation: Array) -> Array:
         """Z = f / s, X = t_x Z / f, Y = t_y Z / f, rotated into the real camera's frame.
 
-        Args:
-            cameras: F weak-perspective cameras in the virtual cameras' images.
-            translation: (F, 2) px, image points of the body's origin in the virtual cameras' images.
-
-        Returns:
-            (F, 3) m, positions of the body's origin in the real camera's optical frame.
+        Return the positions (F, 3) m of the body's origin, whose image points in px are `translation` (F, 2).
         """
-        return _place_roots(
-            self._rotations,
-            self.intrinsics.focal,
-            np.ascontiguousarray(cameras.scale),
-            np.ascontiguousarray(translation),
-        )
+        focal = np.full(len(translation), self.intrinsics.focal)
+        towards = np.column_stack([translation, focal]) / cameras.scale[:, None]
+        return _multiply(towards[:, None], self.rotation)[:, 0]
 
     def measure_depth(self, places: Array) -> Array:
         """Return the depths (F,) in m of places (F, 3) m of the real camera's frame, along the virtual axes."""
-        return np.asarray((self._rotations[:, 2] * places).sum(axis=-1))
+        return np.asarray((self.rotation[..., 2, :] * places).sum(axis=-1))
 
     def to_real_camera(self, vectors: Array) -> Array:
         """Rotate vectors (F, J, 3) from the virtual cameras' frames into the real camera's frame."""
@@ -137,57 +119,17 @@ class VirtualCamera:
 
     def body_rotations(self, cameras: WeakPerspectiveCameras) -> Array:
         """Return the rotations (F, 3, 3) from the body frame to the real camera's optical frame."""
-        to_real = np.ascontiguousarray(self._rotations.swapaxes(-1, -2))
-        return _multiply_rotations(to_real, np.ascontiguousarray(cameras.rotation))
+        return _multiply(self.rotation.swapaxes(-1, -2), cameras.rotation)
 
     def weak_perspective_cameras(self, rotation: Array, roots: Array) -> WeakPerspectiveCameras:
-        """Return the cameras whose `body_rotations` and `root_positions` these are: s = f / Z.
-
-        Args:
-            rotation: (F, 3, 3) rotations from the body frame to the real camera's optical frame.
-            roots: (F, 3) m, positions of the body's origin in the real camera's optical frame.
-        """
-        scale = _measure_scale(self._rotations, self.intrinsics.focal, np.ascontiguousarray(roots))
-        return WeakPerspectiveCameras(scale, _multiply_rotations(self._rotations, np.ascontiguousarray(rotation)))
-
-    @property
-    def _rotations(self) -> Array:
-        """(F, 3, 3) or (1, 3, 3) rotations, as kernels take them."""
-        return self.rotation.reshape(-1, 3, 3)
+        """Return the cameras whose `body_rotations` and `root_positions` these are: s = f / Z."""
+        scale = self.intrinsics.focal / np.maximum(self.measure_depth(roots), MIN_DEPTH_M)
+        return WeakPerspectiveCameras(scale, _multiply(self.rotation, rotation))
 
 
-@kernel(FLOATS_2D(INPUT_3D, FLOAT, INPUT_1D, INPUT_2D))
-def _place_roots(rotation: Array, focal: float, scale: Array, translation: Array) -> Array:
-    """Compute `VirtualCamera.root_positions` with rotations (F, 3, 3), or (1, 3, 3) of all frames."""
-    out = np.empty((len(scale), 3))
-    for n in range(len(scale)):
-        r = rotation[n % len(rotation)]
-        x, y, z = translation[n, 0] / scale[n], translation[n, 1] / scale[n], focal / scale[n]
-        for d in range(3):
-            out[n, d] = x * r[0, d] + y * r[1, d] + z * r[2, d]
-    return out
-
-
-@kernel(FLOATS_1D(INPUT_3D, FLOAT, INPUT_2D))
-def _measure_scale(rotation: Array, focal: float, roots: Array) -> Array:
-    """Return the scales f / Z (F,) of bodies at positions (F, 3) under rotations (F, 3, 3) or (1, 3, 3)."""
-    out = np.empty(len(roots))
-    for n in range(len(roots)):
-        r, (x, y, z) = rotation[n % len(rotation)], (roots[n, 0], roots[n, 1], roots[n, 2])
-        out[n] = focal / max(r[2, 0] * x + r[2, 1] * y + r[2, 2] * z, MIN_DEPTH_M)
-    return out
-
-
-@kernel(FLOATS_3D(INPUT_3D, INPUT_3D))
-def _multiply_rotations(left: Array, right: Array) -> Array:
-    """Return the products (F, 3, 3) of rotations (F, 3, 3) or (1, 3, 3) and others (F, 3, 3)."""
-    out = np.empty_like(right)
-    for n in range(len(right)):
-        a, b = left[n % len(left)], right[n]
-        for i in range(3):
-            for j in range(3):
-                out[n, i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
-    return out
+def _multiply(a: Array, b: Array) -> Array:
+    """Return products of matrices (..., M, 3) and (..., 3, 3), summed in order, as BLAS may not do."""
+    return np.asarray(a[..., :1] * b[..., :1, :] + a[..., 1:2] * b[..., 1:2, :] + a[..., 2:] * b[..., 2:, :])
 
 
 def solver_focal(intrinsics: Intrinsics, use_perspective: bool) -> float:
@@ -199,58 +141,21 @@ def solver_focal(intrinsics: Intrinsics, use_perspective: bool) -> float:
 
 
 def rotate_rays(rays: Array, rotation: Array) -> Array:
-    """Convert rays (..., J, 2) of a camera by `rotation` (..., 3, 3) from its frame to that of a rotated camera.
+    """Convert rays (..., J, 2) of a camera by rotations (..., 3, 3) from its frame to those of rotated cameras.
 
     Rays that point backwards after the rotation are mapped to finite rays far from the optical axis.
     """
-    if rotation.ndim == 2:
-        groups, rotations = rays.reshape(1, -1, 2), rotation[None]
-    else:
-        groups = rays.reshape(-1, *rays.shape[-2:])
-        rotations = np.broadcast_to(rotation, (*rays.shape[:-2], 3, 3)).reshape(-1, 3, 3)
-    rotated = _rotate_rays(np.ascontiguousarray(groups), np.ascontiguousarray(rotations))
-    return np.asarray(rotated.reshape(rays.shape))
+    x, y = rays[..., :1], rays[..., 1:]
+    column_x, column_y, column_z = np.moveaxis(rotation[..., None, :, :], -1, 0)
+    rotated = column_x * x + column_y * y + column_z
+    return np.asarray(rotated[..., :2] / np.maximum(rotated[..., 2:], MIN_RAY_DEPTH))
 
 
 @kernel(types.UniTuple(FLOAT, 2)(INPUT_2D, FLOAT, FLOAT))
 def rotate_ray(r: Array, x: float, y: float) -> tuple[float, float]:
-    """Return the ray (x, y), rotated by `r` (3, 3)."""
+    """Do the same to one ray (x, y); `r` (3, 3)."""
     depth = max(r[2, 0] * x + r[2, 1] * y + r[2, 2], MIN_RAY_DEPTH)
     return (r[0, 0] * x + r[0, 1] * y + r[0, 2]) / depth, (r[1, 0] * x + r[1, 1] * y + r[1, 2]) / depth
-
-
-@kernel(FLOATS_3D(INPUT_3D, INPUT_3D))
-def _rotate_rays(rays: Array, rotation: Array) -> Array:
-    """Return the rays of N groups (N, M, 2), each rotated by its rotation (N, 3, 3)."""
-    out = np.empty_like(rays)
-    for n in range(rays.shape[0]):
-        for m in range(rays.shape[1]):
-            out[n, m, 0], out[n, m, 1] = rotate_ray(rotation[n], rays[n, m, 0], rays[n, m, 1])
-    return out
-
-
-@kernel(FLOATS_3D(INPUT_3D, INPUT_2D, INPUT_3D, FLOAT))
-def _view_rays(rays: Array, weight: Array, rotation: Array, focal: float) -> Array:
-    """Compute `VirtualCamera.view_rays` with rotations (F, 3, 3), or (1, 3, 3) of all frames."""
-    out = np.zeros_like(rays)
-    for n in range(rays.shape[0]):
-        for j in range(rays.shape[1]):
-            if weight[n, j] > 0:
-                x, y = rotate_ray(rotation[n % len(rotation)], rays[n, j, 0], rays[n, j, 1])
-                out[n, j, 0], out[n, j, 1] = focal * x, focal * y
-    return out
-
-
-@kernel(FLOATS_2D(INPUT_3D, INPUT_2D))
-def _average_rays(rays: Array, weight: Array) -> Array:
-    """Return the weighted mean (1, 2) of the rays (F, J, 2) of all frames; (0, 0) where all weights are 0."""
-    total, x, y = 0.0, 0.0, 0.0
-    for frame in range(weight.shape[0]):
-        for j in range(weight.shape[1]):
-            w = weight[frame, j]
-            total, x, y = total + w, x + w * rays[frame, j, 0], y + w * rays[frame, j, 1]
-    total = max(total, MIN_TOTAL_WEIGHT)
-    return np.array([[x / total, y / total]])
 
 
 @kernel(FLOATS_3D(INPUT_2D))

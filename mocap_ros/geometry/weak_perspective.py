@@ -80,9 +80,9 @@ def fit_cameras_closed_form(
 ) -> WeakPerspectiveCameras:
     """M = argmin sum_j w_j |M P_j - x_j|^2, s = sqrt((|m1|^2 + |m2|^2) / 2), R from the SVD of M (eq. 10 and 11).
 
-    Estimate the camera of each frame in closed form. The paper solves each frame alone (`window` 0). If all frames
-    of a short window share the least-squares problem, the result stays stable for bodies seen from the front,
-    which are nearly planar, and for missing points.
+    The paper solves each frame alone (`window` 0). If all frames of a short window share the least-squares
+    problem, the result stays stable for bodies seen from the front, which are nearly planar, and for missing
+    points. Eq. 11 as printed gives 0.707 of this scale, which does not reproduce the image.
 
     Args:
         poses: (F, J, 3) m.
@@ -90,10 +90,6 @@ def fit_cameras_closed_form(
         weight: (F, J) weights of the squared reprojection errors.
         times: (F,) s, increasing.
         window: s; the camera of a frame is fitted to the frames at most half of it away.
-
-    Returns:
-        Cameras with the root mean square of the norms of the rows of M as scale. Eq. 11 as printed gives 0.707
-        of it, which does not reproduce the image.
     """
     body, _ = subtract_weighted_centroid(poses, weight)
     seen, _ = subtract_weighted_centroid(image, weight)
@@ -107,7 +103,6 @@ def fit_cameras_closed_form(
 
 
 def _sum_over_window(values: Array, times: Array, window: float) -> Array:
-    """Return for each frame the sum of `values` (F, ...) over the frames at most half of `window` s away."""
     total = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
     first = np.searchsorted(times, times - window / 2 - TIME_TOLERANCE_S)
     last = np.searchsorted(times, times + window / 2 + TIME_TOLERANCE_S, side='right')
@@ -131,17 +126,17 @@ class CameraStepObjective:
     flip_weight: Array
 
     def data_cost(self, cameras: WeakPerspectiveCameras) -> Array:
-        """Return the (F,) weighted sums of squared reprojection errors."""
+        """Return the weighted sums (F,) of squared reprojection errors."""
         error = cameras.project(self.body) - self.image
         return np.asarray((self.weight[..., None] * error**2).sum(axis=(-2, -1)))
 
     def flip_cost(self, cameras: WeakPerspectiveCameras) -> Array:
-        """Return the (F - 1,) weighted squared changes of M between neighbouring frames (eq. 12)."""
+        """Return the weighted squared changes (F - 1,) of M between neighbouring frames (eq. 12)."""
         change = np.diff(cameras.matrix, axis=0)
         return np.asarray(self.flip_weight * (change**2).sum(axis=(-2, -1)))
 
     def local_cost(self, cameras: WeakPerspectiveCameras) -> Array:
-        """Return for each of F frames the sum of all terms that depend on the frame's own camera."""
+        """Return the sums (F,) of all terms that depend on the own camera of a frame."""
         cost = self.data_cost(cameras)
         flip = self.flip_cost(cameras)
         cost[1:] += flip
@@ -151,11 +146,8 @@ class CameraStepObjective:
     def gauss_newton_step(self, cameras: WeakPerspectiveCameras, damping: Array) -> WeakPerspectiveCameras:
         """Move every frame's camera towards the minimum of its local cost, with its neighbours held.
 
-        The unknowns of a frame are a rotation vector omega and the logarithm of the scale.
-
-        Args:
-            cameras: cameras of F frames.
-            damping: (F,) factor by which the diagonal of the normal equations grows (Levenberg-Marquardt).
+        The unknowns of a frame are a rotation vector and the logarithm of the scale. `damping` (F,) is the share
+        by which the diagonal of the normal equations grows (Levenberg-Marquardt).
         """
         turned = cameras.scale[:, None, None] * (self.body @ np.swapaxes(cameras.rotation, -1, -2))
         jacobian = camera_jacobian(turned, rows=2)
@@ -164,15 +156,14 @@ class CameraStepObjective:
         normal = (np.swapaxes(jacobian, -1, -2) @ (w * jacobian)).sum(axis=1)
         gradient = (np.swapaxes(jacobian, -1, -2) @ (w * error[..., None])).sum(axis=1)[..., 0]
 
-        rows = cameras.scale[:, None, None] * cameras.rotation
-        columns = np.swapaxes(rows, -1, -2)
+        columns = np.swapaxes(cameras.scale[:, None, None] * cameras.rotation, -1, -2)
         m_jacobian = camera_jacobian(columns, rows=2)
         m_normal = (np.swapaxes(m_jacobian, -1, -2) @ m_jacobian).sum(axis=1)
         change = np.diff(columns[..., :2], axis=0)
         pull = np.zeros_like(columns[..., :2])
         pull[1:] += self.flip_weight[:, None, None] * change
         pull[:-1] -= self.flip_weight[:, None, None] * change
-        stiffness = np.zeros(len(rows))
+        stiffness = np.zeros(len(columns))
         stiffness[1:] += self.flip_weight
         stiffness[:-1] += self.flip_weight
         normal += stiffness[:, None, None] * m_normal
@@ -189,16 +180,11 @@ class CameraStepObjective:
 
 
 def run_camera_step(objective: CameraStepObjective, cameras: WeakPerspectiveCameras) -> WeakPerspectiveCameras:
-    """Run the camera step of Algorithm 1: improve the cameras of all frames with the poses held (eq. 13).
+    """Improve the cameras of all frames with the poses held (eq. 13).
 
-    The paper goes through the frames one after the other. The objective couples a camera only with the cameras of
-    the neighbouring frames, so here all even frames move at once and then all odd frames. This is the same
-    block-coordinate descent without a loop over frames. A frame's step is accepted only if it does not raise the
-    objective.
-
-    Args:
-        objective: objective with the poses held.
-        cameras: initial cameras of F frames.
+    The paper goes through the frames one after the other. A camera is coupled only with those of the neighbouring
+    frames, so here all even frames move at once and then all odd frames: the same block-coordinate descent without
+    a loop over frames. A frame's step is accepted only if it does not raise the objective.
     """
     frames = len(cameras.scale)
     damping = np.full(frames, INITIAL_DAMPING)

@@ -35,24 +35,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from mocap_ros.compiled.kernel import (
-    FLOAT,
-    FLOATS_1D,
-    FLOATS_2D,
-    INPUT_1D,
-    INPUT_2D,
-    INPUT_3D,
-    INPUT_INTS_1D,
-    INT,
-    kernel,
-)
 from mocap_ros.keypoints.person import Person2D
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 BASE_GATE = 1.0  # person sizes (RMS radius, about 0.5 m of an adult); nobody moves farther between two frames
 UNPREDICTED_GATE_GROWTH_PER_S = 3.0  # person sizes/s; more than with a prediction, as the person keeps moving
@@ -67,13 +56,7 @@ MIN_DETECTION_SIZE = 1e-3
 
 
 class Extent(NamedTuple):
-    """Position and size of a detection in the image.
-
-    Attributes:
-        x: x of the mean of the seen joints, in the units of the points.
-        y: y of it, in the same units.
-        size: RMS distance of the seen joints from it, in the same units.
-    """
+    """Mean of the seen joints of a detection, and their RMS distance from it, in the units of the points."""
 
     x: float
     y: float
@@ -86,146 +69,46 @@ class Extent(NamedTuple):
 
 
 class ExpectedPerson(NamedTuple):
-    """Where the joints of a tracked person are expected.
+    """Where the joints of a tracked person are expected: points (J, 2) in any unit.
 
-    Attributes:
-        points: (J, 2) predicted image points, in any unit; 0 for a joint of which nothing is known.
-        weight: (J,) 1 for a joint that was seen lately, else 0.
+    The weight (J,) of a joint is 1 if it was seen lately, else 0, as is its point.
     """
 
     points: Array
     weight: Array
 
 
-@kernel(FLOAT(FLOATS_1D))
-def _find_median(values: Array) -> float:
-    """Return the median of a few values (n,), which are sorted by insertion."""
-    n = len(values)
-    for i in range(1, n):
-        value, place = values[i], i
-        while place > 0 and values[place - 1] > value:
-            values[place] = values[place - 1]
-            place -= 1
-        values[place] = value
-    return (values[(n - 1) // 2] + values[n // 2]) / 2
-
-
 def measure_extent(points: Array, weight: Array) -> Extent:
-    """Return the image centre and the size of the seen joints; NaN if none was seen.
-
-    Args:
-        points: (J, 2) image points in any unit.
-        weight: (J,) confidence scores; 0 for a joint that was not seen.
-    """
-    return Extent(*_measure_extent(np.ascontiguousarray(points, float), np.ascontiguousarray(weight, float)))
-
-
-@kernel(types.UniTuple(FLOAT, 3)(INPUT_2D, INPUT_1D))
-def _measure_extent(points: Array, weight: Array) -> tuple[float, float, float]:
-    """Compute `measure_extent`."""
-    seen, x, y, squares = 0, 0.0, 0.0, 0.0
-    for j in range(len(weight)):
-        if weight[j] > 0:
-            seen, x, y = seen + 1, x + points[j, 0], y + points[j, 1]
-    if seen == 0:
-        return math.nan, math.nan, math.nan
-    x, y = x / seen, y / seen
-    for j in range(len(weight)):
-        if weight[j] > 0:
-            squares += (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2
-    return x, y, math.sqrt(squares / seen) + MIN_SIZE
+    """Return centre and size of the seen joints of points (J, 2) with weights (J,); NaN if none was seen."""
+    seen = points[weight > 0]
+    if not len(seen):
+        return Extent(math.nan, math.nan, math.nan)
+    x, y = (seen.sum(axis=0) / len(seen)).tolist()
+    return Extent(x, y, math.sqrt(((seen - [x, y]) ** 2).sum() / len(seen)) + MIN_SIZE)
 
 
 def expect_person(points: Array, weight: Array, age_s: Array) -> ExpectedPerson:
-    """Return where the joints of a person are expected, from the frames in which the person was seen lately.
+    """Return where the joints of a person are expected, from the F frames in which the person was seen lately.
 
     Each joint is where it was last seen, moved on with the mean velocity of the joints that the first and the last
     of the frames show, for at most `VELOCITY_SPAN_S`.
 
     Args:
-        points: (F, J, 2) image points in the frames, in the order of time.
+        points: (F, J, 2) image points, in the order of time.
         weight: (F, J) confidence scores; 0 for a joint that was not seen.
         age_s: (F,) s, time from each frame to the time at which the person is expected.
     """
-    return ExpectedPerson(*_expect_person(points, weight, age_s))
-
-
-@kernel(types.Tuple((FLOATS_2D, FLOATS_1D))(INPUT_3D, INPUT_2D, INPUT_1D))
-def _expect_person(points: Array, weight: Array, age_s: Array) -> tuple[Array, Array]:
-    """Compute `expect_person`."""
-    last = len(age_s) - 1
-    shared, x, y, span_s = 0, 0.0, 0.0, age_s[0] - age_s[last]
-    if span_s >= MIN_VELOCITY_SPAN_S:
-        for j in range(weight.shape[1]):
-            if weight[0, j] > 0 and weight[last, j] > 0:
-                shared += 1
-                x, y = x + points[last, j, 0] - points[0, j, 0], y + points[last, j, 1] - points[0, j, 1]
-    if shared >= MIN_SHARED_JOINTS:
-        x, y = x / (shared * span_s), y / (shared * span_s)
-    else:
-        x, y = 0.0, 0.0
-    expected, is_known = np.zeros((weight.shape[1], 2)), np.zeros(weight.shape[1])
-    for j in range(weight.shape[1]):
-        frame = last
-        while frame > 0 and weight[frame, j] <= 0:
-            frame -= 1
-        if weight[frame, j] > 0:
-            moved_s = min(age_s[frame], VELOCITY_SPAN_S)
-            expected[j, 0], expected[j, 1] = points[frame, j, 0] + x * moved_s, points[frame, j, 1] + y * moved_s
-            is_known[j] = 1.0
-    return expected, is_known
-
-
-@kernel(types.UniTuple(FLOAT, 2)(INPUT_2D, INPUT_1D, INPUT_1D, INPUT_2D, INPUT_1D, INPUT_1D, INPUT_INTS_1D))
-def _measure_distance(
-    expected: Array,
-    known: Array,
-    person: Array,
-    detected: Array,
-    seen: Array,
-    detection: Array,
-    counterpart: NDArray[np.int64],
-) -> tuple[float, float]:
-    """Return distance and growth of a pair; joint j of the person is called counterpart[j] in the detection.
-
-    Args:
-        expected: (J, 2) points where the person is expected.
-        known: (J,) weight of the joints.
-        person: (3,) `Extent` of these.
-        detected: (J, 2) points of the detection.
-        seen: (J,) weight of the joints.
-        detection: (3,) `Extent` of these.
-        counterpart: (J,) as above.
-    """
-    size = max(person[2], detection[2])
-    offset, shared = np.empty(len(known)), 0
-    own_x, own_y, own_squares, other_x, other_y, other_squares = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(len(known)):
-        i = counterpart[j]
-        if known[j] > 0 and seen[i] > 0:
-            own = expected[j, 0] - person[0], expected[j, 1] - person[1]
-            other = detected[i, 0] - detection[0], detected[i, 1] - detection[1]
-            own_x, own_y, own_squares = own_x + own[0], own_y + own[1], own_squares + own[0] ** 2 + own[1] ** 2
-            other_x, other_y = other_x + other[0], other_y + other[1]
-            other_squares += other[0] ** 2 + other[1] ** 2
-            offset[shared] = math.hypot(detected[i, 0] - expected[j, 0], detected[i, 1] - expected[j, 1])
-            shared += 1
-    if shared < MIN_SHARED_JOINTS:
-        growth = math.log(detection[2] / person[2])
-        return math.hypot(detection[0] - person[0], detection[1] - person[1]) / size + abs(growth), growth
-    radius = math.sqrt(max(own_squares / shared - (own_x**2 + own_y**2) / shared**2, 0.0))
-    other_radius = math.sqrt(max(other_squares / shared - (other_x**2 + other_y**2) / shared**2, 0.0))
-    growth = math.log((other_radius + RADIUS_OFFSET * size) / (radius + RADIUS_OFFSET * size))
-    return _find_median(offset[:shared]) / size + abs(growth), growth
-
-
-@kernel(FLOATS_2D(INPUT_3D, INPUT_2D))
-def _measure_extents(points: Array, weight: Array) -> Array:
-    """Return the extents (N, 3) of points (N, J, 2) with weights (N, J)."""
-    out = np.empty((len(weight), 3))
-    for n in range(len(weight)):
-        out[n, 0], out[n, 1], out[n, 2] = _measure_extent(points[n], weight[n])
-    return out
+    is_seen: Mask = np.asarray(weight > 0)
+    span_s = age_s[0] - age_s[-1]
+    shared = is_seen[0] & is_seen[-1]
+    velocity = np.zeros(2)
+    if span_s >= MIN_VELOCITY_SPAN_S and shared.sum() >= MIN_SHARED_JOINTS:
+        velocity = (points[-1] - points[0])[shared].sum(axis=0) / (shared.sum() * span_s)
+    newest = len(age_s) - 1 - is_seen[::-1].argmax(axis=0)  # frame in which each joint was last seen
+    moved_s = np.minimum(age_s[newest], VELOCITY_SPAN_S)
+    expected = points[newest, np.arange(len(newest))] + velocity * moved_s[:, None]
+    is_known = np.asarray(is_seen.any(axis=0))
+    return ExpectedPerson(np.where(is_known[:, None], expected, 0.0), is_known.astype(float))
 
 
 def measure_distances(
@@ -234,69 +117,56 @@ def measure_distances(
     mirror: NDArray[np.int_],
     min_shared: int = 0,
 ) -> tuple[Array, Array]:
-    """Measure the distances of all detections from all people.
+    """Measure the distances (D, P) of D detections from P people in sizes of the larger, and their growths (D, P).
 
     Args:
-        expected: where the P people are expected.
-        detected: points (J, 2) and weight (J,) of D detections, in the same units, each with at least one seen
+        expected: where the people are expected.
+        detected: points (J, 2) and weight (J,) of the detections, in the same units, each with at least one seen
             joint.
         mirror: (J,) for each joint its counterpart on the other side of the body.
         min_shared: number of joints that must be both expected and detected; with fewer the distance is infinite.
-
-    Returns:
-        The distances (D, P) in sizes of the larger of the two, and the growths (D, P), the natural
-        logarithms of the ratios of detected to expected size.
     """
-    if not expected or not detected:
-        return np.zeros((len(detected), len(expected))), np.zeros((len(detected), len(expected)))
-    people = np.array([e.points for e in expected]), np.array([e.weight for e in expected])
-    seen = np.array([points for points, _ in detected]), np.array([weight for _, weight in detected])
-    labels = np.arange(len(mirror)), np.ascontiguousarray(mirror, np.int64)
-    distances, growths = _measure_distances(*people, *seen, *labels, min_shared)
-    return distances, growths
-
-
-@kernel(
-    types.Tuple((FLOATS_2D, FLOATS_2D))(INPUT_3D, INPUT_2D, INPUT_3D, INPUT_2D, INPUT_INTS_1D, INPUT_INTS_1D, INT)
-)
-def _measure_distances(
-    expected: Array,
-    known: Array,
-    detected: Array,
-    seen: Array,
-    same: NDArray[np.int64],
-    mirror: NDArray[np.int64],
-    min_shared: int,
-) -> tuple[Array, Array]:
-    """Compute `measure_distances` of (P, J, 2) and (P, J), (D, J, 2) and (D, J)."""
     distance = np.full((len(detected), len(expected)), math.inf)
     growth = np.zeros(distance.shape)
-    people, detections = _measure_extents(expected, known), _measure_extents(detected, seen)
-    for p in range(len(expected)):
-        for d in range(len(detected)):
-            shared = 0
-            for j in range(len(mirror)):
-                shared += known[p, j] > 0 and seen[d, j] > 0
-            if shared >= min_shared:
-                person, detection = (expected[p], known[p], people[p]), (detected[d], seen[d], detections[d])
-                own = _measure_distance(*person, *detection, same)
-                exchanged = _measure_distance(*person, *detection, mirror)
+    people = [(person.points, person.weight > 0, measure_extent(*person)) for person in expected]
+    for d, (points, weight) in enumerate(detected):
+        extent, seen = measure_extent(points, weight), weight > 0
+        for p, person in enumerate(people):
+            if np.count_nonzero(person[1] & seen) >= min_shared:
+                own = _measure_distance(*person, points, seen, extent)
+                exchanged = _measure_distance(*person, points[mirror], seen[mirror], extent)
                 distance[d, p], growth[d, p] = own if own[0] <= exchanged[0] else exchanged
     return distance, growth
+
+
+def _measure_distance(
+    expected: Array,
+    known: NDArray[np.bool_],
+    person: Extent,
+    points: Array,
+    seen: NDArray[np.bool_],
+    shown: Extent,
+) -> tuple[float, float]:
+    """Return distance and growth of a person who is expected and a detection, with their extents."""
+    size, shared = max(person.size, shown.size), known & seen
+    if np.count_nonzero(shared) < MIN_SHARED_JOINTS:
+        growth = math.log(shown.size / person.size)
+        return math.hypot(shown.x - person.x, shown.y - person.y) / size + abs(growth), growth
+    own, other = expected[shared], points[shared]
+    radius, other_radius = (math.sqrt(p.var(axis=0).sum()) + RADIUS_OFFSET * size for p in (own, other))
+    growth = math.log(other_radius / radius)
+    return float(np.median(np.hypot(*(other - own).T))) / size + abs(growth), growth
 
 
 def associate_keypoints(
     known: Sequence[Person2D], ages_s: Sequence[float], detected: Sequence[Person2D]
 ) -> list[int | None]:
-    """Associate detections with known people by their keypoints so that the sum of costs is least.
+    """Return the index of the known person of each detection, None for an unknown one, at the least sum of costs.
 
     Args:
         known: the last detection of each known person; of every person at least one keypoint is seen.
         ages_s: s since each of these detections.
         detected: the detections, with keypoints in px.
-
-    Returns:
-        The index of the known person for each detection; None for a detection of nobody known.
     """
     if not known or not detected:
         return [None] * len(detected)
@@ -315,12 +185,10 @@ def compute_keypoint_distance(a: Person2D, b: Person2D) -> float:
     return math.hypot(extents[0].x - extents[1].x, extents[0].y - extents[1].y) / size
 
 
-def choose_pairs(cost: Array, is_permitted: NDArray[np.bool_]) -> list[int | None]:
-    """Return the person of each detection, None for none, so that the sum of costs is least (Hungarian method).
+def choose_pairs(cost: Array, is_permitted: Mask) -> list[int | None]:
+    """Return the person of each detection so that the sum of costs (D, P) is least (Hungarian method).
 
-    Args:
-        cost: (D, P) cost of a pair of a detection and a person.
-        is_permitted: (D, P) whether the two may be a pair; the others are left out of the result.
+    It is None where the best pair is not permitted (D, P).
     """
     chosen: list[int | None] = [None] * len(cost)
     for row, column in zip(*linear_sum_assignment(cost), strict=True):

@@ -43,11 +43,9 @@ _ANCHORS, _MAX_REACH = _find_anchors()
 
 
 class Extremities(NamedTuple):
-    """Face, feet and hands in one frame or in F frames.
+    """Face, feet and hands in one frame or in F frames: rays (..., J_e, 2) and confidence scores (..., J_e).
 
-    Attributes:
-        rays: (J_e, 2) or (F, J_e, 2) x / z and y / z in the camera; 0 for a joint that was not seen.
-        weight: (J_e,) or (F, J_e) confidence scores in [0, 1]; 0 for a joint that was not seen.
+    Both are 0 for a joint that was not seen.
     """
 
     rays: Array
@@ -78,14 +76,9 @@ def convert_body_to_rays(
 
 
 def _drop_far_points(rays: Array, weight: Array, extremities: Extremities) -> Extremities:
-    """Return extremities without those that are too far from the core to belong to this person.
+    """Return extremities (...) without those too far from the core to belong to it.
 
     They do not count as seen, since one that is somewhere else would spoil the whole lifted pose.
-
-    Args:
-        rays: (..., J_c, 2) rays of the core.
-        weight: (..., J_c) its confidence scores.
-        extremities: those of the same frames.
     """
     if not extremities.weight.any():
         return extremities
@@ -126,14 +119,7 @@ def join_body(rays: Array, weight: Array, extremities: Extremities | None) -> tu
 def exchange_body_sides(
     rays: Array, weight: Array, extremities: Extremities, is_swapped: NDArray[np.bool_]
 ) -> tuple[Array, Array, Extremities]:
-    """Exchange left and right of parts of bodies as `left_right.exchange_sides` does.
-
-    Args:
-        rays: (F, J_c, 2) rays of the core.
-        weight: (F, J_c) its confidence scores.
-        extremities: those of the same frames.
-        is_swapped: (F, 3) parts whose sides are exchanged in a frame.
-    """
+    """Exchange left and right of parts (F, 3) of bodies in F frames as `left_right.exchange_sides` does."""
     if not np.count_nonzero(is_swapped):
         return rays, weight, extremities
     return split_body(*exchange_sides(*join_body(rays, weight, extremities), is_swapped, _BODY_SIDES))

@@ -24,22 +24,15 @@ def resolve_image_size(
     configured: ImageSize | None = None,
     keypoints: Array | None = None,
 ) -> ImageSize:
-    """Return the size of the image: the first in this order that is known.
-
-    1. The size that the message or the file with the keypoints states.
-    2. The size in the CameraInfo of the camera.
-    3. The size that the user gives: the parameters `node.image_width` and `node.image_height`, or `--image-size`.
-    4. The smallest of `COMMON_IMAGE_SIZES` that holds 99 % of the seen keypoints. Only readers of whole files pass
-       keypoints: in a live stream, later keypoints could change the size.
+    """Return the (width, height) of the image in px: the first in this order that is known, or `UNKNOWN_SIZE`.
 
     Args:
-        stated: (width, height) in px; a size is unknown if it is None or one of its sides is 0.
-        camera: (width, height) in px, likewise.
-        configured: (width, height) in px, likewise.
-        keypoints: (..., 3) x and y in px and the score; None for no assumption about the size.
-
-    Returns:
-        (width, height) in px; `UNKNOWN_SIZE` where nothing gives a size.
+        stated: the size that the message or the file with the keypoints states; None or a side of 0 is unknown.
+        camera: the size in the CameraInfo of the camera.
+        configured: the size that the user gives by parameters or `--image-size`.
+        keypoints: (..., 3) x and y in px and the score, for the smallest of `COMMON_IMAGE_SIZES` that holds 99 %
+            of the seen ones. Only readers of whole files pass them: in a live stream, later ones could change the
+            size.
     """
     for size in (stated, camera, configured):
         if size is not None and all(size):
@@ -48,7 +41,6 @@ def resolve_image_size(
 
 
 def _assume_common_size(keypoints: Array) -> ImageSize:
-    """Return the smallest common image size in px that holds nearly all seen keypoints (..., 3)."""
     seen = keypoints[keypoints[..., 2] > 0][:, :2]
     extent = np.percentile(seen, IMAGE_SIZE_PERCENTILE, axis=0) if len(seen) else np.zeros(2)
     return next((size for size in COMMON_IMAGE_SIZES if (extent <= size).all()), COMMON_IMAGE_SIZES[-1])

@@ -12,9 +12,9 @@ most precise first, and the first one that has all of its keypoints is used.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import types
@@ -36,14 +36,8 @@ MAX_CACHED_MAPS = 64  # maps; bounds the memory when messages name ever new join
 _EXTREMITIES = frozenset(BODY26.joints) - frozenset(CMU15.joints)
 
 
-@dataclass(frozen=True)
-class _Derivation:
-    """One way to derive a joint from other keypoints.
-
-    Attributes:
-        weights: weight of each keypoint in the sum, by joint name.
-        score_factor: factor on the keypoints' least confidence score; below 1 if the derivation is imprecise.
-    """
+class _Derivation(NamedTuple):
+    """Weights of keypoints by name, and a factor on their least score, below 1 if the derivation is imprecise."""
 
     weights: dict[str, float]
     score_factor: float
@@ -129,16 +123,14 @@ class JointMap:
     score_factor: Array
 
     def apply(self, points: Array, score: Array) -> tuple[Array, Array]:
-        """Map keypoints to the target skeleton.
+        """Map keypoints (..., Js, D) in any unit, with scores (..., Js), to the target skeleton.
 
-        Args:
-            points: (..., Js, D) coordinates in any unit; NaN for keypoints that were not seen.
-            score: (..., Js) confidence scores in [0, 1]; 0 for keypoints that were not seen.
+        A keypoint with NaN or score 0 was not seen.
 
         Returns:
             (..., Jt, D) points, NaN for joints without an alternative whose keypoints were all seen, and (..., Jt)
-            scores: the least score of the keypoints whose weight is at least `MIN_SCORED_WEIGHT`, times the score
-            factor.
+                scores:
+            the least score of the keypoints whose weight is at least `MIN_SCORED_WEIGHT`, times the score factor.
         """
         lead, (sources, dimensions) = points.shape[:-2], points.shape[-2:]
         flat_points = np.ascontiguousarray(points, float).reshape(-1, sources, dimensions)
@@ -162,14 +154,7 @@ def _find_least_score(points: Array, score: Array, weights: Array) -> float:
 
 @kernel(types.Tuple((FLOATS_3D, FLOATS_2D))(INPUT_3D, INPUT_2D, INPUT_3D, INPUT_2D))
 def map_joints(points: Array, score: Array, weights: Array, score_factor: Array) -> tuple[Array, Array]:
-    """Compute `JointMap.apply` of N frames: y_t = sum_s W_ts x_s by the first alternative that can be used.
-
-    Args:
-        points: (N, Js, D) coordinates.
-        score: (N, Js) confidence scores.
-        weights: (A, Jt, Js) as in `JointMap`.
-        score_factor: (A, Jt) as in `JointMap`.
-    """
+    """Compute `JointMap.apply` of points (N, Js, D) and scores (N, Js): y_t = sum_s W_ts x_s."""
     frames, sources, dimensions = points.shape
     alternatives, targets = score_factor.shape
     out = np.full((frames, targets, dimensions), np.nan)
@@ -189,38 +174,11 @@ def map_joints(points: Array, score: Array, weights: Array, score_factor: Array)
     return out, out_score
 
 
-def map_to_model_joints(
-    points: Array, score: Array, names: tuple[str, ...], min_score: float, target: Skeleton = CMU15
-) -> tuple[Array, Array]:
-    """Convert a detector's keypoints to the input of the solvers.
-
-    Args:
-        points: (..., Js, 2) image points in any unit; NaN for keypoints that were not seen.
-        score: (..., Js) confidence scores; keypoints below `min_score` count as not seen.
-        names: (Js,) joint names, in any spelling.
-        min_score: least confidence score of a keypoint that counts as seen.
-        target: skeleton with the joints of the model.
-
-    Returns:
-        (..., Jt, 2) points and (..., Jt) scores of the joints of `target`; both are 0 for joints not seen.
-
-    Raises:
-        SkeletonError: A name repeats, or fewer than `MIN_TARGET_JOINTS` joints can be mapped.
-    """
-    score = np.where(score >= min_score, score, 0.0)
-    points, weight = build_joint_map(names, target).apply(points, score)
-    return np.where(weight[..., None] > 0, points, 0.0), weight
-
-
 @lru_cache(maxsize=MAX_CACHED_MAPS)
 def build_joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointMap:
-    """Build the map from keypoints to the joints of a skeleton: the joint itself, then its derivations.
+    """Build the map from keypoints, in any spelling, to a skeleton: the joint itself, then its derivations.
 
     MediaPipe's joints are moved to where motion capture has them, in images in which the trunk is seen.
-
-    Args:
-        source: (Js,) names of the keypoints, in any spelling.
-        target: skeleton to map to.
 
     Raises:
         SkeletonError: A name repeats, or fewer than `MIN_TARGET_JOINTS` joints of `target` can be mapped, those of
@@ -230,9 +188,18 @@ def build_joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointM
     if len(set(source)) != len(source):
         repeated = max(source, key=source.count)
         raise SkeletonError(f'joint names repeat: {repeated}')
-    corrections = _MEDIAPIPE_CORRECTIONS if set(source) & _MEDIAPIPE_JOINTS else {}
+    source_names = set(source)
+    corrections = _MEDIAPIPE_CORRECTIONS if source_names & _MEDIAPIPE_JOINTS else {}
     alternatives = [
-        [d for d in _list_derivations(joint, corrections) if all(j in source for j in d.weights)]
+        [
+            derivation
+            for derivation in (
+                *((corrections[joint],) if joint in corrections else ()),
+                _Derivation({joint: 1.0}, 1.0),
+                *_DERIVATIONS.get(joint, ()),
+            )
+            if source_names.issuperset(derivation.weights)
+        ]
         for joint in target.joints
     ]
     if (
@@ -255,14 +222,8 @@ def build_joint_map(source: tuple[str, ...], target: Skeleton = CMU15) -> JointM
     return JointMap(source, target, weights, score_factor)
 
 
-def _list_derivations(joint: str, corrections: Mapping[str, _Derivation]) -> list[_Derivation]:
-    """Return the ways to derive a joint, the most precise first."""
-    corrected = [corrections[joint]] if joint in corrections else []
-    return [*corrected, _Derivation({joint: 1.0}, 1.0), *_DERIVATIONS.get(joint, ())]
-
-
 def _list_usable_names(target: Skeleton) -> list[str]:
-    """Return the names of `target`'s joints without face, feet and hands, and of keypoints that give them."""
+    """Return the names of joints of the body, and of keypoints that give them."""
     core = [joint for joint in target.joints if joint not in _EXTREMITIES]
     derived = [j for joint in core for d in _DERIVATIONS.get(joint, ()) for j in d.weights]
     return list(dict.fromkeys([*core, *derived]))

@@ -121,7 +121,7 @@ class BodySides:
     Attributes:
         mirror: (J,) index of each joint's counterpart on the other side; its own index for a joint without one.
         part: (J,) index of each joint's part in `PARTS`; -1 for a joint without a counterpart.
-        upper: (3,) left joint from which the line to a part starts that tells left from right; -1 for none.
+        upper: (3,) left joint from which the line to a part starts that shows left from right; -1 for none.
         lower: (3,) left joint of the part at which the line ends; -1 for none.
     """
 
@@ -146,7 +146,6 @@ class BodySides:
 
 
 def _find_part(joint: str) -> int:
-    """Return the index in `PARTS` of the part of a joint that has a counterpart."""
     if joint.endswith(_LEG_JOINTS):
         return PARTS.index('legs')
     return PARTS.index('arms') if joint.endswith(_ARM_JOINTS) else PARTS.index('shoulders')
@@ -173,9 +172,7 @@ class ViterbiPaths:
 
 @dataclass(frozen=True, eq=False)
 class SwapFilter:
-    """Filter that finds the parts of one person's body whose left and right are swapped.
-
-    The filter is immutable: every method returns a new one.
+    """Filter that finds the parts of one person's body whose left and right are swapped; it is immutable.
 
     Attributes:
         sides: left and right joints.
@@ -204,28 +201,19 @@ class SwapFilter:
         if not self.enabled:
             frames = len(self.is_swapped) - dropped + 1
             return SwapFilter(self.sides, False, np.zeros((frames, len(PARTS)), bool))
+        frame = _describe(time_s, points, weight, body_size, self.sides)
         if self.paths is None:
-            cost, *rest = _begin_paths(*_describe(time_s, points, weight, body_size, self.sides))
+            cost, *rest = _begin_paths(*frame)
             states = _NEWEST_STATES
         else:
             old = self.paths
-            predecessor, cost, *rest = _continue_paths(
-                old.cost,
-                old.points,
-                old.velocity,
-                old.last_seen_s,
-                *_describe(time_s, points, weight, body_size, self.sides),
-            )
+            predecessor, cost, *rest = _continue_paths(old.cost, old.points, old.velocity, old.last_seen_s, *frame)
             states = np.concatenate([old.states[predecessor, dropped:], _NEWEST_STATES], axis=1)
         is_swapped = SWAPPED_PARTS[states[cost.argmin()]]
         return SwapFilter(self.sides, True, is_swapped, ViterbiPaths(cost, states, *rest))
 
     def convert_points(self, convert: Callable[[Array], Array]) -> SwapFilter:
-        """Return the filter with its points converted; the decisions stay the same.
-
-        Args:
-            convert: returns points (..., 2) in the units of the following frames, such as rays of another camera.
-        """
+        """Return the filter with its points (..., 2) converted, as to rays of another camera."""
         if self.paths is None:
             return self
         points, movement = self.paths.points, VELOCITY_TIME_S * self.paths.velocity
@@ -235,17 +223,12 @@ class SwapFilter:
 
 
 def _describe(time_s: float, points: Array, weight: Array, body_size: float, sides: BodySides) -> _Frame:
-    """Return the arguments of the kernels that describe a frame and the body."""
     return time_s, points, weight, body_size, sides.mirror, sides.part, sides.upper, sides.lower
 
 
 @kernel(FLOATS_2D(FLOAT))
 def compute_transition_cost(elapsed_s: float) -> Array:
-    """Return -log P(z_t | z_(t-1)), (8, 8) in nats: rows are states before and columns states after a time step.
-
-    Args:
-        elapsed_s: s, length of the time step.
-    """
+    """Return -log P(z_t | z_(t-1)), (8, 8) in nats; rows are states before, columns states after a step."""
     frames = max(elapsed_s, MIN_STEP_S) / REFERENCE_FRAME_S
     cost = np.zeros((STATES, STATES))
     for bit in range(3):
@@ -271,16 +254,7 @@ def compute_attachment_cost(
     upper: NDArray[np.intp],
     lower: NDArray[np.intp],
 ) -> Array:
-    """Return what it costs to exchange left and right of a part, but not of the shoulders, (3,) in nats.
-
-    Args:
-        points: (J, 2) points as the detector labelled them.
-        weight: (J,) confidence scores.
-        body_size: size of the body in the units of the points.
-        mirror: (J,) as in `BodySides`.
-        upper: (3,) as in `BodySides`.
-        lower: (3,) as in `BodySides`.
-    """
+    """Return what it costs to exchange left and right of a part, but not of the shoulders, (3,) in nats."""
     cost = np.zeros(len(upper))
     for part in range(len(upper)):
         if upper[part] < 0:
@@ -305,10 +279,7 @@ def _begin_paths(
     upper: NDArray[np.intp],
     lower: NDArray[np.intp],
 ) -> tuple[Array, Array, Array, Array]:
-    """Return the paths that consist of a first frame: costs, points, velocities and times of `ViterbiPaths`.
-
-    The arguments are those of `SwapFilter.update` and the fields of `BodySides`.
-    """
+    """Return the paths that consist of a first frame: costs, points, velocities and times of `ViterbiPaths`."""
     joints = len(mirror)
     attachment_cost = compute_attachment_cost(points, weight, body_size, mirror, upper, lower)
     cost = np.zeros(STATES)
@@ -336,10 +307,7 @@ def compute_label_cost(
     mirror: NDArray[np.intp],
     part: NDArray[np.intp],
 ) -> Array:
-    """Return the costs C_g(l) of a frame in nats, (8, 3, 2): for each path, part and label, 1 for exchanged.
-
-    The first arguments are fields of `ViterbiPaths`, the others those of `SwapFilter.update` and `BodySides`.
-    """
+    """Return the costs C_g(l) of a frame in nats, (8, 3, 2): for each path, part and label, 1 for exchanged."""
     cost = np.zeros((STATES, len(PARTS), 2))
     known_age, horizon = -1.0, 0.0
     for path in range(STATES):
@@ -367,12 +335,12 @@ def compute_label_cost(
 def _find_predecessors(
     path_cost: Array, transition_cost: Array, label_cost: Array
 ) -> tuple[Array, NDArray[np.intp]]:
-    """Return the least cost of each state with the path that it continues: (8,) in nats, and (8,).
+    """Return the least cost (8,) of each state with the path (8,) that it continues.
 
     Args:
-        path_cost: (8,) cost of the paths so far.
-        transition_cost: (8, 8) cost of the states after those before.
-        label_cost: (8, 3, 2) cost of the labels of each part, for each path.
+        path_cost: (8,) nats, cost of the paths so far.
+        transition_cost: (8, 8) nats, cost of the states after those before.
+        label_cost: (8, 3, 2) nats, cost of the labels of each part, for each path.
     """
     cost, predecessor = np.full(STATES, np.inf), np.zeros(STATES, np.int64)
     for state in range(STATES):
@@ -404,10 +372,7 @@ def _continue_paths(
     upper: NDArray[np.intp],
     lower: NDArray[np.intp],
 ) -> tuple[NDArray[np.intp], Array, Array, Array, Array]:
-    """Return the paths continued by a frame: which path each state continues (8,), then as `_begin_paths`.
-
-    The first arguments are fields of `ViterbiPaths`, the others those of `SwapFilter.update` and `BodySides`.
-    """
+    """Return the paths continued by a frame: which path each state continues (8,), then as `_begin_paths`."""
     joints, elapsed_s = len(mirror), time_s - last_seen_s[0].max()
     label_cost = compute_label_cost(
         path_points, velocity, last_seen_s, time_s, points, weight, body_size, mirror, part
@@ -451,11 +416,11 @@ def _continue_paths(
 
 
 def find_swapped_parts(times: Array, points: Array, weight: Array, sides: BodySides) -> NDArray[np.bool_]:
-    """Return the parts of the body whose left and right are swapped in the frames of a sequence, (F, 3).
+    """Return the parts (F, 3) of the body whose left and right are swapped in the frames of a sequence.
 
     Args:
         times: (F,) s, increasing.
-        points: (F, J, 2) image points in rays or px; a frame with all of them in one place tells nothing.
+        points: (F, J, 2) image points in rays or px; a frame with all of them in one place does not count.
         weight: (F, J) confidence scores; 0 for a joint that was not seen.
         sides: left and right joints.
     """
@@ -482,14 +447,7 @@ def find_swapped_parts(times: Array, points: Array, weight: Array, sides: BodySi
 def exchange_sides(
     points: Array, weight: Array, is_swapped: NDArray[np.bool_], sides: BodySides
 ) -> tuple[Array, Array]:
-    """Return points (F, J, 2) and weights (F, J) with left and right of some parts exchanged in some frames.
-
-    Args:
-        points: (F, J, 2) image points in any unit.
-        weight: (F, J) confidence scores.
-        is_swapped: (F, 3) parts, in the order of `PARTS`, whose sides are exchanged in a frame.
-        sides: left and right joints.
-    """
+    """Return points (F, J, 2) and weights (F, J) with left and right of some parts (F, 3) exchanged."""
     if not np.count_nonzero(is_swapped):
         return points, weight
     return _exchange_sides(points, weight, is_swapped, sides.mirror, sides.part)
@@ -497,13 +455,8 @@ def exchange_sides(
 
 @kernel(types.Tuple((FLOATS_3D, FLOATS_2D))(INPUT_3D, INPUT_2D, INPUT_BOOLS_2D, INPUT_INTS_1D, INPUT_INTS_1D))
 def _exchange_sides(
-    points: Array,
-    weight: Array,
-    is_swapped: NDArray[np.bool_],
-    mirror: NDArray[np.intp],
-    part: NDArray[np.intp],
+    points: Array, weight: Array, is_swapped: NDArray[np.bool_], mirror: NDArray[np.intp], part: NDArray[np.intp]
 ) -> tuple[Array, Array]:
-    """Compute `exchange_sides`."""
     new_points, new_weight = np.empty_like(points), np.empty_like(weight)
     for frame in range(weight.shape[0]):
         for j in range(weight.shape[1]):

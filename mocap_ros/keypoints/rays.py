@@ -76,7 +76,6 @@ def _convert_frames(
     center: Array,
     lens: Array,
 ) -> tuple[Array, Array]:
-    """Compute `convert_to_rays` of the keypoints (N, Js, 2) and scores (N, Js) of N frames."""
     used_score = np.zeros_like(score)
     for n in range(score.shape[0]):
         for s in range(score.shape[1]):

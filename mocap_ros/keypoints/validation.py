@@ -31,7 +31,7 @@ class Fault:
     Attributes:
         field: `x`, `y` or `score`.
         index: index of the keypoint in the array of scores.
-        what: description of the fault: the value, and what was expected instead.
+        what: the value, and what was expected instead.
     """
 
     field: str
@@ -42,12 +42,7 @@ class Fault:
 def find_first_fault(points: Array, score: Array) -> Fault | None:
     """Find the first coordinate beyond `MAX_COORDINATE_PX` or score outside [`MIN_SCORE`, `MAX_SCORE`].
 
-    Args:
-        points: (..., J, 2) px; NaN is no fault.
-        score: (..., J) confidence scores; NaN is no fault.
-
-    Returns:
-        The fault; None if every value can be used.
+    NaN is no fault, neither in points (..., J, 2) in px nor in scores (..., J).
     """
     is_score_outside = (score < MIN_SCORE) | (score > MAX_SCORE)
     for field, is_faulty, values in (
@@ -72,8 +67,7 @@ def mark_unseen(points: Array, score: Array) -> tuple[Array, Array]:
         score: (..., J) confidence scores; 0, less than 0 or NaN for a joint that was not seen.
 
     Returns:
-        points: (..., J, 2) px; NaN for a joint that was not seen.
-        score: (..., J) in [0, 1]; 0 for a joint that was not seen.
+        Points, NaN for a joint that was not seen, and scores, 0 for it.
     """
     seen = find_seen(points, score)
     score = np.where(seen, score, 0.0)
@@ -91,10 +85,7 @@ def find_seen(points: NDArray[np.floating[Any]], score: NDArray[np.floating[Any]
 def looks_normalised(points: Array, score: Array, image_width: int) -> bool:
     """Return whether the coordinates are plainly shares of the image, although px are expected.
 
-    Args:
-        points: (..., J, 2) as `mark_unseen` returns them.
-        score: (..., J) as `mark_unseen` returns them.
-        image_width: px; 0 if it is unknown.
+    Points and scores are those of `mark_unseen`; a width of 0 px is unknown.
     """
     seen = points[score > 0]
     low, high = NORMALISED_RANGE
@@ -103,12 +94,9 @@ def looks_normalised(points: Array, score: Array, image_width: int) -> bool:
 
 
 def describe_points_outside(points: Array, score: Array, image_size: tuple[int, int]) -> str:
-    """Describe in a clause that most keypoints lie outside the image, or return an empty string.
+    """Describe in a clause that most keypoints lie outside the image (width, height), or return an empty string.
 
-    Args:
-        points: (..., J, 2) px, as `mark_unseen` returns them.
-        score: (..., J) as `mark_unseen` returns them.
-        image_size: (width, height) in px.
+    Points and scores are those of `mark_unseen`.
     """
     seen = points[score > 0]
     outside = 1 - _measure_share_inside(seen, *image_size)
@@ -121,11 +109,6 @@ def describe_transposed_size(points: Array, score: Array, image_size: tuple[int,
     """Describe in a clause that width and height of the image seem to be exchanged, or return an empty string.
 
     They seem so if most keypoints lie outside the image, but inside an image of the exchanged width and height.
-
-    Args:
-        points: (..., J, 2) px, as `mark_unseen` returns them.
-        score: (..., J) as `mark_unseen` returns them.
-        image_size: (width, height) in px.
     """
     fault = describe_points_outside(points, score, image_size)
     height, width = image_size
@@ -135,6 +118,5 @@ def describe_transposed_size(points: Array, score: Array, image_size: tuple[int,
 
 
 def _measure_share_inside(points: Array, width: int, height: int) -> float:
-    """Return the share of points (N, 2) that lie in an image, 1 if there are none."""
     inside = ((points >= 0) & (points <= [width, height])).all(axis=-1)
     return float(inside.mean()) if len(points) else 1.0

@@ -14,6 +14,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,7 @@ from mocap_ros.skeleton import Skeleton
 Array = NDArray[np.float64]
 
 ALL_MOTIONS = 'all'  # name of the model that is trained on all motion categories together
+MAX_MODELS = 16  # models whose arrays are kept: the shipped ones, some of them truncated
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,16 +55,13 @@ class BasePoses:
 
     @property
     def aligned_by_heading(self) -> bool:
-        """Return whether the training poses were rotated about the vertical only.
-
-        In such a model the z axis of the body frame is vertical in every pose.
-        """
+        """Whether training poses were turned about z only, so that z is vertical in every pose."""
         return self.provenance.get('alignment') == 'heading'
 
     def poses(self, theta: Array) -> Array:
         """Return the poses (..., J, 3) in m, body frame, of weights theta (..., K) in m (eq. 1).
 
-        Weights for fewer than K base poses belong to the first ones.
+        Fewer than K weights belong to the first base poses.
         """
         k = theta.shape[-1]
         flat = theta @ self.components[:k].reshape(k, -1)
@@ -86,3 +86,35 @@ class BasePoses:
 def mirror_poses(poses: Array, skeleton: Skeleton) -> Array:
     """Mirror poses (..., J, 3) of the body frame: negate y and exchange left and right joints."""
     return np.asarray(poses[..., list(skeleton.mirror), :] * [1.0, -1.0, 1.0])
+
+
+class ModelArrays(NamedTuple):
+    """Arrays of a model with J joints, B bones and K base poses, as the kernels of the solvers take them.
+
+    Attributes:
+        components: (3 J, K) base poses, a coordinate of a joint in each row.
+        bones: (3 B, K) change of the vectors along the bones with the weights, a coordinate of a bone in each row.
+        parents: (B,) index of each bone's inner joint.
+        children: (B,) index of each bone's outer joint.
+        mean_bone_lengths: (B,) m, bone lengths of the mean pose.
+    """
+
+    components: Array
+    bones: Array
+    parents: NDArray[np.int64]
+    children: NDArray[np.int64]
+    mean_bone_lengths: Array
+
+
+@lru_cache(maxsize=MAX_MODELS)
+def arrange_model(model: BasePoses) -> ModelArrays:
+    """Return the arrays of a model; those of the same object are made once."""
+    parents, children = (np.array(side) for side in zip(*model.skeleton.bones, strict=True))
+    bones = model.components[:, children] - model.components[:, parents]
+    return ModelArrays(
+        np.ascontiguousarray(model.components.reshape(len(model.components), -1).T),
+        np.ascontiguousarray(bones.reshape(len(bones), -1).T),
+        parents,
+        children,
+        model.skeleton.bone_lengths(model.mean),
+    )

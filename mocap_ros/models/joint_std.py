@@ -21,12 +21,10 @@ sight. C_j has 2/3 there, that is, a standard deviation twice as large as in a d
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, INPUT_1D, INPUT_2D, INPUT_BOOLS_1D, kernel
+from mocap_ros.compiled.kernel import FLOAT, FLOATS_2D, INPUT_1D, kernel
 
 Array = NDArray[np.float64]
 
@@ -51,51 +49,29 @@ def estimate_joint_std(
 ) -> Array:
     """Estimate the standard deviation in m of each joint position (J,), relative to the body's origin.
 
-    It rests on the lifter's standard deviations and the image noise for the joints that the lifter estimated. For
-    the others it rests on the solver's posterior.
-
     Args:
-        posterior_std: (J,) m, posterior standard deviation of each joint (`joint_std` of `JointReconstruction`).
+        posterior_std: (J,) m, of the solver, for the joints that the lifter did not estimate.
         inferred: (J,) True for joints that were not seen.
-        lifter_std: (J, 3) or more joints, standard deviations of the joints' coordinates (`LiftedPoses.std`), NaN
-            for frames that the lifter did not lift; None without a lifter.
+        lifter_std: (J, 3) or more joints, standard deviations of the joints' coordinates, NaN for frames that the
+            lifter did not lift; None without a lifter.
         noise: m, image noise at the body, as the solver estimated it.
         size: size of the person over that of `posterior_std` and `noise`.
         depth: m, of the unit of `lifter_std`.
     """
+    factor = np.where(inferred, POSTERIOR_FACTOR_INFERRED, POSTERIOR_FACTOR_SEEN)
+    posterior = np.sqrt((factor * size * posterior_std) ** 2 + POSTERIOR_FLOOR_M**2)
     if lifter_std is None:
-        lifter_std = np.full((len(posterior_std), 3), np.nan)
-    return _estimate_joint_std(posterior_std, inferred, lifter_std, noise, size, depth)
-
-
-@kernel(FLOATS_1D(INPUT_1D, INPUT_BOOLS_1D, INPUT_2D, FLOAT, FLOAT, FLOAT))
-def _estimate_joint_std(
-    posterior_std: Array,
-    inferred: NDArray[np.bool_],
-    lifter_std: Array,
-    noise: float,
-    size: float,
-    depth: float,
-) -> Array:
-    """Compute `estimate_joint_std`; `lifter_std` is NaN for joints that the lifter did not estimate."""
-    out = np.empty(len(posterior_std))
-    for j in range(len(out)):
-        length = depth * math.sqrt(lifter_std[j, 0] ** 2 + lifter_std[j, 1] ** 2 + lifter_std[j, 2] ** 2)
-        if math.isfinite(length):
-            seen = math.sqrt((LIFTER_FACTOR_SEEN * length) ** 2 + (NOISE_FACTOR_SEEN * size * noise) ** 2)
-            out[j] = LIFTER_FACTOR_INFERRED * length if inferred[j] else seen
-        else:
-            factor = POSTERIOR_FACTOR_INFERRED if inferred[j] else POSTERIOR_FACTOR_SEEN
-            out[j] = math.sqrt((factor * size * posterior_std[j]) ** 2 + POSTERIOR_FLOOR_M**2)
-    return out
+        return np.asarray(posterior)
+    length = depth * np.sqrt((lifter_std[: len(posterior_std)] ** 2).sum(axis=1))
+    seen = np.sqrt((LIFTER_FACTOR_SEEN * length) ** 2 + (NOISE_FACTOR_SEEN * size * noise) ** 2)
+    lifted = np.where(inferred, LIFTER_FACTOR_INFERRED * length, seen)
+    return np.where(np.isfinite(length), lifted, posterior)
 
 
 def compute_joint_covariance(std: Array, place: Array) -> Array:
-    """Return the covariances (..., 3, 3) m^2 of points about the body's origin (formula of the module).
+    """Return the covariances (..., 3, 3) m^2 of points with standard deviations (...) m about the body's origin.
 
-    Args:
-        std: (...) m, standard deviations of the points.
-        place: (..., 3) m in the camera's optical frame, where the body is; its direction is the line of sight.
+    The direction of its place (..., 3), in the camera's optical frame, is the line of sight.
     """
     places = np.broadcast_to(place, (*std.shape, 3)).reshape(-1, 3)
     found = [spread_along_sight(s, p) for s, p in zip(std.ravel(), np.ascontiguousarray(places), strict=True)]

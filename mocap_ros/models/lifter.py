@@ -32,12 +32,7 @@ from numba import float32, types, void
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.kernel import FLOAT, FLOATS_3D, INPUT_1D, INPUT_3D, kernel
-from mocap_ros.models.lifter_input import (
-    JOINT_COUNT,
-    MIRROR_PERMUTATION,
-    encode_histories,
-    sample_histories,
-)
+from mocap_ros.models.lifter_input import JOINT_COUNT, MIRROR_PERMUTATION, encode_histories, sample_histories
 from mocap_ros.models.network import RoundedNetwork
 from mocap_ros.skeleton import CMU15, CORE_COUNT
 
@@ -130,14 +125,8 @@ class Lifter:
         _decode(self.network.evaluate(encoded.features), *encoded, joints, std)
         return LiftedPoses(joints, std)
 
-    def lift_sequence(
-        self,
-        points: Array,
-        weight: Array,
-        times: Array,
-        focal: float = float('inf'),
-    ) -> LiftedPoses:
-        """Estimate the pose of every frame of a sequence from the frame itself and the frames before it.
+    def lift_sequence(self, points: Array, weight: Array, times: Array, focal: float = math.inf) -> LiftedPoses:
+        """Estimate the pose of each of F frames from the frame itself and the frames before it.
 
         Args:
             points: (F, J, 2) image points; ignored where the weight is 0.
@@ -145,8 +134,7 @@ class Lifter:
             times: (F,) s, increasing.
             focal: focal length in the unit of the points; infinite if unknown.
         """
-        histories = sample_histories(points, weight, times, np.arange(len(times)))
-        return self.lift(*histories, focal)
+        return self.lift(*sample_histories(points, weight, times, np.arange(len(times))), focal)
 
 
 @kernel(FLOAT(float32, float32))
@@ -163,12 +151,12 @@ def _decode(
 
     Args:
         outputs: (N, 2, OUTPUT_COUNT) outputs of the network for each history and for its mirror image.
-        features: with the following, the attributes of `NetworkInput`.
-        newest: as above.
-        size: as above.
-        rotation: as above.
-        joints: with the next, the attributes of `LiftedPoses`, which are overwritten.
-        std: as above.
+        features: this and the next three are the attributes of `NetworkInput`.
+        newest: likewise.
+        size: likewise.
+        rotation: likewise.
+        joints: this and the last are the attributes of `LiftedPoses`, which are overwritten.
+        std: likewise.
     """
     low, high = LOG_STD_RANGE
     log_stds = 3 * JOINT_COUNT  # outputs before the logarithms of the standard deviations
@@ -201,15 +189,10 @@ def _decode(
 
 
 def scale_to_metres(lifted: LiftedPoses, times: Array, height: float) -> LiftedPoses:
-    """Scale the poses of one person to metres, given the person's height.
+    """Scale the poses of one person, in px, to metres, given the person's height in m.
 
-    The image of a person who comes nearer grows, but the person's bones do not. Each frame is therefore scaled by
-    the sum of its bone lengths, averaged over neighbouring frames with a Gaussian of `SIZE_SMOOTHING_S`.
-
-    Args:
-        lifted: poses of N frames in px.
-        times: (N,) s.
-        height: m, height of the person.
+    The image of a person who comes nearer grows, but the person's bones do not. Each frame at `times` in s is
+    scaled by the sum of its bone lengths, averaged over neighbouring frames with a Gaussian of `SIZE_SMOOTHING_S`.
     """
     bone_sum = CMU15.bone_lengths(lifted.joints[:, :CORE_COUNT]).sum(axis=1)
     is_lifted = np.isfinite(bone_sum)

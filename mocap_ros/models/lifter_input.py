@@ -180,7 +180,7 @@ def encode_histories(
 
 
 def _add_missing_joints(points: Array, weight: Array) -> tuple[Array, Array]:
-    """Return points (N, T, J, 2) and weights (N, T, J) of histories that may have the core's joints alone."""
+    """Return histories of all joints; they may have those of the core alone."""
     if (missing := JOINT_COUNT - weight.shape[-1]) > 0:
         points = np.pad(points, [(0, 0), (0, 0), (0, missing), (0, 0)])
         weight = np.pad(weight, [(0, 0), (0, 0), (0, missing)])
@@ -221,7 +221,6 @@ def encode_features(points: Array32, weight: Array32, focal: Array, upward: Arra
 
 @kernel(BOOL(FLOAT, FLOAT, FLOAT))
 def _is_seen(x: float, y: float, weight: float) -> bool:
-    """Return whether a point with this confidence score counts as seen."""
     return weight > 0 and abs(x) < MAX_COORDINATE and abs(y) < MAX_COORDINATE
 
 

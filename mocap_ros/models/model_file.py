@@ -11,10 +11,13 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import fields
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +27,8 @@ from mocap_ros.input_file import open_input_file
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import OUTPUT_COUNT, Lifter
 from mocap_ros.models.lifter_input import FEATURE_COUNT, HISTORY_SLOTS_S
-from mocap_ros.models.motion_predictor import PREDICTOR_NAME
-from mocap_ros.models.velocity_correction import VELOCITY_NAME
+from mocap_ros.models.motion_predictor import MotionPredictor
+from mocap_ros.models.velocity_correction import VelocityCorrection
 from mocap_ros.npz_file import open_npz, write_npz
 from mocap_ros.skeleton import CMU15, Skeleton, keypoint_layout
 
@@ -37,8 +40,8 @@ LEARNED = 'learned'  # value of `solver.prior` that selects the shipped lifter
 PCA = 'pca'  # value of `solver.prior` that selects the base poses alone, as in the paper
 PRIORS = (LEARNED, PCA)  # values of `solver.prior` that are not the path of a lifter
 
-LIFTER_NAME = 'lifter'  # name of the shipped lifter's file
-NO_BASE_POSES = (LIFTER_NAME, PREDICTOR_NAME, VELOCITY_NAME)  # names of shipped files that are no base-pose models
+# Names of shipped files that are no base-pose models.
+LIFTER_NAME, PREDICTOR_NAME, VELOCITY_NAME = 'lifter', 'predictor', 'velocity'
 BASE_POSES_FORMAT = 'mocap_ros base poses 1'  # identifier in every base-pose file; changes with the format
 LIFTER_FORMAT = 'mocap_ros lifter 2'  # identifier in every lifter file; changes with the format
 
@@ -50,6 +53,8 @@ MAX_MEAN_COORDINATE_M = 3.0  # m from the body's origin; refuses models in mm or
 WEIGHT_STD_RANGE_M = 1e-6, 10.0  # m; guards divisions by the standard deviation, refuses models in mm
 ORTHONORMALITY_TOLERANCE = 1e-2  # 1; far above the rounding of single precision, in which models are stored
 MAX_PARAMETER = 1e3  # 1; bounds weights and biases of a lifter, far beyond those that training gives
+
+_SHIPPED = files('mocap_ros') / 'models' / 'shipped'
 
 
 def save_base_poses(model: BasePoses, path: str | Path | io.BytesIO) -> None:
@@ -73,9 +78,8 @@ def save_base_poses(model: BasePoses, path: str | Path | io.BytesIO) -> None:
 
 def list_shipped_base_poses() -> tuple[str, ...]:
     """Return the names of the base-pose models that are shipped with the package."""
-    folder = files('mocap_ros') / 'models' / 'shipped'
-    names = (p.name.removesuffix('.npz') for p in folder.iterdir() if p.name.endswith('.npz'))
-    return tuple(sorted(n for n in names if n not in NO_BASE_POSES))
+    names = {p.name.removesuffix('.npz') for p in _SHIPPED.iterdir() if p.name.endswith('.npz')}
+    return tuple(sorted(names - {LIFTER_NAME, PREDICTOR_NAME, VELOCITY_NAME}))
 
 
 def load_base_poses(name_or_path: str | Path) -> BasePoses:
@@ -84,14 +88,11 @@ def load_base_poses(name_or_path: str | Path) -> BasePoses:
     Raises:
         ModelError: No model has this name and no file this path, or the file is not a base-pose model.
     """
-    text = str(name_or_path)
-    if text in list_shipped_base_poses():
-        return decode_base_poses((files('mocap_ros') / 'models' / 'shipped' / f'{text}.npz').read_bytes(), text)
-    path = Path(name_or_path)
+    text, path, shipped = str(name_or_path), Path(name_or_path), list_shipped_base_poses()
+    if text in shipped:
+        return decode_base_poses((_SHIPPED / f'{text}.npz').read_bytes(), text)
     if not path.is_file():
-        raise ModelError(
-            f'no base-pose model {text!r}: neither a file nor one of {", ".join(list_shipped_base_poses())}'
-        )
+        raise ModelError(f'no base-pose model {text!r}: neither a file nor one of {", ".join(shipped)}')
     try:
         with open_input_file(path) as file:
             return decode_base_poses(file.read(MAX_BASE_POSES_BYTES + 1), text)
@@ -103,27 +104,37 @@ def load_base_pose_models(name: str) -> dict[str, BasePoses]:
     """Load the base-pose model of a name or path, or all shipped models for `auto`; returns them by name.
 
     Raises:
-        ModelError: A model cannot be loaded, as in `load_base_poses`.
+        ModelError: As in `load_base_poses`.
     """
     return {n: load_base_poses(n) for n in (list_shipped_base_poses() if name == AUTO else (name,))}
 
 
-def decode_base_poses(data: bytes, source: str) -> BasePoses:
-    """Decode a base-pose model from the bytes of its file.
+@contextmanager
+def _open_model(data: bytes, max_bytes: int, source: str, kind: str) -> Iterator[tuple[Any, dict[str, Array]]]:
+    """Yield the description and the finite real numbers of a model file; errors in the `with` block name it."""
+    try:
+        with open_npz(io.BytesIO(data), max_bytes) as archive:
+            meta = json.loads(str(archive['meta']))
+            arrays = {name: archive[name] for name in archive.files if name != 'meta'}
+        for name, array in arrays.items():
+            if array.dtype.kind != 'f':
+                raise ValueError(f'{name}: holds {array.dtype}, expected floating point')
+            if not np.isfinite(array).all():
+                raise ValueError(f'{name}: numbers that are not finite')
+        yield meta, arrays
+    except KeyError as error:
+        raise ModelError(f'{source}: not a {kind} (no {str(error.args[0]).split()[0]})') from None
+    except Exception as error:  # malformed bytes of an untrusted file can raise almost any exception
+        raise ModelError(f'{source}: not a {kind} ({describe_read_error(error)})') from None
 
-    Args:
-        data: content of the file.
-        source: name of the file for error messages.
+
+def decode_base_poses(data: bytes, source: str) -> BasePoses:
+    """Decode a base-pose model from the bytes of its file; `source` names it in error messages.
 
     Raises:
         ModelError: The bytes are not a base-pose model, or the model has values that no training produces.
     """
-    try:
-        if len(data) > MAX_BASE_POSES_BYTES:
-            raise ValueError(f'larger than {MAX_BASE_POSES_BYTES >> 20} MiB')
-        with open_npz(io.BytesIO(data), MAX_BASE_POSES_BYTES) as archive:
-            meta = json.loads(str(archive['meta']))
-            arrays = {k: _decode_numbers(archive[k], k) for k in ('mean', 'components', 'std', 'explained')}
+    with _open_model(data, MAX_BASE_POSES_BYTES, source, 'base-pose model') as (meta, arrays):
         if meta['format'] != BASE_POSES_FORMAT:
             raise ValueError(f'format {meta["format"]!r}, expected {BASE_POSES_FORMAT!r}')
         model = BasePoses(
@@ -131,28 +142,14 @@ def decode_base_poses(data: bytes, source: str) -> BasePoses:
             skeleton=keypoint_layout(meta['skeleton']),
             stature=float(meta['stature']),
             provenance=meta['provenance'],
-            **arrays,
+            **{key: arrays[key].astype(float) for key in ('mean', 'components', 'std', 'explained')},
         )
         _check_base_poses(model)
-    except KeyError as error:
-        raise ModelError(f'{source}: not a base-pose model (no {str(error.args[0]).split()[0]})') from None
-    except Exception as error:  # malformed bytes of an untrusted file can raise almost any exception
-        raise ModelError(f'{source}: not a base-pose model ({describe_read_error(error)})') from None
     return model
 
 
-def _decode_numbers(array: NDArray[np.generic], key: str) -> Array:
-    """Convert an array to double precision; raises `ValueError` if it is not floating point or not finite."""
-    if array.dtype.kind != 'f':
-        raise ValueError(f'{key}: holds {array.dtype}, expected floating point')
-    numbers = array.astype(np.float64)
-    if not np.isfinite(numbers).all():
-        raise ValueError(f'{key}: numbers that are not finite')
-    return numbers
-
-
 def _check_base_poses(model: BasePoses) -> None:
-    """Check shapes and values of a model; raises `ValueError` for what no training produces."""
+    """Raise `ValueError` for shapes and values of a model that no training produces."""
     joints, k = len(CMU15.joints), np.atleast_1d(model.components).shape[0]
     if not 0 < k <= 3 * joints:  # more cannot be orthonormal, and their products would fill the memory
         raise ValueError(f'components: shape {model.components.shape}, expected 1 to {3 * joints} base poses')
@@ -160,26 +157,18 @@ def _check_base_poses(model: BasePoses) -> None:
     for key, shape in shapes.items():
         if getattr(model, key).shape != shape:
             raise ValueError(f'{key}: shape {getattr(model, key).shape}, expected {shape}')
+    (low, high), (low_std, high_std) = STATURE_RANGE_M, WEIGHT_STD_RANGE_M
+    has_name = isinstance(model.name, str) and len(model.name) <= MAX_NAME_LENGTH
+    is_decreasing = np.diff(model.std) <= ORTHONORMALITY_TOLERANCE * model.std[:-1]
     flat = model.components.reshape(k, -1)
-    low, high = STATURE_RANGE_M
-    low_std, high_std = WEIGHT_STD_RANGE_M
     for is_valid, reason in (
         (model.skeleton == CMU15, f'skeleton: {model.skeleton.name}, expected {CMU15.name}'),
-        (
-            isinstance(model.name, str) and len(model.name) <= MAX_NAME_LENGTH,
-            f'name: expected a text of at most {MAX_NAME_LENGTH} characters',
-        ),
+        (has_name, f'name: expected a text of at most {MAX_NAME_LENGTH} characters'),
         (isinstance(model.provenance, dict), 'provenance: expected a mapping'),
         (low <= model.stature <= high, f'stature: {model.stature:g}, expected {low} to {high} m'),
-        (
-            (np.abs(model.mean) <= MAX_MEAN_COORDINATE_M).all(),
-            f'mean: a joint beyond {MAX_MEAN_COORDINATE_M:g} m',
-        ),
-        (
-            ((model.std >= low_std) & (model.std <= high_std)).all(),
-            f'std: outside {low_std:g} to {high_std:g} m',
-        ),
-        ((np.diff(model.std) <= ORTHONORMALITY_TOLERANCE * model.std[:-1]).all(), 'std: not decreasing'),
+        (np.abs(model.mean).max() <= MAX_MEAN_COORDINATE_M, f'mean: a joint beyond {MAX_MEAN_COORDINATE_M:g} m'),
+        (low_std <= model.std.min() <= model.std.max() <= high_std, f'std: outside {low_std:g} to {high_std:g} m'),
+        (is_decreasing.all(), 'std: not decreasing'),
         (np.abs(flat @ flat.T - np.eye(k)).max() <= ORTHONORMALITY_TOLERANCE, 'components: not orthonormal'),
     ):
         if not is_valid:
@@ -197,17 +186,32 @@ def save_lifter(lifter: Lifter, path: str | Path | io.BytesIO) -> None:
 @cache
 def load_shipped_lifter() -> Lifter:
     """Load the lifter that is shipped with the package; its file is read once in the life of a process."""
-    return decode_lifter((files('mocap_ros') / 'models' / 'shipped' / 'lifter.npz').read_bytes(), 'lifter')
+    return decode_lifter((_SHIPPED / f'{LIFTER_NAME}.npz').read_bytes(), LIFTER_NAME)
+
+
+@cache
+def load_motion_predictor() -> MotionPredictor:
+    """Load the shipped predictor; its file is read once in the life of a process."""
+    return MotionPredictor(**_read_shipped(PREDICTOR_NAME, MotionPredictor, np.float64))
+
+
+@cache
+def load_velocity_correction() -> VelocityCorrection:
+    """Load the shipped correction of velocities; its file is read once in the life of a process."""
+    return VelocityCorrection(**_read_shipped(VELOCITY_NAME, VelocityCorrection, np.float32))
+
+
+def _read_shipped(name: str, kind: type[Any], dtype: type[np.floating[Any]]) -> dict[str, Any]:
+    with np.load(io.BytesIO((_SHIPPED / f'{name}.npz').read_bytes()), allow_pickle=False) as archive:
+        return {field.name: archive[field.name].astype(dtype, order='C') for field in fields(kind)}
 
 
 @cache
 def load_prior_lifter(name: str, skeleton: Skeleton) -> Lifter | None:
     """Load the lifter that `solver.prior` names; its file is read once in the life of a process.
 
-    Args:
-        name: `learned` for the shipped lifter, `pca` for none, otherwise the path of a lifter.
-        skeleton: skeleton of the base poses. The core of a lifter's poses are the joints of `skeleton.CMU15`, so
-            None is returned for base poses of any other skeleton.
+    The core of a lifter's poses are the joints of `skeleton.CMU15`, so there is none for base poses of any other
+    skeleton, nor for `pca`.
 
     Raises:
         ModelError: The file cannot be read, or it is not a lifter.
@@ -231,38 +235,26 @@ def load_lifter(path: str | Path) -> Lifter:
 
 
 def decode_lifter(data: bytes, source: str) -> Lifter:
-    """Decode a lifter from the bytes of its file.
-
-    Args:
-        data: content of the file.
-        source: name of the file for error messages.
+    """Decode a lifter from the bytes of its file; `source` names it in error messages.
 
     Raises:
         ModelError: The bytes are not a lifter, or the lifter has values that no training produces.
     """
-    try:
-        with open_npz(io.BytesIO(data), MAX_LIFTER_BYTES) as archive:
-            meta = json.loads(str(archive['meta']))
-            if meta['format'] != LIFTER_FORMAT or not np.allclose(meta['slots'], HISTORY_SLOTS_S):
-                raise ValueError(f'format {meta["format"]!r}, expected {LIFTER_FORMAT!r}')
-            count = (len(archive.files) - 1) // 2
-            arrays = {k: archive[k] for k in archive.files if k != 'meta'}
-            if any(a.dtype.kind != 'f' for a in arrays.values()) or not isinstance(meta['provenance'], dict):
-                raise ValueError('arrays of real numbers and a mapping as provenance expected')
-            layers = tuple(
-                (np.ascontiguousarray(arrays[f'w{i}'], np.float32), np.asarray(arrays[f'b{i}'], np.float32))
-                for i in range(count)
-            )
+    with _open_model(data, MAX_LIFTER_BYTES, source, 'lifter') as (meta, arrays):
+        if meta['format'] != LIFTER_FORMAT or not np.allclose(meta['slots'], HISTORY_SLOTS_S):
+            raise ValueError(f'format {meta["format"]!r}, expected {LIFTER_FORMAT!r}')
+        if not isinstance(meta['provenance'], dict):
+            raise ValueError('provenance: expected a mapping')
+        layers = tuple(
+            (np.ascontiguousarray(arrays[f'w{i}'], np.float32), np.asarray(arrays[f'b{i}'], np.float32))
+            for i in range(len(arrays) // 2)
+        )
         _check_lifter(layers)
         return Lifter(layers, meta['provenance'])
-    except KeyError as error:
-        raise ModelError(f'{source}: not a lifter (no {str(error.args[0]).split()[0]})') from None
-    except Exception as error:  # malformed bytes of an untrusted file can raise almost any exception
-        raise ModelError(f'{source}: not a lifter ({describe_read_error(error)})') from None
 
 
 def _check_lifter(layers: Sequence[tuple[Array32, Array32]]) -> None:
-    """Check shapes and values of a lifter's layers; raises `ValueError` for what no training produces."""
+    """Raise `ValueError` for shapes and values of a lifter's layers that no training produces."""
     if len(layers) < 2 or len(layers) % 2:
         raise ValueError(f'{len(layers)} layers, expected an even number of at least 2')
     width = layers[0][0].shape[-1]
@@ -270,7 +262,5 @@ def _check_lifter(layers: Sequence[tuple[Array32, Array32]]) -> None:
     for i, (weights, bias) in enumerate(layers):
         if weights.shape != (sizes[i], sizes[i + 1]) or bias.shape != (sizes[i + 1],):
             raise ValueError(f'layer {i}: shapes {weights.shape}, {bias.shape}')
-        if not (np.isfinite(weights).all() and np.isfinite(bias).all()):
-            raise ValueError(f'layer {i}: numbers that are not finite')
         if max(np.abs(weights).max(), np.abs(bias).max()) > MAX_PARAMETER:
             raise ValueError(f'layer {i}: numbers beyond {MAX_PARAMETER:g}')

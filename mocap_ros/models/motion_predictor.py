@@ -16,11 +16,11 @@ joints about the root in the axes B of the body, come from a network of two hidd
           where it is, the velocity and the ways of `HEADING_PAST` along the heading, mean velocity of the joints
           about the root, and the direction of the heading; the axis upwards has a constant in place of that
           direction, and the mean height of the joints over the root besides
-    g     what tells signal from tremble: accuracy of the pose, speed of the limbs, speed of the root
+    g     what separates signal from jitter: accuracy of the pose, speed of the limbs, speed of the root
 
-The axes of the line of sight are horizontally away from the camera, to the left and up: depth trembles most, so a
-velocity along it counts less. The prediction is the mean of what the network says of the person and of the mirror
-image. Between the h_k, and from 0 on, displacements and variances are interpolated; beyond the last, displacements
+The axes of the line of sight are horizontally away from the camera, to the left and up: depth has most jitter, so
+a velocity along it counts less. The prediction is the mean of what the network says of the person and of the
+mirror image. Between the h_k, and from 0 on, displacements and variances are interpolated; beyond the last, they
 stay and deviations grow with time. The errors of the prediction have variances
 
     s_a(h_k)^2 = c_0 + c_1 |v|^2 + c_2 l^2 + c_3 p^2
@@ -34,11 +34,9 @@ multiplied so that 95 of 100 errors are within the ellipsoids of that probabilit
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from functools import cache, lru_cache
-from importlib.resources import files
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -51,7 +49,6 @@ Array = NDArray[np.float64]
 
 PAST_S = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)  # s; times ago at which the motion is sampled
 HEADING_PAST = [1, 3, 5]  # indices of `PAST_S`; ways along the heading, which change slowly
-PREDICTOR_NAME = 'predictor'  # name of the shipped file among the models
 VELOCITY_WEIGHT = 0.2  # s; of the joints' velocities among the features, so that they vary about as much as places
 ACCURACY_M = 0.04  # m; the first of the g is 0 for such a mean deviation of the joints; training has hardly better
 MAX_SPEED_M_S = 3.0  # m/s; speeds of the g are limited to that of a slow run, of which there is enough in training
@@ -127,16 +124,12 @@ class MotionPredictor:
 
     Attributes:
         times: (K,) s, the h_k, increasing.
-        mean: (D,) m.
+        mean: (D,) m, the m.
         directions: (D, Z) the V.
         centre: (I,) the x_0.
         scale: (I,) the x_s.
-        weight_0: (I, H).
-        bias_0: (H,).
-        weight_1: (H, H).
-        bias_1: (H,).
-        weight_2: (H, 3 K (J + 1)); for each time the joints, then the root.
-        bias_2: (3 K (J + 1),) m.
+        weight_0: (I, H); bias_0 (H,), weight_1 (H, H) and bias_1 (H,) follow.
+        weight_2: (H, 3 K (J + 1)), with bias_2 in m; for each time the joints, then the root.
         root_variance: (K, 3, 4) the c.
         limb_variance: (K, J, 4) the e.
     """
@@ -187,7 +180,6 @@ class MotionPredictor:
         return np.asarray(((x - self.centre) / self.scale).clip(-INPUT_LIMIT, INPUT_LIMIT))
 
     def _run(self, inputs: Array) -> Array:
-        """Return the output (N, 3 K (J + 1)) of the network."""
         hidden = _activate(inputs @ self.weight_0 + self.bias_0)
         return np.asarray(_activate(hidden @ self.weight_1 + self.bias_1) @ self.weight_2 + self.bias_2)
 
@@ -212,18 +204,12 @@ def mirror(features: Features) -> Features:
 
 
 def _activate(values: Array) -> Array:
-    """Return the activations a of the module."""
     return np.asarray(values / (1 + np.exp(-values)))
 
 
 @lru_cache(maxsize=100)  # a node asks for the same times again and again, except in gaps
 def _interpolate(knots: tuple[float, ...], times: tuple[float, ...]) -> tuple[Array, Array]:
-    """Return the weights (N, K) of the displacements and of the variances at K times for N other times.
-
-    Args:
-        knots: s, 0 and the K times.
-        times: s, the other times.
-    """
+    """Return the weights (N, K) of displacements, and of variances, at the later knots for N times in s."""
     within = np.minimum(times, knots[-1])
     linear = np.stack([np.interp(within, knots, row) for row in np.eye(len(knots))], axis=1)
     longer = (np.maximum(times, knots[-1]) / knots[-1]) ** 2
@@ -303,12 +289,3 @@ def _make_horizontal(direction: Array, up: Array) -> Array:
         flat = np.where(length < LEAST_LENGTH, other, flat)
         length = np.linalg.norm(flat, axis=1, keepdims=True)
     return np.asarray(flat / length)
-
-
-@cache
-def load_motion_predictor() -> MotionPredictor:
-    """Return the shipped predictor."""
-    data = (files('mocap_ros') / 'models' / 'shipped' / f'{PREDICTOR_NAME}.npz').read_bytes()
-    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        arrays = {field.name: archive[field.name].astype(np.float64) for field in fields(MotionPredictor)}
-    return MotionPredictor(**arrays)

@@ -72,12 +72,7 @@ class RoundedNetwork:
 
     @staticmethod
     def from_layers(layers: Sequence[tuple[Array32, Array32]]) -> RoundedNetwork:
-        """Round the weights of a network.
-
-        Args:
-            layers: (in, out) weights and (out,) biases of the first layer, of the two layers of each residual
-                block, and of the last layer.
-        """
+        """Round the weights (in, out), with biases (out,), of the first layer, the blocks of two, and the last."""
         (first, _), *blocks, (last, last_bias) = layers
         width = first.shape[1]
         rounded = [_round_weights(weights, np.int8) for weights, _ in blocks]
@@ -117,13 +112,10 @@ def _round_weights(weights: Array32, kind: type[np.signedinteger[Any]]) -> tuple
 
 @kernel(INT(_INPUT32_2D, _INPUT32_1D, INTS_1D, _FLOATS32_2D))
 def _collect_used(inputs: Array32, scales: Array32, used: NDArray[np.int64], factors: Array32) -> int:
-    """Collect the inputs that are not 0 in at least one of two rows.
+    """Collect the inputs (2, I) of a layer that are not 0 in at least one of two rows.
 
-    Args:
-        inputs: (2, I) inputs of a layer.
-        scales: (I,) scales of its weights.
-        used: (I + 3,) or more; its beginning is overwritten with the indices of these inputs.
-        factors: (2, I + 3) or more; its beginning is overwritten with these inputs times their scales.
+    The beginnings of `used` (I + 3 or more) and `factors` (2, I + 3 or more) are overwritten with the indices of
+    these inputs, and with the inputs times the scales (I,) of the weights.
 
     Returns:
         The number of these inputs, filled up with inputs of 0 to a multiple of four.
@@ -140,15 +132,7 @@ def _collect_used(inputs: Array32, scales: Array32, used: NDArray[np.int64], fac
 
 
 def _apply_layer(inputs: Array32, codes: Codes, scales: Array32, bias: Array32, out: Array32) -> None:
-    """Write X W + b of two rows of inputs, four inputs at a time to fetch and store the outputs less often.
-
-    Args:
-        inputs: (2, I) X.
-        codes: (I, O) codes of W.
-        scales: (I,) scales of W.
-        bias: (O,) b.
-        out: (2, O) is overwritten.
-    """
+    """Write X W + b (2, O) of two rows of inputs, four inputs at a time to fetch and store outputs less often."""
     used, factors = np.empty(len(codes) + 3, np.int64), np.empty((2, len(codes) + 3), np.float32)
     count = _collect_used(inputs, scales, used, factors)
     y, z = out[0], out[1]

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The direction upwards that a pose tells: a body stands and walks with its centre of mass above its feet.
+"""The direction upwards that a pose shows: a body stands and walks with its centre of mass above its feet.
 
     u = normalise(c - f - b l n),    c = sum_j m_j P_j,    f = (ankle_l + ankle_r) / 2
     n = normalise(h x (c - f)),      h = hip_l - hip_r + shoulder_l - shoulder_r
@@ -11,7 +11,7 @@ direction ahead: feet carry the body a little in front of the ankles. The masses
 joints, with their centres of mass, by Winter ("Biomechanics and Motor Control of Human Movement", 4th edition,
 table 4.1).
 
-Who sits tells no direction upwards, for the feet do not carry the body. Whether somebody stands shows in the
+Who sits shows no direction upwards, for the feet do not carry the body. Whether a person stands shows in the
 flexion phi of the straighter hip, the smaller angle between the trunk and a thigh; who bows or squats deeply does
 not count as standing either:
 
@@ -24,12 +24,9 @@ regression on all coordinates of the joints is no better.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOATS_2D, INPUT_1D, INPUT_3D, kernel
 from mocap_ros.skeleton import CMU15
 
 Array = NDArray[np.float64]
@@ -69,20 +66,28 @@ _RHIP, _RKNEE, _RANKLE = (CMU15.joints.index('r' + name) for name in ('hip', 'kn
 
 
 def find_upward(joints: Array) -> Array:
-    """Return the directions upwards (N, 3) that poses (N, J, 3) tell, as unit vectors in the axes of the poses.
+    """Return the directions upwards (N, 3) that poses (N, J, 3) show, as unit vectors in the axes of the poses.
 
-    Args:
-        joints: joints of `CMU15`, or of `BODY26`, in any unit; NaN where they are not known, which gives NaN.
+    The joints, in any unit, are those of `CMU15` or of `BODY26`; NaN gives NaN.
     """
-    return _find_upward(np.ascontiguousarray(joints), MASSES)
+    legs = joints[:, [_LHIP, _LKNEE, _RHIP, _RKNEE]] - joints[:, [_LKNEE, _LANKLE, _RKNEE, _RANKLE]]
+    trunk = joints[:, [_NECK]] - joints[:, [_PELVIS]]
+    size = np.linalg.norm(np.concatenate([trunk, legs / 2], axis=1), axis=2).sum(axis=1, keepdims=True)
+    feet = (joints[:, _LANKLE] + joints[:, _RANKLE]) / 2
+    weighted = MASSES[:, None, None] * joints[:, : len(MASSES)].swapaxes(0, 1)
+    lever = np.concatenate([-feet[None], weighted]).sum(axis=0)
+    across = joints[:, _LHIP] - joints[:, _RHIP] + joints[:, _LSHOULDER] - joints[:, _RSHOULDER]
+    ahead = np.cross(across, lever)
+    upward = lever - SUPPORT_AHEAD * size / _measure_length(ahead) * ahead
+    return np.asarray(upward / _measure_length(upward))
+
+
+def _measure_length(vectors: Array) -> Array:
+    return np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), MIN_LENGTH)
 
 
 def find_standing(joints: Array) -> Array:
-    """Return the shares (N,) to which poses stand, 1 with a straight hip and 0 if both are bent as on a chair.
-
-    Args:
-        joints: as of `find_upward`; NaN gives NaN.
-    """
+    """Return the shares (N,) to which poses stand: 1 with a straight hip, 0 if both are bent as on a chair."""
     trunk = joints[:, None, _NECK] - joints[:, None, _PELVIS]
     thighs = joints[:, [_LHIP, _RHIP]] - joints[:, [_LKNEE, _RKNEE]]
     lengths = np.linalg.norm(trunk, axis=-1) * np.linalg.norm(thighs, axis=-1)
@@ -90,34 +95,3 @@ def find_standing(joints: Array) -> Array:
     flexion_deg = np.degrees(np.arccos(cosines.max(axis=1).clip(-1, 1)))
     share = (SEATED_FLEXION_DEG - flexion_deg) / (SEATED_FLEXION_DEG - STANDING_FLEXION_DEG)
     return np.asarray(share.clip(0, 1))
-
-
-@kernel(FLOATS_2D(INPUT_3D, INPUT_1D))
-def _find_upward(joints: Array, masses: Array) -> Array:
-    """Compute `find_upward`; masses (J,)."""
-    out = np.empty((len(joints), 3))
-    lever, across, length = np.empty(3), np.empty(3), np.zeros(5)
-    for t in range(len(joints)):
-        p = joints[t]
-        length[:] = 0.0
-        for i in range(3):
-            lever[i] = -(p[_LANKLE, i] + p[_RANKLE, i]) / 2
-            for j in range(len(masses)):
-                lever[i] += masses[j] * p[j, i]
-            across[i] = p[_LHIP, i] - p[_RHIP, i] + p[_LSHOULDER, i] - p[_RSHOULDER, i]
-            length[0] += (p[_NECK, i] - p[_PELVIS, i]) ** 2
-            length[1] += (p[_LHIP, i] - p[_LKNEE, i]) ** 2
-            length[2] += (p[_LKNEE, i] - p[_LANKLE, i]) ** 2
-            length[3] += (p[_RHIP, i] - p[_RKNEE, i]) ** 2
-            length[4] += (p[_RKNEE, i] - p[_RANKLE, i]) ** 2
-        size = math.sqrt(length[0])
-        for bone in range(1, 5):
-            size += math.sqrt(length[bone]) / 2
-        x = across[1] * lever[2] - across[2] * lever[1]
-        y = across[2] * lever[0] - across[0] * lever[2]
-        z = across[0] * lever[1] - across[1] * lever[0]
-        ahead = SUPPORT_AHEAD * size / max(math.sqrt(x * x + y * y + z * z), MIN_LENGTH)
-        x, y, z = lever[0] - ahead * x, lever[1] - ahead * y, lever[2] - ahead * z
-        norm = max(math.sqrt(x * x + y * y + z * z), MIN_LENGTH)
-        out[t, 0], out[t, 1], out[t, 2] = x / norm, y / norm, z / norm
-    return out

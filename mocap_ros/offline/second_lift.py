@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the solution of a whole sequence tells the lifter, before the sequence is lifted and solved again.
+"""What the lifter learns from the solution of a whole sequence, before it is lifted and solved again.
 
 A detector at times takes something else for a joint, for some frames on end and often at a good score. The
 solver's robust loss bears that, but the lifter does not. Points that the solution does not explain are hidden from
@@ -50,13 +50,7 @@ MAX_UNEXPLAINED_JOINTS = 2
 
 
 def hide_unexplained_points(observed: ObservedWindow, window: Window, solution: Reconstruction) -> ObservedWindow:
-    """Return a person's joints in F frames without those that a solution does not explain.
-
-    Args:
-        observed: the joints; returned as they are if all are explained.
-        window: the same as the solver had them.
-        solution: solution of the window.
-    """
+    """Return a person's joints in F frames, seen as `window`, without those that a solution does not explain."""
     unexplained = find_unexplained_points(measure_errors(window, solution), window.weight > 0)
     return observed.exclude_points(unexplained) if unexplained.any() else observed
 
@@ -82,12 +76,7 @@ def turn_like(lifted: LiftedPoses, joints: Array) -> LiftedPoses:
 
 
 def measure_errors(window: Window, solution: Reconstruction) -> Array:
-    """Return the reprojection errors (F, J) of a solution in m at the body; 0 where a joint was not seen.
-
-    Args:
-        window: image points of F frames.
-        solution: solution of these frames.
-    """
+    """Return the reprojection errors (F, J) of a solution in m at the body; 0 where a joint was not seen."""
     scale = solution.cameras.scale[:, None]
     depth = 1 + scale * solution.joints[..., 2] / window.focal
     image = (scale[..., None] * solution.joints[..., :2] + solution.translation[:, None]) / depth[..., None]
@@ -95,12 +84,7 @@ def measure_errors(window: Window, solution: Reconstruction) -> Array:
 
 
 def find_unexplained_points(error: Array, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Find the points that a solution does not explain (formula of the module).
-
-    Args:
-        error: (F, J) m, reprojection errors.
-        seen: (F, J) True where the joint was seen; some joint was.
-    """
+    """Find the seen points (F, J) whose errors (F, J) in m are not explained (formula of the module)."""
     median = max(float(np.median(error[seen])), MIN_MEDIAN_ERROR_M)
     unexplained = seen & (error > UNEXPLAINED_MEDIANS * median)
     return np.asarray(unexplained & (unexplained.sum(axis=1, keepdims=True) <= MAX_UNEXPLAINED_JOINTS))

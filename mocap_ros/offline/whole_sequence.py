@@ -4,10 +4,8 @@
 """Reconstruction of one person over a whole sequence at once, without a sliding window.
 
 With a lifter, either its lifted poses lead or the base poses do, whichever suits the person
-(`solvers.leading_prior`).
-
-With a lifter, a sequence is solved two or three times: what the solution knows is told the lifter before the next
-one (`second_lift.py`).
+(`solvers.leading_prior`), and a sequence is solved two or three times: the lifter gets what the solution knows
+before the next one (`second_lift.py`).
 
 The solvers find the core of the body; face, feet, hands and the orientations follow it (`solvers.extremities`).
 """
@@ -55,7 +53,7 @@ class SequenceResult:
 
     Attributes:
         joints: (F, J, 3) m, real camera's optical frame, joints of `skeleton`; NaN before the first and after the
-            last frame in which a joint was seen, where nobody knows whether the person is there.
+            last frame in which a joint was seen, where it is not known whether the person is there.
         seen: (F, J) True where the joint was seen in the image, False where it was inferred or is NaN.
         skeleton: skeleton of the joints.
         category: name of the base poses used.
@@ -63,10 +61,10 @@ class SequenceResult:
             to `tracker.body_height`.
         virtual_camera: the virtual cameras of `solution`, one a frame, with the real camera's intrinsics.
         vertical: (F, 3) unit vectors upwards in the real camera's optical frame; NaN where it is not known.
-        vertical_std: (F,) rad, standard deviations of these directions; NaN where they are not known.
+        vertical_std: (F,) rad, standard deviations of these directions; NaN likewise.
         orientation: (F, J, 4) quaternions x, y, z, w, as in `people.Person3D`; NaN where the joints are; None if
             they were not computed.
-        turn_inferred: (F, J) True where nothing tells how a segment is turned about its own axis; None likewise.
+        turn_inferred: (F, J) True where nothing shows how a segment is turned about its own axis; None likewise.
     """
 
     joints: Array
@@ -86,11 +84,12 @@ class SequenceResult:
         return self.joints[:, :CORE_COUNT]
 
     def cameras_in_real_image(self) -> tuple[WeakPerspectiveCameras, Array]:
-        """Return the weak-perspective cameras that show the body where the real camera shows it.
+        """Return the weak-perspective cameras that show the body as the real camera does; NaN as the joints.
 
         Returns:
             Scale (F,) in px/m and rotation (F, 3, 3) from the body frame to the real camera's optical frame; and
-            (F, 2) px, image of the body's origin in the real camera. All are NaN where the joints are.
+                (F, 2)
+            px, image of the body's origin in the real camera.
         """
         intrinsics, roots = self.virtual_camera.intrinsics, self.core.mean(axis=1)
         rotation = self.virtual_camera.body_rotations(self.solution.cameras)
@@ -137,15 +136,12 @@ def reconstruct_sequence(
 def reconstruct_window(
     observed: ObservedWindow, models: Mapping[str, BasePoses], config: Config
 ) -> SequenceResult:
-    """Reconstruct one person's motion from all frames of a window together.
+    """Reconstruct the core of one person from all F frames of a window together, whether or not a joint was seen.
 
     Args:
-        observed: the person's joints in F frames, not lifted yet.
+        observed: the person's joints, not lifted yet.
         models: base poses by name, as in `reconstruct_sequence`.
         config: parameters of the solver; `body_height` and `vertical` of `tracker` apply.
-
-    Returns:
-        The motion of the core in all frames, also before the first and after the last in which a joint was seen.
 
     Raises:
         InputError: No frame has four seen joints.
@@ -183,13 +179,7 @@ def _reconstruct(
 
 
 def _complete(result: SequenceResult, observed: ObservedWindow, config: TrackerConfig) -> SequenceResult:
-    """Return a result with the orientations and, if `tracker.skeleton` says so, with face, feet and hands.
-
-    Args:
-        result: the core in F frames.
-        observed: the same frames, lifted if there is a lifter.
-        config: parameters; `skeleton` and `body_height` apply.
-    """
+    """Return a result with the orientations and, if `tracker.skeleton` says so, with face, feet and hands."""
     core = result.joints
     image_noise = result.solution.noise if isinstance(result.solution, joint.JointReconstruction) else 0.0
     evidence = collect_evidence(core, observed, image_noise)
@@ -210,9 +200,7 @@ def _blank_frames(result: SequenceResult, is_blank: NDArray[np.bool_]) -> Sequen
     """Return a result without joints and orientations in the frames of a mask (F,): NaN, not seen, inferred."""
     of_joints = is_blank[:, None]
     blanked = replace(
-        result,
-        joints=np.where(of_joints[..., None], np.nan, result.joints),
-        seen=result.seen & ~of_joints,
+        result, joints=np.where(of_joints[..., None], np.nan, result.joints), seen=result.seen & ~of_joints
     )
     if result.orientation is None or result.turn_inferred is None:
         return blanked
@@ -224,14 +212,7 @@ def _blank_frames(result: SequenceResult, is_blank: NDArray[np.bool_]) -> Sequen
 
 
 def find_frames_in_sight(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Find the frames from the first to the last in which a joint was seen.
-
-    Args:
-        seen: (F, J) True where the joint was seen.
-
-    Returns:
-        (F,) True for these frames, gaps between them included.
-    """
+    """Return the frames (F,) from the first to the last in which a core joint was seen (F, J), gaps included."""
     seen_frames = np.flatnonzero(seen[:, :CORE_COUNT].any(axis=1))
     frames = np.arange(len(seen))
     return np.asarray((frames >= seen_frames.min(initial=len(seen))) & (frames <= seen_frames.max(initial=-1)))
@@ -247,10 +228,7 @@ class Verticals(NamedTuple):
 def choose_vertical(times: Array, joints: Array, config: TrackerConfig) -> Verticals:
     """Return the vertical in each frame as `tracker.vertical` says: given, found, or NaN.
 
-    Args:
-        times: (F,) s.
-        joints: (F, J, 3) poses in any unit, in the axes of the real camera.
-        config: parameters; `vertical` applies.
+    The poses (F, J, 3) are in any unit, in the axes of the real camera.
     """
     if config.vertical == AUTO:
         return Verticals(*find_vertical(times, find_upward(joints), find_standing(joints)))
@@ -270,13 +248,7 @@ def _lift(
 ) -> tuple[LiftedPoses, Verticals]:
     """Return lifted poses that are turned towards the vertical, in the virtual cameras' axes, and the vertical.
 
-    The lifter gets a vertical that is given, for those who stand.
-
-    Args:
-        observed: the person's joints in F frames, not lifted yet.
-        lifter: the lifter.
-        config: parameters; `vertical` applies.
-        known: the vertical, if it was found before.
+    The lifter gets a vertical that is given, for those who stand; `known` is one that was found before.
     """
     camera, given = observed.virtual_camera, read_given_vertical(config)
     given_in_frames: tuple[Array | None, Array | None] = (None, None)
@@ -290,23 +262,12 @@ def _lift(
 
 
 def _solve_with_lifter(
-    observed: ObservedWindow,
-    vertical: Verticals,
-    lifter: Lifter,
-    models: Mapping[str, BasePoses],
-    config: Config,
+    observed: ObservedWindow, vertical: Verticals, lifter: Lifter, models: Mapping[str, BasePoses], config: Config
 ) -> tuple[str, Reconstruction]:
-    """Reconstruct with lifted poses, and again with those of the points that the lifter is told.
+    """Reconstruct with lifted poses, and again with those of points that the first solution corrects.
 
     If there are points that the first solution does not explain, they are hidden from the lifter for a second one.
     The last one has poses of points that are drawn to the solution before.
-
-    Args:
-        observed: the person's joints in F frames, lifted.
-        vertical: the vertical towards which they were turned.
-        lifter: the lifter.
-        models: base poses by name.
-        config: all parameters.
     """
     window = observed.build_solver_window()
     _, solution = _solve(window, models, config.solver)
@@ -321,11 +282,7 @@ def _solve_with_lifter(
 
 
 def _solve(window: Window, models: Mapping[str, BasePoses], config: SolverConfig) -> tuple[str, Reconstruction]:
-    """Reconstruct by the method that `solver.method` names, with the most probable of several base poses.
-
-    Returns:
-        The name of the base poses used, and the reconstruction.
-    """
+    """Reconstruct by `solver.method` with the most probable of several base poses, whose name is returned."""
     if len(models) > 1:
         choice = choose_category(window, models, config)
         if config.method == 'alternation':  # the choice compares joint solutions

@@ -19,8 +19,8 @@ from functools import lru_cache
 import numpy as np
 
 from mocap_ros.config import Config, TrackerConfig
-from mocap_ros.geometry.floor import Floor
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.level import Floor
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.keypoints.validation import describe_points_outside, describe_transposed_size
 from mocap_ros.messages.keypoints import KeypointsFrame

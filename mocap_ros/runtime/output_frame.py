@@ -9,8 +9,8 @@ import math
 
 from mocap_ros.config import Config, NodeConfig
 from mocap_ros.errors import ConfigError, InputError
-from mocap_ros.geometry.floor import Floor, is_level
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.level import Floor, is_level
 from mocap_ros.geometry.rigid_transform import RigidTransform, parse_camera_pose
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header

@@ -28,7 +28,7 @@ from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.export.joint_angles import COORDINATES, POSITIONS, compute_joint_angles
 from mocap_ros.formats.export.trc import save_trc
 from mocap_ros.formats.sequence_file import KeypointSequence
-from mocap_ros.geometry.differences import central_velocity
+from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.geometry.level import average_vertical, rotation_to_level
 from mocap_ros.geometry.rotations import multiply_quaternions, quaternion_from_rotation
 from mocap_ros.messages.camera_info import CAMERA_INFO, CameraInfo, encode_camera_info

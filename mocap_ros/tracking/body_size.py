@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 from mocap_ros.config import TrackerConfig
 from mocap_ros.copying import copy_with
 from mocap_ros.errors import ConfigError
-from mocap_ros.geometry.floor import Floor
+from mocap_ros.geometry.level import Floor
 from mocap_ros.people import HIPS, Person3D
 from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.core_motion import estimate_root_covariance

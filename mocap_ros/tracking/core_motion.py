@@ -32,10 +32,11 @@ from numba import types
 from numpy.typing import NDArray
 
 from mocap_ros.compiled.kernel import FLOAT, FLOATS_1D, FLOATS_2D, INPUT_1D, INPUT_2D, kernel
-from mocap_ros.geometry.differences import central_velocity
+from mocap_ros.geometry.interpolation import central_velocity
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.joint_std import spread_along_sight
-from mocap_ros.models.velocity_correction import SPANS_S, VelocityPast, load_velocity_correction
+from mocap_ros.models.model_file import load_velocity_correction
+from mocap_ros.models.velocity_correction import SPANS_S, VelocityPast
 from mocap_ros.people import HIPS
 from mocap_ros.skeleton import CMU15
 from mocap_ros.tracking.track import Track

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past, load_motion_predictor
+from mocap_ros.models.model_file import load_motion_predictor
+from mocap_ros.models.motion_predictor import PAST_S, Displacements, Past
 from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.tracking.body_size import ASSUMED, BodySize, find_root_covariance, resize
 from mocap_ros.tracking.core_motion import find_motion

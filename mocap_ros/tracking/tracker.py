@@ -25,15 +25,14 @@ from numpy.typing import NDArray
 from mocap_ros.compiled.kernel import compile_kernels
 from mocap_ros.config import Config, TrackerConfig
 from mocap_ros.errors import FrameDropped, InputError
-from mocap_ros.geometry.floor import Floor
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.level import Floor
 from mocap_ros.geometry.virtual_camera import solver_focal
 from mocap_ros.keypoints.left_right import BodySides, SwapFilter
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import ALL_MOTIONS, BasePoses
-from mocap_ros.models.model_file import load_prior_lifter
+from mocap_ros.models.model_file import load_prior_lifter, load_velocity_correction
 from mocap_ros.models.upward_direction import find_standing, find_upward
-from mocap_ros.models.velocity_correction import load_velocity_correction
 from mocap_ros.people import CameraVertical, Person3D, PredictedPerson
 from mocap_ros.skeleton import keypoint_layout
 from mocap_ros.solvers.joint.solver import solve

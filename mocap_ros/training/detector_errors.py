@@ -24,14 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_ros.keypoints.joint_map import build_joint_map, map_joints
-from mocap_ros.models.lifter_input import (
-    HISTORY_SLOTS_S,
-    JOINT_COUNT,
-    MAX_INTERPOLATION_GAP_S,
-    MIRROR_PERMUTATION,
-)
+from mocap_ros.models.lifter_input import HISTORY_SLOTS_S, JOINT_COUNT, MAX_INTERPOLATION_GAP_S, MIRROR_PERMUTATION
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT
-from mocap_ros.training.body_parts import FACE, FEET, HANDS, joint_indices, limb_indices
+from mocap_ros.training.postures import FACE, FEET, HANDS, joint_indices, limb_indices
 from mocap_ros.training.random_arrays import Array, RandomArrays
 
 # Confidence scores.
@@ -154,12 +149,7 @@ _SWAPPED_JOINTS = _list_swapped_joints()
 
 
 class DetectorErrors:
-    """Errors of many different detectors.
-
-    Attributes:
-        random: source of all random numbers.
-        gap_patterns: (G, T, T) interpolation matrices, as from `make_gap_patterns`.
-    """
+    """Errors of many different detectors, from one source of random numbers."""
 
     def __init__(self, random: RandomArrays) -> None:
         self.random = random
@@ -241,7 +231,6 @@ class DetectorErrors:
         return out
 
     def _draw_dim(self, depth: Array, slots: int) -> NDArray[np.bool_]:
-        """Return (N, T, J) whether a joint is dim."""
         count = len(depth)
         is_far = depth > depth[:, MIRROR_PERMUTATION]
         is_near = depth < depth[:, MIRROR_PERMUTATION]
@@ -347,9 +336,8 @@ class DetectorErrors:
         lacking[:, _MIDLINE] = rng.random((count, len(_MIDLINE))) < MISSING_MIDLINE_JOINT_SHARE
         hidden |= lacking[:, None]
         hidden |= self._is_beyond_border(image)
-        hidden[:, 0] &= ((~hidden[:, 0, :CORE_COUNT]).sum(axis=1) >= MIN_SEEN_JOINTS)[:, None] | ~is_recorded[
-            :, :1
-        ]
+        has_enough = (~hidden[:, 0, :CORE_COUNT]).sum(axis=1, keepdims=True) >= MIN_SEEN_JOINTS
+        hidden[:, 0] &= has_enough | ~is_recorded[:, :1]
         return np.asarray(hidden)
 
     def _is_beyond_border(self, image: Array) -> NDArray[np.bool_]:

@@ -38,16 +38,14 @@ BLOCK_BATCHES = 256  # batches of examples that are made at a time; 131,072 exam
 CHECKPOINT_BLOCKS = 2  # blocks between two checkpoints, some two minutes
 MAX_GRADIENT_NORM = 1.0  # 1; a batch with gross outliers cannot throw the weights off
 LIKELIHOOD_UNIT_M = 0.1  # m; converts the likelihood, a pure number, to the unit of the mean distance
-EXTREMITY_WEIGHT = (
-    0.4  # 1; of face, feet and hands in the objective, below the core's 1, which the solvers build on
-)
+EXTREMITY_WEIGHT = 0.4  # 1; of face, feet and hands in the objective; the core, on which solvers build, has 1
 MIN_SQUARED_DISTANCE = 1e-8  # squared unit of the features; keeps the gradient of the distance finite at zero
 ERROR_AVERAGE_RATE = 0.01  # 1 per step; the error in the provenance is averaged over about the last 100 steps
 # 1; the highest learning rate of a training that starts from a lifter. The usual one destroys what it has learned.
 START_FROM_RATE = 1.5e-4
 TIMED_STEPS = 3  # steps by which the precisions are compared, after one that allocates memory
 MIN_SPEED_UP = 1.25  # 1; bfloat16 rounds to three digits, so it has to be worth it
-CALIBRATION_BATCHES = 16  # batches of examples that tell mean and variance of each unit of a lifter that exists
+CALIBRATION_BATCHES = 16  # batches of examples for mean and variance of each unit of a lifter that exists
 
 
 @dataclass(frozen=True)
@@ -107,19 +105,15 @@ class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]
             x = x + b(a(x))
         return self.last(x)
 
-    def take_over(self, lifter: Lifter, features: Tensor) -> None:
-        """Take over the weights of a lifter, so that this network computes the same in evaluation mode.
+    def copy_weights(self, lifter: Lifter, features: Tensor) -> None:
+        """Copy the weights of a lifter, so that this network computes the same in evaluation mode.
 
         A lifter's batch norms are folded into its layers. They are unfolded with the mean and the variance of each
-        unit on examples. The weights are brought to the size of those of a new network, since the effect of a step
-        of the optimiser depends on it.
-
-        Args:
-            lifter: lifter with as many and as large layers as this network.
-            features: (N, FEATURE_COUNT) features of examples.
+        unit on the features (N, FEATURE_COUNT) of examples. The weights are brought to the size of those of a new
+        network, since the effect of a step of the optimiser depends on it.
 
         Raises:
-            MocapError: the lifter has other layers.
+            MocapError: the lifter has other layers than this network.
         """
         layers = [
             (torch.from_numpy(weight.T.copy()), torch.from_numpy(bias.copy())) for weight, bias in lifter.layers
@@ -128,7 +122,7 @@ class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]
         if [weight.shape for weight, _ in layers] != [linear.weight.shape for linear in own]:
             raise MocapError('the layers of the lifter to start from have other sizes than those of the network')
 
-        def take_over_unit(unit: Any, layer: tuple[Tensor, Tensor], x: Tensor) -> Tensor:
+        def copy_unit(unit: Any, layer: tuple[Tensor, Tensor], x: Tensor) -> Tensor:
             (linear, norm, *_), (weight, bias) = unit, layer
             scale = linear.weight.square().mean().sqrt() / weight.square().mean().sqrt()
             linear.weight.copy_(scale * weight)
@@ -142,10 +136,10 @@ class LifterNetwork(nn.Module):  # type: ignore[misc, unused-ignore]
 
         with torch.no_grad():
             (first, *rest), (first_layer, *rest_layers) = self.hidden, layers[:-1]
-            x = take_over_unit(first, first_layer, features)
+            x = copy_unit(first, first_layer, features)
             blocks = zip(rest[::2], rest[1::2], rest_layers[::2], rest_layers[1::2], strict=True)
             for a, b, layer_a, layer_b in blocks:
-                x = x + take_over_unit(b, layer_b, take_over_unit(a, layer_a, x))
+                x = x + copy_unit(b, layer_b, copy_unit(a, layer_a, x))
             self.last.weight.copy_(layers[-1][0])
             self.last.bias.copy_(layers[-1][1])
 
@@ -171,15 +165,9 @@ def compute_loss(out: Tensor, batch: ExampleBatch, uncertainty: float) -> tuple[
 
     a_j is 1 for the core, `EXTREMITY_WEIGHT` for other joints and 0 where the true joint is not known; means are
     over the core's joints. P_j and P*_j are the estimated and the true position, NLL_j the negative log
-    likelihood.
-    e_xy is the error of joint j in the image and e_z its error in depth. The likelihood is that of Laplace's
-    distribution in depth and of its rotationally symmetric counterpart in the image. The errors enter the
-    likelihood without gradient, so it trains the standard deviations only.
-
-    Args:
-        out: (N, OUTPUT_COUNT) outputs of the network.
-        batch: examples that the outputs belong to.
-        uncertainty: weight of the likelihood.
+    likelihood, of Laplace's distribution in depth and of its rotationally symmetric counterpart in the image. e_xy
+    is the error of joint j in the image and e_z its error in depth. The errors enter the likelihood without
+    gradient, so it trains the standard deviations only.
 
     Returns:
         The loss L in m, and the (J,) mean distance of each joint in m, of any value where it is not known.
@@ -211,7 +199,6 @@ def find_fastest_precision(settings: TrainingSettings) -> str:
 
 
 def _time_steps(settings: TrainingSettings) -> float:
-    """Return the time in s that `TIMED_STEPS` steps of the network take."""
     network, features = _make_network(settings), torch.zeros(settings.batch, FEATURE_COUNT)
     begin = 0.0
     for step in range(1 + TIMED_STEPS):
@@ -226,7 +213,6 @@ def _make_network(settings: TrainingSettings) -> LifterNetwork:
 
 
 def _evaluate(network: LifterNetwork, features: Tensor, settings: TrainingSettings) -> Tensor:
-    """Return the outputs of a network, computed in the precision of the settings."""
     with torch.autocast('cpu', torch.bfloat16, enabled=settings.precision == 'bfloat16'):
         return network(features).float()
 
@@ -331,8 +317,6 @@ class _Training:
 
     def to_checkpoint(self) -> dict[str, Any]:
         """Return the state at the end of a block, as tensors and plain values."""
-        if self._block:
-            raise ValueError('a checkpoint is taken at the end of a block')
         return {
             'step': self.step,
             'mean_error': self.mean_error,
@@ -343,9 +327,9 @@ class _Training:
         }
 
     def start_from(self, lifter: Lifter) -> None:
-        """Take over the weights of a lifter."""
+        """Begin with the weights of a lifter."""
         batches = [self._synthesiser.make_batch(self._settings.batch).features for _ in range(CALIBRATION_BATCHES)]
-        self._network.take_over(lifter, torch.from_numpy(np.concatenate(batches)))
+        self._network.copy_weights(lifter, torch.from_numpy(np.concatenate(batches)))
         self.averaged.load_state_dict(self._network.state_dict())
 
     def freeze_batch_norms(self) -> None:
@@ -355,7 +339,7 @@ class _Training:
                 layer.eval().requires_grad_(requires_grad=False)
 
     def restore(self, checkpoint: Mapping[str, Any]) -> None:
-        """Take over a state of `to_checkpoint`."""
+        """Go on from a state of `to_checkpoint`."""
         self.step, self.mean_error = checkpoint['step'], checkpoint['mean_error']
         self._network.load_state_dict(checkpoint['network'])
         self.averaged.load_state_dict(checkpoint['averaged'])
@@ -374,12 +358,12 @@ class _Training:
 
 
 def _rate_factor(step: int, steps: int) -> float:
-    """Return the learning rate of step 1, 2, ..., `steps` as a share of the highest one."""
+    """Return the learning rate of step 1, 2, ... as a share of the highest one."""
     return min(1.0, step / max(WARM_UP_SHARE * steps, 1), (steps + 1 - step) / max(DECAY_SHARE * steps, 1))
 
 
 def _update_average(averaged: LifterNetwork, network: LifterNetwork, decay: float) -> None:
-    """Move the weights of `averaged` towards those of `network`: average = decay average + (1 - decay) weights."""
+    """Move the averaged weights towards those of the network: average = decay average + (1 - decay) weights."""
     with torch.no_grad():
         states = zip(averaged.state_dict().values(), network.state_dict().values(), strict=True)
         for average, current in states:

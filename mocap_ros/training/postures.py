@@ -1,12 +1,13 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Postures that motion capture hardly holds: bent over, crouching, kneeling, sitting on the heels, on all fours.
+"""Parts of bodies, and postures that motion capture hardly holds.
 
     trunk: R_y(p)      thigh: (cos d sin a, +-sin d, -cos d cos a)      shank: the same with b and -d / 2
 
-p, a, b and d are angles in the body frame (x forward, y left, z up): p leans forward, a and b are 0 where the limb
-hangs down and positive where its end is in front, d spreads the knees. They change slowly over the history. A
+People bend over, crouch, kneel, sit on the heels and go on all fours. p, a, b and d are angles in the body frame
+(x forward, y left, z up): p leans forward, a and b are 0 where the limb hangs down and positive where its end is
+in front, d spreads the knees. They change slowly over the history. A
 posture replaces the directions of the legs, and on all fours of the arms and hands; trunk and head lean as a
 whole, and the feet turn about the axis y.
 """
@@ -18,22 +19,55 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_ros.models.lifter_input import HISTORY_SLOTS_S
-from mocap_ros.training.body_parts import FACE, FEET, HANDS, joint_indices
+from mocap_ros.skeleton import BODY26
 from mocap_ros.training.random_arrays import Array, RandomArrays
 
 Range = tuple[float, float]
 
+FACE = ('nose', 'leye', 'reye', 'lear', 'rear')
+FEET = ('ltoe', 'rtoe', 'lheel', 'rheel')
+HANDS = ('lhand', 'rhand')
+
+# Joints that move with a limb; the joint at which the limb begins is not among them.
+LIMBS = {
+    'larm': ('lelbow', 'lwrist', 'lhand'),
+    'rarm': ('relbow', 'rwrist', 'rhand'),
+    'lleg': ('lknee', 'lankle', 'ltoe', 'lheel'),
+    'rleg': ('rknee', 'rankle', 'rtoe', 'rheel'),
+    'lforearm': ('lwrist', 'lhand'),
+    'rforearm': ('rwrist', 'rhand'),
+    'lshank': ('lankle', 'ltoe', 'lheel'),
+    'rshank': ('rankle', 'rtoe', 'rheel'),
+    'lfoot': ('ltoe', 'lheel'),
+    'rfoot': ('rtoe', 'rheel'),
+    'lhand': ('lhand',),
+    'rhand': ('rhand',),
+    'head': ('head', *FACE),
+}
+
+
+def joint_indices(*names: str) -> list[int]:
+    """Return the indices of joints in `skeleton.BODY26`."""
+    return [BODY26.index(n) for n in names]
+
+
+def limb_indices(name: str) -> list[int]:
+    """Return the indices of the joints of a limb of `LIMBS`, or of both `arms` or both `legs`."""
+    if name in ('legs', 'arms'):
+        return limb_indices('l' + name[:-1]) + limb_indices('r' + name[:-1])
+    return joint_indices(*LIMBS[name])
+
 
 @dataclass(frozen=True)
 class _Posture:
-    """One kind of posture.
+    """One kind of posture, with its share of the examples and ranges of angles in degrees.
 
     Attributes:
         share: share of the examples.
-        trunk: degrees, range of the trunk's lean p.
-        thigh: degrees, range of the angle a.
-        shank: degrees, range of the angle b.
-        foot: degrees, range of the angle by which the foot is turned toes downwards from how it stood.
+        trunk: the trunk's lean p.
+        thigh: the angle a.
+        shank: the angle b.
+        foot: by which the foot is turned toes downwards from how it stood.
         on_hands: whether the arms support the body.
     """
 
@@ -46,20 +80,21 @@ class _Posture:
 
 
 POSTURES = (
-    _Posture(
-        0.02, trunk=(35, 110), thigh=(-20, 30), shank=(-35, 5), foot=(-15, 20)
-    ),  # bent over, knees nearly straight
-    _Posture(0.02, trunk=(0, 70), thigh=(50, 125), shank=(-55, 5), foot=(-15, 50)),  # crouching
-    _Posture(0.02, trunk=(-10, 35), thigh=(-20, 30), shank=(-105, -70), foot=(60, 190)),  # kneeling upright
-    _Posture(0.015, trunk=(-10, 50), thigh=(55, 100), shank=(-110, -75), foot=(80, 190)),  # sitting on the heels
-    _Posture(
-        0.015, trunk=(55, 105), thigh=(-25, 35), shank=(-110, -70), foot=(60, 190), on_hands=True
-    ),  # on all fours
+    # bent over, knees nearly straight
+    _Posture(0.02, trunk=(35, 110), thigh=(-20, 30), shank=(-35, 5), foot=(-15, 20)),
+    # crouching
+    _Posture(0.02, trunk=(0, 70), thigh=(50, 125), shank=(-55, 5), foot=(-15, 50)),
+    # kneeling upright
+    _Posture(0.02, trunk=(-10, 35), thigh=(-20, 30), shank=(-105, -70), foot=(60, 190)),
+    # sitting on the heels
+    _Posture(0.015, trunk=(-10, 50), thigh=(55, 100), shank=(-110, -75), foot=(80, 190)),
+    # on all fours
+    _Posture(0.015, trunk=(55, 105), thigh=(-25, 35), shank=(-110, -70), foot=(60, 190), on_hands=True),
 )
 SIDE_STD_RAD = 0.2  # rad, standard deviation of each component by which the two sides differ
 SPREAD_RANGE_RAD = (-0.1, 0.5)  # rad, by which knees are apart
 HANGING_ARMS_SHARE = 0.5  # share of the others whose arms keep their directions instead of leaning with the trunk
-FLAT_HAND_RAD = 1.4  # rad, from the forearm of somebody on all fours to the hand, which lies flat on the floor
+FLAT_HAND_RAD = 1.4  # rad, from the forearm of a person on all fours to the hand, which lies flat on the floor
 MOVING_SHARE = 0.5  # share of the examples that move into or out of the posture
 RATE_STD_RAD_S = 0.5  # rad/s, standard deviation of the rate of each angle in these
 

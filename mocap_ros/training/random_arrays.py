@@ -15,11 +15,7 @@ Array = NDArray[np.float32]
 
 
 class RandomArrays:
-    """Random numbers from a seed; the same seed and calls give the same numbers.
-
-    Attributes:
-        rng: generator that all methods draw from.
-    """
+    """Random numbers from a seed; the same seed and calls give the same numbers."""
 
     def __init__(self, seed: int) -> None:
         self.rng = np.random.Generator(np.random.SFC64(seed))
@@ -30,15 +26,12 @@ class RandomArrays:
         return {**state, 'state': {name: value.tolist() for name, value in state['state'].items()}}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over a state of `to_state`."""
+        """Go on from a state of `to_state`."""
         words = {name: np.array(value, np.uint64) for name, value in state['state'].items()}
         self.rng.bit_generator.state = {**state, 'state': words}
 
     def chance(self, count: int, share: float, *, axes: int = 0) -> NDArray[np.bool_]:
-        """Return an array that is true for a random share of `count` examples.
-
-        The shape is (count, 1, ...) with `axes` axes of length 1 for broadcasting.
-        """
+        """Return an array (count, 1, ...) with `axes` axes of length 1, true for a random share of examples."""
         return (self.rng.random(count) < share).reshape(count, *(1,) * axes)
 
     def choose(self, count: int, share: float, value: float, otherwise: float, *, axes: int = 0) -> Array:

@@ -28,10 +28,9 @@ from mocap_ros.models.lifter_input import (
     weigh_vertical,
 )
 from mocap_ros.skeleton import BODY26, CORE_COUNT
-from mocap_ros.training.body_parts import FACE, LIMBS, joint_indices, limb_indices
 from mocap_ros.training.detector_errors import DetectorErrors
 from mocap_ros.training.motion_library import FPS, MotionLibrary
-from mocap_ros.training.postures import take_postures
+from mocap_ros.training.postures import FACE, LIMBS, joint_indices, limb_indices, take_postures
 from mocap_ros.training.random_arrays import Array, RandomArrays
 
 Array64 = NDArray[np.float64]
@@ -41,12 +40,7 @@ MIRRORED_SHARE = 0.5  # share; people are left- and right-handed alike
 BONE_LENGTH_STD = 0.07  # 1, standard deviation of the factor on each bone length; adults differ in proportion
 MAX_BONE_LENGTH_DEVIATIONS = 2.5  # standard deviations; bounds the factor to 0.83 and 1.18
 MIN_BONE_LENGTH_M = 1e-6  # m; guards divisions by the length of bones that a trial lacks
-BORROWED_LIMB_SHARES = {
-    'arms': 0.25,
-    'larm': 0.12,
-    'lleg': 0.04,
-    'legs': 0.12,
-}  # share with another example's limb
+BORROWED_LIMB_SHARES = {'arms': 0.25, 'larm': 0.12, 'lleg': 0.04, 'legs': 0.12}  # with another example's limb
 ROTATED_LIMB_SHARE = 0.25  # share, for each limb; the limb is held differently for the whole example
 LIMB_ROTATION_STD_RAD = 0.25  # rad, standard deviation of each component of the limb's rotation
 TILTED_SHARE = 0.06  # share of strongly tilted bodies, as in falls and acrobatics, which the library lacks
@@ -86,8 +80,8 @@ COMMON_ELEVATION_DEG = (12, 14)  # degrees, mean and standard deviation of the e
 ELEVATION_RANGE_DEG = (-20, 45)  # degrees in the others; from a camera on the floor to one under the ceiling
 ROLL_STD_DEG = 7  # degrees, standard deviation; hand-held cameras and cameras that are not levelled
 
-# What the lifter is told of the vertical.
-KNOWN_VERTICAL_SHARE = 0.5  # share of the examples in which it is told
+# What the lifter gets of the vertical.
+KNOWN_VERTICAL_SHARE = 0.5  # share of the examples in which it is known
 VERTICAL_STD_RANGE_RAD = (0.008, 0.25)  # rad, by how much it is off, log-uniform; 0.5 to 14 degrees
 
 # Projection.
@@ -114,8 +108,8 @@ class ExampleBatch:
     """N training examples.
 
     Attributes:
-        features: (N, FEATURE_COUNT) features of the network, as from `lifter.encode_features`.
-        newest: (N, J, 2) newest image points, as from `lifter.encode_features`.
+        features: (N, FEATURE_COUNT) features of the network, as this and the next from `encode_features`.
+        newest: (N, J, 2) newest image points.
         target: (N, J, 3) true pose relative to the mean of its core, in the unit of the features.
         size: (N,) m, the unit of the features.
         is_known: (N, J) whether the true joint is known.
@@ -129,14 +123,7 @@ class ExampleBatch:
 
 
 class ExampleSynthesiser:
-    """An endless stream of training examples; the same library and seed give the same examples.
-
-    Attributes:
-        library: motion that examples are drawn from.
-        random: source of all random numbers.
-        errors: simulated detector.
-        joints_from_bones: (J, J) matrix that adds up bone vectors to joint positions.
-    """
+    """An endless stream of training examples; the same library and seed give the same examples."""
 
     def __init__(self, library: MotionLibrary, seed: int) -> None:
         self.library = library
@@ -251,12 +238,12 @@ class ExampleSynthesiser:
         return np.asarray(rotation @ _axis_rotations(2, heading))
 
     def _draw_verticals(self, rotation: Array) -> Array64:
-        """Return what the lifter is told of the vertical (N, 3); rotations (N, 3, 3) from body to camera."""
+        """Return what the lifter gets of the vertical (N, 3); rotations (N, 3, 3) from body to camera."""
         count = len(rotation)
         std = np.exp(self.random.uniform(*np.log(VERTICAL_STD_RANGE_RAD), count, 1))
         wrong = _normalise(rotation[:, :, 2] + std.astype(np.float32) * self.random.normal(count, 3))
-        is_told = self.random.chance(count, KNOWN_VERTICAL_SHARE)
-        return weigh_vertical(wrong.astype(float), np.where(is_told, std[:, 0], np.inf))
+        is_given = self.random.chance(count, KNOWN_VERTICAL_SHARE)
+        return weigh_vertical(wrong.astype(float), np.where(is_given, std[:, 0], np.inf))
 
     def _project(self, points: Array) -> tuple[Array, Array64]:
         """Project points (N, T, J, 3) in m, in the camera's axes, by random perspective or orthographic cameras.
@@ -304,7 +291,6 @@ def _find_trunks(points: Array) -> Array:
 
 
 def _normalise(vectors: Array) -> Array:
-    """Return vectors (..., 3) at unit length."""
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-6))
 
 

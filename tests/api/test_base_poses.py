@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import mocap_ros
-from mocap_ros.training.base_poses import fit_base_poses
+from mocap_ros.training.fit_base_poses import fit_base_poses
 
 
 @pytest.fixture(scope='module')

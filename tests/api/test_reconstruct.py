@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import mocap_ros
-from mocap_ros.offline.keyframes import reconstruct as keyframes
+from mocap_ros.offline.keyframes import keyframe_method
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 
 MATRIX = np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]])
@@ -37,7 +37,7 @@ def test_the_result_is_that_of_the_solver(sequence: mocap_ros.KeypointSequence, 
     if method == 'whole':
         expected = reconstruct_sequence(*observations, models, config)
     else:
-        expected = keyframes.reconstruct(*observations, models, config).result
+        expected = keyframe_method.reconstruct(*observations, models, config).result
     given = {**arguments_of(sequence), 'parameters': None, 'model': 'walk', 'method': method}
     result = mocap_ros.reconstruct(**given)
     joints = 15 if method == 'keyframes' else 26

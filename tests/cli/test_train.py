@@ -16,7 +16,7 @@ from mocap_ros.formats.bvh import save_bvh
 from mocap_ros.formats.export.armature import build_armature
 from mocap_ros.formats.mocap.joint_maps import map_to_model
 from mocap_ros.models.model_file import load_base_poses
-from mocap_ros.training.base_poses import fit_base_poses
+from mocap_ros.training.fit_base_poses import fit_base_poses
 from tests.support.evaluation_data import shared
 from tests.support.motion_files import Z_UP_TO_Y_UP, make_poses
 

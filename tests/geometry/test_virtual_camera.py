@@ -80,26 +80,6 @@ def test_rays_behind_the_rotated_camera_are_finite_and_far_outside_the_image() -
     assert ahead == pytest.approx([0, 0], abs=1e-12)
 
 
-def test_many_groups_of_rays_are_rotated_each_by_its_rotation(rng: np.random.Generator) -> None:
-    rays = rng.normal(0, 2, (4, 3, 15, 2))
-    rotation = Rotation.random(4, random_state=0).as_matrix().reshape(4, 1, 3, 3)
-    found = rotate_rays(rays, rotation)
-    for n, t, j in np.ndindex(4, 3, 15):
-        turned = rotation[n, 0] @ [*rays[n, t, j], 1]
-        assert found[n, t, j] == pytest.approx(turned[:2] / max(turned[2], MIN_RAY_DEPTH), rel=1e-12)
-    np.testing.assert_array_equal(rotate_rays(rays[2], rotation[2, 0]), found[2])
-
-
-def test_joints_that_are_not_seen_are_nowhere_in_the_image(rng: np.random.Generator) -> None:
-    joints, weight, times = make_people(AT_EDGE_M)
-    weight[rng.random(weight.shape) < 0.3] = 0
-    view = VirtualCamera.look_at_person(to_rays(joints), weight, times, SMOOTHING_S, CAMERA)
-    for camera in (view, VirtualCamera(view.rotation[2], CAMERA)):
-        image = camera.view_rays(to_rays(joints), weight, 500.0)
-        expected = 500.0 * rotate_rays(to_rays(joints), camera.rotation)
-        assert image == pytest.approx(np.where(weight[..., None] > 0, expected, 0), abs=1e-12)
-
-
 @pytest.mark.parametrize('place', [np.array([0.0, 0.0, 5.0]), AT_EDGE_M, AT_EDGE_M * [-1, -1, 1]])
 def test_positions_and_rotations_come_back_to_the_real_camera(place: Array) -> None:
     joints, weight, times = make_people(place)
@@ -115,22 +95,6 @@ def test_positions_and_rotations_come_back_to_the_real_camera(place: Array) -> N
     assert view.root_positions(cameras, image[:, 0]) == pytest.approx(pelvis[:, 0], abs=1e-9)
     assert view.to_real_camera(seen_pelvis) == pytest.approx(pelvis, abs=1e-12)
     assert view.body_rotations(cameras) == pytest.approx(body, abs=1e-12)
-
-
-def test_one_camera_for_all_frames_is_used_for_each() -> None:
-    joints, weight, times = make_people(AT_EDGE_M)
-    views = VirtualCamera.look_at_person(to_rays(joints), weight, times, SMOOTHING_S, CAMERA)
-    fixed = VirtualCamera(views.rotation[2], CAMERA)
-    cameras = WeakPerspectiveCameras(np.full(FRAMES, 120.0), np.tile(np.eye(3), (FRAMES, 1, 1)))
-    translation = np.full((FRAMES, 2), 3.0)
-    for found, expected in (
-        (rotate_rays(to_rays(joints), fixed.rotation), rotate_rays(to_rays(joints), views.rotation)),
-        (fixed.root_positions(cameras, translation), views.root_positions(cameras, translation)),
-        (fixed.to_real_camera(joints), views.to_real_camera(joints)),
-        (fixed.body_rotations(cameras), views.body_rotations(cameras)),
-    ):
-        assert found.shape == expected.shape
-        assert found[2] == pytest.approx(expected[2], abs=1e-12)
 
 
 def test_a_person_at_the_edge_of_the_image_looks_as_in_the_middle() -> None:
@@ -149,21 +113,6 @@ def test_a_person_at_the_edge_of_the_image_looks_as_in_the_middle() -> None:
     assert at_edge == pytest.approx(in_middle, abs=1e-12)
     offset_px = CAMERA.focal * (to_rays(joints @ to_edge.T) - in_middle)
     assert np.abs(offset_px).max() > 300, 'px; unlike the real image'
-
-
-def test_the_seen_joints_of_near_frames_give_the_direction() -> None:
-    times = np.array([0.0, 0.1, 0.4])
-    rays = np.zeros((3, 2, 2))
-    rays[:, 0, 0] = 0.1, 0.3, 0.6
-    rays[:, 1] = 1e6  # where the weight is 0
-    weight = np.array([[0.5, 0.0], [1.0, 0.0], [0.0, 0.0]])
-    view = VirtualCamera.look_at_person(rays, weight, times, 0.2, CAMERA)
-    near = math.exp(-0.5)  # of frames one standard deviation, half of the smoothing, apart
-    expected = [(0.1 + near * 0.3) / (1 + near), (0.3 + near * 0.1) / (1 + near)]
-    far = [math.exp(-0.5 * n**2) + 1e-12 for n in (4, 3)]
-    expected.append((far[0] * 0.1 + far[1] * 0.3) / sum(far))
-    optical_axis = view.to_real_camera(np.tile([0.0, 0.0, 1.0], (3, 1, 1)))
-    assert to_rays(optical_axis)[:, 0] == pytest.approx(np.array([[x, 0] for x in expected]), abs=1e-9)
 
 
 def test_the_direction_of_a_long_sequence_is_that_of_all_frames_at_once(rng: np.random.Generator) -> None:
@@ -188,13 +137,6 @@ def test_one_camera_looks_at_the_mean_of_all_frames() -> None:
     assert view.rotation.shape == (3, 3)
     optical_axis = to_rays(view.to_real_camera(np.array([[0.0, 0.0, 1.0]])))
     assert optical_axis[0] == pytest.approx([(0.1 + 0.5 * 0.3 + 0.5 * 0.6) / 2, 0.5 * 0.3 / 2])
-
-
-def test_the_joints_of_a_frame_count_by_their_scores() -> None:
-    rays = np.array([[[0.1, 0.0], [0.4, 0.2]]])
-    view = VirtualCamera.look_at_person(rays, np.array([[0.9, 0.3]]), np.zeros(1), SMOOTHING_S, CAMERA)
-    optical_axis = to_rays(view.to_real_camera(np.array([[[0.0, 0.0, 1.0]]])))
-    assert optical_axis[0, 0] == pytest.approx(0.75 * rays[0, 0] + 0.25 * rays[0, 1])
 
 
 def test_without_any_seen_joint_the_camera_is_the_real_one() -> None:

@@ -8,14 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mocap_ros.errors import SkeletonError
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.keypoints.extremities import (
-    convert_body_to_rays,
-    exchange_body_sides,
-    join_body,
-    split_body,
-)
+from mocap_ros.keypoints.extremities import convert_body_to_rays, exchange_body_sides, join_body, split_body
 from mocap_ros.keypoints.left_right import PARTS
 from mocap_ros.skeleton import BODY26, CORE_COUNT, EXTREMITY_COUNT, keypoint_layout
 
@@ -77,12 +71,6 @@ def test_detectors_name_feet_and_hands_differently(
     if hand is not None:
         middle = (points[names.index(hand[0])] + points[names.index(hand[1])]) / 2
         assert rays['lhand'] == pytest.approx((middle - [320, 240]) / 500)
-
-
-def test_a_face_alone_is_no_body() -> None:
-    names = ('nose', 'leye', 'reye', 'lear', 'rear')
-    with pytest.raises(SkeletonError, match='fewer than four joints of the body'):
-        convert_body_to_rays(np.zeros((5, 2)), np.ones(5), names, CAMERA, 0.1)
 
 
 @pytest.mark.parametrize(

@@ -48,9 +48,3 @@ def test_the_smallest_common_size_that_holds_the_seen_keypoints_is_assumed(
     point: tuple[float, float], size: tuple[int, int]
 ) -> None:
     assert resolve_image_size(keypoints=make_keypoints(point)) == size
-
-
-def test_one_outlier_in_hundreds_does_not_enlarge_the_assumed_image() -> None:
-    points = [(10.0, 10.0)] * 300
-    assert resolve_image_size(keypoints=make_keypoints(*points, (5000, 10))) == (640, 480)
-    assert resolve_image_size(keypoints=make_keypoints()) == (640, 480)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mocap_ros.errors import SkeletonError
-from mocap_ros.keypoints.joint_map import build_joint_map, map_to_model_joints
+from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.skeleton import CMU15, LAYOUT_NAMES, keypoint_layout
 
 
@@ -42,15 +42,6 @@ def test_missing_joints_are_derived_in_order_of_precision() -> None:
     assert mapped_score[CMU15.index('neck')] == 0
 
 
-def test_a_keypoint_whose_score_reaches_the_least_counts_as_seen() -> None:
-    names = CMU15.joints
-    score = np.where(np.arange(15) % 2, 0.3, 0.3 - 1e-9)
-    points, weight = map_to_model_joints(np.full((15, 2), 7.0), score, names, min_score=0.3)
-    is_seen = np.arange(15) % 2 == 1
-    assert weight.tolist() == np.where(is_seen, 0.3, 0.0).tolist()
-    assert points.tolist() == [[7.0 * seen] * 2 for seen in is_seen]
-
-
 def test_too_few_or_repeated_joints_are_refused() -> None:
     with pytest.raises(SkeletonError, match=r'fewer than four .*; known: head, neck, lshoulder, .*nose'):
         build_joint_map(('nose', 'lear', 'rear'))
@@ -81,18 +72,3 @@ def test_joints_of_mediapipe_are_moved_to_where_motion_capture_has_them() -> Non
     mapped, mapped_score = joint_map.apply(points, score)
     assert mapped[CMU15.index('lankle')] == pytest.approx(points[at['lankle']]), 'without the trunk as it is'
     assert mapped_score[CMU15.index('lankle')] == 0.9
-
-
-def test_the_corrections_of_mediapipe_are_mirror_images_and_of_no_other_layout() -> None:
-    joints = keypoint_layout('mediapipe33').joints
-    points = np.random.default_rng(0).normal(size=(len(joints), 2))
-    joint_map, score = build_joint_map(joints), np.ones(len(joints))
-    swap = {'l': 'r', 'r': 'l'}
-    names = [swap.get(n[0], n[0]) + n[1:] for n in joints]
-    twins = [joints.index(n) if n in joints else i for i, n in enumerate(names)]
-    mapped, _ = joint_map.apply(points, score)
-    mirrored, _ = joint_map.apply(points[twins] * [-1, 1], score)
-    assert mirrored == pytest.approx(mapped[list(CMU15.mirror)] * [-1, 1])
-    limbs = keypoint_layout('coco17').joints
-    same, _ = build_joint_map(limbs).apply(points[: len(limbs)], np.ones(len(limbs)))
-    assert same[CMU15.index('lankle')] == pytest.approx(points[limbs.index('lankle')])

@@ -13,7 +13,6 @@ from mocap_ros.keypoints.left_right import (
     ATTACHMENT_TIME_S,
     CONFUSION_COST,
     ENTER_PROBABILITY,
-    INITIAL_COST,
     LEAVE_PROBABILITY,
     MAX_VELOCITY_GAP_S,
     MIN_STEP_S,
@@ -86,10 +85,6 @@ def test_every_joint_that_has_a_counterpart_belongs_to_a_part() -> None:
     assert (part['nose'], part['lear'], part['rheel'], part['lfoot_index'], part['lindex']) == (-1, 0, 1, 1, 2)
 
 
-def test_a_correct_sequence_has_no_swap(walk: np.ndarray) -> None:
-    assert not find_swapped_parts(TIMES, walk, SEEN, SIDES).any()
-
-
 @pytest.mark.parametrize('parts', [WHOLE, LEGS, ARMS])
 @pytest.mark.parametrize(('first', 'last'), [(20, 20), (30, 34), (50, 52), (86, 89)])
 def test_an_injected_swap_is_found_in_its_parts(
@@ -116,15 +111,6 @@ def test_undoing_the_found_swaps_restores_the_points(walk: np.ndarray) -> None:
     np.testing.assert_array_equal(weight, SEEN)
 
 
-def test_hidden_joints_and_empty_frames_do_not_hide_a_swap(walk: np.ndarray) -> None:
-    weight = SEEN.copy()
-    weight[:, [3, 4]] = 0
-    weight[25] = 0
-    is_swapped = swap_frames(np.array([40, 41, 42]))
-    found = find_swapped_parts(TIMES, swap(walk, is_swapped), swap(weight, is_swapped), SIDES)
-    np.testing.assert_array_equal(found, is_swapped)
-
-
 @pytest.mark.parametrize('seen', [0, 2])
 def test_frames_that_tell_nothing_are_not_swapped(walk: np.ndarray, seen: int) -> None:
     """Frames with all points in one place or without any change nothing around them."""
@@ -135,15 +121,6 @@ def test_frames_that_tell_nothing_are_not_swapped(walk: np.ndarray, seen: int) -
     found = find_swapped_parts(TIMES, swap(points, is_swapped), weight, SIDES)
     np.testing.assert_array_equal(found, is_swapped)
     assert not find_swapped_parts(TIMES, points, np.zeros_like(SEEN), SIDES).any()
-
-
-def test_a_swapped_first_frame_is_corrected_by_later_frames(walk: np.ndarray) -> None:
-    is_swapped = swap_frames(np.array([0, 1]))
-    disturbed = swap(walk, is_swapped)
-    first = run_filter(SwapFilter(SIDES), disturbed[:1])
-    assert first.is_swapped.tolist() == [[False] * 3]
-    found = run_filter(SwapFilter(SIDES), disturbed).is_swapped
-    np.testing.assert_array_equal(found, is_swapped)
 
 
 def test_the_filter_decides_as_the_whole_sequence_does(walk: np.ndarray, rng: np.random.Generator) -> None:
@@ -169,17 +146,6 @@ def test_somebody_seen_from_the_side_is_not_swapped(rng: np.random.Generator) ->
     points = middle + rng.normal(0, 2.0, (FRAMES, 15, 2))
     assert not run_filter(SwapFilter(SIDES), points).is_swapped.any()
     assert not any(run_filter(SwapFilter(SIDES), points[:n]).is_swapped[-1].any() for n in range(1, FRAMES))
-
-
-def test_one_misplaced_pair_of_joints_does_not_decide() -> None:
-    """The wrists are seen in each other's place, which is no swap of the arms: the elbows stay in place."""
-    body = np.stack([np.zeros(15), np.linspace(0, 200, 15)], axis=1)
-    for joint, point in {'shoulder': (20, 40), 'elbow': (25, 80), 'wrist': (60, 100), 'hip': (12, 110)}.items():
-        body[CMU15.index('l' + joint)], body[CMU15.index('r' + joint)] = point, (-point[0], point[1])
-    points = np.repeat(body[None], FRAMES, axis=0)
-    points[40:43, CMU15.index('lwrist')] = body[CMU15.index('rwrist')]
-    points[40:43, CMU15.index('rwrist')] = body[CMU15.index('lwrist')]
-    assert not any(run_filter(SwapFilter(SIDES), points[:n]).is_swapped.any() for n in range(40, 60))
 
 
 def test_a_disabled_filter_believes_the_detector(walk: np.ndarray) -> None:
@@ -271,15 +237,6 @@ def test_the_compiled_steps_are_those_of_the_formulas(walk: np.ndarray, rng: np.
     assert len(predecessors) > 16, 'many kinds of steps were compared'
 
 
-def test_the_first_frame_costs_what_is_known_before(walk: np.ndarray) -> None:
-    paths = SwapFilter(SIDES).update(0.0, walk[0], SEEN[0], 60.0).paths
-    assert paths is not None
-    attachment = compute_attachment_cost(walk[0], SEEN[0], 60.0, SIDES.mirror, SIDES.upper, SIDES.lower)
-    expected = [sum((INITIAL_COST + attachment)[b] for b in range(3) if state >> b & 1) for state in range(8)]
-    assert paths.cost == pytest.approx(np.array(expected))
-    assert paths.points[1] == pytest.approx(walk[0][SIDES.mirror])
-
-
 def test_exchanged_lower_joints_cost_by_how_much_their_lines_get_longer() -> None:
     joints = {
         'lshoulder': (10.0, 0.0),
@@ -297,36 +254,6 @@ def test_exchanged_lower_joints_cost_by_how_much_their_lines_get_longer() -> Non
     assert cost == pytest.approx([0, ATTACHMENT_COST * np.tanh(longer / 30 / ATTACHMENT_SCALE), 0])
     weight[CMU15.index('rhip')] = 0
     assert not compute_attachment_cost(points, weight, 30.0, SIDES.mirror, SIDES.upper, SIDES.lower).any()
-
-
-def test_velocities_are_smoothed_and_forgotten_after_a_gap() -> None:
-    speed = np.array([300.0, -120.0])  # px/s
-    image = np.stack([np.linspace(0, 50, 15), np.linspace(0, 200, 15)], axis=1)
-
-    def move(swap_filter: SwapFilter, time_s: float) -> SwapFilter:
-        return swap_filter.update(time_s, image + speed * time_s, np.ones(15), 60.0)
-
-    swap_filter, share = move(SwapFilter(SIDES), 0.0), 0.0
-    for frame in range(1, 4):
-        swap_filter = move(swap_filter, frame / 30)
-        share += (1 - np.exp(-1 / 30 / VELOCITY_TIME_S)) * (1 - share)
-        assert swap_filter.paths is not None
-        assert swap_filter.paths.velocity[0] == pytest.approx(np.broadcast_to(share * speed, (15, 2)))
-    after_short_gap, after_long_gap = (
-        move(swap_filter, 0.1 + gap_s).paths for gap_s in (0.9 * MAX_VELOCITY_GAP_S, 1.1 * MAX_VELOCITY_GAP_S)
-    )
-    assert after_short_gap is not None
-    assert after_long_gap is not None
-    assert after_short_gap.velocity[0, 0] == pytest.approx(speed, rel=0.04)
-    assert not after_long_gap.velocity.any()
-
-
-def test_sides_are_exchanged_in_the_chosen_parts_only(walk: np.ndarray, rng: np.random.Generator) -> None:
-    is_swapped, weight = rng.random((FRAMES, 3)) < 0.3, rng.random(SEEN.shape)
-    points, exchanged = exchange_sides(walk, weight, is_swapped, SIDES)
-    np.testing.assert_array_equal(points, swap(walk, is_swapped))
-    np.testing.assert_array_equal(exchanged, swap(weight, is_swapped))
-    assert exchange_sides(walk, weight, np.zeros((FRAMES, 3), bool), SIDES) == (walk, weight)
 
 
 def test_transition_probabilities_are_those_of_three_independent_chains() -> None:

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -96,14 +94,3 @@ def test_a_point_that_no_camera_shows_counts_as_not_seen(rng: np.random.Generato
     assert weight[near] == 1
     assert not rays[far].any()
     assert weight[far] == 0
-
-
-def test_one_person_and_other_numbers_than_float64(rng: np.random.Generator) -> None:
-    camera = Intrinsics(640.0, (310.0, 250.0), True)
-    points: Any = rng.uniform(0, 640, (17, 2)).astype(np.float32)
-    score: Any = np.ones(17, int)
-    rays, weight = convert_to_rays(points, score, NAMES, camera, MIN_SCORE)
-    expected, _ = convert_to_rays(points.astype(float), np.ones(17), NAMES, camera, MIN_SCORE)
-    assert rays.shape == (15, 2)
-    assert weight.max() == 1
-    np.testing.assert_array_equal(rays, expected)

@@ -21,7 +21,7 @@ from mocap_ros.geometry import rotations
 from mocap_ros.geometry.rotations import rotation_from_vector
 from mocap_ros.models import base_poses, model_file
 from mocap_ros.skeleton import CMU15
-from mocap_ros.training.base_poses import fit_base_poses, scale_bones
+from mocap_ros.training.fit_base_poses import fit_base_poses
 
 
 def make_poses(rng: np.random.Generator, model: base_poses.BasePoses, k: int = 3) -> base_poses.Array:
@@ -44,30 +44,6 @@ def test_fit_spans_the_poses_it_was_trained_on(
     assert flat @ flat.T == pytest.approx(np.eye(len(flat)), abs=1e-9)
     assert (np.diff(model.std) <= 0).all()
     assert model.explained[2] > 0.99
-
-
-def test_heading_alignment_does_not_depend_on_the_walking_direction(
-    rng: np.random.Generator, walk_model: base_poses.BasePoses
-) -> None:
-    poses = make_poses(rng, walk_model)
-    turned = poses @ rotation_from_vector(np.array([0, 0, 2.0])).T
-    a, b = (fit_base_poses([p], alignment='heading') for p in (poses, turned))
-    assert a.mean == pytest.approx(b.mean, abs=1e-5)
-    assert a.components[:3] == pytest.approx(b.components[:3], abs=1e-4)
-
-
-def test_stature_and_bone_lengths(walk_model: base_poses.BasePoses) -> None:
-    assert 1.5 < walk_model.stature < 1.85
-    assert walk_model.rescale(0.5).stature == pytest.approx(walk_model.stature / 2)
-    longer = scale_bones(walk_model.mean, CMU15, np.full(14, 1.1))
-    assert longer - longer[8] == pytest.approx(1.1 * (walk_model.mean - walk_model.mean[8]))
-
-
-def test_mirrored_training_gives_a_symmetric_mean(
-    rng: np.random.Generator, walk_model: base_poses.BasePoses
-) -> None:
-    model = fit_base_poses([make_poses(rng, walk_model)], alignment='heading', mirror=True)
-    assert model.mean == pytest.approx(base_poses.mirror_poses(model.mean, CMU15), abs=2e-3)
 
 
 def test_save_and_load(tmp_path: Path, walk_model: base_poses.BasePoses) -> None:

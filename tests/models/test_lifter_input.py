@@ -48,32 +48,6 @@ def test_histories_agree_with_the_formula(rng: np.random.Generator, rate_hz: flo
     assert (weight > 0).any()
 
 
-@pytest.mark.parametrize('step_s', [0.001, 0.003, 1 / 250])
-def test_the_newest_slot_is_the_newest_frame_however_soon_it_follows(step_s: float) -> None:
-    times = np.array([0.0, 0.033, 0.033 + step_s])
-    points = np.zeros((3, JOINT_COUNT, 2)) + np.arange(3.0)[:, None, None]
-    weight = np.ones((3, JOINT_COUNT)) * [[1.0], [0.0], [0.9]]  # the frame shortly before it shows nobody
-    found, seen = sample_histories(points, weight, times, np.array([2]))
-    np.testing.assert_array_equal(found[0, 0], points[2])
-    np.testing.assert_array_equal(seen[0, 0], weight[2])
-
-
-def test_histories_interpolate_short_gaps_only(rng: np.random.Generator) -> None:
-    times = np.sort(rng.uniform(0, 1, 40))
-    times = times[np.diff(times, prepend=-1) > 0.006]
-    times = times[(times < 0.3) | (times > 0.55)]
-    points = np.broadcast_to(times[:, None, None], (len(times), JOINT_COUNT, 2)) * 100
-    weight = np.ones((len(times), JOINT_COUNT))
-    found, seen = sample_histories(points, weight, times, np.array([len(times) - 1]))
-    wanted = times[-1] - HISTORY_SLOTS_S
-    known = seen[0, :, 0] > 0
-    assert known[0]
-    assert found[0, known, 0, 0] == pytest.approx(100 * wanted[known], abs=100 * lifter_input.TIME_TOLERANCE_S)
-    inside = (wanted > 0.31) & (wanted < 0.54)
-    assert not known[inside].any()
-    assert not known[wanted < times[0] - lifter_input.TIME_TOLERANCE_S].any()
-
-
 @pytest.mark.parametrize('focal', [np.inf, 1.5])
 def test_features_agree_with_the_formula(rng: np.random.Generator, focal: float) -> None:
     points, weight = sample_histories(*make_sequence(rng, 30.0), np.array([3, 20, 59]))

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocap_ros.models.model_file import list_shipped_base_poses
-from mocap_ros.models.motion_predictor import PAST_S, Past, load_motion_predictor
+from mocap_ros.models.model_file import load_motion_predictor
+from mocap_ros.models.motion_predictor import PAST_S, Past
 from tests.support.swinging_body import STANDING
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -88,21 +88,3 @@ def test_people_are_predicted_together_as_alone() -> None:
         alone = load_motion_predictor().predict(past, times[n])
         for ours, own in zip(together, alone, strict=True):
             np.testing.assert_allclose(ours[n], own, atol=1e-12)
-
-
-def test_who_moves_is_less_certain_than_who_stands() -> None:
-    standing, running = (load_motion_predictor().predict(make_past(speed), TIMES) for speed in (0.0, 3.0))
-    assert (np.linalg.eigvalsh(running.root_covariance - standing.root_covariance) > 0).all()
-    past = make_past()
-    velocity = np.where(np.arange(15)[:, None] == 4, [0.0, 0.0, 2.0], past.velocity)  # a wrist rises
-    waving = load_motion_predictor().predict(past._replace(velocity=velocity), TIMES)
-    assert (waving.std[:, 4] > standing.std[:, 4]).all()
-    assert (waving.std[:, 4] - standing.std[:, 4] > waving.std[:, 7] - standing.std[:, 7]).all()
-
-
-def test_the_shipped_predictor_is_no_base_pose_model() -> None:
-    assert 'predictor' not in list_shipped_base_poses()
-    predictor = load_motion_predictor()
-    assert predictor.times.tolist() == pytest.approx(TIMES.tolist())
-    assert (predictor.root_variance >= 0).all()
-    assert (predictor.limb_variance >= 0).all()

@@ -52,10 +52,3 @@ def test_a_row_does_not_depend_on_the_others(rng: np.random.Generator) -> None:
         assert (network.evaluate(features[pair : pair + 1, ::-1].copy()) == together[pair, ::-1]).all()
         with_another = np.stack([features[pair, 0], features[pair - 1, 1]])[None]
         assert (network.evaluate(with_another)[0, 0] == together[pair, 0]).all()
-
-
-def test_rounding_changes_little(rng: np.random.Generator) -> None:
-    layers, features = make_layers(rng, [300, 200, 200, 200, 50]), make_features(rng, 20, 300)
-    exact = plain_lifter.evaluate(layers, features)
-    error = RoundedNetwork.from_layers(layers).evaluate(features) - exact
-    assert 1e-4 < np.sqrt((error**2).mean()) / exact.std() < 0.01

@@ -6,26 +6,22 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from mocap_ros.config import Config
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
-from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter import LiftedPoses
 from mocap_ros.offline.second_lift import (
     SEEN_SHARE,
     draw_points,
     find_unexplained_points,
     hide_unexplained_points,
-    measure_errors,
     turn_like,
 )
 from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers.observed_window import observe_sequence
-from mocap_ros.solvers.window import Reconstruction, SolverStatus, Window
+from mocap_ros.solvers.window import Reconstruction, SolverStatus
 from tests.support.swinging_body import make_swinging_body
-from tests.support.synthetic_walk import make_walk
 
 CAMERA = Intrinsics(500.0, (320.0, 240.0), is_focal_known=True)
 
@@ -72,23 +68,6 @@ def test_lifted_poses_are_turned_like_those_of_the_solution(rng: np.random.Gener
     lifted[2] = np.nan  # a frame that was not lifted
     turned = turn_like(LiftedPoses(lifted, np.ones_like(lifted)), 3 * poses @ np.swapaxes(turns, -1, -2) + 1.0)
     np.testing.assert_allclose(turned.joints, lifted @ np.swapaxes(turns, -1, -2), atol=1e-12)
-
-
-def test_errors_of_points_are_in_metres_at_the_body(walk_model: BasePoses) -> None:
-    theta, cameras, _, times = make_walk(walk_model, frames=12)
-    joints = centre_poses(walk_model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2))
-    focal, translation = 900.0, np.full((12, 2), [3.0, -5.0])
-    scale = cameras.scale[:, None, None]
-    image = (scale * joints[..., :2] + translation[:, None]) / (1 + scale * joints[..., 2:] / focal)
-    moved = image + np.where(np.arange(15)[:, None] == 4, 0.25 * scale * [0.6, -0.8], 0)
-    weight = np.ones((12, 15))
-    weight[3] = 0
-    solution = Reconstruction(
-        joints, theta, cameras, translation, np.zeros(12), SolverStatus.CONVERGED, (0.0,), iterations=1
-    )
-    error = measure_errors(Window(moved, weight, times, focal=focal), solution)
-    expected = np.where((np.arange(15) == 4) & (weight > 0), 0.25, 0)
-    assert error == pytest.approx(expected, abs=1e-9)
 
 
 def test_unexplained_points_stand_out_from_the_other_errors_of_the_sequence() -> None:

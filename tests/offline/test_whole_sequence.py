@@ -12,11 +12,9 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import centre_poses, fit_rotation
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.model_file import load_base_pose_models, load_base_poses, load_shipped_lifter
-from mocap_ros.offline import second_lift
-from mocap_ros.offline.keyframes.reconstruct import reconstruct
-from mocap_ros.offline.whole_sequence import reconstruct_sequence, reconstruct_window
+from mocap_ros.offline.keyframes.keyframe_method import reconstruct
+from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.skeleton import BODY26, CMU15, CORE_COUNT, estimate_stature
-from mocap_ros.solvers.observed_window import observe_sequence
 from tests.support.swinging_body import make_swinging_body
 from tests.support.synthetic_walk import make_walk
 
@@ -78,24 +76,6 @@ def test_the_result_knows_its_cameras(walk_model: BasePoses, method: str) -> Non
     assert axis[:, :2] / axis[:, 2:] == pytest.approx((truth[..., :2] / truth[..., 2:]).mean(axis=1), abs=0.02)
 
 
-def test_out_of_sight_there_are_no_poses_and_no_cameras(walk_model: BasePoses) -> None:
-    _, _, points, times = make_walk(walk_model)
-    keypoints = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=-1)
-    unseen = np.isin(np.arange(len(times)), [0, 1, 2, 20, 21, 38, 39])
-    keypoints[unseen, :, 2] = 0
-    result = reconstruct_sequence(keypoints, CMU15.joints, times, CAMERA, walk_model, CONFIG)
-    out_of_sight = unseen & ~np.isin(np.arange(len(times)), [20, 21])
-    cameras, translation = result.cameras_in_real_image()
-    for values in (result.joints, cameras.scale, cameras.rotation, translation):
-        assert np.isnan(values[out_of_sight]).all()
-        assert np.isfinite(values[~out_of_sight]).all()
-    assert result.seen.any(axis=1).tolist() == (~unseen).tolist()
-    observed = observe_sequence(keypoints, CMU15.joints, times, CAMERA, CONFIG.tracker)
-    all_frames = reconstruct_window(observed, {'walk': walk_model}, CONFIG).joints
-    assert np.isfinite(all_frames).all(), 'a window may be part of a longer sequence'
-    assert (all_frames[~out_of_sight] == result.core[~out_of_sight]).all()
-
-
 def test_where_nobody_is_no_joint_was_seen(walk_model: BasePoses) -> None:
     _, _, points, times = make_walk(walk_model)
     anchors = [CMU15.index(side + joint) for joint in ('ankle', 'wrist') for side in 'lr']
@@ -154,24 +134,3 @@ def test_the_learned_prior_is_better_than_the_base_poses_alone() -> None:
     assert error_mm(both.core) < 1.1 * 24.3  # mm, measured; the base poses alone: 26.8, the network alone: 19.2
     assert error_mm(both.core) < error_mm(alone.core)
     assert error_mm(both.core) < 1.35 * error_mm(network.joints)
-
-
-def test_misdetected_points_do_not_mislead_the_lifter(
-    walk_model: BasePoses, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    theta, cameras, points, times = make_walk(walk_model, frames=45)
-    truth = walk_model.poses(theta) @ np.swapaxes(cameras.rotation, -1, -2)
-    scale = float(np.median(cameras.scale))
-    points = points + 0.01 * scale * np.random.default_rng(0).normal(size=points.shape)
-    points[12:30, CMU15.index('rknee')] += 0.4 * scale * np.array([0.8, -0.6])
-    keypoints = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=-1)
-    unknown = Intrinsics(20_000.0, (320.0, 240.0), is_focal_known=False)
-    errors = []
-    for medians in (second_lift.UNEXPLAINED_MEDIANS, np.inf):
-        monkeypatch.setattr(second_lift, 'UNEXPLAINED_MEDIANS', medians)
-        joints = reconstruct_sequence(
-            keypoints, CMU15.joints, times, unknown, load_base_poses('all'), Config()
-        ).core
-        found = scale_to_reference(centre_poses(joints), truth)
-        errors.append(np.linalg.norm(found - truth, axis=-1).mean() * 1e3)
-    assert errors[0] < 0.9 * errors[1]  # measured: 30 and 36 mm

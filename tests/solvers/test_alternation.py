@@ -26,7 +26,7 @@ from mocap_ros.skeleton import CMU15
 from mocap_ros.solvers import alternation
 from mocap_ros.solvers.alternation import reconstruct
 from mocap_ros.solvers.window import Window
-from mocap_ros.training.base_poses import fit_base_poses
+from mocap_ros.training.fit_base_poses import fit_base_poses
 from tests.support.evaluation_data import shared
 from tests.support.synthetic_walk import compute_mpjpe, make_noisy_window, make_walk
 

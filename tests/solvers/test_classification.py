@@ -28,7 +28,7 @@ from mocap_ros.solvers.classification import (
 from mocap_ros.solvers.joint.objective import NOISE_REFERENCE
 from mocap_ros.solvers.periodic.solver import EstimatedPoses
 from mocap_ros.solvers.window import Window
-from mocap_ros.training.base_poses import fit_base_poses
+from mocap_ros.training.fit_base_poses import fit_base_poses
 from tests.support.evaluation_data import shared
 from tests.support.synthetic_walk import make_walk
 

@@ -28,7 +28,7 @@ from mocap_ros.solvers.leading_prior import (
 )
 from mocap_ros.solvers.window import Array
 from mocap_ros.tracking.tracker import Tracker
-from mocap_ros.training.base_poses import fit_base_poses
+from mocap_ros.training.fit_base_poses import fit_base_poses
 from tests.support.synthetic_walk import BODY_TO_OPTICAL
 
 FRAMES = 30

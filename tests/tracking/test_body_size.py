@@ -17,8 +17,8 @@ from mocap_ros.config import Config, with_settings
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.errors import ConfigError
 from mocap_ros.formats.sequence_file import load_sequence
-from mocap_ros.geometry.floor import Floor, is_level
 from mocap_ros.geometry.intrinsics import Intrinsics
+from mocap_ros.geometry.level import Floor, is_level
 from mocap_ros.geometry.rigid_transform import parse_camera_pose
 from mocap_ros.keypoints.person import Person2D
 from mocap_ros.models.base_poses import BasePoses

@@ -12,7 +12,7 @@ import pytest
 
 from mocap_ros.config import Config, with_values
 from mocap_ros.demo.scene import FOCAL_LENGTH_PX, IMAGE_SIZE, make_recording
-from mocap_ros.geometry.differences import MAX_STEP_S, central_velocity
+from mocap_ros.geometry.interpolation import MAX_STEP_S, central_velocity
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.model_file import load_base_pose_models
 from mocap_ros.people import Person3D

@@ -10,7 +10,7 @@ import pytest
 
 from mocap_ros.models.base_poses import BasePoses, mirror_poses
 from mocap_ros.skeleton import CMU15
-from mocap_ros.training.base_poses import fit_base_poses
+from mocap_ros.training.fit_base_poses import fit_base_poses
 
 
 def test_random_bodies_have_equal_left_and_right_bones(walk_model: BasePoses) -> None:
@@ -33,11 +33,3 @@ def test_a_share_counts_as_often_as_the_trial_were_there(walk_model: BasePoses, 
     assert plain.std == pytest.approx(repeated.std, rel=1e-4)
     assert plain.stature == pytest.approx(repeated.stature)
     assert weighted.std[: len(plain.std)] != pytest.approx(plain.std, rel=1e-4), 'the bodies differ'
-
-
-def test_a_trial_without_share_does_not_matter(walk_model: BasePoses, rng: np.random.Generator) -> None:
-    one, other = (walk_model.poses(rng.normal(0, 0.1, (20, 5))) for _ in range(2))
-    alone = fit_base_poses([one], alignment='heading')
-    both = fit_base_poses([one, other], shares=[1, 0], alignment='heading')
-    assert both.mean == pytest.approx(alone.mean, abs=1e-9)
-    assert both.std == pytest.approx(alone.std, rel=1e-9)

@@ -11,13 +11,11 @@ import pytest
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.models.lifter_input import HISTORY_SLOTS_S
 from mocap_ros.skeleton import BODY26, CORE_COUNT
-from mocap_ros.training.body_parts import joint_indices
-from mocap_ros.training.postures import POSTURES, SIDE_STD_RAD, take_postures
+from mocap_ros.training.postures import POSTURES, joint_indices, take_postures
 from mocap_ros.training.random_arrays import Array, RandomArrays
 
 EXAMPLES = 2000
 KNEELING = 2  # index in `POSTURES`
-ON_HANDS = 4
 
 
 @pytest.fixture(scope='module')
@@ -48,12 +46,6 @@ def test_bones_keep_their_lengths(standing: Array, taken: Array) -> None:
     assert np.linalg.norm(taken, axis=-1) == pytest.approx(np.linalg.norm(standing, axis=-1), abs=1e-5)
 
 
-def test_as_many_examples_as_stated_take_a_posture(standing: Array, taken: Array) -> None:
-    changed = (taken != standing).any(axis=(1, 2, 3))
-    expected = sum(p.share for p in POSTURES)
-    assert changed.mean() == pytest.approx(expected, abs=4 * np.sqrt(expected / EXAMPLES))
-
-
 def test_people_kneel_with_shanks_on_the_floor_behind_them(standing: Array, taken: Array) -> None:
     shares = np.array([p.share for p in POSTURES])
     assert POSTURES[KNEELING].shank[1] < -60
@@ -64,14 +56,3 @@ def test_people_kneel_with_shanks_on_the_floor_behind_them(standing: Array, take
     assert (find_shanks(taken[kneeling])[..., 0] < 0).mean() > 0.95, 'behind the knee'
     toes = taken[kneeling][:, 0, joint_indices('ltoe', 'rtoe')]
     assert (toes[..., 2] < 0.1).all(), 'm, not above the ankle'
-
-
-def test_arms_support_the_body_on_all_fours(standing: Array, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('mocap_ros.training.postures.POSTURES', (POSTURES[ON_HANDS],))
-    taken = take_postures(standing, RandomArrays(4))
-    fours = taken[(taken != standing).any(axis=(1, 2, 3))][:, 0]
-    trunk = fours[:, joint_indices('neck')[0]]
-    assert (trunk[:, 0] > 0.5 * np.linalg.norm(trunk, axis=1)).all(), 'leaning forward by more than 30 degrees'
-    arms = fours[:, joint_indices('lelbow', 'lwrist', 'relbow', 'rwrist')]
-    down = -arms[..., 2] / np.linalg.norm(arms, axis=-1)
-    assert np.median(down) > np.cos(np.radians(25) + SIDE_STD_RAD)

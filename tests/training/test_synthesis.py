@@ -63,16 +63,6 @@ def test_trials_without_extremities_teach_nothing_about_them(walk_model: BasePos
     assert scores[:, :, CORE_COUNT:][of_body.all(axis=1)].any()
 
 
-def test_nobody_borrows_what_a_trial_lacks(walk_model: BasePoses) -> None:
-    core = walk_model.poses(walk_model.std[:1] * np.sin(np.linspace(0, 9, 90))[:, None])
-    body = np.concatenate([core, core[:, : len(BODY26.joints) - CORE_COUNT] + 0.1], axis=1)
-    synthesiser = ExampleSynthesiser(MotionLibrary.from_trials([core, body], np.array([0.5, 0.5])), seed=3)
-    vectors, _, is_known = synthesiser._draw_motion(10 * EXAMPLES)
-    lengths = np.linalg.norm(synthesiser._vary_bodies(vectors), axis=-1)[:, 0]
-    root = BODY26.parents.index(-1)
-    assert (lengths[is_known & (np.arange(len(BODY26.joints)) != root)] > 0.01).all(), 'm'
-
-
 def test_the_target_is_the_true_pose(library: MotionLibrary, monkeypatch: pytest.MonkeyPatch) -> None:
     batches = []
     for factor in (1e-6, 3.0):

@@ -73,7 +73,6 @@ class HalfPoses:
     seen: Mask
 
     def __len__(self) -> int:
-        """Return the number of frames."""
         return len(self.frames)
 
     def subset(self, index: NDArray[np.intp] | slice) -> HalfPoses:
@@ -103,19 +102,11 @@ def extract_half_poses(points: Array, weight: Array, times: Array, half: BodyHal
 
 
 def estimate_torso_lengths(points: Array, weight: Array, times: Array) -> Array:
-    """Estimate the length that the torso (pelvis to neck) would have in the image without foreshortening.
+    """Estimate the lengths (F,) that the torso (pelvis to neck) would have in the image without foreshortening.
 
-    The estimate is the upper quartile of the lengths seen within 3 s. Foreshortening only shortens a length, and
-    the quartile tolerates some outliers.
-
-    Args:
-        points: (F, J, 2) px, joints of `CMU15`; arbitrary where the weight is 0.
-        weight: (F, J) confidence scores, 0 where not seen.
-        times: (F,) s, increasing.
-
-    Returns:
-        (F,) lengths in that unit. If neck and pelvis are never seen together, one size of the body's image stands
-        for all frames.
+    It is the upper quartile of the lengths seen within 3 s: foreshortening only shortens a length, and the
+    quartile tolerates some outliers. If neck and pelvis are never seen together, one size of the body's image
+    stands for all frames. Arguments are those of `extract_half_poses`; the unit is that of the points.
     """
     neck, pelvis = CMU15.index('neck'), CMU15.index('pelvis')
     torso_frames = np.flatnonzero((weight[:, [neck, pelvis]] > 0).all(axis=1))

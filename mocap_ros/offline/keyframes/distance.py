@@ -25,11 +25,7 @@ BLOCK_FRAMES = 256  # frames on a side of the blocks computed at once; bounds th
 
 
 def compare_poses(a: HalfPoses, b: HalfPoses) -> tuple[Array32, Array32]:
-    """Return B and A between every pose of `a` and every pose of `b`.
-
-    Args:
-        a: Na poses.
-        b: Nb poses of the same half of the body.
+    """Return B and A between Na and Nb poses of the same half of the body.
 
     Returns:
         B: (Na, Nb) torso lengths, 0 where the two frames have no joint in common.
@@ -57,15 +53,12 @@ def compare_poses(a: HalfPoses, b: HalfPoses) -> tuple[Array32, Array32]:
 
 
 def compute_distances(a: HalfPoses, b: HalfPoses, max_b: float | None = None) -> tuple[Array32, float]:
-    """Return the initial distance matrix C between two sets of poses.
+    """Return the initial distance matrix C (Na, Nb) in torso lengths, and the max B used in it.
 
     Args:
         a: Na poses.
         b: Nb poses; passing `a` itself saves half of the work, since C is then symmetric.
         max_b: max B, torso lengths; None for the largest B of these poses.
-
-    Returns:
-        (Na, Nb) C in torso lengths, and the max B used in it.
     """
     c = np.empty((len(a), len(b)), np.float32)
     shares = np.empty_like(c)
@@ -86,14 +79,10 @@ def compute_distances(a: HalfPoses, b: HalfPoses, max_b: float | None = None) ->
 
 
 def build_averaging_matrix(c: Array32, beta: float) -> Array32:
-    """Return the averaging matrix M (section 4.2).
+    """Return the averaging matrix M (N, N) of C (N, N) in torso lengths (section 4.2).
 
-    Args:
-        c: (N, N) initial distance matrix C, torso lengths.
-        beta: torso lengths; frames at a smaller distance show the same pose, and so does a frame and itself.
-
-    Returns:
-        (N, N) M, whose row i takes the mean over the frames at a distance less than beta from frame i.
+    Its row i takes the mean over the frames at a distance less than beta from frame i: these show the same pose,
+    and so does the frame itself.
     """
     m = (c < beta).astype(np.float32)
     np.fill_diagonal(m, 1)
@@ -104,9 +93,7 @@ def build_averaging_matrix(c: Array32, beta: float) -> Array32:
 def denoise_distances(c: Array32, averaging: Array32) -> Array32:
     """Return the de-noised distance matrix D = M C M^T (section 4.2).
 
-    Args:
-        c: (N, N) C; or (K, N) distances from K mean poses, whose rows are not averaged again.
-        averaging: (N, N) M from `build_averaging_matrix`.
+    C may be (K, N), distances from K mean poses, whose rows are not averaged again.
     """
     rows = averaging @ c if len(c) == len(averaging) else c
     return np.asarray(rows @ averaging.T)

@@ -17,9 +17,7 @@ MIN_SECONDS = 1e-9  # s; guards divisions by a width or a time difference of zer
 
 
 def build_low_pass_matrix(times: Array, width: float) -> csr_array:
-    """Return the matrix of a Gaussian low-pass filter over time.
-
-        L(i, j) = g(t_i - t_j) / sum_k g(t_i - t_k)      with g(t) = exp(-t^2 / (2 width^2))
+    """L(i, j) = g(t_i - t_j) / sum_k g(t_i - t_k), g(t) = exp(-t^2 / (2 width^2)): a Gaussian low-pass filter.
 
     Args:
         times: (F,) s, increasing.
@@ -41,15 +39,7 @@ def build_low_pass_matrix(times: Array, width: float) -> csr_array:
 
 
 def running_median(values: Array, reach: int) -> Array:
-    """Return the running median over time of the values that are not NaN.
-
-    Args:
-        values: (F, ...) any unit.
-        reach: number of frames before and after each frame that take part.
-
-    Returns:
-        (F, ...) medians, NaN where every value of the window is NaN.
-    """
+    """Return the medians (F, ...) over `reach` frames before and after each of the values that are not NaN."""
     edge = np.full((reach, *values.shape[1:]), np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(np.concatenate([edge, values, edge]), 2 * reach + 1, axis=0)
     return nan_median(windows, axis=-1)
@@ -81,12 +71,11 @@ def interpolate_gaps(points: Array, seen: Mask, times: Array, max_gap: float) ->
         seen_frames = np.flatnonzero(seen[:, j])
         if len(seen_frames) in (0, len(times)):
             continue
-        after = np.minimum(np.searchsorted(seen_frames, np.arange(len(times))), len(seen_frames) - 1)
-        before = np.maximum(np.searchsorted(seen_frames, np.arange(len(times)), side='right') - 1, 0)
-        t0, t1 = times[seen_frames[before]], times[seen_frames[after]]
+        after = np.searchsorted(seen_frames, np.arange(len(times))).clip(1, max(len(seen_frames) - 1, 1))
+        before, after = seen_frames[after - 1], seen_frames[np.minimum(after, len(seen_frames) - 1)]
+        t0, t1 = times[before], times[after]
         inside = ~seen[:, j] & (t0 < times) & (times < t1) & (t1 - t0 <= max_gap)
         share = ((times - t0) / np.maximum(t1 - t0, MIN_SECONDS))[inside, None]
-        point_before, point_after = points[seen_frames[before][inside], j], points[seen_frames[after][inside], j]
-        out[inside, j] = (1 - share) * point_before + share * point_after
+        out[inside, j] = (1 - share) * points[before[inside], j] + share * points[after[inside], j]
         known[inside, j] = True
     return out, known

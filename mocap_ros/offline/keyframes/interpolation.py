@@ -39,15 +39,12 @@ def compute_limb_directions(poses: Array, bones: Bones) -> Array:
 
 
 def assemble_poses(directions: Array, lengths: Array, skeleton: Skeleton) -> Array:
-    """Return poses with given limb directions and limb lengths, centred on the mean of the joints.
+    """Return poses (..., J, 3) centred on the mean of the joints, in the unit of the lengths.
 
     Args:
         directions: (..., B, 3) unit vectors, in the order of `skeleton.bones`.
-        lengths: (..., B) any unit.
+        lengths: (..., B) limb lengths in any unit.
         skeleton: skeleton with J joints and B bones.
-
-    Returns:
-        (..., J, 3) in the unit of the lengths.
     """
     bone_index = {bone: i for i, bone in enumerate(skeleton.bones)}
     out = np.zeros((*directions.shape[:-2], len(skeleton.joints), 3))
@@ -59,7 +56,7 @@ def assemble_poses(directions: Array, lengths: Array, skeleton: Skeleton) -> Arr
 
 
 def compute_reprojection_distances(key_poses: Array, points: Array, seen: NDArray[np.bool_]) -> Array:
-    """Return the robust distances by which the fits of frames to their key poses are ranked (section 6.1).
+    """Return the robust distances (N,) by which the fits of frames to their key poses are ranked (section 6.1).
 
         e = r sqrt( mean_j log(1 + |x'_j - x_j|^2 / r^2) )      with r = `ROBUST_SCALE`
 
@@ -69,9 +66,6 @@ def compute_reprojection_distances(key_poses: Array, points: Array, seen: NDArra
         key_poses: (N, J, 2) x', reprojected 3D key poses, torso lengths.
         points: (N, J, 2) x, image points of the frames, torso lengths.
         seen: (N, J) True where a joint of the frame is seen.
-
-    Returns:
-        (N,) e, torso lengths.
     """
     difference = np.where(seen[..., None], key_poses - points, np.nan)
     difference = np.nan_to_num(difference - nan_median(difference, axis=1)[:, None])
@@ -107,16 +101,10 @@ def select_control_points(assignment: Indices, distance: Array, times: Array, ga
 
 
 def slerp(directions: Array, control_times: Array, times: Array) -> Array:
-    """Interpolate unit vectors between control points by spherical linear interpolation.
+    """Interpolate unit vectors (C, B, 3) between control points to vectors (F, B, 3) (formula of the module).
 
-    Args:
-        directions: (C, B, 3) unit vectors at the control points.
-        control_times: (C,) s, increasing.
-        times: (F,) s; before the first control point its directions are held, likewise after the last.
-
-    Returns:
-        (F, B, 3) unit vectors. Opposite directions have no unique path between them; these turn through some
-        plane.
+    The directions at the ends are held before and after. Opposite directions have no unique path between them;
+    these turn through some plane.
     """
     after = np.clip(np.searchsorted(control_times, times), 0, len(control_times) - 1)
     before = np.maximum(after - 1, 0)

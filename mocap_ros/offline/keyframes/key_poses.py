@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mocap_ros.config import Config
 from mocap_ros.errors import InputError
 from mocap_ros.geometry.rotations import centre_poses
-from mocap_ros.keypoints.joint_map import map_to_model_joints
+from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.models import model_file
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.keyframes.filters import interpolate_gaps, nan_median
@@ -47,10 +47,7 @@ MIN_BODY_SIZE = 1e-6  # unit of the poses; guards proportions against bodies wit
 
 
 def propose_poses(
-    observed: ObservedWindow,
-    keyframes: Indices,
-    models: Mapping[str, BasePoses],
-    config: Config,
+    observed: ObservedWindow, keyframes: Indices, models: Mapping[str, BasePoses], config: Config
 ) -> tuple[str, Array]:
     """Propose 3D poses for many frames, including the keyframes, by the source that `keyframes.poses` names.
 
@@ -77,14 +74,9 @@ def propose_poses(
 
 
 def propose_lifted_poses(observed: ObservedWindow, prior: str) -> Array:
-    """Propose a 3D pose for every frame by the lifter that `solver.prior` names, or else by the shipped lifter.
+    """Propose poses (F, J, 3) px by the lifter that `solver.prior` names, or else by the shipped lifter.
 
-    Args:
-        observed: image points without suspect points.
-        prior: value of `solver.prior`.
-
-    Returns:
-        (F, J, 3) px, virtual camera's axes; NaN where too few joints are seen.
+    They are NaN where too few joints are seen.
     """
     out = np.empty((*observed.points.shape[:2], 3))
     lifter = model_file.load_prior_lifter(prior, CMU15) or model_file.load_shipped_lifter()
@@ -99,21 +91,16 @@ def propose_lifted_poses(observed: ObservedWindow, prior: str) -> Array:
 
 
 def propose_solved_poses(
-    observed: ObservedWindow,
-    keyframes: Indices,
-    models: Mapping[str, BasePoses],
-    config: Config,
+    observed: ObservedWindow, keyframes: Indices, models: Mapping[str, BasePoses], config: Config
 ) -> tuple[str, Array]:
-    """Propose 3D poses by the whole-sequence solver, section by section.
+    """Propose poses (F, J, 3) m by the whole-sequence solver, section by section, and name the base poses.
 
-    The solver gets the keyframes and a frame every `SOLVER_STEP_S`. Arguments are those of `propose_poses`.
-
-    Returns:
-        Name of the base poses used most, and (F, J, 3) m, virtual camera's axes; NaN in all other frames.
+    The solver gets the keyframes and a frame every `SOLVER_STEP_S`; the poses of all other frames are NaN.
     """
     times, camera = observed.times, observed.virtual_camera
     # derives a neck or a pelvis that was left out as suspect from the joints beside it
-    rays, weight = map_to_model_joints(observed.rays, observed.weight, CMU15.joints, min_score=0.0)
+    rays, weight = build_joint_map(CMU15.joints).apply(observed.rays, observed.weight)
+    rays = np.where(weight[..., None] > 0, rays, 0.0)
     out = np.full((*observed.points.shape[:2], 3), np.nan)
     grid = np.searchsorted(times, np.arange(times[0], times[-1], SOLVER_STEP_S))
     grid = np.minimum(grid, len(times) - 1)  # for the last step may be rounded to after the end
@@ -136,14 +123,11 @@ def propose_solved_poses(
 
 
 def estimate_limb_lengths(poses: Array, body_height: float) -> Array:
-    """Estimate limb lengths from proposed poses: their median proportions, at the stature given.
+    """Estimate limb lengths (B,) in m from proposed poses: their median proportions, at the stature given.
 
     Args:
         poses: (F, J, 3) any size; NaN in frames without a pose.
         body_height: m, stature.
-
-    Returns:
-        (B,) m, left and right equal.
 
     Raises:
         InputError: All joints are in one place in every frame.
@@ -161,7 +145,7 @@ def estimate_limb_lengths(poses: Array, body_height: float) -> Array:
 
 
 def average_key_directions(keyframes: KeyframeSet, poses: Array, beta: float) -> Array:
-    """Return the limb directions of the key poses of one half.
+    """Return the limb directions (K, B, 3) of the key poses of one half; NaN where no frame has a proposed pose.
 
     Each key pose is the mean over the frames that its keyframe represents well, weighted by nearness.
 
@@ -169,9 +153,6 @@ def average_key_directions(keyframes: KeyframeSet, poses: Array, beta: float) ->
         keyframes: keyframes of the half.
         poses: (F, J, 3) proposed poses of any size; NaN in frames without one.
         beta: torso lengths.
-
-    Returns:
-        (K, B, 3) unit vectors; NaN where no frame of a keyframe has a proposed pose.
     """
     directions = compute_limb_directions(poses, keyframes.body_half.bones)
     has_pose = np.isfinite(directions).all(axis=(1, 2))
@@ -180,24 +161,22 @@ def average_key_directions(keyframes: KeyframeSet, poses: Array, beta: float) ->
     total = np.zeros((len(keyframes.frames), *directions.shape[1:]))
     used = np.flatnonzero(weight > 0)
     np.add.at(total, keyframes.nearest[used], weight[used, None, None] * directions[used])
-    length = np.linalg.norm(total, axis=-1, keepdims=True)
-    return np.where(length > EPSILON, total / np.maximum(length, EPSILON), directions[keyframes.frames])
+    return _normalise(total, directions[keyframes.frames])
 
 
 def blend_directions(key_directions: Array, frame_directions: Array, frame_share: float) -> Array:
-    """Blend the key poses of control points with the poses proposed for the frames themselves.
+    """Blend limb directions (C, B, 3) of control points' key poses with those proposed for their own frames.
 
-    Args:
-        key_directions: (C, B, 3) limb directions of each control point's key pose.
-        frame_directions: (C, B, 3) limb directions proposed for the control point's own frame.
-        frame_share: share of the latter; 0 is the paper's method.
-
-    Returns:
-        (C, B, 3) unit vectors.
+    The share of the latter is 0 in the paper's method.
     """
     mixed = (1 - frame_share) * key_directions + frame_share * frame_directions
-    length = np.linalg.norm(mixed, axis=-1, keepdims=True)
-    return np.where(length > EPSILON, mixed / np.maximum(length, EPSILON), key_directions)
+    return _normalise(mixed, key_directions)
+
+
+def _normalise(vectors: Array, otherwise: Array) -> Array:
+    """Return vectors (..., 3) at unit length; others where they have none."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(length > EPSILON, vectors / np.maximum(length, EPSILON), otherwise)
 
 
 def apply_depth_choice(

@@ -14,6 +14,7 @@ compared with the frames of later sections by the mean pose of the frames at a d
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,109 +74,60 @@ class KeyframeSet:
         return np.where(self.well_represented, self.nearest, -1)
 
     def find_runs(self, keyframe: int) -> list[tuple[int, int]]:
-        """Return the first and last frame of every run of frames assigned to a keyframe.
-
-        Args:
-            keyframe: index into `frames`.
-        """
+        """Return the first and last frame of every run of frames assigned to a keyframe (index into `frames`)."""
         assigned = np.flatnonzero(self.assignment == keyframe)
         runs = np.split(assigned, np.flatnonzero(np.diff(assigned) > 1) + 1) if len(assigned) else []
         return [(int(run[0]), int(run[-1])) for run in runs]
 
 
 def find_keyframe_set(poses: HalfPoses, half: BodyHalf, frames: int, config: KeyframesConfig) -> KeyframeSet:
-    """Find the keyframes of one half of the body.
+    """Find the keyframes of one half of the body, of whose 2D poses there are some in a number of frames.
 
-    Args:
-        poses: 2D poses of the half.
-        half: half of the body.
-        frames: number of frames of the sequence.
-        config: parameters; `alpha`, `beta`, `gap` and `max_matrix_frames` apply.
+    Of the parameters, `alpha`, `beta`, `gap` and `max_matrix_frames` apply.
     """
-    if not len(poses):
-        return _build_empty_set(half, frames)
-    section_count = max(-(-len(poses) // config.max_matrix_frames), 1)
+    sections = np.array_split(np.arange(len(poses)), max(-(-len(poses) // config.max_matrix_frames), 1))
     keyframes: list[Indices] = []
-    mean_poses: HalfPoses | None = None
+    mean_poses = poses.subset(slice(0))
     nearest, distance = np.full(len(poses), -1), np.full(len(poses), np.inf, np.float32)
     first_matrix = np.zeros((0, 0), np.float32)
     max_b: float | None = None
-    for section in np.array_split(np.arange(len(poses)), section_count):
+    for section in sections if len(poses) else ():
         section_poses = poses.subset(section)
-        c, section_max_b = compute_distances(section_poses, section_poses, max_b)
-        max_b = section_max_b if max_b is None else max_b
+        c, max_b = compute_distances(section_poses, section_poses, max_b)
         averaging = build_averaging_matrix(c, config.beta)
         matrix = denoise_distances(c, averaging)
         np.fill_diagonal(matrix, 0.0)
         rows = matrix[:0]
-        if mean_poses is not None and len(mean_poses):
+        if len(mean_poses):
             rows = denoise_distances(compute_distances(mean_poses, section_poses, max_b)[0], averaging)
         represented_before = np.asarray((rows < config.beta).any(axis=0))
         represents = matrix < config.beta
-        selection = select_keyframes(represents, section_poses.times, config.alpha, config.gap, represented_before)
-        selected = selection.keyframes
+        selected = select_keyframes(represents, section_poses.times, config.alpha, config.gap, represented_before)
         keyframes.append(section[selected])
         rows = np.concatenate([rows, matrix[selected]])
         if len(rows):
             nearest[section] = rows.argmin(axis=0)
             distance[section] = rows.min(axis=0)
         section_means = average_similar_poses(section_poses, averaging[selected], selected)
-        mean_poses = section_means if mean_poses is None else concatenate_poses(mean_poses, section_means)
+        mean_poses = concatenate_poses(mean_poses, section_means)
         first_matrix = first_matrix if len(first_matrix) else matrix
-    return _expand_to_sequence(
-        poses, half, frames, np.concatenate(keyframes), nearest, distance, first_matrix, config
-    )
-
-
-def _expand_to_sequence(
-    poses: HalfPoses,
-    half: BodyHalf,
-    frames: int,
-    keyframes: Indices,
-    nearest: Indices,
-    distance: Array32,
-    distance_matrix: Array32,
-    config: KeyframesConfig,
-) -> KeyframeSet:
-    """Return the keyframe set with arrays over all frames of the sequence, from arrays over those with a pose."""
     well_represented = distance < config.beta
-    covered = well_represented | find_interpolatable(well_represented, poses.times, config.gap)
-    nearest_in_sequence = np.full(frames, -1)
-    nearest_in_sequence[poses.frames] = nearest
-    distance_in_sequence = np.full(frames, np.inf)
-    distance_in_sequence[poses.frames] = distance
 
-    def expand_mask(mask: Mask) -> Mask:
-        out = np.zeros(frames, bool)
-        out[poses.frames] = mask
+    def expand(values: NDArray[Any] | bool, unknown: float) -> NDArray[Any]:
+        out = np.full(frames, unknown)
+        out[poses.frames] = values
         return out
 
     return KeyframeSet(
         body_half=half,
-        frames=poses.frames[keyframes],
-        nearest=nearest_in_sequence,
-        distance=distance_in_sequence,
-        well_represented=expand_mask(well_represented),
-        covered=expand_mask(covered),
-        has_pose=expand_mask(np.ones(len(poses), bool)),
-        distance_matrix=distance_matrix,
-        matrix_frames=poses.frames[: len(distance_matrix)],
-    )
-
-
-def _build_empty_set(half: BodyHalf, frames: int) -> KeyframeSet:
-    """Return the keyframe set of a half that no frame shows."""
-    no_frame, no_keyframes = np.zeros(frames, bool), np.zeros(0, int)
-    return KeyframeSet(
-        body_half=half,
-        frames=no_keyframes,
-        nearest=np.full(frames, -1),
-        distance=np.full(frames, np.inf),
-        well_represented=no_frame,
-        covered=no_frame,
-        has_pose=no_frame,
-        distance_matrix=np.zeros((0, 0), np.float32),
-        matrix_frames=no_keyframes,
+        frames=poses.frames[np.concatenate([np.zeros(0, int), *keyframes])],
+        nearest=expand(nearest, -1),
+        distance=expand(distance, np.inf),
+        well_represented=expand(well_represented, False),
+        covered=expand(well_represented | find_interpolatable(well_represented, poses.times, config.gap), False),
+        has_pose=expand(True, False),
+        distance_matrix=first_matrix,
+        matrix_frames=poses.frames[: len(first_matrix)],
     )
 
 

@@ -36,16 +36,13 @@ MAX_LINK_FRAMES = 61  # frames; bounds the work a frame at high frame rates
 
 
 def find_outliers(displacement: Array, seen: Mask, times: Array) -> Mask:
-    """Find the image points that make the 3D motion discontinuous.
+    """Find the image points (F, J) that make the 3D motion discontinuous.
 
     Args:
         displacement: (F, J, 2) m along the image axes, the image points, back-projected to the depths of their
             joints, minus the joints of the interpolated motion; arbitrary but finite where a point is not seen.
         seen: (F, J) True where a point is seen.
         times: (F,) s, increasing.
-
-    Returns:
-        (F, J) True for the outliers.
     """
     frames, joints = seen.shape
     magnitude = np.linalg.norm(displacement, axis=-1)
@@ -98,15 +95,9 @@ def _trace_inliers(best: Array, previous: Array, skipped: Array) -> Mask:
 
 
 def find_jumping_points(points: Array, seen: Mask, times: Array) -> Mask:
-    """Find the image points that jump away from their running median, before a 3D motion exists.
+    """Find the image points (F, J) that jump away from their running median, before a 3D motion exists.
 
-    Args:
-        points: (F, J, 2) m, image points back-projected to about the body's depth.
-        seen: (F, J) True where a point is seen.
-        times: (F,) s, increasing.
-
-    Returns:
-        (F, J) True for the points that jump.
+    The points (F, J, 2) in m are back-projected to about the body's depth.
     """
     step = float(np.median(np.diff(times))) if len(times) > 1 else MAX_LINK_S
     reach = min(max(round(MAX_LINK_S / step / 2), 1), MAX_LINK_FRAMES // 2)

@@ -35,21 +35,12 @@ TIE_TOLERANCE = 1e-9
 
 
 def estimate_frame_interval(times: Array) -> float:
-    """Return the median time between successive frames, s."""
+    """Return the median time in s between successive frames."""
     return float(np.median(np.diff(times))) if len(times) > 1 else SINGLE_FRAME_INTERVAL_S
 
 
 def find_interpolatable(well_represented: Mask, times: Array, gap: float) -> Mask:
-    """Return J: the frames outside W between two frames of W that are less than T apart.
-
-    Args:
-        well_represented: (N,) True for the frames of W.
-        times: (N,) s, increasing.
-        gap: T, s.
-
-    Returns:
-        (N,) True for the frames of J.
-    """
+    """Return J (N,): the frames outside W, `well_represented`, between two frames of W less than `gap` s apart."""
     w_frames = np.flatnonzero(well_represented)
     out = np.zeros(len(well_represented), bool)
     if len(w_frames) > 1:
@@ -60,31 +51,12 @@ def find_interpolatable(well_represented: Mask, times: Array, gap: float) -> Mas
     return out
 
 
-@dataclass(frozen=True, eq=False)
-class Selection:
-    """Keyframes selected from N frames, in the order of selection.
-
-    Attributes:
-        keyframes: (K,) frame indices.
-        well_represented: (N,) True for the frames of W.
-        covered: (N,) True for the frames of W u J.
-        coverage: (K,) share of covered frames after each keyframe was added.
-    """
-
-    keyframes: Indices
-    well_represented: Mask
-    covered: Mask
-    coverage: Array
-
-
 def select_keyframes(
-    represents: Mask,
-    times: Array,
-    alpha: float,
-    gap: float,
-    well_represented: Mask | None = None,
-) -> Selection:
-    """Select keyframes by eq. 3 and 4 until eq. 1 holds.
+    represents: Mask, times: Array, alpha: float, gap: float, well_represented: Mask | None = None
+) -> Indices:
+    """Select keyframes by eq. 3 and 4 until eq. 1 holds; return their frames in the order of selection.
+
+    Among candidates of equal cost the earliest frame is selected.
 
     Args:
         represents: (N, N) True in row k for the frames that k represents well, D(k, .) < beta.
@@ -92,23 +64,19 @@ def select_keyframes(
         alpha: share of the frames to cover.
         gap: T, s.
         well_represented: (N,) True for the frames that keyframes of earlier sections represent well already.
-
-    Returns:
-        The selection; among candidates of equal cost the earliest frame is selected.
     """
     represents = represents | np.eye(len(times), dtype=bool)
     initial = np.zeros(len(times), bool) if well_represented is None else well_represented.copy()
     costs = _CandidateCosts(represents, times, initial)
     keyframes: list[int] = []
-    coverage: list[float] = []
-    covered = costs.well_represented | find_interpolatable(costs.well_represented, times, gap)
-    while covered.sum() < alpha * len(times) and len(keyframes) < len(times):
-        keyframe = costs.find_best_candidate()
-        costs.add_keyframe(keyframe)
-        keyframes.append(keyframe)
-        covered = costs.well_represented | find_interpolatable(costs.well_represented, times, gap)
-        coverage.append(float(covered.mean()))
-    return Selection(np.array(keyframes, int), costs.well_represented, covered, np.array(coverage))
+
+    def count_covered() -> int:
+        return int((costs.well_represented | find_interpolatable(costs.well_represented, times, gap)).sum())
+
+    while count_covered() < alpha * len(times) and len(keyframes) < len(times):
+        keyframes.append(costs.find_best_candidate())
+        costs.add_keyframe(keyframes[-1])
+    return np.array(keyframes, int)
 
 
 @dataclass(eq=False)

@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Shots and sections of a long sequence, and its window for the keyframe method."""
+"""Shots and sections of a long sequence."""
 
 from __future__ import annotations
 
@@ -10,12 +10,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_ros.config import TrackerConfig
-from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.offline.keyframes.body_halves import estimate_torso_lengths
 from mocap_ros.offline.keyframes.filters import nan_median
 from mocap_ros.skeleton import CMU15
-from mocap_ros.solvers.observed_window import ObservedWindow, observe_sequence
 from mocap_ros.solvers.window import MIN_JOINTS_FOR_CAMERA
 
 Array = NDArray[np.float64]
@@ -45,28 +42,8 @@ def split_into_sections(times: Array, max_seconds: float, margin: float) -> list
     return out
 
 
-def observe_shots(
-    keypoints: Array, joint_names: tuple[str, ...], times: Array, intrinsics: Intrinsics, config: TrackerConfig
-) -> ObservedWindow:
-    """Return the window of a sequence that may have cuts; each shot has its sides put right on its own.
-
-    Args:
-        keypoints: (F, J, 3) x and y in px, and confidence score; NaN or score 0 where not seen.
-        joint_names: (J,) any names that `keypoints.joint_map` knows.
-        times: (F,) s, increasing.
-        intrinsics: intrinsics of the camera.
-        config: parameters; `min_score`, `undo_swaps` and `perspective` apply.
-
-    Raises:
-        SkeletonError: These names give too few of the model's joints.
-        InputError: No frame has four seen joints, all seen points lie in one place, or the times span more than
-            `observed_window.MAX_SPAN_S`.
-    """
-    return observe_sequence(keypoints, joint_names, times, intrinsics, config, CMU15, find_shots)
-
-
 def find_shots(points: Array, weight: Array, times: Array) -> list[slice]:
-    """Split a sequence into shots at its cuts.
+    """Split a sequence into shots, the slices of frames between its cuts.
 
     A cut is where the median joint moves more than `CUT_DISPLACEMENT` between frames, or where no frame shows a
     pose for more than `MAX_ABSENCE_S`. Swapped left and right are no cut.
@@ -75,9 +52,6 @@ def find_shots(points: Array, weight: Array, times: Array) -> list[slice]:
         points: (F, J, 2) any unit, joints of `CMU15`; arbitrary where the weight is 0.
         weight: (F, J) confidence scores, 0 where not seen.
         times: (F,) s, increasing.
-
-    Returns:
-        The frames of each shot.
     """
     pose_frames = np.flatnonzero((weight > 0).sum(axis=1) >= MIN_JOINTS_FOR_CAMERA)
     torso = estimate_torso_lengths(points, weight, times)[pose_frames[1:]]

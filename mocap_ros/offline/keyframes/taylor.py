@@ -68,12 +68,11 @@ def reconstruct_limbs(
         scale: px per unit of the lengths; None for the minimum that every limb allows.
 
     Returns:
-        (B, 3) vectors from inner to outer joint in the unit of the lengths, camera's axes (z away from the
-        camera); and the scale used.
+        (B, 3) vectors from inner to outer joint, camera's axes (z away from the camera); and the scale used.
 
     Raises:
-        InputError: A joint is not seen or is no outer joint of these limbs, or the scale is too small. The message
-            names the joint.
+        InputError: A joint, which is named, is not seen or is no outer joint of these limbs, or the scale is too
+            small.
     """
     outer = [CMU15.joints[child] for _, child in bones]
     for name in sorted(forward):

@@ -30,8 +30,7 @@ from numpy.typing import NDArray
 from mocap_ros.compiled.blas import add_transposed_product
 from mocap_ros.compiled.kernel import BOOLS_1D, FLOATS_1D, FLOATS_2D, FLOATS_3D, INTS_1D, kernel
 from mocap_ros.config import SolverConfig
-from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.model_arrays import arrange_model
+from mocap_ros.models.base_poses import BasePoses, arrange_model
 from mocap_ros.solvers.joint.batch import Batch, Subsample
 from mocap_ros.solvers.joint.normal_equations import NormalEquations
 from mocap_ros.solvers.joint.state import Fit

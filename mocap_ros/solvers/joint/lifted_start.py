@@ -28,9 +28,8 @@ from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, INPUT_1D,
 from mocap_ros.geometry.interpolation import find_nearest
 from mocap_ros.geometry.rotations import write_best_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
-from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.models.base_poses import BasePoses, arrange_model
 from mocap_ros.models.lifter import LiftedPoses
-from mocap_ros.models.model_arrays import arrange_model
 from mocap_ros.solvers.window import InitialValues
 
 Array = NDArray[np.float64]

@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 from mocap_ros.compiled.blas import add_product, add_product_transposed
 from mocap_ros.compiled.kernel import FLOATS_1D, FLOATS_2D, FLOATS_3D, kernel
 from mocap_ros.config import SolverConfig
-from mocap_ros.models.base_poses import BasePoses
-from mocap_ros.models.model_arrays import arrange_model
+from mocap_ros.models.base_poses import BasePoses, arrange_model
 from mocap_ros.solvers.block_banded import DampedSolution, solve_damped
 from mocap_ros.solvers.joint.acceleration import Acceleration, measure_activity
 from mocap_ros.solvers.joint.base_pose_prior import BasePosePrior

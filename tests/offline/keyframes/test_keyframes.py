@@ -13,24 +13,14 @@ from hypothesis import strategies as st
 
 from mocap_ros.config import KeyframesConfig
 from mocap_ros.errors import InputError
-from mocap_ros.geometry.rotations import centre_poses, rotation_from_vector
+from mocap_ros.offline.keyframes.alignment import AlignedMotion, align_motion
 from mocap_ros.offline.keyframes.body_halves import BodyHalf, HalfPoses, split_into_halves
-from mocap_ros.offline.keyframes.detector_offsets import (
-    TRUNK_JOINTS,
-    estimate_body_rotations,
-    estimate_joint_offsets,
-)
 from mocap_ros.offline.keyframes.distance import build_averaging_matrix, compute_distances, denoise_distances
 from mocap_ros.offline.keyframes.filters import build_low_pass_matrix, interpolate_gaps, nan_median
-from mocap_ros.offline.keyframes.gradient_fit import AlignedMotion, FitResult, align_motion, fit_motion
-from mocap_ros.offline.keyframes.interpolation import (
-    ROBUST_SCALE,
-    compute_reprojection_distances,
-    select_control_points,
-    slerp,
-)
+from mocap_ros.offline.keyframes.gradient_fit import FitResult, fit_motion
+from mocap_ros.offline.keyframes.interpolation import slerp
 from mocap_ros.offline.keyframes.keyframe_set import find_keyframe_set
-from mocap_ros.offline.keyframes.outliers import find_jumping_points, find_outliers
+from mocap_ros.offline.keyframes.outliers import find_outliers
 from mocap_ros.offline.keyframes.selection import estimate_frame_interval, find_interpolatable, select_keyframes
 from mocap_ros.offline.keyframes.taylor import parse_depth_choices, reconstruct_limbs
 from mocap_ros.skeleton import CMU15
@@ -102,13 +92,7 @@ def test_incremental_selection_equals_direct_selection(data: st.DataObject) -> N
     alpha = data.draw(st.sampled_from([0.0, 0.5, 0.9, 1.0]))
     gap = data.draw(st.sampled_from([0.0, 0.1, 0.3]))
     found = select_keyframes(represents, times, alpha, gap)
-    assert found.keyframes.tolist() == select_directly(represents, times, alpha, gap)
-    assert found.covered.mean() >= alpha
-
-
-def test_interpolatable_frames_lie_between_well_represented_ones_less_than_the_gap_apart() -> None:
-    well = np.array([0, 1, 0, 0, 1, 0, 0, 0, 1, 0], bool)
-    assert np.flatnonzero(find_interpolatable(well, np.arange(10.0), 3.5)).tolist() == [2, 3]
+    assert found.tolist() == select_directly(represents, times, alpha, gap)
 
 
 def test_sections_need_hardly_more_keyframes_than_one_matrix() -> None:
@@ -124,18 +108,6 @@ def test_sections_need_hardly_more_keyframes_than_one_matrix() -> None:
     assert len(one_matrix.frames) > 8
     assert len(in_sections.frames) <= 1.1 * len(one_matrix.frames)  # measured: 11 and 12
     assert (in_sections.distance[in_sections.frames] == 0).all()
-
-
-def test_control_points_keep_the_best_fits_and_stay_within_the_gap() -> None:
-    times = np.arange(30) / 30
-    assignment = np.repeat([0, 1, -1, 1], [12, 8, 4, 6])
-    distance = np.abs(np.arange(30) - 5.0)
-    control_points = select_control_points(assignment, distance, times, 0.2)
-    assert 5 in control_points
-    gaps = np.diff(times[control_points])
-    assert (gaps <= 0.2 + 1e-9).all()
-    assert len(control_points) < 12
-    assert (assignment[control_points] >= 0).all()
 
 
 def test_slerp_turns_at_constant_speed_and_holds_the_ends() -> None:
@@ -183,51 +155,6 @@ def test_alignment_recovers_a_perspective_camera() -> None:
     assert found.joints == pytest.approx(poses, abs=1e-3)
 
 
-def test_fits_are_ranked_by_the_robust_distance_of_section_6_1(rng: np.random.Generator) -> None:
-    points, key_poses = rng.normal(size=(2, 6, 9, 2))
-    seen = rng.random((6, 9)) < 0.7
-    seen[0] = False
-    expected = [0.0]
-    for frame in range(1, 6):
-        difference = (key_poses - points)[frame, seen[frame]]
-        difference -= np.median(difference, axis=0)
-        squared = (np.linalg.norm(difference, axis=1) / ROBUST_SCALE) ** 2
-        expected.append(ROBUST_SCALE * np.sqrt(np.log1p(squared).mean()))
-    found = compute_reprojection_distances(key_poses, points, seen)
-    assert found == pytest.approx(np.array(expected))
-    assert compute_reprojection_distances(key_poses + [3.0, -2.0], points, seen) == pytest.approx(found)
-
-
-def test_points_that_jump_from_their_running_median_are_found(rng: np.random.Generator) -> None:
-    times = np.arange(90) / 30
-    points = np.stack([2.0 + 1.5 * times, 3.0 + 0 * times], axis=-1)[:, None] + rng.normal(size=(1, 15, 2))
-    seen = np.ones((90, 15), bool)
-    assert not find_jumping_points(points, seen, times).any()
-    points[40:43, 4] += [0.5, 0.0]  # m
-    points[60, 7] = np.nan
-    seen[60, 7] = False
-    assert np.argwhere(find_jumping_points(points, seen, times)).tolist() == [[40, 4], [41, 4], [42, 4]]
-
-
-def test_offsets_of_a_detector_are_found_in_spite_of_outliers(rng: np.random.Generator) -> None:
-    poses, times = make_swinging_body(60)
-    turned = poses @ rotation_from_vector(np.stack([0 * times, times, 0 * times], axis=-1))
-    body = centre_poses(poses).mean(axis=0)
-    truth = np.zeros((15, 3))
-    truth[list(TRUNK_JOINTS)] = 0.04 * rng.normal(size=(len(TRUNK_JOINTS), 3))
-    motion = AlignedMotion(turned, np.full(60, 200.0), np.zeros((60, 2)))
-    rotation = estimate_body_rotations(turned, body)
-    shown = (turned + truth @ np.swapaxes(rotation, -1, -2))[..., :2]
-    points, weight = 200.0 * shown, np.ones((60, 15))
-    without_outliers = estimate_joint_offsets(motion, points, weight, np.inf, body)
-    shrinkage = np.linalg.norm(without_outliers - truth) / np.linalg.norm(truth)
-    assert shrinkage < 0.4, 'by the ridge'
-    assert not without_outliers[[j for j in range(15) if j not in TRUNK_JOINTS]].any()
-    points[::6] += 400.0  # px, in every sixth frame
-    found = estimate_joint_offsets(motion, points, weight, np.inf, body)
-    assert found == pytest.approx(without_outliers, abs=0.005)
-
-
 def test_outliers_are_found_with_few_false_ones(rng: np.random.Generator) -> None:
     times = np.arange(300) / 30
     truth = 0.04 * np.sin(2 * np.pi * times / 1.5)[:, None, None] * rng.normal(size=(1, 15, 2))
@@ -246,18 +173,6 @@ def test_outliers_are_found_with_few_false_ones(rng: np.random.Generator) -> Non
     seen_late = np.zeros((300, 15), bool)
     seen_late[150:] = True
     assert find_outliers(truth, seen_late, times).sum() == 0
-
-
-@pytest.mark.parametrize('step_s', [0.5, 0.75, 2.0])
-def test_points_that_are_seen_seldom_are_no_outliers_for_that(step_s: float) -> None:
-    """Inliers more than 0.7 s apart are not compared."""
-    times, displacement = np.arange(20.0) * step_s, np.zeros((20, 15, 2))
-    displacement[7, 3] = 1.0  # m
-    found = find_outliers(displacement, np.ones((20, 15), bool), times)
-    assert np.argwhere(found).tolist() == [[7, 3]]
-    now_and_then = np.zeros((300, 15), bool)
-    now_and_then[::30] = True
-    assert not find_outliers(np.zeros((300, 15, 2)), now_and_then, np.arange(300) / 30).any()
 
 
 def test_short_gaps_are_interpolated_and_medians_ignore_nan() -> None:

@@ -13,13 +13,10 @@ from mocap_ros.bags.reader import is_bag
 from mocap_ros.cli.main import main
 from mocap_ros.config import Config, with_settings
 from mocap_ros.demo.scene import make_recording
-from mocap_ros.errors import InputError
 from mocap_ros.formats.sequence_file import KeypointSequence, load_sequence, save_sequence
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.models.model_file import load_base_pose_models
-from mocap_ros.offline.keyframes.interpolation import compute_limb_directions
-from mocap_ros.offline.keyframes.key_poses import SOLVER_STEP_S
-from mocap_ros.offline.keyframes.reconstruct import reconstruct
+from mocap_ros.offline.keyframes.keyframe_method import reconstruct
 from mocap_ros.skeleton import CMU15
 from tests.support.evaluation_data import shared
 from tests.support.swinging_body import make_swinging_body
@@ -69,33 +66,6 @@ def test_a_projected_motion_is_reconstructed_with_and_without_outliers() -> None
     assert compute_mpjpe(found.result.joints, truth) < 1.1 * 60.3  # mm, measured
 
 
-@pytest.mark.parametrize(('share', 'is_own'), [(0.0, False), (1.0, True)])
-def test_control_frames_have_the_key_pose_or_their_own(share: float, is_own: bool) -> None:
-    keypoints, times, _ = make_walk(120)
-    config = with_settings(CONFIG, {'keyframes.frame_pose_share': share, 'keyframes.gap': 0.1})
-    result = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, config)
-    for half in result.keyframes:
-        bones = [CMU15.bones.index(bone) for bone in half.body_half.bones]
-        directions = compute_limb_directions(result.motion, CMU15.bones)[:, bones].round(9)
-        different = len(np.unique(directions, axis=0))
-        assert different == len(times) if is_own else different < len(times) / 4
-
-
-@pytest.mark.parametrize(
-    ('name', 'value'), [('step', 0.0), ('step', 0.05), ('smoothing', 0.2), ('smoothing', 0.0), ('iterations', 1)]
-)
-def test_the_fit_has_the_parameters(name: str, value: float) -> None:
-    keypoints, times, _ = make_walk(60)
-
-    def fit(values: dict[str, object]) -> tuple[np.ndarray, np.ndarray]:
-        found = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, with_settings(CONFIG, values))
-        return found.motion, found.result.joints
-
-    (start, usual), (other_start, other) = fit({}), fit({f'keyframes.{name}': value})
-    assert (start == other_start).all()
-    assert np.abs(usual - other).max() > 1e-4, 'm'
-
-
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('case', ['one frame', 'still', 'half hidden'])
 def test_degenerate_keypoints(case: str) -> None:
@@ -120,28 +90,6 @@ def test_the_last_sight_may_be_an_outlier(case: str) -> None:
     if case != 'two sights':
         assert found.outliers[59].sum() > 10, 'the case is that most of the last sight is dropped'
     assert np.isfinite(found.result.joints).all()
-
-
-def test_times_may_begin_at_any_time() -> None:
-    keypoints, _, _ = make_walk(37)
-    times = 1 + np.arange(37) / 30
-    assert np.arange(times[0], times[-1], SOLVER_STEP_S)[-1] > times[-1], 'a step is rounded to after the end'
-    config = with_settings(Config(), {'keyframes.poses': 'solver', 'solver.prior': 'pca'})
-    assert np.isfinite(reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, config).result.joints).all()
-
-
-def test_the_vertical_is_that_of_the_parameter() -> None:
-    keypoints, times, _ = make_walk(40)
-    for text, expected in (('0 -0.96 0.28', [0, -0.96, 0.28]), ('none', [np.nan] * 3)):
-        config = with_settings(CONFIG, {'tracker.vertical': text})
-        found = reconstruct(keypoints, CMU15.joints, times, CAMERA, MODELS, config).result.vertical
-        np.testing.assert_allclose(found, np.tile(expected, (40, 1)), atol=1e-12)
-
-
-def test_points_in_one_place_are_refused() -> None:
-    keypoints, times, _ = make_walk(40)
-    with pytest.raises(InputError, match=r'^all seen points lie in one place'):
-        reconstruct(keypoints * 0 + [100, 100, 1], CMU15.joints, times, CAMERA, MODELS, CONFIG)
 
 
 @pytest.mark.filterwarnings('error')

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from mocap_ros.config import TrackerConfig
 from mocap_ros.geometry.intrinsics import Intrinsics
-from mocap_ros.offline.keyframes.shots import find_shots, observe_shots, split_into_sections
+from mocap_ros.offline.keyframes.keyframe_method import observe_shots
+from mocap_ros.offline.keyframes.shots import find_shots, split_into_sections
 from mocap_ros.skeleton import CMU15
 from tests.support.swinging_body import make_swinging_body
 
@@ -43,14 +44,6 @@ def test_a_jump_of_the_body_is_a_cut_and_swapped_sides_are_none(unit: float) -> 
     assert list_starts(find_shots(unit * rays, weight, times)) == [0]
     rays[50:] += 0.2
     assert list_starts(find_shots(unit * rays, weight, times)) == [0, 50]
-
-
-@pytest.mark.parametrize(('last', 'starts'), [(43, [0]), (46, [0, 46])])
-def test_a_long_absence_is_a_cut(last: int, starts: list[int]) -> None:
-    rays, weight, times = make_rays()
-    weight[30:last] = 0
-    weight[30:last, :3] = 1  # fewer than four seen joints are no pose
-    assert list_starts(find_shots(rays, weight, times)) == starts
 
 
 def test_swapped_sides_are_put_right_in_each_shot() -> None:

@@ -21,10 +21,15 @@ from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.rotations import fit_rotation
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 from mocap_ros.models.base_poses import BasePoses
+from mocap_ros.offline.keyframes.alignment import (
+    AlignedMotion,
+    align_motion,
+    estimate_joint_offsets,
+    subtract_offsets,
+)
 from mocap_ros.offline.keyframes.body_halves import estimate_torso_lengths, extract_half_poses, split_into_halves
-from mocap_ros.offline.keyframes.detector_offsets import estimate_joint_offsets, subtract_offsets
 from mocap_ros.offline.keyframes.filters import interpolate_gaps
-from mocap_ros.offline.keyframes.gradient_fit import AlignedMotion, FitResult, align_motion, fit_motion
+from mocap_ros.offline.keyframes.gradient_fit import FitResult, fit_motion
 from mocap_ros.offline.keyframes.interpolation import (
     assemble_poses,
     compute_limb_directions,
@@ -41,11 +46,11 @@ from mocap_ros.offline.keyframes.key_poses import (
 )
 from mocap_ros.offline.keyframes.keyframe_set import KeyframeSet, find_keyframe_set
 from mocap_ros.offline.keyframes.outliers import find_jumping_points, find_outliers
-from mocap_ros.offline.keyframes.shots import observe_shots, split_into_sections
+from mocap_ros.offline.keyframes.shots import find_shots, split_into_sections
 from mocap_ros.offline.keyframes.taylor import DepthChoice
 from mocap_ros.offline.whole_sequence import SequenceResult, choose_vertical, find_frames_in_sight
 from mocap_ros.skeleton import CMU15
-from mocap_ros.solvers.observed_window import ObservedWindow
+from mocap_ros.solvers.observed_window import ObservedWindow, observe_sequence
 from mocap_ros.solvers.window import Reconstruction
 
 Array = NDArray[np.float64]
@@ -79,10 +84,17 @@ class KeyframeResult:
     outliers: Mask
 
 
+def observe_shots(
+    keypoints: Array, joint_names: tuple[str, ...], times: Array, intrinsics: Intrinsics, config: TrackerConfig
+) -> ObservedWindow:
+    """Observe a sequence that may have cuts; arguments and errors are those of `observe_sequence`."""
+    return observe_sequence(keypoints, joint_names, times, intrinsics, config, CMU15, find_shots)
+
+
 def observe_plausible_points(
     keypoints: Array, joint_names: tuple[str, ...], times: Array, intrinsics: Intrinsics, config: TrackerConfig
 ) -> ObservedWindow:
-    """Observe a long sequence without its suspect points; the arguments are those of `shots.observe_shots`."""
+    """Observe a long sequence without its suspect points; arguments and errors are those of `observe_sequence`."""
     observed = observe_shots(keypoints, joint_names, times, intrinsics, config)
     return observed.exclude_points(find_suspect_points(observed))
 
@@ -154,12 +166,16 @@ def reconstruct(
         )
     motion = interpolate_key_poses(plausible, keyframes, key_directions, poses, lengths, parameters)
     start = align_motion(motion, plausible.points, plausible.weight, times, observed.focal)
-    displacement = _compute_displacement(start, observed.points, observed.focal)
+    displacement = start.displacement(observed.points, observed.focal)
     outliers = find_outliers(displacement, observed.weight > 0, times)
     inliers = observed.exclude_points(outliers)
     start = align_motion(motion, inliers.points, inliers.weight, times, observed.focal)
     model = models[category].rescale(config.tracker.body_height / models[category].stature)
-    offsets = _estimate_detector_offsets(poses, lengths, inliers, model.mean)
+    with_pose = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+    proposed = assemble_poses(compute_limb_directions(poses[with_pose], CMU15.bones), lengths, CMU15)
+    shown = inliers.points[with_pose], inliers.weight[with_pose]
+    aligned = align_motion(proposed, *shown, times[with_pose], observed.focal)
+    offsets = estimate_joint_offsets(aligned, *shown, observed.focal, model.mean)
     seen_points = subtract_offsets(offsets, start, inliers.points, observed.focal, model.mean)
     start = align_motion(motion, seen_points, inliers.weight, times, observed.focal)
     progress('fit')
@@ -182,12 +198,9 @@ def reconstruct(
 
 
 def find_suspect_points(observed: ObservedWindow) -> Mask:
-    """Find the points that jump in the image.
+    """Find the points (F, J) that jump in the image.
 
-    Suspect points are left out of distances and key poses, and are judged again once a 3D motion is known.
-
-    Returns:
-        (F, J) True for suspect points.
+    They are left out of distances and key poses, and are judged again once a 3D motion is known.
     """
     out = np.zeros(observed.weight.shape, bool)
     torso = estimate_torso_lengths(observed.points, observed.weight, observed.times)
@@ -206,7 +219,7 @@ def interpolate_key_poses(
     lengths: Array,
     config: KeyframesConfig,
 ) -> Array:
-    """Interpolate between key poses to the initial motion X^0 (section 6.1).
+    """Interpolate between key poses to the initial motion X^0 (F, J, 3) m (section 6.1).
 
     A half without any key pose follows the proposed poses.
 
@@ -217,9 +230,6 @@ def interpolate_key_poses(
         poses: (F, J, 3) proposed poses of any size; NaN in frames without one.
         lengths: (B,) m, limb lengths.
         config: parameters; `gap` and `frame_pose_share` apply.
-
-    Returns:
-        (F, J, 3) m, virtual camera's axes.
     """
     times = observed.times
     directions = np.zeros((len(times), len(CMU15.bones), 3))
@@ -244,15 +254,7 @@ def interpolate_key_poses(
 def _rank_fits(
     observed: ObservedWindow, keyframes: KeyframeSet, key_directions: Array, assignment: Indices, lengths: Array
 ) -> Array:
-    """Return (F,) torso lengths, the distance of each frame from its key pose; infinite without one.
-
-    Args:
-        observed: image points without suspect points.
-        keyframes: keyframes of one half.
-        key_directions: (K, B, 3) limb directions of its key poses.
-        assignment: (F,) index of each frame's keyframe, or -1.
-        lengths: (B,) m, limb lengths of the whole skeleton.
-    """
+    """Return the distances (F,) in torso lengths of frames from their key poses of one half, or infinity."""
     torso_px = estimate_torso_lengths(observed.points, observed.weight, observed.times)
     points = observed.points / torso_px[:, None, None]
     torso_m = lengths[CMU15.bones.index((CMU15.index('pelvis'), CMU15.index('neck')))]
@@ -267,20 +269,6 @@ def _rank_fits(
         key_poses[assignment[frames]][:, joints], points[frames][:, joints], observed.weight[frames][:, joints] > 0
     )
     return np.nan_to_num(out, nan=np.inf)
-
-
-def _estimate_detector_offsets(poses: Array, lengths: Array, observed: ObservedWindow, body: Array) -> Array:
-    """Return (J, 3) m, offsets of the detector's joints from the model's, from the frames with a proposed pose."""
-    frames = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
-    proposed = assemble_poses(compute_limb_directions(poses[frames], CMU15.bones), lengths, CMU15)
-    points, weight = observed.points[frames], observed.weight[frames]
-    motion = align_motion(proposed, points, weight, observed.times[frames], observed.focal)
-    return estimate_joint_offsets(motion, points, weight, observed.focal, body)
-
-
-def _compute_displacement(motion: AlignedMotion, points: Array, focal: float) -> Array:
-    """Return (F, J, 2) m, the image points, back-projected to their joints' depths, minus the motion's joints."""
-    return motion.back_project(points, focal) - motion.joints[..., :2]
 
 
 def fill_missing_points(
@@ -299,9 +287,7 @@ def fill_missing_points(
         (F, J, 2) px, all points; and (F, J) weights, `FILLED_WEIGHT` for filled points.
     """
     seen = weight > 0
-    displacement, known = interpolate_gaps(
-        _compute_displacement(motion, points, focal), seen, times, MAX_FILLED_GAP_S
-    )
+    displacement, known = interpolate_gaps(motion.displacement(points, focal), seen, times, MAX_FILLED_GAP_S)
     joints = motion.joints.copy()
     joints[..., :2] += np.where(known[..., None], displacement, 0.0)
     filled = AlignedMotion(joints, motion.scale, motion.translation).project(focal)
@@ -319,15 +305,8 @@ def _build_result(
 ) -> SequenceResult:
     """Return the fitted motion as the result type of all solvers; outliers count as not seen in it.
 
-    Args:
-        fit: fitted motion, and how the fit ended.
-        observed: window without outliers.
-        points: (F, J, 2) px, its image points without the detector's offsets.
-        in_sight: (F,) True from the first to the last frame in which a joint was seen, outliers included; the
-            other frames get no joints.
-        category: name of the base poses used.
-        model: base poses at the person's stature; their rotations and weights are those nearest to the joints.
-        config: parameters; `vertical` applies.
+    Only frames in sight (F,), from the first to the last in which a joint was seen, outliers included, get joints.
+    Rotations and weights are those that bring the base poses nearest to the joints.
     """
     motion = fit.motion
     joints, translation = motion.joints, motion.translation

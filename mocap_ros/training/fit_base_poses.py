@@ -32,15 +32,10 @@ MIN_WEIGHT_STD_M = 1e-4  # m; base poses that vary less are numerical noise, and
 
 
 def align_to_mean(poses: Array, shares: Array, align: Callable[[Array, Array], Array]) -> tuple[Array, Array]:
-    """Align all poses to their own mean by rotations (generalised Procrustes analysis).
+    """Align centred poses (N, J, 3) in m to their own mean by rotations (generalised Procrustes analysis).
 
-    The first pose is the first estimate of the mean, and so determines the orientation of the result.
-
-    Args:
-        poses: (N, J, 3) m, centred poses.
-        shares: (N,) weight of each pose in the mean, with the sum 1.
-        align: function of the poses and a target (J, 3) that returns the rotations (N, 3, 3) that bring the poses
-            closest to the target: `fit_rotation` or `fit_heading_rotation`.
+    The first pose is the first estimate of the mean, and so determines the orientation of the result. `align` is
+    `fit_rotation` or `fit_heading_rotation`, and the shares (N,) of the poses in the mean have the sum 1.
 
     Returns:
         (J, 3) m, mean pose, and (N, J, 3) m, aligned poses.
@@ -66,13 +61,7 @@ def rotation_to_face_forward(mean: Array, skeleton: Skeleton) -> Array:
 
 
 def scale_bones(poses: Array, skeleton: Skeleton, factor: Array) -> Array:
-    """Scale the bones of poses (..., J, 3) and keep their directions.
-
-    Args:
-        poses: (..., J, 3) in any unit.
-        skeleton: joints and bones of the poses.
-        factor: (B,) factors on the bone lengths, ordered as `skeleton.bones`.
-    """
+    """Scale the bones of poses (..., J, 3) by factors (B,), ordered as `skeleton.bones`; keep their directions."""
     by_child = {child: f for (_, child), f in zip(skeleton.bones, factor, strict=True)}
     out = poses.copy()
     for parent, child in skeleton.outward_bones():
@@ -193,7 +182,8 @@ def _principal_components(
 
     Returns:
         (K, J, 3) orthonormal components by decreasing variance, the entry of largest magnitude positive; their
-        (K,) variances in m^2; and the total variance in m^2.
+            (K,)
+        variances in m^2; and the total variance in m^2.
 
     Raises:
         ModelError: No component varies by `MIN_WEIGHT_STD_M`.
