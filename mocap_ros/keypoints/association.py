@@ -14,7 +14,7 @@ person and s_d of the detection, and s the larger of the two, `measure_distances
     growth = log((r_d + 0.1 s) / (r_p + 0.1 s))
 
 or the same of the detection with left and right exchanged, if its distance is less. So part of a person is as near
-to the person as the whole, and crossing people, whose centres and sizes are alike, are told apart by their joints.
+to the person as the whole, and crossing people, whose centres and sizes are alike, differ by their joints.
 Where fewer than four joints are both expected and detected, centres m and sizes are compared instead:
 
     distance(p, d) = |m_d - m_p| / s + |growth|
@@ -43,7 +43,7 @@ from mocap_ros.keypoints.person import Person2D
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-BASE_GATE = 1.0  # person sizes (RMS radius, about 0.5 m of an adult); nobody moves farther between two frames
+BASE_GATE = 1.0  # person sizes (RMS radius, about 0.5 m of an adult); no person moves farther between two frames
 UNPREDICTED_GATE_GROWTH_PER_S = 3.0  # person sizes/s; more than with a prediction, as the person keeps moving
 VELOCITY_SPAN_S = 0.25  # s; velocities are averaged over this time, which evens out image noise and single steps
 MIN_VELOCITY_SPAN_S = 0.05  # s; over a shorter time image noise, divided by the time, looks like a fast movement
@@ -172,7 +172,7 @@ def associate_keypoints(
         return [None] * len(detected)
     gates = [BASE_GATE + UNPREDICTED_GATE_GROWTH_PER_S * age_s for age_s in ages_s]
     cost = np.array([[compute_keypoint_distance(k, d) for k in known] for d in detected]) / gates
-    return choose_pairs(np.minimum(cost, 1.0), cost < 1)  # nobody costs the same, however far away
+    return choose_pairs(np.minimum(cost, 1.0), cost < 1)  # no person costs the same, however far away
 
 
 def compute_keypoint_distance(a: Person2D, b: Person2D) -> float:

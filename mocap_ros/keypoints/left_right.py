@@ -21,7 +21,7 @@ score:
     sigma_j = (2 - c_j) (PREDICTION_STD + PREDICTION_STD_PER_S d_j + PREDICTION_STD_PER_S2 d_j^2)
 
 with eps = `OUTLIER_PROBABILITY`, s = `OUTLIER_STD` and tau = `VELOCITY_TIME_S`, over the joints that have a
-counterpart on the other side. Where left and right are close together, as in somebody seen from the side, the
+counterpart on the other side. Where left and right are close together, as in a person seen from the side, the
 likelihood is the same for both labels, and the state stays as it is.
 
 A path may have confused left and right of a part before, where they crossed. With C_g(l) the sum of these costs
@@ -80,7 +80,7 @@ Array = NDArray[np.float64]
 PARTS = ('shoulders', 'legs', 'arms')
 _LEG_JOINTS = ('hip', 'knee', 'ankle', 'heel', 'toe', 'foot_index')
 _ARM_JOINTS = ('elbow', 'wrist', 'hand', 'index', 'pinky', 'thumb')
-# Joints whose line from the upper to the lower one tells which lower joint belongs to which shoulder, by part.
+# Joints whose line from the upper to the lower one shows which lower joint belongs to which shoulder, by part.
 _ATTACHMENTS = {'legs': ('lshoulder', 'lhip'), 'arms': ('lshoulder', 'lelbow')}
 
 STATES = 8  # bit 0: whole body, bit 1: legs, bit 2: arms

@@ -40,7 +40,7 @@ from mocap_ros.solvers.window import Reconstruction, Window
 Array = NDArray[np.float64]
 
 SEEN_SHARE = 0.3  # 1; with less, unusual poses are drawn to usual ones; with more, the noise of detectors stays
-MIN_DEPTH_M = 0.1  # m; guards divisions, nobody is nearer to a camera
+MIN_DEPTH_M = 0.1  # m; guards divisions, no person is nearer to a camera
 UNEXPLAINED_MEDIANS = 4.0  # median errors; 4.7 standard deviations of a coordinate, if errors are Gaussian
 # m at the body; a smaller median error counts as this much, so that precise points are believed even where the
 # model cannot follow them

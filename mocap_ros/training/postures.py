@@ -7,9 +7,8 @@
 
 People bend over, crouch, kneel, sit on the heels and go on all fours. p, a, b and d are angles in the body frame
 (x forward, y left, z up): p leans forward, a and b are 0 where the limb hangs down and positive where its end is
-in front, d spreads the knees. They change slowly over the history. A
-posture replaces the directions of the legs, and on all fours of the arms and hands; trunk and head lean as a
-whole, and the feet turn about the axis y.
+in front, d spreads the knees. They change slowly over the history. A posture replaces the directions of the legs,
+and on all fours of the arms and hands; trunk and head lean as a whole, and the feet turn about the axis y.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ class KeyframeResult:
     """A sequence reconstructed by keyframes.
 
     Attributes:
-        result: 3D joints; joints that were not seen or are outliers are not `seen` in it. Its solution tells how
+        result: 3D joints; joints that were not seen or are outliers are not `seen` in it. Its solution says how
             the gradient fit ended; the objective is the mean squared reprojection error, which may rise, since
             limb lengths are reset after every step.
         keyframes: keyframes of the upper and the lower half of the body.
