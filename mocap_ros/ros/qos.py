@@ -63,15 +63,19 @@ LATCHED_QOS = QoSProfile(
 
 def profile_to_rosbag2(profile: QoSProfile) -> dict[str, Any]:
     """Convert a profile to the keys and values that rosbag2 writes into a bag."""
+
+    def split(duration: Duration) -> dict[str, int]:
+        return dict(zip(('sec', 'nsec'), divmod(duration.nanoseconds, 10**9), strict=True))
+
     return {
         'history': profile.history.name.lower(),
         'depth': profile.depth,
         'reliability': profile.reliability.name.lower(),
         'durability': profile.durability.name.lower(),
-        'deadline': _split_duration(profile.deadline),
-        'lifespan': _split_duration(profile.lifespan),
+        'deadline': split(profile.deadline),
+        'lifespan': split(profile.lifespan),
         'liveliness': profile.liveliness.name.lower(),
-        'liveliness_lease_duration': _split_duration(profile.liveliness_lease_duration),
+        'liveliness_lease_duration': split(profile.liveliness_lease_duration),
         'avoid_ros_namespace_conventions': profile.avoid_ros_namespace_conventions,
     }
 
@@ -102,11 +106,6 @@ def choose_playback_profile(recorded: Sequence[Qos], msgtype: str = '') -> QoSPr
     )
 
 
-def _split_duration(duration: Duration) -> dict[str, int]:
-    seconds, nanoseconds = divmod(duration.nanoseconds, 10**9)
-    return {'sec': seconds, 'nsec': nanoseconds}
-
-
 class QosWarnings:
     """Log of peers whose QoS is incompatible with the node's; each policy of each topic is logged once.
 
@@ -119,12 +118,7 @@ class QosWarnings:
         self._logged: set[tuple[str, str]] = set()  # topic and policy
 
     def warn_of_subscriber(self, name: str, policy: Any) -> None:
-        """Log that a subscriber to a topic of the node receives nothing.
-
-        Args:
-            name: Name of the topic; relative names are resolved.
-            policy: Kind of the incompatible policy, as rclpy's event gives it.
-        """
+        """Log that a subscriber to a topic receives nothing because of a policy, as rclpy's event gives it."""
         self._warn_once(
             name,
             policy,
@@ -133,12 +127,7 @@ class QosWarnings:
         )
 
     def warn_of_publisher(self, name: str, policy: Any) -> None:
-        """Log that the node receives nothing from a publisher.
-
-        Args:
-            name: Name of the topic; relative names are resolved.
-            policy: Kind of the incompatible policy, as rclpy's event gives it.
-        """
+        """Log likewise that the node receives nothing from a publisher."""
         self._warn_once(
             name,
             policy,
