@@ -12,7 +12,7 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -31,13 +31,6 @@ MAX_INPUT_BYTES = 4_000_000
 MOCAP_ROS_MSGS = 'mocap_ros_msgs/msg/'  # prefix of the type names of this package's own messages
 ENCAPSULATION = b'\0\1\0\0'  # the first bytes of a message: CDR, little endian
 BIG_ENDIAN = b'\0\0'  # the first bytes of a message in the other order of bytes
-
-# Types of numbers in messages.
-DOUBLE, SINGLE, INT, BYTE = (np.dtype(name) for name in ('<f8', '<f4', '<i4', 'u1'))
-
-_UINT32 = struct.Struct('<I')
-_STAMP = struct.Struct('<iI')
-_PADDING = tuple(bytes(count) for count in range(8))
 
 
 class Header(NamedTuple):
@@ -71,11 +64,7 @@ class OutputMessage:
 
 @lru_cache(maxsize=1)
 def typestore() -> Typestore:
-    """Return the definitions of all messages that are read or written.
-
-    They are the standard messages of ROS 2, the messages of mocap_ros_msgs, and the messages of other packages
-    that are accepted as input or put out for robots.
-    """
+    """Return the definitions of all messages that are read or written, of ROS 2 and of other packages."""
     store = get_typestore(Stores.ROS2_KILTED)
     types: dict[str, Any] = {}
     for name, text in DEFINITIONS.items():
@@ -89,12 +78,7 @@ def typestore() -> Typestore:
 
 
 def create_message(msgtype: str, **values: Any) -> Any:
-    """Create a message object.
-
-    Args:
-        msgtype: name of the message type.
-        **values: the value of every field of the message.
-    """
+    """Create a message object of which the values of all fields are given."""
     return typestore().types[msgtype](**values)
 
 
@@ -103,10 +87,6 @@ def encode(message: Any, msgtype: str) -> bytes:
 
     The bytes are padded to a multiple of `CDR_ALIGNMENT_BYTES`, as DDS pads them, so that a recorded message is
     identical to the received one.
-
-    Args:
-        message: message object.
-        msgtype: name of its message type.
     """
     return pad(bytes(typestore().serialize_cdr(message, msgtype)))
 
@@ -116,71 +96,8 @@ def pad(content: bytes) -> bytes:
     return content + bytes(-len(content) % CDR_ALIGNMENT_BYTES)
 
 
-class CdrWriter:
-    """Writer of one message as CDR: all its fields in their order, those of nested messages too.
-
-    The messages that are published for every image are written so, because message objects for some hundred points
-    would take ten times as long. All others are encoded from message objects.
-    """
-
-    def __init__(self) -> None:
-        self._data = bytearray(ENCAPSULATION)
-
-    def add(self, alignment: int, content: bytes) -> None:
-        """Append bytes at the next multiple of 1, 2, 4 or 8 bytes, the size of the first number in them."""
-        self._data += _PADDING[(len(ENCAPSULATION) - len(self._data)) % alignment]
-        self._data += content
-
-    def add_numbers(self, values: ArrayLike, dtype: np.dtype[Any] = DOUBLE) -> None:
-        """Append numbers of one type, as an array of fixed length or successive fields."""
-        numbers = np.asarray(values, dtype)
-        self.add(numbers.itemsize, numbers.tobytes())
-
-    def add_sequence(self, values: ArrayLike, dtype: np.dtype[Any] = DOUBLE) -> None:
-        """Append a sequence of numbers (N,), or of messages (N, M) of M numbers each."""
-        numbers = np.asarray(values, dtype)
-        self.add_count(len(numbers))
-        if numbers.size:
-            self.add(numbers.itemsize, numbers.tobytes())
-
-    def add_count(self, count: int) -> None:
-        """Append a uint32, or the length of a sequence."""
-        self.add(4, _UINT32.pack(count))
-
-    def add_text(self, text: str) -> None:
-        """Append a string."""
-        self.add(4, _encode_text(text))
-
-    def add_header(self, header: Header) -> None:
-        """Append a std_msgs/Header."""
-        self.add(4, _encode_header(header))
-
-    def finish(self) -> bytes:
-        """Return the message, padded as `encode` pads it."""
-        return pad(bytes(self._data))
-
-
-@lru_cache(maxsize=4096)  # names of frames and people, which are in every image
-def _encode_text(text: str) -> bytes:
-    content = text.encode()
-    return _UINT32.pack(len(content) + 1) + content + b'\0'
-
-
-@lru_cache(maxsize=64)
-def _encode_header(header: Header) -> bytes:
-    return _STAMP.pack(*divmod(header.stamp_ns, NS_PER_S)) + _encode_text(header.frame_id)
-
-
 def decode(raw: bytes, msgtype: str) -> Any:
-    """Decode CDR as a message object.
-
-    Args:
-        raw: CDR bytes.
-        msgtype: name of the expected message type.
-
-    Raises:
-        InputError: the bytes are not a message of that type.
-    """
+    """Decode CDR as a message object; InputError if the bytes are not a message of that type."""
     try:
         return typestore().deserialize_cdr(raw, msgtype)
     except Exception as error:  # the bytes may come from anywhere, so the reader may raise anything
@@ -198,11 +115,7 @@ def decode_input(raw: bytes, msgtype: str) -> Any:
 def read_stamp_ns(raw: bytes) -> int:
     """Return the stamp in ns of a message that is not decoded for it, and begins with a std_msgs/Header.
 
-    Args:
-        raw: CDR bytes of the message.
-
-    Returns:
-        The stamp, whatever it is; 0 where the bytes end before it, as the decoder will report.
+    It is 0 where the bytes end before it, as the decoder will report.
     """
     try:
         order = '>' if raw[:2] == BIG_ENDIAN else '<'
@@ -213,24 +126,12 @@ def read_stamp_ns(raw: bytes) -> int:
 
 
 def validate_header(header: Any, limits: NodeConfig) -> Header:
-    """Validate a std_msgs/Header and return its content.
-
-    Args:
-        header: message object.
-        limits: the parameters that limit the length of a text.
-
-    Raises:
-        InputError: the stamp is not a valid time, or the frame_id is too long.
-    """
+    """Return the content of a std_msgs/Header; InputError if its time is not valid or the frame_id too long."""
     return Header(validate_stamp(header.stamp), validate_text(header.frame_id, 'header.frame_id', limits))
 
 
 def validate_stamp(stamp: Any) -> int:
-    """Validate the stamp of a header, a builtin_interfaces/Time, and return it in ns.
-
-    Raises:
-        InputError: the stamp is not a valid time.
-    """
+    """Return the stamp of a header, a builtin_interfaces/Time, in ns; InputError if it is not a valid time."""
     if stamp.sec < 0 or stamp.nanosec >= NS_PER_S:
         raise InputError(f'header.stamp: {stamp.sec} s {stamp.nanosec} ns is not a valid time')
     return read_stamp(stamp)
@@ -242,16 +143,7 @@ def read_stamp(stamp: Any) -> int:
 
 
 def validate_text(text: str, field: str, limits: NodeConfig) -> str:
-    """Return the text if it is not too long.
-
-    Args:
-        text: text of a message.
-        field: name of the field that holds the text, for the error message.
-        limits: the parameters that limit the length of a text.
-
-    Raises:
-        InputError: the text is longer than `limits.max_text`; the message names the field.
-    """
+    """Return the text of a field; InputError if it is longer than `limits.max_text`."""
     if len(text) > limits.max_text:
         raise InputError(f'{field}: {len(text)} characters, more than {limits.max_text}')
     return text

@@ -22,6 +22,7 @@ from mocap_ros.keypoints.person import Person2D
 from mocap_ros.messages.cdr import Header, decode, encode, typestore
 from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_keypoints
 from mocap_ros.messages.markers import MARKERS, MarkerEncoder
+from mocap_ros.messages.point_cloud import POINT_DTYPE, POINTS, encode_points
 from mocap_ros.messages.skeletons import (
     CAMERAS,
     SKELETON_DEFINITION,
@@ -232,6 +233,23 @@ def test_skeletons_and_cameras_hold_the_people() -> None:
         expected = camera.scale * rotated[:2] + camera.translation
         np.testing.assert_allclose(camera.matrix.reshape(2, 4) @ [*body, 1], expected, atol=1e-9)
         assert repr(message.camera) == repr(camera)
+
+
+def test_every_point_names_its_person_and_joint() -> None:
+    anna, bob = make_person_3d('anna'), replace(make_person_3d('bob', 7.0), std=np.linspace(0.1, 0.2, 15))
+    cloud = decode(encode_points(HEADER, [anna, bob]), POINTS)
+    read = np.frombuffer(cloud.data.tobytes(), POINT_DTYPE)
+    assert (cloud.width, cloud.height, cloud.row_step) == (30, 1, 30 * cloud.point_step)
+    dtypes = POINT_DTYPE.fields
+    assert dtypes is not None
+    assert [(f.name, f.offset) for f in cloud.fields] == [(name, dtypes[name][1]) for name in dtypes]
+    np.testing.assert_array_equal(read['person'], np.repeat([0, 1], 15))
+    np.testing.assert_array_equal(read['joint'], np.tile(np.arange(15), 2))
+    np.testing.assert_array_equal(read['inferred'], np.concatenate([anna.inferred, bob.inferred]))
+    np.testing.assert_allclose(read['std'], np.concatenate([anna.std, bob.std]), rtol=1e-6)
+    for axis, name in enumerate('xyz'):
+        np.testing.assert_array_equal(read[name], np.concatenate([anna.joints, bob.joints])[:, axis])
+    assert decode(encode_points(HEADER, []), POINTS).width == 0
 
 
 def test_skeleton_definition_names_the_joints() -> None:

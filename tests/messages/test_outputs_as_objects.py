@@ -5,11 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -18,21 +16,10 @@ from mocap_ros.config import Config, with_values
 from mocap_ros.geometry.rigid_transform import RigidTransform
 from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, decode, encode
-from mocap_ros.messages.markers import MarkerEncoder
-from mocap_ros.messages.point_cloud import encode_points
 from mocap_ros.messages.predictions import PredictedFrame
-from mocap_ros.messages.skeletons import encode_cameras, encode_skeletons
-from mocap_ros.messages.transforms import TRANSFORMS, encode_transforms
-from mocap_ros.people import CameraVertical, Motion, MotionKind, Person3D, PredictedPerson
+from mocap_ros.people import Motion, MotionKind, Person3D, PredictedPerson
 from mocap_ros.runtime.outputs import SWITCHED_OUTPUTS, OutputEncoder
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton
-from tests.support.message_objects import (
-    encode_cameras_slowly,
-    encode_markers_slowly,
-    encode_points_slowly,
-    encode_skeletons_slowly,
-    encode_transforms_slowly,
-)
 from tests.support.swinging_body import STANDING
 
 # Texts of every length modulo 8, and some outside ASCII: what follows a text is padded by its length in bytes.
@@ -73,54 +60,6 @@ def make_people(draw: st.DrawFn) -> list[Person3D]:
     """Return people of different ids and one skeleton."""
     skeleton = draw(st.sampled_from([CMU15, BODY26]))
     return [replace(p, id=f'{n}{p.id}') for n, p in enumerate(draw(st.lists(make_person(skeleton), max_size=3)))]
-
-
-@given(header=HEADERS, people=make_people())
-def test_skeletons_cameras_and_points(header: Header, people: list[Person3D]) -> None:
-    assert encode_skeletons(header, people) == encode_skeletons_slowly(header, people)
-    vertical = CameraVertical(np.array([0.1, -0.9, -0.4]), 0.05)
-    assert encode_skeletons(header, people, vertical) == encode_skeletons_slowly(header, people, vertical)
-    pose = RigidTransform.from_numbers((1.5, -2.0, 0.25, 0.6, 0.0, -0.8, 0.0))
-    raw = encode_skeletons(header, people, vertical, CameraPlacement('optical', pose))
-    assert raw == encode_skeletons_slowly(header, people, vertical, CameraPlacement('optical', pose))
-    assert encode_cameras(header, people) == encode_cameras_slowly(header, people)
-    assert encode_points(header, people) == encode_points_slowly(header, people)
-
-
-@given(header=HEADERS, people=make_people(), gone=st.integers(0, 2), lifetime_s=st.sampled_from([0.0, 0.5, 59.9]))
-def test_markers(header: Header, people: list[Person3D], gone: int, lifetime_s: float) -> None:
-    encoder, others = MarkerEncoder(), name_others(people, gone)
-    encoder.encode_update(header, [*people, *others], 0.0)
-    deleted_numbers = range(len(people), len(people) + len(others))
-    expected = encode_markers_slowly(header, people, deleted_numbers, lifetime_s)
-    assert encoder.encode_update(header, people, lifetime_s) == expected
-
-
-def name_others(people: Sequence[Person3D], count: int) -> list[Person3D]:
-    """Return further people, whose ids nobody has, if there is anybody whom they can be made of."""
-    return [replace(people[0], id=f'other {n}') for n in range(count)] if people else []
-
-
-@given(header=HEADERS, people=make_people(), prefix=TEXTS)
-def test_transforms(header: Header, people: list[Person3D], prefix: str) -> None:
-    people = [replace(p, id=f'p{n}', scale_known=True) for n, p in enumerate(people)]
-    header = header._replace(frame_id=header.frame_id or 'camera')
-    raw, expected = encode_transforms(header, people, prefix), encode_transforms_slowly(header, people, prefix)
-    assert len(raw) == len(expected)
-    for ours, theirs in zip(
-        decode(raw, TRANSFORMS).transforms, decode(expected, TRANSFORMS).transforms, strict=True
-    ):
-        assert (ours.header, ours.child_frame_id) == (theirs.header, theirs.child_frame_id)
-        for field in ('translation', 'rotation'):
-            ours_numbers, their_numbers = (vars(getattr(t.transform, field)) for t in (ours, theirs))
-            assert ours_numbers == pytest.approx(align(their_numbers, ours_numbers), abs=1e-12)
-
-
-def align(numbers: dict[str, float], reference: dict[str, float]) -> dict[str, float]:
-    """Return a vector as it is, and of the two quaternions of a rotation the nearer one to another."""
-    keys = [key for key in 'xyzw' if key in numbers]
-    is_far = 'w' in numbers and sum(numbers[k] * reference[k] for k in keys) < 0
-    return {k: (-v if is_far and k in keys else v) for k, v in numbers.items()}
 
 
 @given(header=HEADERS, people=make_people(), later_ns=st.integers(0, 2**31 * 10**9 - 1))

@@ -13,7 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocap_ros.bags.topics import Source
-from mocap_ros.messages.cdr import CdrWriter, Header, read_stamp_ns
+from mocap_ros.messages.cdr import Header, read_stamp_ns
+from mocap_ros.messages.foreign.definitions import HRI_IDS
+from mocap_ros.messages.plain import encode_plain
 from mocap_ros.ros import input_queue
 from mocap_ros.ros.input_queue import InputQueue
 from mocap_ros.units import NS_PER_S
@@ -96,9 +98,8 @@ def test_the_bodies_of_one_image_are_one_image() -> None:
 
 def put_image(queue: InputQueue, stamp_s: int, bodies: range = BODIES) -> None:
     for body in bodies:
-        writer = CdrWriter()
-        writer.add_header(Header(stamp_s * NS_PER_S, 'camera'))
-        queue.put(Source.BODY, f'/humans/bodies/b{body}/skeleton2d', writer.finish(), (1, 1))
+        raw = encode_plain((Header(stamp_s * NS_PER_S, 'camera'), ()), HRI_IDS)
+        queue.put(Source.BODY, f'/humans/bodies/b{body}/skeleton2d', raw, (1, 1))
 
 
 def take_images(queue: InputQueue, limit: int) -> Counter[int]:
