@@ -24,7 +24,7 @@ from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import FolderTaken, RecordingError
 
 CHUNK_PERIOD_S = 0.1  # s, after which a chunk is closed and the disk is checked; a killed process loses no more
-SYNC_PERIOD_S = 0.5  # s; a power cut loses the sum of both periods and the time of a sync, to be below 1 s
+SYNC_PERIOD_S = 0.2  # s; a power cut loses the sum of both periods and the time of two syncs, to be below 1 s
 MAX_WAITING_BYTES = 256_000_000  # bytes of waiting messages; far above 1000 messages of people; guards the memory
 
 
@@ -48,7 +48,7 @@ def start_recorder(
 class BackgroundRecorder:
     """A `Recorder` that receives messages in batches and closes chunks by the clock instead of by log time.
 
-    Messages are handed to the operating system every 0.1 s, and the disk is made to hold them every 0.5 s.
+    Messages are handed to the operating system every 0.1 s, and the disk is made to hold them every 0.2 s.
 
     Args:
         folder: Folder of the new bag.

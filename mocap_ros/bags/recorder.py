@@ -356,6 +356,9 @@ class Recorder:
 
     def _finish_file(self, file: McapFile) -> None:
         self._check_place(file)
+        syncing, self._syncing = self._syncing, None
+        if syncing is not None:
+            syncing.result()
         file.finish(self._describe_file)
         self._finished_files[file.path.name] = file.statistics
         self._file = None
