@@ -10,7 +10,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from math import inf
@@ -18,13 +18,13 @@ from pathlib import Path
 from types import MappingProxyType
 
 from mocap_ros.bags.mcap_file import Attachment
-from mocap_ros.bags.recorder import RecordedMessage, Recorder, choose_bag_folder
+from mocap_ros.bags.recorder import MAX_SYNCS, RecordedMessage, Recorder, choose_bag_folder
 from mocap_ros.bags.rosbag2 import Topic, TypeDefinition
 from mocap_ros.config import RecorderConfig
 from mocap_ros.errors import FolderTaken, RecordingError
 
 CHUNK_PERIOD_S = 0.1  # s, after which a chunk is closed and the disk is checked; a killed process loses no more
-SYNC_PERIOD_S = 0.2  # s; a power cut loses the sum of both periods and the time of two syncs, to be below 1 s
+SYNC_PERIOD_S = 0.2  # s; a power cut loses the sum of both periods and the time of a sync, to be below 1 s
 MAX_WAITING_BYTES = 256_000_000  # bytes of waiting messages; far above 1000 messages of people; guards the memory
 
 
@@ -73,7 +73,10 @@ class BackgroundRecorder:
     ) -> None:
         self.folder = folder
         self.refused_count = 0
-        self._recorder = Recorder(folder, _leave_chunks_open(config), attachments, definitions=definitions)
+        self._executor = ThreadPoolExecutor(MAX_SYNCS, 'mocap recorder sync')
+        self._recorder = Recorder(
+            folder, _leave_chunks_open(config), attachments, definitions=definitions, executor=self._executor
+        )
         self._config = config
         self._batches: deque[tuple[RecordedMessage | Topic, ...]] = deque()
         self._waiting_bytes = 0
@@ -159,8 +162,7 @@ class BackgroundRecorder:
     def _run(self) -> None:
         """Run the writing thread until the recorder is closed or fails."""
         try:
-            with ThreadPoolExecutor(1, 'mocap recorder sync') as executor:
-                self._write_until_closed(executor)
+            self._write_until_closed()
             self._recorder.close()
         except RecordingError as error:
             self._error = error
@@ -169,9 +171,10 @@ class BackgroundRecorder:
         finally:
             with suppress(Exception):  # the first error is reported; without one the bag is closed already
                 self._recorder.close()
+            self._executor.shutdown()
             self._busy_since_s = None
 
-    def _write_until_closed(self, executor: Executor) -> None:
+    def _write_until_closed(self) -> None:
         """Write batches as they arrive; close chunks, check the disk and sync when it is time."""
         recorder = self._recorder
         flush_due_s = sync_due_s = 0.0  # on the steady clock
@@ -194,7 +197,7 @@ class BackgroundRecorder:
                 recorder.flush()
                 flush_due_s = now_s + min(CHUNK_PERIOD_S, self._config.chunk_seconds)
                 if now_s >= sync_due_s:
-                    recorder.start_sync(executor)
+                    recorder.start_sync()
                     sync_due_s = now_s + SYNC_PERIOD_S
             if is_finished:
                 return

@@ -107,7 +107,6 @@ class McapFile:
         self._writer.start('ros2', 'mocap_ros')
         try:
             self._output.flush()  # so that a recovery knows the file as an MCAP file
-            sync_folder(path.parent)
         except OSError:
             with suppress(OSError):
                 self._output.file.close()
@@ -172,18 +171,19 @@ class McapFile:
 
         return sync
 
-    def finish(self, describe: DescribeFile) -> None:
-        """Write the description for rosbag2, the summary and the footer to the disk, and close the file.
+    def finish(self, describe: DescribeFile) -> Callable[[], None]:
+        """Write the description for rosbag2, the summary and the footer, and close the file.
 
-        If this fails, it may be tried again.
+        If this fails, it may be tried again. Returns what `prepare_sync` returns.
         """
         if not self._has_end:
             self.add_metadata(ROSBAG2, {'serialized_metadata': encode_yaml(describe(self))})
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._has_end = True
         self._output.flush()
-        self.prepare_sync()()
+        sync = self.prepare_sync()
         self._output.file.close()
+        return sync
 
 
 def sync_folder(folder: Path) -> None:

@@ -21,10 +21,11 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
+from functools import partial
 from itertools import chain, count
 from pathlib import Path
 from types import MappingProxyType
@@ -69,6 +70,7 @@ RECOVERY_HINT = '; `mocap-ros recover'  # begins what an error says of a bag tha
 # Messages of a topic that a further file repeats, the newest; guards memory and files against ever new keys. There
 # may be as many coordinate frames.
 MAX_REPEATED = 1000
+MAX_SYNCS = 3  # at a time, so that a slow one, or those between two files, do not delay the next
 MAX_FILES = 2000  # of a bag; with as many, metadata.yaml is 0.4 MB, and readers take 1 MiB (`MAX_METADATA_BYTES`)
 _REMOVED = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP)  # `OSError.errno` where the folder has become something else
 _ERRORS = {errno.ENOSPC: DiskFull, errno.EDQUOT: DiskFull, errno.EEXIST: FolderTaken}  # by `OSError.errno`
@@ -131,6 +133,7 @@ class Recorder:
         name: Beginning of the file names; by default the name of the folder. Bytes that are no UTF-8, which
             the description of a bag cannot hold, are replaced.
         definitions: Definitions of message types, by name, that differ from this package's.
+        executor: Runs what waits for the disk; by default, the methods wait themselves.
 
     Attributes:
         folder: Folder of the bag.
@@ -148,8 +151,11 @@ class Recorder:
         attachments: Sequence[Attachment] = (),
         name: str = '',
         definitions: Mapping[str, TypeDefinition] = MappingProxyType({}),
+        executor: Executor | None = None,
     ) -> None:
         self.folder = folder
+        self._executor = executor
+        self._syncs: list[Future[None]] = []  # that have not been found to be done
         self.ros_distro = find_ros_distro()
         self._definitions = definitions
         self._name = _make_utf8(name or folder.name)
@@ -160,7 +166,6 @@ class Recorder:
         self._finished_files: dict[str, MessageStatistics] = {}  # by file name
         self._chunk_start_ns = -1  # log time of the first message since the last flush; -1 where there is none
         self._begun_bytes = 0  # bytes at the beginning of the current file that repeat what earlier files hold
-        self._syncing: Future[None] | None = None
         self._file: McapFile | None = None
         _make_parent(folder)
         with self._finish_on_disk_error():
@@ -279,15 +284,16 @@ class Recorder:
             file.flush()
             self._check_space()
 
-    def start_sync(self, executor: Executor) -> None:
-        """Begin to make the disk hold what was flushed, in another thread; do nothing while that is going on."""
+    def start_sync(self) -> None:
+        """Begin to make the disk hold what was flushed; do nothing while `MAX_SYNCS` are going on."""
         file = self._open_file
         with self._finish_on_disk_error():
-            if self._syncing is not None:
-                if not self._syncing.done():
-                    return
-                self._syncing.result()
-            self._syncing = executor.submit(file.prepare_sync())
+            done = [sync for sync in self._syncs if sync.done()]
+            self._syncs = [sync for sync in self._syncs if sync not in done]
+            for sync in done:
+                sync.result()
+            if len(self._syncs) < MAX_SYNCS:
+                self._sync(file.prepare_sync())
 
     def close(self) -> None:
         """Finish the bag; further calls do nothing."""
@@ -295,6 +301,7 @@ class Recorder:
             return
         with self._finish_on_disk_error():
             self._finish_file(self._file)
+            self._wait_for_syncs()
             self._write_metadata()
 
     def remove(self) -> None:
@@ -322,7 +329,20 @@ class Recorder:
 
     def _create_file(self) -> McapFile:
         path = self.folder / f'{self._name}_{len(self._finished_files)}.mcap'
-        return McapFile(path, self._config)
+        file = McapFile(path, self._config)
+        self._sync(partial(sync_folder, self.folder))
+        return file
+
+    def _sync(self, sync: Callable[[], None]) -> None:
+        """Call a function that waits for the disk, in another thread if there is an executor."""
+        if self._executor is None:
+            sync()
+        else:
+            self._syncs.append(self._executor.submit(sync))
+
+    def _wait_for_syncs(self) -> None:
+        while self._syncs:
+            self._syncs.pop(0).result()
 
     def _select_file(self, log_time_ns: int, *, may_begin: bool) -> McapFile:
         """Return the current file, or the next one where that may begin and the current file has reached a limit.
@@ -356,12 +376,10 @@ class Recorder:
 
     def _finish_file(self, file: McapFile) -> None:
         self._check_place(file)
-        syncing, self._syncing = self._syncing, None
-        if syncing is not None:
-            syncing.result()
-        file.finish(self._describe_file)
+        sync = file.finish(self._describe_file)
         self._finished_files[file.path.name] = file.statistics
         self._file = None
+        self._sync(sync)
 
     def _describe_file(self, file: McapFile) -> dict[str, Any]:
         return describe_bag(self._topics.values(), {file.path.name: file.statistics}, self.ros_distro)
@@ -415,8 +433,10 @@ class Recorder:
         file, self._file = self._file, None
         try:
             if file is not None:
-                file.finish(self._describe_file)
+                sync = file.finish(self._describe_file)
                 self._finished_files[file.path.name] = file.statistics
+                self._sync(sync)
+            self._wait_for_syncs()
             if self._finished_files:
                 self._write_metadata()
         except OSError:
