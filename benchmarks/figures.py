@@ -67,11 +67,11 @@ MOTION = (PROTOCOL, 'data/motion/body26_30fps.npz', 'data/motion/manifest.csv')
 DETECTIONS = tuple(f'data/detections/balance_{d}_cam{c}.npz' for d in ('mediapipe', 'openpose') for c in (1, 2, 3))
 MODELS = 'base_poses', 'lifter', 'lifter_input', 'network', 'upward_direction'  # that solvers use
 GEOMETRY = (  # all that solvers and tracker use; `level` serves the exports and the view alone
-    *('camera_jacobian', 'differences', 'distortion', 'floor', 'interpolation', 'intrinsics'),
+    *('camera_jacobian', 'distortion', 'interpolation', 'intrinsics'),
     *('rigid_transform', 'rotations', 'virtual_camera', 'weak_perspective'),
 )
 SOLVERS = (
-    *(f'mocap_ros/{f}' for f in ('config/defaults.py', 'solvers', 'training/base_poses.py')),
+    *(f'mocap_ros/{f}' for f in ('config/defaults.py', 'solvers', 'training/fit_base_poses.py')),
     *(f'mocap_ros/geometry/{f}.py' for f in GEOMETRY),
     *(f'mocap_ros/models/{f}.py' for f in MODELS),
 )
@@ -140,7 +140,7 @@ BENCHMARKS = (
         (PROTOCOL,),
         ('--bags', '10', '--task-seconds', '6'),
     ),
-    Benchmark('robots', 'robots.py', ('mocap_ros/messages', *TRACKER, HELD_OUT), MOTION),
+    Benchmark('robots', 'robots.py', ('mocap_ros/bridges', 'mocap_ros/messages', *TRACKER, HELD_OUT), MOTION),
     Benchmark('recording', 'recording.py', (*BAGS, 'mocap_ros/ros/live.py'), (PROTOCOL,)),
     # The last, since it also shows what others have measured.
     Benchmark(
