@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.geometry.rigid_transform import NO_ROTATION
 from mocap_ros.geometry.rotations import quaternion_from_rotation
-from mocap_ros.messages.cdr import Header, decode, read_stamp
+from mocap_ros.messages.cdr import Header, read_stamp
+from mocap_ros.messages.plain import decode_plain
 from mocap_ros.messages.predictions import PREDICTIONS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.messages.transforms import compute_links
@@ -132,7 +133,7 @@ def read_people(raw: bytes, numbers: PersonNumbers) -> People:
         InputError: it is no such message, or its people do not have the joints of one known skeleton; the error
             names the field.
     """
-    message = decode(raw, SKELETONS)
+    message = decode_plain(raw, SKELETONS)
     numbers.keep([p.id for p in message.people])
     header = _read_header(message.header)
     people = [p for p in message.people if not p.tentative]
@@ -151,8 +152,8 @@ def read_people(raw: bytes, numbers: PersonNumbers) -> People:
             raise InputError(
                 f'people[{i}]: {len(person.joints)} joints, {len(person.joint_std)} joint_std; expected {joints}'
             )
-    places = np.array([[_xyz(j) for j in p.joints] for p in people])
-    if not np.isfinite(places).all():
+    places, roots = np.array([p.joints for p in people]), np.array([p.root for p in people])
+    if not (np.isfinite(places).all() and np.isfinite(roots).all()):
         raise InputError('people: joints that are not finite')
     return People(
         header,
@@ -161,8 +162,8 @@ def read_people(raw: bytes, numbers: PersonNumbers) -> People:
         skeleton,
         places,
         np.array([p.joint_std for p in people], float),
-        np.array([_xyz(p.root) for p in people]),
-        np.nan_to_num([_xyz(p.root_velocity) for p in people]),
+        roots,
+        np.nan_to_num([p.root_velocity for p in people]),
         np.array([p.root_covariance for p in people]).reshape(-1, 3, 3),
         np.array([p.unseen_for for p in people], float),
         np.array([p.predicted for p in people], bool),
@@ -171,19 +172,19 @@ def read_people(raw: bytes, numbers: PersonNumbers) -> People:
 
 def read_predictions(raw: bytes, numbers: PersonNumbers) -> Predictions:
     """Read a Predictions message; the arguments and errors are those of `read_people`."""
-    message = decode(raw, PREDICTIONS)
+    message = decode_plain(raw, PREDICTIONS)
     times = []
-    for then in message.times:
+    for i, then in enumerate(message.times):
+        if not 0 < then.ahead < np.inf:
+            raise InputError(f'times[{i}].ahead: {then.ahead:g} s, expected more than 0')
         if any(len(p.joints) != CORE_COUNT for p in then.people):
-            raise InputError(f'times: people with other than {CORE_COUNT} joints')
-        joints = np.array([[_xyz(j) for j in p.joints] for p in then.people]).reshape(-1, CORE_COUNT, 3)
-        times.append(PredictedPeople(float(then.ahead), tuple(numbers.find(p.id) for p in then.people), joints))
+            raise InputError(f'times[{i}]: people with other than {CORE_COUNT} joints')
+        joints = np.array([p.joints for p in then.people]).reshape(-1, CORE_COUNT, 3)
+        if not np.isfinite(joints).all():
+            raise InputError(f'times[{i}]: joints that are not finite')
+        times.append(PredictedPeople(then.ahead, tuple(numbers.find(p.id) for p in then.people), joints))
     return Predictions(_read_header(message.header), tuple(times))
 
 
 def _read_header(header: Any) -> Header:
     return Header(read_stamp(header.stamp), header.frame_id)
-
-
-def _xyz(point: Any) -> tuple[float, float, float]:
-    return point.x, point.y, point.z

@@ -11,18 +11,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mocap_ros.errors import InputError
+from mocap_ros.errors import InputError, naming
 from mocap_ros.geometry.rigid_transform import SAME_POSE, RigidTransform
 from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.camera_placement import CameraPlacement
-from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Array, Header, decode
-from mocap_ros.messages.plain import encode_plain
+from mocap_ros.messages.cdr import MOCAP_ROS_MSGS, Array, Header, read_stamp
+from mocap_ros.messages.plain import decode_plain, encode_plain
 from mocap_ros.people import CameraVertical, Person3D
-from mocap_ros.skeleton import Skeleton
+from mocap_ros.skeleton import Skeleton, keypoint_layout
 
 SKELETONS = MOCAP_ROS_MSGS + 'Skeleton3DArray'
 SKELETON_DEFINITION = MOCAP_ROS_MSGS + 'SkeletonDefinition'
@@ -98,35 +100,93 @@ def encode_cameras(header: Header, people: Sequence[Person3D]) -> bytes:
     return encode_plain({'header': header, 'ids': [p.id for p in people], 'cameras': cameras}, CAMERAS)
 
 
-def decode_skeletons(raw: bytes) -> Any:
-    """Decode a Skeleton3DArray, with joints, root covariances and vertical in the camera's optical frame.
+class RecordedPerson(NamedTuple):
+    """What is read of a Skeleton3D.
 
-    Other fields, such as velocities and orientations, stay as they are.
+    Attributes:
+        id: id of the person.
+        skeleton: names and order of the J joints.
+        joints: (J, 3) m, in the camera's optical frame.
+        std: (J,) m, standard deviations of the joints; NaN if unknown.
+        inferred: (J,) whether a joint was not seen; version 0.1 did not record it.
+        residual: px, RMS over the seen joints.
+        cadence: Hz; NaN for motions that are not periodic.
+        motion: number of the `MotionKind`.
+        predicted: whether the person was not detected in the image.
+        tentative: whether the person was seen too shortly to be sure.
+        scale: px/m, of the weak-perspective camera.
+        translation: (2,) px, of the weak-perspective camera.
+        root_covariance: (3, 3) m^2, in the camera's optical frame; zeros if unknown.
+    """
+
+    id: str
+    skeleton: Skeleton
+    joints: Array
+    std: NDArray[np.float32]
+    inferred: NDArray[np.bool_]
+    residual: float
+    cadence: float
+    motion: int
+    predicted: bool
+    tentative: bool
+    scale: float
+    translation: Array
+    root_covariance: Array
+
+
+class RecordedSkeletons(NamedTuple):
+    """What is read of a Skeleton3DArray: stamp in ns, people and, in the camera's optical frame, vertical (3,)."""
+
+    stamp_ns: int
+    people: tuple[RecordedPerson, ...]
+    vertical: Array
+
+
+def decode_skeletons(raw: bytes) -> RecordedSkeletons:
+    """Decode a Skeleton3DArray, with joints, root covariances and vertical in the camera's optical frame.
 
     Args:
         raw: CDR bytes.
 
     Raises:
-        InputError: the bytes are no Skeleton3DArray, or its camera pose is not valid.
+        InputError: the bytes are no Skeleton3DArray, its camera pose is not valid, or a person does not have the
+            joints of a known skeleton; the error names the field.
     """
-    array = decode(raw, SKELETONS)
-    position, orientation = array.camera_pose.position, array.camera_pose.orientation
-    numbers = (position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w)
-    if numbers == SAME_POSE:
-        return array
-    try:
-        to_optical_frame = RigidTransform.from_numbers(numbers).inverse()
-    except InputError as error:
-        raise InputError(f'camera_pose: {error}') from None
-    for skeleton in array.people:
-        joints = to_optical_frame.apply(np.array([(p.x, p.y, p.z) for p in skeleton.joints]).reshape(-1, 3))
-        for point, (x, y, z) in zip(skeleton.joints, joints.tolist(), strict=True):
-            point.x, point.y, point.z = x, y, z
-        covariance = to_optical_frame.rotate_covariance(skeleton.root_covariance.reshape(3, 3))
-        skeleton.root_covariance = covariance.ravel()
-    up = array.vertical
-    up.x, up.y, up.z = to_optical_frame.rotate(np.array([up.x, up.y, up.z])).tolist()
-    return array
+    message = decode_plain(raw, SKELETONS)
+    pose = None
+    with naming('camera_pose'):
+        if tuple(message.camera_pose) != SAME_POSE:
+            pose = RigidTransform.from_numbers(message.camera_pose.tolist()).inverse()
+    people = []
+    for index, person in enumerate(message.people):
+        with naming(f'people[{index}]'):
+            people.append(_read_person(person, pose))
+    vertical = message.vertical if pose is None else pose.rotate(message.vertical)
+    return RecordedSkeletons(read_stamp(message.header.stamp), tuple(people), vertical)
+
+
+def _read_person(person: SimpleNamespace, pose: RigidTransform | None) -> RecordedPerson:
+    """Read a Skeleton3D; `pose` places its frame in the optical frame."""
+    skeleton, joints = keypoint_layout(person.skeleton), person.joints
+    count, covariance = len(skeleton.joints), person.root_covariance.reshape(3, 3)
+    if len(joints) != count or len(person.inferred) not in (0, count):
+        flags = len(person.inferred)
+        raise InputError(f'{len(joints)} joints and {flags} flags, {skeleton.name} has {count}')
+    return RecordedPerson(
+        person.id,
+        skeleton,
+        joints if pose is None else pose.apply(joints),
+        person.joint_std if len(person.joint_std) == count else np.full(count, np.nan, np.float32),
+        person.inferred if len(person.inferred) else np.zeros(count, bool),
+        person.reprojection_residual,
+        person.motion.cadence,
+        person.motion.state,
+        person.predicted,
+        person.tentative,
+        scale=person.camera[0],
+        translation=person.camera[5:7],
+        root_covariance=covariance if pose is None else pose.rotate_covariance(covariance),
+    )
 
 
 def encode_skeleton_definition(skeleton: Skeleton) -> bytes:

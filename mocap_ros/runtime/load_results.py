@@ -7,16 +7,13 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from mocap_ros.bags.reader import Bag, is_bag
 from mocap_ros.errors import InputError, naming
 from mocap_ros.formats.result_file import StoredResult, is_result_file, load_result_file
-from mocap_ros.messages.cdr import read_stamp
-from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
-from mocap_ros.skeleton import keypoint_layout
+from mocap_ros.messages.skeletons import SKELETONS, RecordedSkeletons, decode_skeletons
 from mocap_ros.units import NS_PER_S
 
 
@@ -64,8 +61,9 @@ def _load_bag(path: Path, person: str | None) -> tuple[StoredResult, str]:
         if len(topics) != 1:
             found = f'several topics of skeletons: {", ".join(topics)}' if topics else 'no skeletons'
             raise InputError(f'{path}: the bag has {found}')
-        arrays = [decode_skeletons(message.raw) for message in bag.messages(topics)]
-    array_by_stamp = {read_stamp(array.header.stamp): array for array in arrays}
+        with naming(f'{path}: {topics[0]}'):
+            arrays = [decode_skeletons(message.raw) for message in bag.messages(topics)]
+    array_by_stamp = {array.stamp_ns: array for array in arrays}
     counts = Counter(skeleton.id for array in array_by_stamp.values() for skeleton in array.people)
     if not counts:
         raise InputError(f'{path}: {topics[0]}: nobody is in any message')
@@ -77,30 +75,23 @@ def _load_bag(path: Path, person: str | None) -> tuple[StoredResult, str]:
         return _collect(array_by_stamp, chosen), chosen
 
 
-def _collect(array_by_stamp: dict[int, Any], person: str) -> StoredResult:
+def _collect(array_by_stamp: dict[int, RecordedSkeletons], person: str) -> StoredResult:
     """Return the skeletons of a person in messages by their stamps in ns, in the order of the stamps."""
     stamps = sorted(array_by_stamp)
-    skeletons = [next((s for s in array_by_stamp[t].people if s.id == person), None) for t in stamps]
-    names = {s.skeleton for s in skeletons if s is not None}
-    if len(names) > 1:
-        raise InputError(f'skeletons of several layouts: {", ".join(sorted(names))}')
-    name = names.pop()
-    skeleton = keypoint_layout(name)
+    found = [next((s for s in array_by_stamp[t].people if s.id == person), None) for t in stamps]
+    skeletons = {s.skeleton.name: s.skeleton for s in found if s is not None}
+    if len(skeletons) > 1:
+        raise InputError(f'skeletons of several layouts: {", ".join(sorted(skeletons))}')
+    skeleton = next(iter(skeletons.values()))
     shape = (len(stamps), len(skeleton.joints))
     joints, seen, residual = np.full((*shape, 3), np.nan), np.zeros(shape, bool), np.full(len(stamps), np.nan)
     std, covariance = np.full(shape, np.nan), np.full((len(stamps), 3, 3), np.nan)
-    for frame, found in enumerate(skeletons):
-        if found is None:
+    for frame, recorded in enumerate(found):
+        if recorded is None:
             continue
-        if len(found.joints) != shape[1] or len(found.inferred) not in (0, shape[1]):
-            lengths = len(found.joints), len(found.inferred)
-            raise InputError(f'{lengths[0]} joints and {lengths[1]} flags, {name} has {shape[1]}')
-        joints[frame] = [(point.x, point.y, point.z) for point in found.joints]
-        seen[frame] = ~np.asarray(found.inferred, bool) if len(found.inferred) else True  # as in bags of 0.1
-        residual[frame] = found.reprojection_residual
-        if len(found.joint_std) == shape[1]:
-            std[frame] = found.joint_std
-        if np.any(found.root_covariance):  # version 0.1 recorded none, which is converted to zeros
-            covariance[frame] = found.root_covariance.reshape(3, 3)
+        joints[frame], seen[frame], std[frame] = recorded.joints, ~recorded.inferred, recorded.std
+        residual[frame] = recorded.residual
+        if np.any(recorded.root_covariance):  # version 0.1 recorded none, which is converted to zeros
+            covariance[frame] = recorded.root_covariance
     times = np.array(stamps) / NS_PER_S
     return StoredResult(times, joints, seen, residual, skeleton, tuple(stamps), std, covariance)

@@ -31,9 +31,8 @@ from mocap_ros.formats.text_files import read_text
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.level import average_vertical
 from mocap_ros.keypoints.image_size import UNKNOWN_SIZE, resolve_image_size
-from mocap_ros.messages.cdr import read_stamp
 from mocap_ros.messages.keypoints import KeypointsFrame
-from mocap_ros.messages.skeletons import SKELETONS, decode_skeletons
+from mocap_ros.messages.skeletons import SKELETONS, RecordedPerson, RecordedSkeletons, decode_skeletons
 from mocap_ros.models.base_poses import BasePoses
 from mocap_ros.offline.whole_sequence import reconstruct_sequence
 from mocap_ros.people import MotionKind
@@ -42,7 +41,7 @@ from mocap_ros.runtime.frame_assembly import FrameAssembler, is_stamp_missing
 from mocap_ros.runtime.input_kind import KEYPOINT_FORMATS, KEYPOINT_KINDS, InputKind, require_kind
 from mocap_ros.runtime.load_keypoints import find_camera, load_input, load_people
 from mocap_ros.runtime.load_results import holds_result
-from mocap_ros.skeleton import CMU15, Skeleton, keypoint_layout, skeleton_from_joints
+from mocap_ros.skeleton import CMU15, Skeleton, skeleton_from_joints
 from mocap_ros.units import NS_PER_S
 from mocap_ros.viewing.scene import Mark, MarkKind, Scene, SceneKeypoints, ScenePerson
 
@@ -303,7 +302,7 @@ class _Recording:
         self._size = resolve_image_size(camera=self._camera.size if self._camera else None, configured=self._size)
         self._stated_size = UNKNOWN_SIZE
         self._skeleton = CMU15
-        self._people: dict[str, dict[int, tuple[Any, ...]]] = {}  # rows by stamps in ns
+        self._people: dict[str, dict[int, RecordedPerson]] = {}  # by stamps in ns
         self._detections: dict[tuple[str, ...], list[tuple[int, Array]]] = {}  # stamps in ns and points by joints
         self._stamps: set[int] = set()
         self._verticals: list[Array] = []
@@ -335,20 +334,18 @@ class _Recording:
             for person in frame.people:
                 self._detections.setdefault(person.joints, []).append((frame.header.stamp_ns, person.points))
 
-    def _add_skeletons(self, array: Any) -> None:
-        self._newest_ns = read_stamp(array.header.stamp)
+    def _add_skeletons(self, array: RecordedSkeletons) -> None:
+        self._newest_ns = array.stamp_ns
         self._stamps.add(self._newest_ns)
-        vertical = np.array([array.vertical.x, array.vertical.y, array.vertical.z])
-        if 0 < np.linalg.norm(vertical) < MAX_VERTICAL:
-            self._verticals.append(vertical)
+        if 0 < np.linalg.norm(array.vertical) < MAX_VERTICAL:
+            self._verticals.append(array.vertical)
         for person in array.people:
             if self._person not in (None, person.id):
                 continue
-            skeleton = keypoint_layout(person.skeleton)
-            if self._people and skeleton != self._skeleton:
-                raise InputError(f'{person.id}: joints of {skeleton.name}, others of {self._skeleton.name}')
-            self._skeleton = skeleton
-            self._people.setdefault(person.id, {})[self._newest_ns] = _read_person(person, skeleton)
+            if self._people and person.skeleton != self._skeleton:
+                raise InputError(f'{person.id}: joints of {person.skeleton.name}, others of {self._skeleton.name}')
+            self._skeleton = person.skeleton
+            self._people.setdefault(person.id, {})[self._newest_ns] = person
 
     def build(self, title: str) -> Scene:
         """Return the scene of all messages that were added.
@@ -364,7 +361,10 @@ class _Recording:
         stamps = stamps[int(is_stamp_missing(stamps[0], stamps[-1])) :]
         person_type = _make_person_type(len(self._skeleton.joints))
         found = {i: _sort(own.items(), stamps) for i, own in self._people.items()}
-        rows_of = {i: np.array(rows, person_type) for i, (_, rows) in found.items()}
+        rows_of = {
+            i: np.array([tuple(getattr(p, name) for name in person_type.names or ()) for p in own], person_type)
+            for i, (_, own) in found.items()
+        }
         rows = np.concatenate(list(rows_of.values()))
         roots = _average_core(rows['joints'], self._skeleton)
         intrinsics, implied_size = recover_intrinsics(roots, rows['scale'], rows['translation'])
@@ -401,23 +401,11 @@ def _sort(rows: Iterable[tuple[int, Row]], stamps: NDArray[np.int64]) -> tuple[N
 
 
 def _make_person_type(count: int) -> np.dtype[Any]:
-    """Return the type of what `_read_person` returns, by the names of `ScenePerson`."""
+    """Return the type of what is kept of a `RecordedPerson`, by its names, which are those of `ScenePerson`."""
     joints = [('joints', 'f4', (count, 3)), ('std', 'f4', count), ('inferred', '?', count)]
     states = [('motion', 'u1'), ('predicted', '?'), ('tentative', '?')]
     camera = [('scale', 'f8'), ('translation', 'f8', 2)]
     return np.dtype([*joints, ('residual', 'f4'), ('cadence', 'f4'), *states, *camera])
-
-
-def _read_person(person: Any, skeleton: Skeleton) -> tuple[Any, ...]:
-    """Return the numbers of a Skeleton3D, in the order of `_make_person_type`."""
-    count, joints = len(skeleton.joints), np.array([(p.x, p.y, p.z) for p in person.joints], np.float32)
-    std = person.joint_std if len(person.joint_std) == count else np.full(count, np.nan)
-    inferred = person.inferred if len(person.inferred) else np.zeros(count)  # 0.1 had another name for it
-    if {len(joints), len(inferred)} != {count}:
-        raise InputError(f'{len(joints)} joints and {len(inferred)} flags, {skeleton.name} has {count}')
-    residual, motion, camera = person.reprojection_residual, person.motion, person.camera
-    states = motion.state, person.predicted, person.tentative
-    return joints, std, inferred, residual, motion.cadence, *states, camera.scale, camera.translation
 
 
 def load_keyframe_marks(path: Path) -> tuple[list[Mark], int | None]:
