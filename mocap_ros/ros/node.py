@@ -94,7 +94,7 @@ class MocapNode(ManagedNode):
         if compilation.kernels:  # none when the node is configured again
             self.get_logger().info(str(compilation))
         self._pipeline = Pipeline(config)
-        self._outputs = self._create_publishers()
+        self._create_publishers()
         callbacks = {'~/reset': self._on_reset, '~/record': self._on_record}
         self._provided_services = [
             self.create_service(load_interface_class(srvtype), name, callbacks[name])
@@ -103,18 +103,17 @@ class MocapNode(ManagedNode):
         gc.collect()
         gc.freeze()  # a garbage collection between two frames would take 50 ms to look at all imported libraries
 
-    def _create_publishers(self) -> Publishers:
+    def _create_publishers(self) -> None:
         """Create the publishers; what a parameter switches on and has no installed type is recorded only."""
-        outputs = Publishers(self, self._versions, self._qos_warnings)
+        self._outputs = Publishers(self, self._versions, self._qos_warnings)
         for topics, qos in ((OUTPUTS, OUTPUT_QOS), (LATCHED_OUTPUTS, LATCHED_QOS)):
             for topic, msgtype in topics.items():
-                outputs.add(topic, msgtype, qos)
-        outputs.add(DIAGNOSTICS_TOPIC, DIAGNOSTICS, OUTPUT_QOS)
+                self._outputs.add(topic, msgtype, qos)
+        self._outputs.add(DIAGNOSTICS_TOPIC, DIAGNOSTICS, OUTPUT_QOS)
         for topic, msgtype in list_switched_outputs(self._config.node).items():
             is_transforms = msgtype == TRANSFORMS
             consequence = f'{"transforms are" if is_transforms else f"{topic} is"} recorded but not published'
-            outputs.add_if_installed(topic, msgtype, TF_QOS if is_transforms else OUTPUT_QOS, consequence)
-        return outputs
+            self._outputs.add_if_installed(topic, msgtype, TF_QOS if is_transforms else OUTPUT_QOS, consequence)
 
     def clean_up(self) -> None:
         """Discard the model and destroy publishers and services."""

@@ -99,8 +99,8 @@ def test_the_person_with_most_skeletons_is_read_from_a_bag(tmp_path: Path) -> No
     ('name', 'joint_count', 'flag_count', 'message'),
     [
         ('body26', 26, 0, 'skeletons of several layouts: body26, cmu15'),
-        ('cmu15', 14, 0, '14 joints and 0 flags, cmu15 has 15'),
-        ('cmu15', 15, 14, '15 joints and 14 flags, cmu15 has 15'),
+        ('cmu15', 14, 0, r'people\[0\]: 14 joints and 0 flags, cmu15 has 15'),
+        ('cmu15', 15, 14, r'people\[0\]: 15 joints and 14 flags, cmu15 has 15'),
     ],
 )
 def test_skeletons_that_do_not_fit_together_are_refused(
