@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mocap_ros.bridges.markers import show_markers
 from mocap_ros.bridges.seen import Predictions
-from mocap_ros.messages.markers import LINE_LIST, Marker, MarkerStyle, choose_color
+from mocap_ros.messages.markers import LINE_LIST, Marker, MarkerStyle, choose_color, show_markers
 from mocap_ros.skeleton import CMU15
 
 # All chosen for the look.

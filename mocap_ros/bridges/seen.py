@@ -8,9 +8,7 @@ People who are tentative are left out, because a robot would act on them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +18,7 @@ from mocap_ros.errors import InputError, SkeletonError
 from mocap_ros.geometry.rigid_transform import NO_ROTATION
 from mocap_ros.geometry.rotations import quaternion_from_rotation
 from mocap_ros.messages.cdr import Header, read_stamp
+from mocap_ros.messages.markers import PersonNumbers
 from mocap_ros.messages.plain import decode_plain
 from mocap_ros.messages.predictions import PREDICTIONS
 from mocap_ros.messages.skeletons import SKELETONS
@@ -100,26 +99,6 @@ class Predictions(NamedTuple):
 
     header: Header
     times: tuple[PredictedPeople, ...] = ()
-
-
-class PersonNumbers:
-    """Small numbers of people, which they keep while they are there."""
-
-    def __init__(self) -> None:
-        self._numbers: dict[str, int] = {}  # by id
-
-    def keep(self, ids: Sequence[str]) -> None:
-        """Forget all others, and number those who are new."""
-        self._numbers = {i: n for i, n in self._numbers.items() if i in set(ids)}
-        for person_id in ids:
-            self.find(person_id)
-
-    def find(self, person_id: str) -> int:
-        """Return the number of a person; a new one gets the smallest that is free."""
-        if person_id not in self._numbers:
-            taken = set(self._numbers.values())
-            self._numbers[person_id] = next(n for n in count() if n not in taken)
-        return self._numbers[person_id]
 
 
 def read_people(raw: bytes, numbers: PersonNumbers) -> People:

@@ -29,7 +29,7 @@ def add_config_options(parser: argparse.ArgumentParser) -> None:
         action='append',
         default=[],
         metavar='NAME=VALUE',
-        help='value of one parameter, such as solver.components=20; may be repeated '
+        help='value of one parameter, such as tracker.body_height=1.8; may be repeated '
         '(defaults: see `mocap-ros config`)',
     )
 

@@ -281,7 +281,7 @@ class NodeConfig:
     )
     queue: int = define_parameter(
         10,
-        'maximum number of waiting messages; if there are more, all but the newest are dropped',
+        'maximum number of waiting images of people; if there are more, all but the newest are dropped',
         low=1,
         high=1000,
     )

@@ -12,7 +12,7 @@ translucent.
 from __future__ import annotations
 
 import colorsys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import count
 from typing import NamedTuple
@@ -37,6 +37,8 @@ BRIGHTNESS = 0.95  # chosen for the look
 
 JOINT_SCALE_M = (0.06, 0.06, 0.06)  # diameter of the spheres, chosen for the look: about a wrist
 BONE_SCALE_M = (0.025, 0.0, 0.0)  # width of the lines, chosen for the look; viewers warn about lines with a height
+
+LIFETIME_S = 0.5  # s; after which a viewer removes the markers of a bridge by itself
 
 Colors = NDArray[np.float32]  # (..., 4) red, green, blue and alpha in [0, 1]
 
@@ -113,25 +115,33 @@ def encode_markers(header: Header, markers: Sequence[Marker], lifetime_s: float 
     return encode_plain({'markers': message}, MARKERS)
 
 
-class MarkerSeries:
-    """Encoder of the successive MarkerArrays of a topic, which deletes the markers that are not there any more."""
+def show_markers(
+    header: Header, shown: Sequence[Marker], before: Sequence[Marker], lifetime_s: float = LIFETIME_S
+) -> bytes:
+    """Encode a MarkerArray that shows these markers, and deletes those of the message before that are gone."""
+    kept = {(marker.namespace, marker.number) for marker in shown}
+    gone = sorted({(marker.namespace, marker.number) for marker in before} - kept)
+    return encode_markers(header, [*(Marker(*name, action=DELETE) for name in gone), *shown], lifetime_s)
+
+
+class PersonNumbers:
+    """Small numbers of people, which they keep while they are there."""
 
     def __init__(self) -> None:
-        self._shown: set[tuple[str, int]] = set()  # namespaces and numbers
+        self._numbers: dict[str, int] = {}  # by id
 
-    def encode_update(self, header: Header, markers: Sequence[Marker], lifetime_s: float) -> bytes:
-        """Encode a MarkerArray that shows these markers alone; the arguments are those of `encode_markers`."""
-        shown = {(marker.namespace, marker.number) for marker in markers}
-        gone = [Marker(*name, action=DELETE) for name in sorted(self._shown - shown)]
-        self._shown = shown
-        return encode_markers(header, [*gone, *markers], lifetime_s)
+    def keep(self, ids: Sequence[str]) -> None:
+        """Forget all others, and number those who are new."""
+        self._numbers = {i: n for i, n in self._numbers.items() if i in set(ids)}
+        for person_id in ids:
+            self.find(person_id)
 
-    def encode_clear(self, header: Header) -> list[bytes]:
-        """Encode a MarkerArray that deletes all markers, if there are some, and forget them."""
-        if not self._shown:
-            return []
-        self._shown = set()
-        return [encode_markers(header, [Marker('', 0, action=DELETE_ALL)])]
+    def find(self, person_id: str) -> int:
+        """Return the number of a person; a new one gets the smallest that is free."""
+        if person_id not in self._numbers:
+            taken = set(self._numbers.values())
+            self._numbers[person_id] = next(n for n in count() if n not in taken)
+        return self._numbers[person_id]
 
 
 class MarkerEncoder:
@@ -141,13 +151,8 @@ class MarkerEncoder:
     """
 
     def __init__(self) -> None:
-        self._series = MarkerSeries()
-        self._number_by_id: dict[str, int] = {}
-
-    @property
-    def numbers(self) -> Mapping[str, int]:
-        """Numbers of the people of the last message, by id."""
-        return self._number_by_id
+        self._numbers = PersonNumbers()
+        self._shown: list[Marker] = []
 
     def encode_update(self, header: Header, people: Sequence[Person3D], lifetime_s: float) -> bytes:
         """Encode a MarkerArray that shows these people and deletes the markers of all others.
@@ -157,19 +162,14 @@ class MarkerEncoder:
             people: all people in the image.
             lifetime_s: s after which a viewer removes the markers by itself, 0 for never.
         """
-        present = {p.id for p in people}
-        kept = {person_id: n for person_id, n in self._number_by_id.items() if person_id in present}
-        for person in people:
-            if person.id not in kept:
-                kept[person.id] = next(n for n in count() if n not in kept.values())
-        self._number_by_id = kept
-        markers = [m for p in people for m in draw_person(p, kept[p.id])]
-        return self._series.encode_update(header, markers, lifetime_s)
+        self._numbers.keep([p.id for p in people])
+        before, self._shown = self._shown, [m for p in people for m in draw_person(p, self._numbers.find(p.id))]
+        return show_markers(header, self._shown, before, lifetime_s)
 
     def encode_clear(self, header: Header) -> bytes:
         """Encode a MarkerArray that deletes all markers, and forget all people."""
-        self._number_by_id = {}
-        self._series = MarkerSeries()
+        self._numbers.keep([])
+        self._shown = []
         return encode_markers(header, [Marker('', 0, action=DELETE_ALL)])
 
 

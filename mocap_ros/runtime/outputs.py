@@ -108,10 +108,7 @@ class OutputEncoder:
         return tuple(outputs)
 
     def _keep_order(self, people: Sequence[Person3D]) -> list[Person3D]:
-        """Return the people in the order of the image before, new ones last.
-
-        Detectors change the order from image to image; a message whose order stays is encoded faster.
-        """
+        """Return the people in the order of the image before, new ones last; that of detectors changes."""
         ordered = sorted(people, key=lambda p: self._order.get(p.id, len(self._order)))
         self._order = {person.id: place for place, person in enumerate(ordered)}
         return ordered
