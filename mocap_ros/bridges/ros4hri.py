@@ -99,7 +99,6 @@ JOINTS = _list_joints()
 # lengths of the model
 LENGTHS = ('trunk', 'head', 'shoulder', 'hip', 'upper_arm', 'forearm', 'thigh', 'shin')
 MOVED_JOINTS = tuple(j.name for j in JOINTS if j.axis)  # in the order of the joint states
-ANGLES = len(MOVED_JOINTS)
 
 
 def _unit(vectors: Array) -> Array:

@@ -69,11 +69,6 @@ class Video:
     hfov: float | None = None
     focal: float | None = None
 
-    @property
-    def fits_any_input(self) -> bool:
-        """Whether nothing is given but the focal length, which may be given of any input."""
-        return replace(self, hfov=None, focal=None) == Video()
-
     def find_focal_length(self, image_width: int) -> float | None:
         """Return the focal length in px, in images of this width in px; None where neither it nor hfov is given.
 

@@ -59,7 +59,7 @@ def _share_masses() -> Array:
 
 
 MASSES = _share_masses()  # (J,) of all joints of `CMU15`
-_HEAD, _NECK, _PELVIS = (CMU15.joints.index(name) for name in ('head', 'neck', 'pelvis'))
+_NECK, _PELVIS = (CMU15.joints.index(name) for name in ('neck', 'pelvis'))
 _LSHOULDER, _RSHOULDER = (CMU15.joints.index(name) for name in ('lshoulder', 'rshoulder'))
 _LHIP, _LKNEE, _LANKLE = (CMU15.joints.index('l' + name) for name in ('hip', 'knee', 'ankle'))
 _RHIP, _RKNEE, _RANKLE = (CMU15.joints.index('r' + name) for name in ('hip', 'knee', 'ankle'))

@@ -37,12 +37,12 @@ class InputCamera:
 
     def __init__(self) -> None:
         self.calibration: Calibration | None = None
-        self._others: dict[str, Calibration] = {}  # of cameras that are not in use
         self.reset()
 
     def reset(self) -> None:
-        """Take the next image as the first; what is known of the cameras' calibration stays."""
+        """Take the next image as the first; only the CameraInfo in use stays, with which a recording begins."""
         self.name = ''
+        self._others: dict[str, Calibration] = {}  # of cameras that are not in use
         self._rival: tuple[str, int] | None = None  # another camera, and its first stamp since the last image used
 
     def add_calibration(self, given: Calibration) -> None:

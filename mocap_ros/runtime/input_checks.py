@@ -90,8 +90,7 @@ class InputChecks:
     ) -> list[str]:
         """Return what is wrong with the input and was not described before.
 
-        Once nobody has been there for so long that the tracker has forgotten everybody, all is described anew: a
-        part of a bag that begins there must say the same (`parts.py`).
+        Once nobody has been there for so long that the tracker has forgotten everybody, all is described anew.
 
         Args:
             frame: What the detector saw in the image.

@@ -4,7 +4,7 @@
 """A person's joints and their velocity in one frame, and how sure velocity and place are.
 
 With a motion filter they are of its state. Without one, as with a lag, the solution before and after a frame is
-smooth, and the velocity is the central difference of the frames beside it (`geometry.differences`).
+smooth, and the velocity is the central difference of the frames beside it (`geometry.interpolation`).
 
 What is published of the newest frame has the filter's velocity with a learned correction, if the pose was lifted
 (`models/velocity_correction.py`). With the filter's standard deviation s_j and the correction c_j of a joint, and

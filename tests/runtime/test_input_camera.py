@@ -82,6 +82,23 @@ def test_each_camera_is_used_with_its_own_camera_info() -> None:
         assert camera.calibration is calibration, 'what has no name, or another one, may be of any camera'
 
 
+def test_after_a_reset_the_camera_info_in_use_is_known_alone() -> None:
+    """A recording begins with it and a reset, so that a replay knows the same."""
+    camera = InputCamera()
+    front, back = calibrate('front', 500.0), calibrate('back', 900.0)
+    camera.add_calibration(front)
+    send(camera, 'front', 1.0)
+    with pytest.raises(InputError):
+        camera.add_calibration(back)
+    camera.reset()
+    assert camera.calibration is front
+    assert [send(camera, *image) for image in (('front', 2.0), ('back', 3.0), ('back', 3.0 + SILENCE_S))][1:] == [
+        'refused',
+        'replaced',
+    ]
+    assert camera.calibration is None
+
+
 def test_ever_new_cameras_cost_no_memory() -> None:
     camera = InputCamera()
     for n in range(5 * MAX_REMEMBERED):
