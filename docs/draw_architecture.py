@@ -28,8 +28,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'mocap_ros'
 PICTURE = ROOT / 'docs' / 'img' / 'architecture.png'
 
-WIDTH = 19.4  # inches, of the picture: seven boxes on the lowest floor
-LEFT, RIGHT = 5.0, 15.8  # inches, middles of the columns of mathematics and of data
+WIDTH = 22.2  # inches, of the picture: eight boxes on the lowest floor
+LEFT, RIGHT = 6.4, 17.2  # inches, middles of the columns of mathematics and of data
 FLOOR_HEIGHT = 1.35  # inches from floor to floor
 SLOT = 2.75  # inches from box to box on a floor
 BOX_WIDTH, BOX_HEIGHT = 2.55, 0.98  # inches
