@@ -56,8 +56,17 @@ class DiskFull(RecordingError):
 
 
 @contextmanager
+def name_errors(place: object, kind: type[MocapError] = MocapError) -> Iterator[None]:
+    """Put a place, such as a path or an argument, in front of the errors of a kind, which keep their types."""
+    try:
+        yield
+    except kind as error:
+        raise type(error)(f'{place}: {error}') from None
+
+
+@contextmanager
 def naming(place: object, expected: str = '') -> Iterator[None]:
-    """Put a place in front of the errors of a block, such as a path.
+    """Put a place in the content of a file in front of the errors of a block, which become an `InputError`.
 
     Args:
         place: the place.

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mocap_ros.config import Config, format_value, values, with_values
-from mocap_ros.errors import ConfigError, InputError, MocapError, ModelError
+from mocap_ros.errors import ConfigError, InputError, MocapError, ModelError, name_errors
 from mocap_ros.formats.npz_arrays import ArrayReader
 from mocap_ros.formats.sequence_file import (
     GroundTruth,
@@ -38,15 +38,6 @@ Model = str | Path | BasePoses  # argument `model`: the name of shipped base pos
 MIN_FOCAL_LENGTH_PX = 10.0  # px; a shorter one is probably a share of the image or in mm
 MAX_CENTRE_IN_SIZES = 3.0  # image sizes; a principal point farther from the origin belongs to another image
 LOGGER = logging.getLogger('mocap_ros')
-
-
-@contextmanager
-def name_errors(argument: str) -> Iterator[None]:
-    """Put the name of an argument in front of errors."""
-    try:
-        yield
-    except MocapError as error:
-        raise type(error)(f'{argument}: {error}') from None
 
 
 @contextmanager

@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mocap_ros.api.arguments import name_errors, read_joint_names, read_numbers, read_path
+from mocap_ros.api.arguments import read_joint_names, read_numbers, read_path
 from mocap_ros.config import format_value
-from mocap_ros.errors import InputError, ModelError
+from mocap_ros.errors import InputError, ModelError, name_errors
 from mocap_ros.formats.text_files import replace_output
 from mocap_ros.models import base_poses, model_file
 from mocap_ros.skeleton import CMU15, canonical_joint_names

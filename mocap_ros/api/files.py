@@ -13,13 +13,12 @@ from mocap_ros.api.arguments import (
     MIN_FOCAL_LENGTH_PX,
     check_camera,
     check_sequence,
-    name_errors,
     read_number,
     read_path,
 )
 from mocap_ros.api.poses import PoseSequence
 from mocap_ros.config import NodeConfig, format_value
-from mocap_ros.errors import InputError
+from mocap_ros.errors import InputError, name_errors
 from mocap_ros.formats.detections import HFOV_RANGE_DEG, MAX_FRAME_RATE_HZ, Video
 from mocap_ros.formats.sequence_file import KeypointSequence, make_camera_arrays, save_sequence
 from mocap_ros.formats.text_files import replace_output

@@ -59,7 +59,7 @@ def reconstruct(
         model: base poses: the name of shipped ones, the path of a model file, `BasePoses`, or `auto` for the
             choice by the parameter `tracker.model`.
         parameters: values by parameter name, such as `{'solver.prior': 'pca'}`, or a `Config`; the names are
-            those of `mocap-ros config`.
+            those of `mocap-ros config --all`.
         method: `whole` solves all frames together; `keyframes` fits key poses to the image, for minutes of mixed
             action with outliers.
 

@@ -19,7 +19,6 @@ from mocap_ros.api.arguments import (
     check_camera,
     load_models,
     make_config,
-    name_errors,
     read_array,
     read_joint_names,
     read_names,
@@ -27,7 +26,7 @@ from mocap_ros.api.arguments import (
     read_numbers,
     rename_errors,
 )
-from mocap_ros.errors import InputError
+from mocap_ros.errors import InputError, name_errors
 from mocap_ros.formats.sequence_file import MAX_TIMESTAMP_S, MIN_JUDGED_FRAMES, check_timestamps, create_intrinsics
 from mocap_ros.keypoints.joint_map import build_joint_map
 from mocap_ros.keypoints.person import Person2D
@@ -106,7 +105,7 @@ class Tracker:
 
         Args:
             time_s: s, time of the image, later than that of the frame before. A time that is earlier by more than
-                `tracker.restart_after` restarts the tracking.
+                1 s restarts the tracking.
             people: (P, J, 3) keypoints of the P people in the image, possibly none: x to the right and y down in
                 px, and confidence score in [0, 1]; NaN, x = y = 0 or score 0 where a keypoint was not seen.
             ids: (P,) names that the detector gives the people, empty where it gives none; by default, or with

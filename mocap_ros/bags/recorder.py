@@ -6,10 +6,10 @@
 A bag is a folder that holds `<name>_0.mcap`, further numbered files where the bag is split, and `metadata.yaml`.
 The last of `MAX_FILES` files is not split.
 
-Messages are collected in chunks. A chunk is closed when it holds `recorder.chunk_bytes`, or by `flush`, which
-`write` calls when the log time has advanced by `recorder.chunk_seconds`. `flush` also hands the written data to
-the operating system, so a crash of the process loses only the messages since the last flush. A power cut loses
-what was flushed since the last `start_sync`; finished files and the names of all files are on the disk.
+Messages are collected in chunks. A chunk is closed when it holds `chunk_bytes`, or by `flush`, which `write` calls
+when the log time has advanced by `chunk_seconds`. `flush` also hands the written data to the operating system, so
+a crash of the process loses only the messages since the last flush. A power cut loses what was flushed since the
+last `start_sync`; finished files and the names of all files are on the disk.
 
 Free disk space is checked before a recording starts and at every flush. If less than `recorder.min_free_mb` is
 left, the bag is finished and the recording ends with an error. If writing fails, it is tried once more, to finish
@@ -246,7 +246,7 @@ class Recorder:
         repeat_keys: frozenset[str] | None = frozenset(),
         may_begin_file: bool = True,
     ) -> None:
-        """Append a message; flush when `recorder.chunk_seconds` of log time have passed since the last flush.
+        """Append a message; flush when `chunk_seconds` of log time have passed since the last flush.
 
         Args:
             topic: Absolute name of the topic.

@@ -17,7 +17,7 @@ from mocap_ros.bags.rosbag2 import METADATA
 from mocap_ros.cli.options import parse_positive
 from mocap_ros.cli.terminal import print_remark, show_progress
 from mocap_ros.config import Config
-from mocap_ros.errors import InputError, MocapError
+from mocap_ros.errors import InputError, MocapError, name_errors
 from mocap_ros.formats.detections import HFOV_RANGE_DEG, Video
 from mocap_ros.formats.mocap.trials import MANIFEST_NAME, list_files
 from mocap_ros.formats.sequence_file import MAX_IMAGE_SIDE_PX, KeypointSequence
@@ -194,8 +194,7 @@ def load_models(args: argparse.Namespace, config: Config) -> dict[str, BasePoses
 def name_file_in_errors(path: Path, kind: type[MocapError] = MocapError) -> Iterator[None]:
     """Put the path in front of the messages of errors of this package, and of the linear algebra."""
     try:
-        yield
-    except kind as error:
-        raise type(error)(f'{path}: {error}') from None
+        with name_errors(path, kind):
+            yield
     except np.linalg.LinAlgError as error:
         raise InputError(f'{path}: the reconstruction failed ({error})') from None

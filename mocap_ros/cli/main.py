@@ -36,7 +36,7 @@ COMMANDS = {
     'view': 'show any recording or result in 3D, as a page for any browser or as a picture',
     'evaluate': 'print the errors of a reconstruction against the truth',
     'train': 'train base poses or the lifter from motion capture',
-    'config': 'print a parameter file with every parameter',
+    'config': 'print a parameter file',
 }
 
 

@@ -216,7 +216,7 @@ def _read_keypoints(content: Mapping[str, Any]) -> Array:
     """Return (J, 3) x and y in px and the score; one of `MALFORMED` where the content has another shape."""
     raw = content['keypoints']
     if isinstance(raw, dict):
-        return np.array([raw['x'], raw['y'], raw.get('visible', [1.0] * len(raw['x']))], np.float64).T
+        raw = np.array([raw['x'], raw['y'], raw.get('visible', [1.0] * len(raw['x']))], np.float64).T
     keypoints = np.array(raw, np.float64)
     if keypoints.ndim == 1:
         return keypoints.reshape(-1, 3)

@@ -86,7 +86,7 @@ MAX_WRITTEN_BYTES = 100  # bytes of a file on the disk that is full; fewer than 
         (['reconstruct', r'C:\walk.npz'], 'No such file or directory; folders are separated by /'),
         (['train', 'FOLDER', '-o', 'x.npz'], 'folder: no .amc, .bvh, .c3d in it'),
         (['train', 'TRIALS', '--manifest', 'LATIN', '-o', 'x.npz'], 'latin.csv: not UTF-8 at byte 14'),
-        (['train', 'TRIALS', '-o', 'x.npz'], 'key 1_1: a body 0 m tall'),
+        (['train', 'TRIALS', '-o', 'x.npz'], '1_1: a body 0 m tall'),
         (['train', 'TRIALS', '-o', 'x.npz', '--seed', '1'], '--seed: applies only to --lifter'),
         (['train', '--lifter', 'TRIALS', '-o', 'x.npz', '--bodies', '1'], '--bodies: applies not to --lifter'),
         (['view', 'nowhere.npz', '-o', 'x.html'], 'nowhere.npz: No such file'),

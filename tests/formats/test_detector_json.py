@@ -190,6 +190,7 @@ def make_results(*keypoints: Any) -> str:
         (make_results('abc'), r'\[0\]: keypoints: expected x, y, score'),
         (make_results(BODY[:51], [1, 2, 3, 4]), r'\[1\]: keypoints: expected x, y, score'),
         (make_results(7), r'\[0\]: keypoints: expected x, y, score'),
+        (make_results({'x': [[1]], 'y': [[1]], 'visible': [[1]]}), r'\[0\]: keypoints: expected x, y, score'),
         (make_results([1, 2, 1]), r'\[0\]: 1 keypoints: no layout known'),
         (make_results([1e300] * 51), r'\[0\]: x of nose is 1e\+300'),
         (json.dumps([{'image_id': i, 'keypoints': BODY[:51]} for i in (1, 2, 10**9)]), 'not one video of 25 Hz'),
