@@ -23,7 +23,7 @@ from mocap_ros.messages.camera_placement import CameraPlacement
 from mocap_ros.messages.cdr import Header, OutputMessage, decode, encode, typestore
 from mocap_ros.messages.markers import ADD as ADD_MARKER
 from mocap_ros.messages.markers import DELETE
-from mocap_ros.messages.predictions import PredictedFrame, encode_predictions
+from mocap_ros.messages.predictions import PREDICTIONS, PredictedFrame, encode_predictions
 from mocap_ros.messages.skeletons import SKELETONS, encode_skeletons
 from mocap_ros.people import Person3D, PredictedPerson
 from mocap_ros.skeleton import BODY26, CMU15, Skeleton
@@ -297,3 +297,25 @@ def test_skeletons_that_cannot_be_used_are_refused(field: str, value: Any, messa
     with pytest.raises(InputError, match='not a mocap_ros_msgs'):
         bridge.feed_skeletons(b'no message')
     assert len(feed(bridge, [make_walker()])) == 1, 'the next one is used'
+
+
+@pytest.mark.parametrize(
+    ('ahead', 'first_x', 'count', 'message'),
+    [
+        (0.0, 0.0, 15, r'times\[0\]\.ahead: 0 s, expected more than 0'),
+        (np.nan, 0.0, 15, r'times\[0\]\.ahead: nan s'),
+        (0.25, np.nan, 15, r'times\[0\]: joints that are not finite'),
+        (0.25, 0.0, 14, r'times\[0\]: people with other than 15 joints'),
+    ],
+)
+def test_predictions_that_cannot_be_used_are_refused(
+    ahead: float, first_x: float, count: int, message: str
+) -> None:
+    frames = [PredictedFrame(0.25, [make_predicted()])]
+    predictions = decode(encode_predictions(HEADER, frames, CameraPlacement('camera')), PREDICTIONS)
+    (then,) = predictions.times
+    (person,) = then.people
+    then.ahead, person.joints = ahead, person.joints[:count]
+    person.joints[0].x = first_x
+    with pytest.raises(InputError, match=message):
+        Bridge(['prediction_markers']).feed_predictions(encode(predictions, PREDICTIONS))
