@@ -174,12 +174,12 @@ class TrackerConfig:
     )
     skeleton: str = define_parameter(
         'body26',
-        'joints that are put out: body26, with face, feet and hands, or cmu15, without them',
+        'joints that are published: body26, with face, feet and hands, or cmu15, without them',
         choices=('body26', 'cmu15'),
         read_only=True,
     )
     steady_output: bool = define_parameter(
-        True, 'filter the joints that are put out with a lag below 0.15 s, so that they tremble less'
+        True, 'filter the joints that are published with a lag below 0.15 s, so that they jitter less'
     )
     vertical: str = define_parameter(
         'auto',

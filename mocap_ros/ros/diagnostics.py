@@ -221,12 +221,12 @@ def find_refusals(counters: Counters, received: int, removed: int, reason: str) 
 
 
 def describe_frame_fault(pipeline: Pipeline) -> str:
-    """Return in words that people are not put out in `node.output_frame`; empty if they are or nobody was yet."""
+    """Return that people are not published in `node.output_frame`; empty if they are or nobody was yet."""
     wanted, used = pipeline.config.node.output_frame, pipeline.output_header.frame_id
     if not wanted or used == wanted or not pipeline.header.stamp_ns:
         return ''
     return (
-        f'people are put out in the frame of the camera, {make_printable(used)!r}, as the transform to '
+        f'people are published in the frame of the camera, {make_printable(used)!r}, as the transform to '
         f'node.output_frame, {wanted!r}, is unknown; see the log'
     )
 

@@ -136,7 +136,7 @@ class InputSubscriptions:
             self.types = {s: t for s, t in self.types.items() if s not in TRANSFORM_SOURCES}
             package = TRANSFORMS.partition('/')[0]
             self._node.get_logger().warning(
-                f'node.output_frame: {error}; transforms cannot be received, so people are put out in the frame '
+                f'node.output_frame: {error}; transforms cannot be received, so people are published in the frame '
                 f'of the camera; install {package}, or set node.camera_pose'
             )
 

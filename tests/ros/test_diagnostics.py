@@ -185,7 +185,7 @@ def test_people_in_the_frame_of_the_camera_instead_of_the_output_frame_are_a_war
     status = report(reporter, statistics)
     assert status.level == Level.WARN
     assert status.message == (
-        "people are put out in the frame of the camera, 'camera', as the transform to node.output_frame, 'map', "
+        "people are published in the frame of the camera, 'camera', as the transform to node.output_frame, 'map', "
         'is unknown; see the log'
     )
     assert {v.key: v.value for v in status.values}['frame of people'] == 'camera'

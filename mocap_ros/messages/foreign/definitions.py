@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Definitions of other packages' messages that are accepted as keypoints or put out for robots.
+"""Definitions of other packages' messages that are accepted as keypoints or published for robots.
 
 With these definitions the messages are read and written although their packages are not installed. The definitions
 of inputs are those of yolo_msgs (yolo_ros), hri_msgs (ROS4HRI, REP-155), zed_msgs (ZED wrapper) and
@@ -116,7 +116,7 @@ MOVEIT_DEFINITIONS = {
 
 # Definitions of messages that are accepted as keypoints.
 INPUT_DEFINITIONS = {**YOLO_DEFINITIONS, **HRI_DEFINITIONS, **ZED_DEFINITIONS, **OPENPOSE_DEFINITIONS}
-# Definitions of messages that are put out for robots.
+# Definitions of messages that are published for robots.
 OUTPUT_DEFINITIONS = {**PEOPLE_DEFINITIONS, **VISION_DEFINITIONS, **OBSTACLE_DEFINITIONS, **MOVEIT_DEFINITIONS}
 # All definitions: the name of each message type and its fields as in a .msg file.
 DEFINITIONS = {**INPUT_DEFINITIONS, **OUTPUT_DEFINITIONS}
