@@ -225,7 +225,7 @@ class _Replay:
             if name not in known and constants.get(name, False) != value
         ]
         if changed:
-            line = f'{path}: recorded by another version, with other constants: {", ".join(changed)}'
+            line = f'{path}: recorded by another version; without effect in this one: {", ".join(changed)}'
             self._remarks.setdefault('constants', line)
         kept = {name: v for name, v in recorded.items() if name in known and name not in self._changes}
         shipped = {'tracker.model': (AUTO, *list_shipped_base_poses()), 'solver.prior': PRIORS}

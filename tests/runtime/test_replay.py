@@ -326,7 +326,9 @@ def test_parameters_that_no_longer_exist_are_named_once_and_have_no_effect(
             recorder.write('/keypoints', KEYPOINTS, raw, START_NS + number, START_NS + number)
     with Bag(tmp_path / 'bag') as bag:
         result = replay(bag, tmp_path / 'out')
-    assert [r for r in result.remarks if 'other constants: solver.norm = squared, tracker.refine = 0.2' in r]
+    assert [
+        r for r in result.remarks if 'without effect in this one: solver.norm = squared, tracker.refine = 0.2' in r
+    ]
     assert read_parameters(tmp_path / 'out') == [parameters]
 
 
