@@ -69,8 +69,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Play the input and print how many messages were published."""
     try:
-        from mocap_ros.ros.names import find_name_fault
-        from mocap_ros.ros.player import PlaybackOptions, Player
+        from mocap_ros.ros.player import PlaybackOptions, Player, find_name_fault
     except ImportError as error:
         raise MocapError(
             f'play needs ROS 2, which this Python does not have ({error}); `make setup` installs it'

@@ -7,13 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from copy import copy
 from typing import Any
-
-from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.exceptions import ParameterException
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from mocap_ros.bridges.bridge import CONSUMERS, Bridge, check_consumers
 from mocap_ros.bridges.ros4hri import BODIES, DESCRIPTION, TRACKED
@@ -22,13 +16,11 @@ from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.predictions import PREDICTIONS
 from mocap_ros.messages.skeletons import SKELETONS
 from mocap_ros.ros.help import BRIDGE_NAME, BRIDGE_PARAMETERS
-from mocap_ros.ros.lifecycle import ManagedNode
-from mocap_ros.ros.message_types import MessageVersions, load_interface_class
-from mocap_ros.ros.publications import Publishers
-from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS, OVERRIDABLE_POLICIES, QosWarnings
-from mocap_ros.ros.silence import SilenceMonitor
-from mocap_ros.ros.startup import run_node
+from mocap_ros.ros.message_types import MessageVersions
+from mocap_ros.ros.nodes import ManagedNode, declare_fixed_parameters
+from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS
 from mocap_ros.ros.throttled_log import ThrottledLog
+from mocap_ros.ros.topics import Publishers, SilenceMonitor, subscribe
 
 CHECK_PERIOD_S = 0.5  # s; between two looks at how long nothing has arrived
 CLEAR_AFTER_S = 2.0  # s without skeletons, after which nobody is there any more
@@ -46,17 +38,9 @@ class BridgeNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__(BRIDGE_NAME)
-        try:
-            for name, (default, description) in BRIDGE_PARAMETERS.items():
-                descriptor = ParameterDescriptor(
-                    description=description, read_only=True, dynamic_typing=isinstance(default, str)
-                )
-                self.declare_parameter(name, default, descriptor)
-        except ParameterException as error:
-            raise ConfigError(str(error)) from None
-        self._qos_warnings = QosWarnings(self)
+        self._values = declare_fixed_parameters(self, BRIDGE_PARAMETERS, lists=['publish'])
         self._versions = MessageVersions()
-        self._outputs = Publishers(self, self._versions, self._qos_warnings)
+        self._outputs = Publishers(self, self._versions)
         self._bridge = Bridge([])
         self._inputs: list[tuple[str, str, Callable[[bytes], list[OutputMessage]], SilenceMonitor]] = []
         self._subscriptions_in_use: list[Any] = []  # while active
@@ -67,15 +51,15 @@ class BridgeNode(ManagedNode):
 
     def start(self) -> None:
         """Configure and activate the node, unless the parameter `autostart` is false."""
-        if self.get_parameter('autostart').value:
+        if self._values['autostart']:
             super().start()
 
     def configure(self) -> None:
         """Create the publishers of the consumers whose types are installed."""
-        value: Any = self.get_parameter('publish').value
+        value = self._values['publish']
         names = check_consumers(value.replace(',', ' ').split() if isinstance(value, str) else [*(value or ())])
         self._versions = MessageVersions()
-        self._outputs = Publishers(self, self._versions, self._qos_warnings)
+        self._outputs = Publishers(self, self._versions)
         usable = []
         for name in names:
             topic, msgtype, *_ = CONSUMERS[name]
@@ -131,17 +115,7 @@ class BridgeNode(ManagedNode):
             except InputError as error:
                 self._log.report(topic, self._counts[topic], str(error))
 
-        return self.create_subscription(
-            load_interface_class(msgtype),
-            name,
-            take,
-            copy(OUTPUT_QOS),  # rclpy writes the overrides of one topic into it
-            raw=True,
-            qos_overriding_options=QoSOverridingOptions(OVERRIDABLE_POLICIES),
-            event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=lambda event: self._qos_warnings.warn_of_publisher(name, event.last_policy_kind)
-            ),
-        )
+        return subscribe(self, msgtype, name, take, OUTPUT_QOS)
 
     def _publish(self, outputs: Sequence[OutputMessage]) -> None:
         """Publish outputs; the topics of single bodies of ROS4HRI come and go with them."""
@@ -167,8 +141,3 @@ class BridgeNode(ManagedNode):
                 f'{TRACKED}: another node publishes bodies as well; if they are the input of mocap_node '
                 '(node.input_type), do not publish them'
             )
-
-
-def run(arguments: Sequence[str]) -> None:
-    """Run the node until SIGINT or SIGTERM; arguments and errors are those of `node.run`."""
-    run_node(arguments, BridgeNode)

@@ -5,15 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
-from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from mocap_ros.config import NodeConfig
 from mocap_ros.detectors.detector import Detector
@@ -23,9 +18,10 @@ from mocap_ros.messages.images import IMAGE_TYPES, decode_image
 from mocap_ros.messages.keypoints import KEYPOINTS, encode_keypoints
 from mocap_ros.ros.help import DETECTOR_NAME, DETECTOR_PARAMETERS, IMAGE_TOPIC, KEYPOINTS_TOPIC, MAX_PEOPLE
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
-from mocap_ros.ros.qos import OUTPUT_QOS, QosWarnings
-from mocap_ros.ros.startup import run_node
+from mocap_ros.ros.nodes import declare_fixed_parameters
+from mocap_ros.ros.qos import OUTPUT_QOS
 from mocap_ros.ros.throttled_log import ThrottledLog
+from mocap_ros.ros.topics import subscribe, warn_of_subscribers
 from mocap_ros.runtime.detection import detect_people
 from mocap_ros.units import NS_PER_S
 
@@ -47,9 +43,12 @@ class DetectorNode(Node):
 
     def __init__(self) -> None:
         super().__init__(DETECTOR_NAME)
-        qos_warnings = QosWarnings(self)
-        model, self._max_people, self._type = self._declare_parameters()
-        self._model = Path(model).expanduser() if model else None
+        values = declare_fixed_parameters(self, DETECTOR_PARAMETERS, MAX_PEOPLE)
+        self._model = Path(values['model']).expanduser() if values['model'] else None
+        self._max_people: int = values['max_people']
+        self._type: str = values['image_type']
+        if self._type not in IMAGE_TYPES:
+            raise ConfigError(f'image_type: {self._type!r}, expected {" or ".join(IMAGE_TYPES)}')
         self._detector: Detector = load_detector(self._model, self._max_people)
         self._first_ns = self._last_ns = -1  # stamps of the detector's first and last image
         self._limits = NodeConfig()
@@ -62,21 +61,9 @@ class DetectorNode(Node):
             load_interface_class(KEYPOINTS),
             KEYPOINTS_TOPIC,
             OUTPUT_QOS,
-            event_callbacks=PublisherEventCallbacks(
-                incompatible_qos=lambda e: qos_warnings.warn_of_subscriber(KEYPOINTS_TOPIC, e.last_policy_kind)
-            ),
+            event_callbacks=warn_of_subscribers(self, KEYPOINTS_TOPIC),
         )
-        self.create_subscription(
-            load_interface_class(self._type),
-            IMAGE_TOPIC,
-            self._take_image,
-            IMAGE_QOS,
-            raw=True,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=lambda e: qos_warnings.warn_of_publisher(IMAGE_TOPIC, e.last_policy_kind)
-            ),
-        )
+        subscribe(self, self._type, IMAGE_TOPIC, self._take_image, IMAGE_QOS)
         self.get_logger().info(
             f'{self._detector.name} looks at the images on {self.resolve_topic_name(IMAGE_TOPIC)} and publishes '
             f'keypoints on {self.resolve_topic_name(KEYPOINTS_TOPIC)}'
@@ -88,22 +75,6 @@ class DetectorNode(Node):
     def close(self) -> None:
         """Release the model."""
         self._detector.close()
-
-    def _declare_parameters(self) -> tuple[str, int, str]:
-        """Declare the parameters, which are fixed when the node starts, and return their values."""
-        values: list[object] = []
-        try:
-            for name, (default, description) in DETECTOR_PARAMETERS.items():
-                descriptor = ParameterDescriptor(description=description, read_only=True)
-                if isinstance(default, int):
-                    descriptor.integer_range = [IntegerRange(from_value=1, to_value=MAX_PEOPLE, step=1)]
-                values.append(self.declare_parameter(name, default, descriptor).value)
-        except ParameterException as error:
-            raise ConfigError(str(error)) from None
-        model, max_people, image_type = values
-        if image_type not in IMAGE_TYPES:
-            raise ConfigError(f'image_type: {image_type!r}, expected {" or ".join(IMAGE_TYPES)}')
-        return str(model), int(str(max_people)), str(image_type)
 
     def _take_image(self, raw: bytes) -> None:
         """Publish the keypoints in an image, or log why there are none."""
@@ -133,8 +104,3 @@ class DetectorNode(Node):
             self._first_ns = -1
         self._first_ns = stamp_ns if self._first_ns < 0 else self._first_ns
         self._last_ns = stamp_ns
-
-
-def run(arguments: Sequence[str]) -> None:
-    """Run the node until SIGINT or SIGTERM; arguments and errors are those of `startup.run_node`."""
-    run_node(arguments, DetectorNode)

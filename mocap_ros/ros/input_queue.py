@@ -51,6 +51,20 @@ class ReceivedMessage:
     times_ns: tuple[int, int]
 
 
+@dataclass
+class _Topic:
+    source: Source
+    received: int = 0  # messages so far
+    left: int = 0  # messages that have left the queue, which are the oldest
+    waiting_bytes: int = 0
+    first_unskipped: int = 0  # messages of people with smaller numbers are skipped
+    is_leaving: bool = False  # it has no subscription any more
+
+    @property
+    def waiting(self) -> int:
+        return self.received - self.left
+
+
 class InputQueue:
     """Messages that wait, in the order of their receipt. Any thread may call any method.
 
@@ -63,17 +77,10 @@ class InputQueue:
         self._changed = threading.Condition()
         self._is_closed = False
         self._waiting: OrderedDict[tuple[str, int], ReceivedMessage] = OrderedDict()  # by topic and number
-        self._waiting_bytes: Counter[str] = Counter()  # by topic, of those whose messages wait
-        self._all_waiting_bytes = 0
-        self._waiting_people: Counter[str] = Counter()  # messages of people, by topic of those whose messages wait
-        self._received: Counter[str] = Counter()  # messages so far, by topic
-        self._first_waiting: dict[
-            str, int
-        ] = {}  # by topic: number of the oldest message that has not left the queue
-        self._first_unskipped: dict[str, int] = {}  # by topic: messages of people with smaller numbers are skipped
+        self._waiting_bytes = 0
+        self._topics: dict[str, _Topic] = {}
         self._newest_body_ns = 0  # stamp of the newest image of which a body was received
         self._first_unskipped_ns = 0  # of the bodies received so far, those with smaller stamps are skipped
-        self._leaving: set[str] = set()  # topics that have no subscription any more, and of which messages wait
         self._removed: Counter[str] = Counter()  # messages since the last `pop_removed_counts`, by topic
 
     def __len__(self) -> int:
@@ -89,32 +96,25 @@ class InputQueue:
             times_ns: Wall-clock times of receipt and of sending.
         """
         with self._changed:
-            self._leaving.discard(topic)
-            self._received[topic] += 1
-            number = self._received[topic]
-            self._waiting[topic, number] = ReceivedMessage(source, topic, number, raw, times_ns)
-            self._waiting_bytes[topic] += len(raw)
-            self._all_waiting_bytes += len(raw)
-            if source in PEOPLE_SOURCES:
-                self._waiting_people[topic] += 1
+            state = self._topics.setdefault(topic, _Topic(source))
+            state.is_leaving = False
+            state.received += 1
+            self._waiting[topic, state.received] = ReceivedMessage(source, topic, state.received, raw, times_ns)
+            state.waiting_bytes += len(raw)
+            self._waiting_bytes += len(raw)
             if source is Source.BODY:
                 self._note_body(read_stamp_ns(raw))
-            self._first_waiting.setdefault(topic, number)
-            if number - self._first_waiting[topic] >= MAX_WAITING:
+            if state.waiting > MAX_WAITING:
                 self._remove_oldest(topic)
-            while self._all_waiting_bytes > MAX_WAITING_BYTES:
-                largest = max(self._waiting_bytes, key=self._waiting_bytes.__getitem__)
-                if self._first_waiting[largest] == self._received[largest]:  # its newest message stays
+            while self._waiting_bytes > MAX_WAITING_BYTES:
+                largest = max(self._topics, key=lambda name: self._topics[name].waiting_bytes)
+                if self._topics[largest].waiting == 1:  # the newest message of a topic stays
                     break
                 self._remove_oldest(largest)
             self._changed.notify()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for a message, for the end of the time or for `close`; return whether the queue is closed.
-
-        Args:
-            timeout_s: How long to wait.
-        """
+        """Wait for a message, for the end of the time or for `close`; return whether the queue is closed."""
         with self._changed:
             if not self._waiting:
                 self.is_behind = False
@@ -136,19 +136,22 @@ class InputQueue:
         with self._changed:
             if not self._waiting:
                 return None
-            _, message = self._waiting.popitem(last=False)
-            self._note_gone(message)
-            self.is_behind = self.is_behind or max(self._waiting_people.values(), default=0) >= limit
+            message = self._take(next(iter(self._waiting)))
+            images = max((t.waiting for t in self._topics.values() if t.source in PEOPLE_SOURCES), default=0)
+            self.is_behind = self.is_behind or images >= limit
             if self.is_behind:
-                self._first_unskipped, self._first_unskipped_ns = dict(self._received), self._newest_body_ns
-            newest = self._first_unskipped.get(message.topic, 0)
+                self._first_unskipped_ns = self._newest_body_ns
+                for state in self._topics.values():
+                    state.first_unskipped = state.received
+            newest = self._topics[message.topic].first_unskipped
             if message.source is Source.BODY:
                 return message, message.number <= newest and read_stamp_ns(message.raw) < self._first_unskipped_ns
             return message, message.number < newest and message.source in PEOPLE_SOURCES
 
     def count_received(self, topic: str) -> int:
         """Return the number of messages of a topic so far, which is that of its newest one."""
-        return self._received[topic]
+        with self._changed:
+            return self._topics[topic].received if topic in self._topics else 0
 
     def forget(self, topic: str) -> None:
         """Number the messages of a topic from 1 again, as it has no subscription any more.
@@ -156,16 +159,12 @@ class InputQueue:
         One of which messages wait is forgotten at a later call, unless it has a subscription again by then.
         """
         with self._changed:
-            self._leaving.add(topic)
-            for gone in self._leaving - self._waiting_bytes.keys():
-                self._leaving.remove(gone)
-                for numbers in (self._received, self._first_waiting, self._first_unskipped):
-                    numbers.pop(gone, None)
+            if topic in self._topics:
+                self._topics[topic].is_leaving = True
+            self._topics = {n: t for n, t in self._topics.items() if t.waiting or not t.is_leaving}
 
     def pop_removed_counts(self) -> Counter[str]:
         """Return how many messages of each topic have been removed since the last call."""
-        if not self._removed:
-            return Counter()
         with self._changed:
             removed, self._removed = self._removed, Counter()
             return removed
@@ -181,18 +180,13 @@ class InputQueue:
             self._newest_body_ns = stamp_ns
 
     def _remove_oldest(self, topic: str) -> None:
-        """Remove the oldest waiting message of a topic, and count it."""
-        self._note_gone(self._waiting.pop((topic, self._first_waiting[topic])))
+        self._take((topic, self._topics[topic].left + 1))
         self._removed[topic] += 1
 
-    def _note_gone(self, message: ReceivedMessage) -> None:
-        """Account for a message that has left the queue, the oldest of its topic."""
-        self._first_waiting[message.topic] = message.number + 1
-        self._all_waiting_bytes -= len(message.raw)
-        self._waiting_bytes[message.topic] -= len(message.raw)
-        if not self._waiting_bytes[message.topic]:
-            del self._waiting_bytes[message.topic]
-        if message.source in PEOPLE_SOURCES:
-            self._waiting_people[message.topic] -= 1
-            if not self._waiting_people[message.topic]:
-                del self._waiting_people[message.topic]
+    def _take(self, key: tuple[str, int]) -> ReceivedMessage:
+        """Take the oldest message of a topic out of the queue."""
+        message, state = self._waiting.pop(key), self._topics[key[0]]
+        state.left += 1
+        state.waiting_bytes -= len(message.raw)
+        self._waiting_bytes -= len(message.raw)
+        return message

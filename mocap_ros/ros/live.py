@@ -38,17 +38,6 @@ RECORDER_CHECK_SECONDS = 0.25  # s; between two looks at the recorder while no m
 MAX_STOP_SECONDS = 0.3  # s; time to process waiting messages at a stop, so that the node ends within 1 s
 
 
-class SteadyWallClock:
-    """Wall clock that never jumps: it is read once and then advanced by the steady clock."""
-
-    def __init__(self) -> None:
-        self._offset_ns = time.time_ns() - time.monotonic_ns()
-
-    def now_ns(self) -> int:
-        """Return the time in ns since the epoch."""
-        return time.monotonic_ns() + self._offset_ns
-
-
 class LiveRun:
     """Worker that feeds a pipeline from a queue, in a thread that lives from `start` to `stop`.
 
@@ -63,6 +52,8 @@ class LiveRun:
         versions: Installed versions of the message types; by default all equal this package's.
 
     Attributes:
+        queue: Messages that wait.
+        recording: The recorder; its state and its faults are for the diagnostics.
         statistics: Input rate and processing times.
     """
 
@@ -83,14 +74,14 @@ class LiveRun:
         self._publish = publish
         self._logger = logger
         self._throttled_log = ThrottledLog(logger)
-        self._clock = SteadyWallClock()
+        self._tracebacks = TracebackLog(logger)
         self.statistics = RunStatistics()
-        self._queue = InputQueue()
+        self.queue = InputQueue()
+        self.recording = LiveRecording(names, logger, find_offered_qos, self._versions)
+        self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
         self._pipeline_lock = threading.Lock()  # guards the pipeline and the recording
         self._stop_deadline = math.inf  # s, steady clock; set by `stop`
         self._has_accepted = self._has_published_people = self._has_warned_of_frame_id = False
-        self._recording = LiveRecording(names, logger, find_offered_qos, self._versions)
-        self._tracebacks = TracebackLog(logger)
         self._thread = threading.Thread(target=self._process_until_stopped, name='mocap pipeline')
 
     def start(self) -> None:
@@ -102,33 +93,18 @@ class LiveRun:
     def stop(self) -> None:
         """Process waiting messages for at most `MAX_STOP_SECONDS`, delete the markers and finish the recording."""
         self._stop_deadline = time.monotonic() + MAX_STOP_SECONDS
-        self._queue.close()
+        self.queue.close()
         if self._thread.ident is not None:
             self._thread.join()
         with self._pipeline_lock:
             try:
                 self._report_removed()
-                while popped := self._queue.pop(1):
+                while popped := self.queue.pop(1):
                     self._publish_result(popped[0], self._pipeline.note_backlog())
                 self._publish_and_record(self._reset_pipeline())
             except Exception:  # an internal error must not leave the recording open
                 self._tracebacks.report(traceback.format_exc())
-            self._recording.close(MAX_FINISH_SECONDS)
-
-    @property
-    def is_behind(self) -> bool:
-        """Whether too many images were waiting and some message still is."""
-        return self._queue.is_behind
-
-    @property
-    def recorder_state(self) -> str:
-        """The state of the recorder in words, for diagnostics."""
-        return self._recording.state
-
-    @property
-    def recorder_fault(self) -> str:
-        """What is wrong with the recorder, in words; empty if nothing is."""
-        return self._recording.fault
+            self.recording.close(MAX_FINISH_SECONDS)
 
     def enqueue(self, source: Source, raw: bytes, sent_ns: int, topic: str = '') -> None:
         """Put a message that has just been received into the queue.
@@ -139,20 +115,16 @@ class LiveRun:
             sent_ns: Wall-clock time of sending; 0 if unknown.
             topic: Absolute name of the topic; needed for a source with several topics.
         """
-        now_ns = self._clock.now_ns()
-        topic = topic or self._names[source.value]
+        now_ns = self._now_ns()
         if source in PEOPLE_SOURCES:
             self.statistics.record_receipt()
-        self._queue.put(source, topic, raw, (now_ns, sent_ns if sent_ns > 0 else now_ns))
-
-    def forget_topic(self, topic: str) -> None:
-        """Forget how many messages a topic had, which has no subscription any more."""
-        self._queue.forget(topic)
+        times_ns = now_ns, sent_ns if sent_ns > 0 else now_ns
+        self.queue.put(source, topic or self._names[source.value], raw, times_ns)
 
     def reset(self) -> None:
         """Discard all people."""
         with self._pipeline_lock:
-            self._recording.write_reset(self._clock.now_ns())
+            self.recording.write_reset(self._now_ns())
             self._publish_and_record(self._reset_pipeline())
 
     def reconfigure(self, config: Config) -> None:
@@ -160,7 +132,7 @@ class LiveRun:
         with self._pipeline_lock:
             if self._pipeline.reconfigure(config):
                 self._logger.info('the tracker was restarted, because its parameters have changed')
-            self._recording.write_parameters(config, self._clock.now_ns())
+            self.recording.write_parameters(config, self._now_ns())
 
     def start_recording(self) -> Path:
         """Reset the tracker, start a recording and return the folder of the bag.
@@ -169,7 +141,9 @@ class LiveRun:
             RecordingError: A recording is already running, or the folder cannot be written.
         """
         with self._pipeline_lock:
-            folder = self._recording.start(self._pipeline, self._find_recording_start_ns())
+            now_ns, first_ns = self._now_ns(), self.queue.find_first_receipt_ns()
+            start_ns = now_ns if first_ns is None else min(now_ns, first_ns - 1)  # before all that waits
+            folder = self.recording.start(self._pipeline, start_ns)
             self._try_to_publish(self._reset_pipeline())
             self._logger.info(f'the recording to {folder} has started')
             return folder
@@ -183,13 +157,13 @@ class LiveRun:
             RecordingError: The recording could not be finished; this has been logged.
         """
         with self._pipeline_lock:
-            recorder = self._recording.detach()
-        return self._recording.finish(recorder, MAX_PAUSE_SECONDS)
+            recorder = self.recording.detach()
+        return self.recording.finish(recorder, MAX_PAUSE_SECONDS)
 
     def set_recording(self, is_wanted: bool) -> None:
         """Start or finish the recording if it is not yet in the wanted state; a failure is logged, not raised."""
         try:
-            if is_wanted and not self._recording.is_running:
+            if is_wanted and not self.recording.is_running:
                 self.start_recording()
             elif not is_wanted:
                 self.finish_recording()
@@ -199,47 +173,41 @@ class LiveRun:
                     f'{error}; nothing is recorded: correct the cause, then set recorder.enabled again'
                 )
 
-    def _find_recording_start_ns(self) -> int:
-        """Return the present time, or the time just before the receipt of the oldest waiting message."""
-        now_ns, first_ns = self._clock.now_ns(), self._queue.find_first_receipt_ns()
-        return now_ns if first_ns is None else min(now_ns, first_ns - 1)
+    def _now_ns(self) -> int:
+        """Return a wall-clock time that never jumps: it was read once and advances with the steady clock."""
+        return time.monotonic_ns() + self._clock_offset_ns
 
     def _process_until_stopped(self) -> None:
-        while self._try_to_process_next():
-            pass
-
-    def _try_to_process_next(self) -> bool:
-        try:
-            return self._process_next()
-        except Exception:  # an internal error must not end the worker thread
-            self._tracebacks.report(traceback.format_exc())
-            return True
+        is_running = True
+        while is_running:
+            try:
+                is_running = self._process_next()
+            except Exception:  # noqa: PERF203, an internal error must not end the worker thread
+                self._tracebacks.report(traceback.format_exc())
 
     def _process_next(self) -> bool:
         """Wait for the next message and process or skip it; return False when the run is to stop."""
-        is_stopping = self._queue.wait(RECORDER_CHECK_SECONDS)
-        if is_stopping and (not self._queue or time.monotonic() > self._stop_deadline):
+        is_stopping = self.queue.wait(RECORDER_CHECK_SECONDS)
+        if is_stopping and (not self.queue or time.monotonic() > self._stop_deadline):
             return False
         with self._pipeline_lock:
-            self._recording.check()
+            self.recording.check()
             self._report_removed()
-            popped = self._queue.pop(self._pipeline.config.node.queue)
-            if popped is None:
-                return True
-            message, is_skipped = popped
-            if is_skipped:
-                self._publish_result(message, self._pipeline.note_backlog())
-            else:
-                self._process(message)
+            if popped := self.queue.pop(self._pipeline.config.node.queue):
+                message, is_skipped = popped
+                if is_skipped:
+                    self._publish_result(message, self._pipeline.note_backlog())
+                else:
+                    self._process(message)
         return True
 
     def _report_removed(self) -> None:
         """Count and log the messages that the queue has removed because too many waited."""
-        for topic, count in self._queue.pop_removed_counts().items():
-            self.statistics.record_removed(count)
+        for topic, count in self.queue.pop_removed_counts().items():
+            self.statistics.removed += count
             self._throttled_log.report(
                 topic,
-                self._queue.count_received(topic),
+                self.queue.count_received(topic),
                 f'{count} older messages were removed unseen, as {MAX_WAITING} messages of this topic or '
                 f'{MAX_WAITING_BYTES // 1_000_000} MB were waiting; find out who publishes so much',
                 is_error=False,
@@ -247,20 +215,15 @@ class LiveRun:
 
     def _process(self, message: ReceivedMessage) -> None:
         start = time.monotonic()
-        result = self._feed(message)
-        self._publish_result(message, result)
-        if message.source in PEOPLE_SOURCES:
-            if result.outputs:  # of the messages of an image one alone has them
-                self.statistics.record_solve(time.monotonic() - start)
-            if error_traceback := self._pipeline.run_deferred_work():
-                self._tracebacks.report(error_traceback)
-
-    def _feed(self, message: ReceivedMessage) -> ProcessingResult:
-        """Feed a message to the pipeline; its outputs are in the installed versions of their types."""
         raw = self._versions.read(self._types[message.source], message.raw)
         result = self._pipeline.feed(message.source, raw, message.topic)
         outputs = tuple(map(self._versions.write_output, result.outputs))
-        return replace(result, outputs=outputs)
+        self._publish_result(message, replace(result, outputs=outputs))
+        if message.source in PEOPLE_SOURCES:
+            if outputs:  # of the messages of an image one alone has them
+                self.statistics.solve_seconds.append(time.monotonic() - start)
+            if error_traceback := self._pipeline.run_deferred_work():
+                self._tracebacks.report(error_traceback)
 
     def _reset_pipeline(self) -> list[OutputMessage]:
         """Discard all people; return the messages that delete them, in the installed versions of their types."""
@@ -269,7 +232,7 @@ class LiveRun:
     def _publish_result(self, message: ReceivedMessage, result: ProcessingResult) -> None:
         """Publish, log and record the result of a message."""
         self._try_to_publish(result.outputs)
-        published_ns = self._clock.now_ns()
+        published_ns = self._now_ns()
         topic, number = message.topic, message.number
         if result.error_traceback:
             self._tracebacks.report(result.error_traceback)
@@ -277,22 +240,18 @@ class LiveRun:
             is_error = result.verdict is Verdict.INVALID or bool(result.error_traceback)
             self._throttled_log.report(topic, number, result.reason, is_error=is_error)
             if result.verdict in (Verdict.INVALID, Verdict.DROPPED):  # the number of skipped ones says why
-                self.statistics.record_reason(topic, result.reason)
+                self.statistics.reason = f'{topic}: {result.reason}'
         if result.verdict is Verdict.ACCEPTED and message.source in PEOPLE_SOURCES and result.outputs:
             self._note_accepted(topic)
-        msgtype = self._types[message.source]
-        if not self._recording.write_input(topic, msgtype, message.raw, message.times_ns, result, published_ns):
-            self._throttled_log.report(
-                topic,
-                number,
-                'the message was processed but not recorded, as the disk is too slow; record to a faster disk',
-            )
+        if not self.recording.write_input(message, self._types[message.source], result, published_ns):
+            remark = 'the message was processed but not recorded, as the disk is too slow; record to a faster disk'
+            self._throttled_log.report(topic, number, remark)
 
     def _publish_and_record(self, outputs: Iterable[OutputMessage]) -> None:
         """Publish and record outputs that no input caused."""
         for output in outputs:
             self._try_to_publish([output])
-            self._recording.write_output(output, self._clock.now_ns())
+            self.recording.write_output(output, self._now_ns())
 
     def _try_to_publish(self, outputs: Iterable[OutputMessage]) -> None:
         """Publish outputs, and log those that the middleware refuses."""

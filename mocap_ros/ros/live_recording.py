@@ -21,6 +21,7 @@ from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transform_tree import is_of_people_only
 from mocap_ros.messages.transforms import TRANSFORMS
+from mocap_ros.ros.input_queue import ReceivedMessage
 from mocap_ros.ros.message_types import MessageVersions
 from mocap_ros.ros.throttled_log import Logger
 from mocap_ros.runtime.outputs import LATCHED_OUTPUTS, build_skeleton_definition
@@ -60,7 +61,6 @@ class LiveRecording:
         self._names = names
         self._logger = logger
         self._find_offered_qos = find_offered_qos
-        self._sources = {names[s.value]: s for s in Source if s.value in names}  # by topic
         self._recorder: BackgroundRecorder | None = None
         self._failure = ''  # why no recording runs although recorder.enabled is set
         self._journal = Journal(names['journal'])
@@ -104,30 +104,25 @@ class LiveRecording:
         """
         if self._recorder is not None:
             raise RecordingError(f'a recording to {self._recorder.folder} is already running')
-        try:
-            self._recorder = self._start_recorder(pipeline, start_ns)
-        except RecordingError as error:
-            self._failure = str(error) if pipeline.config.recorder.enabled else ''
-            raise
-        self._failure = ''
-        return self._recorder.folder
-
-    def _start_recorder(self, pipeline: Pipeline, start_ns: int) -> BackgroundRecorder:
-        """Start a recorder and hand it the first records; arguments and errors are those of `start`."""
-        config = pipeline.config
-        attachments = provenance_attachments(config, pipeline.models)
+        config = pipeline.config.recorder
         self._declared_topics = {self._names[topic] for topic in LATCHED_OUTPUTS}
         self._journal = Journal(self._names['journal'])
-        self._stalled_s = 0.0
-        first_records = self._make_first_records(pipeline, start_ns)
-        recorder = start_recorder(start_ns, config.recorder, attachments, self._versions.definitions)
+        self._stalled_s, self._failure = 0.0, ''
         try:
-            recorder.put(first_records, even_if_full=True)
-        except RecordingError:
-            with suppress(RecordingError):  # the same one
-                recorder.close()
+            attachments = provenance_attachments(pipeline.config, pipeline.models)
+            first_records = self._make_first_records(pipeline, start_ns)
+            recorder = start_recorder(start_ns, config, attachments, self._versions.definitions)
+            try:
+                recorder.put(first_records, even_if_full=True)
+            except RecordingError:
+                with suppress(RecordingError):  # the same one
+                    recorder.close()
+                raise
+        except RecordingError as error:
+            self._failure = str(error) if config.enabled else ''
             raise
-        return recorder
+        self._recorder = recorder
+        return recorder.folder
 
     def detach(self) -> BackgroundRecorder | None:
         """End the recording and return its recorder, which is to be passed to `finish`; None if there is none."""
@@ -149,17 +144,17 @@ class LiveRecording:
         if recorder is None:
             return None
         try:
-            if not recorder.close(timeout_s):
-                self._finishing.append(recorder)
-                self._logger.warning(
-                    f'the disk is slow; {recorder.waiting_count} inputs wait for it, and the recording to '
-                    f'{recorder.folder} will be finished when it has taken them'
-                )
-                return recorder.folder
+            is_finished = recorder.close(timeout_s)
         except RecordingError as error:
             self._logger.error(f'{error}; the recording has ended')
             raise
-        if recorder.refused_count:
+        if not is_finished:
+            self._finishing.append(recorder)
+            self._logger.warning(
+                f'the disk is slow; {recorder.waiting_count} inputs wait for it, and the recording to '
+                f'{recorder.folder} will be finished when it has taken them'
+            )
+        elif recorder.refused_count:
             self._logger.info(
                 f'the recording to {recorder.folder} is finished, but {recorder.refused_count} inputs are missing '
                 'in it, as the disk was too slow; record to a faster disk'
@@ -207,21 +202,13 @@ class LiveRecording:
             self._stalled_s = 0.0
 
     def write_input(
-        self,
-        topic: str,
-        msgtype: str,
-        raw: bytes,
-        times_ns: tuple[int, int],
-        result: ProcessingResult,
-        published_ns: int,
+        self, message: ReceivedMessage, msgtype: str, result: ProcessingResult, published_ns: int
     ) -> bool:
         """Write an input, its journal entry and its outputs.
 
         Args:
-            topic: Absolute name of the input's topic.
+            message: The input.
             msgtype: Type of the message.
-            raw: The message as it was received.
-            times_ns: Wall-clock times of receipt and of sending.
             result: Result of the input.
             published_ns: Wall-clock time at which the outputs were published.
 
@@ -230,13 +217,15 @@ class LiveRecording:
         """
         if self._recorder is None:
             return True
-        records: list[RecordedMessage | Topic] = [*self._declare_input(topic, msgtype)]
-        repeat_keys = self._make_repeat_keys(topic, msgtype, raw, result.verdict)
-        records += self._journal.make_input_records(
-            topic, msgtype, raw, times_ns, result.verdict, result.reason, repeat_keys
-        )
-        for output in result.outputs:
-            records += self._make_output_records(output, published_ns)
+        content, is_accepted = self._versions.read(msgtype, message.raw), result.verdict is Verdict.ACCEPTED
+        repeat_keys = make_repeat_keys(message.source, content, is_accepted=is_accepted)
+        records: list[RecordedMessage | Topic] = [
+            *self._declare_input(message.source, message.topic, msgtype),
+            *self._journal.make_input_records(
+                message.topic, msgtype, message.raw, message.times_ns, result.verdict, result.reason, repeat_keys
+            ),
+            *(self._make_output_record(output, published_ns) for output in result.outputs),
+        ]
         is_unused = result.verdict is Verdict.BACKLOG or not result.was_decoded
         if self._put(records, even_if_full=False, share=UNUSED_SHARE if is_unused else 1.0):
             return True
@@ -246,7 +235,7 @@ class LiveRecording:
 
     def write_output(self, output: OutputMessage, published_ns: int) -> None:
         """Write an output that no input caused."""
-        self._put(self._make_output_records(output, published_ns))
+        self._put([self._make_output_record(output, published_ns)])
 
     def write_reset(self, now_ns: int) -> None:
         """Write that the tracker is reset."""
@@ -259,63 +248,56 @@ class LiveRecording:
         self._put([self._journal.make_parameters_record(values(config), now_ns)])
 
     def _make_first_records(self, pipeline: Pipeline, start_ns: int) -> list[RecordedMessage | Topic]:
-        definition = build_skeleton_definition(pipeline.config.tracker.skeleton)
-        definition = self._versions.write_output(definition)
+        """Make the records of what the pipeline knows already, from which a replay begins."""
+        definition = self._versions.write_output(build_skeleton_definition(pipeline.config.tracker.skeleton))
         records: list[RecordedMessage | Topic] = [
             *(self._make_topic(self._names[t], msgtype, latched=True) for t, msgtype in LATCHED_OUTPUTS.items()),
             self._journal.make_parameters_record(values(pipeline.config), start_ns),
-            *self._make_output_records(definition, start_ns),
+            self._make_output_record(definition, start_ns),
         ]
         known: list[tuple[Source, str, bytes]] = []
         if pipeline.camera_info is not None:
             known.append((Source.CAMERA_INFO, CAMERA_INFO, pipeline.camera_info))
         if not pipeline.transforms.is_empty:
             static, dynamic = pipeline.transforms.encode_all()
-            known += [(Source.STATIC_TRANSFORMS, TRANSFORMS, message) for message in static]
+            known += [(Source.STATIC_TRANSFORMS, TRANSFORMS, raw) for raw in static]
             prefix = pipeline.config.node.frame_prefix  # a replay takes what is of people only as an output
-            dynamic = [message for message in dynamic if not is_of_people_only(message, prefix)]
-            known += [(Source.TRANSFORMS, TRANSFORMS, message) for message in dynamic]
+            known += [
+                (Source.TRANSFORMS, TRANSFORMS, raw) for raw in dynamic if not is_of_people_only(raw, prefix)
+            ]
         for source, msgtype, content in known:
-            topic, raw = self._names[source.value], self._versions.write(msgtype, content)
-            records += self._declare_input(topic, msgtype)
-            repeat_keys = make_repeat_keys(source, content)
+            topic, times_ns = self._names[source.value], (start_ns, start_ns)
+            records += self._declare_input(source, topic, msgtype)
+            raw, repeat_keys = self._versions.write(msgtype, content), make_repeat_keys(source, content)
             records += self._journal.make_input_records(
-                topic, msgtype, raw, (start_ns, start_ns), Verdict.ACCEPTED, repeat_keys=repeat_keys
+                topic, msgtype, raw, times_ns, Verdict.ACCEPTED, repeat_keys=repeat_keys
             )
         return records
 
-    def _declare_input(self, topic: str, msgtype: str) -> list[Topic]:
+    def _declare_input(self, source: Source, topic: str, msgtype: str) -> list[Topic]:
         """Return the topic of an input, with the QoS that its publishers offer, before its first message."""
         if topic in self._declared_topics:
             return []
         self._declared_topics.add(topic)
-        is_latched = self._sources.get(topic) is Source.STATIC_TRANSFORMS  # also when its publisher has gone
+        is_latched = source is Source.STATIC_TRANSFORMS  # also when its publisher has gone
         return [self._make_topic(topic, msgtype, latched=is_latched, qos=self._find_offered_qos(topic))]
 
-    def _make_repeat_keys(self, topic: str, msgtype: str, raw: bytes, verdict: Verdict) -> frozenset[str] | None:
-        """Return the `repeat_keys` of an input."""
-        content, is_accepted = self._versions.read(msgtype, raw), verdict is Verdict.ACCEPTED
-        return make_repeat_keys(self._sources.get(topic), content, is_accepted=is_accepted)
-
     def _make_topic(
-        self, name: str, msgtype: str, *, latched: bool = False, qos: Sequence[Mapping[str, Any]] = ()
+        self, name: str, msgtype: str, *, latched: bool, qos: Sequence[Mapping[str, Any]] = ()
     ) -> Topic:
-        """Describe a topic by the installed version of its type."""
-        definition = self._versions.definitions.get(msgtype)
+        definition = self._versions.definitions.get(msgtype)  # of the installed version of the type
         return make_topic(name, msgtype, latched=latched, qos=qos, definition=definition)
 
-    def _make_output_records(self, output: OutputMessage, published_ns: int) -> list[RecordedMessage | Topic]:
+    def _make_output_record(self, output: OutputMessage, published_ns: int) -> RecordedMessage:
         name = self._names.get(output.topic, output.topic)
-        times_ns = published_ns, published_ns
-        return [RecordedMessage(name, output.type, output.data, *times_ns, may_begin_file=False)]
+        return RecordedMessage(name, output.type, output.data, published_ns, published_ns, may_begin_file=False)
 
     def _put(
         self, records: Iterable[RecordedMessage | Topic], *, even_if_full: bool = True, share: float = 1.0
     ) -> bool:
-        """Hand records to the recorder; if the recording has failed, log it and end the recording.
+        """Hand records to the recorder; return False if the disk is too slow to take them.
 
-        Returns:
-            False if the disk is too slow to take the records.
+        If the recording has failed, this is logged, and the recording ends.
         """
         if self._recorder is None:
             return True

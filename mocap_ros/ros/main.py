@@ -19,21 +19,21 @@ from mocap_ros.runtime.cpu_setup import configure_process
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run `mocap_node` until it is ended by a signal; return the exit code."""
-    return _run('mocap_node', 'mocap_ros.ros.node', args)
+    return _run('mocap_node', 'node:MocapNode', args)
 
 
 def bridge_main(args: Sequence[str] | None = None) -> int:
     """Run `mocap_bridge` likewise."""
-    return _run('mocap_bridge', 'mocap_ros.ros.bridge_node', args)
+    return _run('mocap_bridge', 'bridge_node:BridgeNode', args)
 
 
 def detector_main(args: Sequence[str] | None = None) -> int:
     """Run `detector_node` likewise."""
-    return _run('detector_node', 'mocap_ros.ros.detector_node', args)
+    return _run('detector_node', 'detector_node:DetectorNode', args)
 
 
-def _run(name: str, module: str, args: Sequence[str] | None) -> int:
-    """Run the node of a module; imports are here, so that a SIGINT during one ends without a traceback."""
+def _run(name: str, node_class: str, args: Sequence[str] | None) -> int:
+    """Run the node of a `module:class`; imports are here, so that a SIGINT during one ends without a traceback."""
     arguments = sys.argv[1:] if args is None else args
     try:
         configure_process()
@@ -42,12 +42,15 @@ def _run(name: str, module: str, args: Sequence[str] | None) -> int:
 
         build_parser(name).parse_args(remove_ros_arguments(arguments))
         try:
-            run = import_module(module).run
+            from mocap_ros.ros.nodes import run_node
+
+            module, _, class_name = node_class.partition(':')
+            make_node = getattr(import_module(f'mocap_ros.ros.{module}'), class_name)
         except ImportError as error:
             advice = 'source ROS 2 or run `make setup`'
             return _report_failure(name, f'needs ROS 2, which this Python does not find ({error}); {advice}')
         try:
-            run(arguments)
+            run_node(arguments, make_node)
         except MocapError as error:
             return _report_failure(name, str(error))
     except KeyboardInterrupt:  # SIGINT before the node has its handler, or a signal during the compilation

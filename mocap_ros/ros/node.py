@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Sequence
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -21,14 +20,13 @@ from mocap_ros.messages.cdr import OutputMessage
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.ros.diagnostics import DIAGNOSTICS, DiagnosticsReporter
 from mocap_ros.ros.help import SERVICES
-from mocap_ros.ros.lifecycle import ManagedNode
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
+from mocap_ros.ros.nodes import ManagedNode
 from mocap_ros.ros.parameters import declare_parameters, select_config_values, warn_of_unknown_parameters
-from mocap_ros.ros.publications import Publishers
-from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS, TF_QOS, QosWarnings, profile_to_rosbag2
-from mocap_ros.ros.startup import run_node
+from mocap_ros.ros.qos import LATCHED_QOS, OUTPUT_QOS, TF_QOS, profile_to_rosbag2
 from mocap_ros.ros.subscriptions import InputSubscriptions
+from mocap_ros.ros.topics import Publishers
 from mocap_ros.runtime.cpu_setup import release_free_memory
 from mocap_ros.runtime.outputs import (
     LATCHED_OUTPUTS,
@@ -58,9 +56,8 @@ class MocapNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__(NODE_NAME)
-        self._qos_warnings = QosWarnings(self)
         self._versions = MessageVersions()  # of the types in use while the node is configured
-        self._outputs = Publishers(self, self._versions, self._qos_warnings)
+        self._outputs = Publishers(self, self._versions)
         self._inputs: InputSubscriptions | None = None  # while configured
         self._pipeline: Pipeline | None = None  # while configured
         self._provided_services: list[Any] = []  # while configured
@@ -86,9 +83,7 @@ class MocapNode(ManagedNode):
         """Compile the inner loops, load the model, and create publishers and services."""
         config = self._config
         self._versions = MessageVersions()
-        self._inputs = InputSubscriptions(
-            self, config.node.input_type, self._versions, lambda: self._config.node, self._qos_warnings
-        )
+        self._inputs = InputSubscriptions(self, config.node.input_type, self._versions, lambda: self._config.node)
         self._versions.add_output(CAMERA_INFO)  # a recording begins with the CameraInfo in use
         compilation = compile_kernels(self.get_logger().warning)
         if compilation.kernels:  # none when the node is configured again
@@ -105,7 +100,7 @@ class MocapNode(ManagedNode):
 
     def _create_publishers(self) -> None:
         """Create the publishers; what a parameter switches on and has no installed type is recorded only."""
-        self._outputs = Publishers(self, self._versions, self._qos_warnings)
+        self._outputs = Publishers(self, self._versions)
         for topics, qos in ((OUTPUTS, OUTPUT_QOS), (LATCHED_OUTPUTS, LATCHED_QOS)):
             for topic, msgtype in topics.items():
                 self._outputs.add(topic, msgtype, qos)
@@ -143,14 +138,14 @@ class MocapNode(ManagedNode):
             self._versions,
         )
         self._run.start()
-        self._inputs.subscribe(self._run.enqueue, self._run.statistics.record_lost, self._run.forget_topic)
+        self._inputs.subscribe(self._run.enqueue, self._run.statistics.record_lost, self._run.queue.forget)
         outputs = (*OUTPUTS, *switched, *LATCHED_OUTPUTS)
         published = ', '.join(names[topic] for topic in outputs if topic in self._outputs)
         self.get_logger().info(
             f'the node is active: it listens on {" and ".join(self._inputs.topics)}, publishes {published}, '
             f'and uses the model {self._config.tracker.model}'
         )
-        self._reporter = DiagnosticsReporter(self.get_fully_qualified_name(), self._pipeline)
+        self._reporter = DiagnosticsReporter(self.get_fully_qualified_name(), self._pipeline, self._run.statistics)
         self._run_timers = [
             self.create_steady_timer(SILENCE_CHECK_PERIOD_S, self._check_silence),
             self.create_steady_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics),
@@ -229,22 +224,10 @@ class MocapNode(ManagedNode):
         if run is None or reporter is None:
             return
         now_ns = min(self.get_clock().now().nanoseconds, MAX_STAMP_NS)
-        status = reporter.encode_status(run.statistics, run.recorder_state, now_ns, run.recorder_fault)
+        status = reporter.encode_status(run.recording.state, now_ns, run.recording.fault)
         output = OutputMessage(DIAGNOSTICS_TOPIC, DIAGNOSTICS, now_ns, status)
         self._outputs.publish(self._versions.write_output(output))
 
     def _find_offered_qos(self, topic: str) -> list[dict[str, Any]]:
         """Return the QoS profiles that the publishers of a topic offer, as a bag describes them."""
         return [profile_to_rosbag2(p.qos_profile) for p in self.get_publishers_info_by_topic(topic)]
-
-
-def run(arguments: Sequence[str]) -> None:
-    """Run the node until SIGINT or SIGTERM.
-
-    Args:
-        arguments: Arguments of the command line, which rclpy parses.
-
-    Raises:
-        ConfigError: An argument or a parameter is wrong.
-    """
-    run_node(arguments, MocapNode)

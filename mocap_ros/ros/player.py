@@ -12,27 +12,51 @@ from typing import Any
 
 import rclpy
 from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException
+from rclpy.expand_topic_name import expand_topic_name
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_full_topic_name import validate_full_topic_name
+from rclpy.validate_namespace import validate_namespace
+from rclpy.validate_topic_name import validate_topic_name
 
 from mocap_ros.errors import ConfigError, MocapError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import typestore
 from mocap_ros.ros.message_types import MessageVersions, load_interface_class
-from mocap_ros.ros.names import find_name_fault
 from mocap_ros.ros.qos import choose_playback_profile
 from mocap_ros.runtime.playback import Playback, PlaybackMessage, PlayedTopic
 from mocap_ros.units import NS_PER_S
 
 CLOCK = 'rosgraph_msgs/msg/Clock'  # message type of /clock
-SETTLE_SECONDS = (
-    1.0  # s; a best-effort subscriber may discover the publisher later than the reverse, by less than this
-)
+SETTLE_SECONDS = 1.0  # s; by less than this a best-effort subscriber discovers the publisher after the reverse
 DISCOVERY_POLL_SECONDS = 0.02  # s; pause between two checks for a subscriber
 MAX_ACKNOWLEDGEMENT_SECONDS = 1  # s; guards against a subscriber that never acknowledges the last messages
 
 # A function that shows progress while the messages it is given are iterated; its second argument is their number.
 ProgressWrapper = Callable[[Iterable[PlaybackMessage], int], Iterable[PlaybackMessage]]
+
+
+def find_name_fault(topic: str, namespace: str = '', node: str = 'node') -> str:
+    """Return why a node cannot have a topic or a namespace of these names; empty where it can.
+
+    The errors of rclpy would be tracebacks of several lines.
+
+    Args:
+        topic: name of the topic, absolute or relative to the namespace.
+        namespace: namespace of the node, with or without the slash at its beginning.
+        node: name of the node.
+    """
+    absolute = f'/{namespace.removeprefix("/")}'
+    try:
+        validate_namespace(absolute)
+        validate_topic_name(topic)
+        validate_full_topic_name(expand_topic_name(topic, node, absolute))
+    except NameValidationException as error:  # `Invalid KIND: REASON:`, and lines that point into the name
+        return str(error).splitlines()[0].partition(': ')[2].rstrip(':')
+    except (ValueError, TypeError):  # an unknown {substitution}; a text that is no UTF-8
+        return 'no name of a topic'
+    return ''
 
 
 @dataclass(frozen=True)
@@ -76,7 +100,8 @@ class Player:
         self._options = options
         self._publishers: dict[int, Any] = {}  # by index of the topic in the playback
         self._versions = MessageVersions()
-        self._clock: _ClockPublisher | None = None
+        self._clock: Any = None  # publisher of /clock
+        self._next_clock_s = 0.0  # steady clock; when /clock is due
         self.published_count = 0
         self.skipped_topics: list[str] = []
 
@@ -124,7 +149,8 @@ class Player:
         if not self._publishers:
             raise MocapError(f'nothing to play: {self.skipped_topics[0] if self.skipped_topics else "no topics"}')
         if self._options.clock:
-            self._clock = _ClockPublisher(node, self._options.clock)
+            qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+            self._clock = node.create_publisher(load_interface_class(CLOCK), '/clock', qos)
 
     def _find_class(self, topic: PlayedTopic) -> Any:
         """Return the message class of a topic; if it cannot be used, return None and note that it is skipped."""
@@ -141,17 +167,15 @@ class Player:
 
     def _wait_for_subscriber(self, announce: Callable[[str], None]) -> None:
         """Wait for a subscriber to any topic but CameraInfo, unless CameraInfo is all there is."""
-        types = {i: t.type for i, t in enumerate(self._playback.topics)}
-        awaited = [p for i, p in self._publishers.items() if types[i] != CAMERA_INFO] or [
-            *self._publishers.values()
-        ]
+        awaited = [p for i, p in self._publishers.items() if self._playback.topics[i].type != CAMERA_INFO]
+        awaited = awaited or [*self._publishers.values()]
         names = ', '.join(p.topic_name for p in awaited)
         announce(f'waiting for a subscriber to {names}, for at most {self._options.wait:g} s')
         deadline = time.monotonic() + self._options.wait
         while not any(p.get_subscription_count() for p in awaited):
             if time.monotonic() > deadline:
                 raise MocapError(
-                    f'nobody subscribed to {names} within {self._options.wait:g} s; '
+                    f'no subscriber to {names} appeared within {self._options.wait:g} s; '
                     'a node that starts for the first time compiles for one to two minutes before it listens'
                 )
             time.sleep(DISCOVERY_POLL_SECONDS)
@@ -170,40 +194,20 @@ class Player:
                 self.published_count += 1
 
     def _sleep_until(self, end: float, end_ns: int) -> None:
-        """Sleep until a time of the steady clock, and publish /clock meanwhile if it is wanted.
-
-        Args:
-            end: s, steady clock.
-            end_ns: The same time in ns on the clock of the recording.
-        """
+        """Sleep until `end` (s, steady clock), which is `end_ns` in the recording; publish /clock meanwhile."""
         while (remaining := end - time.monotonic()) > 0:
             if self._clock is not None:
-                self._clock.publish(end_ns - round(remaining * self._options.rate * NS_PER_S))
-                remaining = min(remaining, self._clock.period)
+                self._publish_clock(end_ns - round(remaining * self._options.rate * NS_PER_S))
+                remaining = min(remaining, 1 / self._options.clock)
             time.sleep(remaining)
         if self._clock is not None:
-            self._clock.publish(end_ns)
+            self._publish_clock(end_ns)
 
-
-class _ClockPublisher:
-    """Publisher of /clock with a limited rate.
-
-    Attributes:
-        period: s between two messages.
-    """
-
-    def __init__(self, node: Any, rate: float) -> None:
-        self.period = 1 / rate
-        self._message_class = load_interface_class(CLOCK)
-        qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._publisher = node.create_publisher(self._message_class, '/clock', qos)
-        self._next_due = 0.0  # s, steady clock
-
-    def publish(self, time_ns: int) -> None:
+    def _publish_clock(self, time_ns: int) -> None:
         """Publish this time, unless the last message was published less than a period ago."""
         now = time.monotonic()
-        if now >= self._next_due:
-            self._next_due = now + self.period
-            message = self._message_class()
+        if now >= self._next_clock_s:
+            self._next_clock_s = now + 1 / self._options.clock
+            message = load_interface_class(CLOCK)()
             message.clock.sec, message.clock.nanosec = divmod(time_ns, NS_PER_S)
-            self._publisher.publish(message)
+            self._clock.publish(message)

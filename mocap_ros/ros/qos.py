@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""QoS profiles of the node's topics, their conversion to and from those in bags, and warnings of mismatches."""
+"""QoS profiles of the node's topics, and their conversion to and from those in bags."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
     QoSPolicyKind,
     QoSProfile,
     ReliabilityPolicy,
-    qos_policy_name_from_kind,
 )
 from rosbags.interfaces import Qos
 
@@ -104,40 +102,3 @@ def choose_playback_profile(recorded: Sequence[Qos], msgtype: str = '') -> QoSPr
         reliability=ReliabilityPolicy.BEST_EFFORT if is_best_effort else ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE,
     )
-
-
-class QosWarnings:
-    """Log of peers whose QoS is incompatible with the node's; each policy of each topic is logged once.
-
-    Args:
-        node: The node whose publishers and subscriptions report incompatible peers.
-    """
-
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self._logged: set[tuple[str, str]] = set()  # topic and policy
-
-    def warn_of_subscriber(self, name: str, policy: Any) -> None:
-        """Log that a subscriber to a topic receives nothing because of a policy, as rclpy's event gives it."""
-        self._warn_once(
-            name,
-            policy,
-            '{topic}: a subscriber requests a stricter {policy} policy than this node offers, so it receives '
-            'nothing; relax that policy in the subscriber',
-        )
-
-    def warn_of_publisher(self, name: str, policy: Any) -> None:
-        """Log likewise that the node receives nothing from a publisher."""
-        self._warn_once(
-            name,
-            policy,
-            '{topic}: a publisher offers a weaker {policy} policy than this node requests, so its messages are '
-            'not received; change that policy in the publisher, or set the parameters '
-            'qos_overrides.{topic}.subscription of this node',
-        )
-
-    def _warn_once(self, name: str, policy: Any, line: str) -> None:
-        topic, policy_name = self._node.resolve_topic_name(name), qos_policy_name_from_kind(policy)
-        if (topic, policy_name) not in self._logged:
-            self._logged.add((topic, policy_name))
-            self._node.get_logger().warning(line.format(topic=topic, policy=policy_name))

@@ -8,12 +8,9 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping
-from copy import copy
 from typing import Any
 
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from mocap_ros.bags.topics import (
     PEOPLE_SOURCES,
@@ -33,12 +30,10 @@ from mocap_ros.ros.message_types import MessageVersions, load_interface_class
 from mocap_ros.ros.qos import (
     INPUT_QOS,
     INPUT_QUEUE_DEPTH,
-    OVERRIDABLE_POLICIES,
     STATIC_TF_QOS,
     TF_QOS,
-    QosWarnings,
 )
-from mocap_ros.ros.silence import SilenceMonitor
+from mocap_ros.ros.topics import SilenceMonitor, subscribe
 
 # A body id that may be part of a topic name: letters, digits and single underscores, without a leading digit.
 BODY_ID_IN_TOPIC = re.compile(r'(?!\w*__)[A-Za-z_][A-Za-z0-9_]*')
@@ -49,12 +44,6 @@ QOS_BY_SOURCE = {Source.TRANSFORMS: TF_QOS, Source.STATIC_TRANSFORMS: STATIC_TF_
 
 MAX_TAKE_S = 0.02  # s; for which the messages of a topic are taken in a row; delays those of others, and the end
 MAX_PUBLISHERS = 16  # of a topic, whose messages are counted; guards the memory against ever new ones
-
-# A function that takes the number of messages that have been lost since its last call.
-NoteLost = Callable[[int], None]
-
-# A function that takes the absolute name of a topic.
-ForgetTopic = Callable[[str], None]
 
 # A function that takes a message: its source, its CDR bytes, the time of sending in ns, and its topic.
 Receive = Callable[[Source, bytes, int, str], None]
@@ -94,7 +83,6 @@ class InputSubscriptions:
         input_type: Message type of the keypoints, as in `node.input_type`.
         versions: Versions of the message types, to which those of the inputs are added.
         get_limits: Function that returns the parameters of the node, which limit the content of a message.
-        qos_warnings: Log of publishers with an incompatible QoS.
 
     Attributes:
         types: Message type of each source.
@@ -109,19 +97,17 @@ class InputSubscriptions:
         input_type: str,
         versions: MessageVersions,
         get_limits: Callable[[], NodeConfig],
-        qos_warnings: QosWarnings,
     ) -> None:
         self._node = node
         self._versions = versions
         self._get_limits = get_limits
-        self._qos_warnings = qos_warnings
         self.types = list_input_types(input_type, reads_transforms=reads_transforms(get_limits()))
         self._add_types()
         self._subscriptions: list[Any] = []
         self._body_subscriptions: dict[str, Any] = {}  # by topic
-        self._receive: Receive | None = None
-        self._note_lost: NoteLost = lambda _: None
-        self._forget_topic: ForgetTopic = lambda _: None
+        self._receive: Receive = lambda *_: None
+        self._note_lost: Callable[[int], None] = lambda _: None
+        self._forget_topic: Callable[[str], None] = lambda _: None
         self._silence: SilenceMonitor | None = None
 
     def _add_types(self) -> None:
@@ -145,7 +131,9 @@ class InputSubscriptions:
         """Absolute names of the subscribed topics, without those of ROS4HRI bodies."""
         return [self._node.resolve_topic_name(s.value) for s in self.types if s is not Source.BODY]
 
-    def subscribe(self, receive: Receive, note_lost: NoteLost, forget_topic: ForgetTopic) -> None:
+    def subscribe(
+        self, receive: Receive, note_lost: Callable[[int], None], forget_topic: Callable[[str], None]
+    ) -> None:
         """Subscribe to all inputs and pass their messages to `receive`, in the thread of the executor.
 
         Args:
@@ -173,8 +161,6 @@ class InputSubscriptions:
 
     def _subscribe_to(self, source: Source, name: str) -> Any:
         topic = self._node.resolve_topic_name(name)
-        # rclpy declares parameters for overrides, which would stay behind for every body that leaves
-        overridable = None if source is Source.BODY else QoSOverridingOptions(OVERRIDABLE_POLICIES)
         message_class, lost_messages = load_interface_class(self.types[source]), LostMessages()
 
         def take_all(raw: bytes, info: Any) -> None:
@@ -186,42 +172,33 @@ class InputSubscriptions:
                     self._note_lost(lost_messages.count(info))
                 self._take(source, raw, info['source_timestamp'], topic)
                 count += 1
-                if (
-                    count > INPUT_QUEUE_DEPTH or time.monotonic() > deadline_s
-                ):  # the executor has other work as well
+                if count > INPUT_QUEUE_DEPTH or time.monotonic() > deadline_s:
                     break
                 with subscription.handle:
                     taken = subscription.handle.take_message(message_class, True)
-            if (
-                source is Source.TRACKED_BODIES
-            ):  # to subscribe takes longer than to take a message: the newest counts
+            if source is Source.TRACKED_BODIES:  # only the newest, as to subscribe takes longer than to take
                 self._follow_bodies(raw)
 
-        subscription: Any = self._node.create_subscription(
-            message_class,
+        # rclpy declares parameters for overrides, which would stay behind for every body that leaves
+        subscription = subscribe(
+            self._node,
+            self.types[source],
             name,
             take_all,
-            copy(QOS_BY_SOURCE.get(source, INPUT_QOS)),  # rclpy writes the overrides of one topic into it
-            raw=True,
-            qos_overriding_options=overridable,
-            event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=lambda event: self._qos_warnings.warn_of_publisher(name, event.last_policy_kind),
-            ),
+            QOS_BY_SOURCE.get(source, INPUT_QOS),
+            overridable=source is not Source.BODY,
         )
         return subscription
 
     def _take(self, source: Source, raw: bytes, sent_ns: int, topic: str) -> None:
-        """Pass a message on as it was received."""
-        assert self._receive is not None  # noqa: S101
-        if source in TRANSFORM_SOURCES and self._is_of_people_only(raw):
+        """Pass a message on as it was received, unless it has only transforms that nodes like this one publish."""
+        if source in TRANSFORM_SOURCES and is_of_people_only(
+            self._versions.read(TRANSFORMS, raw), self._get_limits().frame_prefix
+        ):
             return
         self._receive(source, raw, sent_ns, topic)
         if source in PEOPLE_SOURCES and self._silence is not None:
             self._silence.note_input()
-
-    def _is_of_people_only(self, raw: bytes) -> bool:
-        """Return whether transforms are of people only, such as those that this node itself publishes."""
-        return is_of_people_only(self._versions.read(TRANSFORMS, raw), self._get_limits().frame_prefix)
 
     def _follow_bodies(self, raw: bytes) -> None:
         """Subscribe to the tracked bodies and unsubscribe from those that are no longer tracked."""

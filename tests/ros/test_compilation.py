@@ -36,6 +36,7 @@ configure_process()
 from numba.core.event import install_recorder
 from mocap_ros.compiled import kernel
 from mocap_ros.ros import node
+from mocap_ros.ros.nodes import run_node
 
 left = []
 
@@ -44,11 +45,10 @@ class WatchedNode(node.MocapNode):
         left.append(len(kernel._pending))
         return super().on_activate(state)
 
-node.MocapNode = WatchedNode
 with install_recorder('numba:compile') as compiled:
     kernel.compile_kernels()  # all that the imports above declare
     before = len(compiled.buffer)
-    node.run(sys.argv[1:])
+    run_node(sys.argv[1:], WatchedNode)
 print(json.dumps({'left': left, 'pending': len(kernel._pending), 'compiled': len(compiled.buffer) - before}))
 """
 

@@ -135,8 +135,7 @@ def test_a_forgotten_topic_takes_no_memory_and_is_numbered_anew() -> None:
     put(queue, '/keypoints')
     assert [number for _, number, _ in take_all(queue, limit=2)] == [1, 2, 3, 4], 'not while one waits'
     queue.forget('/keypoints')
-    assert not queue._received
-    assert not queue._first_waiting
+    assert not queue._topics
     put(queue, '/keypoints')
     assert take_all(queue) == [('/keypoints', 1, False)]
 
@@ -149,7 +148,7 @@ def test_a_topic_that_left_while_a_message_waited_is_forgotten_with_the_next() -
     put(queue, '/tf')  # somebody subscribes again
     assert take_all(queue) == [('/keypoints', 1, False), ('/tf', 1, False), ('/tf', 2, False)]
     queue.forget('/camera_info')
-    assert set(queue._received) == set(queue._first_waiting) == {'/tf'}
+    assert set(queue._topics) == {'/tf'}
 
 
 def test_messages_of_people_alone_are_skipped() -> None:

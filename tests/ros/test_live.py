@@ -32,6 +32,7 @@ from mocap_ros.messages.keypoints import KEYPOINTS, decode_keypoints, encode_key
 from mocap_ros.messages.markers import MARKERS
 from mocap_ros.messages.transforms import TRANSFORMS
 from mocap_ros.messages.versions import make_converter
+from mocap_ros.ros.input_queue import ReceivedMessage
 from mocap_ros.ros.live import LiveRun
 from mocap_ros.ros.live_recording import LiveRecording
 from mocap_ros.ros.message_types import MessageVersions
@@ -173,9 +174,7 @@ def test_the_newest_reason_why_a_message_was_not_accepted_is_kept_for_the_diagno
     live.enqueue(stream[1], stream[2][:60], stream[1], stream[2])
     live.wait_for_frames(2)
     live.run.stop()
-    reason = live.run.statistics.take_reason()
-    assert reason.startswith('/keypoints: stamp ')
-    assert live.run.statistics.take_reason() == ''
+    assert live.run.statistics.reason.startswith('/keypoints: stamp ')
 
 
 def test_the_log_tells_of_people_when_the_first_of_them_is_published(stream: list[bytes]) -> None:
@@ -325,7 +324,7 @@ def test_while_messages_wait_the_newest_comes_first_until_the_run_has_caught_up(
             assert entered.acquire(timeout=TIMEOUT_S)
             processed += 1
     live.wait_for_frames(4)
-    while live.run.is_behind:  # until it has caught up, and takes one frame after the other again
+    while live.run.queue.is_behind:  # until it has caught up, and takes one frame after the other again
         time.sleep(0.002)
     live.enqueue(stream[sent])
     assert entered.acquire(timeout=TIMEOUT_S)
@@ -378,7 +377,7 @@ def test_a_disk_that_takes_nothing_is_reported_and_does_not_stop_the_run(
     live.enqueue(stream[0])
     live.wait_for_frames(1)
     live.wait_for_lines('the disk has taken nothing of the recording')
-    assert 'the disk has taken nothing' in live.run.recorder_fault
+    assert 'the disk has taken nothing' in live.run.recording.fault
     disk_is_ready.set()
     live.wait_for_lines('the disk takes the recording again, after ')
     disk_is_ready.clear()
@@ -391,7 +390,7 @@ def test_a_disk_that_takes_nothing_is_reported_and_does_not_stop_the_run(
     disk_is_ready.set()
     live.wait_for_lines('is finished')
     live.run.stop()
-    assert live.run.recorder_fault == ''
+    assert live.run.recording.fault == ''
     (bag,) = (tmp_path / 'live').iterdir()
     assert read_messages(bag, '/keypoints') == stream[:2]
 
@@ -404,7 +403,7 @@ def test_inputs_that_are_too_many_for_the_disk_are_counted_in_state_log_and_bag(
     live.enqueue(*stream[:8])
     live.wait_for_frames(8)
     with live.run._pipeline_lock:  # the last frame has been published, and now the recorder has refused it as well
-        assert 'inputs missing' in live.run.recorder_state
+        assert 'inputs missing' in live.run.recording.state
     disk_is_ready.set()
     live.wait_for_lines('processed but not recorded')
     live.run.stop()
@@ -485,7 +484,7 @@ def test_the_limits_of_a_recording_may_be_changed_while_it_runs(
     live.enqueue(*stream[4:8])
     live.wait_for_frames(8)
     with live.run._pipeline_lock:  # the last frame has been published, and now it waits to be written as well
-        recorder = live.run._recording._recorder
+        recorder = live.run.recording._recorder
     assert recorder is not None
     disk_is_ready.set()
     wait_until(lambda: recorder.waiting_count == 0)  # what waits when the disk is found to be full is not written
@@ -528,7 +527,8 @@ def test_a_topic_keeps_its_qos_when_an_input_was_too_many_for_the_disk(
 
     def write(number: int) -> bool:
         ns = START_NS + number
-        return recording.write_input('/keypoints', KEYPOINTS, stream[number], (ns, ns), accepted, ns)
+        message = ReceivedMessage(Source.KEYPOINTS, '/keypoints', number, stream[number], (ns, ns))
+        return recording.write_input(message, KEYPOINTS, accepted, ns)
 
     while not write(0):
         time.sleep(0.01)
@@ -563,26 +563,26 @@ def test_the_diagnostics_say_why_nothing_is_recorded_until_that_is_mended_or_not
     blocking = tmp_path / 'file'
     blocking.write_text('')
     live = CollectingRun(recording_to(blocking / 'bags'))
-    assert live.run.recorder_state.startswith('not recording: ')
-    assert live.run.recorder_state.endswith('Not a directory')
-    assert live.run.recorder_fault.startswith('recorder.enabled is set, but nothing is recorded: ')
-    assert live.run.recorder_fault.endswith('Not a directory')
+    assert live.run.recording.state.startswith('not recording: ')
+    assert live.run.recording.state.endswith('Not a directory')
+    assert live.run.recording.fault.startswith('recorder.enabled is set, but nothing is recorded: ')
+    assert live.run.recording.fault.endswith('Not a directory')
     blocking.unlink()
     live.run.set_recording(True)
-    assert live.run.recorder_state.startswith('recording to ')
-    assert live.run.recorder_fault == ''
+    assert live.run.recording.state.startswith('recording to ')
+    assert live.run.recording.fault == ''
 
     live.run.set_recording(False)
     blocking.rename(tmp_path / 'bags')
     blocking.write_text('')
     live.run.set_recording(True)
-    assert live.run.recorder_state.startswith('not recording: ')
+    assert live.run.recording.state.startswith('not recording: ')
     live.run.set_recording(False)
-    assert (live.run.recorder_state, live.run.recorder_fault) == ('off', '')
+    assert (live.run.recording.state, live.run.recording.fault) == ('off', '')
     live.run.reconfigure(with_settings(FAST_CONFIG, {'recorder.folder': str(blocking / 'bags')}))
     with pytest.raises(RecordingError):  # the caller of the service knows, and the parameter is not set
         live.run.start_recording()
-    assert (live.run.recorder_state, live.run.recorder_fault) == ('off', '')
+    assert (live.run.recording.state, live.run.recording.fault) == ('off', '')
     live.run.stop()
 
 
@@ -596,10 +596,10 @@ def test_a_recording_that_fails_while_it_runs_is_a_fault(
 
     monkeypatch.setattr(Recorder, 'write', fail)
     live.enqueue(stream[0])
-    wait_until(lambda: live.run.recorder_state == 'not recording: the disk is full')
-    assert live.run.recorder_fault == 'recorder.enabled is set, but nothing is recorded: the disk is full'
+    wait_until(lambda: live.run.recording.state == 'not recording: the disk is full')
+    assert live.run.recording.fault == 'recorder.enabled is set, but nothing is recorded: the disk is full'
     live.run.set_recording(False)
-    assert (live.run.recorder_state, live.run.recorder_fault) == ('off', '')
+    assert (live.run.recording.state, live.run.recording.fault) == ('off', '')
     live.run.stop()
 
 
@@ -724,7 +724,9 @@ def test_inputs_of_a_split_recording_are_read_whole_and_file_by_file(
     def record(topic: str, msgtype: str, raw: bytes, delay_ms: int, result: ProcessingResult) -> None:
         now_ns = START_NS + delay_ms * 1_000_000
         inputs.append((topic, raw))
-        assert recording.write_input(topic, msgtype, raw, (now_ns, now_ns), result, now_ns + 5_000_000)
+        source = next(s for s in Source if s.value.strip('/') == topic.strip('/'))
+        message = ReceivedMessage(source, topic, 1, raw, (now_ns, now_ns))
+        assert recording.write_input(message, msgtype, result, now_ns + 5_000_000)
 
     accepted, skipped = ProcessingResult(Verdict.ACCEPTED), ProcessingResult(Verdict.BACKLOG)
     static = [

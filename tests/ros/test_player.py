@@ -40,7 +40,7 @@ def test_playing_without_a_subscriber_fails_in_one_line(env: dict[str, str], tmp
     save_sequence(tmp_path / 'demo.npz', make_recording().sequence())
     done = run_cli(env, 'play', tmp_path / 'demo.npz', '--wait', '0.3')
     assert done.returncode == 1
-    assert done.stderr.startswith('mocap-ros: nobody subscribed to /keypoints within 0.3 s; ')
+    assert done.stderr.startswith('mocap-ros: no subscriber to /keypoints appeared within 0.3 s; ')
     assert done.stderr.count('\n') == 1
     assert done.stdout.endswith('demo.npz: waiting for a subscriber to /keypoints, for at most 0.3 s\n')
 
@@ -67,7 +67,7 @@ def test_a_topic_whose_name_ros_refuses_is_left_out_of_all(tmp_path: Path) -> No
             recorder.add_topic(make_topic(topic, KEYPOINTS))
             recorder.write(topic, KEYPOINTS, keypoints_at(0), 10**9, 10**9)
     player = Player(Playback(tmp_path / 'bag', everything=True), PlaybackOptions(wait=0.1))
-    with pytest.raises(MocapError, match='nobody subscribed to /keypoints within'):
+    with pytest.raises(MocapError, match='no subscriber to /keypoints appeared within'):
         player.play()
     (skipped,) = player.skipped_topics
     assert skipped.startswith('/key points: topic name must not contain characters')

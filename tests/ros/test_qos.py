@@ -50,7 +50,6 @@ def test_an_override_holds_for_its_topic_alone(peer: Peer) -> None:
     from rclpy.parameter import Parameter
     from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-    from mocap_ros.ros.qos import QosWarnings
     from mocap_ros.ros.subscriptions import InputSubscriptions
 
     overrides = {
@@ -62,7 +61,7 @@ def test_an_override_holds_for_its_topic_alone(peer: Peer) -> None:
         context=peer.context,
         parameter_overrides=[Parameter(f'qos_overrides./{name}', value=v) for name, v in overrides.items()],
     )
-    inputs = InputSubscriptions(node, KEYPOINTS, MessageVersions(), lambda: Config().node, QosWarnings(node))
+    inputs = InputSubscriptions(node, KEYPOINTS, MessageVersions(), lambda: Config().node)
     inputs.subscribe(lambda *_: None, lambda _: None, lambda _: None)
 
     def find_profiles() -> dict[str, tuple[Any, Any]]:

@@ -30,7 +30,7 @@ def node(peer: Peer) -> Iterator[Any]:
 
 
 def read_warning(node: Any, capfd: pytest.CaptureFixture[str], expected_type: str = KEYPOINTS) -> str:
-    from mocap_ros.ros.silence import SilenceMonitor
+    from mocap_ros.ros.topics import SilenceMonitor
 
     capfd.readouterr()
     monitor = SilenceMonitor(node, 'keypoints', expected_type)
@@ -60,13 +60,13 @@ def test_without_a_publisher_topics_of_the_type_are_suggested(
     assert read_warning(node, capfd).startswith('its publisher sends nothing, or its QoS is incompatible')
     peer.node.destroy_publisher(peer.keypoints)
     peer.wait_until(lambda: not node.get_publishers_info_by_topic('/keypoints'))
-    assert read_warning(node, capfd).startswith('nobody publishes it; start the detector')
+    assert read_warning(node, capfd).startswith('it has no publisher; start the detector')
     peer.node.create_subscription(load_interface_class(KEYPOINTS), '/other/keypoints', print, 1)
     peer.wait_until(lambda: node.count_subscribers('/other/keypoints') == 1)
-    assert read_warning(node, capfd).startswith('nobody publishes it; start the detector'), 'one without publisher'
+    assert read_warning(node, capfd).startswith('it has no publisher; start the detector'), 'one without publisher'
     for topic in ('left', 'right'):
         peer.node.create_publisher(load_interface_class(KEYPOINTS), f'/{topic}/keypoints', 1)
     peer.wait_until(lambda: len(node.get_publishers_info_by_topic('/right/keypoints')) == 1)
     assert (
-        read_warning(node, capfd) == 'nobody publishes it; remap keypoints to /left/keypoints or /right/keypoints?'
+        read_warning(node, capfd) == 'it has no publisher; remap keypoints to /left/keypoints or /right/keypoints?'
     )

@@ -60,12 +60,13 @@ class SameVersions:
 @pytest.fixture
 def node(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr('mocap_ros.ros.subscriptions.load_interface_class', lambda _: object)
+    monkeypatch.setattr('mocap_ros.ros.topics.load_interface_class', lambda _: object)
     return NodeWithTopics()
 
 
 def test_bodies_are_followed_unless_their_ids_are_no_names(node: Any) -> None:
     versions, limits = cast(Any, SameVersions()), with_settings(Config(), {'node.max_text': 1000}).node
-    inputs = InputSubscriptions(node, HRI_SKELETON, versions, lambda: limits, cast(Any, None))
+    inputs = InputSubscriptions(node, HRI_SKELETON, versions, lambda: limits)
     for ids in (['b1', *NO_NAMES], ['b1', 'b' * 221], ['b1', 'B_2'], ['B_2', 'B_2'], NO_NAMES):
         inputs._follow_bodies(encode_plain((HEADER, ids), HRI_IDS))
         assert node.topics == {f'/humans/bodies/{i}/skeleton2d' for i in ids if i not in NO_NAMES}

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.ros
 def test_a_refused_node_is_reported_in_one_line() -> None:
     from rclpy.impl.implementation_singleton import rclpy_implementation
 
-    from mocap_ros.ros.startup import create_node
+    from mocap_ros.ros.nodes import create_node
 
     def refuse() -> None:
         raise rclpy_implementation.RCLError('no permission\nfor it, at /a/b.cpp:4, at /c.c:24')

@@ -1,0 +1,220 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the nodes of this package share: their start and end, their transitions, and how failures are reported."""
+
+from __future__ import annotations
+
+import re
+import signal
+import threading
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import rclpy
+from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.impl.logging_severity import LoggingSeverity
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.logging import set_logger_level
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from mocap_ros.compiled.kernel import is_compiling
+from mocap_ros.errors import ConfigError, MocapError
+from mocap_ros.ros.throttled_log import TracebackLog
+
+SPIN_SECONDS = 0.1  # s; bounds the delay between a signal and the end of the node
+
+
+class ManagedNode(LifecycleNode):
+    """A lifecycle node of which a subclass says what is made when it is configured, and what runs while active."""
+
+    def configure(self) -> None:
+        """Make what the node needs; an error leaves the node unconfigured."""
+        raise NotImplementedError
+
+    def clean_up(self) -> None:
+        """Discard what `configure` made, also where it failed half-way or was not called."""
+        raise NotImplementedError
+
+    def start_run(self) -> None:
+        """Begin to work; an error leaves the node inactive."""
+        raise NotImplementedError
+
+    def stop_run(self) -> None:
+        """End the work, also where `start_run` failed half-way or was not called."""
+        raise NotImplementedError
+
+    def start(self) -> None:
+        """Configure and activate the node; if that fails, the reason is logged, and the node keeps running."""
+        if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            self.trigger_activate()
+
+    def close(self) -> None:
+        """Stop and clean up, in any state."""
+        self.stop_run()
+        self.clean_up()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Configure the node."""
+        try:
+            self.configure()
+        except Exception as error:
+            self._log_failure('configured', 'configure', error)
+            self.clean_up()
+            return TransitionCallbackReturn.FAILURE
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Activate the publishers, then start the run."""
+        result = super().on_activate(state)
+        try:
+            self.start_run()
+        except Exception as error:
+            self._log_failure('activated', 'activate', error)
+            self.stop_run()
+            super().on_deactivate(state)
+            return TransitionCallbackReturn.FAILURE
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop the run, which still publishes, then deactivate the publishers."""
+        self.stop_run()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Clean up."""
+        result = super().on_cleanup(state)
+        self.clean_up()
+        return result
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop and clean up."""
+        self.stop_run()
+        result = super().on_shutdown(state)
+        self.clean_up()
+        return result
+
+    on_error = on_shutdown  # afterwards the node can be configured again
+
+    def create_steady_timer(self, period_s: float, callback: Callable[[], None]) -> object:
+        """Create a timer of the steady clock, whatever the time of a simulation is."""
+        return self.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _log_failure(self, state: str, transition: str, error: Exception) -> None:
+        reason = str(error) if isinstance(error, MocapError) else f'{type(error).__name__}: {error}'
+        self.get_logger().error(
+            f'{" ".join(reason.split())}; the node is not {state}: correct the cause, then run '
+            f'`ros2 lifecycle set {self.get_fully_qualified_name()} {transition}`, or restart the node'
+        )
+
+
+def declare_fixed_parameters(
+    node: Node, parameters: Mapping[str, tuple[str | int, str]], largest: int = 1, lists: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Declare parameters that hold from the start on, and return their values.
+
+    Args:
+        node: The node that has them.
+        parameters: Default and description by name.
+        largest: Upper bound of integers, which are at least 1.
+        lists: Names of those that may be a list of strings as well.
+
+    Raises:
+        ConfigError: A parameter was given a value of another type or beyond its bounds.
+    """
+    try:
+        for name, (default, description) in parameters.items():
+            descriptor = ParameterDescriptor(description=description, read_only=True, dynamic_typing=name in lists)
+            if type(default) is int:
+                descriptor.integer_range = [IntegerRange(from_value=1, to_value=largest, step=1)]
+            node.declare_parameter(name, default, descriptor)
+    except ParameterException as error:
+        raise ConfigError(str(error)) from None
+    return {name: node.get_parameter(name).value for name in parameters}
+
+
+def run_node(arguments: Sequence[str], node_class: Callable[[], Any]) -> None:
+    """Run a node until SIGINT or SIGTERM.
+
+    Args:
+        arguments: Arguments of the command line, which rclpy parses.
+        node_class: Class of the node, with methods `start` and `close`.
+
+    Raises:
+        MocapError: An argument or a parameter is wrong, or the node cannot use a file.
+    """
+    stop = threading.Event()
+
+    def request_stop(*_: object) -> None:
+        stop.set()
+        if is_compiling():  # in this thread, while the node is configured; nobody should wait for that
+            raise KeyboardInterrupt
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, request_stop)
+    _initialise_rclpy(arguments)
+    executor = SingleThreadedExecutor()
+    try:
+        node = create_node(node_class)
+        executor.add_node(node)
+        try:
+            node.start()
+            tracebacks = TracebackLog(node.get_logger())
+            while not stop.is_set():
+                _spin_once(executor, tracebacks)
+        finally:
+            try:
+                node.close()
+            finally:
+                executor.shutdown()
+                node.destroy_node()
+    finally:
+        rclpy.shutdown()
+
+
+def _initialise_rclpy(arguments: Sequence[str]) -> None:
+    """Initialise rclpy without its own signal handlers."""
+    set_logger_level('rcl', LoggingSeverity.FATAL)  # rcl would log the reason of a failure as well
+    try:
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        reason = _drop_places(str(error)).removeprefix('failed to initialize rcl: ')
+        raise ConfigError(f'ROS does not accept these arguments: {reason}') from None
+    set_logger_level('rcl', LoggingSeverity.UNSET)
+
+
+def create_node(node_class: Callable[[], Any]) -> Any:
+    """Create a node.
+
+    Raises:
+        ConfigError: ROS refuses it, for instance because SROS2 gives it no permission.
+    """
+    try:
+        return node_class()
+    except rclpy_implementation.RCLError as error:
+        raise ConfigError(f'ROS refuses to create the node: {_drop_places(str(error))}') from None
+
+
+def _spin_once(executor: SingleThreadedExecutor, tracebacks: TracebackLog) -> None:
+    """Run a callback; log its error, as rclpy raises some for messages that anyone can send.
+
+    Examples are a parameter of an unknown type, and a time that is negative.
+    """
+    try:
+        executor.spin_once(timeout_sec=SPIN_SECONDS)
+    except ExternalShutdownException:
+        raise
+    except Exception:
+        tracebacks.report(traceback.format_exc())
+
+
+def _drop_places(reason: str) -> str:
+    """Return an error of rcl without its places in the source code."""
+    return re.sub(r', at \S+:\d+', '', reason)

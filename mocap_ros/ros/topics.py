@@ -1,0 +1,208 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Subscribe to topics and publish on them, and warn of what keeps messages from arriving."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from copy import copy
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.lifecycle import LifecycleNode
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, qos_policy_name_from_kind
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from mocap_ros.errors import ConfigError
+from mocap_ros.messages.cdr import OutputMessage
+from mocap_ros.messages.foreign.definitions import HRI_SKELETON
+from mocap_ros.messages.input_types import KEYPOINT_TYPES
+from mocap_ros.ros.message_types import MessageVersions, load_interface_class
+from mocap_ros.ros.qos import OVERRIDABLE_POLICIES
+
+MAX_ACKNOWLEDGEMENT_S = 0.2  # s; for which a subscriber that does not answer delays the end of the node
+START_DETECTOR = 'start the detector, or remap the topic to the one on which it publishes'
+STRICTER_SUBSCRIBER = (
+    '{topic}: a subscriber requests a stricter {policy} policy than this node offers, so it receives nothing; '
+    'relax that policy in the subscriber'
+)
+WEAKER_PUBLISHER = (
+    '{topic}: a publisher offers a weaker {policy} policy than this node requests, so its messages are not '
+    'received; change that policy in the publisher, or set the parameters qos_overrides.{topic}.subscription of '
+    'this node'
+)
+
+
+def subscribe(
+    node: Node, msgtype: str, name: str, take: Callable[..., None], qos: QoSProfile, *, overridable: bool = True
+) -> Any:
+    """Create a subscription whose messages are taken as CDR bytes, and which warns of incompatible publishers.
+
+    Args:
+        node: The node that subscribes.
+        msgtype: Type of the messages.
+        name: Name of the topic.
+        take: Function that takes a message, and what the middleware says of it if it has a second argument.
+        qos: Profile of the subscription.
+        overridable: Whether the parameters `qos_overrides` may change the profile.
+    """
+    return node.create_subscription(
+        load_interface_class(msgtype),
+        name,
+        take,
+        copy(qos),  # rclpy writes the overrides of one topic into it
+        raw=True,
+        qos_overriding_options=QoSOverridingOptions(OVERRIDABLE_POLICIES) if overridable else None,
+        event_callbacks=SubscriptionEventCallbacks(incompatible_qos=_warn_once(node, name, WEAKER_PUBLISHER)),
+    )
+
+
+def warn_of_subscribers(node: Node, name: str) -> PublisherEventCallbacks:
+    """Return the callbacks of a publisher that log subscribers with an incompatible QoS."""
+    return PublisherEventCallbacks(incompatible_qos=_warn_once(node, name, STRICTER_SUBSCRIBER))
+
+
+def _warn_once(node: Node, name: str, line: str) -> Callable[[Any], None]:
+    """Return a handler of rclpy's events of incompatible QoS, which logs each policy once."""
+    topic, logged = node.resolve_topic_name(name), set[str]()
+
+    def warn(event: Any) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        if policy not in logged:
+            logged.add(policy)
+            node.get_logger().warning(line.format(topic=topic, policy=policy))
+
+    return warn
+
+
+class Publishers:
+    """Publishers of a node, which publish only while it is active.
+
+    Args:
+        node: The node that publishes.
+        versions: Versions of the message types, to which those of the publishers are added.
+    """
+
+    def __init__(self, node: LifecycleNode, versions: MessageVersions) -> None:
+        self._node = node
+        self._versions = versions
+        self._publishers: dict[str, Any] = {}  # by name of the topic, relative or absolute
+
+    def __iter__(self) -> Iterator[str]:
+        return iter([*self._publishers])
+
+    def add(self, topic: str, msgtype: str, qos: QoSProfile, *, is_active: bool = False) -> None:
+        """Create a publisher; `is_active` says that the node is active already.
+
+        Raises:
+            ConfigError: The type is not installed, or its installed version cannot hold the outputs.
+        """
+        if left_out := self._versions.add_output(msgtype):
+            self._node.get_logger().warning(
+                f'{topic}: the installed version of {msgtype} has no field {", ".join(left_out)}; '
+                'it is published without them'
+            )
+        publisher = self._node.create_lifecycle_publisher(
+            load_interface_class(msgtype),
+            topic,
+            qos,
+            event_callbacks=warn_of_subscribers(self._node, topic),
+        )
+        if is_active:
+            publisher.on_activate(None)
+        self._publishers[topic] = publisher
+
+    def add_if_installed(self, topic: str, msgtype: str, qos: QoSProfile, consequence: str) -> bool:
+        """Create a publisher, or log that the type is not installed and a consequence; return whether it is.
+
+        Raises:
+            ConfigError: The installed version of the type cannot hold the outputs.
+        """
+        try:
+            load_interface_class(msgtype)
+        except ConfigError as error:
+            package = msgtype.partition('/')[0]
+            self._node.get_logger().warning(f'{error}; {consequence}; install {package}')
+            return False
+        self.add(topic, msgtype, qos)
+        return True
+
+    def remove(self, topic: str) -> None:
+        """Destroy a publisher."""
+        self._node.destroy_lifecycle_publisher(self._publishers.pop(topic))
+
+    def destroy(self) -> None:
+        """Destroy all publishers, when their reliable subscribers have the last messages or do not answer."""
+        deadline_s = time.monotonic() + MAX_ACKNOWLEDGEMENT_S
+        for topic in self:
+            with suppress(RuntimeError):  # not every middleware can say so
+                self._publishers[topic].wait_for_all_acked(
+                    Duration(seconds=max(deadline_s - time.monotonic(), 0.0))
+                )
+            self.remove(topic)
+
+    def publish(self, output: OutputMessage) -> None:
+        """Publish an output, in the installed version of its type, if its topic has a publisher."""
+        publisher = self._publishers.get(output.topic)
+        if publisher is not None:
+            publisher.publish(output.data)
+
+
+class SilenceMonitor:
+    """Observer of the time since the last message on the topic that brings people or names the tracked bodies.
+
+    Args:
+        node: The node that subscribes.
+        name: Relative name of the topic.
+        msgtype: Type of the messages that the node expects on the topic.
+        advice: What to do where no other topic has such messages.
+    """
+
+    def __init__(self, node: Node, name: str, msgtype: str, advice: str = START_DETECTOR) -> None:
+        self._node = node
+        self._name = name
+        self._type = msgtype
+        self._advice = advice
+        self._last_input = time.monotonic()  # s, steady clock; at first the time of the start
+        self._has_input = self._has_warned = False
+
+    def note_input(self) -> None:
+        """Note that a message of people has arrived."""
+        self._last_input = time.monotonic()
+        self._has_input, self._has_warned = True, False
+
+    @property
+    def silence_s(self) -> float:
+        """Time in s since the last message, or since the start."""
+        return time.monotonic() - self._last_input
+
+    def check(self, limit: float) -> None:
+        """Log a warning if no message has arrived for `limit` seconds; log it once until a message arrives."""
+        silence = self.silence_s
+        if self._has_warned or silence < limit:
+            return
+        self._has_warned = True
+        topic = self._node.resolve_topic_name(self._name)
+        cause = 'check that its publisher is still running' if self._has_input else self._explain(topic)
+        self._node.get_logger().warning(f'no message has arrived on {topic} for {silence:.0f} s: {cause}')
+
+    def _explain(self, topic: str) -> str:
+        """Return why no message may have arrived since the start, and what to do."""
+        publishers = self._node.get_publishers_info_by_topic(topic)
+        published_types = {p.topic_type for p in publishers} - {self._type}
+        if published_types:
+            accepted_types = sorted(published_types & {*KEYPOINT_TYPES, HRI_SKELETON})
+            advice = f'; start the node with -p node.input_type:={accepted_types[0]}' if accepted_types else ''
+            return f'its publisher sends {", ".join(sorted(published_types))}, expected {self._type}{advice}'
+        if publishers:
+            return 'its publisher sends nothing, or its QoS is incompatible; check the detector'
+        topics = {t for t, types in self._node.get_topic_names_and_types() if self._type in types} - {topic}
+        candidates = sorted(t for t in topics if self._node.count_publishers(t))
+        if candidates:
+            return f'it has no publisher; remap {self._name} to {" or ".join(candidates)}?'
+        return f'it has no publisher; {self._advice}'
