@@ -53,7 +53,7 @@ STAGES: Mapping[str, tuple[str, ...]] = {
         'mocap_ros.tracking.tracker:Tracker.run_deferred_work',
     ),
     'encode': ('mocap_ros.runtime.pipeline:OutputEncoder.encode',),
-    'publish': ('mocap_ros.ros.publications:OutputPublishers.publish',),
+    'publish': ('mocap_ros.ros.topics:Publishers.publish',),
     'record': (
         'mocap_ros.ros.live_recording:LiveRecording.write_input',
         'mocap_ros.bags.background:Recorder.write',
