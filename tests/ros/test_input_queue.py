@@ -163,6 +163,10 @@ def test_messages_of_people_alone_are_skipped() -> None:
         ('/keypoints', 3, False),
         ('/tf', 1, False),
     ]
+    put(queue, '/keypoints', 2)
+    assert take_all(queue, limit=3) == [('/keypoints', 4, True), ('/keypoints', 5, False)], (
+        'until it has caught up'
+    )
     was_behind = queue.is_behind
     assert not queue.wait(0.0)
     assert (was_behind, queue.is_behind) == (True, False), 'none waits any more'

@@ -91,6 +91,12 @@ class CollectingRun:
         for raw in messages:
             self.run.enqueue(Source.KEYPOINTS, raw, sent_ns)
 
+    def process(self, messages: list[bytes]) -> None:
+        """Process as many images, each of which gives skeletons."""
+        count = len(self.skeletons)
+        self.enqueue(*messages)
+        self.wait_for_frames(count + len(messages))
+
     def wait_for_frames(self, count: int) -> None:
         wait_until(lambda: len(self.skeletons) >= count)
 
@@ -127,6 +133,18 @@ def block_disk(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     return disk_is_ready
 
 
+def find_bag(folder: Path) -> Path:
+    """Return the only bag of the run that recorded to the folder `live`."""
+    (bag,) = (folder / 'live').iterdir()
+    return bag
+
+
+def finish(recording: LiveRecording) -> Path:
+    folder = recording.finish(recording.detach())
+    assert folder is not None
+    return folder
+
+
 def read_messages(bag_folder: Path, topic: str) -> list[bytes]:
     with Bag(bag_folder) as bag:
         return [m.raw for m in bag.messages([topic])]
@@ -145,8 +163,7 @@ def assert_replay_gives_the_same(bag_folder: Path, out: Path) -> None:
 
 def test_a_replay_repeats_resets_parameters_and_bad_inputs(tmp_path: Path, stream: list[bytes]) -> None:
     live = CollectingRun(recording_to(tmp_path / 'live'))
-    live.enqueue(*stream[:8])
-    live.wait_for_frames(8)
+    live.process(stream[:8])
     live.run.enqueue(Source.CAMERA_INFO, camera_info(), 5)
     live.enqueue(stream[3], stream[8][:60], stream[8])
     live.wait_for_frames(9)
@@ -158,23 +175,16 @@ def test_a_replay_repeats_resets_parameters_and_bad_inputs(tmp_path: Path, strea
     live.wait_for_frames(17)
     live.run.stop()
 
-    (bag,) = (tmp_path / 'live').iterdir()
+    bag = find_bag(tmp_path)
     assert read_messages(bag, '/skeletons') == [o.data for o in live.skeletons]
     assert len(read_messages(bag, '/keypoints')) == 19
     assert_replay_gives_the_same(bag, tmp_path / 'again')
     first, *remarks = [line for line in live.log.lines if '/keypoints' in line]
     assert first == 'info /keypoints: the first message was accepted, and people are being published'
     assert len(remarks) == 2
+    assert live.run.statistics.reason.startswith('/keypoints: not a mocap_ros_msgs/msg/Keypoints2DArray')
     assert remarks[0].startswith('warning /keypoints: message 9: stamp ')
     assert remarks[1].startswith('error /keypoints: message 10: not a mocap_ros_msgs/msg/Keypoints2DArray')
-
-
-def test_the_newest_reason_why_a_message_was_not_accepted_is_kept_for_the_diagnostics(stream: list[bytes]) -> None:
-    live = CollectingRun(FAST_CONFIG)
-    live.enqueue(stream[1], stream[2][:60], stream[1], stream[2])
-    live.wait_for_frames(2)
-    live.run.stop()
-    assert live.run.statistics.reason.startswith('/keypoints: stamp ')
 
 
 def test_the_log_tells_of_people_when_the_first_of_them_is_published(stream: list[bytes]) -> None:
@@ -231,7 +241,7 @@ def test_a_run_on_a_ros_with_other_message_versions_is_recorded_as_there_and_rep
     to_foxy = make_converter(typestore(), store, MARKERS)
     published = [o.data for o in live.published if o.topic == 'markers'][1:]  # the first came before the recording
     assert published == [to_foxy(o.data) for o in usual.published if o.topic == 'markers']
-    (bag,) = (tmp_path / 'live').iterdir()
+    bag = find_bag(tmp_path)
     with Reader(bag) as reader:
         for topic, msgtype, expected in (('/keypoints', KEYPOINTS, received), ('/markers', MARKERS, published)):
             (connection,) = [c for c in reader.connections if c.topic == topic]
@@ -253,7 +263,7 @@ def test_tracking_restarts_when_stamps_go_back_both_live_and_replayed(tmp_path: 
     restarts = [line for line in live.log.lines if 'tracking was restarted' in line]
     expected = 'warning /keypoints: message 4: the stamp went back by 894.8 s, so tracking was restarted'
     assert restarts == [expected]
-    (bag,) = (tmp_path / 'live').iterdir()
+    bag = find_bag(tmp_path)
     assert_replay_gives_the_same(bag, tmp_path / 'again')
 
 
@@ -272,7 +282,7 @@ def test_a_backlog_is_skipped_counted_and_left_out_of_a_replay(tmp_path: Path, s
     skipped = [line for line in live.log.lines if 'newer messages were waiting' in line]
     assert [line.partition(': message ')[2].partition(':')[0] for line in skipped] == ['2', '11']  # 1st, 10th
 
-    (bag,) = (tmp_path / 'live').iterdir()
+    bag = find_bag(tmp_path)
     assert read_messages(bag, '/keypoints') == stream
     with Bag(bag) as opened:
         assert read_run(opened).skipped_inputs == set(range(2, FRAMES))
@@ -294,47 +304,11 @@ def test_what_waits_when_the_time_for_the_stop_is_over_is_recorded_as_skipped(
     may_continue.set()
     stopping.join(TIMEOUT_S)
     assert len(live.skeletons) == 1
-    (bag,) = (tmp_path / 'live').iterdir()
+    bag = find_bag(tmp_path)
     assert read_messages(bag, '/keypoints') == stream[:5]
     with Bag(bag) as opened:
         assert read_run(opened).skipped_inputs == {2, 3, 4, 5}
     assert_replay_gives_the_same(bag, tmp_path / 'again')
-
-
-def test_while_messages_wait_the_newest_comes_first_until_the_run_has_caught_up(stream: list[bytes]) -> None:
-    """After a backlog every frame is the newest of its time, though fewer wait than `node.queue`."""
-    entered, may_finish = threading.Semaphore(0), threading.Semaphore(0)
-
-    class SteppedTracker(Tracker):
-        """A tracker that finishes a frame when it is told to."""
-
-        def update(self, *frame: Any) -> Any:
-            entered.release()
-            assert may_finish.acquire(timeout=TIMEOUT_S)
-            return super().update(*frame)
-
-    live = CollectingRun(with_settings(FAST_CONFIG, {'node.queue': 4}), SteppedTracker)
-    sent = processed = 0
-    for count in (1, 5, 3, 3, 0):  # messages that come while a frame is being processed
-        live.enqueue(*stream[sent : sent + count])
-        sent += count
-        if processed:
-            may_finish.release()
-        if count:
-            assert entered.acquire(timeout=TIMEOUT_S)
-            processed += 1
-    live.wait_for_frames(4)
-    while live.run.queue.is_behind:  # until it has caught up, and takes one frame after the other again
-        time.sleep(0.002)
-    live.enqueue(stream[sent])
-    assert entered.acquire(timeout=TIMEOUT_S)
-    live.enqueue(*stream[sent + 1 : sent + 4])
-    may_finish.release(4)
-    live.wait_for_frames(8)
-    live.run.stop()
-    stamps = [decode_keypoints(raw, FAST_CONFIG.node).header.stamp_ns for raw in stream]
-    accepted = [stamps.index(o.stamp_ns) for o in live.skeletons]
-    assert accepted == [0, 5, 8, 11, 12, 13, 14, 15]
 
 
 def test_a_flood_of_camera_infos_is_counted_and_people_go_on(
@@ -342,16 +316,7 @@ def test_a_flood_of_camera_infos_is_counted_and_people_go_on(
 ) -> None:
     monkeypatch.setattr('mocap_ros.ros.input_queue.MAX_WAITING', 4)
     entered, may_finish = threading.Event(), threading.Event()
-
-    class HeldTracker(Tracker):
-        """A tracker that begins its first frame and waits."""
-
-        def update(self, *frame: Any) -> Any:
-            entered.set()
-            assert may_finish.wait(TIMEOUT_S)
-            return super().update(*frame)
-
-    live = CollectingRun(recording_to(tmp_path / 'live'), HeldTracker)
+    live = CollectingRun(recording_to(tmp_path / 'live'), block_tracker(entered, may_finish))
     live.enqueue(stream[0])
     assert entered.wait(TIMEOUT_S)
     for _ in range(50):
@@ -362,7 +327,7 @@ def test_a_flood_of_camera_infos_is_counted_and_people_go_on(
     live.run.stop()
     assert live.run.statistics.removed == 46
     assert live.count_lines('/camera_info: message 50: 46 older messages were removed unseen') == 1
-    (bag,) = (tmp_path / 'live').iterdir()
+    bag = find_bag(tmp_path)
     assert len(read_messages(bag, '/camera_info')) == 4
     assert read_messages(bag, '/keypoints') == stream[:2]
     assert_replay_gives_the_same(bag, tmp_path / 'again')
@@ -374,24 +339,21 @@ def test_a_disk_that_takes_nothing_is_reported_and_does_not_stop_the_run(
     disk_is_ready = block_disk(monkeypatch)
     monkeypatch.setattr('mocap_ros.ros.live.MAX_PAUSE_SECONDS', 0.1)
     live = CollectingRun(recording_to(tmp_path / 'live'))
-    live.enqueue(stream[0])
-    live.wait_for_frames(1)
+    live.process(stream[:1])
     live.wait_for_lines('the disk has taken nothing of the recording')
     assert 'the disk has taken nothing' in live.run.recording.fault
     disk_is_ready.set()
     live.wait_for_lines('the disk takes the recording again, after ')
     disk_is_ready.clear()
-    live.enqueue(stream[1])
-    live.wait_for_frames(2)
+    live.process(stream[1:2])
     assert live.run.finish_recording() is not None
     live.wait_for_lines('the disk is slow; ')
-    live.enqueue(stream[2])
-    live.wait_for_frames(3)
+    live.process(stream[2:3])
     disk_is_ready.set()
     live.wait_for_lines('is finished')
     live.run.stop()
     assert live.run.recording.fault == ''
-    (bag,) = (tmp_path / 'live').iterdir()
+    bag = find_bag(tmp_path)
     assert read_messages(bag, '/keypoints') == stream[:2]
 
 
@@ -400,14 +362,13 @@ def test_inputs_that_are_too_many_for_the_disk_are_counted_in_state_log_and_bag(
 ) -> None:
     disk_is_ready = block_disk(monkeypatch)
     live = CollectingRun(recording_to(tmp_path / 'live', **{'recorder.backlog': 3, 'node.queue': FRAMES}))
-    live.enqueue(*stream[:8])
-    live.wait_for_frames(8)
+    live.process(stream[:8])
     with live.run._pipeline_lock:  # the last frame has been published, and now the recorder has refused it as well
         assert 'inputs missing' in live.run.recording.state
     disk_is_ready.set()
     live.wait_for_lines('processed but not recorded')
     live.run.stop()
-    (bag,) = (tmp_path / 'live').iterdir()
+    bag = find_bag(tmp_path)
     missing = 8 - len(read_messages(bag, '/keypoints'))
     assert missing >= 4
     assert live.count_lines(f'is finished, but {missing} inputs are missing in it') == 1
@@ -422,11 +383,10 @@ def test_inputs_that_did_not_reach_the_tracker_leave_room_for_those_that_did(
     disk_is_ready = block_disk(monkeypatch)
     live = CollectingRun(recording_to(tmp_path / 'live', **{'recorder.backlog': 12, 'node.queue': 100}))
     live.enqueue(*[b'no message'] * 30)
-    live.enqueue(*stream[:4])
-    live.wait_for_frames(4)
+    live.process(stream[:4])
     disk_is_ready.set()
     live.run.stop()
-    (bag,) = (tmp_path / 'live').iterdir()
+    bag = find_bag(tmp_path)
     recorded = read_messages(bag, '/keypoints')
     assert recorded[-4:] == stream[:4]
     assert 5 <= len(recorded) - 4 <= 7
@@ -442,12 +402,10 @@ def test_the_end_of_the_node_waits_for_every_recording_and_tells_of_each(
     monkeypatch.setattr('mocap_ros.ros.live.MAX_FINISH_SECONDS', 0.05)
     monkeypatch.setattr('mocap_ros.ros.live.MAX_PAUSE_SECONDS', 0.05)
     live = CollectingRun(recording_to(tmp_path / 'live'))
-    live.enqueue(stream[0])
-    live.wait_for_frames(1)
+    live.process(stream[:1])
     live.run.finish_recording()
     live.run.start_recording()
-    live.enqueue(stream[1])
-    live.wait_for_frames(2)
+    live.process(stream[1:2])
     stopping = threading.Thread(target=live.run.stop)
     stopping.start()
     live.wait_for_lines('the disk is slow; ', 2)
@@ -461,12 +419,11 @@ def test_an_error_at_the_end_of_a_run_leaves_no_recording_open(
     tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live = CollectingRun(recording_to(tmp_path / 'live'))
-    live.enqueue(stream[0])
-    live.wait_for_frames(1)
+    live.process(stream[:1])
     monkeypatch.setattr(live.run._pipeline, 'reset', lambda: 1 / 0)
     live.run.stop()
     assert live.count_lines('ZeroDivisionError') == 1
-    (bag,) = (tmp_path / 'live').iterdir()
+    bag = find_bag(tmp_path)
     assert read_messages(bag, '/keypoints') == stream[:1]
     assert (bag / 'metadata.yaml').exists()
 
@@ -477,18 +434,16 @@ def test_the_limits_of_a_recording_may_be_changed_while_it_runs(
     disk_is_ready = block_disk(monkeypatch)
     config = recording_to(tmp_path / 'live', **{'recorder.backlog': 1, 'node.queue': FRAMES})
     live = CollectingRun(config)
-    live.enqueue(*stream[:4])
-    live.wait_for_frames(4)
+    live.process(stream[:4])
     live.wait_for_lines('processed but not recorded')
     live.run.reconfigure(with_settings(config, {'recorder.backlog': 100}))
-    live.enqueue(*stream[4:8])
-    live.wait_for_frames(8)
+    live.process(stream[4:8])
     with live.run._pipeline_lock:  # the last frame has been published, and now it waits to be written as well
         recorder = live.run.recording._recorder
     assert recorder is not None
     disk_is_ready.set()
     wait_until(lambda: recorder.waiting_count == 0)  # what waits when the disk is found to be full is not written
-    (bag,) = (tmp_path / 'live').iterdir()
+    bag = find_bag(tmp_path)
     no_disk = 1_000_000  # MB that no disk here has left
     live.run.reconfigure(with_settings(config, {'recorder.min_free_mb': no_disk}))
     live.wait_for_lines(f'less than recorder.min_free_mb ({no_disk})')
@@ -511,7 +466,7 @@ def test_what_the_middleware_refuses_is_recorded_and_stops_nothing_else(
     wait_until(lambda: sum(o.topic == 'points' for o in live.published) == 3)
     live.run.stop()
     assert live.count_lines('skeletons: Traceback') == live.count_lines('RuntimeError: not allowed') == 1
-    (bag,) = (tmp_path / 'live').iterdir()
+    bag = find_bag(tmp_path)
     assert len(read_messages(bag, '/skeletons')) == 3
     assert read_messages(bag, '/keypoints') == stream[:3]
 
@@ -523,7 +478,7 @@ def test_a_topic_keeps_its_qos_when_an_input_was_too_many_for_the_disk(
     offered = [*make_topic('/keypoints', KEYPOINTS, latched=True).qos]
     recording = LiveRecording(NAMES, LineLog(), lambda _: tuple(offered), MessageVersions())
     recording.start(Pipeline(recording_to(tmp_path, **{'recorder.backlog': 1})), START_NS)
-    disk_is_ready, accepted = threading.Event(), ProcessingResult(Verdict.ACCEPTED)
+    accepted = ProcessingResult(Verdict.ACCEPTED)
 
     def write(number: int) -> bool:
         ns = START_NS + number
@@ -532,31 +487,15 @@ def test_a_topic_keeps_its_qos_when_an_input_was_too_many_for_the_disk(
 
     while not write(0):
         time.sleep(0.01)
-    recorded_write = Recorder.write
-    monkeypatch.setattr(Recorder, 'write', lambda *a: disk_is_ready.wait(TIMEOUT_S) and recorded_write(*a))
+    disk_is_ready = block_disk(monkeypatch)
     while write(1):
         pass
     offered.clear()
     disk_is_ready.set()
     while not write(2):
         time.sleep(0.01)
-    folder = recording.finish(recording.detach())
-    assert folder is not None
+    folder = finish(recording)
     assert read_messages(folder, '/keypoints')[-1] == stream[2]
-
-
-def test_a_recording_that_cannot_start_is_logged_once_and_the_run_continues(
-    tmp_path: Path, stream: list[bytes]
-) -> None:
-    (tmp_path / 'file').write_text('')
-    live = CollectingRun(recording_to(tmp_path / 'file' / 'bags'))
-    live.enqueue(stream[0])
-    live.wait_for_frames(1)
-    live.run.stop()
-    (error,) = [line for line in live.log.lines if line.startswith('error')]
-    assert error.endswith(
-        'Not a directory; nothing is recorded: correct the cause, then set recorder.enabled again'
-    )
 
 
 def test_the_diagnostics_say_why_nothing_is_recorded_until_that_is_mended_or_not_wanted(tmp_path: Path) -> None:
@@ -567,6 +506,9 @@ def test_the_diagnostics_say_why_nothing_is_recorded_until_that_is_mended_or_not
     assert live.run.recording.state.endswith('Not a directory')
     assert live.run.recording.fault.startswith('recorder.enabled is set, but nothing is recorded: ')
     assert live.run.recording.fault.endswith('Not a directory')
+    assert (
+        live.count_lines('Not a directory; nothing is recorded: correct the cause, then set recorder.enabled') == 1
+    )
     blocking.unlink()
     live.run.set_recording(True)
     assert live.run.recording.state.startswith('recording to ')
@@ -614,16 +556,6 @@ def test_a_recording_that_fails_at_once_is_an_error(tmp_path: Path, monkeypatch:
     assert not recording.is_running
 
 
-def test_a_repeated_error_is_logged_the_1st_10th_and_100th_time(stream: list[bytes]) -> None:
-    live = CollectingRun(with_settings(FAST_CONFIG, {'node.queue': 1000}))
-    live.enqueue(*[stream[0][:40]] * 120, stream[0])
-    live.wait_for_frames(1)
-    live.run.stop()
-    lines = [line for line in live.log.lines if 'not a mocap' in line]
-    assert len(lines) == 3
-    assert lines[-1].endswith('(this kind of message has been seen 100 times)')
-
-
 class FaultyTracker:
     """A tracker that fails at every third frame, and from the ninth until it is reset at every frame."""
 
@@ -656,7 +588,7 @@ def test_an_internal_error_costs_its_frame_and_is_logged_once(tmp_path: Path, st
     assert [line.count('Traceback') for line in live.log.lines].count(1) == 1
     dropped = [line for line in live.log.lines if 'internal error: ZeroDivisionError: a fault of ours' in line]
     assert len(dropped) == 1
-    (bag,) = (tmp_path / 'live').iterdir()
+    bag = find_bag(tmp_path)
     with Bag(bag) as opened:
         verdicts = [decode(m.raw, JOURNAL).level for m in opened.messages(['/mocap_node/journal'])]
     assert verdicts[1:] == [0, 0, 1, 0, 0, 1, 0, 0, 1, 1, 1, 0, 0, 1]
@@ -671,8 +603,7 @@ def test_an_internal_error_outside_the_tracker_does_not_end_the_run(
         raise RuntimeError('no log')
 
     monkeypatch.setattr(live.run, '_note_accepted', fail)
-    live.enqueue(*stream[:3])
-    live.wait_for_frames(3)
+    live.process(stream[:3])
     live.run.stop()
     assert live.count_lines('RuntimeError: no log') == 1
 
@@ -681,8 +612,7 @@ def test_a_recording_that_cannot_be_finished_is_reported_as_a_failure(
     tmp_path: Path, stream: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live = CollectingRun(recording_to(tmp_path / 'live'))
-    live.enqueue(stream[0])
-    live.wait_for_frames(1)
+    live.process(stream[:1])
 
     def fail(*_: object) -> None:
         raise OSError(28, 'No space left on device')
@@ -743,9 +673,8 @@ def test_inputs_of_a_split_recording_are_read_whole_and_file_by_file(
         record('/keypoints', KEYPOINTS, raw, 33 * (i + 1), skipped if i == 80 else with_output)
         moving = make_transforms(('odom', 'map', i, (1, 0, 0)))
         record('/tf', TRANSFORMS, moving, 33 * (i + 1) + 3, accepted)
-    folder = recording.finish(recording.detach())
+    folder = finish(recording)
 
-    assert folder is not None
     files = sorted(folder.glob('*.mcap'))
     assert len(files) == 3
     with Bag(folder) as bag:
@@ -771,7 +700,6 @@ def test_a_recording_begins_with_no_transforms_that_a_replay_takes_as_outputs(tm
     names = NAMES | {'/tf': '/tf', '/tf_static': '/tf_static'}
     recording = LiveRecording(names, LineLog(), lambda _: (), MessageVersions())
     recording.start(pipeline, START_NS)
-    folder = recording.finish(recording.detach())
-    assert folder is not None
+    folder = finish(recording)
     with Bag(folder) as bag:
         assert [bag.count([topic]) for topic in ('/tf_static', '/tf')] == [1, 0]
