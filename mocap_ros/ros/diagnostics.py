@@ -186,7 +186,7 @@ def _describe_refusals(new: Counter[str], reason: str) -> tuple[Level, str] | No
 
 
 def _describe_frame_fault(pipeline: Pipeline) -> str:
-    """Return in words that people are not published in `node.output_frame`; empty if they are or there were none."""
+    """Return that people are not published in `node.output_frame`; empty if they are or there were none."""
     wanted, used = pipeline.config.node.output_frame, pipeline.output_header.frame_id
     if not wanted or used == wanted or not pipeline.header.stamp_ns:
         return ''
