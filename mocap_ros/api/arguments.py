@@ -68,7 +68,8 @@ def read_numbers(argument: str, given: ArrayLike, shape: tuple[int | None, ...])
 def read_number(argument: str, given: object, limits: tuple[float, float], unit: str) -> float:
     """Return a number that is within limits."""
     low, high = limits
-    if not isinstance(given, int | float | np.integer | np.floating) or not low <= given <= high:
+    number = int | float | np.integer | np.floating
+    if isinstance(given, bool) or not isinstance(given, number) or not low <= given <= high:
         raise InputError(f'{argument}: {format_value(given)}, expected {low:g} to {high:g} {unit}')
     return float(given)
 
@@ -89,15 +90,17 @@ def read_names(argument: str, given: Sequence[str], expected: str) -> tuple[str,
     return tuple(map(str, names))
 
 
-def read_path(argument: str, given: str | Path, error_type: type[MocapError] = InputError) -> Path:
-    """Return an argument as a path that the operating system can look up."""
+def read_path(
+    argument: str, given: str | Path, error_type: type[MocapError] = InputError, expected: str = 'a path'
+) -> Path:
+    """Return an argument as a path that the operating system can look up; `expected` describes it in errors."""
     try:
         if not str(given):
             raise ValueError('empty')
         Path(given).stat()
     except (TypeError, ValueError, OSError) as error:
         if not isinstance(error, OSError) or error.errno == errno.ENAMETOOLONG:
-            raise error_type(f'{argument}: {format_value(given)}, expected a path') from None
+            raise error_type(f'{argument}: {format_value(given)}, expected {expected}') from None
     return Path(given)
 
 
@@ -190,6 +193,7 @@ def load_models(model: Model, config: Config) -> dict[str, BasePoses]:
     """Return the base poses by name; `auto` leaves the choice to the parameter `tracker.model`."""
     if isinstance(model, BasePoses):
         return {model.name: model}
-    name = str(read_path('model', config.tracker.model if model == AUTO else model, ModelError))
+    given = config.tracker.model if model == AUTO else model
+    name = str(read_path('model', given, ModelError, 'a name, a path or BasePoses'))
     with name_errors('model'):
         return load_base_pose_models(name)

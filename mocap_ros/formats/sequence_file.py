@@ -268,7 +268,9 @@ def validate_camera(
     arrays = ArrayReader(array_by_key)
     size = arrays.read_numbers('image_size', (2,))
     if not ((size >= 1) & (size <= MAX_IMAGE_SIDE_PX)).all():
-        raise InputError(f'image_size: {size[0]:g} x {size[1]:g} px')
+        raise InputError(
+            f'image_size: {size[0]:g} x {size[1]:g} px, expected width and height of 1 to {MAX_IMAGE_SIDE_PX} px'
+        )
     camera_matrix = distortion = None
     if 'camera_matrix' in arrays:
         camera_matrix = arrays.read_numbers('camera_matrix', (3, 3))

@@ -88,8 +88,7 @@ class SequenceResult:
 
         Returns:
             Scale (F,) in px/m and rotation (F, 3, 3) from the body frame to the real camera's optical frame; and
-                (F, 2)
-            px, image of the body's origin in the real camera.
+            (F, 2) px, image of the body's origin in the real camera.
         """
         intrinsics, roots = self.virtual_camera.intrinsics, self.core.mean(axis=1)
         rotation = self.virtual_camera.body_rotations(self.solution.cameras)

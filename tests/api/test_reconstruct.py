@@ -171,7 +171,7 @@ INPUT, MODEL, CONFIG = mocap_ros.InputError, mocap_ros.ModelError, mocap_ros.Con
         ({'camera_matrix': MATRIX, 'distortion': [0.1, 0, 0]}, INPUT, 'distortion: .* not 3'),
         ({'model': 'dance'}, MODEL, "model: no base-pose model 'dance'"),
         ({'model': 7}, MODEL, 'model: 7, expected'),
-        ({'model': 'a\0b'}, MODEL, 'model: .* expected a path'),
+        ({'model': 'a\0b'}, MODEL, 'model: .* expected a name, a path'),
         ({'parameters': {'solver.prio': 'pca'}}, CONFIG, "parameters: .*; did you mean 'solver.prior'"),
         ({'parameters': {'tracker.body_height': 170}}, CONFIG, 'parameters: tracker.body_height = 170'),
         ({'parameters': ['solver.prior']}, CONFIG, 'parameters: '),

@@ -118,6 +118,7 @@ def test_a_wrong_argument_of_the_tracker_is_one_error_that_names_it(
         ({'time_s': np.nan}, 'time_s: nan'),
         ({'time_s': 1.7e12}, 'time_s: 1700000000000'),
         ({'time_s': 'now'}, "time_s: 'now'"),
+        ({'time_s': True}, 'time_s: True'),
         ({'people': np.zeros((17, 3))}, r'people: shape \(17, 3\), expected \(17, 17, 3\)'),
         ({'people': np.zeros((1, 18, 3))}, r'people: shape \(1, 18, 3\), expected \(1, 17, 3\)'),
         ({'people': [np.zeros((17, 3)), np.zeros((18, 3))]}, 'people: rows of different lengths'),
