@@ -203,12 +203,12 @@ class TrackerConfig:
         high=10.0,
     )
     body_height: float = define_parameter(
-        1.70, 'm, body height that is assumed of everybody', low=0.3, high=2.6, is_common=True
+        1.70, 'm, body height that is assumed of all people', low=0.3, high=2.6, is_common=True
     )
     body_height_std: float = define_parameter(
         0.12,
         'm, standard deviation of body heights about tracker.body_height: 0.12 of adults, about 0.02 where the '
-        'height of those who come is known; part of the covariance of where somebody is',
+        'height of those who come is known; part of the covariance of where people are',
         low=0.0,
         high=1.0,
     )
