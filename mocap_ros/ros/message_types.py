@@ -117,7 +117,7 @@ def load_installed_types(kind: str) -> Typestore:
     """
     store = get_typestore(Stores.EMPTY)
     try:
-        for name, text in interface_definitions(kind, set()):
+        for name, text in _interface_definitions(kind, set()):
             store.register(get_types_from_msg(text, name))
         store.hash_rihs01(kind)  # fails where the type of a field is not defined
     except ConfigError:
@@ -127,13 +127,8 @@ def load_installed_types(kind: str) -> Typestore:
     return store
 
 
-def interface_definitions(kind: str, visited: set[str]) -> Iterator[tuple[str, str]]:
-    """Yield names and .msg texts of the installed version of a type and of the types that it contains.
-
-    Args:
-        kind: Name of the message type.
-        visited: Names of the types that need not be yielded again; the function adds to it.
-    """
+def _interface_definitions(kind: str, visited: set[str]) -> Iterator[tuple[str, str]]:
+    """Yield names and .msg texts of the installed version of a type and of those in it that were not visited."""
     visited.add(kind)
     lines = []
     for field, description in load_interface_class(kind).get_fields_and_field_types().items():
@@ -142,16 +137,13 @@ def interface_definitions(kind: str, visited: set[str]) -> Iterator[tuple[str, s
             package, name = element.split('/')
             element = f'{package}/msg/{name}'
             if element not in visited:
-                yield from interface_definitions(element, visited)
+                yield from _interface_definitions(element, visited)
         lines.append(f'{MSG_FILE_NAMES.get(element, element)}{brackets} {field}')
     yield kind, '\n'.join(lines)
 
 
 def _split_array(description: str) -> tuple[str, str]:
-    """Return element type and array brackets, in .msg syntax, of rclpy's description of a field.
-
-    Examples of such descriptions are `sequence<double, 3>`, `float[3]` and `string<8>`.
-    """
+    """Return element type and brackets, in .msg syntax, of `sequence<double, 3>`, `float[3]`, `string<8>`, ..."""
     sequence = re.fullmatch(r'sequence<(.+?)(?:, (\d+))?>', description)
     if sequence:
         return _convert_string_bound(sequence[1]), f'[<={sequence[2]}]' if sequence[2] else '[]'

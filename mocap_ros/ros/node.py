@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter as RosParameter
 
 from mocap_ros.bags.topics import Source
 from mocap_ros.compiled.kernel import compile_kernels
-from mocap_ros.config import Config, with_values
+from mocap_ros.config import with_values
 from mocap_ros.errors import MocapError, RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import OutputMessage
@@ -68,11 +68,6 @@ class MocapNode(ManagedNode):
         warn_of_unknown_parameters(self)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
-
-    @property
-    def config(self) -> Config:
-        """The parameters in use."""
-        return self._config
 
     def start(self) -> None:
         """Configure and activate the node, unless the parameter `node.autostart` is false."""

@@ -29,7 +29,7 @@ def declare_parameters(node: Node) -> Config:
     """
     try:
         given: dict[str, object] = {
-            p.name: node.declare_parameter(p.name, p.default, describe_parameter(p)).value for p in parameters()
+            p.name: node.declare_parameter(p.name, p.default, _describe_parameter(p)).value for p in parameters()
         }
     except ParameterException as error:
         raise ConfigError(str(error)) from None
@@ -50,7 +50,7 @@ def select_config_values(changed: Sequence[RosParameter[Any]]) -> dict[str, obje
     return {p.name: p.value for p in changed if p.name in names}
 
 
-def describe_parameter(p: Parameter) -> ParameterDescriptor:
+def _describe_parameter(p: Parameter) -> ParameterDescriptor:
     """Return the ROS descriptor of a parameter: description, range, choices and whether it is read-only.
 
     ROS would refuse a whole number for a real parameter, as in `-p tracker.window:=2`, unless the type may change.

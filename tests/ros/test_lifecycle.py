@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from mocap_ros.errors import ConfigError
 from tests.support.ros_node import (
     ACTIVATE,
     CLEAN_UP,
@@ -69,6 +70,18 @@ def test_a_node_that_cannot_start_logs_why_in_one_line_and_keeps_running(
     line, *more = stop_node(process)
     assert (label, more) == (state, [])
     assert re.search(reason, line), line
+
+
+def test_a_refused_node_is_reported_in_one_line() -> None:
+    from rclpy.impl.implementation_singleton import rclpy_implementation
+
+    from mocap_ros.ros.nodes import create_node
+
+    def refuse() -> None:
+        raise rclpy_implementation.RCLError('no permission\nfor it, at /a/b.cpp:4, at /c.c:24')
+
+    with pytest.raises(ConfigError, match=r'^ROS refuses to create the node: no permission for it$'):
+        create_node(refuse)
 
 
 def test_silence_is_logged_with_its_cause_after_activation_and_after_messages(
