@@ -40,8 +40,10 @@ STEP_NS = 33_333_333  # ns, 30 frames/s
 def make_motion(name: str, times: Array = TIMES) -> tuple[Array, BasePoses, Array]:
     """Return poses (F, 15, 3) m of a motion of the demo in the camera's axes, its base poses and keypoints."""
     model, motions = load_motions()
-    base_poses = fit_base_poses([model.poses(motions[name].sample(TIMES).theta)], name='own', alignment='heading')
-    poses = model.poses(motions[name].sample(times).theta)
+    base_poses = fit_base_poses(
+        [model.poses(motions[name].sample(TIMES)[:, :-2])], name='own', alignment='heading'
+    )
+    poses = model.poses(motions[name].sample(times)[:, :-2])
     truth = poses @ (BODY_TO_OPTICAL @ rotation_from_vector(np.array([0.0, 0.0, 0.8]))).T
     keypoints = np.concatenate([200 * truth[..., :2] + [320, 240], np.ones((*poses.shape[:2], 1))], axis=-1)
     return centre_poses(truth), base_poses, keypoints
