@@ -141,18 +141,19 @@ def with_settings(config: Config, changes: Mapping[str, object]) -> Config:
     return config
 
 
-def suggest_parameter(unknown_name: str, names: Iterable[str]) -> str:
+def suggest_parameter(unknown_name: str, names: Iterable[str], listed_by: str = '`mocap-ros config --all`') -> str:
     """Return a clause, for an error message, about what an unknown parameter name may have been meant for.
 
     Args:
         unknown_name: the name that is none of a parameter.
         names: names of the parameters.
+        listed_by: command that lists them.
     """
     group = unknown_name.partition('.')[0]
     those_of_group_last = sorted(names, key=lambda name: name.partition('.')[0] == group)  # the last one counts
     name_of_field = {name.rpartition('.')[2]: name for name in those_of_group_last}
     close = difflib.get_close_matches(unknown_name.rpartition('.')[2], name_of_field, n=1)
-    return f'did you mean {name_of_field[close[0]]!r}?' if close else '`mocap-ros config --all` lists all of them'
+    return f'did you mean {name_of_field[close[0]]!r}?' if close else f'{listed_by} lists all of them'
 
 
 def values(config: Config) -> dict[str, Value]:

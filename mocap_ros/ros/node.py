@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter as RosParameter
 
 from mocap_ros.bags.topics import Source
 from mocap_ros.compiled.kernel import compile_kernels
-from mocap_ros.config import with_values
+from mocap_ros.config import parameters, with_values
 from mocap_ros.errors import MocapError, RecordingError
 from mocap_ros.messages.camera_info import CAMERA_INFO
 from mocap_ros.messages.cdr import OutputMessage
@@ -65,7 +65,7 @@ class MocapNode(ManagedNode):
         self._reporter: DiagnosticsReporter | None = None  # while active
         self._run_timers: list[Any] = []  # while active
         self._config = declare_parameters(self)
-        warn_of_unknown_parameters(self)
+        warn_of_unknown_parameters(self, [p.name for p in parameters()], '`mocap-ros config --all`')
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
 

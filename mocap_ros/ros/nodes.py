@@ -27,6 +27,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from mocap_ros.compiled.kernel import is_compiling
 from mocap_ros.errors import ConfigError, MocapError
+from mocap_ros.ros.parameters import warn_of_unknown_parameters
 from mocap_ros.ros.throttled_log import TracebackLog
 
 SPIN_SECONDS = 0.1  # s; bounds the delay between a signal and the end of the node
@@ -137,6 +138,7 @@ def declare_fixed_parameters(
             node.declare_parameter(name, default, descriptor)
     except ParameterException as error:
         raise ConfigError(str(error)) from None
+    warn_of_unknown_parameters(node, [*parameters], 'the option --help')
     return {name: node.get_parameter(name).value for name in parameters}
 
 

@@ -36,11 +36,17 @@ def declare_parameters(node: Node) -> Config:
     return with_values(Config(), given)
 
 
-def warn_of_unknown_parameters(node: Node) -> None:
-    """Log a warning for each parameter that was given at the start and that the node does not have."""
+def warn_of_unknown_parameters(node: Node, names: Sequence[str], listed_by: str) -> None:
+    """Log a warning for each parameter that was given at the start and that is none of these names.
+
+    Args:
+        node: The node.
+        names: Names of its parameters.
+        listed_by: Command that lists them.
+    """
     for name in node._parameter_overrides:
         if not node.has_parameter(name) and not name.startswith(QOS_OVERRIDE_PREFIX):
-            suggestion = suggest_parameter(name, [p.name for p in parameters()])
+            suggestion = suggest_parameter(name, names, listed_by)
             node.get_logger().warning(f'unknown parameter {name!r} has no effect; {suggestion}')
 
 
