@@ -22,7 +22,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from mocap_ros.compiled.kernel import FLOAT, FLOATS_3D, INPUT_2D, kernel
+from mocap_ros.compiled.kernel import FLOAT, FLOATS_3D, INPUT_2D, INPUT_3D, kernel
 from mocap_ros.geometry.intrinsics import Intrinsics
 from mocap_ros.geometry.weak_perspective import WeakPerspectiveCameras
 
@@ -94,7 +94,8 @@ class VirtualCamera:
 
     def view_rays(self, rays: Array, weight: Array, focal: float) -> Array:
         """Return the image points (F, J, 2) of rays, in the unit of `focal`; 0 where the weight (F, J) is 0."""
-        return np.where(weight[..., None] > 0, focal * rotate_rays(rays, self.rotation), 0.0)
+        rotations = self.rotation.reshape(-1, 3, 3)
+        return _view_rays(np.ascontiguousarray(rays), np.ascontiguousarray(weight), rotations, focal)
 
     def root_positions(self, cameras: WeakPerspectiveCameras, translation: Array) -> Array:
         """Z = f / s, X = t_x Z / f, Y = t_y Z / f, rotated into the real camera's frame.
@@ -145,10 +146,13 @@ def rotate_rays(rays: Array, rotation: Array) -> Array:
 
     Rays that point backwards after the rotation are mapped to finite rays far from the optical axis.
     """
-    x, y = rays[..., :1], rays[..., 1:]
-    column_x, column_y, column_z = np.moveaxis(rotation[..., None, :, :], -1, 0)
-    rotated = column_x * x + column_y * y + column_z
-    return np.asarray(rotated[..., :2] / np.maximum(rotated[..., 2:], MIN_RAY_DEPTH))
+    if rotation.ndim == 2:
+        groups, rotations = rays.reshape(1, -1, 2), rotation[None]
+    else:
+        groups = rays.reshape(-1, *rays.shape[-2:])
+        rotations = np.broadcast_to(rotation, (*rays.shape[:-2], 3, 3)).reshape(-1, 3, 3)
+    rotated = _rotate_rays(np.ascontiguousarray(groups), np.ascontiguousarray(rotations))
+    return np.asarray(rotated.reshape(rays.shape))
 
 
 @kernel(types.UniTuple(FLOAT, 2)(INPUT_2D, FLOAT, FLOAT))
@@ -156,6 +160,28 @@ def rotate_ray(r: Array, x: float, y: float) -> tuple[float, float]:
     """Do the same to one ray (x, y); `r` (3, 3)."""
     depth = max(r[2, 0] * x + r[2, 1] * y + r[2, 2], MIN_RAY_DEPTH)
     return (r[0, 0] * x + r[0, 1] * y + r[0, 2]) / depth, (r[1, 0] * x + r[1, 1] * y + r[1, 2]) / depth
+
+
+@kernel(FLOATS_3D(INPUT_3D, INPUT_3D))
+def _rotate_rays(rays: Array, rotation: Array) -> Array:
+    """Return the rays of N groups (N, M, 2), each rotated by its rotation (N, 3, 3)."""
+    out = np.empty_like(rays)
+    for n in range(rays.shape[0]):
+        for m in range(rays.shape[1]):
+            out[n, m, 0], out[n, m, 1] = rotate_ray(rotation[n], rays[n, m, 0], rays[n, m, 1])
+    return out
+
+
+@kernel(FLOATS_3D(INPUT_3D, INPUT_2D, INPUT_3D, FLOAT))
+def _view_rays(rays: Array, weight: Array, rotation: Array, focal: float) -> Array:
+    """Compute `VirtualCamera.view_rays` with rotations (F, 3, 3), or (1, 3, 3) of all frames."""
+    out = np.zeros_like(rays)
+    for n in range(rays.shape[0]):
+        for j in range(rays.shape[1]):
+            if weight[n, j] > 0:
+                x, y = rotate_ray(rotation[n % len(rotation)], rays[n, j, 0], rays[n, j, 1])
+                out[n, j, 0], out[n, j, 1] = focal * x, focal * y
+    return out
 
 
 @kernel(FLOATS_3D(INPUT_2D))
