@@ -146,7 +146,7 @@ $(ENVIRONMENT): config/env/requirements-ros-$(WHEELS).txt
 	@mkdir -p $(STAMPS)
 	@touch $@
 
-$(STAMPS)/package: $(ENVIRONMENT) setup.py setup.cfg package.xml
+$(STAMPS)/package: $(ENVIRONMENT) setup.py setup.cfg package.xml $(wildcard mocap_ros/engine/*.pyx)
 	@$(SETUP) package
 	@touch $@
 

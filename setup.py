@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 from glob import glob
 from pathlib import Path
 
-from setuptools import setup
+from setuptools import Extension, setup
 
 ROOT = Path(__file__).resolve().parent  # also where colcon links this file from its build folder
 PACKAGE = ET.parse(ROOT / 'package.xml').getroot()
@@ -21,6 +21,13 @@ README = re.sub(
     lambda link: f'{link[1]}{link[2]}{URLS["repository"]}/{"raw" if link[1] else "blob"}/main/',
     (ROOT / 'README.md').read_text(encoding='utf-8'),
 )
+# setuptools translates the sources with Cython. Python's own flags define the overflow of signed integers: -fwrapv
+# costs the loops a quarter of their speed, and none of them overflows.
+FLAGS = ['-O3', '-fno-wrapv', '-ffp-contract=off']
+ENGINE = [
+    Extension(source.removesuffix('.pyx').replace('/', '.'), [source], extra_compile_args=FLAGS)
+    for source in sorted(glob('mocap_ros/engine/*.pyx'))
+]
 
 setup(
     name=NAME,
@@ -34,6 +41,7 @@ setup(
     maintainer_email=MAINTAINER.get('email'),
     license=PACKAGE.findtext('license'),
     python_requires='>=3.10',  # in setup.cfg it would be no text, which colcon cannot take
+    ext_modules=ENGINE,
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

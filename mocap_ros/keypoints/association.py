@@ -35,21 +35,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from mocap_ros.compiled.kernel import (
-    FLOAT,
-    FLOATS_1D,
-    FLOATS_2D,
-    INPUT_1D,
-    INPUT_2D,
-    INPUT_3D,
-    INPUT_INTS_1D,
-    INT,
-    kernel,
-)
+from mocap_ros.engine import association as engine
 from mocap_ros.keypoints.person import Person2D
 
 Array = NDArray[np.float64]
@@ -92,23 +81,8 @@ class ExpectedPerson(NamedTuple):
 
 def measure_extent(points: Array, weight: Array) -> Extent:
     """Return centre and size of the seen joints of points (J, 2) with weights (J,); NaN if none was seen."""
-    return Extent(*_measure_extent(np.ascontiguousarray(points, float), np.ascontiguousarray(weight, float)))
-
-
-@kernel(types.UniTuple(FLOAT, 3)(INPUT_2D, INPUT_1D))
-def _measure_extent(points: Array, weight: Array) -> tuple[float, float, float]:
-    """Compute `measure_extent`."""
-    seen, x, y, squares = 0, 0.0, 0.0, 0.0
-    for j in range(len(weight)):
-        if weight[j] > 0:
-            seen, x, y = seen + 1, x + points[j, 0], y + points[j, 1]
-    if seen == 0:
-        return math.nan, math.nan, math.nan
-    x, y = x / seen, y / seen
-    for j in range(len(weight)):
-        if weight[j] > 0:
-            squares += (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2
-    return x, y, math.sqrt(squares / seen) + MIN_SIZE
+    seen = np.ascontiguousarray(points, float), np.ascontiguousarray(weight, float)
+    return Extent(*engine.measure_extent(*seen, MIN_SIZE))
 
 
 def expect_person(points: Array, weight: Array, age_s: Array) -> ExpectedPerson:
@@ -135,71 +109,6 @@ def expect_person(points: Array, weight: Array, age_s: Array) -> ExpectedPerson:
     return ExpectedPerson(np.where(is_known[:, None], expected, 0.0), is_known.astype(float))
 
 
-@kernel(FLOAT(FLOATS_1D))
-def _find_median(values: Array) -> float:
-    """Return the median of a few values (n,), which are sorted by insertion."""
-    n = len(values)
-    for i in range(1, n):
-        value, place = values[i], i
-        while place > 0 and values[place - 1] > value:
-            values[place] = values[place - 1]
-            place -= 1
-        values[place] = value
-    return (values[(n - 1) // 2] + values[n // 2]) / 2
-
-
-@kernel(types.UniTuple(FLOAT, 2)(INPUT_2D, INPUT_1D, INPUT_1D, INPUT_2D, INPUT_1D, INPUT_1D, INPUT_INTS_1D))
-def _measure_distance(
-    expected: Array,
-    known: Array,
-    person: Array,
-    detected: Array,
-    seen: Array,
-    detection: Array,
-    counterpart: NDArray[np.int64],
-) -> tuple[float, float]:
-    """Return distance and growth of a pair; joint j of the person is called counterpart[j] in the detection.
-
-    Args:
-        expected: (J, 2) points where the person is expected.
-        known: (J,) weight of the joints.
-        person: (3,) `Extent` of these.
-        detected: (J, 2) points of the detection.
-        seen: (J,) weight of the joints.
-        detection: (3,) `Extent` of these.
-        counterpart: (J,) as above.
-    """
-    size = max(person[2], detection[2])
-    offset, shared = np.empty(len(known)), 0
-    own_x, own_y, own_squares, other_x, other_y, other_squares = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(len(known)):
-        i = counterpart[j]
-        if known[j] > 0 and seen[i] > 0:
-            own = expected[j, 0] - person[0], expected[j, 1] - person[1]
-            other = detected[i, 0] - detection[0], detected[i, 1] - detection[1]
-            own_x, own_y, own_squares = own_x + own[0], own_y + own[1], own_squares + own[0] ** 2 + own[1] ** 2
-            other_x, other_y = other_x + other[0], other_y + other[1]
-            other_squares += other[0] ** 2 + other[1] ** 2
-            offset[shared] = math.hypot(detected[i, 0] - expected[j, 0], detected[i, 1] - expected[j, 1])
-            shared += 1
-    if shared < MIN_SHARED_JOINTS:
-        growth = math.log(detection[2] / person[2])
-        return math.hypot(detection[0] - person[0], detection[1] - person[1]) / size + abs(growth), growth
-    radius = math.sqrt(max(own_squares / shared - (own_x**2 + own_y**2) / shared**2, 0.0))
-    other_radius = math.sqrt(max(other_squares / shared - (other_x**2 + other_y**2) / shared**2, 0.0))
-    growth = math.log((other_radius + RADIUS_OFFSET * size) / (radius + RADIUS_OFFSET * size))
-    return _find_median(offset[:shared]) / size + abs(growth), growth
-
-
-@kernel(FLOATS_2D(INPUT_3D, INPUT_2D))
-def _measure_extents(points: Array, weight: Array) -> Array:
-    """Return the extents (N, 3) of points (N, J, 2) with weights (N, J)."""
-    out = np.empty((len(weight), 3))
-    for n in range(len(weight)):
-        out[n, 0], out[n, 1], out[n, 2] = _measure_extent(points[n], weight[n])
-    return out
-
-
 def measure_distances(
     expected: Sequence[ExpectedPerson],
     detected: Sequence[tuple[Array, Array]],
@@ -219,38 +128,9 @@ def measure_distances(
         return np.zeros((len(detected), len(expected))), np.zeros((len(detected), len(expected)))
     people = np.array([e.points for e in expected]), np.array([e.weight for e in expected])
     seen = np.array([points for points, _ in detected]), np.array([weight for _, weight in detected])
-    labels = np.arange(len(mirror)), np.ascontiguousarray(mirror, np.int64)
-    distances, growths = _measure_distances(*people, *seen, *labels, min_shared)
-    return distances, growths
-
-
-@kernel(
-    types.Tuple((FLOATS_2D, FLOATS_2D))(INPUT_3D, INPUT_2D, INPUT_3D, INPUT_2D, INPUT_INTS_1D, INPUT_INTS_1D, INT)
-)
-def _measure_distances(
-    expected: Array,
-    known: Array,
-    detected: Array,
-    seen: Array,
-    same: NDArray[np.int64],
-    mirror: NDArray[np.int64],
-    min_shared: int,
-) -> tuple[Array, Array]:
-    """Compute `measure_distances` of (P, J, 2) and (P, J), (D, J, 2) and (D, J)."""
-    distance = np.full((len(detected), len(expected)), math.inf)
-    growth = np.zeros(distance.shape)
-    people, detections = _measure_extents(expected, known), _measure_extents(detected, seen)
-    for p in range(len(expected)):
-        for d in range(len(detected)):
-            shared = 0
-            for j in range(len(mirror)):
-                shared += known[p, j] > 0 and seen[d, j] > 0
-            if shared >= min_shared:
-                person, detection = (expected[p], known[p], people[p]), (detected[d], seen[d], detections[d])
-                own = _measure_distance(*person, *detection, same)
-                exchanged = _measure_distance(*person, *detection, mirror)
-                distance[d, p], growth[d, p] = own if own[0] <= exchanged[0] else exchanged
-    return distance, growth
+    exchange = np.ascontiguousarray(mirror, np.int64)
+    limits = min_shared, MIN_SIZE, MIN_SHARED_JOINTS, RADIUS_OFFSET
+    return engine.measure_distances(*people, *seen, exchange, *limits)
 
 
 def associate_keypoints(

@@ -1,0 +1,22 @@
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+
+def measure_extent(points: Array, weight: Array, min_size: float) -> tuple[float, float, float]: ...
+def measure_distances(
+    expected: Array,
+    known: Array,
+    detected: Array,
+    seen: Array,
+    mirror: NDArray[np.int64],
+    min_shared: int,
+    min_size: float,
+    few_shared: int,
+    radius_offset: float,
+) -> tuple[Array, Array]: ...
