@@ -12,8 +12,6 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import replace
-from math import inf
 from pathlib import Path
 from types import MappingProxyType
 
@@ -46,9 +44,7 @@ def start_recorder(
 
 
 class BackgroundRecorder:
-    """A `Recorder` that receives messages in batches and closes chunks by the clock instead of by log time.
-
-    Messages are handed to the operating system every 0.1 s, and the disk is made to hold them every 0.2 s.
+    """A `Recorder` that receives messages in batches, closes chunks every 0.1 s, and syncs the disk every 0.2 s.
 
     Args:
         folder: Folder of the new bag.
@@ -74,9 +70,7 @@ class BackgroundRecorder:
         self.folder = folder
         self.refused_count = 0
         self._executor = ThreadPoolExecutor(MAX_SYNCS, 'mocap recorder sync')
-        self._recorder = Recorder(
-            folder, _leave_chunks_open(config), attachments, definitions=definitions, executor=self._executor
-        )
+        self._recorder = Recorder(folder, config, attachments, definitions=definitions, executor=self._executor)
         self._config = config
         self._batches: deque[tuple[RecordedMessage | Topic, ...]] = deque()
         self._waiting_bytes = 0
@@ -135,7 +129,7 @@ class BackgroundRecorder:
     def reconfigure(self, config: RecorderConfig) -> None:
         """Use other limits from now on; the folder, the compression and the size of chunks stay in this file."""
         self._config = config
-        self._recorder.reconfigure(_leave_chunks_open(config))
+        self._recorder.reconfigure(config)
 
     def check(self) -> None:
         """Raise the RecordingError that ended the recording, if there is one, once."""
@@ -166,7 +160,7 @@ class BackgroundRecorder:
             self._recorder.close()
         except RecordingError as error:
             self._error = error
-        except Exception:
+        except Exception:  # a fault of the program must not end the node
             self._error = RecordingError(f'{self.folder}: {traceback.format_exc()}')
         finally:
             with suppress(Exception):  # the first error is reported; without one the bag is closed already
@@ -195,7 +189,7 @@ class BackgroundRecorder:
                     recorder.write(*record)
             if now_s >= flush_due_s:
                 recorder.flush()
-                flush_due_s = now_s + min(CHUNK_PERIOD_S, self._config.chunk_seconds)
+                flush_due_s = now_s + CHUNK_PERIOD_S
                 if now_s >= sync_due_s:
                     recorder.start_sync()
                     sync_due_s = now_s + SYNC_PERIOD_S
@@ -205,8 +199,3 @@ class BackgroundRecorder:
 
 def _count_bytes(batch: Iterable[RecordedMessage | Topic]) -> int:
     return sum(len(record.data) for record in batch if isinstance(record, RecordedMessage))
-
-
-def _leave_chunks_open(config: RecorderConfig) -> RecorderConfig:
-    """Return the configuration of a recorder whose chunks are not closed by log time."""
-    return replace(config, chunk_seconds=inf)

@@ -31,7 +31,7 @@ from mocap_ros.bags.reader import Bag, BagMessage
 from mocap_ros.bags.recorder import RecordedMessage
 from mocap_ros.bags.topics import find_latched_inputs
 from mocap_ros.config import Value
-from mocap_ros.errors import InputError
+from mocap_ros.errors import InputError, name_errors
 from mocap_ros.messages.cdr import create_message, decode, encode
 
 JOURNAL = 'diagnostic_msgs/msg/DiagnosticStatus'  # message type of the journal
@@ -130,6 +130,10 @@ class Journal:
     ) -> list[RecordedMessage]:
         """Return the messages that record an input and what became of it.
 
+        These are a `lost` entry where inputs were lost before, the input itself, and its journal entry. The first
+        alone may begin a further file: what that repeats then has the time of receipt of the first input in it.
+        Outputs and events have later times than inputs that waited meanwhile and follow them.
+
         Args:
             topic: Absolute name of the input topic.
             msgtype: Message type of the input.
@@ -137,12 +141,7 @@ class Journal:
             times_ns: Times of receipt and of sending, in ns.
             verdict: What became of the input.
             reason: As in `Entry`.
-            repeat_keys: What the input tells of, as `Recorder.write` takes it; see `make_repeat_keys`.
-
-        Returns:
-            A `lost` entry where inputs were lost before, the input itself, and its journal entry. The first of
-            them alone may begin a further file: what that repeats then has the time of receipt of the first input
-            in it. Outputs and events have later times than inputs that waited meanwhile and follow them.
+            repeat_keys: What the input speaks of, as `Recorder.write` takes it; see `make_repeat_keys`.
         """
         self._input_ns = times_ns[0]
         before = self.make_lost_records()
@@ -220,30 +219,38 @@ def read_run(bag: Bag) -> RecordedRun:
     """
     topics = [t for t in bag.topics_of_type([JOURNAL]) if t.endswith('/journal')]
     latched = find_latched_inputs(bag) if topics else set()
-    places = _InputPlaces()
-    lost_count = 0
+    messages: Counter[tuple[str, int]] = Counter()  # on latched topics, by topic and log time
+    entries: Counter[tuple[str, int]] = Counter()  # of inputs, likewise; an entry has the log time of its input
+    first_ns: dict[str, int] = {}  # log times of the first messages of latched topics
+    inputs: list[tuple[Entry, int]] = []  # the first entry of an input, and its log time
     skipped: list[int] = []
     events: list[Entry] = []
+    lost_count = 0
     parameters: Entry | None = None  # the last ones
     for message in bag.messages({*topics, *latched}):
         if message.topic in latched:
-            places.add_message(message)
+            messages[message.topic, message.time_ns] += 1
+            first_ns.setdefault(message.topic, message.time_ns)
             continue
-        try:
+        with name_errors(f'{bag.path}: {message.topic}'):
             entry = decode_entry(message.raw)
-        except InputError as error:
-            raise InputError(f'{bag.path}: {message.topic}: {error}') from None
         if entry.kind == LOST:
             lost_count += int(entry.parameters.get(LOST, 0))
         elif entry.kind == INPUT:
-            places.add_entry(entry, message.time_ns)
+            inputs = inputs or [(entry, message.time_ns)]
+            entries[entry.topic, message.time_ns] += 1
             if entry.verdict is Verdict.BACKLOG:
                 skipped.append(entry.number)
         elif entry != parameters:
             events.append(entry)
             parameters = entry if entry.kind == PARAMETERS else parameters
-    inputs_before, first_count, repeated = places.find_first(bag)
-    run = RecordedRun({}, set(), {}, lost_count, places.topics, repeated)
+    repeated = messages - entries  # a message that a further file repeats has no entry
+    inputs_before = first_count = 0  # inputs in earlier files, and the repeated messages that stand for them
+    for entry, time_ns in inputs:
+        first_count = sum(repeated.pop(place, 0) for place in first_ns.items() if place[1] <= time_ns)
+        has_input = entry.number == 1 or any(bag.messages([entry.topic], time_ns, time_ns + 1))
+        inputs_before = entry.number - has_input
+    run = RecordedRun({}, set(), {}, lost_count, {topic for topic, _ in entries}, repeated)
     run.skipped_inputs.update(n - inputs_before + first_count for n in skipped if n > inputs_before)
     for entry in events:
         number = max(entry.number - inputs_before, 0)
@@ -252,49 +259,3 @@ def read_run(bag: Bag) -> RecordedRun:
         else:
             run.events.setdefault(number + first_count, []).append(entry)
     return run
-
-
-class _InputPlaces:
-    """Compares the messages on latched topics with the entries of the inputs, as both are read.
-
-    A message of an input that a further file repeats has no entry.
-
-    Attributes:
-        topics: Topics of the inputs.
-    """
-
-    def __init__(self) -> None:
-        self.topics: set[str] = set()
-        self._first_entry: tuple[Entry, int] | None = None  # and its log time in ns
-        self._first_ns: dict[str, int] = {}  # log times of the first messages of latched topics
-        self._repeated: Counter[tuple[str, int]] = Counter()  # messages without an entry, by topic and log time
-
-    def add_message(self, message: BagMessage) -> None:
-        """Add a message of a latched topic."""
-        self._first_ns.setdefault(message.topic, message.time_ns)
-        self._repeated[message.topic, message.time_ns] += 1
-
-    def add_entry(self, entry: Entry, time_ns: int) -> None:
-        """Add the entry of an input; it follows its input at the same log time."""
-        self.topics.add(entry.topic)
-        self._first_entry = self._first_entry or (entry, time_ns)
-        place = entry.topic, time_ns
-        if self._repeated[place] > 1:
-            self._repeated[place] -= 1
-        else:
-            del self._repeated[place]
-
-    def find_first(self, bag: Bag) -> tuple[int, int, Mapping[tuple[str, int], int]]:
-        """Find where the numbers of the inputs in a bag begin.
-
-        Returns:
-            Number of the inputs in earlier files that are not read, number of the repeated messages that stand for
-            them, and number of the other repeated messages by topic and log time.
-        """
-        if self._first_entry is None:
-            return 0, 0, self._repeated
-        entry, time_ns = self._first_entry
-        first = Counter({(t, ns): self._repeated[t, ns] for t, ns in self._first_ns.items() if ns <= time_ns})
-        self._repeated.subtract(first)
-        has_input = entry.number == 1 or any(bag.messages([entry.topic], time_ns, time_ns + 1))
-        return entry.number - has_input, first.total(), self._repeated

@@ -22,19 +22,9 @@ from mocap_ros.config import RecorderConfig
 COMPRESSION = {'zstd': CompressionType.ZSTD, 'lz4': CompressionType.LZ4, 'none': CompressionType.NONE}
 RECORD_BYTES = 31  # that a message takes in a chunk besides its data
 
-# A function that describes a file as metadata.yaml does.
-DescribeFile = Callable[['McapFile'], dict[str, Any]]
-
 
 class Attachment(NamedTuple):
-    """A file that is attached to each file of a bag.
-
-    Attributes:
-        name: Name of the file.
-        media_type: Media type (MIME).
-        data: Content.
-        create_time_ns: Time at which the file was created, in ns; by default, that at which it is attached.
-    """
+    """A file that is attached to each file of a bag; its time in ns is that at which it is attached, if None."""
 
     name: str
     media_type: str
@@ -118,28 +108,25 @@ class McapFile:
         """Number of bytes written, without the open chunk."""
         return self._output.tell()
 
-    @property
-    def is_in_place(self) -> bool:
-        """Whether the file still exists under its path, and neither it nor its folder was removed or moved."""
-        try:
-            return os.path.samestat(os.fstat(self._output.file.fileno()), self.path.stat())
-        except FileNotFoundError:
-            return False
+    def check_place(self) -> None:
+        """Raise OSError where the file, or its folder, was removed or moved."""
+        if not os.path.samestat(os.fstat(self._output.file.fileno()), self.path.stat()):
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), self.path)
 
     def add_topic(self, topic: Topic) -> None:
         """Add a topic; its messages can be written from now on."""
         if topic.type not in self._schemas:
-            definition = topic.definition.encode()
-            self._schemas[topic.type] = self._writer.register_schema(topic.type, topic.encoding, definition)
-        schema = self._schemas[topic.type]
-        self._channels[topic.name] = self._writer.register_channel(
-            topic.name, 'cdr', schema, topic.channel_metadata
-        )
+            text = topic.definition.encode()
+            self._schemas[topic.type] = self._writer.register_schema(topic.type, topic.encoding, text)
+        profiles = encode_yaml([dict(q) for q in topic.qos])
+        metadata = {'offered_qos_profiles': profiles, 'topic_type_hash': topic.type_hash}
+        channel = self._writer.register_channel(topic.name, 'cdr', self._schemas[topic.type], metadata)
+        self._channels[topic.name] = channel
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         """Append a message of a topic that has been added."""
         self._writer.add_message(self._channels[topic], log_time_ns, data, publish_time_ns)
-        self.statistics.add_message(topic, log_time_ns)
+        self.statistics.add(topic, log_time_ns)
         self._open_bytes += len(data) + RECORD_BYTES
         if self._open_bytes >= self._max_chunk_bytes:
             self.flush()
@@ -171,13 +158,13 @@ class McapFile:
 
         return sync
 
-    def finish(self, describe: DescribeFile) -> Callable[[], None]:
+    def finish(self, describe: Callable[[], dict[str, Any]]) -> Callable[[], None]:
         """Write the description for rosbag2, the summary and the footer, and close the file.
 
         If this fails, it may be tried again. Returns what `prepare_sync` returns.
         """
         if not self._has_end:
-            self.add_metadata(ROSBAG2, {'serialized_metadata': encode_yaml(describe(self))})
+            self.add_metadata(ROSBAG2, {'serialized_metadata': encode_yaml(describe())})
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._has_end = True
         self._output.flush()

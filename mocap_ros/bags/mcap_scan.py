@@ -12,9 +12,7 @@ from __future__ import annotations
 import re
 import struct
 import zlib
-from collections import Counter
-from collections.abc import Generator, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
 from io import SEEK_END, BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -36,8 +34,6 @@ from mcap.records import (
 )
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from mocap_ros.bags.reader_limits import MAX_CHUNK_BYTES, PIECE_BYTES, unpack
-
 MAGIC = b'\x89MCAP0\r\n'  # first and last 8 bytes of every file
 FOOTER_BYTES = 29  # of the record before the last bytes
 CRC_BYTES = 4  # of a CRC-32, the last ones of the footer and of an attachment
@@ -48,7 +44,10 @@ CHUNK_HEADER = struct.Struct('<QQQII')  # first and last log time, size, checksu
 CHUNK_PATTERN = re.compile(rb'(?=\x06.{5}\0{3}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd))', re.DOTALL)
 CHUNK_START_BYTES = RECORD_PREFIX.size + CHUNK_HEADER.size + 4 + 8  # up to the compressed records
 FIRST_PRIVATE_OPCODE = 0x80  # opcodes from here on are left to applications
-MAX_OVERLAPS = 100  # records of wrong length in which a chunk is searched for; bounds the time for a crafted file
+MAX_CHUNK_BYTES = (
+    2**27
+)  # guards the memory against a damaged length; images of 4K, the largest messages, have 25 MB
+PIECE_BYTES = 1 << 20  # that are searched for a chunk at a time
 
 # What the parsers and decompressors raise for damaged data.
 PARSE_ERRORS = (struct.error, ValueError, KeyError, EOFError, RuntimeError, McapError, zstandard.ZstdError)
@@ -60,6 +59,9 @@ class ScannedMessage(NamedTuple):
     schema: Schema | None
     channel: Channel
     message: Message
+
+
+Item = ScannedMessage | Attachment | Metadata
 
 
 class McapScan:
@@ -83,16 +85,16 @@ class McapScan:
         self._path = path
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
-        self._messages_without_channel: Counter[int] = Counter()  # by channel id
+        self._lost_count = 0  # messages whose channel is not described
         self._message_count = 0
 
-    def __iter__(self) -> Iterator[ScannedMessage | Attachment | Metadata]:
+    def __iter__(self) -> Iterator[Item]:
         with self._path.open('rb') as file:
             expected_count = self._read_summary(file)
             yield from self._read_data(file)
-        for channel, lost in self._messages_without_channel.items():
+        if self._lost_count:
             self.losses.append(
-                f'{lost} messages are lost, because the description of their channel {channel} is lost'
+                f'{self._lost_count} messages are lost, because the description of their topic is lost'
             )
         if self._message_count < expected_count:
             lost = expected_count - self._message_count
@@ -103,93 +105,57 @@ class McapScan:
         count = 0
         try:
             for record in StreamReader(BytesIO(read_summary(file)), skip_magic=True).records:
-                list(self._read_message(record))
+                list(self._read_record(record))
                 count = record.message_count if isinstance(record, Statistics) else count
-        except PARSE_ERRORS as error:
-            if not isinstance(error, EOFError):
-                self.losses.append('the summary at the end of the file is damaged and was not used')
+        except EOFError:
+            pass
+        except PARSE_ERRORS:
+            self.losses.append('the summary at the end of the file is damaged and was not used')
         return count
 
-    def _read_data(self, file: BinaryIO) -> Iterator[ScannedMessage | Attachment | Metadata]:
+    def _read_data(self, file: BinaryIO) -> Iterator[Item]:
         """Yield the items of the data section; behind a fault, go on at the next complete chunk."""
         file.seek(0)
         has_start = file.read(len(MAGIC)) == MAGIC
-        start: int | None = len(MAGIC) if has_start else _find_chunk(file, 0, self._size)
+        start = len(MAGIC) if has_start else _find_chunk(file, 0, self._size)
         if not has_start:
-            is_mcap = start is not None
-            self.losses.append(
-                f'its first {len(MAGIC)} bytes are not those of an MCAP file'
-                if is_mcap
-                else 'the file is no MCAP file'
-            )
-        overlap_count = 0
+            fault = f'its first {len(MAGIC)} bytes are not those of an MCAP file'
+            self.losses.append('the file is no MCAP file' if start is None else fault)
+        search_start = 0  # of the next chunk; within a record that no checksum protects, whose length may be wrong
         while start is not None:
-            overlap_count += start < self.position
             self.position = start
-            search_start = yield from self._read_records(file)
-            if search_start < 0:
-                return
-            is_behind = overlap_count >= MAX_OVERLAPS
-            start = _find_chunk(file, max(search_start, self.position) if is_behind else search_start, self._size)
-            self._report_gap(self.position, start)
-
-    def _read_records(self, file: BinaryIO) -> Generator[ScannedMessage | Attachment | Metadata, None, int]:
-        """Yield the items of complete records from `position` on, and advance it.
-
-        Returns:
-            Where to search for the next chunk: behind the last record, or in it where no checksum says that it is
-            intact, as a record of wrong length may contain others; -1 at the end of the data section.
-        """
-        search_start = self.position
-        while data := _read_record(file, self.position):
-            start, end = self.position, self.position + len(data)
-            search_start = start + 1
+            data = _read_record(file, start)
+            if not data:
+                start = _find_chunk(file, search_start, self._size)
+                self._report_gap(self.position, start)
+                continue
+            search_start, end = start + 1, start + len(data)
             try:
-                if data[0] < FIRST_PRIVATE_OPCODE:
-                    record = next(StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records)
-                    if isinstance(record, DataEnd):
-                        return -1
-                    yield from self._read_record(record, data)
-                    is_checked = isinstance(record, Chunk) and record.uncompressed_crc
-                    search_start = end if is_checked or isinstance(record, Attachment) else search_start
+                record = _parse_record(data)
+                if isinstance(record, DataEnd):
+                    return
+                for part in _unpack(record, data):
+                    yield from self._read_record(part)
+                if isinstance(record, Attachment) or (isinstance(record, Chunk) and record.uncompressed_crc):
+                    search_start = end
             except PARSE_ERRORS as error:
                 kind = Opcode(data[0]).name.lower().replace('_', ' ')
                 reason = ' '.join(str(error).split()) or 'a length in it is damaged'
                 self.losses.append(f'the {kind} record at byte {start} cannot be read: {reason}')
-            self.position = end
-        return search_start
+            start = self.position = end
 
-    def _read_record(self, record: McapRecord, data: bytes) -> Iterator[ScannedMessage | Attachment | Metadata]:
-        """Yield what a record outside of the summary holds; raise ValueError where its checksum is wrong."""
-        if isinstance(record, Chunk):
-            size = record.uncompressed_size
-            if size > MAX_CHUNK_BYTES:
-                raise ValueError(f'it holds {size} bytes, more than the limit of {MAX_CHUNK_BYTES >> 20} MiB')
-            content = unpack(record.data, record.compression, size) if record.compression else record.data
-            if len(content) != size:
-                raise ValueError(f'it holds {len(content)} bytes instead of {size}')
-            for part in breakup_chunk(replace(record, data=content, compression=''), validate_crc=True):
-                yield from self._read_message(part)
-        elif isinstance(record, Attachment):
-            content = data[RECORD_PREFIX.size :]
-            if zlib.crc32(content[:-CRC_BYTES]) != int.from_bytes(content[-CRC_BYTES:], 'little'):
-                raise ValueError('its checksum does not match')
-            yield record
-        elif isinstance(record, Metadata):
-            yield record
-        else:
-            yield from self._read_message(record)
-
-    def _read_message(self, record: McapRecord) -> Iterator[ScannedMessage]:
-        """Yield the message of a message record; remember a schema or channel; ignore all other records."""
+    def _read_record(self, record: McapRecord | None) -> Iterator[Item]:
+        """Yield a message, an attachment or metadata; remember a schema or channel; ignore all other records."""
         if isinstance(record, Schema):
             self._schemas[record.id] = record
         elif isinstance(record, Channel):
             self._channels[record.id] = record
+        elif isinstance(record, Attachment | Metadata):
+            yield record
         elif isinstance(record, Message):
             channel = self._channels.get(record.channel_id)
             if channel is None:
-                self._messages_without_channel[record.channel_id] += 1
+                self._lost_count += 1
             else:
                 self._message_count += 1
                 yield ScannedMessage(self._schemas.get(channel.schema_id), channel, record)
@@ -240,6 +206,28 @@ def _read_record(file: BinaryIO, start: int) -> bytes:
         return b''
     content = file.read(length)
     return prefix + content if len(content) == length else b''
+
+
+def _parse_record(data: bytes) -> McapRecord | None:
+    """Return a complete record; None for one of an application."""
+    if data[0] >= FIRST_PRIVATE_OPCODE:
+        return None
+    return next(StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records)
+
+
+def _unpack(record: McapRecord | None, data: bytes) -> list[McapRecord | None]:
+    """Return the records in a chunk, or else the record; raise ValueError where its checksum or size is wrong."""
+    if isinstance(record, Chunk):
+        if record.uncompressed_size > MAX_CHUNK_BYTES:
+            limit = f'more than the limit of {MAX_CHUNK_BYTES >> 20} MiB'
+            raise ValueError(f'it holds {record.uncompressed_size} bytes, {limit}')
+        return [*breakup_chunk(record, validate_crc=True)]
+    content = data[RECORD_PREFIX.size :]
+    if isinstance(record, Attachment) and zlib.crc32(content[:-CRC_BYTES]) != int.from_bytes(
+        content[-CRC_BYTES:], 'little'
+    ):
+        raise ValueError('its checksum does not match')
+    return [record]
 
 
 def _find_chunk(file: BinaryIO, start: int, size: int) -> int | None:

@@ -5,14 +5,12 @@
 
 from __future__ import annotations
 
-import errno
 import shutil
 import sqlite3
-import stat
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
-from dataclasses import dataclass, field, replace
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,21 +21,25 @@ from mcap.records import Attachment as AttachmentRecord
 from mcap.records import Metadata as MetadataRecord
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
-from rosbags.rosbag2.metadata import dump_qos_v9
+from rosbags.rosbag2.errors import ReaderError
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from mocap_ros.bags.mcap_file import Attachment
-from mocap_ros.bags.mcap_scan import McapScan, ScannedMessage
-from mocap_ros.bags.reader import ROS2_SUFFIXES, find_database_log, find_number_and_name, list_bag_files
-from mocap_ros.bags.reader_limits import PIECE_BYTES, LimitedFile, describe_error, parse_qos, unpack
+from mocap_ros.bags.mcap_scan import Item, McapScan
+from mocap_ros.bags.reader import (
+    ROS2_SUFFIXES,
+    describe_error,
+    find_database_log,
+    find_number_and_name,
+    list_bag_files,
+)
 from mocap_ros.bags.recorder import Recorder, choose_partial_path, remove_partial
 from mocap_ros.bags.rosbag2 import ROSBAG2, Topic, make_topic
 from mocap_ros.config import RecorderConfig
-from mocap_ros.errors import InputError, RecordingError
+from mocap_ros.errors import MALFORMED, InputError, RecordingError
 from mocap_ros.messages.cdr import typestore
-from mocap_ros.messages.recorded_types import load_recorded_types
 
 ENCODINGS = {MessageDefinitionFormat.MSG: 'ros2msg', MessageDefinitionFormat.IDL: 'ros2idl'}
-DEFINITION_ENCODINGS = ('ros2msg', 'ros2idl', 'omgidl')  # of message definitions that can be parsed
 PACKED_SUFFIX = '.zstd'  # that rosbag2 adds to the name of a file that it has compressed as a whole
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # first bytes of a compressed message; a message as CDR begins with 0
 NO_LIMITS = RecorderConfig(min_free_mb=0, split_seconds=0.0, split_mb=0)  # the new bag has the files of the other
@@ -80,21 +82,17 @@ def recover(path: Path, out: Path, report_progress: ReportProgress = lambda *_: 
         raise InputError(f'{path}: no bag folder, .mcap or .db3 file (ROS 1: `rosbag reindex` repairs a .bag)')
     if path.is_dir() and out.parent.resolve() == path.resolve():
         raise RecordingError(f'{out}: {path} is a bag; write beside it, not into it')
-    report = RecoveryReport()
-    sizes: dict[Path, int] = {}  # of the files that can be read, in bytes
-    for file in files:
-        with _note_unreadable(file, report):
-            sizes[file] = _get_size(file)
     remove_partial(out)
-    partial_bag = choose_partial_path(out)
+    partial_bag, report = choose_partial_path(out), RecoveryReport()
+    sizes = {file: file.stat().st_size if file.is_file() else 0 for file in files}
     with Recorder(partial_bag, NO_LIMITS, name=out.name) as recorder:
         try:
             recorder.ros_distro = ''  # that of the other bag is not known
-            bytes_before, all_bytes = 0, sum(sizes.values())
+            bytes_before = 0
             for file, size in sizes.items():
-                with _note_unreadable(file, report), _provide_readable(file, out.parent, report) as readable:
-                    for done_bytes in _FileCopy(file, recorder, report).copy(readable):
-                        report_progress(bytes_before + min(done_bytes, size), all_bytes)
+                copy = _FileCopy(file, recorder, report)
+                for done_bytes in copy.run(out.parent, size):
+                    report_progress(bytes_before + min(done_bytes, size), sum(sizes.values()))
                 bytes_before += size
             if not report.messages:
                 reasons = '; '.join(report.losses) or f'{path}: the bag has no messages'
@@ -122,54 +120,6 @@ def list_recoverable_files(path: Path) -> list[Path]:
     return [file_by_name[name] for name in sorted(file_by_name, key=find_number_and_name)]
 
 
-@contextmanager
-def _note_unreadable(file: Path, report: RecoveryReport) -> Iterator[None]:
-    """Add to the losses that a file cannot be read, where the block raises OSError."""
-    try:
-        yield
-    except OSError as error:
-        report.losses.append(f'{file}: {error.strerror or error}')
-
-
-@contextmanager
-def _provide_readable(file: Path, folder: Path, report: RecoveryReport) -> Iterator[Path]:
-    """Provide a file of a bag in a form that can be read without changing the folder of the bag.
-
-    A file that is compressed as a whole is unpacked into a temporary folder in `folder`, as far as possible. A
-    database with a write-ahead log is copied there, where SQLite adds the log to it.
-    """
-    log = find_database_log(file)
-    has_log = file.suffix == '.db3' and log.is_file() and log.stat().st_size > 0
-    if file.suffix != PACKED_SUFFIX and not has_log:
-        yield file
-        return
-    with TemporaryDirectory(dir=folder, prefix='.mocap_ros_') as place:
-        readable = Path(place) / file.name.removesuffix(PACKED_SUFFIX)
-        if has_log:
-            shutil.copyfile(file, readable)
-            shutil.copyfile(log, find_database_log(readable))
-            try:
-                with closing(sqlite3.connect(readable)) as database:
-                    database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
-            except sqlite3.Error as error:
-                report.losses.append(f'{log}: SQLite cannot read it: {error}')
-        else:
-            try:
-                with file.open('rb') as packed, readable.open('wb') as unpacked:
-                    shutil.copyfileobj(LimitedFile(packed), unpacked, PIECE_BYTES)
-            except (ValueError, zstandard.ZstdError) as error:
-                report.losses.append(f'{file}: the compressed file is damaged or too large: {error}')
-        yield readable
-
-
-def _get_size(file: Path) -> int:
-    """Return the size of a file in bytes; raise OSError where it does not exist or is not a regular file."""
-    status = file.stat()
-    if not stat.S_ISREG(status.st_mode):
-        raise OSError(errno.EINVAL, 'not a file')
-    return status.st_size
-
-
 class _FileCopy:
     """Copies everything that can be read of one file into the new bag.
 
@@ -186,29 +136,61 @@ class _FileCopy:
         self._rejected: Counter[tuple[str, str]] = Counter()  # messages by topic and reason for the rejection
         self._has_begun = False  # whether anything of the file is in the new bag
 
-    def copy(self, file: Path) -> Iterator[int]:
-        """Copy what can be read; yield the number of bytes read so far.
+    def run(self, folder: Path, size: int) -> Iterator[int]:
+        """Copy what can be read; yield the number of bytes read so far, of a size.
 
-        Raises:
-            OSError: The file cannot be read to its end; what is before is copied.
+        Args:
+            folder: Folder for a temporary copy, where the file cannot be read in its place.
+            size: Number of bytes of the file.
         """
         try:
-            yield from self._copy_mcap(file) if file.suffix == '.mcap' else self._copy_sqlite(file)
-        finally:
-            for (topic, reason), number in self._rejected.items():
-                self._report_loss(f'{number} messages of {topic} are lost, because {reason}')
+            if self._name.exists() and not self._name.is_file():
+                raise OSError('not a file')
+            with self._provide_readable(folder) as file:
+                yield from self._copy_mcap(file) if file.suffix == '.mcap' else self._copy_sqlite(file, size)
+        except OSError as error:  # what is before the fault is copied
+            self._report_loss(error.strerror or str(error))
+        for (topic, reason), number in self._rejected.items():
+            self._report_loss(f'{number} messages of {topic} are lost, because {reason}')
+
+    @contextmanager
+    def _provide_readable(self, folder: Path) -> Iterator[Path]:
+        """Provide the file in a form that can be read without changing the folder of the bag.
+
+        A file that is compressed as a whole is unpacked into a temporary folder in `folder`, as far as possible. A
+        database with a write-ahead log is copied there, where SQLite adds the log to it.
+        """
+        file, log = self._name, find_database_log(self._name)
+        has_log = file.suffix == '.db3' and log.is_file() and log.stat().st_size > 0
+        if file.suffix != PACKED_SUFFIX and not has_log:
+            yield file
+            return
+        with TemporaryDirectory(dir=folder, prefix='.mocap_ros_') as place:
+            readable = Path(place) / file.name.removesuffix(PACKED_SUFFIX)
+            try:
+                if has_log:
+                    shutil.copyfile(file, readable)
+                    shutil.copyfile(log, find_database_log(readable))
+                    with closing(sqlite3.connect(readable)) as database:
+                        database.execute('PRAGMA wal_checkpoint(TRUNCATE)')
+                else:
+                    with file.open('rb') as packed, readable.open('wb') as unpacked:
+                        zstandard.ZstdDecompressor().copy_stream(packed, unpacked)
+            except (zstandard.ZstdError, sqlite3.Error) as error:
+                self._report_loss(f'it, or its log, is damaged: {error}')
+            yield readable
 
     def _copy_mcap(self, file: Path) -> Iterator[int]:
         scan = McapScan(file)
         try:
             for item in scan:
-                self._copy_mcap_item(item)
+                self._copy_item(item)
                 yield scan.position
         finally:
             for loss in scan.losses:
                 self._report_loss(loss)
 
-    def _copy_mcap_item(self, item: ScannedMessage | AttachmentRecord | MetadataRecord) -> None:
+    def _copy_item(self, item: Item) -> None:
         """Copy a message of ROS 2, an attachment, or metadata other than those of rosbag2."""
         if isinstance(item, AttachmentRecord):
             self._begin_file()
@@ -219,23 +201,23 @@ class _FileCopy:
                 self._begin_file()
                 self._recorder.add_metadata(item.name, item.metadata)
         elif item.schema is None or item.channel.message_encoding != 'cdr':
-            reason = f'they are no messages of ROS 2 (encoding {item.channel.message_encoding})'
-            self._rejected[item.channel.topic, reason if item.schema else 'they have no schema'] += 1
-        elif self._declare_topic(item.channel.topic, item.schema.name, lambda: _convert_channel(item)):
-            message = item.message
-            self._write(item.channel.topic, item.schema.name, message.data, message.log_time, message.publish_time)
+            self._rejected[item.channel.topic, 'they are no messages of ROS 2'] += 1
+        else:
+            schema, channel, message = item.schema, item.channel, item.message
 
-    def _copy_sqlite(self, file: Path) -> Iterator[int]:
-        size = file.stat().st_size
+            def describe() -> Topic:
+                qos = channel.metadata.get('offered_qos_profiles', '')
+                type_hash, text = channel.metadata.get('topic_type_hash', ''), schema.data.decode(errors='replace')
+                return Topic(channel.topic, schema.name, text, schema.encoding, type_hash, _convert_qos(qos))
+
+            self._write(channel.topic, schema.name, describe, message.data, message.log_time, message.publish_time)
+
+    def _copy_sqlite(self, file: Path, size: int) -> Iterator[int]:
         try:
             with Reader(file) as reader:
                 count, number = reader.message_count, 0
-                for number, (connection, time_ns, data) in enumerate(reader.messages(), 1):
-                    topic, msgtype = connection.topic, connection.msgtype
-                    if not (isinstance(data, bytes) and isinstance(time_ns, int) and time_ns >= 0):
-                        self._rejected[topic, 'their rows hold no message'] += 1
-                    elif self._declare_topic(topic, msgtype, partial(_convert_connection, connection)):
-                        self._write(topic, msgtype, data, time_ns, time_ns)
+                for number, (c, time_ns, data) in enumerate(reader.messages(), 1):
+                    self._write(c.topic, c.msgtype, partial(_describe_connection, c), data, time_ns, time_ns)
                     yield size * number // count
                 if number < count:
                     self._report_loss(f'{count - number} of {count} messages belong to no topic')
@@ -245,21 +227,28 @@ class _FileCopy:
             reason = describe_error(error)
             self._report_loss(f'SQLite cannot read it: {reason}; `sqlite3 {self._name} .recover` may save more')
 
-    def _declare_topic(self, name: str, msgtype: str, make: Callable[[], Topic]) -> bool:
-        """Add a topic to the new bag unless it exists; return False where it exists with another message type."""
-        declared = self._recorder.topics.get(name)
+    def _write(
+        self,
+        topic: str,
+        msgtype: str,
+        describe: Callable[[], Topic],
+        data: bytes,
+        log_time_ns: int,
+        publish_time_ns: int,
+    ) -> None:
+        """Write a message; add its topic, which `describe` returns, before the first one."""
+        declared = self._recorder.topics.get(topic)
         if declared is None:
-            self._recorder.add_topic(make())
+            self._recorder.add_topic(_repair_definition(describe()))
         elif declared.type != msgtype:
-            self._rejected[name, f'their type is {msgtype}, but the topic has the type {declared.type}'] += 1
-            return False
-        return True
-
-    def _write(self, topic: str, msgtype: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
+            reason = f'their type is {msgtype}, but the topic has the type {declared.type}'
+            self._rejected[topic, reason] += 1
+            return
         if data.startswith(ZSTD_MAGIC):
-            try:
-                data = unpack(data, 'zstd')
-            except (ValueError, zstandard.ZstdError):
+            unpacking = zstandard.ZstdDecompressor().decompressobj()
+            with suppress(zstandard.ZstdError):
+                data = unpacking.decompress(data)
+            if not unpacking.eof:
                 self._rejected[topic, 'they cannot be decompressed'] += 1
                 return
         self._begin_file()
@@ -276,44 +265,28 @@ class _FileCopy:
         self._report.losses.append(f'{self._name}: {loss}')
 
 
-def _convert_channel(item: ScannedMessage) -> Topic:
-    """Return the topic of a scanned message that has a schema."""
-    schema, channel = item.schema, item.channel
-    assert schema is not None  # noqa: S101
-    qos = _parse_qos(channel.metadata.get('offered_qos_profiles', ''))
-    type_hash = channel.metadata.get('topic_type_hash', '')
-    text = schema.data.decode(errors='replace')
-    return _repair_definition(Topic(channel.topic, schema.name, text, schema.encoding, type_hash, qos))
-
-
-def _convert_connection(connection: Connection) -> Topic:
+def _describe_connection(connection: Connection) -> Topic:
     """Return the topic of a database."""
     definition, encoding = connection.msgdef.data, ENCODINGS.get(connection.msgdef.format, '')
-    qos = _parse_qos(getattr(connection.ext, 'offered_qos_profiles', []))
-    return _repair_definition(
-        Topic(connection.topic, connection.msgtype, definition, encoding, connection.digest, qos)
-    )
+    qos = _convert_qos(getattr(connection.ext, 'offered_qos_profiles', []))
+    return Topic(connection.topic, connection.msgtype, definition, encoding, connection.digest, qos)
 
 
 def _repair_definition(topic: Topic) -> Topic:
-    """Replace a definition that readers cannot parse by this package's own one, where it has one.
+    """Replace a definition in no known language, as rosbag2 writes where it finds none, by this package's or none.
 
-    Of other types, a definition in an unknown language is left out, because readers refuse bags that state one.
+    Readers refuse bags that state an unknown language.
     """
-    is_known = topic.encoding in DEFINITION_ENCODINGS and bool(topic.definition)
-    if topic.type not in typestore().types:
-        return topic if is_known else replace(topic, definition='', encoding='')
-    try:
-        types = load_recorded_types(topic.definition, topic.type, is_idl=topic.encoding != 'ros2msg')
-        types.generate_msgdef(topic.type)
-    except Exception:  # the parser may raise anything for damaged text
-        is_known = False
-    return topic if is_known else make_topic(topic.name, topic.type, qos=topic.qos)
+    if topic.definition and topic.encoding in ('ros2msg', 'ros2idl', 'omgidl'):
+        return topic
+    if topic.type in typestore().types:
+        return make_topic(topic.name, topic.type, qos=topic.qos)
+    return Topic(topic.name, topic.type, '', '', topic.type_hash, topic.qos)
 
 
-def _parse_qos(profiles: Any) -> tuple[dict[str, Any], ...]:
+def _convert_qos(profiles: Any) -> tuple[dict[str, Any], ...]:
     """Convert QoS profiles of any version of rosbag2 to those of version 9; return none where they are invalid."""
     try:
         return tuple(dump_qos_v9(parse_qos(profiles) if isinstance(profiles, str) else profiles))  # type: ignore[arg-type]
-    except Exception:  # the parser may raise anything for damaged text
+    except (*MALFORMED, ReaderError):
         return ()

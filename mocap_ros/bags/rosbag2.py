@@ -65,45 +65,6 @@ class Topic:
         """Whether a late subscriber receives the last message."""
         return any(q.get('durability') == TRANSIENT_LOCAL for q in self.qos)
 
-    @property
-    def channel_metadata(self) -> dict[str, str]:
-        """The metadata of the topic's channel in an MCAP file."""
-        profiles = encode_yaml([dict(q) for q in self.qos])
-        return {'offered_qos_profiles': profiles, 'topic_type_hash': self.type_hash}
-
-
-@dataclass
-class MessageStatistics:
-    """Number and times of the messages in one or more files.
-
-    Attributes:
-        counts: Number of messages by topic.
-        first_ns: Log time of the first message, in ns; -1 where there is no message.
-        last_ns: Log time of the last message, in ns; -1 where there is no message.
-    """
-
-    counts: Counter[str] = field(default_factory=Counter)
-    first_ns: int = -1
-    last_ns: int = -1
-
-    def add_message(self, topic: str, log_time_ns: int) -> None:
-        """Count a message."""
-        self.counts[topic] += 1
-        self.include_times(log_time_ns, log_time_ns)
-
-    def include_times(self, first_ns: int, last_ns: int) -> None:
-        """Extend the time range so that it contains both log times."""
-        self.first_ns = first_ns if self.first_ns < 0 else min(self.first_ns, first_ns)
-        self.last_ns = max(self.last_ns, last_ns)
-
-    def to_metadata(self) -> dict[str, Any]:
-        """Return the entries of metadata.yaml that give the time range and the number of messages."""
-        return {
-            'starting_time': {'nanoseconds_since_epoch': max(self.first_ns, 0)},
-            'duration': {'nanoseconds': self.last_ns - self.first_ns},
-            'message_count': self.counts.total(),
-        }
-
 
 def make_topic(
     name: str,
@@ -128,10 +89,30 @@ def make_topic(
     """
     text, type_hash = definition or _generate_definition(msgtype)
     profiles = tuple(q for i, q in enumerate(qos) if q not in qos[:i])
-    offered = Topic(name, msgtype, text, type_hash=type_hash, qos=profiles)
-    if offered.qos and (offered.is_latched or not latched):
-        return offered
-    return replace(offered, qos=(_make_qos_profile(latched=latched),))
+    topic = Topic(name, msgtype, text, type_hash=type_hash, qos=profiles)
+    if profiles and (topic.is_latched or not latched):
+        return topic
+    own = {
+        'history': 'keep_last',
+        'depth': 1 if latched else 10,
+        'reliability': 'reliable',
+        'durability': TRANSIENT_LOCAL if latched else 'volatile',
+        'deadline': UNLIMITED,
+        'lifespan': UNLIMITED,
+        'liveliness': 'automatic',
+        'liveliness_lease_duration': UNLIMITED,
+        'avoid_ros_namespace_conventions': False,
+    }
+    return replace(topic, qos=(own,))
+
+
+@cache
+def _generate_definition(msgtype: str) -> TypeDefinition:
+    store = typestore()
+    if msgtype not in store.types:
+        raise RecordingError(f'message type {msgtype} is not known and cannot be recorded')
+    text, _ = store.generate_msgdef(msgtype, ros_version=2)
+    return TypeDefinition(text, store.hash_rihs01(msgtype))
 
 
 def find_ros_distro() -> str:
@@ -149,6 +130,21 @@ def find_ros_distro() -> str:
     return DISTRO_BY_RCLPY_RELEASE.get(release, DEFINITIONS_DISTRO)
 
 
+@dataclass
+class MessageStatistics:
+    """Number and log times, in ns, of the messages in a file; the times are -1 where there is no message."""
+
+    counts: Counter[str] = field(default_factory=Counter)  # by topic
+    first_ns: int = -1
+    last_ns: int = -1
+
+    def add(self, topic: str, log_time_ns: int) -> None:
+        """Count a message."""
+        self.counts[topic] += 1
+        self.first_ns = min(self.first_ns, log_time_ns) if self.first_ns >= 0 else log_time_ns
+        self.last_ns = max(self.last_ns, log_time_ns)
+
+
 def describe_bag(
     topics: Iterable[Topic], files: Mapping[str, MessageStatistics], ros_distro: str
 ) -> dict[str, Any]:
@@ -159,15 +155,21 @@ def describe_bag(
         files: Statistics of the files by name, in the order of recording.
         ros_distro: Name of the distribution on which the bag was recorded; empty where it is unknown.
     """
-    total = MessageStatistics()
-    for statistics in files.values():
-        total.counts.update(statistics.counts)
-        if statistics.first_ns >= 0:
-            total.include_times(statistics.first_ns, statistics.last_ns)
+
+    def summarise(files: Iterable[MessageStatistics]) -> dict[str, Any]:
+        filled = [f for f in files if f.first_ns >= 0]
+        first_ns = min((f.first_ns for f in filled), default=0)
+        last_ns = max((f.last_ns for f in filled), default=0)
+        return {
+            'starting_time': {'nanoseconds_since_epoch': first_ns},
+            'duration': {'nanoseconds': last_ns - first_ns},
+            'message_count': sum(f.counts.total() for f in filled),
+        }
+
     return {
         'version': METADATA_VERSION,
         'storage_identifier': 'mcap',
-        **total.to_metadata(),
+        **summarise(files.values()),
         'topics_with_message_count': [
             {
                 'topic_metadata': {
@@ -177,22 +179,17 @@ def describe_bag(
                     'offered_qos_profiles': [dict(q) for q in topic.qos],
                     'type_description_hash': topic.type_hash,
                 },
-                'message_count': total.counts[topic.name],
+                'message_count': sum(f.counts[topic.name] for f in files.values()),
             }
             for topic in topics
         ],
         'compression_format': '',
         'compression_mode': '',
         'relative_file_paths': list(files),
-        'files': [{'path': name, **statistics.to_metadata()} for name, statistics in files.items()],
+        'files': [{'path': name, **summarise([statistics])} for name, statistics in files.items()],
         'custom_data': None,
         'ros_distro': ros_distro,
     }
-
-
-def encode_yaml(content: Any) -> str:
-    """Return content as YAML, without anchors."""
-    return yaml.dump(content, Dumper=_PlainDumper, sort_keys=False)
 
 
 class _PlainDumper(SafeDumper):
@@ -203,26 +200,6 @@ class _PlainDumper(SafeDumper):
         return True
 
 
-@cache
-def _generate_definition(msgtype: str) -> TypeDefinition:
-    """Return this package's definition of a message type."""
-    store = typestore()
-    if msgtype not in store.types:
-        raise RecordingError(f'message type {msgtype} is not known and cannot be recorded')
-    text, _ = store.generate_msgdef(msgtype, ros_version=2)
-    return TypeDefinition(text, store.hash_rihs01(msgtype))
-
-
-def _make_qos_profile(*, latched: bool) -> dict[str, Any]:
-    """Return the QoS profile of this package's own publishers."""
-    return {
-        'history': 'keep_last',
-        'depth': 1 if latched else 10,
-        'reliability': 'reliable',
-        'durability': TRANSIENT_LOCAL if latched else 'volatile',
-        'deadline': UNLIMITED,
-        'lifespan': UNLIMITED,
-        'liveliness': 'automatic',
-        'liveliness_lease_duration': UNLIMITED,
-        'avoid_ros_namespace_conventions': False,
-    }
+def encode_yaml(content: Any) -> str:
+    """Return content as YAML, without anchors."""
+    return yaml.dump(content, Dumper=_PlainDumper, sort_keys=False)

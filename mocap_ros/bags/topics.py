@@ -49,11 +49,7 @@ TRANSFORM_SOURCES = (Source.TRANSFORMS, Source.STATIC_TRANSFORMS)  # the sources
 
 
 def list_input_types(keypoints_type: str, *, reads_transforms: bool = False) -> dict[Source, str]:
-    """Return the message type of every input, given the message type of the keypoints.
-
-    Args:
-        keypoints_type: Value of the parameter `node.input_type`.
-        reads_transforms: Whether transforms are among the inputs.
+    """Return the message type of every input, given that of the keypoints, the parameter `node.input_type`.
 
     Raises:
         ConfigError: Messages of this type are not supported as keypoints.
@@ -83,19 +79,13 @@ def find_latched_inputs(bag: Bag) -> set[str]:
 def find_transform_topics(bag: Bag, node: NodeConfig, recorded: AbstractSet[str]) -> dict[str, Source]:
     """Return the sources of the topics of transforms in a bag that are inputs.
 
-    Their names end as in ROS, but for inputs of a recorded run, which may have been remapped.
-
-    Args:
-        bag: Bag to search.
-        node: Parameters, which say whether transforms are needed.
-        recorded: Topics that were inputs of the recorded run, which counted their messages.
+    Their names end as in ROS, but for `recorded` inputs of a recorded run, which may have been remapped.
     """
     found = {}
     for topic in bag.topics_of_type([TRANSFORMS]):
         source = next((s for s in TRANSFORM_SOURCES if topic.endswith(s.value)), None)
         if topic in recorded:
-            is_static = topic in bag.latched_topics
-            found[topic] = source or (Source.STATIC_TRANSFORMS if is_static else Source.TRANSFORMS)
+            found[topic] = source or TRANSFORM_SOURCES[topic in bag.latched_topics]
         elif source is not None and reads_transforms(node):
             found[topic] = source
     return found
@@ -104,16 +94,9 @@ def find_transform_topics(bag: Bag, node: NodeConfig, recorded: AbstractSet[str]
 def make_repeat_keys(source: Source | None, raw: bytes, *, is_accepted: bool = True) -> frozenset[str] | None:
     """Return the `repeat_keys` of `Recorder.write` with which an input is recorded.
 
-    Each publisher of static transforms sends its own frames, which hold beside those of the others. Any other
-    input replaces the one before it, unless it was refused.
-
-    Args:
-        source: What the topic carries; None where it is no input of its own name.
-        raw: The message, as this package defines its type.
-        is_accepted: Whether the pipeline has accepted the message.
-
-    Returns:
-        The names of the frames that static transforms place; nothing for other inputs; None for a refused one.
+    Each publisher of static transforms sends its own frames, which hold beside those of the others: the keys are
+    the names of the frames that a message places. Any other input replaces the one before it, unless it was
+    refused: None.
     """
     if not is_accepted:
         return None
@@ -123,12 +106,7 @@ def make_repeat_keys(source: Source | None, raw: bytes, *, is_accepted: bool = T
 
 
 def make_body_topic(tracked_topic: str, body_id: str) -> str:
-    """Return the topic of a body's keypoints.
-
-    Args:
-        tracked_topic: Topic that lists the ids of the tracked bodies; its namespace is that of the bodies.
-        body_id: Id of the body.
-    """
+    """Return the topic of a body's keypoints, in the namespace of the topic that lists the tracked bodies."""
     return f'{tracked_topic.rpartition("/")[0]}/{body_id}{BODY_SUFFIX}'
 
 
@@ -157,13 +135,11 @@ def find_people_topics(bag: Bag, name: str | None = None) -> dict[str, Source]:
     tracked_topics = [t for t in bag.topics_of_type([HRI_IDS]) if t == name or t.endswith(TRACKED_SUFFIX)]
     groups |= {topic: {topic: Source.TRACKED_BODIES} for topic in tracked_topics}
     for topic in bag.topics_of_type([HRI_SKELETON]):
-        body_id = parse_body_id(topic)
-        tracked_topic = next((t for t in tracked_topics if make_body_topic(t, body_id) == topic), '')
+        own = (t for t in tracked_topics if make_body_topic(t, parse_body_id(topic)) == topic)
+        beside = f'{topic.rpartition("/")[0].rpartition("/")[0]}/tracked'
         if topic.endswith(BODY_SUFFIX):
-            groups.setdefault(tracked_topic or _infer_tracked_topic(topic), {})[topic] = Source.BODY
-    if (
-        name is None and len(groups) > 1
-    ):  # a list of bodies without their keypoints may be an output of this package
+            groups.setdefault(next(own, beside), {})[topic] = Source.BODY
+    if name is None and len(groups) > 1:  # a list of bodies without keypoints may be an output
         groups = {t: s for t, s in groups.items() if set(s.values()) != {Source.TRACKED_BODIES}} or groups
     chosen = [sources for topic, sources in groups.items() if name in (None, topic)]
     if len(chosen) == 1:
@@ -180,8 +156,3 @@ def find_people_type(bag: Bag, topics: Mapping[str, Source]) -> str:
     """Return the value of `node.input_type` that suits the topics that `find_people_topics` returned."""
     first, *_ = topics
     return bag.topics[first] if topics[first] is Source.KEYPOINTS else HRI_SKELETON
-
-
-def _infer_tracked_topic(body_topic: str) -> str:
-    """Return the topic that would list the tracked bodies, beside the topic of a body."""
-    return f'{body_topic.rpartition("/")[0].rpartition("/")[0]}/tracked'

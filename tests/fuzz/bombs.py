@@ -7,15 +7,10 @@ from __future__ import annotations
 
 import io
 import json
-import sqlite3
 import zipfile
 from collections.abc import Callable
-from contextlib import closing
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
-import zstandard
 from mcap.writer import CompressionType, Writer
 
 from mocap_ros.messages.cdr import encode
@@ -70,12 +65,12 @@ def _make_wide_model() -> bytes:
     return stream.getvalue()
 
 
-def _make_mcap(definition: str, message: bytes, qos: str = '') -> bytes:
+def _make_mcap(definition: str, message: bytes) -> bytes:
     stream = io.BytesIO()
     writer = Writer(stream, chunk_size=2 * BOMB_BYTES, compression=CompressionType.ZSTD)
     writer.start('ros2', 'bomb')
     schema = writer.register_schema(KEYPOINTS, 'ros2msg', definition.encode())
-    channel = writer.register_channel('/keypoints', 'cdr', schema, {'offered_qos_profiles': qos})
+    channel = writer.register_channel('/keypoints', 'cdr', schema)
     writer.add_message(channel, 1, message, 1)
     writer.finish()  # type: ignore[no-untyped-call]
     return stream.getvalue()
@@ -87,29 +82,6 @@ def _define(fields: str, other_type: str = '') -> bytes:
     if other_type:
         definition += f'{"=" * 80}\nMSG: a/B\n{other_type}\n'
     return _make_mcap(definition, make_keypoints(0)[:20] + b'\xff' * 8)
-
-
-def _edit_database(*queries: str) -> bytes:
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / 'a.db3'
-        path.write_bytes(EXAMPLES['db3']()[0])
-        with closing(sqlite3.connect(path)) as database:
-            for query in queries:
-                database.execute(query)
-            database.commit()
-        return path.read_bytes()
-
-
-def _make_endless_view(table: str, columns: str) -> bytes:
-    endless = f'WITH RECURSIVE t(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM t) SELECT {columns} FROM t'
-    return _edit_database(f'DROP TABLE {table}', f'CREATE VIEW {table} AS {endless}')
-
-
-def _make_compressed_folder() -> bytes:
-    metadata, _, _ = EXAMPLES['folder']()[1].partition(FILE_SEPARATOR)
-    compressor = zstandard.ZstdCompressor().compressobj()
-    pieces = [compressor.compress(bytes(BOMB_BYTES // 10)) for _ in range(10)]
-    return metadata + FILE_SEPARATOR + b''.join(pieces) + compressor.flush()
 
 
 def _make_bvh(name: str, frames: int, bones: int = 1900) -> bytes:
@@ -178,31 +150,8 @@ BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
     'frames without bones': ('asf', lambda: _make_asf(1500, 30_000)),
     'people without keypoints': ('messages', lambda: _make_crowd(KEYPOINT_TYPES.index(OPENPOSE_POSES))),
     'YAML of brackets': ('yaml', lambda: b'a: ' + b'[' * 10_000),
-    'chunk of zeros': ('mcap', lambda: _make_mcap('', bytes(BOMB_BYTES))),
-    'chunk of zeros to recover': ('recovery', lambda: _make_mcap('', bytes(BOMB_BYTES))),
-    'compressed file of zeros': ('folder', _make_compressed_folder),
     'array of texts of fixed length': ('mcap', lambda: _define('string[2000000] a')),
     'sequence of nothing': ('mcap', lambda: _define('a/B[] a', 'float32[0] b')),
     'type within itself': ('mcap', lambda: _define('a/B a', 'a/B a')),
     'definition of a megabyte': ('mcap', lambda: _define('int8 a\n' * 150_000)),
-    'QoS profiles of brackets': ('mcap', lambda: _make_mcap('', make_keypoints(0), '[1, ' * 4000)),
-    'QoS profiles of a megabyte': ('mcap', lambda: _make_mcap('', make_keypoints(0), '- a\n' * 250_000)),
-    'view that never ends': (
-        'db3', lambda: _make_endless_view(
-            'message_definitions',
-            "x AS id, 'a' AS topic_type, 'ros2msg' AS encoding, 'x' AS encoded_message_definition, "
-            "'' AS type_description_hash",
-        )
-    ),
-    'view that never ends, to recover': (
-        'recovery',
-        lambda: _make_endless_view('messages', 'x AS id, 1 AS topic_id, 1 AS timestamp, NULL AS data'),
-    ),
-    'generated column': (
-        'recovery', lambda: _edit_database(
-            'DROP TABLE messages',
-            'CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data AS (zeroblob(900000000)))',
-            'INSERT INTO messages (id, topic_id, timestamp) VALUES (1, 1, 1)',
-        )
-    ),
 }  # fmt: skip

@@ -24,7 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from mocap_ros.bags.journal import Entry, Verdict, encode_entry
 from mocap_ros.bags.recorder import Recorder
-from mocap_ros.bags.rosbag2 import METADATA, make_topic
+from mocap_ros.bags.rosbag2 import METADATA, encode_yaml, make_topic
 from mocap_ros.config import Config, RecorderConfig, to_yaml
 from mocap_ros.demo.scene import make_recording
 from mocap_ros.formats.bvh import save_bvh
@@ -246,7 +246,8 @@ def _make_mcap(compression: CompressionType, *, is_other_version: bool = False) 
     definition, metadata = '', {}
     if has_checksums:
         topic = make_topic('/keypoints', KEYPOINTS)
-        definition, metadata = topic.definition, topic.channel_metadata
+        definition = topic.definition
+        metadata = {'offered_qos_profiles': encode_yaml([dict(q) for q in topic.qos])}
     if is_other_version:
         definition = OTHER_VERSION
     channel = writer.register_channel(

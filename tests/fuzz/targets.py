@@ -303,7 +303,7 @@ TARGETS = {
     'db3': Target(_make_bag_reader('.db3'), _BAGS),
     'ros1': Target(_make_bag_reader('.bag'), ('bags.reader', 'messages.versions', 'messages.recorded_types')),
     'recovery': Target(recover_bag, _RECOVERY),
-    'folder': Target(read_bag_folder, (*_BAGS, 'bags.reader_limits')),
+    'folder': Target(read_bag_folder, _BAGS),
 }
 # Targets whose input is no file, or is also read from memory; the errors of all others name the file or folder.
 UNNAMED = ('messages', 'npz', 'arrays', 'yaml')

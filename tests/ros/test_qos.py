@@ -12,7 +12,8 @@ import pytest
 pytest.importorskip('rclpy')
 pytest.importorskip('mocap_ros_msgs')
 
-from mocap_ros.bags.reader_limits import parse_qos
+from rosbags.rosbag2.metadata import parse_qos
+
 from mocap_ros.bags.rosbag2 import make_topic
 from mocap_ros.config import Config
 from mocap_ros.messages.keypoints import KEYPOINTS
@@ -28,7 +29,7 @@ def test_late_subscribers_get_as_many_messages_of_a_bag_as_of_its_publishers(msg
 
     from mocap_ros.ros.qos import choose_playback_profile
 
-    latched = {**make_topic('/topic', msgtype, latched=True).qos[0], 'depth': 3}
+    latched: Any = {**make_topic('/topic', msgtype, latched=True).qos[0], 'depth': 3}
     profile = choose_playback_profile(parse_qos([latched]), msgtype)
     assert (profile.depth, profile.durability) == (kept, DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -39,7 +40,7 @@ def test_static_transforms_reach_late_subscribers_if_one_of_their_publishers_kep
 
     from mocap_ros.ros.qos import choose_playback_profile
 
-    both = [make_topic('/topic', TRANSFORMS, latched=latched).qos[0] for latched in (False, True)]
+    both: Any = [make_topic('/topic', TRANSFORMS, latched=latched).qos[0] for latched in (False, True)]
     assert choose_playback_profile(parse_qos(both), TRANSFORMS).durability == DurabilityPolicy.TRANSIENT_LOCAL
     assert choose_playback_profile(parse_qos(both), KEYPOINTS).durability == DurabilityPolicy.VOLATILE
 
