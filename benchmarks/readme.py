@@ -122,7 +122,8 @@ def list_clean_points() -> list[list[str]]:
     columns = [f'fixed: {category}' for category in ('walk', 'run', 'jump')]
     ours = ' / '.join(f'{find_numbers("rivals.errors", BEST, c)[1]:.0f}' for c in columns)
     others = list_rivals(columns)
-    rivals = f'[other methods](docs/rivals.md): {min(others):.0f} to {max(others):.0f}'
+    link = '[other methods](docs/accuracy.md#other-methods-on-the-same-views)'
+    rivals = f'{link}: {min(others):.0f} to {max(others):.0f}'
     left_out = 'CMU walking and running of persons whom no model was trained on, base poses of the category'
     own = "a CMU walk, base poses of the same person's other walks, `solver.prior: pca`"
     rows = (
