@@ -1,7 +1,7 @@
 # Copyright 2026 mocap_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Settings of the documentation site, which `make docs` builds with Sphinx and rosdoc2 builds on the ROS servers.
+"""Settings of the documentation site, which `config/task.sh docs` builds, and rosdoc2 on the ROS servers.
 
 The site is the pages of this folder, the pages of the repository's root, and a reference that is written here from
 the parameter file, the message definitions, the help of the commands and the public names of the package.

@@ -26,8 +26,8 @@ from tests.support.evaluation_data import shared
 from tests.support.modules import load_module
 from tests.support.paths import ROOT
 
-# Inputs are the same every time, so that a failure is due to the change; `make properties` has random ones. A
-# pause of a busy machine is no fault (deadline); what must be quick is measured by benchmarks.
+# Inputs are the same every time, so that a failure is due to the change; `config/task.sh properties` has random
+# ones. A pause of a busy machine is no fault (deadline); what must be quick is measured by benchmarks.
 settings.register_profile('fixed', deadline=None, derandomize=True)
 settings.register_profile('random', deadline=None)
 settings.load_profile('fixed')

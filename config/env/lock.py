@@ -23,7 +23,7 @@ from typing import Any
 OWN = {'mocap-ros', 'mocap-ros-msgs'}
 PIP = [sys.executable, '-m', 'pip', '--quiet', '--disable-pip-version-check']
 HEADER = """\
-# Versions and hashes of wheels for {tag}. Made by `make lock`; `make setup LOCKED=1` installs them.
+# Versions and hashes of wheels for {tag}. Made by `config/task.sh lock`; `make setup LOCKED=1` installs them.
 """
 
 

@@ -3,8 +3,8 @@
 
 """One self-contained HTML page that shows a scene in 3D over time, with three.js, in any browser and offline.
 
-The template, the styles and the script are in `viewing/page_files/`. `three.js` beside them is made by `make page`
-from the packages that `config/page/package-lock.json` pins.
+The template, the styles and the script are in `viewing/page_files/`. `three.js` beside them is made by
+`config/task.sh page` from the packages that `config/page/package-lock.json` pins.
 
 Arrays are rounded to integers, stored column by column as differences from row to row, split into their bytes
 plane by plane, and compressed together; the script undoes this.

@@ -120,7 +120,7 @@ def test_the_page_needs_no_other_file_and_no_network(scene: Scene) -> None:
 
 
 def test_the_bundle_is_the_one_that_the_lock_file_makes() -> None:
-    """`make page` bundles it again and compares it with the same sum."""
+    """`config/task.sh page` bundles it again and compares it with the same sum."""
     recorded, path = (ROOT / 'config' / 'page' / 'three.sha256').read_text(encoding='utf-8').split()
     assert hashlib.sha256((ROOT / path).read_bytes()).hexdigest() == recorded
     lock = json.loads((ROOT / 'config' / 'page' / 'package-lock.json').read_text(encoding='utf-8'))

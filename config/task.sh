@@ -1,0 +1,111 @@
+#!/bin/bash
+# Copyright 2026 mocap_ros developers
+# SPDX-License-Identifier: Apache-2.0
+#
+# Less frequent work, in the environment that `make setup` made:
+#   task.sh format                 format the code
+#   task.sh docs                   build the documentation site, into build/docs/html
+#   task.sh links                  check the links of the site to other sites
+#   task.sh fuzz SECONDS [SOURCE]  fuzz the readers of inputs from strangers (needs the extra fuzz)
+#   task.sh properties ROUNDS      run the property tests with random inputs; failures are kept and come first next time
+#   task.sh models MOTION.npz      retrain the shipped models from body26_30fps.npz (the lifter needs the extra train)
+#   task.sh page                   bundle three.js for the page of mocap-ros view (needs npm)
+#   task.sh lock                   write versions and hashes of what is installed, for `make setup LOCKED=1`
+#   task.sh audit                  look for known holes in what is installed (needs the extra audit and a network)
+#   task.sh sbom                   write the list of what is installed, build/sbom.json (needs the extra audit)
+#   task.sh colcon                 build both packages with colcon, into install/
+#   task.sh clean                  remove all that was made here, but your recordings
+set -euo pipefail
+cd "$(dirname "$0")/.."
+export PATH="$PWD/.venv/bin:$PATH" PYTHONNOUSERSITE=1
+mkdir -p build
+
+sphinx() {
+    config/env/setup.sh docs
+    sphinx-build --fail-on-warning --keep-going --quiet -d build/docs/doctrees -b "$1" docs "build/docs/$1"
+}
+
+format() {
+    ruff check --fix-only --quiet
+    ruff format
+}
+
+docs() {
+    sphinx html
+    echo 'Site: build/docs/html/index.html'
+}
+
+links() {
+    sphinx linkcheck
+}
+
+fuzz() {
+    python -m tests.fuzz.run "${@:2}" --seconds "$1"
+}
+
+properties() {
+    for ((round = 1; round <= $1; round++)); do
+        python -m pytest --quiet --hypothesis-profile random -m 'hypothesis and not ros'
+    done
+}
+
+models() {
+    local category of_motion=("$1"
+        --source 'CMU Graphics Lab Motion Capture Database, UI-PRMD and Perfume motion capture; 15 joints, 30 Hz, wrists where the hands bend'
+        --acknowledgement 'The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217. UI-PRMD (A. Vakanski et al., University of Idaho) is in the public domain (Open Data Commons PDDL). Perfume motion data: MIT License, Copyright (c) 2012 Perfume Dev Team.')
+    for category in walk run jump; do
+        mocap-ros train "${of_motion[@]}" --category $category -o mocap_ros/models/shipped/$category.npz
+    done
+    mocap-ros train "${of_motion[@]}" -o mocap_ros/models/shipped/all.npz
+    mocap-ros train --lifter "${of_motion[@]}" -o mocap_ros/models/shipped/lifter.npz
+    python benchmarks/motion_predictor.py
+    python benchmarks/velocity_correction.py
+    python -m mocap_ros.demo "$1"
+}
+
+page() {
+    (cd config/page && npm ci --no-audit --no-fund --loglevel=error && npm run --silent build)
+    sha256sum --check config/page/three.sha256
+}
+
+lock() {
+    python config/env/lock.py >build/locked.txt
+    mv build/locked.txt "config/env/locked-$(python config/env/lock.py --tag).txt"
+}
+
+# numpy is on PyPI: where the database does not know it, pip-audit has audited nothing and reports success all the same.
+audit() {
+    local status=0
+    pip-audit --local --skip-editable >build/audit.txt 2>build/audit.log || status=$?
+    if grep -q '^numpy .*could not be audited' build/audit.txt || grep -q '^Traceback' build/audit.log; then
+        echo 'task.sh audit: nothing was audited, as the database of known holes cannot be reached (build/audit.log)' >&2
+        exit 2
+    fi
+    cat build/audit.log build/audit.txt
+    exit $status
+}
+
+sbom() {
+    cyclonedx-py environment --output-reproducible --output-file build/sbom.part .venv/bin/python
+    mv build/sbom.part build/sbom.json
+}
+
+colcon() {
+    COLCON_HOME=$PWD/build/colcon command colcon --log-level error build
+}
+
+clean() {
+    rm -rf .venv build dist install log demo_output docs/project docs/reference ./*.egg-info
+    rm -rf .coverage .hypothesis .mypy_cache .pytest_cache .ruff_cache config/page/node_modules
+    find . -name __pycache__ -prune -exec rm -rf {} +
+}
+
+case ${1:-} in
+    format | docs | links | page | lock | audit | sbom | colcon | clean) "$1" ;;
+    fuzz | properties | models)
+        [ $# -ge 2 ] || { echo "task.sh $1: one more argument is needed" >&2; exit 2; }
+        "$@" ;;
+    *)
+        sed -n 's/^#   task/config\/task/p' "$0"
+        [ $# -eq 0 ] || exit 2 ;;
+esac
